@@ -1,4 +1,5 @@
-"""Set up and run, with nothing but Python: `python3 tasks.py run`, `python3 tasks.py test`.
+"""Set up and run, with nothing but Python: `python3 tasks.py run`, `python3 tasks.py
+test`.
 
 run [OVERRIDES]    the main job: `python -m pipeline +experiment=stringB method=robust OVERRIDES`, or another experiment
 test [ARGUMENTS]   style, types and tests; arguments go to pytest
@@ -6,8 +7,8 @@ test --all         ... with the long ones
 bench              how fast strings are simulated and estimated, beside peers; see tests/speed
 setup              only make the environment
 
-The environment is `.venv`, made from `requirements.lock` and made again when that changes. In it, the package
-`stringcast` is this clone.
+The environment is `.venv`, made from `requirements.lock` and made again when that
+changes. In it, the package `stringcast` is this clone.
 """
 
 from __future__ import annotations
@@ -27,9 +28,12 @@ LOCK = ROOT / "requirements.lock"
 BENCH_LOCK = ROOT / "tests" / "speed" / "requirements.lock"
 PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 SIDE_BY_SIDE = ("--numprocesses=auto", "--dist=loadfile", "--no-loadscope-reorder")
-PACKAGE = (ROOT / "setup.py", ROOT / "pyproject.toml")  # how the folders of this clone are one package
-LINKS = ENVIRONMENT / "package"  # the folders of this clone as one package, for Python, editors and mypy
-TIMED = "tests/drivers"  # by real clocks: they run beside one another alone, and wait most of the time
+# how the folders of this clone are one package
+PACKAGE = (ROOT / "setup.py", ROOT / "pyproject.toml")
+# the folders of this clone as one package, for Python, editors and mypy
+LINKS = ENVIRONMENT / "package"
+# by real clocks: they run beside one another alone, and wait most of the time
+TIMED = "tests/drivers"
 BY_CLOCKS = ("--numprocesses=3", "--dist=worksteal", TIMED)
 MAIN = ("+experiment=stringB", "method=robust")  # of `run`
 STYLE = (("ruff", "check", "."), ("ruff", "format", "--check", "."))
@@ -52,28 +56,37 @@ def setup() -> None:
             f"stringcast needs Python 3.11 or newer; this is {sys.version.split()[0]}. Run tasks.py with a newer one."
         )
     if ENVIRONMENT.is_symlink():
-        sys.exit(f"{ENVIRONMENT} is a link to another clone's environment. Remove it: each clone has its own.")
+        sys.exit(
+            f"{ENVIRONMENT} is a link to another clone's environment. Remove it: each clone has its own."
+        )
     if not installed(LOCK):
         print("Setting up .venv (once; a minute or two) ...", flush=True)
         venv.create(ENVIRONMENT, with_pip=True, clear=True)
         install("--require-hashes", "-r", LOCK, made_of=[LOCK])
     if not installed(*PACKAGE):
-        install("--no-deps", "--no-build-isolation", "--editable", ROOT, made_of=PACKAGE)
-        for stale in ROOT.rglob("__pycache__/*.nb[ci]"):  # machine code names modules as they were called
+        install(
+            "--no-deps", "--no-build-isolation", "--editable", ROOT, made_of=PACKAGE
+        )
+        # machine code names modules as they were called
+        for stale in ROOT.rglob("__pycache__/*.nb[ci]"):
             stale.unlink()
     link_package()
 
 
 def link_package() -> None:
-    """Lay this clone out as the package `stringcast`, made of links, and put it on the environment's path.
+    """Lay this clone out as the package `stringcast`, made of links, and put it on the
+    environment's path.
 
-    Editors, call graphs and mypy follow links, but not the import hook of an editable install.
-    The hook stays for Windows without links, where only these tools miss the package.
+    Editors, call graphs and mypy follow links, but not the import hook of an editable
+    install. The hook stays for Windows without links, where only these tools miss the
+    package.
     """
     folder = LINKS / "stringcast"
     folder.mkdir(parents=True, exist_ok=True)
     rooms = [ROOT / room for room in ("conf", "data", "hardware", "pipeline", "stages")]
-    targets = {path.name: path for path in (*rooms, *(ROOT / "pipeline" / "api").glob("*.py*"))}
+    targets = {
+        path.name: path for path in (*rooms, *(ROOT / "pipeline" / "api").glob("*.py*"))
+    }
     for link in folder.iterdir():
         if link.name not in targets:
             link.unlink()
@@ -90,12 +103,17 @@ def link_package() -> None:
 
 def mark(*files: Path) -> Path:
     """A file in the environment that says what of it was made of these files."""
-    return ENVIRONMENT / f"made-of-{files[0].relative_to(ROOT).as_posix().replace('/', '-')}"
+    return (
+        ENVIRONMENT
+        / f"made-of-{files[0].relative_to(ROOT).as_posix().replace('/', '-')}"
+    )
 
 
 def digest(*files: Path) -> str:
     """A hash of files, this Python's version and this clone's place."""
-    return hashlib.sha256(b"".join([sys.version.encode(), bytes(ROOT), *(f.read_bytes() for f in files)])).hexdigest()
+    return hashlib.sha256(
+        b"".join([sys.version.encode(), bytes(ROOT), *(f.read_bytes() for f in files)])
+    ).hexdigest()
 
 
 def installed(*files: Path) -> bool:
@@ -105,9 +123,19 @@ def installed(*files: Path) -> bool:
 
 def install(*what: str | Path, made_of: Sequence[Path]) -> None:
     """Install what pip is told, and note of which files it was made."""
-    pip = [PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *what]
+    pip = [
+        PYTHON,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        *what,
+    ]
     if subprocess.run(pip, check=False).returncode:
-        sys.exit(f"What {made_of[0].name} asks for could not be installed; see above. Is a package registry in reach?")
+        sys.exit(
+            f"What {made_of[0].name} asks for could not be installed; see above. Is a package registry in reach?"
+        )
     mark(*made_of).write_text(digest(*made_of))
 
 
@@ -117,15 +145,25 @@ def call(*command: str) -> int:
 
 
 def run(rest: list[str]) -> int:
-    """The pipeline: the main job with other settings, unless an experiment or a command is named."""
-    named = rest and ("=" not in rest[0] or any(word.startswith("+experiment=") for word in rest))
-    default = [word for word in MAIN if not any(other.startswith(word.partition("=")[0] + "=") for other in rest)]
+    """The pipeline: the main job with other settings, unless an experiment or a command
+    is named.
+    """
+    named = rest and (
+        "=" not in rest[0] or any(word.startswith("+experiment=") for word in rest)
+    )
+    default = [
+        word
+        for word in MAIN
+        if not any(other.startswith(word.partition("=")[0] + "=") for other in rest)
+    ]
     return call("pipeline", *([] if named else default), *rest)
 
 
 def test(rest: list[str]) -> int:
-    """Style, types, tests: all of them, and 0 only if each is clean. Files of tests run side by side, on all cores, and
-    types are checked meanwhile: what goes by clocks must not have them beside it."""
+    """Style, types, tests: all of them, and 0 only if each is clean. Files of tests run
+    side by side, on all cores, and types are checked meanwhile: what goes by clocks
+    must not have them beside it.
+    """
     results = [call(*check) for check in STYLE]
     if rest not in ([], ["--all"]):
         return worst(*results, call("mypy"), call("pytest", *rest))
@@ -138,8 +176,9 @@ def test(rest: list[str]) -> int:
 
 
 def worst(*codes: int) -> int:
-    """0 if every command ended with 0, else 1: what a signal ended has a negative code, and pytest ends with 5 where
-    it found no test."""
+    """0 if every command ended with 0, else 1: what a signal ended has a negative code,
+    and pytest ends with 5 where it found no test.
+    """
     return int(any(codes))
 
 

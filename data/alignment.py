@@ -1,4 +1,6 @@
-"""The artifact of `align`: position, rotation and clock of the camera relative to the arm, with intervals."""
+"""The artifact of `align`: position, rotation and clock of the camera relative to the
+arm, with intervals.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ import pandas as pd
 
 from stringcast.data.schema import Column, Table
 
-MEASURED = Table(
+MEASURED_PARAMETERS = Table(
     "measured",
     "what was measured, a row for each parameter; effects that were looked for and not seen have found = false",
     (
@@ -22,7 +24,7 @@ MEASURED = Table(
         Column("found", "", "it is part of the alignment", "bool"),
     ),
 )
-SEEN = Table(
+SIGHTINGS = Table(
     "seen",
     "every sighting of the arm; it is measured along one direction only",
     (
@@ -44,12 +46,16 @@ LIKELIHOOD = Table(
     "how much worse the fit is with a given time offset; 3.84 is the end of a 95 % interval",
     (
         Column("offset", "s", "arm's clock less the camera's"),
-        Column("alone", "1", "rise of the deviance without a lag of the arm, corrected for correlated noise"),
+        Column(
+            "alone",
+            "1",
+            "rise of the deviance without a lag of the arm, corrected for correlated noise",
+        ),
         Column("with_lag", "1", "the same where the arm may lag as well"),
         Column("lag", "s", "the lag that then fits best"),
     ),
 )
-ALIGNED = Table(
+ALIGNMENT_SUMMARY = Table(
     "aligned",
     "one row: how it went",
     (
@@ -58,8 +64,14 @@ ALIGNED = Table(
         Column("rms_after", "m", "residual aligned"),
         Column("noise", "m", "what noise alone would leave"),
         Column("speed", "m/s", "fastest that a sighted point moved"),
-        Column("most_lag", "s", "a lag of the arm up to this cannot be told from the offset; 0 where one was measured"),
-        Column("extended", "", "the model with the alignment as settings, YAML", "text"),
+        Column(
+            "most_lag",
+            "s",
+            "a lag of the arm up to this cannot be told from the offset; 0 where one was measured",
+        ),
+        Column(
+            "extended", "", "the model with the alignment as settings, YAML", "text"
+        ),
     ),
 )
 
@@ -74,10 +86,10 @@ class Alignment:
     aligned: pd.DataFrame
 
     TABLES: ClassVar[dict[str, Table]] = {
-        "measured": MEASURED,
-        "seen": SEEN,
+        "measured": MEASURED_PARAMETERS,
+        "seen": SIGHTINGS,
         "likelihood": LIKELIHOOD,
-        "aligned": ALIGNED,
+        "aligned": ALIGNMENT_SUMMARY,
     }
 
     @property
@@ -86,11 +98,11 @@ class Alignment:
         return str(self.aligned["sentence"].iloc[0])
 
     @property
-    def extended(self) -> str:
+    def extended_yaml(self) -> str:
         """The model with the alignment, as settings that other experiments take, YAML."""
         return str(self.aligned["extended"].iloc[0])
 
-    def found(self) -> dict[str, float]:
+    def aligned_values(self) -> dict[str, float]:
         """Values of what is part of the alignment, by qualified name."""
         rows = self.measured[self.measured["found"]]
         return dict(zip(rows["name"], rows["value"], strict=True))

@@ -1,4 +1,6 @@
-"""The artifacts that stages hand to one another: frozen dataclasses of a few tables each."""
+"""The artifacts that stages hand to one another: frozen dataclasses of a few tables
+each.
+"""
 
 from __future__ import annotations
 
@@ -14,22 +16,29 @@ from stringcast.data.schema import Column, Table
 
 JOINTS = ("q1", "q2", "q3")
 SPEEDS = ("w1", "w2", "w3")
-SENT = ("sent1", "sent2", "sent3")
+SENT_SPEEDS = ("sent1", "sent2", "sent3")
 
-_TIME = Column("t", "s", "time; 0 is the start of the movement")
-_Q = tuple(Column(f"q{j}", "rad", f"angle of joint {j}") for j in (1, 2, 3))
-_W = tuple(Column(f"w{j}", "rad/s", f"commanded velocity of joint {j}") for j in (1, 2, 3))
-_TRIAL = Column("trial", "", "name of the trial", "text")
+TIME_COLUMN = Column("t", "s", "time; 0 is the start of the movement")
+ANGLE_COLUMNS = tuple(Column(f"q{j}", "rad", f"angle of joint {j}") for j in (1, 2, 3))
+SPEED_COLUMNS = tuple(
+    Column(f"w{j}", "rad/s", f"commanded velocity of joint {j}") for j in (1, 2, 3)
+)
+TRIAL_COLUMN = Column("trial", "", "name of the trial", "text")
 
-# --- motion -----------------------------------------------------------------------------
-COMMANDS = Table("commands", "joint commands on the arm's tick (5 ms)", (_TIME, *_Q, *_W))
+# --- motion
+# -----------------------------------------------------------------------------
+COMMANDS = Table(
+    "commands",
+    "joint commands on the arm's tick (5 ms)",
+    (TIME_COLUMN, *ANGLE_COLUMNS, *SPEED_COLUMNS),
+)
 CONTROL_POINTS = Table(
     "control_points",
     "Bezier control points V_0..V_5 of each joint's velocity curve (III)",
     (
         Column("joint", "1", "joint number, 1 is at the base", "int"),
         Column("index", "1", "n of V_n", "int"),
-        _TIME,
+        TIME_COLUMN,
         Column("velocity", "rad/s", "V_n"),
     ),
 )
@@ -37,7 +46,7 @@ PREDICTED_STRING = Table(
     "string",
     "the string as simulated when the motion was chosen",
     (
-        _TIME,
+        TIME_COLUMN,
         Column("s", "m", "rest arc length from the grasp"),
         Column("x", "m", "position of the mass point"),
         Column("y", "m", "position of the mass point"),
@@ -56,7 +65,11 @@ MOTION_OUTCOME = Table(
     "one row: the motion that was chosen; NaN for a target where there is none",
     (
         Column("duration", "s", "movement time T"),
-        Column("t_hit", "s", "when the simulated tip is nearest to the target's centre inside the box"),
+        Column(
+            "t_hit",
+            "s",
+            "when the simulated tip is nearest to the target's centre inside the box",
+        ),
         Column("tip_x", "m", "simulated tip at t_hit"),
         Column("tip_y", "m", "simulated tip at t_hit"),
         Column("tried", "1", "motions tried", "int"),
@@ -64,7 +77,12 @@ MOTION_OUTCOME = Table(
         Column("target_y", "m", "centre of the target box"),
         Column("target_w", "m", "full width of the target box"),
         Column("target_h", "m", "full height of the target box"),
-        Column("chance", "1", "predicted chance of hitting; only where it was asked", optional=True),
+        Column(
+            "chance",
+            "1",
+            "predicted chance of hitting; only where it was asked",
+            optional=True,
+        ),
         Column("chance_low", "1", "lower end of its 95 % interval", optional=True),
         Column("chance_high", "1", "upper end", optional=True),
     ),
@@ -95,8 +113,11 @@ class Motion:
         return float(self.outcome["duration"].iloc[0])
 
 
-# --- trial ------------------------------------------------------------------------------
-ARM = Table("arm", "measured joint angles, on the arm's clock", (_TIME, *_Q))
+# --- trial
+# ------------------------------------------------------------------------------
+ARM = Table(
+    "arm", "measured joint angles, on the arm's clock", (TIME_COLUMN, *ANGLE_COLUMNS)
+)
 TICKS = Table(
     "ticks",
     "the link, tick by tick",
@@ -104,13 +125,27 @@ TICKS = Table(
         Column("tick", "1", "number of the command", "int"),
         Column("t_due", "s", "when the command was due, host clock"),
         Column("t_sent", "s", "when it was written to the link, host clock"),
-        Column("t_acknowledged", "s", "when its acknowledgement came, host clock; NaN if none"),
+        Column(
+            "t_acknowledged",
+            "s",
+            "when its acknowledgement came, host clock; NaN if none",
+        ),
         Column("t_device", "s", "device clock in the acknowledgement; NaN if none"),
-        *_W,
-        *(Column(f"q{j}", "rad", f"measured angle of joint {j} in the acknowledgement") for j in (1, 2, 3)),
+        *SPEED_COLUMNS,
+        *(
+            Column(
+                f"q{j}", "rad", f"measured angle of joint {j} in the acknowledgement"
+            )
+            for j in (1, 2, 3)
+        ),
         Column("missed", "", "the command was late or lost", "bool"),
         *(
-            Column(f"sent{j}", "rad/s", f"velocity of joint {j} as the link carried it", optional=True)
+            Column(
+                f"sent{j}",
+                "rad/s",
+                f"velocity of joint {j} as the link carried it",
+                optional=True,
+            )
             for j in (1, 2, 3)
         ),
     ),
@@ -120,11 +155,27 @@ FRAMES = Table(
     "camera frames",
     (
         Column("frame", "1", "number of the frame", "int"),
-        Column("t", "s", "middle of the exposure, camera clock; 0 is the start of the movement"),
+        Column(
+            "t",
+            "s",
+            "middle of the exposure, camera clock; 0 is the start of the movement",
+        ),
         Column("file", "", "path of the image relative to the folder", "text"),
-        Column("number", "1", "its number on the camera's schedule: what is skipped was dropped", "int", optional=True),
+        Column(
+            "number",
+            "1",
+            "its number on the camera's schedule: what is skipped was dropped",
+            "int",
+            optional=True,
+        ),
         Column("late", "s", "by which it was later than the schedule", optional=True),
-        Column("repeats", "1", "how often the camera gave it again, which was left out", "int", optional=True),
+        Column(
+            "repeats",
+            "1",
+            "how often the camera gave it again, which was left out",
+            "int",
+            optional=True,
+        ),
     ),
 )
 LINK = Table(
@@ -141,15 +192,41 @@ LINK = Table(
         Column("trip_p50", "s", "median round trip of the link test", optional=True),
         Column("trip_p99", "s", "99th percentile of the round trips", optional=True),
         Column("trip_max", "s", "longest round trip", optional=True),
-        Column("frames_due", "1", "frames that the camera's schedule has until the end", "int", optional=True),
-        Column("frames_dropped", "1", "of those, the ones that are not there", "int", optional=True),
-        Column("frames_repeated", "1", "frames given again instead of new ones", "int", optional=True),
-        Column("frames_late", "1", "frames later than half a period", "int", optional=True),
+        Column(
+            "frames_due",
+            "1",
+            "frames that the camera's schedule has until the end",
+            "int",
+            optional=True,
+        ),
+        Column(
+            "frames_dropped",
+            "1",
+            "of those, the ones that are not there",
+            "int",
+            optional=True,
+        ),
+        Column(
+            "frames_repeated",
+            "1",
+            "frames given again instead of new ones",
+            "int",
+            optional=True,
+        ),
+        Column(
+            "frames_late", "1", "frames later than half a period", "int", optional=True
+        ),
         Column("fps", "1/s", "rate of the schedule", optional=True),
         Column("frame_jitter_p50", "s", "median lateness of a frame", optional=True),
         Column("frame_jitter_p99", "s", "99th percentile of lateness", optional=True),
         Column("frame_jitter_max", "s", "largest lateness", optional=True),
-        Column("remarks", "", "what of the camera could not be made sure of", "text", optional=True),
+        Column(
+            "remarks",
+            "",
+            "what of the camera could not be made sure of",
+            "text",
+            optional=True,
+        ),
     ),
 )
 
@@ -168,7 +245,12 @@ class Trial:
     link: pd.DataFrame
     images: Sequence[np.ndarray] = field(repr=False)
 
-    TABLES: ClassVar[dict[str, Table]] = {"arm": ARM, "ticks": TICKS, "frames": FRAMES, "link": LINK}
+    TABLES: ClassVar[dict[str, Table]] = {
+        "arm": ARM,
+        "ticks": TICKS,
+        "frames": FRAMES,
+        "link": LINK,
+    }
 
     @property
     def film(self) -> Film:
@@ -180,8 +262,8 @@ class Trial:
 class Film:
     """The frames of one trial, ours or others', and the motion of the hand.
 
-    t: (F,) times of the frames [s]. images: F uint8 arrays (height, width). Exactly one of `arm` (joint angles, table
-    ARM) and `grasp` (poses, table GRASP) is given.
+    t: (F,) times of the frames [s]. images: F uint8 arrays (height, width). Exactly one
+    of `arm` (joint angles, table ARM) and `grasp` (poses, table GRASP) is given.
     """
 
     t: np.ndarray
@@ -190,12 +272,13 @@ class Film:
     grasp: pd.DataFrame | None = None
 
 
-# --- points -----------------------------------------------------------------------------
+# --- points
+# -----------------------------------------------------------------------------
 POINTS = Table(
     "points",
     "measured points of the string",
     (
-        _TIME,
+        TIME_COLUMN,
         Column("s", "m", "arc length from the grasp"),
         Column("x", "m", "measured position"),
         Column("y", "m", "measured position"),
@@ -208,7 +291,7 @@ READINGS = Table(
     "what was read in each frame",
     (
         Column("frame", "1", "number of the frame", "int"),
-        _TIME,
+        TIME_COLUMN,
         Column("valid", "", "the frame could be read", "bool"),
         Column("reason", "", "why it could not; empty if it could", "text"),
         Column("tip_x", "m", "tip of the string; NaN if not read"),
@@ -222,7 +305,7 @@ MASKS = Table(
     "binarised string of each valid frame",
     (
         Column("frame", "1", "number of the frame", "int"),
-        _TIME,
+        TIME_COLUMN,
         Column("png", "", "1-bit PNG, camera pixels", "bytes"),
     ),
 )
@@ -236,24 +319,29 @@ class Points:
     readings: pd.DataFrame
     masks: pd.DataFrame
 
-    TABLES: ClassVar[dict[str, Table]] = {"points": POINTS, "readings": READINGS, "masks": MASKS}
+    TABLES: ClassVar[dict[str, Table]] = {
+        "points": POINTS,
+        "readings": READINGS,
+        "masks": MASKS,
+    }
 
     @property
-    def read(self) -> pd.DataFrame:
+    def valid_points(self) -> pd.DataFrame:
         """The points that were read; all where it is not said which were."""
-        return _read(self.points)
+        return _valid_rows(self.points)
 
 
-def _read(points: pd.DataFrame) -> pd.DataFrame:
+def _valid_rows(points: pd.DataFrame) -> pd.DataFrame:
     return points[points["valid"].astype(bool)] if "valid" in points else points
 
 
-# --- observation ------------------------------------------------------------------------
+# --- observation
+# ------------------------------------------------------------------------
 GRASP = Table(
     "grasp",
     "pose of the grasp",
     (
-        _TIME,
+        TIME_COLUMN,
         Column("x", "m", "position of the grasp"),
         Column("y", "m", "position of the grasp"),
         Column("theta", "rad", "direction in which the string leaves the grasp"),
@@ -265,9 +353,9 @@ GRASP = Table(
 class Observation:
     """One trial as estimation and diagnosis see it, ours or anybody's.
 
-    Exactly one of `arm` (joint angles, table ARM) and `grasp` (poses, table GRASP) is given.
-    `masks` is empty where only points were measured, `points` where they are yet to be read
-    from frames. moving: the string is not at rest when the trial begins.
+    Exactly one of `arm` (joint angles, table ARM) and `grasp` (poses, table GRASP) is
+    given. `masks` is empty where only points were measured, `points` where they are yet
+    to be read from frames. moving: the string is not at rest when the trial begins.
     """
 
     trial: str
@@ -276,28 +364,30 @@ class Observation:
     masks: pd.DataFrame
     arm: pd.DataFrame | None = None
     grasp: pd.DataFrame | None = None
-    moving: bool = False
+    starts_moving: bool = False
 
     @property
-    def read(self) -> pd.DataFrame:
+    def valid_points(self) -> pd.DataFrame:
         """The points that were read; all where it is not said which were."""
-        return _read(self.points)
+        return _valid_rows(self.points)
 
 
 @dataclass(frozen=True)
 class TrialSet:
-    """Trials that are looked at together. films: of those that were filmed, by name. rejected: trials that cannot be
-    used, with the reason. held_out: names of those that are to measure a gain. numbers: of the iterations of a run in
-    which they were read."""
+    """Trials that are looked at together. films: of those that were filmed, by name.
+    rejected: trials that cannot be used, with the reason. held_out: names of those that
+    are to measure a gain. numbers: of the iterations of a run in which they were read.
+    """
 
     observations: Sequence[Observation]
     films: Mapping[str, Film] = field(default_factory=dict)
     rejected: Mapping[str, str] = field(default_factory=dict)
     held_out: tuple[str, ...] = ()
-    numbers: tuple[int, ...] = ()
+    iteration_numbers: tuple[int, ...] = ()
 
 
-# --- estimate ---------------------------------------------------------------------------
+# --- estimate
+# ---------------------------------------------------------------------------
 PARAMETERS = Table(
     "parameters",
     "the estimated parameters",
@@ -307,8 +397,16 @@ PARAMETERS = Table(
         Column("unit", "", "its unit", "text"),
         Column("meaning", "", "what it is", "text"),
         Column("value", "", "best value, in `unit`"),
-        Column("low", "", "lower end of the 95 % interval, in `unit`; NaN if the method gives none"),
-        Column("high", "", "upper end of the 95 % interval, in `unit`; NaN if the method gives none"),
+        Column(
+            "low",
+            "",
+            "lower end of the 95 % interval, in `unit`; NaN if the method gives none",
+        ),
+        Column(
+            "high",
+            "",
+            "upper end of the 95 % interval, in `unit`; NaN if the method gives none",
+        ),
         Column("minimum", "", "lower end of the search range, in `unit`"),
         Column("maximum", "", "upper end of the search range, in `unit`"),
         Column("chi", "1", "exponent of the best value within its range, Eq. 3"),
@@ -335,13 +433,13 @@ MATCHING = Table(
     "matching",
     "the matching rate frame by frame, before and after estimation",
     (
-        _TRIAL,
-        _TIME,
+        TRIAL_COLUMN,
+        TIME_COLUMN,
         Column("before", "1", "E_f with the parameters before this estimation"),
         Column("after", "1", "E_f with the estimated parameters"),
     ),
 )
-FIT = Table(
+ESTIMATION_SUMMARY = Table(
     "fit",
     "one row: how the estimation went",
     (
@@ -352,8 +450,15 @@ FIT = Table(
         Column("rms_after", "m", "centre-line residual after, root mean square"),
         Column("tip_before", "m", "the same of the measured point nearest the tip"),
         Column("tip_after", "m", "the same of the measured point nearest the tip"),
-        Column("rejected", "1", "candidates rejected because they did not stay finite", "int"),
-        Column("sentence", "", "what this data can and cannot determine, in words", "text"),
+        Column(
+            "rejected",
+            "1",
+            "candidates rejected because they did not stay finite",
+            "int",
+        ),
+        Column(
+            "sentence", "", "what this data can and cannot determine, in words", "text"
+        ),
     ),
 )
 
@@ -372,12 +477,14 @@ class Estimate:
         "parameters": PARAMETERS,
         "candidates": CANDIDATES,
         "matching": MATCHING,
-        "fit": FIT,
+        "fit": ESTIMATION_SUMMARY,
         "draws": DRAWS,
     }
 
     def tables(self) -> dict[str, Table]:
-        """TABLES, with the columns that `candidates` and `draws` have for the parameters."""
+        """TABLES, with the columns that `candidates` and `draws` have for the
+        parameters.
+        """
         rows = self.parameters[["name", "unit", "meaning"]].itertuples(index=False)
         own = tuple(Column(name, unit, meaning) for name, unit, meaning in rows)
         if_drawn = tuple(replace(column, optional=True) for column in own)
@@ -394,8 +501,8 @@ PREDICTED = Table(
     "predicted",
     "every measured point of a trial that nothing was fitted to, and where the model has it",
     (
-        _TRIAL,
-        _TIME,
+        TRIAL_COLUMN,
+        TIME_COLUMN,
         Column("s", "m", "arc length from the grasp"),
         Column("x", "m", "measured position"),
         Column("y", "m", "measured position"),
@@ -407,8 +514,13 @@ SCORE = Table(
     "score",
     "one row: how far the model is off in a trial that nothing was fitted to",
     (
-        _TRIAL,
-        Column("free", "1", "values of this trial alone: of the state in which it begins, or of where it rests", "int"),
+        TRIAL_COLUMN,
+        Column(
+            "free",
+            "1",
+            "values of this trial alone: of the state in which it begins, or of where it rests",
+            "int",
+        ),
         Column("rms", "m", "centre-line residual, root mean square"),
         Column("tip", "m", "the same of the measured point nearest the tip"),
     ),
@@ -417,7 +529,9 @@ SCORE = Table(
 
 @dataclass(frozen=True)
 class Prediction:
-    """The artifact of `predict`: a fitted model's prediction of a trial that nothing was fitted to, and its error."""
+    """The artifact of `predict`: a fitted model's prediction of a trial that nothing
+    was fitted to, and its error.
+    """
 
     predicted: pd.DataFrame
     score: pd.DataFrame
@@ -425,13 +539,14 @@ class Prediction:
     TABLES: ClassVar[dict[str, Table]] = {"predicted": PREDICTED, "score": SCORE}
 
 
-# --- diagnosis --------------------------------------------------------------------------
+# --- diagnosis
+# --------------------------------------------------------------------------
 RESIDUALS = Table(
     "residuals",
     "every measured point that was used, and where the base and the extended model have it",
     (
-        _TRIAL,
-        _TIME,
+        TRIAL_COLUMN,
+        TIME_COLUMN,
         Column("s", "m", "arc length from the grasp"),
         Column("x", "m", "measured position"),
         Column("y", "m", "measured position"),
@@ -439,24 +554,59 @@ RESIDUALS = Table(
         Column("doubt", "m", "noise and the simulation's own error together"),
         Column("base_x", "m", "the base model fitted to the trials that were used"),
         Column("base_y", "m", "the base model fitted to the trials that were used"),
-        Column("extended_x", "m", "the extended model fitted to the trials that were used"),
-        Column("extended_y", "m", "the extended model fitted to the trials that were used"),
-        Column("base_normal", "m", "measured less base model, across the string, to its left"),
-        Column("base_tangential", "m", "measured less base model, along the string, towards the tip"),
+        Column(
+            "extended_x", "m", "the extended model fitted to the trials that were used"
+        ),
+        Column(
+            "extended_y", "m", "the extended model fitted to the trials that were used"
+        ),
+        Column(
+            "base_normal",
+            "m",
+            "measured less base model, across the string, to its left",
+        ),
+        Column(
+            "base_tangential",
+            "m",
+            "measured less base model, along the string, towards the tip",
+        ),
     ),
 )
 HYPOTHESES = Table(
     "hypotheses",
     "every set of causes that was fitted",
     (
-        Column("causes", "", "effects at work beyond the base model, joined by ' + '; empty for none", "text"),
+        Column(
+            "causes",
+            "",
+            "effects at work beyond the base model, joined by ' + '; empty for none",
+            "text",
+        ),
         Column("parameters", "1", "parameters fitted", "int"),
-        Column("mean_square", "1", "of the residual over noise and doubt; 1 or less is noise"),
+        Column(
+            "mean_square",
+            "1",
+            "of the residual over noise and doubt; 1 or less is noise",
+        ),
         Column("fit_gain", "1", "log evidence over the base model"),
-        Column("held_out_gain", "1", "the same without the trial that says most; NaN where it was not evaluated"),
-        Column("moved", "m", "how far these causes move the tip, root mean square, in the trial where it is most"),
-        Column("unexplained", "1", "share of what the base model lacks at the tip that is left, in mean square"),
-        Column("probability", "1", "of the last cause in its place, all others staying"),
+        Column(
+            "held_out_gain",
+            "1",
+            "the same without the trial that says most; NaN where it was not evaluated",
+        ),
+        Column(
+            "moved",
+            "m",
+            "how far these causes move the tip, root mean square, in the trial where it is most",
+        ),
+        Column(
+            "unexplained",
+            "1",
+            "share of what the base model lacks at the tip that is left, in mean square",
+        ),
+        Column(
+            "probability", "1", "of the last cause in its place, all others staying"
+        ),
     ),
 )
 ENTRIES = Table(
@@ -466,11 +616,15 @@ ENTRIES = Table(
         Column("number", "1", "of the cause, as they entered, from 1", "int"),
         Column("cause", "", "name", "text"),
         Column("evidence", "1", "log evidence of the cause beside those before it"),
-        _TRIAL,
+        TRIAL_COLUMN,
         Column("log_likelihood", "1", "by how much it raises that of the trial"),
-        _TIME,
+        TIME_COLUMN,
         Column("s", "m", "arc length from the grasp"),
-        Column("before", "m", "how far the string without the cause lies from the measured one, root mean square"),
+        Column(
+            "before",
+            "m",
+            "how far the string without the cause lies from the measured one, root mean square",
+        ),
         Column("after", "m", "the same with it"),
     ),
 )
@@ -504,7 +658,11 @@ CAUSES = Table(
         Column("unit", "", "its unit", "text"),
         Column("value", "", "best value, in `unit`"),
         Column("low", "", "lower end of the 95 % interval, in `unit`"),
-        Column("high", "", "upper end, in `unit`; of the range, where only the lower one is known"),
+        Column(
+            "high",
+            "",
+            "upper end, in `unit`; of the range, where only the lower one is known",
+        ),
         Column("at_least", "1", "only the lower end of the interval is known", "bool"),
     ),
 )
@@ -512,7 +670,7 @@ HELD_OUT = Table(
     "held_out",
     "base and extended model on each trial, fitted without it",
     (
-        _TRIAL,
+        TRIAL_COLUMN,
         Column("rms_base", "m", "centre-line residual"),
         Column("rms_extended", "m", "centre-line residual"),
         Column("noise_floor", "m", "what noise alone leaves"),
@@ -520,16 +678,24 @@ HELD_OUT = Table(
         Column("tip_rms_extended", "m", "residual at the largest arc length measured"),
         Column("E_base", "1", "matching rate, Eq. 5"),
         Column("E_extended", "1", "matching rate, Eq. 5"),
-        Column("log_likelihood_difference", "1", "extended less base, in units of the residual's own chance"),
-        Column("rms_known", "m", "of the extended model fitted to all trials that causes were chosen from"),
+        Column(
+            "log_likelihood_difference",
+            "1",
+            "extended less base, in units of the residual's own chance",
+        ),
+        Column(
+            "rms_known",
+            "m",
+            "of the extended model fitted to all trials that causes were chosen from",
+        ),
     ),
 )
 MISSING = Table(
     "missing",
     "how far the measured string lies from the extended model beyond noise, where that is more than is tolerated",
     (
-        _TRIAL,
-        _TIME,
+        TRIAL_COLUMN,
+        TIME_COLUMN,
         Column("s", "m", "arc length from the grasp"),
         Column("x", "m", "along x"),
         Column("y", "m", "along y"),
@@ -539,19 +705,30 @@ PREDICTED_STRINGS = Table(
     "predicted",
     "the string on the motion proposed: under the likeliest hypothesis, and as near to that as each other can come",
     (
-        Column("hypothesis", "", "what differs in it, joined by ' + '; the likeliest comes first", "text"),
-        _TIME,
+        Column(
+            "hypothesis",
+            "",
+            "what differs in it, joined by ' + '; the likeliest comes first",
+            "text",
+        ),
+        TIME_COLUMN,
         Column("s", "m", "arc length from the grasp"),
         Column("x", "m", "position"),
         Column("y", "m", "position"),
-        Column("sigma", "m", "noise and the simulation's own error of all points that this one stands for"),
+        Column(
+            "sigma",
+            "m",
+            "noise and the simulation's own error of all points that this one stands for",
+        ),
     ),
 )
-FINDING = Table(
+DIAGNOSIS_SUMMARY = Table(
     "finding",
     "one row: the verdict",
     (
-        Column("verdict", "", "none, effect, ambiguous, unknown or insufficient", "text"),
+        Column(
+            "verdict", "", "none, effect, ambiguous, unknown or insufficient", "text"
+        ),
         Column("sentence", "", "in words", "text"),
         Column("diagnosis", "", "diagnosis.json", "text"),
         Column("extended", "", "the extended model as settings, YAML", "text"),
@@ -561,8 +738,9 @@ FINDING = Table(
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The artifact of `diagnose`: the discrepancy between simulation and trials, its causes, and the evidence for
-    them."""
+    """The artifact of `diagnose`: the discrepancy between simulation and trials, its
+    causes, and the evidence for them.
+    """
 
     finding: pd.DataFrame
     causes: pd.DataFrame
@@ -578,7 +756,7 @@ class Diagnosis:
     predicted: pd.DataFrame
 
     TABLES: ClassVar[dict[str, Table]] = {
-        "finding": FINDING,
+        "finding": DIAGNOSIS_SUMMARY,
         "causes": CAUSES,
         "held_out": HELD_OUT,
         "residuals": RESIDUALS,
@@ -603,17 +781,29 @@ class Diagnosis:
         return str(self.finding["sentence"].iloc[0])
 
     @property
-    def interrupted(self) -> bool:
+    def was_interrupted(self) -> bool:
         """Whether somebody ended it before all was asked."""
         return bool(json.loads(self.finding["diagnosis"].iloc[0]).get("interrupted"))
 
     @property
     def motion(self) -> Motion | None:
-        """The motion that would tell look-alikes apart, ready to be performed; None where none is proposed."""
+        """The motion that would tell look-alikes apart, ready to be performed; None
+        where none is proposed.
+        """
         if self.commands.empty:
             return None
-        likeliest = self.predicted[self.predicted["hypothesis"] == self.predicted["hypothesis"].iloc[0]]
+        likeliest = self.predicted[
+            self.predicted["hypothesis"] == self.predicted["hypothesis"].iloc[0]
+        ]
         outcome = {c.name: [np.nan] for c in MOTION_OUTCOME.columns}
         outcome |= {"duration": [self.commands["t"].max()], "tried": [0]}
-        tables = (PREDICTED_STRING.check(likeliest[["t", "s", "x", "y"]]), ATTEMPTS.empty())
-        return Motion(self.commands, self.control_points, *tables, MOTION_OUTCOME.check(pd.DataFrame(outcome)))
+        tables = (
+            PREDICTED_STRING.check(likeliest[["t", "s", "x", "y"]]),
+            ATTEMPTS.empty(),
+        )
+        return Motion(
+            self.commands,
+            self.control_points,
+            *tables,
+            MOTION_OUTCOME.check(pd.DataFrame(outcome)),
+        )

@@ -1,4 +1,6 @@
-"""The artifact of `calibrate`: the lens, the plane of motion, and the errors by which to judge them."""
+"""The artifact of `calibrate`: the lens, the plane of motion, and the errors by which
+to judge them.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,16 @@ VIEWS = Table(
         Column("plane", "", "the board was held in the plane of motion", "bool"),
         Column("corners", "1", "corners seen", "int"),
         Column("reason", "", "why it was not used; empty if it was", "text"),
-        Column("rms", "px", "distance of measured and reprojected corners, root mean square; NaN if not used"),
-        Column("held_out_rms", "px", "the same with the lens of the other views; NaN in the plane"),
+        Column(
+            "rms",
+            "px",
+            "distance of measured and reprojected corners, root mean square; NaN if not used",
+        ),
+        Column(
+            "held_out_rms",
+            "px",
+            "the same with the lens of the other views; NaN in the plane",
+        ),
         Column("tilt", "rad", "between the board's normal and the camera's axis"),
         Column("distance", "m", "of the board's corner from the camera"),
         Column("picture", "", "JPEG, grey", "bytes"),
@@ -38,7 +48,7 @@ CORNERS = Table(
         Column("fit_v", "px", "where the calibrated camera has it"),
     ),
 )
-MEASURED = Table(
+MEASURED_PARAMETERS = Table(
     "measured",
     "what was measured of the camera",
     (
@@ -49,7 +59,7 @@ MEASURED = Table(
         Column("sigma", "", "one standard deviation, in `unit`"),
     ),
 )
-OUTCOME = Table(
+CALIBRATION_SUMMARY = Table(
     "outcome",
     "one row: how good it is",
     (
@@ -60,7 +70,9 @@ OUTCOME = Table(
         Column("rms", "px", "reprojection error of the views"),
         Column("held_out_rms", "px", "the same of each with the lens of the others"),
         Column("plane_rms", "px", "reprojection error in the plane of motion"),
-        Column("coverage", "1", "share of the picture's cells in which a corner was seen"),
+        Column(
+            "coverage", "1", "share of the picture's cells in which a corner was seen"
+        ),
         Column("spread", "rad", "largest angle between two views of the board"),
         Column("camera", "", "the camera as settings, YAML", "text"),
     ),
@@ -79,8 +91,8 @@ class Calibration:
     TABLES: ClassVar[dict[str, Table]] = {
         "views": VIEWS,
         "corners": CORNERS,
-        "measured": MEASURED,
-        "outcome": OUTCOME,
+        "measured": MEASURED_PARAMETERS,
+        "outcome": CALIBRATION_SUMMARY,
     }
 
     @property

@@ -1,4 +1,6 @@
-"""The few file operations by which everything is written, in one place so that tests can make any of them fail."""
+"""The few file operations by which everything is written, in one place so that tests
+can make any of them fail.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ def write(path: Path, content: bytes) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """See a folder's names onto the disk (POSIX; where folders cannot be opened, the system does so itself)."""
+    """See a folder's names onto the disk (POSIX; where folders cannot be opened, the
+    system does so itself).
+    """
     if os.name != "posix":
         return
     handle = os.open(path, os.O_RDONLY)
@@ -55,15 +59,19 @@ def remove(path: Path) -> None:
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[None]:
+def hold_lock(path: Path) -> Iterator[None]:
     """Hold a lock file; raises BlockingIOError where another process holds it.
 
-    The system lets go of it when a process ends, however it ends: a dead one leaves no lock behind, only the file.
+    The system lets go of it when a process ends, however it ends: a dead one leaves no
+    lock behind, only the file.
     """
     with open(path, "a+b") as file:
         _lock(file)
-        if not path.exists() or not os.path.samestat(os.fstat(file.fileno()), path.stat()):
-            raise BlockingIOError(f"{path} was removed by another process")  # which held it until now
+        if not path.exists() or not os.path.samestat(
+            os.fstat(file.fileno()), path.stat()
+        ):
+            # which held it until now
+            raise BlockingIOError(f"{path} was removed by another process")
         yield
 
 

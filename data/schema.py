@@ -21,7 +21,13 @@ ARROW_TYPES = {
     "text": pa.string(),
     "bytes": pa.binary(),
 }
-PANDAS_TYPES = {"float": "float64", "int": "int64", "bool": "bool", "text": "object", "bytes": "object"}
+PANDAS_TYPES = {
+    "float": "float64",
+    "int": "int64",
+    "bool": "bool",
+    "text": "object",
+    "bytes": "object",
+}
 
 
 class DataError(ExpectedError):
@@ -38,7 +44,7 @@ class Column:
     kind: str = "float"
     optional: bool = False
 
-    def field(self) -> pa.Field:
+    def arrow_field(self) -> pa.Field:
         """The Arrow field, with unit and meaning as metadata."""
         metadata = {"unit": self.unit, "meaning": self.meaning}
         return pa.field(self.name, ARROW_TYPES[self.kind], metadata=metadata)
@@ -52,17 +58,27 @@ class Table:
     meaning: str
     columns: tuple[Column, ...]
 
-    def arrow(self, frame: pd.DataFrame) -> pa.Schema:
+    def arrow_schema(self, frame: pd.DataFrame) -> pa.Schema:
         """The Arrow schema for `frame`: known columns first, extra columns as they are."""
-        known = [column.field() for column in self.columns if column.name in frame]
+        known = [
+            column.arrow_field() for column in self.columns if column.name in frame
+        ]
         names = {field.name for field in known}
         extra = [name for name in frame.columns if name not in names]
-        inferred = pa.Schema.from_pandas(frame[extra], preserve_index=False) if extra else []
-        return pa.schema([*known, *inferred], metadata={"table": self.name, "meaning": self.meaning})
+        inferred = (
+            pa.Schema.from_pandas(frame[extra], preserve_index=False) if extra else []
+        )
+        return pa.schema(
+            [*known, *inferred], metadata={"table": self.name, "meaning": self.meaning}
+        )
 
     def check(self, frame: pd.DataFrame, source: str = "memory") -> pd.DataFrame:
-        """`frame` with the declared types and order; raises DataError naming the column and `source`."""
-        missing = [c.name for c in self.columns if not c.optional and c.name not in frame]
+        """`frame` with the declared types and order; raises DataError naming the column
+        and `source`.
+        """
+        missing = [
+            c.name for c in self.columns if not c.optional and c.name not in frame
+        ]
         if missing:
             raise DataError(
                 f"{source}: table '{self.name}' has no column {', '.join(map(repr, missing))}; "
@@ -76,18 +92,30 @@ class Table:
             try:
                 if column.kind == "bool" and series.dtype != bool:
                     if any(isinstance(value, str) for value in series):
-                        raise ValueError("give true or false")  # else any text counts as true
-                    series = series.where(series.notna(), False)  # what is missing is false
+                        # else any text counts as true
+                        raise ValueError("give true or false")
+                    # what is missing is false
+                    series = series.where(series.notna(), False)
                 typed[column.name] = series.astype(PANDAS_TYPES[column.kind])
             except (ValueError, TypeError) as error:
-                no_number = pd.to_numeric(series, errors="coerce").isna() & series.notna()
+                no_number = (
+                    pd.to_numeric(series, errors="coerce").isna() & series.notna()
+                )
                 bad = series[no_number].iloc[0] if no_number.any() else series.iloc[0]
                 raise DataError(
                     f"{source}: column '{column.name}' must be {column.kind} [{column.unit}]; "
                     f"found {bad!r} ({error}). Correct the value or remove the row."
                 ) from error
-        return pd.DataFrame({**typed, **{name: frame[name] for name in extra}}).reset_index(drop=True)
+        return pd.DataFrame(
+            {**typed, **{name: frame[name] for name in extra}}
+        ).reset_index(drop=True)
 
     def empty(self) -> pd.DataFrame:
         """A table of no rows."""
-        return pd.DataFrame({c.name: pd.Series(dtype=PANDAS_TYPES[c.kind]) for c in self.columns if not c.optional})
+        return pd.DataFrame(
+            {
+                c.name: pd.Series(dtype=PANDAS_TYPES[c.kind])
+                for c in self.columns
+                if not c.optional
+            }
+        )

@@ -1,7 +1,7 @@
 """The one place where Hydra looks for launchers. What ours does is in `pipeline.sweep`."""
 
-from stringcast.pipeline.sweep.begun import BegunLater
+from stringcast.pipeline.sweep.lazy_launcher import LazyLauncher
 
 
-class Ledger(BegunLater):
+class Ledger(LazyLauncher):
     """Runs what is missing of a sweep."""

@@ -1,11 +1,14 @@
-"""The shell: configuration, folders, seeds, progress, resuming. The only place that knows Hydra."""
+"""The shell: configuration, folders, seeds, progress, resuming. The only place that
+knows Hydra.
+"""
 
 import os
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-if __name__ == "pipeline":  # `python -m pipeline` in a clone, which is `python -m stringcast` of that clone
+# `python -m pipeline` in a clone, which is `python -m stringcast` of that clone
+if __name__ == "pipeline":
     found = find_spec("stringcast")
     there = Path(found.origin).resolve().parents[2] if found and found.origin else None
     if there != Path(__file__).resolve().parents[1]:

@@ -1,4 +1,6 @@
-"""The description of a stage: `STAGE`, by which the shell finds, runs, stores and shows it."""
+"""The description of a stage: `STAGE`, by which the shell finds, runs, stores and shows
+it.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ if TYPE_CHECKING:
     from stringcast.stages.model.model import Model
 
 EXTENDED = "extended.yaml"  # the model that a run made, for `extended=`
-MODEL = ("arm", "camera", "string", "effects", "known")  # settings of which the model is made
+# settings of which the model is made
+MODEL = ("arm", "camera", "string", "effects", "known")
 
 
 @dataclass(frozen=True)
@@ -29,17 +32,23 @@ class Input(ABC):
     kind: type | UnionType
 
     @abstractmethod
-    def found(self, name: str, iterations: Sequence[Mapping[str, Any]]) -> tuple[int, Any] | None:
-        """Number of its iteration and the artifact; None where there is none, and none is needed.
+    def found(
+        self, name: str, iterations: Sequence[Mapping[str, Any]]
+    ) -> tuple[int, Any] | None:
+        """Number of its iteration and the artifact; None where there is none, and none
+        is needed.
 
-        iterations: artifacts by name, of each iteration from the first; the last is the one that is made now.
+        iterations: artifacts by name, of each iteration from the first; the last is the
+        one that is made now.
         """
 
 
 class This(Input):
     """The artifact of the same iteration. Raises LookupError where there is none."""
 
-    def found(self, name: str, iterations: Sequence[Mapping[str, Any]]) -> tuple[int, Any] | None:
+    def found(
+        self, name: str, iterations: Sequence[Mapping[str, Any]]
+    ) -> tuple[int, Any] | None:
         if name not in iterations[-1]:
             raise LookupError(f"no stage before it makes `{name}`")
         return len(iterations), iterations[-1][name]
@@ -48,14 +57,24 @@ class This(Input):
 class Last(Input):
     """The latest of an earlier iteration, if there is one."""
 
-    def found(self, name: str, iterations: Sequence[Mapping[str, Any]]) -> tuple[int, Any] | None:
+    def found(
+        self, name: str, iterations: Sequence[Mapping[str, Any]]
+    ) -> tuple[int, Any] | None:
         earlier = enumerate(iterations[:-1], start=1)
-        return next(((number, made[name]) for number, made in reversed([*earlier]) if name in made), None)
+        return next(
+            (
+                (number, made[name])
+                for number, made in reversed([*earlier])
+                if name in made
+            ),
+            None,
+        )
 
 
 class Setup(Protocol):
-    """The part of a run that every stage may use beside artifacts. own: effects whose values differ from trial to
-    trial."""
+    """The part of a run that every stage may use beside artifacts. own: effects whose
+    values differ from trial to trial.
+    """
 
     @property
     def model(self) -> Model: ...
@@ -72,8 +91,9 @@ class Setup(Protocol):
 
 @dataclass(frozen=True)
 class Call:
-    """One call of a stage. by: the function that its settings name, with these bound; of a stage without settings,
-    nothing. number: of the iteration, from 1."""
+    """One call of a stage. by: the function that its settings name, with these bound;
+    of a stage without settings, nothing. number: of the iteration, from 1.
+    """
 
     by: Any
     setup: Setup
@@ -100,14 +120,17 @@ def _tables(made: Any) -> Summary:
 
 @dataclass(frozen=True)
 class StageSpec:
-    """name: of the stage and, where it has one, of its group of settings. makes: its artifact's class, a dataclass of
-    tables (`data.artifacts`). folder: of the artifact within an iteration, and the artifact's name for stages after it.
-    uses: settings that decide what comes out. run: a function from a `Call` and the inputs, by name, to the artifact.
-    inputs: by the names of artifacts. by: functions that `_target_` of its settings may name, if it has settings.
-    Functions that are named as text are within `stringcast`.
+    """name: of the stage and, where it has one, of its group of settings. makes: its
+    artifact's class, a dataclass of tables (`data.artifacts`). folder: of the artifact
+    within an iteration, and the artifact's name for stages after it. uses: settings
+    that decide what comes out. run: a function from a `Call` and the inputs, by name,
+    to the artifact. inputs: by the names of artifacts. by: functions that `_target_` of
+    its settings may name, if it has settings. Functions that are named as text are
+    within `stringcast`.
 
-    summary: what is said of an artifact. files: texts that a run leaves in its folder, by name, from the artifact and
-    the folder of the iteration after it. page: the function that makes report.html from `report.records.Facts`.
+    summary: what is said of an artifact. files: texts that a run leaves in its folder,
+    by name, from the artifact and the folder of the iteration after it. page: the
+    function that makes report.html from `report.records.Facts`.
     """
 
     name: str

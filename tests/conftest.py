@@ -21,7 +21,12 @@ from threadpoolctl import threadpool_limits
 
 import stringcast
 from stringcast.data.artifacts import JOINTS, SPEEDS, Motion
-from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
+from stringcast.hardware.virtual.bench import (
+    Specimen,
+    VirtualArm,
+    VirtualBench,
+    VirtualCamera,
+)
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
@@ -31,9 +36,16 @@ from tests.benchmarks.simulators.blind import VERSIONS, draw
 
 ROOT = Path(__file__).resolve().parents[1]
 if not Path(stringcast.__file__).resolve().is_relative_to(ROOT):
-    raise pytest.UsageError(f"{stringcast.__file__} is not this clone's package. Run python3 tasks.py setup here.")
+    raise pytest.UsageError(
+        f"{stringcast.__file__} is not this clone's package. Run python3 tasks.py setup here."
+    )
 # An ordinary string, the paper's parameters per mass point at n = 10.
-TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, "quadratic_drag": 0.2} | {
+TRUTH = {
+    "bending_stiffness": 4.0,
+    "bending_damping": 5e-3,
+    "linear_drag": 0.3,
+    "quadratic_drag": 0.2,
+} | {
     "axial_stiffness": 6e5,
     "axial_damping": 30.0,
     "grasp_stiffness": 2.0,
@@ -41,39 +53,69 @@ TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, 
 }
 
 
-# Files that take longest, first: side by side, what begins last should not be what ends last.
-# The diagnosis by command after that in the process, whose compiled kernels it then finds.
+# Files that take longest, first: side by side, what begins last should not be what ends
+# last. The diagnosis by command after that in the process, whose compiled kernels it
+# then finds.
 LONGEST = (
-    *("drivers/test_filming", "drivers/test_run_interrupted", "drivers/test_serial_link"),
-    *("diagnosis/test_hidden_causes", "pipeline/test_command_line", "sweep/test_sweep_command"),
-    *("extraction/test_extract", "diagnosis/test_from_the_command_line", "virtual_lab/test_blind"),
-    *("faults/test_full_disk", "faults/test_run_faults", "pipeline/test_new_stage", "estimation/test_estimate"),
+    *(
+        "drivers/test_filming",
+        "drivers/test_run_interrupted",
+        "drivers/test_serial_link",
+    ),
+    *(
+        "diagnosis/test_hidden_causes",
+        "pipeline/test_command_line",
+        "sweep/test_sweep_command",
+    ),
+    *(
+        "extraction/test_extract",
+        "diagnosis/test_from_the_command_line",
+        "virtual_lab/test_blind",
+    ),
+    *(
+        "faults/test_full_disk",
+        "faults/test_run_faults",
+        "pipeline/test_new_stage",
+        "estimation/test_estimate",
+    ),
 )
 
 
 def pytest_collection_modifyitems(items):
     order = [ROOT / f"tests/{name}.py" for name in LONGEST]
-    items.sort(key=lambda item: order.index(item.path) if item.path in order else len(order))
+    items.sort(
+        key=lambda item: order.index(item.path) if item.path in order else len(order)
+    )
 
 
 def executed(stats):
     """Whether any test was run to its end. stats: reports by outcome."""
-    return any(stats.get(outcome) for outcome in ("passed", "failed", "error", "xfailed", "xpassed"))
+    return any(
+        stats.get(outcome)
+        for outcome in ("passed", "failed", "error", "xfailed", "xpassed")
+    )
 
 
 def pytest_sessionfinish(session, exitstatus):
     """A run in which every test was skipped has shown nothing, and is not clean."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     worker = hasattr(session.config, "workerinput")
-    asked = exitstatus == 0 and reporter and not worker and not session.config.option.collectonly
+    asked = (
+        exitstatus == 0
+        and reporter
+        and not worker
+        and not session.config.option.collectonly
+    )
     if asked and not executed(reporter.stats):
         session.exitstatus = pytest.ExitCode.NO_TESTS_COLLECTED
 
 
 @pytest.fixture(autouse=True, scope="session")
 def cores_are_shared():
-    """Side by side, each worker has its share of the cores: with all of them each, they would wait for one another.
-    Linear algebra has one thread, as in a command: two spin while they wait, 4 of a diagnosis' 24 s of processor."""
+    """Side by side, each worker has its share of the cores: with all of them each, they
+    would wait for one another. Linear algebra has one thread, as in a command: two spin
+    while they wait, 4 of a diagnosis' 24 s of processor.
+    """
     numba.set_num_threads(share())
     with threadpool_limits(1, "blas"):
         yield
@@ -81,13 +123,19 @@ def cores_are_shared():
 
 @pytest.fixture(autouse=True, scope="session")
 def files_of_settings_are_parsed_once():
-    """A command composes its settings of 30 files, and the tests' process runs hundreds of commands: what OmegaConf
-    makes of a text is kept, a quarter of the time of a composition."""
+    """A command composes its settings of 30 files, and the tests' process runs hundreds
+    of commands: what OmegaConf makes of a text is kept, a quarter of the time of a
+    composition.
+    """
     parse = OmegaConf.load
     kept = cache(lambda text: parse(io.StringIO(text)))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            OmegaConf, "load", lambda file: deepcopy(kept(file.read())) if hasattr(file, "read") else parse(file)
+            OmegaConf,
+            "load",
+            lambda file: (
+                deepcopy(kept(file.read())) if hasattr(file, "read") else parse(file)
+            ),
         )
         yield
 
@@ -99,41 +147,62 @@ def share():
 
 
 def pipeline(*words):
-    """The command as a user gives it, in a process of its own, with a worker's share of the cores: threads that wait
-    for one another spin, and a diagnosis beside other work took 66 s of processor for 25."""
+    """The command as a user gives it, in a process of its own, with a worker's share of
+    the cores: threads that wait for one another spin, and a diagnosis beside other work
+    took 66 s of processor for 25.
+    """
     command = [sys.executable, "-m", "pipeline", *map(str, words)]
     around = os.environ | {"NUMBA_NUM_THREADS": str(share())}
-    return subprocess.run(command, cwd=ROOT, env=around, capture_output=True, text=True, timeout=500, check=False)
+    return subprocess.run(
+        command,
+        cwd=ROOT,
+        env=around,
+        capture_output=True,
+        text=True,
+        timeout=500,
+        check=False,
+    )
 
 
 @pytest.fixture
 def called(monkeypatch, capsys):
-    """The same in this process, where nothing is asked of the process: one of its own takes 2 s to start."""
+    """The same in this process, where nothing is asked of the process: one of its own
+    takes 2 s to start.
+    """
     from stringcast.pipeline import __main__ as shell
-    from stringcast.pipeline.sweep.begun import BegunLater
+    from stringcast.pipeline.sweep.lazy_launcher import LazyLauncher
 
     def call(*words):
         capsys.readouterr()
         monkeypatch.setattr(sys, "argv", ["pipeline", *map(str, words)])
-        monkeypatch.setattr(shell.main.__wrapped__, "__module__", "__main__")  # as Hydra finds it when it is run
+        # as Hydra finds it when it is run
+        monkeypatch.setattr(shell.main.__wrapped__, "__module__", "__main__")
         monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # is set, and then put back
-        monkeypatch.setattr(BegunLater, "sweep", None)  # of this process only if this command is one
+        # of this process only if this command is one
+        monkeypatch.setattr(LazyLauncher, "current", None)
         monkeypatch.chdir(ROOT)
         try:
-            status = shell.called()
+            status = shell.cli()
         except SystemExit as stopped:
             status = stopped.code
-        said, words = capsys.readouterr(), status if isinstance(status, str) else ""  # which Python would print
-        return subprocess.CompletedProcess(sys.argv, 1 if words else status or 0, said.out, said.err + words)
+        # which Python would print
+        said, words = capsys.readouterr(), status if isinstance(status, str) else ""
+        return subprocess.CompletedProcess(
+            sys.argv, 1 if words else status or 0, said.out, said.err + words
+        )
 
     return call
 
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Pictures of pages are empty, but for their words: drawing takes most of a page's time."""
+    """Pictures of pages are empty, but for their words: drawing takes most of a page's
+    time.
+    """
     empty = SimpleNamespace(print_svg=lambda data, metadata: data.write("<svg></svg>"))
-    monkeypatch.setattr("stringcast.stages.report.theme.FigureCanvasSVG", lambda figure: empty)
+    monkeypatch.setattr(
+        "stringcast.stages.report.theme.FigureCanvasSVG", lambda figure: empty
+    )
 
 
 @contextmanager
@@ -176,8 +245,12 @@ def null_trials(arm, camera, tmp_path_factory):
 
 
 def ordinary(arm) -> Model:
-    """The base model of an ordinary string, as it is configured, before a simple camera."""
-    return Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0))
+    """The base model of an ordinary string, as it is configured, before a simple
+    camera.
+    """
+    return Model(
+        String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)
+    )
 
 
 def specimen(name) -> Specimen:
@@ -188,10 +261,22 @@ def swing(duration=0.5, start=(-0.9, 0.6, 0.4), speeds=(7.0, 5.0, -8.0)) -> Moti
     """A smooth movement of all joints, as a Motion artifact."""
     t = np.arange(0, duration + 1e-9, 0.005)
     w = np.stack([a * np.sin(np.pi * t / duration) ** 2 for a in speeds], axis=-1)
-    q = np.asarray(start) + np.concatenate([np.zeros((1, 3)), np.cumsum(w[:-1], axis=0) * 0.005])
-    columns = {"t": t} | dict(zip(JOINTS, q.T, strict=True)) | dict(zip(SPEEDS, w.T, strict=True))
+    q = np.asarray(start) + np.concatenate(
+        [np.zeros((1, 3)), np.cumsum(w[:-1], axis=0) * 0.005]
+    )
+    columns = (
+        {"t": t}
+        | dict(zip(JOINTS, q.T, strict=True))
+        | dict(zip(SPEEDS, w.T, strict=True))
+    )
     nothing = pd.DataFrame()
-    return Motion(pd.DataFrame(columns), nothing, nothing, nothing, pd.DataFrame({"duration": [duration]}))
+    return Motion(
+        pd.DataFrame(columns),
+        nothing,
+        nothing,
+        nothing,
+        pd.DataFrame({"duration": [duration]}),
+    )
 
 
 @pytest.fixture(scope="session")
@@ -199,8 +284,10 @@ def filmed(arm, camera):
     """Perform and film a swing of a string: (trial, true string at the frames)."""
 
     def film(name, **how):
-        bench = Bench(arm, replace(camera), specimen(name), seed=3)
-        trial = execute(swing(**how), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1)
+        bench = VirtualBench(arm, replace(camera), specimen(name), seed=3)
+        trial = execute(
+            swing(**how), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1
+        )
         return trial, bench.string_at(trial.frames["t"].to_numpy())
 
     return film

@@ -5,27 +5,40 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from stringcast.data.images import VIDEOS
-from stringcast.data.importers import Recording, deeplabcut, deeplabcut_h5, lerobot, mcap, optitrack, tables
+from stringcast.data.images import VIDEO_SUFFIXES
+from stringcast.data.importers import (
+    SourceRecording,
+    deeplabcut,
+    deeplabcut_h5,
+    lerobot,
+    mcap,
+    optitrack,
+    tables,
+)
 from stringcast.data.schema import DataError
 
-READERS = (lerobot, deeplabcut, deeplabcut_h5, optitrack, mcap, tables)  # the first that knows a file reads it
+# the first that knows a file reads it
+READERS = (lerobot, deeplabcut, deeplabcut_h5, optitrack, mcap, tables)
 
 
-def recordings(paths: Sequence[Path]) -> list[Recording]:
+def read_recordings(paths: Sequence[Path]) -> list[SourceRecording]:
     """All that these files hold. Raises DataError naming the file and the remedy."""
-    found: list[Recording] = []
+    found: list[SourceRecording] = []
     for path in paths:
         if not path.exists():
             raise DataError(f"{path}: there is no such file. Look at its name.")
         reader = next((one for one in READERS if one.reads(path)), None)
-        if path.suffix.lower() in VIDEOS:
-            found.append(Recording(path, tables.NOTHING, film=path))
+        if path.suffix.lower() in VIDEO_SUFFIXES:
+            found.append(SourceRecording(path, tables.EMPTY_TABLE, film=path))
         elif reader is not None:
             found += reader.read(path)
         elif path.is_dir():
-            raise DataError(f"{path}: this is a folder, and no dataset of LeRobot. Name its files: {path}/*.csv")
+            raise DataError(
+                f"{path}: this is a folder, and no dataset of LeRobot. Name its files: {path}/*.csv"
+            )
         else:
-            known = ", ".join((*tables.ENDINGS, ".h5", ".mcap", *VIDEOS))
-            raise DataError(f"{path}: no such file is read. Export it as one of {known}.")
+            known = ", ".join((*tables.TABLE_SUFFIXES, ".h5", ".mcap", *VIDEO_SUFFIXES))
+            raise DataError(
+                f"{path}: no such file is read. Export it as one of {known}."
+            )
     return found

@@ -1,7 +1,8 @@
-"""MCAP files of ROS 2 (https://mcap.dev), and others with messages in JSON; needs mcap and mcap-ros2-support.
+"""MCAP files of ROS 2 (https://mcap.dev), and others with messages in JSON; needs mcap
+and mcap-ros2-support.
 
-Every topic of joint states, poses, points or transforms is a recording; by ROS' convention (REP 103) in metres, radians
-and seconds.
+Every topic of joint states, poses, points or transforms is a recording; by ROS'
+convention (REP 103) in metres, radians and seconds.
 """
 
 from __future__ import annotations
@@ -14,14 +15,22 @@ from typing import Any
 
 import pandas as pd
 
-from stringcast.data.foreign import MOST_COLUMNS, MOST_TABLE, regular
-from stringcast.data.importers import Recording
+from stringcast.data.file_checks import MAX_COLUMNS, MAX_TABLE_BYTES, require_plain_file
+from stringcast.data.importers import SourceRecording
 from stringcast.data.schema import DataError
 
-KINDS = ("JointState", "Pose", "PoseStamped", "PointStamped", "Point", "TransformStamped", "Transform")
-MOST_MESSAGES = 2**20  # of the topics that are read: an hour at 300 a second
-DEEPEST = 6  # messages in one another
-NANO = 1e-9  # [s] in a nanosecond
+MESSAGE_TYPES = (
+    "JointState",
+    "Pose",
+    "PoseStamped",
+    "PointStamped",
+    "Point",
+    "TransformStamped",
+    "Transform",
+)
+MAX_MESSAGES = 2**20  # of the topics that are read: an hour at 300 a second
+MAX_DEPTH = 6  # messages in one another
+NANOSECOND_S = 1e-9  # [s] in a nanosecond
 
 
 def reads(path: Path) -> bool:
@@ -29,83 +38,155 @@ def reads(path: Path) -> bool:
     return path.suffix.lower() == ".mcap"
 
 
-def read(path: Path) -> list[Recording]:
+def read(path: Path) -> list[SourceRecording]:
     """A recording for each topic that says where something is. Raises DataError."""
     if find_spec("mcap") is None or find_spec("mcap_ros2") is None:
-        raise DataError(f"{path}: to read MCAP, two packages are needed: pip install mcap mcap-ros2-support")
+        raise DataError(
+            f"{path}: to read MCAP, two packages are needed: pip install mcap mcap-ros2-support"
+        )
     from mcap.exceptions import McapError  # noqa: PLC0415
 
     rows: dict[str, list[dict[str, float]]] = {}
     try:
-        with regular(path).open("rb") as file:
-            for topic, row in _messages(file, path):
+        with require_plain_file(path).open("rb") as file:
+            for topic, row in _read_messages(file, path):
                 rows.setdefault(topic, []).append(row)
-    except (McapError, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise DataError(f"{path}: cannot be read as MCAP ({error}). Try `mcap recover`, or record it again.") from error
-    return [Recording(path, pd.DataFrame(table), path.stem) for table in rows.values()]
+    except (
+        McapError,
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+    ) as error:
+        raise DataError(
+            f"{path}: cannot be read as MCAP ({error}). Try `mcap recover`, or record it again."
+        ) from error
+    return [
+        SourceRecording(path, pd.DataFrame(table), path.stem) for table in rows.values()
+    ]
 
 
-def _messages(file: Any, path: Path) -> Iterator[tuple[str, dict[str, float]]]:
+def _read_messages(file: Any, path: Path) -> Iterator[tuple[str, dict[str, float]]]:
     """Topic and numbers of each message, in the order of time."""
     from mcap.reader import SeekingReader  # noqa: PLC0415
     from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
 
-    reader = SeekingReader(file, decoder_factories=[DecoderFactory()], record_size_limit=MOST_TABLE)
+    reader = SeekingReader(
+        file, decoder_factories=[DecoderFactory()], record_size_limit=MAX_TABLE_BYTES
+    )
     summary = reader.get_summary()
     if summary is None or summary.statistics is None:
         raise ValueError("its index is missing")
-    schemas = {number: schema.name.rpartition("/")[2] for number, schema in summary.schemas.items()}
+    schemas = {
+        number: schema.name.rpartition("/")[2]
+        for number, schema in summary.schemas.items()
+    }
     wanted = {
         channel.topic: number
         for number, channel in summary.channels.items()
-        if schemas.get(channel.schema_id, "") in KINDS or channel.message_encoding == "json"
+        if schemas.get(channel.schema_id, "") in MESSAGE_TYPES
+        or channel.message_encoding == "json"
     }
     if not wanted:
-        there = ", ".join(f"{c.topic} ({schemas.get(c.schema_id, '')})" for c in summary.channels.values())
-        raise DataError(
-            f"{path}: no topic says where something is; there are {there}. Record one of {', '.join(KINDS)}."
+        there = ", ".join(
+            f"{c.topic} ({schemas.get(c.schema_id, '')})"
+            for c in summary.channels.values()
         )
-    count = sum(summary.statistics.channel_message_counts.get(number, 0) for number in wanted.values())
-    if count > MOST_MESSAGES or any(chunk.uncompressed_size > MOST_TABLE for chunk in summary.chunk_indexes):
-        raise DataError(f"{path}: it has {count} messages, at most {MOST_MESSAGES} are read. Cut it: mcap filter.")
-    if all(summary.channels[number].message_encoding == "json" for number in wanted.values()):
+        raise DataError(
+            f"{path}: no topic says where something is; there are {there}. Record one of {', '.join(MESSAGE_TYPES)}."
+        )
+    count = sum(
+        summary.statistics.channel_message_counts.get(number, 0)
+        for number in wanted.values()
+    )
+    if count > MAX_MESSAGES or any(
+        chunk.uncompressed_size > MAX_TABLE_BYTES for chunk in summary.chunk_indexes
+    ):
+        raise DataError(
+            f"{path}: it has {count} messages, at most {MAX_MESSAGES} are read. Cut it: mcap filter."
+        )
+    if all(
+        summary.channels[number].message_encoding == "json"
+        for number in wanted.values()
+    ):
         for _, channel, message in reader.iter_messages(topics=list(wanted)):
-            yield channel.topic, _row(channel.topic, json.loads(message.data), message.log_time)
+            yield (
+                channel.topic,
+                _message_row(channel.topic, json.loads(message.data), message.log_time),
+            )
         return
     for found in reader.iter_decoded_messages(topics=list(wanted)):
-        yield found.channel.topic, _row(found.channel.topic, found.decoded_message, found.message.log_time)
+        yield (
+            found.channel.topic,
+            _message_row(
+                found.channel.topic, found.decoded_message, found.message.log_time
+            ),
+        )
 
 
-def _row(topic: str, message: Any, logged: int) -> dict[str, float]:
-    """Numbers of a message by the names of columns. logged: when it was, if it says no time itself [ns]."""
-    stamp = _part(_part(message, "header"), "stamp")
-    seconds = _part(stamp, "sec"), _part(stamp, "nanosec")
-    own = seconds[0] + NANO * seconds[1] if all(isinstance(part, int) for part in seconds) and any(seconds) else None
-    row = {"time [s]": own if own is not None else logged * NANO}
-    names = _part(message, "name")
+def _message_row(topic: str, message: Any, logged: int) -> dict[str, float]:
+    """Numbers of a message by the names of columns. logged: when it was, if it says no
+    time itself [ns].
+    """
+    stamp = _field_value(_field_value(message, "header"), "stamp")
+    seconds = _field_value(stamp, "sec"), _field_value(stamp, "nanosec")
+    own = (
+        seconds[0] + NANOSECOND_S * seconds[1]
+        if all(isinstance(part, int) for part in seconds) and any(seconds)
+        else None
+    )
+    row = {"time [s]": own if own is not None else logged * NANOSECOND_S}
+    names = _field_value(message, "name")
     if isinstance(names, list | tuple):
-        positions = list(_part(message, "position") or [])
-        return row | {f"joint{n + 1} {name} [rad]": float(q) for n, (name, q) in enumerate(zip(names, positions))}  # noqa: B905
-    found = dict(_numbers(message, topic.strip("/").replace("/", " "), 0))
-    return row | {name: found[name] for name in list(found)[:MOST_COLUMNS]}
+        positions = list(_field_value(message, "position") or [])
+        return row | {
+            f"joint{n + 1} {name} [rad]": float(q)
+            for n, (name, q) in enumerate(zip(names, positions))
+        }  # noqa: B905
+    found = dict(_message_numbers(message, topic.strip("/").replace("/", " "), 0))
+    return row | {name: found[name] for name in list(found)[:MAX_COLUMNS]}
 
 
-def _part(message: Any, name: str) -> Any:
+def _field_value(message: Any, name: str) -> Any:
     """A field of a message, or None."""
-    return message.get(name) if isinstance(message, Mapping) else getattr(message, name, None)
+    return (
+        message.get(name)
+        if isinstance(message, Mapping)
+        else getattr(message, name, None)
+    )
 
 
-def _numbers(message: Any, place: str, depth: int) -> Iterator[tuple[str, float]]:
-    """Numbers in a message, by place: `tool0 x [m]` of a position, `tool0 qx` of an orientation."""
+def _message_numbers(
+    message: Any, place: str, depth: int
+) -> Iterator[tuple[str, float]]:
+    """Numbers in a message, by place: `tool0 x [m]` of a position, `tool0 qx` of an
+    orientation.
+    """
     names = getattr(message, "__slots__", ())  # of a decoded message
-    fields = message if isinstance(message, Mapping) else {name: getattr(message, name) for name in names}
+    fields = (
+        message
+        if isinstance(message, Mapping)
+        else {name: getattr(message, name) for name in names}
+    )
     for name, value in fields.items():
-        if isinstance(value, bool) or name in ("header", "covariance") or depth > DEEPEST:
+        if (
+            isinstance(value, bool)
+            or name in ("header", "covariance")
+            or depth > MAX_DEPTH
+        ):
             continue
         if isinstance(value, int | float):
             turned = place.endswith(" orientation")
-            yield f"{place.removesuffix(' orientation')} {'q' if turned else ''}{name}{'' if turned else ' [m]'}", value
+            yield (
+                f"{place.removesuffix(' orientation')} {'q' if turned else ''}{name}{'' if turned else ' [m]'}",
+                value,
+            )
         elif not isinstance(value, str | bytes | list | tuple):
             short = {"rotation": "orientation"}.get(name, name)
-            inner = place if short in ("pose", "position", "point", "transform", "translation") else f"{place} {short}"
-            yield from _numbers(value, inner, depth + 1)
+            inner = (
+                place
+                if short in ("pose", "position", "point", "transform", "translation")
+                else f"{place} {short}"
+            )
+            yield from _message_numbers(value, inner, depth + 1)

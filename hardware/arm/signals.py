@@ -8,41 +8,50 @@ from contextlib import contextmanager
 from types import FrameType
 
 Handler = Callable[[int, FrameType | None], object] | int | None
-POLITE = (signal.SIGINT, signal.SIGTERM) + ((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ())
+TERMINATION_SIGNALS = (signal.SIGINT, signal.SIGTERM) + (
+    (signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()
+)
 
 
-class Signals:
-    """While in force, SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt with the signal's number. Only the main
-    thread receives signals; in another one this does nothing."""
+class TerminationSignals:
+    """While in force, SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt with the
+    signal's number. Only the main thread receives signals; in another one this does
+    nothing.
+    """
 
     def __init__(self) -> None:
         """Nothing is in force yet."""
         self.before: dict[signal.Signals, Handler] = {}
 
-    def watch(self) -> None:
+    def install(self) -> None:
         """Handle polite signals from now on."""
         try:
-            self.before = {number: signal.signal(number, _leave) for number in POLITE}
+            self.before = {
+                number: signal.signal(number, _raise_interrupt)
+                for number in TERMINATION_SIGNALS
+            }
         except ValueError:
             self.before = {}
 
-    def release(self) -> None:
+    def restore(self) -> None:
         """Restore the handlers of before."""
         for number, handler in self.before.items():
             signal.signal(number, handler)
         self.before = {}
 
     @contextmanager
-    def ignored(self) -> Iterator[None]:
-        """Nobody interrupts what is inside: an impatient second Ctrl-C must not prevent the stop."""
+    def ignore(self) -> Iterator[None]:
+        """Nobody interrupts what is inside: an impatient second Ctrl-C must not prevent
+        the stop.
+        """
         for number in self.before:
             signal.signal(number, signal.SIG_IGN)
         try:
             yield
         finally:
             for number in self.before:
-                signal.signal(number, _leave)
+                signal.signal(number, _raise_interrupt)
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
+def _raise_interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt(number)

@@ -1,8 +1,10 @@
-"""The camera: frames from a device, a video or a folder of images, filmed in the background, timed and counted."""
+"""The camera: frames from a device, a video or a folder of images, filmed in the
+background, timed and counted.
+"""
 
 from stringcast.hardware.camera.device import Device
 from stringcast.hardware.camera.filming import FilmingCamera
-from stringcast.hardware.camera.played import ImageFolder, VideoFile
+from stringcast.hardware.camera.playback import ImageFolder, VideoFile
 from stringcast.hardware.camera.source import Source
 
 __all__ = ["Device", "FilmingCamera", "ImageFolder", "Source", "VideoFile"]

@@ -10,11 +10,12 @@ from pydantic import AfterValidator
 
 from stringcast.stages.execute.interfaces import HardwareError
 
-NEAR = 0.01  # by which a value read back may differ from the one asked
-UNKNOWN = (0.0, -1.0)  # what OpenCV gives for a property that a backend cannot report
+RELATIVE_TOLERANCE = 0.01  # by which a value read back may differ from the one asked
+# what OpenCV gives for a property that a backend cannot report
+UNREPORTED_VALUES = (0.0, -1.0)
 
 
-def _known(controls: Mapping[str, float]) -> Mapping[str, float]:
+def _require_known_properties(controls: Mapping[str, float]) -> Mapping[str, float]:
     unknown = [name for name in controls if not hasattr(cv2, f"CAP_PROP_{name}")]
     if unknown:
         raise ValueError(
@@ -23,24 +24,34 @@ def _known(controls: Mapping[str, float]) -> Mapping[str, float]:
     return controls
 
 
-Controls = Annotated[Mapping[str, float], AfterValidator(_known)]
+Controls = Annotated[Mapping[str, float], AfterValidator(_require_known_properties)]
 
 
-def obeyed(
-    capture: cv2.VideoCapture, name: str, form: Mapping[str, float], controls: Mapping[str, float]
+def apply_controls(
+    capture: cv2.VideoCapture,
+    name: str,
+    form: Mapping[str, float],
+    controls: Mapping[str, float],
 ) -> tuple[str, ...]:
-    """Set a form (size and rate) and controls, each by OpenCV's name, and read the controls back once all are set.
+    """Set a form (size and rate) and controls, each by OpenCV's name, and read the
+    controls back once all are set.
 
-    Raises HardwareError for a control that is reported as something else. Returns what could not be made sure of.
-    Size and rate are measured instead: drivers report what they were asked.
+    Raises HardwareError for a control that is reported as something else. Returns what
+    could not be made sure of. Size and rate are measured instead: drivers report what
+    they were asked.
     """
-    accepted = {key: capture.set(_property(key), value) for key, value in {**form, **controls}.items()}
+    accepted = {
+        key: capture.set(_property_number(key), value)
+        for key, value in {**form, **controls}.items()
+    }
     remarks = []
     for key, asked in controls.items():
-        reported = float(capture.get(_property(key)))
-        if abs(reported - asked) <= NEAR * max(abs(asked), NEAR):
+        reported = float(capture.get(_property_number(key)))
+        if abs(reported - asked) <= RELATIVE_TOLERANCE * max(
+            abs(asked), RELATIVE_TOLERANCE
+        ):
             continue
-        if accepted[key] or reported not in UNKNOWN:
+        if accepted[key] or reported not in UNREPORTED_VALUES:
             raise HardwareError(
                 f"{name}: source.controls.{key} is {asked:g}, the driver reports {reported:g}. Set it to what the "
                 "driver can do (v4l2-ctl --list-ctrls says what), choose another source.backend, or take it out of "
@@ -50,5 +61,5 @@ def obeyed(
     return tuple(remarks)
 
 
-def _property(key: str) -> int:
+def _property_number(key: str) -> int:
     return int(getattr(cv2, f"CAP_PROP_{key}"))

@@ -1,4 +1,6 @@
-"""A camera that OpenCV can open: set, asked whether it obeyed, and watched for a moment before it is trusted."""
+"""A camera that OpenCV can open: set, asked whether it obeyed, and watched for a moment
+before it is trusted.
+"""
 
 from __future__ import annotations
 
@@ -11,27 +13,30 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from stringcast.hardware.camera.controls import Controls, obeyed
+from stringcast.hardware.camera.controls import Controls, apply_controls
 from stringcast.hardware.camera.source import Frame, Source, Stream
-from stringcast.hardware.camera.warm_up import warmed
+from stringcast.hardware.camera.warm_up import check_stream
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.camera import Camera
 
-BUFFERED = 8  # frames that a driver may hold from before; V4L2 has 4
+MAX_BUFFERED_FRAMES = 8  # frames that a driver may hold from before; V4L2 has 4
 
 
 @dataclass(frozen=True)
 class Device(Source):
-    """number: of the camera. backend: OpenCV's name of the driver's interface, such as V4L2, DSHOW, AVFOUNDATION; ANY.
+    """number: of the camera. backend: OpenCV's name of the driver's interface, such as
+    V4L2, DSHOW, AVFOUNDATION; ANY.
 
-    controls: properties by OpenCV's name without CAP_PROP_, in the driver's units, set in this order and read back.
-    seconds: how long stills are taken, one every `interval` [s].
+    controls: properties by OpenCV's name without CAP_PROP_, in the driver's units, set
+    in this order and read back. seconds: how long stills are taken, one every
+    `interval` [s].
 
-    delay: no driver tells it. V4L2 stamps a frame when the
-    first or the last of it arrives (on this host's clock; uvcvideo: the first); other backends give a time from
-    the start of the stream, or none. Stamps therefore serve for the distances of frames, not for their place:
-    the quickest frame is taken to have come so long after the middle of its exposure. About half the exposure,
-    the readout and the transfer; measure it once, by a calibration motion or a flashing lamp.
+    delay: no driver tells it. V4L2 stamps a frame when the first or the last of it
+    arrives (on this host's clock; uvcvideo: the first); other backends give a time from
+    the start of the stream, or none. Stamps therefore serve for the distances of
+    frames, not for their place: the quickest frame is taken to have come so long after
+    the middle of its exposure. About half the exposure, the readout and the transfer;
+    measure it once, by a calibration motion or a flashing lamp.
     """
 
     number: Annotated[int, Field(ge=0)]
@@ -47,7 +52,9 @@ class Device(Source):
         return f"camera {self.number}"
 
     def open(self, camera: Camera) -> Stream:
-        """Set everything, and see that it obeys and gives what it should; nothing of that is left to the first cast."""
+        """Set everything, and see that it obeys and gives what it should; nothing of
+        that is left to the first cast.
+        """
         interface = getattr(cv2, f"CAP_{self.backend}", None)
         if interface is None:
             raise HardwareError(
@@ -60,24 +67,32 @@ class Device(Source):
                 f"{self.name}: it cannot be opened. Check source.number, the cable, and that no other program uses it."
             )
         try:
-            wanted = {"FRAME_WIDTH": camera.width, "FRAME_HEIGHT": camera.height, "FPS": camera.fps}
-            remarks = obeyed(capture, self.name, wanted, self.controls)
+            wanted = {
+                "FRAME_WIDTH": camera.width,
+                "FRAME_HEIGHT": camera.height,
+                "FPS": camera.fps,
+            }
+            remarks = apply_controls(capture, self.name, wanted, self.controls)
             stream = DeviceStream(capture, self.name)
-            stream.remarks = (*remarks, *warmed(stream, self.name, camera))
+            stream.remarks = (*remarks, *check_stream(stream, self.name, camera))
         except BaseException:
             capture.release()
             raise
         return stream
 
-    def stills(self, camera: Camera, ready: Callable[[], object]) -> Iterator[np.ndarray]:
+    def stills(
+        self, camera: Camera, ready: Callable[[], object]
+    ) -> Iterator[np.ndarray]:
         """One every `interval`, for `seconds`, once a person is ready."""
         stream = self.open(camera)
         try:
             ready()
             stream.begin()
             begun, taken = time.monotonic(), 0
-            while (frame := stream.read()) is not None and frame.arrived < begun + self.seconds:
-                if frame.arrived >= begun + taken * self.interval:
+            while (
+                frame := stream.read()
+            ) is not None and frame.arrival_time < begun + self.seconds:
+                if frame.arrival_time >= begun + taken * self.interval:
                     taken += 1
                     yield frame.image
         finally:
@@ -93,14 +108,17 @@ class DeviceStream(Stream):
 
     def begin(self) -> None:
         """Let go of as many frames as the driver may hold from before, undecoded."""
-        for _ in range(BUFFERED):
+        for _ in range(MAX_BUFFERED_FRAMES):
             if not self.capture.grab():
                 return
 
     def read(self) -> Frame | None:
-        """The next frame, each in memory of its own. One that cannot be decoded is left out: it counts as dropped."""
+        """The next frame, each in memory of its own. One that cannot be decoded is left
+        out: it counts as dropped.
+        """
         while self.capture.grab():
-            arrived = time.monotonic()  # decoding takes now longer, now shorter, and comes after
+            # decoding takes now longer, now shorter, and comes after
+            arrived = time.monotonic()
             good, image = self.capture.retrieve()
             if good:
                 stamp = self.capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3

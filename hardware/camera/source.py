@@ -1,4 +1,6 @@
-"""Where frames come from: a source is settings; opened, it is a stream that is read frame by frame."""
+"""Where frames come from: a source is settings; opened, it is a stream that is read
+frame by frame.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +15,12 @@ from stringcast.stages.model.camera import Camera
 
 @dataclass(frozen=True)
 class Frame:
-    """arrived: host time (time.monotonic) at which it was there, not decoded yet [s]. stamp: the source's own time of
-    it [s], on a clock of its own; NaN if it gives none. image: as it came, uint8 (height, width) or (height, width, 3)
-    BGR."""
+    """arrived: host time (time.monotonic) at which it was there, not decoded yet [s].
+    stamp: the source's own time of it [s], on a clock of its own; NaN if it gives none.
+    image: as it came, uint8 (height, width) or (height, width, 3) BGR.
+    """
 
-    arrived: float
+    arrival_time: float
     stamp: float
     image: np.ndarray = field(repr=False)
 
@@ -41,7 +44,9 @@ class Stream(ABC):
 
 
 class Source(ABC):
-    """Settings of a source. delay: from the middle of the exposure to the quickest frames' arrival [s]."""
+    """Settings of a source. delay: from the middle of the exposure to the quickest
+    frames' arrival [s].
+    """
 
     delay: float
 
@@ -52,9 +57,14 @@ class Source(ABC):
 
     @abstractmethod
     def open(self, camera: Camera) -> Stream:
-        """Open it and see that it gives the frames that `camera` promises; raises HardwareError if not."""
+        """Open it and see that it gives the frames that `camera` promises; raises
+        HardwareError if not.
+        """
 
     @abstractmethod
-    def stills(self, camera: Camera, ready: Callable[[], object]) -> Iterator[np.ndarray]:
-        """Pictures to look at one by one, as they come, whatever their size. ready: waits for a person, where one
-        must do something for them."""
+    def stills(
+        self, camera: Camera, ready: Callable[[], object]
+    ) -> Iterator[np.ndarray]:
+        """Pictures to look at one by one, as they come, whatever their size. ready:
+        waits for a person, where one must do something for them.
+        """

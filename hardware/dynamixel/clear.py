@@ -1,21 +1,34 @@
-"""`python -m stringcast.hardware.dynamixel.clear PORT ID ...`: undo bus watchdogs, after a person has looked."""
+"""`python -m stringcast.hardware.dynamixel.clear PORT ID ...`: undo bus watchdogs,
+after a person has looked.
+"""
 
 from __future__ import annotations
 
 import argparse
 
-from stringcast.hardware.arm.wire import clear
-from stringcast.hardware.dynamixel.bus import DynamixelBus, Servo
+from stringcast.hardware.arm.wire import confirm_and_clear
+from stringcast.hardware.dynamixel.bus import DynamixelBus, ServoSettings
 
 
 def main() -> None:
     """Ask, then clear."""
-    parser = argparse.ArgumentParser(prog="python -m stringcast.hardware.dynamixel.clear", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m stringcast.hardware.dynamixel.clear", description=__doc__
+    )
     parser.add_argument("port")
     parser.add_argument("id", type=int, nargs="+")
     parser.add_argument("--baud", type=int, default=4_000_000)
     options = parser.parse_args()
-    clear(DynamixelBus(options.port, options.baud, [Servo(i, 0, 1) for i in options.id], (), 0.1, 1))
+    confirm_and_clear(
+        DynamixelBus(
+            options.port,
+            options.baud,
+            [ServoSettings(i, 0, 1) for i in options.id],
+            (),
+            0.1,
+            1,
+        )
+    )
 
 
 if __name__ == "__main__":

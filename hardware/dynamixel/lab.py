@@ -8,7 +8,7 @@ from pydantic import Field
 
 from stringcast.hardware.arm import Driving, VelocityArm
 from stringcast.hardware.camera import FilmingCamera, Source
-from stringcast.hardware.dynamixel.bus import DynamixelBus, Servo
+from stringcast.hardware.dynamixel.bus import DynamixelBus, ServoSettings
 from stringcast.stages.execute.interfaces import HardwareError, Lab
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
@@ -22,16 +22,19 @@ def open_lab(
     trial: int,
     port: str,
     baud: Annotated[int, Field(gt=0)],
-    servos: tuple[Servo, ...],
+    servos: tuple[ServoSettings, ...],
     reply: Annotated[float, Field(gt=0)],
     patience: Annotated[int, Field(ge=1, le=127)],
     driving: Driving,
     source: Source,
     most_lost: Annotated[float, Field(ge=0, le=1)],
 ) -> Lab:
-    """The servos on `port` and the camera `source`; see `DynamixelBus`, `VelocityArm` and `FilmingCamera`. Nothing is
-    left to chance here: seed and trial play no part."""
+    """The servos on `port` and the camera `source`; see `DynamixelBus`, `VelocityArm`
+    and `FilmingCamera`. Nothing is left to chance here: seed and trial play no part.
+    """
     if len(servos) != len(arm.links):
-        raise HardwareError(f"hardware.servos names {len(servos)} servos, arm.links has {len(arm.links)}. Match them.")
+        raise HardwareError(
+            f"hardware.servos names {len(servos)} servos, arm.links has {len(arm.links)}. Match them."
+        )
     bus = DynamixelBus(port, baud, servos, arm.speed, reply, patience)
     return Lab(VelocityArm(arm, bus, driving), FilmingCamera(camera, source, most_lost))

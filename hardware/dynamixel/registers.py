@@ -1,4 +1,6 @@
-"""The part of the X series' control table that a velocity-driven arm needs (e-manual, ROBOTIS)."""
+"""The part of the X series' control table that a velocity-driven arm needs (e-manual,
+ROBOTIS).
+"""
 
 from __future__ import annotations
 
@@ -24,19 +26,26 @@ PROFILE_ACCELERATION = Register(108, 4)
 REALTIME_TICK = Register(120, 2)
 PRESENT_POSITION = Register(132, 4)
 
-STATE = Register(BUS_WATCHDOG.address, PRESENT_POSITION.address + PRESENT_POSITION.size - BUS_WATCHDOG.address)
+STATE_BLOCK = Register(
+    BUS_WATCHDOG.address,
+    PRESENT_POSITION.address + PRESENT_POSITION.size - BUS_WATCHDOG.address,
+)
 
 VELOCITY_MODE = 1  # of OPERATING_MODE: the servo follows GOAL_VELOCITY
-TIMED = 4  # bit of DRIVE_MODE: PROFILE_ACCELERATION would be a time [ms]
-TRIPPED = 255  # of BUS_WATCHDOG: it has stopped the servo, whose goals are read-only until 0 is written
-WATCHDOG_UNIT = 0.020  # [s]
-TICKS = 32768  # after which REALTIME_TICK begins anew [ms]
+TIME_BASED_PROFILE = 4  # bit of DRIVE_MODE: PROFILE_ACCELERATION would be a time [ms]
+# of BUS_WATCHDOG: it has stopped the servo, whose goals are read-only until 0 is
+# written
+WATCHDOG_TRIPPED = 255
+WATCHDOG_UNIT_S = 0.020  # [s]
+CLOCK_WRAP_MS = 32768  # after which REALTIME_TICK begins anew [ms]
 VELOCITY_UNIT = 0.229 * 2 * math.pi / 60  # [rad/s]
 ACCELERATION_UNIT = 214.577 * 2 * math.pi / 3600  # [rad/s^2]
 POSITION_UNIT = 2 * math.pi / 4096  # [rad]
 
 
-def taken(state: bytes, register: Register) -> int:
+def register_value(state: bytes, register: Register) -> int:
     """A register's value, signed, out of the bytes of STATE."""
-    begin = register.address - STATE.address
-    return int.from_bytes(state[begin : begin + register.size], "little", signed=register.size == 4)
+    begin = register.address - STATE_BLOCK.address
+    return int.from_bytes(
+        state[begin : begin + register.size], "little", signed=register.size == 4
+    )

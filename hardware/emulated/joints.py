@@ -1,20 +1,24 @@
-"""A wire-driven arm: each joint hangs by an elastic wire on a motor whose velocity loop follows the firmware."""
+"""A wire-driven arm: each joint hangs by an elastic wire on a motor whose velocity loop
+follows the firmware.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-STEP = 0.0005  # [s]
-LAG = 0.004  # [s] time constant of the motor's velocity loop
-FREQUENCY = 30.0  # [Hz] of the joint on its wire, motor held
-DAMPING = 0.7  # share of critical
-STILL = 0.01  # [rad/s] below which a joint counts as standing
+STEP_S = 0.0005  # [s]
+MOTOR_LAG_S = 0.004  # [s] time constant of the motor's velocity loop
+WIRE_FREQUENCY_HZ = 30.0  # [Hz] of the joint on its wire, motor held
+WIRE_DAMPING_RATIO = 0.7  # share of critical
+STANDSTILL_SPEED = 0.01  # [rad/s] below which a joint counts as standing
 
 
 @dataclass
 class Joint:
-    """motor, angle [rad]; drive, speed: their velocities [rad/s]. offset: error of the encoder [rad]."""
+    """motor, angle [rad]; drive, speed: their velocities [rad/s]. offset: error of the
+    encoder [rad].
+    """
 
     motor: float = 0.0
     drive: float = 0.0
@@ -23,13 +27,17 @@ class Joint:
     offset: float = 0.0
 
     def step(self, target: float) -> None:
-        """Let one step pass, by semi-implicit Euler. target: velocity commanded [rad/s]."""
-        self.drive += (target - self.drive) * STEP / LAG
-        self.motor += self.drive * STEP
-        turn = 2 * math.pi * FREQUENCY
-        pull = turn**2 * (self.motor - self.angle) + 2 * DAMPING * turn * (self.drive - self.speed)
-        self.speed += pull * STEP
-        self.angle += self.speed * STEP
+        """Let one step pass, by semi-implicit Euler. target: velocity commanded
+        [rad/s].
+        """
+        self.drive += (target - self.drive) * STEP_S / MOTOR_LAG_S
+        self.motor += self.drive * STEP_S
+        turn = 2 * math.pi * WIRE_FREQUENCY_HZ
+        pull = turn**2 * (self.motor - self.angle) + 2 * WIRE_DAMPING_RATIO * turn * (
+            self.drive - self.speed
+        )
+        self.speed += pull * STEP_S
+        self.angle += self.speed * STEP_S
 
     @property
     def encoder(self) -> float:
@@ -37,6 +45,6 @@ class Joint:
         return self.angle + self.offset
 
     @property
-    def still(self) -> bool:
+    def is_still(self) -> bool:
         """Whether it stands, its wire at rest."""
-        return abs(self.speed) < STILL and abs(self.drive) < STILL
+        return abs(self.speed) < STANDSTILL_SPEED and abs(self.drive) < STANDSTILL_SPEED

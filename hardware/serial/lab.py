@@ -26,6 +26,10 @@ def open_lab(
     source: Source,
     most_lost: Annotated[float, Field(ge=0, le=1)],
 ) -> Lab:
-    """The arm on `port` and the camera `source`; see `VelocityArm` and `FilmingCamera`. Nothing is left to
-    chance here: seed and trial play no part."""
-    return Lab(VelocityArm(arm, SerialWire(port, baud), driving), FilmingCamera(camera, source, most_lost))
+    """The arm on `port` and the camera `source`; see `VelocityArm` and `FilmingCamera`.
+    Nothing is left to chance here: seed and trial play no part.
+    """
+    return Lab(
+        VelocityArm(arm, SerialWire(port, baud), driving),
+        FilmingCamera(camera, source, most_lost),
+    )

@@ -1,4 +1,6 @@
-"""The real driver over a real terminal to an emulated arm, whose movement swings the virtual lab's string."""
+"""The real driver over a real terminal to an emulated arm, whose movement swings the
+virtual lab's string.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,14 @@ from pydantic import Field
 from stringcast.data.artifacts import JOINTS
 from stringcast.hardware.arm import Driving, VelocityArm
 from stringcast.hardware.serial.wire import SerialWire
-from stringcast.hardware.virtual import Bench, Look, Obstacles, Servo, Specimen, VirtualCamera
+from stringcast.hardware.virtual import (
+    Look,
+    Obstacles,
+    Specimen,
+    VirtualBench,
+    VirtualCamera,
+    VirtualServo,
+)
 from stringcast.stages.execute.interfaces import HardwareError, Lab, Performance
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
@@ -26,7 +35,7 @@ BAUD = 1_000_000  # a pseudo-terminal takes any
 
 
 @dataclass
-class Emulator:
+class EmulatorProcess:
     """A device in a process of its own; a context manager that gives its port."""
 
     options: Sequence[str]
@@ -34,17 +43,29 @@ class Emulator:
 
     def __enter__(self) -> str:
         """Start it."""
-        command = [sys.executable, "-m", "stringcast.hardware.serial.emulator", *self.options]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+        command = [
+            sys.executable,
+            "-m",
+            "stringcast.hardware.serial.emulator",
+            *self.options,
+        ]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, text=True, start_new_session=True
+        )
         assert self.process.stdout is not None
         port = self.process.stdout.readline().strip()
         if not port:
             self.__exit__(None, None, None)
-            raise HardwareError(f"emulator: it did not start. Try it alone: {' '.join(command[1:])}")
+            raise HardwareError(
+                f"emulator: it did not start. Try it alone: {' '.join(command[1:])}"
+            )
         return port
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """End it."""
         if self.process is not None:
@@ -57,11 +78,13 @@ class Emulator:
 
 @dataclass
 class RehearsalArm:
-    """The driver on an emulated device; what it does, the bench's string is made to do. Fills `ArmDevice`."""
+    """The driver on an emulated device; what it does, the bench's string is made to do.
+    Fills `ArmDevice`.
+    """
 
     device: VelocityArm
-    emulator: Emulator
-    bench: Bench
+    emulator: EmulatorProcess
+    bench: VirtualBench
 
     def __enter__(self) -> Self:
         """Start the device and open the link to it."""
@@ -74,7 +97,10 @@ class RehearsalArm:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """Stop, then end the device."""
         try:
@@ -98,7 +124,10 @@ class RehearsalArm:
         """Play, and let the bench's string follow what was measured."""
         performance = self.device.perform(commands)
         measured = performance.arm
-        self.bench.performed = (measured["t"].to_numpy(), measured[list(JOINTS)].to_numpy())
+        self.bench.performed_motion = (
+            measured["t"].to_numpy(),
+            measured[list(JOINTS)].to_numpy(),
+        )
         return performance
 
 
@@ -109,7 +138,7 @@ def open_lab(
     seed: int,
     trial: int,
     specimen: Specimen,
-    servo: Servo,
+    servo: VirtualServo,
     look: Look,
     obstacles: Obstacles,
     driving: Driving,
@@ -119,11 +148,22 @@ def open_lab(
 ) -> Lab:
     """The emulated arm and the virtual camera of one trial.
 
-    seed, trial, specimen, servo, look, obstacles: as of the virtual lab; of the servo only its time step matters.
-    watchdog: the device's [ms]. faults: KIND:N, as the emulator takes them. record: the file in which it notes when
-    the arm moved and when it stood.
+    seed, trial, specimen, servo, look, obstacles: as of the virtual lab; of the servo
+    only its time step matters. watchdog: the device's [ms]. faults: KIND:N, as the
+    emulator takes them. record: the file in which it notes when the arm moved and when
+    it stood.
     """
-    bench = Bench(arm, camera, specimen, seed, servo, look, obstacles, count=trial)
-    options = ["--watchdog", str(watchdog), "--log", record, *(f"--fault={fault}" for fault in faults)]
+    bench = VirtualBench(
+        arm, camera, specimen, seed, servo, look, obstacles, trial_number=trial
+    )
+    options = [
+        "--watchdog",
+        str(watchdog),
+        "--log",
+        record,
+        *(f"--fault={fault}" for fault in faults),
+    ]
     device = VelocityArm(arm, SerialWire("", BAUD), driving)
-    return Lab(RehearsalArm(device, Emulator(options), bench), VirtualCamera(bench))
+    return Lab(
+        RehearsalArm(device, EmulatorProcess(options), bench), VirtualCamera(bench)
+    )

@@ -10,39 +10,44 @@ from pathlib import Path
 import numpy as np
 import serial
 
-from stringcast.hardware.arm.wire import Answer
+from stringcast.hardware.arm.wire import ArmAnswer
 from stringcast.hardware.serial.protocol import (
-    JOINTS,
-    VERSION,
+    JOINT_COUNT,
+    PROTOCOL_VERSION,
     Command,
     Deframer,
+    DeviceState,
     FrameError,
+    FrameKind,
     Greeting,
-    Kind,
-    Limits,
+    LimitsAnswer,
     Report,
-    State,
     decode_answer,
     encode_command,
 )
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
 
-ANSWER_WITHIN = 0.25  # [s] that an exchange may take before it is tried again
-TRIES = 3  # of a frame before the link counts as dead: a disturbed line loses single ones
-HELD = {
-    State.FRESH: "the device restarted",
-    State.TRIPPED: "the device's watchdog stopped it",
-    State.LATCHED: "the device is latched",
-    State.CLAMPED: "the device cut a velocity that was beyond its limits",
+ANSWER_TIMEOUT_S = 0.25  # [s] that an exchange may take before it is tried again
+# of a frame before the link counts as dead: a disturbed line loses single ones
+MAX_TRIES = 3
+HOLD_REASONS = {
+    DeviceState.FRESH: "the device restarted",
+    DeviceState.TRIPPED: "the device's watchdog stopped it",
+    DeviceState.LATCHED: "the device is latched",
+    DeviceState.CLAMPED: "the device cut a velocity that was beyond its limits",
 }
-ANSWERS = {Kind.HELLO: Greeting, Kind.LIMITS: Limits}  # all others: Report
-ABOVE = 1.01  # times the arm's own limits, which the host keeps to: its rounding is no fault
+# all others: Report
+ANSWER_TYPES = {FrameKind.HELLO: Greeting, FrameKind.LIMITS: LimitsAnswer}
+# times the arm's own limits, which the host keeps to: its rounding is no fault
+LIMIT_MARGIN = 1.01
 
 
 @dataclass
 class SerialWire:
-    """Fills `hardware.arm.wire.Wire`. port: its device file; sequence: number of the last command."""
+    """Fills `hardware.arm.wire.Wire`. port: its device file; sequence: number of the
+    last command.
+    """
 
     port: str
     baud: int
@@ -50,8 +55,8 @@ class SerialWire:
     watchdog: float = 0.0
     link: serial.Serial | None = None
     deframer: Deframer = field(default_factory=Deframer)
-    refused: str = ""  # what was wrong with the last answer that could not be used
-    micros: int | None = None  # device clock as last reported, unwrapped [us]
+    last_refusal: str = ""  # what was wrong with the last answer that could not be used
+    clock_us: int | None = None  # device clock as last reported, unwrapped [us]
 
     @property
     def name(self) -> str:
@@ -61,26 +66,28 @@ class SerialWire:
     def open(self) -> None:
         """Open the port and greet the device."""
         self._connect()
-        greeting = self._exchange(Kind.HELLO, (VERSION,))
+        greeting = self._exchange(FrameKind.HELLO, (PROTOCOL_VERSION,))
         assert isinstance(greeting, Greeting)
-        if (greeting.version, greeting.joints) != (VERSION, JOINTS):
+        if (greeting.version, greeting.joints) != (PROTOCOL_VERSION, JOINT_COUNT):
             raise HardwareError(
                 f"arm on {self.port}: the device speaks version {greeting.version} for {greeting.joints} joints, this "
-                f"is version {VERSION} for {JOINTS}. Update the older one (hardware/serial/README.md)."
+                f"is version {PROTOCOL_VERSION} for {JOINT_COUNT}. Update the older one (hardware/serial/README.md)."
             )
-        if greeting.state is State.LATCHED:
+        if greeting.state is DeviceState.LATCHED:
             raise HardwareError(
                 f"arm on {self.port}: latched by an emergency stop. Look why, make it safe, then: "
                 f"python -m stringcast.hardware.serial.clear {self.port}"
             )
         self.watchdog = greeting.watchdog * 1e-3
 
-    def limit(self, arm: Arm) -> None:
+    def set_limits(self, arm: Arm) -> None:
         """Send LIMITS, with the watchdog that the device greeted with."""
-        most = ABOVE * np.array([*arm.speed, *arm.acceleration], dtype=np.float32)
+        most = LIMIT_MARGIN * np.array(
+            [*arm.speed, *arm.acceleration], dtype=np.float32
+        )
         asked = (*map(float, most), round(arm.tick * 1e6), round(self.watchdog * 1e3))
-        limits = self._exchange(Kind.LIMITS, asked)
-        assert isinstance(limits, Limits)
+        limits = self._exchange(FrameKind.LIMITS, asked)
+        assert isinstance(limits, LimitsAnswer)
         if limits.values != asked:
             raise HardwareError(
                 f"arm on {self.port}: the device does not enforce the limits of conf/arm, {asked}, but "
@@ -95,35 +102,44 @@ class SerialWire:
 
     def angles(self) -> tuple[float, ...]:
         """Angles of the joints (J,) [rad], by a ping."""
-        return self._report(Kind.PING).angles
+        return self._report(FrameKind.PING).angles
 
     def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
-        """Send velocities (J,) [rad/s] in single precision; the command's number, and what was sent."""
+        """Send velocities (J,) [rad/s] in single precision; the command's number, and
+        what was sent.
+        """
         carried = speeds.astype(np.float32)
-        return self._send(Kind.VELOCITY, tuple(carried)), carried
+        return self._send(FrameKind.VELOCITY, tuple(carried)), carried
 
-    def answers(self) -> Sequence[Answer]:
+    def answers(self) -> Sequence[ArmAnswer]:
         """Answers to velocities; greetings and damaged frames are left out."""
         return [
-            Answer(report.sequence, self._clock(report.micros), HELD.get(report.state, ""), report.angles)
-            for report in self._received()
+            ArmAnswer(
+                report.sequence,
+                self._unwrap_clock(report.micros),
+                HOLD_REASONS.get(report.state, ""),
+                report.angles,
+            )
+            for report in self._read_answers()
             if isinstance(report, Report)
         ]
 
     def stop(self) -> None:
-        """Three times, for a frame may be lost; then wait for an answer, so that none is in flight."""
+        """Three times, for a frame may be lost; then wait for an answer, so that none
+        is in flight.
+        """
         try:
-            for _ in range(TRIES):
-                self._send(Kind.STOP)
-            self._report(Kind.STOP)
+            for _ in range(MAX_TRIES):
+                self._send(FrameKind.STOP)
+            self._report(FrameKind.STOP)
         except HardwareError:
             return  # nobody is there: the device's watchdog acts
 
     def latch(self) -> None:
         """Emergency stop."""
         try:
-            for _ in range(TRIES):
-                self._send(Kind.LATCH)
+            for _ in range(MAX_TRIES):
+                self._send(FrameKind.LATCH)
         except HardwareError:
             return
 
@@ -131,76 +147,95 @@ class SerialWire:
         """Undo the emergency stop; connects where nothing is open."""
         if self.link is None:
             self._connect()
-        self._report(Kind.CLEAR)
-        self._exchange(Kind.HELLO, (VERSION,))
+        self._report(FrameKind.CLEAR)
+        self._exchange(FrameKind.HELLO, (PROTOCOL_VERSION,))
 
     def _connect(self) -> None:
         check_latency(self.port)
         try:
-            self.link = serial.Serial(self.port, self.baud, timeout=0, write_timeout=0.5, exclusive=True)
+            self.link = serial.Serial(
+                self.port, self.baud, timeout=0, write_timeout=0.5, exclusive=True
+            )
         except (serial.SerialException, OSError, ValueError) as error:
             raise HardwareError(
                 f"arm on {self.port}: cannot be opened ({error}). Check hardware.port and the cable."
             ) from error
 
-    def _clock(self, micros: int) -> float:
-        """Device time [s]: 32 bits of microseconds go round every 72 minutes, and answers may change places."""
-        if self.micros is None:
-            self.micros = micros
-        step = (micros - self.micros + 2**31) % 2**32 - 2**31
-        self.micros += step
-        return self.micros * 1e-6
+    def _unwrap_clock(self, micros: int) -> float:
+        """Device time [s]: 32 bits of microseconds go round every 72 minutes, and
+        answers may change places.
+        """
+        if self.clock_us is None:
+            self.clock_us = micros
+        step = (micros - self.clock_us + 2**31) % 2**32 - 2**31
+        self.clock_us += step
+        return self.clock_us * 1e-6
 
-    def _report(self, kind: Kind) -> Report:
+    def _report(self, kind: FrameKind) -> Report:
         report = self._exchange(kind)
         assert isinstance(report, Report)
         return report
 
-    def _exchange(self, kind: Kind, values: tuple[float, ...] = ()) -> Report | Greeting | Limits:
-        """Send and wait for the answer; asks again a few times, for a frame may be lost."""
-        for _ in range(TRIES):
+    def _exchange(
+        self, kind: FrameKind, values: tuple[float, ...] = ()
+    ) -> Report | Greeting | LimitsAnswer:
+        """Send and wait for the answer; asks again a few times, for a frame may be
+        lost.
+        """
+        for _ in range(MAX_TRIES):
             number = self._send(kind, values)
-            end = time.monotonic() + ANSWER_WITHIN
+            end = time.monotonic() + ANSWER_TIMEOUT_S
             while time.monotonic() < end:
-                for answer in self._received():
-                    if answer.sequence == number and isinstance(answer, ANSWERS.get(kind, Report)):
+                for answer in self._read_answers():
+                    if answer.sequence == number and isinstance(
+                        answer, ANSWER_TYPES.get(kind, Report)
+                    ):
                         return answer
                 time.sleep(0.0002)
-        refused = f" with anything that can be used ({self.refused})" if self.refused else ""
+        refused = (
+            f" with anything that can be used ({self.last_refusal})"
+            if self.last_refusal
+            else ""
+        )
         raise HardwareError(
             f"arm on {self.port}: the device does not answer{refused}. Is it switched on, and this its port?"
         )
 
-    def _send(self, kind: Kind, values: tuple[float, ...] = ()) -> int:
+    def _send(self, kind: FrameKind, values: tuple[float, ...] = ()) -> int:
         if self.link is None:
             raise HardwareError(f"arm on {self.port}: it is not open.")
         self.sequence = (self.sequence + 1) % 2**16
         try:
             self.link.write(encode_command(Command(kind, self.sequence, values)))
         except (serial.SerialException, OSError) as error:
-            raise self._gone(error) from error
+            raise self._link_error(error) from error
         return self.sequence
 
-    def _received(self) -> list[Report | Greeting | Limits]:
+    def _read_answers(self) -> list[Report | Greeting | LimitsAnswer]:
         """Whole answers that have arrived."""
         assert self.link is not None
         try:
             data = self.link.read(4096)
-        except (serial.SerialException, OSError, TypeError) as error:  # TypeError: closed under pyserial's hands
-            raise self._gone(error) from error
+        # TypeError: closed under pyserial's hands
+        except (serial.SerialException, OSError, TypeError) as error:
+            raise self._link_error(error) from error
         answers = []
         for frame in self.deframer.frames(data):
             try:
                 answers.append(decode_answer(frame))
             except FrameError as error:
-                self.refused = str(error)
+                self.last_refusal = str(error)
         return answers
 
-    def _gone(self, error: Exception) -> HardwareError:
-        return HardwareError(f"arm on {self.port}: the link is gone ({error}). The device's watchdog stops the arm.")
+    def _link_error(self, error: Exception) -> HardwareError:
+        return HardwareError(
+            f"arm on {self.port}: the link is gone ({error}). The device's watchdog stops the arm."
+        )
 
 
-def check_latency(port: str, devices: Path = Path("/sys/bus/usb-serial/devices")) -> None:
+def check_latency(
+    port: str, devices: Path = Path("/sys/bus/usb-serial/devices")
+) -> None:
     """Refuse an FTDI adapter that holds bytes back for longer than 1 ms."""
     timer = devices / Path(port).resolve().name / "latency_timer"
     if timer.exists() and int(timer.read_text()) > 1:

@@ -1,11 +1,18 @@
-"""A virtual lab: an arm, a string and a camera that can surprise the model. No stage imports it."""
+"""A virtual lab: an arm, a string and a camera that can surprise the model. No stage
+imports it.
+"""
 
 from __future__ import annotations
 
-from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
+from stringcast.hardware.virtual.bench import (
+    Specimen,
+    VirtualArm,
+    VirtualBench,
+    VirtualCamera,
+)
 from stringcast.hardware.virtual.obstacles import Obstacles
 from stringcast.hardware.virtual.render import Look
-from stringcast.hardware.virtual.servo import Servo
+from stringcast.hardware.virtual.servo import VirtualServo
 from stringcast.stages.execute.interfaces import Lab
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
@@ -18,10 +25,14 @@ def open_lab(
     seed: int,
     trial: int,
     specimen: Specimen,
-    servo: Servo,
+    servo: VirtualServo,
     look: Look,
     obstacles: Obstacles,
 ) -> Lab:
-    """The virtual arm and camera of one trial. seed: of the bench; trial: keeps trials apart."""
-    bench = Bench(arm, camera, specimen, seed, servo, look, obstacles, count=trial)
+    """The virtual arm and camera of one trial. seed: of the bench; trial: keeps trials
+    apart.
+    """
+    bench = VirtualBench(
+        arm, camera, specimen, seed, servo, look, obstacles, trial_number=trial
+    )
     return Lab(VirtualArm(bench), VirtualCamera(bench))

@@ -1,5 +1,5 @@
 """`python -m stringcast`: the command `stringcast`."""
 
-from stringcast.pipeline.__main__ import called
+from stringcast.pipeline.__main__ import cli
 
-called()
+cli()

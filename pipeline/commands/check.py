@@ -20,11 +20,16 @@ from rich.text import Text
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
 from stringcast.data.store import write_text
-from stringcast.pipeline.commands import Arguments
-from stringcast.pipeline.inherited import with_inherited_settings
-from stringcast.pipeline.provenance import code
-from stringcast.pipeline.settings import UserError, build, composed, names_given
-from stringcast.pipeline.terminal import Terminal, as_called, called_as
+from stringcast.pipeline.cli.terminal import Terminal, program_name, with_program_name
+from stringcast.pipeline.commands import CommandParser
+from stringcast.pipeline.run.provenance import code_state
+from stringcast.pipeline.settings.settings_from_runs import inherit_settings
+from stringcast.pipeline.settings.typed_settings import (
+    UserError,
+    build_dataclass,
+    compose_settings,
+    given_names,
+)
 from stringcast.stages.check.finding import full_stop
 from stringcast.stages.check.measured import Measured
 from stringcast.stages.check.overview import EFFECTS, found_from, overview
@@ -32,135 +37,242 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
 USABLE, NOT_USABLE = 0, 1  # exit status
-COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
+SEVERITY_COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
 
 
 def main(arguments: Sequence[str]) -> int:
     """Look at a folder and say what was found; the exit status."""
-    asked = parser().parse_intermixed_args(arguments)
+    asked = argument_parser().parse_intermixed_args(arguments)
     console = Terminal()
     if asked.report is not None and asked.report.suffix != ".html":
         raise UserError(f"--report {asked.report}: it must end in .html. Change it.")
     try:
-        there = measured(asked.folder, asked.settings)
+        there = read_measurements(asked.folder, asked.settings)
         found = overview(there)
         if asked.effects and found["usable"]:
-            told = import_module("stringcast.pipeline.commands.check_effects")  # which takes seconds to load
+            # which takes seconds to load
+            told = import_module("stringcast.pipeline.commands.check_effects")
             found["effects"] = told.effects(asked.folder, asked.settings)
         if asked.report is not None:
-            write_text(asked.report, page(there, found))
+            write_text(asked.report, check_report(there, found))
     except (DataError, UserError, HydraException, OmegaConfBaseException) as error:
-        found = unreadable(asked.folder, str(error))
+        found = overview_of_unreadable(asked.folder, str(error))
     if asked.json:
         print(json.dumps(found, indent=2))
     else:
-        show(found, console)
+        print_overview(found, console)
         if asked.report is not None and asked.report.exists():
-            console.print(str(asked.report), soft_wrap=True, markup=False, highlight=False)
+            console.print(
+                str(asked.report), soft_wrap=True, markup=False, highlight=False
+            )
     return USABLE if found["usable"] else NOT_USABLE
 
 
-def parser() -> argparse.ArgumentParser:
+def argument_parser() -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
-    made = Arguments("python -m pipeline check", description=__doc__, allow_abbrev=False)
+    made = CommandParser(
+        "python -m pipeline check", description=__doc__, allow_abbrev=False
+    )
     made.add_argument("folder", type=Path, help="measured data, or a run's folder")
-    made.add_argument("settings", nargs="*", default=[], help="as for a run, such as string.length=0.4 or arm=mine")
-    made.add_argument("--report", type=Path, help="a .html file to write: the same, with arm, string and clocks drawn")
+    made.add_argument(
+        "settings",
+        nargs="*",
+        default=[],
+        help="as for a run, such as string.length=0.4 or arm=mine",
+    )
+    made.add_argument(
+        "--report",
+        type=Path,
+        help="a .html file to write: the same, with arm, string and clocks drawn",
+    )
     made.add_argument(
         "--effects",
         action="store_true",
         help="also say from which size on each effect would be found in these trials, in half a minute",
     )
-    made.add_argument("--json", action="store_true", help="print all that was found as JSON")
+    made.add_argument(
+        "--json", action="store_true", help="print all that was found as JSON"
+    )
     return made
 
 
-def measured(folder: Path, overrides: Sequence[str]) -> Measured:
+def read_measurements(folder: Path, overrides: Sequence[str]) -> Measured:
     """The data in a folder, with the arm, camera and string that a run would have."""
-    config = OmegaConf.create({**composed(overrides), "trials": str(folder)})
-    blocks = with_inherited_settings(config, names_given(overrides))
-    arm = build(Arm, blocks["arm"], "arm", "conf/arm")
-    camera = build(Camera, blocks["camera"], "camera", "conf/camera")
-    return Measured(dataset.read(folder), arm, camera, float(blocks["string"]["length"]))
+    config = OmegaConf.create({**compose_settings(overrides), "trials": str(folder)})
+    blocks = inherit_settings(config, given_names(overrides))
+    arm = build_dataclass(Arm, blocks["arm"], "arm", "conf/arm")
+    camera = build_dataclass(Camera, blocks["camera"], "camera", "conf/camera")
+    return Measured(
+        dataset.read_dataset(folder), arm, camera, float(blocks["string"]["length"])
+    )
 
 
-def page(there: Measured, found: Mapping[str, Any]) -> str:
+def check_report(there: Measured, found: Mapping[str, Any]) -> str:
     """The findings as a page with pictures, HTML."""
-    check_page = import_module("stringcast.stages.report.pages.check").check_page  # which takes a second to load
+    # which takes a second to load
+    check_page = import_module("stringcast.stages.report.pages.check").check_page
     ahead = [
         (
             "What does the simulation get wrong in these trials, and why?",
             f"+experiment=diagnose trials={there.data.folder}",
         )
     ]
-    following = [(why, f"{called_as()} {words}") for why, words in ahead if found["usable"]]
-    origin = {"code": code(), "files": dict(there.data.hashes)}
+    following = [
+        (why, f"{program_name()} {words}") for why, words in ahead if found["usable"]
+    ]
+    origin = {"code": code_state(), "files": dict(there.data.hashes)}
     text: str = check_page(there, found, origin, following)
     return text
 
 
-def unreadable(folder: Path, reason: str) -> dict[str, Any]:
-    """The overview of data that cannot be read. reason: `file: field is so. Remedy.`, as all errors are written."""
+def overview_of_unreadable(folder: Path, reason: str) -> dict[str, Any]:
+    """The overview of data that cannot be read. reason: `file: field is so. Remedy.`,
+    as all errors are written.
+    """
     file, _, rest = reason.partition(": ")
     ends = [at.start() for at in re.finditer(r"\. (?=[A-Z])", rest)]
-    end = next((at for at in ends if rest[:at].count("(") == rest[:at].count(")")), len(rest))
+    end = next(
+        (at for at in ends if rest[:at].count("(") == rest[:at].count(")")), len(rest)
+    )
     said, remedy = rest[:end].removesuffix("."), rest[end + 2 :].removesuffix(".")
-    field = re.match(r"([a-z_]+(?:\.[\w]+)+) is |.*column '([^']*)'|not valid YAML \((line \d+)", said)
+    field = re.match(
+        r"([a-z_]+(?:\.[\w]+)+) is |.*column '([^']*)'|not valid YAML \((line \d+)",
+        said,
+    )
     named = next(filter(None, field.groups()), "") if field else ""
-    finding: dict[str, Any] = {"severity": "error", "file": file, "field": named, "said": said, "remedy": remedy}
+    finding: dict[str, Any] = {
+        "severity": "error",
+        "file": file,
+        "field": named,
+        "said": said,
+        "remedy": remedy,
+    }
     found = [{**finding, "trials": []}]
-    return {"format": 1, "folder": str(folder), "usable": False, "trials": [], "rejected": {}, "findings": found}
+    return {
+        "format": 1,
+        "folder": str(folder),
+        "usable": False,
+        "trials": [],
+        "rejected": {},
+        "findings": found,
+    }
 
 
-def show(found: Mapping[str, Any], console: Terminal) -> None:
+def print_overview(found: Mapping[str, Any], console: Terminal) -> None:
     """Print the findings in plain words."""
     if found["trials"]:
-        console.print(f"{found['folder']}: a string of {found['string_length_m']:.3f} m", soft_wrap=True, markup=False)
-        console.print(trials(found["trials"]))
+        console.print(
+            f"{found['folder']}: a string of {found['string_length_m']:.3f} m",
+            soft_wrap=True,
+            markup=False,
+        )
+        console.print(trial_table(found["trials"]))
     for finding in found["findings"]:
         place = " ".join(filter(None, (finding["file"], finding["field"])))
         named, more = ", ".join(finding["trials"][:4]), len(finding["trials"]) - 4
-        where = f" (trial {named}{f' and {more} more' if more > 0 else ''})" if named else ""
-        remedy = f" {finding['remedy']}{full_stop(finding['remedy'])}" if finding["remedy"] else ""
-        words = f"{place}{where}: {finding['said']}." if place or where else finding["said"] + "."
-        colour, severity = COLOURS[finding["severity"]], finding["severity"]
-        console.print(f"[{colour}]{severity}[/] {escape(as_called(words + remedy))}", highlight=False, soft_wrap=True)
+        where = (
+            f" (trial {named}{f' and {more} more' if more > 0 else ''})"
+            if named
+            else ""
+        )
+        remedy = (
+            f" {finding['remedy']}{full_stop(finding['remedy'])}"
+            if finding["remedy"]
+            else ""
+        )
+        words = (
+            f"{place}{where}: {finding['said']}."
+            if place or where
+            else finding["said"] + "."
+        )
+        colour, severity = SEVERITY_COLOURS[finding["severity"]], finding["severity"]
+        console.print(
+            f"[{colour}]{severity}[/] {escape(with_program_name(words + remedy))}",
+            highlight=False,
+            soft_wrap=True,
+        )
     if found.get("effects"):
-        console.print(effects(found["effects"]), EFFECTS, highlight=False)
-    count = {s: sum(f["severity"] == s for f in found["findings"]) for s in COLOURS}
-    counted = ", ".join(f"{n} {s}{'s' if n > 1 else ''}" for s, n in count.items() if n) or "nothing looks wrong"
+        console.print(effect_table(found["effects"]), EFFECTS, highlight=False)
+    count = {
+        s: sum(f["severity"] == s for f in found["findings"]) for s in SEVERITY_COLOURS
+    }
+    counted = (
+        ", ".join(f"{n} {s}{'s' if n > 1 else ''}" for s, n in count.items() if n)
+        or "nothing looks wrong"
+    )
     usable = f"{len(found['trials'])} trial{'s' if len(found['trials']) > 1 else ''}; {counted}"
-    said = f"[bold green]Usable[/]: {usable}." if found["usable"] else f"[bold red]Not usable[/]: {counted}."
+    said = (
+        f"[bold green]Usable[/]: {usable}."
+        if found["usable"]
+        else f"[bold red]Not usable[/]: {counted}."
+    )
     console.print(said, soft_wrap=True)
 
 
-def trials(rows: Sequence[Mapping[str, Any]]) -> Table:
+def trial_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """A line for each trial that can be used."""
     table = Table(box=None, pad_edge=False)
-    headings = ("trial", "seen [s]", "with arm [s]", "frames", "per s", "arm per s", "points", "noise [mm]", "hand [m]")
+    headings = (
+        "trial",
+        "seen [s]",
+        "with arm [s]",
+        "frames",
+        "per s",
+        "arm per s",
+        "points",
+        "noise [mm]",
+        "hand [m]",
+    )
     for heading in headings:
-        table.add_column(escape(heading), justify="left" if heading == "trial" else "right")
+        table.add_column(
+            escape(heading), justify="left" if heading == "trial" else "right"
+        )
     table.add_column("begins")
     for each in rows:
-        rates = (number(each[name], "{:.0f}") for name in ("fps", "hand_rate", "points"))
-        noise = number(None if each["noise"] is None else each["noise"] * 1e3, "{:.2f}")
-        times = (f"{each['duration']:.2f}", f"{each['common']:.2f}", str(each["frames"]))
-        table.add_row(Text(each["trial"]), *times, *rates, noise, f"{each['path']:.2f}", each["begins"])
+        rates = (
+            format_number(each[name], "{:.0f}")
+            for name in ("fps", "hand_rate", "points")
+        )
+        noise = format_number(
+            None if each["noise"] is None else each["noise"] * 1e3, "{:.2f}"
+        )
+        times = (
+            f"{each['duration']:.2f}",
+            f"{each['common']:.2f}",
+            str(each["frames"]),
+        )
+        table.add_row(
+            Text(each["trial"]),
+            *times,
+            *rates,
+            noise,
+            f"{each['path']:.2f}",
+            each["begins"],
+        )
     return table
 
 
-def effects(rows: Sequence[Mapping[str, Any]]) -> Table:
+def effect_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """A line for each parameter that is an effect's size."""
     table = Table(box=None, pad_edge=False)
     for heading in ("effect", "found from", "tip [mm]", "like the string", "taken for"):
-        table.add_column(escape(heading), justify="left" if heading in ("effect", "taken for") else "right")
+        table.add_column(
+            escape(heading),
+            justify="left" if heading in ("effect", "taken for") else "right",
+        )
     for each in rows:
-        tip = number(each["tip_m"] and each["tip_m"] * 1e3, "{:.1f}")
+        tip = format_number(each["tip_m"] and each["tip_m"] * 1e3, "{:.1f}")
         name = f"{each['effect']}.{each['parameter']}"
-        table.add_row(name, found_from(each), tip, f"{each['imitated']:.0%}", ", ".join(each["alike"]) or "-")
+        table.add_row(
+            name,
+            found_from(each),
+            tip,
+            f"{each['imitated']:.0%}",
+            ", ".join(each["alike"]) or "-",
+        )
     return table
 
 
-def number(value: float | None, form: str) -> str:
+def format_number(value: float | None, form: str) -> str:
     """A number, or a dash where it is not known."""
     return "-" if value is None else form.format(value)

@@ -1,4 +1,6 @@
-"""Write a small start of an arm, a camera, an effect or a stage of your own, that works as it is."""
+"""Write a small start of an arm, a camera, an effect or a stage of your own, that works
+as it is.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +11,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from stringcast.data.store import write_text
-from stringcast.pipeline.commands import Arguments
-from stringcast.pipeline.settings import CONF, UserError
-from stringcast.pipeline.terminal import Terminal, called_as
+from stringcast.pipeline.cli.terminal import Terminal, program_name
+from stringcast.pipeline.commands import CommandParser
+from stringcast.pipeline.settings.typed_settings import CONF_FOLDER, UserError
 
-ROOMS = CONF.parent
-NAME = re.compile(r"[a-z][a-z0-9_]*")
-EFFECT = '''\
+PROJECT_FOLDER = CONF_FOLDER.parent
+NAME_PATTERN = re.compile(r"[a-z][a-z0-9_]*")
+EFFECT_TEMPLATE = '''\
 """Say in a line what is so: here the whole string is pulled to the right."""
 
 from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero
@@ -39,7 +41,7 @@ class {Name}(StringEffect):
     def acceleration(strength: Quantity) -> tuple[Quantity, Quantity]:  # one of the slots in slots.py
         return strength, 0.0 * strength
 '''
-STAGE = '''\
+STAGE_TEMPLATE = '''\
 """{Name}: say in a line what it finds out; here how far the tip of each trial goes from where it begins."""
 
 from dataclasses import dataclass
@@ -81,7 +83,7 @@ STAGE = StageSpec(
     summary=summary,
 )
 '''
-FUNCTION = '''\
+FUNCTION_TEMPLATE = '''\
 """How far a tip goes."""
 
 from collections.abc import Sequence
@@ -117,7 +119,7 @@ def {name}(
         rows += [{{"trial": trial.trial, "sway": far}}] if far > least else []
     return {Name}(FARTHEST.check(pd.DataFrame(rows)))
 '''
-SETTINGS = """\
+SETTINGS_TEMPLATE = """\
 # What is to be set of it; each is a keyword of the function.
 _target_: stages.{name}.{name}.{name}
 least: 0.0   # that is told of [m]
@@ -126,16 +128,16 @@ least: 0.0   # that is told of [m]
 
 def main(arguments: Sequence[str]) -> int:
     """Write the files; 0."""
-    parser = Arguments("python -m pipeline new", description=__doc__)
-    parser.add_argument("kind", choices=list(KINDS), help="of what")
+    parser = CommandParser("python -m pipeline new", description=__doc__)
+    parser.add_argument("kind", choices=list(FILES_OF_KIND), help="of what")
     parser.add_argument("name", help="its name: small letters, digits and _")
     asked = parser.parse_args(arguments)
-    if not NAME.fullmatch(asked.name) or keyword.iskeyword(asked.name):
+    if not NAME_PATTERN.fullmatch(asked.name) or keyword.iskeyword(asked.name):
         near = re.sub(r"\W+", "_", asked.name.lower()).strip("_0123456789") or "mine"
         raise UserError(
-            f"{asked.name}: a name is of small letters, digits and _. Try: {called_as()} new {asked.kind} {near}"
+            f"{asked.name}: a name is of small letters, digits and _. Try: {program_name()} new {asked.kind} {near}"
         )
-    files, use = KINDS[asked.kind](asked.name)
+    files, use = FILES_OF_KIND[asked.kind](asked.name)
     for path in files:
         if path.exists():
             raise UserError(f"{path}: it is there already. Choose another name.")
@@ -143,55 +145,86 @@ def main(arguments: Sequence[str]) -> int:
         write_text(path, text)
     console = Terminal()
     for path in files:
-        shown = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
-        console.print(f"Written: {shown}", highlight=False, markup=False, soft_wrap=True)
-    console.print(f"Try it: {called_as()} {use}", highlight=False, markup=False, soft_wrap=True)
+        shown = (
+            path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+        )
+        console.print(
+            f"Written: {shown}", highlight=False, markup=False, soft_wrap=True
+        )
+    console.print(
+        f"Try it: {program_name()} {use}", highlight=False, markup=False, soft_wrap=True
+    )
     return 0
 
 
 Files = dict[Path, str]
 
 
-def arm(name: str) -> tuple[Files, str]:
+def arm_files(name: str) -> tuple[Files, str]:
     """The settings of an arm: those of the paper's, to be changed."""
-    return settings("arm", name, "paper"), f"+experiment=quick arm={name}"
+    return copied_settings("arm", name, "paper"), f"+experiment=quick arm={name}"
 
 
-def camera(name: str) -> tuple[Files, str]:
+def camera_files(name: str) -> tuple[Files, str]:
     """Settings of a camera: those of the paper's bench, to be changed or measured."""
-    return settings("camera", name, "highspeed"), f"+experiment=stringB method=robust camera={name}"
+    return copied_settings(
+        "camera", name, "highspeed"
+    ), f"+experiment=stringB method=robust camera={name}"
 
 
-def settings(group: str, name: str, like: str) -> Files:
-    """An option of a group of settings, made of another whose comments say what each is."""
-    text = (CONF / group / f"{like}.yaml").read_text(encoding="utf-8")
+def copied_settings(group: str, name: str, like: str) -> Files:
+    """An option of a group of settings, made of another whose comments say what each
+    is.
+    """
+    text = (CONF_FOLDER / group / f"{like}.yaml").read_text(encoding="utf-8")
     own = [line for line in text.splitlines() if not line.startswith("#")]
     return {
-        CONF / group / f"{name}.yaml": "\n".join([f"# {name}: a copy of {like}. Change what is different.", *own, ""])
+        CONF_FOLDER / group / f"{name}.yaml": "\n".join(
+            [f"# {name}: a copy of {like}. Change what is different.", *own, ""]
+        )
     }
 
 
-def effect(name: str) -> tuple[Files, str]:
-    """An effect, among those of the library or in the first of the folders that STRINGCAST_EFFECTS names."""
-    elsewhere = [folder for folder in os.environ.get("STRINGCAST_EFFECTS", "").split(os.pathsep) if folder]
-    folder = Path(elsewhere[0]) if elsewhere else ROOMS / "stages" / "model" / "effects"
-    return {folder / f"{name}.py": filled(EFFECT, name)}, f"+experiment=quick 'effects=[{name}]' estimate=least_squares"
+def effect_files(name: str) -> tuple[Files, str]:
+    """An effect, among those of the library or in the first of the folders that
+    STRINGCAST_EFFECTS names.
+    """
+    elsewhere = [
+        folder
+        for folder in os.environ.get("STRINGCAST_EFFECTS", "").split(os.pathsep)
+        if folder
+    ]
+    folder = (
+        Path(elsewhere[0])
+        if elsewhere
+        else PROJECT_FOLDER / "stages" / "model" / "effects"
+    )
+    return {
+        folder / f"{name}.py": fill_template(EFFECT_TEMPLATE, name)
+    }, f"+experiment=quick 'effects=[{name}]' estimate=least_squares"
 
 
-def stage(name: str) -> tuple[Files, str]:
+def stage_files(name: str) -> tuple[Files, str]:
     """A stage: a folder and a group of settings."""
-    folder = ROOMS / "stages" / name
+    folder = PROJECT_FOLDER / "stages" / name
     files = {
-        folder / "__init__.py": filled(STAGE, name),
-        folder / f"{name}.py": filled(FUNCTION, name),
-        CONF / name / "plain.yaml": filled(SETTINGS, name),
+        folder / "__init__.py": fill_template(STAGE_TEMPLATE, name),
+        folder / f"{name}.py": fill_template(FUNCTION_TEMPLATE, name),
+        CONF_FOLDER / name / "plain.yaml": fill_template(SETTINGS_TEMPLATE, name),
     }
     return files, f"+{name}=plain mode=batch mode.stage={name} trials=data/sample"
 
 
-KINDS: dict[str, Callable[[str], tuple[Files, str]]] = {"arm": arm, "camera": camera, "effect": effect, "stage": stage}
+FILES_OF_KIND: dict[str, Callable[[str], tuple[Files, str]]] = {
+    "arm": arm_files,
+    "camera": camera_files,
+    "effect": effect_files,
+    "stage": stage_files,
+}
 
 
-def filled(text: str, name: str) -> str:
+def fill_template(text: str, name: str) -> str:
     """A template with a name put in, as it is and as a class is called."""
-    return text.format(name=name, Name="".join(part.capitalize() for part in name.split("_")))
+    return text.format(
+        name=name, Name="".join(part.capitalize() for part in name.split("_"))
+    )

@@ -1,4 +1,6 @@
-"""Write an empty dataset to be filled in: tables with their columns, and a dataset.yaml that says what is what."""
+"""Write an empty dataset to be filled in: tables with their columns, and a dataset.yaml
+that says what is what.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +10,14 @@ from pathlib import Path
 from stringcast.data import disk
 from stringcast.data.artifacts import ARM, GRASP, POINTS
 from stringcast.data.dataset import with_trial
-from stringcast.data.metadata import NAME
+from stringcast.data.metadata import DATASET_FILE
 from stringcast.data.schema import Table
-from stringcast.data.store import whole
-from stringcast.pipeline.commands import Arguments
-from stringcast.pipeline.settings import UserError
-from stringcast.pipeline.terminal import Terminal, called_as
+from stringcast.data.store import write_atomically
+from stringcast.pipeline.cli.terminal import Terminal, program_name
+from stringcast.pipeline.commands import CommandParser
+from stringcast.pipeline.settings.typed_settings import UserError
 
-ABOUT = """\
+METADATA_TEMPLATE = """\
 # A dataset: one string, several trials. All is in metres, seconds and radians, x to the right, y up, angles
 # counter-clockwise from +x. Only `format` must be there; take out what you do not know.
 format: 1
@@ -44,31 +46,50 @@ arm:
 
 def main(arguments: Sequence[str]) -> int:
     """Write an empty dataset to be filled in; the exit status."""
-    parser = Arguments("python -m pipeline template", description=__doc__)
+    parser = CommandParser("python -m pipeline template", description=__doc__)
     parser.add_argument("folder", type=Path, help="to be made")
-    parser.add_argument("--poses", action="store_true", help="with poses of the hand instead of angles of joints")
+    parser.add_argument(
+        "--poses",
+        action="store_true",
+        help="with poses of the hand instead of angles of joints",
+    )
     asked = parser.parse_args(arguments)
     if asked.folder.exists():
         raise UserError(f"{asked.folder}: it is there already. Name another folder.")
     hand = GRASP if asked.poses else ARM
-    with whole(asked.folder) as aside:
+    with write_atomically(asked.folder) as aside:
         disk.make_folder(aside)
         for table in (hand, POINTS):
-            needed = [column.name for column in with_trial(table).columns if not column.optional]
+            needed = [
+                column.name
+                for column in with_trial(table).columns
+                if not column.optional
+            ]
             disk.write(aside / f"{table.name}.csv", (",".join(needed) + "\n").encode())
-        motion, points = (f"{table.name}.csv: {columns(table)}." for table in (hand, POINTS))
+        motion, points = (
+            f"{table.name}.csv: {describe_columns(table)}." for table in (hand, POINTS)
+        )
         lines = "" if hand is GRASP else ARM_LINES
-        about = ABOUT.format(name=asked.folder.name, hand=lines, motion=motion, points=points)
-        disk.write(aside / NAME, about.encode())
+        about = METADATA_TEMPLATE.format(
+            name=asked.folder.name, hand=lines, motion=motion, points=points
+        )
+        disk.write(aside / DATASET_FILE, about.encode())
     console = Terminal()
     console.print(
-        f"{asked.folder}: {hand.name}.csv, {POINTS.name}.csv, {NAME}. Fill them in.", highlight=False, markup=False
+        f"{asked.folder}: {hand.name}.csv, {POINTS.name}.csv, {DATASET_FILE}. Fill them in.",
+        highlight=False,
+        markup=False,
     )
-    console.print(f"Then: {called_as()} check {asked.folder}", highlight=False, markup=False, soft_wrap=True)
+    console.print(
+        f"Then: {program_name()} check {asked.folder}",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
     return 0
 
 
-def columns(table: Table) -> str:
+def describe_columns(table: Table) -> str:
     """All columns of a table with unit and meaning, a line each."""
     said = (
         f"{column.name} ({column.meaning}{f' [{column.unit}]' if column.unit else ''}{', optional' * column.optional})"

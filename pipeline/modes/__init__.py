@@ -1,4 +1,6 @@
-"""Modes: a class for each loop over stages that differs; `mode` in the settings names one."""
+"""Modes: a class for each loop over stages that differs; `mode` in the settings names
+one.
+"""
 
 from stringcast.pipeline.modes.batch import Batch
 from stringcast.pipeline.modes.calibrate import Calibrate

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from stringcast.data.artifacts import Motion, Points, TrialSet
-from stringcast.pipeline.experiment import ALL, Experiment
-from stringcast.pipeline.iterations import Executor, History, Iteration
-from stringcast.pipeline.modes.stepwise import Stepwise, needs_none
-from stringcast.pipeline.registry import stages
-from stringcast.pipeline.result import Result
-from stringcast.pipeline.settings import UserError, allowed
-from stringcast.pipeline.targets import DRY_RUNS
+from stringcast.pipeline.modes.stepwise import Stepwise, refuse_trials
+from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
+from stringcast.pipeline.run.iterations import Executor, History, Iteration
+from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.settings.allowed_callables import DRY_RUNS
+from stringcast.pipeline.settings.stage_registry import stages
+from stringcast.pipeline.settings.typed_settings import UserError, require_allowed
 from stringcast.stages.align.undo import in_arms_frame
 from stringcast.stages.hit_test import check_reach, hit_test
 
@@ -29,81 +29,119 @@ class Cast(Stepwise):
     stages: tuple[str, ...]
 
     def check(self, experiment: Experiment) -> None:
-        needs_none(experiment)
-        known_stages(self.stages)
+        refuse_trials(experiment)
+        refuse_unknown_stages(self.stages)
         check_reach(experiment.target, experiment.arm, experiment.string.length)
 
-    def moves(self, config: Mapping[str, Any]) -> bool:
+    def moves_arm(self, config: Mapping[str, Any]) -> bool:
         return config["trials"] is None and "execute" in self.stages
 
-    def work(
-        self, experiment: Experiment, folder: Path, executor: Executor, before: Sequence[Iteration] = ()
-    ) -> Result:
+    def run_steps(
+        self,
+        experiment: Experiment,
+        folder: Path,
+        executor: Executor,
+        before: Sequence[Iteration] = (),
+    ) -> RunResult:
         """Cast until a trial hits. before: casts made already, which count."""
         history = History(executor, [*before])
-        by = allowed(experiment.config["execute"]["_target_"], "execute", "config.json")
+        by = require_allowed(
+            experiment.config["execute"]["_target_"], "execute", "config.json"
+        )
         dry = by in DRY_RUNS
         casts = 1 if dry else experiment.config["manipulations"]
-        while len(history.iterations) < casts and not (history.iterations and history.iterations[-1].hit):
-            current = history.begin()
+        while len(history.iterations) < casts and not (
+            history.iterations and history.iterations[-1].has_hit
+        ):
+            current = history.begin_iteration()
             for name in self.stages:
                 if "trials" not in stages()[name].inputs:
-                    history.make(name)
-                elif not current.refused:  # nothing is learned from a trial that cannot be trusted
-                    history.make(name, trials=remembered(experiment, history.iterations))
+                    history.make_artifact(name)
+                # nothing is learned from a trial that cannot be trusted
+                elif not current.refusal_reason:
+                    history.make_artifact(
+                        name,
+                        trials=trials_for_estimation(experiment, history.iterations),
+                    )
             log_fit(current)
             # whether it hit is asked of the tip as it was measured
-            motion: Motion = current.done["motion"]
-            points: Points = current.done["points"]
+            motion: Motion = current.artifacts["motion"]
+            points: Points = current.artifacts["points"]
             there = in_arms_frame(points, experiment.model)
-            verdict = hit_test(there, experiment.target, experiment.obstacles, motion.duration)
-            log.info("cast %d: the tip came within %.1f mm of the target", current.number, 1e3 * verdict.distance)
-            if current.refused:
-                log.warning("cast %d: nothing is estimated from its trial: %s", current.number, current.refused)
+            verdict = hit_test(
+                there, experiment.target, experiment.obstacles, motion.duration
+            )
+            log.info(
+                "cast %d: the tip came within %.1f mm of the target",
+                current.number,
+                1e3 * verdict.distance,
+            )
+            if current.refusal_reason:
+                log.warning(
+                    "cast %d: nothing is estimated from its trial: %s",
+                    current.number,
+                    current.refusal_reason,
+                )
             history.iterations[-1] = replace(current, verdict=verdict)
             executor.publish(history.iterations)
         made = tuple(history.iterations)
-        return Result(folder, made, dry_run(made[-1]) if dry else ended(made))
+        return RunResult(
+            folder, made, dry_run_outcome(made[-1]) if dry else cast_outcome(made)
+        )
 
 
-def known_stages(names: Sequence[str]) -> None:
+def refuse_unknown_stages(names: Sequence[str]) -> None:
     """Raise UserError for a name that no stage has."""
     for name in names:
         if name not in stages():
-            raise UserError(f"mode: there is no stage {name!r}. Known are: {', '.join(stages())}.")
+            raise UserError(
+                f"mode: there is no stage {name!r}. Known are: {', '.join(stages())}."
+            )
 
 
-def remembered(experiment: Experiment, iterations: Sequence[Iteration]) -> TrialSet:
-    """The trials that can be trusted and that an estimation looks at: the last ones, or all."""
-    seen = [i for i in iterations if "points" in i.done and not i.refused]
+def trials_for_estimation(
+    experiment: Experiment, iterations: Sequence[Iteration]
+) -> TrialSet:
+    """The trials that can be trusted and that an estimation looks at: the last ones, or
+    all.
+    """
+    seen = [i for i in iterations if "points" in i.artifacts and not i.refusal_reason]
     used = experiment.config["trials_used"]
-    last = seen if used == ALL else seen[-used:]
-    return TrialSet(tuple(i.observation for i in last), numbers=tuple(i.number for i in last))
+    last = seen if used == ALL_TRIALS else seen[-used:]
+    return TrialSet(
+        tuple(i.observation for i in last),
+        iteration_numbers=tuple(i.number for i in last),
+    )
 
 
 def log_fit(iteration: Iteration) -> None:
     """Note how an estimation went, if there was one."""
-    if "estimate" not in iteration.done:
+    if "estimate" not in iteration.artifacts:
         return
-    fit = iteration.done["estimate"].fit.iloc[0]
+    fit = iteration.artifacts["estimate"].fit.iloc[0]
     rate, off = fit[["before", "after"]], 1e3 * fit[["rms_before", "rms_after"]]
     words = "estimate %d: E %.3f to %.3f, rms %.1f to %.1f mm. %s"
     log.info(words, iteration.number, *rate, *off, fit["sentence"])
 
 
-def ended(iterations: Sequence[Iteration]) -> str:
+def cast_outcome(iterations: Sequence[Iteration]) -> str:
     """The outcome of the casts in a sentence."""
     last = iterations[-1]
-    if last.hit:
+    if last.has_hit:
         return f"The tip reached the target in manipulation {last.number}."
     tries = f"{len(iterations)} manipulation{'s' if len(iterations) > 1 else ''}"
     return f"The tip did not reach the target in {tries}; the budget is spent."
 
 
-def dry_run(iteration: Iteration) -> str:
-    """The result of a dry run: how the link carries the ticks, and whether the string can be read."""
-    link, read = iteration.done["trial"].link.iloc[0], iteration.done["points"].readings["valid"]
-    unread = iteration.done["points"].readings.loc[~read.astype(bool), "reason"]
+def dry_run_outcome(iteration: Iteration) -> str:
+    """The result of a dry run: how the link carries the ticks, and whether the string
+    can be read.
+    """
+    link, read = (
+        iteration.artifacts["trial"].link.iloc[0],
+        iteration.artifacts["points"].readings["valid"],
+    )
+    unread = iteration.artifacts["points"].readings.loc[~read.astype(bool), "reason"]
     why = f" (most often: {unread.mode().iloc[0]})" if len(unread) else ""
     parts = [
         f"commands went out {link['jitter_p50'] * 1e3:.2f} ms late (99 %: {link['jitter_p99'] * 1e3:.2f})",
@@ -111,5 +149,8 @@ def dry_run(iteration: Iteration) -> str:
         f"the string was read in {int(read.sum())} of {len(read)} frames{why}",
     ]
     if "trip_p50" in link:  # which a virtual arm has none of
-        parts.insert(0, f"a round trip takes {link['trip_p50'] * 1e3:.2f} ms (99 %: {link['trip_p99'] * 1e3:.2f})")
-    return f"Dry run: {', '.join(parts)}. Nothing is learned from it: {iteration.refused}."
+        parts.insert(
+            0,
+            f"a round trip takes {link['trip_p50'] * 1e3:.2f} ms (99 %: {link['trip_p99'] * 1e3:.2f})",
+        )
+    return f"Dry run: {', '.join(parts)}. Nothing is learned from it: {iteration.refusal_reason}."

@@ -1,4 +1,6 @@
-"""A run that is made of steps, each kept in its folder: it can be gone on with, verified and asked what is stale."""
+"""A run that is made of steps, each kept in its folder: it can be gone on with,
+verified and asked what is stale.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +10,14 @@ from pathlib import Path
 
 from rich.markup import escape
 
-from stringcast.pipeline import run_folder
-from stringcast.pipeline.console import bars, show
-from stringcast.pipeline.experiment import Experiment, Mode
-from stringcast.pipeline.iterations import Executor
-from stringcast.pipeline.layout import ENDED
-from stringcast.pipeline.result import Result
-from stringcast.pipeline.settings import UserError
-from stringcast.pipeline.terminal import Terminal
+from stringcast.pipeline.cli.console import print_summary, progress_bars
+from stringcast.pipeline.cli.terminal import Terminal
+from stringcast.pipeline.run import run_folder
+from stringcast.pipeline.run.experiment import Experiment, Mode
+from stringcast.pipeline.run.file_names import SUMMARY_FILE
+from stringcast.pipeline.run.iterations import Executor
+from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.settings.typed_settings import UserError
 from stringcast.stages.execute.interfaces import HardwareError
 
 
@@ -23,33 +25,45 @@ class Stepwise(Mode):
     """A mode whose steps an executor makes or looks up."""
 
     @abstractmethod
-    def work(self, experiment: Experiment, folder: Path, executor: Executor) -> Result:
+    def run_steps(
+        self, experiment: Experiment, folder: Path, executor: Executor
+    ) -> RunResult:
         """All steps in their order. folder: the run's."""
 
-    def perform(self, experiment: Experiment, folder: Path, console: Terminal) -> Result:
-        """Make the steps, the report, and at last run.json, whose presence says that all is there. Raises
-        KeyboardInterrupt instead of that where a step was interrupted, and ended with what it knew."""
-        if self.moves(experiment.config) and not (folder / ENDED).exists():
+    def perform(
+        self, experiment: Experiment, folder: Path, console: Terminal
+    ) -> RunResult:
+        """Make the steps, the report, and at last run.json, whose presence says that
+        all is there. Raises KeyboardInterrupt instead of that where a step was
+        interrupted, and ended with what it knew.
+        """
+        if self.moves_arm(experiment.config) and not (folder / SUMMARY_FILE).exists():
             check_devices(experiment)
-        with bars(console) as bar:
-            kept = run_folder.RunFolder(experiment, folder, bar, lambda words: console.print(escape(words)))
-            result = self.work(experiment, folder, kept)
+        with progress_bars(console) as bar:
+            kept = run_folder.RunFolder(
+                experiment, folder, bar, lambda words: console.print(escape(words))
+            )
+            result = self.run_steps(experiment, folder, kept)
             if "report" in experiment.config["keep"]:
                 with bar("report"):  # which draws: it takes a second and more to load
-                    import_module("stringcast.pipeline.report").write(experiment, result)
-            run_folder.leave(result)
+                    import_module("stringcast.pipeline.run.report").write(
+                        experiment, result
+                    )
+            run_folder.write_stage_files(result)
             if not kept.interrupted:
-                run_folder.end(result)
+                run_folder.write_summary(result)
         if "frames" not in experiment.config["keep"] and not kept.interrupted:
-            run_folder.without_frames(experiment, result)
-        show(result, console)
+            run_folder.remove_frames(experiment, result)
+        print_summary(result, console)
         if kept.interrupted:
             raise KeyboardInterrupt
         return result
 
 
 def check_devices(experiment: Experiment) -> None:
-    """Open arm and camera before anything is planned for them. Raises HardwareError with all that is wrong of both."""
+    """Open arm and camera before anything is planned for them. Raises HardwareError
+    with all that is wrong of both.
+    """
     lab = experiment.lab(1)
     faults = []
     for device in (lab.arm, lab.camera):
@@ -62,13 +76,15 @@ def check_devices(experiment: Experiment) -> None:
         raise HardwareError("\n".join(faults))
 
 
-def needs_trials(experiment: Experiment) -> None:
+def require_trials(experiment: Experiment) -> None:
     """Raise UserError where no stored trials are named."""
     if experiment.config["trials"] is None:
-        raise UserError("trials = null: this mode looks at stored trials. Give trials=<folder>, or another mode.")
+        raise UserError(
+            "trials = null: this mode looks at stored trials. Give trials=<folder>, or another mode."
+        )
 
 
-def needs_none(experiment: Experiment) -> None:
+def refuse_trials(experiment: Experiment) -> None:
     """Raise UserError where stored trials are named."""
     if experiment.config["trials"] is not None:
         trials = experiment.config["trials"]

@@ -1,1 +1,3 @@
-"""Studies: many runs from one description, of which tables, pictures and a sentence are made."""
+"""Studies: many runs from one description, of which tables, pictures and a sentence are
+made.
+"""

@@ -24,9 +24,17 @@ def counted(right: pd.Series) -> dict[str, float]:
     if n == 0:
         return {"right": 0, "count": 0, "share": np.nan, "low": 0.0, "high": 1.0}
     interval = binomtest(k, n).proportion_ci(0.95, method="exact")
-    return {"right": k, "count": n, "share": k / n, "low": interval.low, "high": interval.high}
+    return {
+        "right": k,
+        "count": n,
+        "share": k / n,
+        "low": interval.low,
+        "high": interval.high,
+    }
 
 
 def bars(some: pd.DataFrame) -> np.ndarray:
-    """Distances of the intervals' ends from the shares, (2, K), as error bars are drawn. some: with COUNTS."""
+    """Distances of the intervals' ends from the shares, (2, K), as error bars are
+    drawn. some: with COUNTS.
+    """
     return np.abs(some[["low", "high"]].to_numpy().T - some["share"].to_numpy())

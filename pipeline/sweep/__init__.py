@@ -1,1 +1,3 @@
-"""Sweeps: many runs, begun by one command, on this machine or a cluster; see README.md in this folder."""
+"""Sweeps: many runs, begun by one command, on this machine or a cluster; see README.md
+in this folder.
+"""

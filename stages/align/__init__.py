@@ -1,4 +1,6 @@
-"""Align: rotation, origin and scale of the camera in the arm's frame, and the offset of their clocks, as measured."""
+"""Align: rotation, origin and scale of the camera in the arm's frame, and the offset of
+their clocks, as measured.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +22,22 @@ def summary(made: Alignment) -> Summary:
             "value": f"{row.value:.2e}",
             "95 % interval": f"{row.low:.2e} to {row.high:.2e}",
             "unit": row.unit,
-            "": "" if not row.low <= 0 <= row.high else "may be 0" if row.found else "not seen",
+            "": ""
+            if not row.low <= 0 <= row.high
+            else "may be 0"
+            if row.found
+            else "not seen",
         }
         for row in made.measured.itertuples()
     ]
-    return Summary("camera and clock against the arm", made.sentence, pd.DataFrame(rows))
+    return Summary(
+        "camera and clock against the arm", made.sentence, pd.DataFrame(rows)
+    )
 
 
 def files(made: Alignment, ahead: Path) -> Mapping[str, str]:
     """The model with the alignment, as settings."""
-    return {EXTENDED: made.extended}
+    return {EXTENDED: made.extended_yaml}
 
 
 STAGE = StageSpec(

@@ -1,4 +1,6 @@
-"""Align: how the camera and its clock stand to the arm, measured from a motion that both saw."""
+"""Align: how the camera and its clock stand to the arm, measured from a motion that
+both saw.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +12,29 @@ import pandas as pd
 import yaml
 from pydantic import Field
 
-from stringcast.data.alignment import ALIGNED, MEASURED, SEEN, Alignment
+from stringcast.data.alignment import (
+    ALIGNMENT_SUMMARY,
+    MEASURED_PARAMETERS,
+    SIGHTINGS,
+    Alignment,
+)
 from stringcast.data.artifacts import Film, Observation, TrialSet
 from stringcast.data.schema import DataError
-from stringcast.stages.align.fit import ALWAYS, SOUGHT, Fit, Problem, chosen, measuring, more
+from stringcast.stages.align.fit import (
+    ALWAYS,
+    SOUGHT,
+    Fit,
+    Problem,
+    chosen,
+    measuring,
+    more,
+)
 from stringcast.stages.align.grasp import from_points
 from stringcast.stages.align.lookalike import LAG, OFFSET, likelihood, most_lag
 from stringcast.stages.align.outline import from_films
 from stringcast.stages.align.refuse import refuse_fit, refuse_sight, speed
 from stringcast.stages.common import Progress, rms
-from stringcast.stages.model.library import named
+from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.spec import Call
 
@@ -28,7 +43,9 @@ AIM = 1e-3  # [s] to which the clocks should be known
 
 def run(call: Call, trials: TrialSet) -> Alignment:
     """The alignment in all trials, as a stage."""
-    made: Alignment = call.by(call.setup.model, trials.observations, trials.films, progress=call.progress)
+    made: Alignment = call.by(
+        call.setup.model, trials.observations, trials.films, progress=call.progress
+    )
     return made
 
 
@@ -42,16 +59,28 @@ def align(
 ) -> Alignment:
     """The alignment of camera and arm in all trials together.
 
-    films: of trials that were filmed, by name: in these the arm's outline is read; of others the points at the grasp
-    are taken. arm_width: of the links [m]. Raises DataError where the data cannot tell, with the reason.
+    films: of trials that were filmed, by name: in these the arm's outline is read; of
+    others the points at the grasp are taken. arm_width: of the links [m]. Raises
+    DataError where the data cannot tell, with the reason.
     """
     if not observations:
-        raise DataError("there is no trial that can be used. Look at the reasons given for each.")
+        raise DataError(
+            "there is no trial that can be used. Look at the reasons given for each."
+        )
     full = measuring(model)
     filmed = {name: film for name, film in films.items() if film.arm is not None}
-    seen = from_films(full, filmed, arm_width, lambda share: progress(0.6 * share)) if filmed else ()
-    by_points = tuple(from_points(o, model.arm) for o in observations if o.trial not in filmed)
-    problem = Problem(full, tuple(trial for trial in (*seen, *by_points) if len(trial.sightings.frame)))
+    seen = (
+        from_films(full, filmed, arm_width, lambda share: progress(0.6 * share))
+        if filmed
+        else ()
+    )
+    by_points = tuple(
+        from_points(o, model.arm) for o in observations if o.trial not in filmed
+    )
+    problem = Problem(
+        full,
+        tuple(trial for trial in (*seen, *by_points) if len(trial.sightings.frame)),
+    )
     refuse_sight(problem)
     fit = chosen(problem)
     progress(0.8)
@@ -60,17 +89,27 @@ def align(
 
 
 def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
-    """The artifact of a fit: parameters with their ranges, sightings before and after, and the sentence."""
+    """The artifact of a fit: parameters with their ranges, sightings before and after,
+    and the sentence.
+    """
     alike = likelihood(problem, fit)
     lag = most_lag(alike, fit)
     measured = measured_table(problem, fit, lag)
-    before = problem.off(problem.parameters(ALWAYS), np.zeros((1, len(problem.parameters(ALWAYS)))))[0]
+    before = problem.off(
+        problem.parameters(ALWAYS), np.zeros((1, len(problem.parameters(ALWAYS))))
+    )[0]
     after = fit.residual * problem.sigma
 
     # the model with the alignment, as settings that other experiments take
     ours = {*ALWAYS, *SOUGHT}
-    others = [e.name for e in model.effects if "." in (e.qualified(e.parameters[0]) if e.parameters else ".")]
-    known: dict[str, object] = {n: v for n, v in model.known.items() if n.split(".")[0] not in ours}
+    others = [
+        e.name
+        for e in model.effects
+        if "." in (e.qualified_name(e.parameters[0]) if e.parameters else ".")
+    ]
+    known: dict[str, object] = {
+        n: v for n, v in model.start_values.items() if n.split(".")[0] not in ours
+    }
     for found in measured[measured["found"]].itertuples():
         known[found.name] = {"value": found.value, "low": found.low, "high": found.high}
     effects = sorted({*others, *fit.effects} - {"gravity"} - (ours - {*fit.effects}))
@@ -82,56 +121,100 @@ def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
         "noise": rms(problem.sigma),
         "speed": max(speed(model.arm, trial) for trial in problem.trials),
         "most_lag": lag,
-        "extended": yaml.safe_dump({"effects": effects, "known": known}, sort_keys=False),
+        "extended": yaml.safe_dump(
+            {"effects": effects, "known": known}, sort_keys=False
+        ),
     }
     parts = []
     for trial in problem.trials:
         s = trial.sightings
-        columns = {"trial": trial.name, "t": s.times[s.frame], "link": s.link, "share": s.share, "sigma": s.sigma}
-        columns |= dict(zip(("x", "y", "along_x", "along_y"), (*s.seen.T, *s.along.T), strict=True))
+        columns = {
+            "trial": trial.name,
+            "t": s.times[s.frame],
+            "link": s.link,
+            "share": s.share,
+            "sigma": s.sigma,
+        }
+        columns |= dict(
+            zip(("x", "y", "along_x", "along_y"), (*s.seen.T, *s.along.T), strict=True)
+        )
         parts.append(pd.DataFrame(columns))
-    seen = SEEN.check(pd.concat(parts, ignore_index=True).assign(before=before, after=after))
-    return Alignment(measured, seen, alike, ALIGNED.check(pd.DataFrame([row])))
+    seen = SIGHTINGS.check(
+        pd.concat(parts, ignore_index=True).assign(before=before, after=after)
+    )
+    return Alignment(
+        measured, seen, alike, ALIGNMENT_SUMMARY.check(pd.DataFrame([row]))
+    )
 
 
 def measured_table(problem: Problem, fit: Fit, lag: float) -> pd.DataFrame:
-    """Table MEASURED. An interval holds whether what was looked for and not seen is there unseen or not, but for a lag.
+    """Table MEASURED. An interval holds whether what was looked for and not seen is
+    there unseen or not, but for a lag.
 
     lag: up to which one would not be seen [s].
     """
     others = [name for name in SOUGHT if name not in (*fit.effects, "arm_lag")]
     free = more(problem, fit, *others)
-    ends = {name: (x, x - r, x + r) for name, x, r in zip(free.names, free.x, free.reach, strict=True)}
-    own = {name: (x, x - r, x + r) for name, x, r in zip(fit.names, fit.x, fit.reach, strict=True)}
-    ends |= {n: (x, min(low, ends[n][1]), max(high, ends[n][2])) for n, (x, low, high) in own.items()}
+    ends = {
+        name: (x, x - r, x + r)
+        for name, x, r in zip(free.names, free.x, free.reach, strict=True)
+    }
+    own = {
+        name: (x, x - r, x + r)
+        for name, x, r in zip(fit.names, fit.x, fit.reach, strict=True)
+    }
+    ends |= {
+        n: (x, min(low, ends[n][1]), max(high, ends[n][2]))
+        for n, (x, low, high) in own.items()
+    }
     if "arm_lag" not in fit.effects:
         ends[LAG] = (0.0, 0.0, lag)
     known = {p.name: p for p in problem.model.parameters}
-    ends = {n: (x, max(low, known[n].low), min(high, known[n].high)) for n, (x, low, high) in ends.items()}
+    ends = {
+        n: (x, max(low, known[n].low), min(high, known[n].high))
+        for n, (x, low, high) in ends.items()
+    }
     rows = [
-        {"name": name, "unit": known[name].unit, "meaning": known[name].meaning, "found": name in fit.names}
+        {
+            "name": name,
+            "unit": known[name].unit,
+            "meaning": known[name].meaning,
+            "found": name in fit.names,
+        }
         | dict(zip(("value", "low", "high"), numbers, strict=True))
         for name, numbers in ends.items()
     ]
-    return MEASURED.check(pd.DataFrame(rows).sort_values(["found", "name"], ascending=[False, True]))
+    return MEASURED_PARAMETERS.check(
+        pd.DataFrame(rows).sort_values(["found", "name"], ascending=[False, True])
+    )
 
 
 def sentence(measured: pd.DataFrame, fit: Fit, lag: float) -> str:
-    """The result of an alignment in sentences: what was measured, and what it cannot be told from."""
+    """The result of an alignment in sentences: what was measured, and what it cannot be
+    told from.
+    """
     rows = measured.set_index("name")
     said, agreed = [], []
-    for effect in named(fit.effects):
-        ends = rows.loc[[effect.qualified(p) for p in effect.parameters], ["low", "high"]].to_numpy()
+    for effect in find_effects(fit.effects):
+        ends = rows.loc[
+            [effect.qualified_name(p) for p in effect.parameters], ["low", "high"]
+        ].to_numpy()
         if (ends[:, 0] <= 0).all() and (ends[:, 1] >= 0).all():
             agreed.append(effect.name)
             continue
-        words = effect.describe({p.name: fit.values[effect.qualified(p)] for p in effect.parameters})
+        words = effect.describe(
+            {p.name: fit.values[effect.qualified_name(p)] for p in effect.parameters}
+        )
         said.append(words[0].upper() + words[1:])
     if agreed:
         said.append(f"Nothing is off, within the intervals, in {', '.join(agreed)}")
     reach = float(rows.loc[OFFSET, "high"] - rows.loc[OFFSET, "low"]) / 2
     clocks = f"The clocks are compared to +- {1e3 * reach:.2f} ms (95 %)"
-    clocks += "." if reach < AIM else f", which is more than the {1e3 * AIM:.0f} ms that are aimed at."
+    clocks += (
+        "."
+        if reach < AIM
+        else f", which is more than the {1e3 * AIM:.0f} ms that are aimed at."
+    )
     alike = (
         f" An arm that lags by up to {1e3 * lag:.1f} ms would look the same in this motion, with clocks that much "
         "further apart: only the two together are measured."

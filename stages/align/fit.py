@@ -1,7 +1,8 @@
 """The fit: what is seen of the arm against where the joints say that it is.
 
-The forward model does it all: rotation, origin and scale of the picture and the offset of the clocks are its effects,
-and so are the others that are looked for. Solver, robust loss and covariance are those of every fit (`inference`).
+The forward model does it all: rotation, origin and scale of the picture and the offset
+of the clocks are its effects, and so are the others that are looked for. Solver, robust
+loss and covariance are those of every fit (`inference`).
 """
 
 from __future__ import annotations
@@ -15,34 +16,46 @@ import numpy as np
 from stringcast.stages.align.sightings import Sighted
 from stringcast.stages.common import mad_sigma
 from stringcast.stages.inference import solver
-from stringcast.stages.inference.covariance import Covariance, jackknife
-from stringcast.stages.inference.huber import LIMIT, loss, weights
-from stringcast.stages.model.effect import components
-from stringcast.stages.model.library import named
+from stringcast.stages.inference.covariance import Covariance, jackknife_covariance
+from stringcast.stages.inference.huber import HUBER_LIMIT, huber_loss, huber_weights
+from stringcast.stages.model.effect import amplitude_parameters
+from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import Parameter, chi_of, values_of
+from stringcast.stages.model.parameter import (
+    Parameter,
+    parameter_exponents,
+    parameter_values,
+)
 
 ALWAYS = ("time_offset", "camera_rotation", "pixel_scale", "camera_offset")
 SOUGHT = ("arm_lag", "clock_drift", "rolling_shutter", "lens_distortion")
 BLOCKS = 20  # pieces into which the time is cut
 STEP = 1e-4  # of a parameter's range, for the central difference
-ENOUGH = 1e-3  # of the log-likelihood: an improvement that ends them, for deviances are compared
+# of the log-likelihood: an improvement that ends them, for deviances are compared
+ENOUGH = 1e-3
 ROUNDS = 3  # in which the robust scale settles
 SURE = 9.0  # deviance that an effect must explain to be seen: by chance 1 in 400
-LAGGING = 0.004  # [s] from which a lag is sought: at none it cannot be told from an offset
+# [s] from which a lag is sought: at none it cannot be told from an offset
+LAGGING = 0.004
 
 
 def measuring(model: Model) -> Model:
-    """The arm and camera of a model with every effect that alignment looks for, and no other.
+    """The arm and camera of a model with every effect that alignment looks for, and no
+    other.
 
-    In the order of their names, in which the settings keep them: a turn and a shift do not commute.
+    In the order of their names, in which the settings keep them: a turn and a shift do
+    not commute.
     """
-    return Model(model.string, model.arm, model.camera).with_effects(*named(sorted((*ALWAYS, *SOUGHT))))
+    return Model(model.string, model.arm, model.camera).with_effects(
+        *find_effects(sorted((*ALWAYS, *SOUGHT)))
+    )
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Trials that share one alignment. model: with every effect that is looked for, and nothing else."""
+    """Trials that share one alignment. model: with every effect that is looked for, and
+    nothing else.
+    """
 
     model: Model
     trials: tuple[Sighted, ...]
@@ -55,37 +68,58 @@ class Problem:
     @cached_property
     def times(self) -> np.ndarray:
         """(N,) of all sightings, by the camera's clock [s]."""
-        return np.concatenate([trial.sightings.times[trial.sightings.frame] for trial in self.trials])
+        return np.concatenate(
+            [trial.sightings.times[trial.sightings.frame] for trial in self.trials]
+        )
 
     @cached_property
     def blocks(self) -> np.ndarray:
-        """(N,) number of the block of time in which each sighting lies; none reaches over two trials."""
-        spans = [max(float(np.ptp(trial.sightings.times)), 1e-9) for trial in self.trials]
+        """(N,) number of the block of time in which each sighting lies; none reaches
+        over two trials.
+        """
+        spans = [
+            max(float(np.ptp(trial.sightings.times)), 1e-9) for trial in self.trials
+        ]
         length = sum(spans) / BLOCKS
         parts, first = [], 0
         for trial, span in zip(self.trials, spans, strict=True):
             count = max(round(span / length), 1)
             # below 1 for the last one too, which then has a block
-            share = (trial.sightings.times - trial.sightings.times[0]) / (span * (1 + 1e-9))
+            share = (trial.sightings.times - trial.sightings.times[0]) / (
+                span * (1 + 1e-9)
+            )
             parts.append(first + (share * count).astype(int)[trial.sightings.frame])
             first += count
         return np.concatenate(parts)
 
     @staticmethod
     def parameters(effects: Sequence[str]) -> tuple[str, ...]:
-        """Qualified names of the sizes of these effects: where and when they act is not asked."""
-        return tuple(effect.qualified(p) for effect in named(effects) for p in components(effect))
+        """Qualified names of the sizes of these effects: where and when they act is not
+        asked.
+        """
+        return tuple(
+            effect.qualified_name(p)
+            for effect in find_effects(effects)
+            for p in amplitude_parameters(effect)
+        )
 
     def ranges(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds of parameters."""
         found = {p.name: p for p in self.model.parameters}
-        return np.array([found[n].low for n in names]), np.array([found[n].high for n in names])
+        return np.array([found[n].low for n in names]), np.array(
+            [found[n].high for n in names]
+        )
 
     def off(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
-        """Reported less seen positions of candidates x (C, P) of these parameters, the others absent, (C, N) [m]."""
+        """Reported less seen positions of candidates x (C, P) of these parameters, the
+        others absent, (C, N) [m].
+        """
         values = np.tile(self.model.values({}), (len(x), 1))
         values[:, [self.model.names.index(name) for name in names]] = x
-        parts = [np.broadcast_to(t.off(self.model, values), (len(x), len(t.sightings.frame))) for t in self.trials]
+        parts = [
+            np.broadcast_to(t.off(self.model, values), (len(x), len(t.sightings.frame)))
+            for t in self.trials
+        ]
         return np.concatenate(parts, axis=1)
 
     def slopes(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
@@ -93,13 +127,19 @@ class Problem:
         low, high = self.ranges(names)
         step = STEP * (high - low)
         middle = np.clip(x, low + step, high - step)
-        ends = self.off(names, np.concatenate([middle + np.diag(step), middle - np.diag(step)]))
-        return ((ends[: len(x)] - ends[len(x) :]) / (2 * step[:, None])).T / self.sigma[:, None]
+        ends = self.off(
+            names, np.concatenate([middle + np.diag(step), middle - np.diag(step)])
+        )
+        return ((ends[: len(x)] - ends[len(x) :]) / (2 * step[:, None])).T / self.sigma[
+            :, None
+        ]
 
 
 @dataclass(frozen=True)
 class Sought:
-    """Some parameters of a problem, as the solver asks for them. held: values of others."""
+    """Some parameters of a problem, as the solver asks for them. held: values of
+    others.
+    """
 
     problem: Problem
     names: tuple[str, ...]
@@ -110,19 +150,29 @@ class Sought:
     def parameters(self) -> tuple[Parameter, ...]:
         """The free parameters, uniform in their ranges."""
         low, high = self.problem.ranges(self.names)
-        return tuple(Parameter(n, "", "", a, b, 0.0) for n, a, b in zip(self.names, low, high, strict=True))
+        return tuple(
+            Parameter(n, "", "", a, b, 0.0)
+            for n, a, b in zip(self.names, low, high, strict=True)
+        )
 
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Residuals over sigma (C, N) of candidates chi (C, P)."""
-        values = values_of(self.parameters, chi)
-        others = np.broadcast_to(np.array(list(self.held.values())), (len(chi), len(self.held)))
-        return self.problem.off((*self.names, *self.held), np.hstack([values, others])) / self.problem.sigma
+        values = parameter_values(self.parameters, chi)
+        others = np.broadcast_to(
+            np.array(list(self.held.values())), (len(chi), len(self.held))
+        )
+        return (
+            self.problem.off((*self.names, *self.held), np.hstack([values, others]))
+            / self.problem.sigma
+        )
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Parameters that fit. effects: those at work. x: (P,) values; width: (P,) of their ranges. residual: (N,) over
-    sigma. slope: (N, P). limit: size from which a residual counts less. deviance: twice Huber's cost."""
+    """Parameters that fit. effects: those at work. x: (P,) values; width: (P,) of their
+    ranges. residual: (N,) over sigma. slope: (N, P). limit: size from which a residual
+    counts less. deviance: twice Huber's cost.
+    """
 
     effects: tuple[str, ...]
     names: tuple[str, ...]
@@ -142,12 +192,14 @@ class Fit:
     @cached_property
     def weight(self) -> np.ndarray:
         """(N,) Huber's."""
-        return weights(self.residual, self.limit)
+        return huber_weights(self.residual, self.limit)
 
     @cached_property
     def _sure(self) -> Covariance:
         """Covariance of the parameters as shares of their ranges."""
-        return jackknife((self.slope * self.width).T, self.residual, self.weight, self.blocks)
+        return jackknife_covariance(
+            (self.slope * self.width).T, self.residual, self.weight, self.blocks
+        )
 
     @property
     def covariance(self) -> np.ndarray:
@@ -157,11 +209,13 @@ class Fit:
     @property
     def reach(self) -> np.ndarray:
         """(P,) half widths of the 95 % intervals."""
-        return self._sure.reach * self.width
+        return self._sure.half_width_95 * self.width
 
     @cached_property
     def inflation(self) -> float:
-        """The variance inflation factor of correlated noise, on average over the residuals."""
+        """The variance inflation factor of correlated noise, on average over the
+        residuals.
+        """
         plain = np.linalg.pinv((self.weight[:, None] * self.slope).T @ self.slope)
         return float(np.mean(np.diag(self.covariance) / np.diag(plain)))
 
@@ -175,32 +229,54 @@ def fitted(
 ) -> Fit:
     """The best parameters of these effects.
 
-    start: values at which the search begins. held: values of parameters that are not fitted. limit: as of another fit,
-    so that deviances can be compared; else it is found.
+    start: values at which the search begins. held: values of parameters that are not
+    fitted. limit: as of another fit, so that deviances can be compared; else it is
+    found.
     """
     held = held or {}
     names = tuple(name for name in problem.parameters(effects) if name not in held)
     sought = Sought(problem, names, held, limit or np.inf)
-    chi = chi_of(sought.parameters, np.array([(start or {}).get(name, 0.0) for name in names]))
+    chi = parameter_exponents(
+        sought.parameters, np.array([(start or {}).get(name, 0.0) for name in names])
+    )
     for _ in range(ROUNDS if limit is None else 1):
-        scale = limit or LIMIT * robust(sought.residuals(chi[None]))
-        chi = solver.fitted(replace(sought, limit=scale), chi[None], enough=ENOUGH).chi[0]
+        scale = limit or HUBER_LIMIT * robust(sought.residuals(chi[None]))
+        chi = solver.fit_least_squares(
+            replace(sought, limit=scale), chi[None], enough=ENOUGH
+        ).chi[0]
     residual = sought.residuals(chi[None])[0]
-    scale = limit or LIMIT * robust(residual)
+    scale = limit or HUBER_LIMIT * robust(residual)
     low, high = problem.ranges(names)
-    x = values_of(sought.parameters, chi)
-    slope = problem.slopes((*names, *held), np.array([*x, *held.values()]))[:, : len(names)]
-    deviance = len(residual) * float(loss(residual, scale))
-    return Fit(tuple(effects), names, x, high - low, residual, slope, scale, deviance, problem.blocks)
+    x = parameter_values(sought.parameters, chi)
+    slope = problem.slopes((*names, *held), np.array([*x, *held.values()]))[
+        :, : len(names)
+    ]
+    deviance = len(residual) * float(huber_loss(residual, scale))
+    return Fit(
+        tuple(effects),
+        names,
+        x,
+        high - low,
+        residual,
+        slope,
+        scale,
+        deviance,
+        problem.blocks,
+    )
 
 
 def robust(residual: np.ndarray) -> float:
-    """Standard deviation about zero of residuals (N,), from their median, in their unit."""
-    return float(mad_sigma(residual)) + 1e-12  # never zero, for residuals are divided by it
+    """Standard deviation about zero of residuals (N,), from their median, in their
+    unit.
+    """
+    # never zero, for residuals are divided by it
+    return float(mad_sigma(residual)) + 1e-12
 
 
 def chosen(problem: Problem) -> Fit:
-    """The fit with all that is always measured, and those of the effects sought that make a difference."""
+    """The fit with all that is always measured, and those of the effects sought that
+    make a difference.
+    """
     best = fitted(problem, ALWAYS)
     while True:
         others = [name for name in SOUGHT if name not in best.effects]

@@ -1,4 +1,6 @@
-"""Offset or lag? An arm that lags a little looks like a clock that is off; how far, the likelihood says."""
+"""Offset or lag? An arm that lags a little looks like a clock that is off; how far, the
+likelihood says.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,8 @@ from stringcast.data.alignment import LIKELIHOOD
 from stringcast.stages.align.fit import Fit, Problem, fitted
 
 OFFSET, LAG = "time_offset.offset", "arm_lag.time_constant"
-LAGS = np.array([0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0]) * 1e-3  # [s]
+# [s]
+LAGS = np.array([0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0]) * 1e-3
 END = 3.84  # rise of the deviance at the end of a 95 % interval
 CLEAR = 10 * END  # rise beyond which nothing more is asked
 AROUND = np.linspace(-4, 4, 17)  # standard deviations
@@ -17,7 +20,9 @@ AROUND = np.linspace(-4, 4, 17)  # standard deviations
 
 def likelihood(problem: Problem, fit: Fit) -> pd.DataFrame:
     """Table LIKELIHOOD about the fit that was chosen."""
-    rows = _with_lag(problem, fit) if "arm_lag" in fit.effects else _without(problem, fit)
+    rows = (
+        _with_lag(problem, fit) if "arm_lag" in fit.effects else _without(problem, fit)
+    )
     columns = ["offset", "alone", "with_lag", "lag"]
     return LIKELIHOOD.check(pd.DataFrame(rows, columns=columns).sort_values("offset"))
 
@@ -35,11 +40,15 @@ def _without(problem: Problem, fit: Fit) -> list[tuple[float, ...]]:
     """No lag was seen: how large it could be with the offset growing along."""
     place = fit.names.index(OFFSET)
     offset, sigma = fit.x[place], np.sqrt(fit.covariance[place, place])
-    rows: list[tuple[float, ...]] = [(offset + k * sigma, k**2, k**2, 0.0) for k in AROUND]
+    rows: list[tuple[float, ...]] = [
+        (offset + k * sigma, k**2, k**2, 0.0) for k in AROUND
+    ]
     values = dict(fit.values)
     for lag in LAGS:
         held = {OFFSET: offset + lag}
-        best = fitted(problem, (*fit.effects, "arm_lag"), values | {LAG: lag}, held, fit.limit)
+        best = fitted(
+            problem, (*fit.effects, "arm_lag"), values | {LAG: lag}, held, fit.limit
+        )
         values = best.values
         rise = max((best.deviance - fit.deviance) / fit.inflation, 0.0)
         rows.append((offset + lag, (lag / sigma) ** 2, rise, values[LAG]))
@@ -50,7 +59,12 @@ def _without(problem: Problem, fit: Fit) -> list[tuple[float, ...]]:
 
 def _with_lag(problem: Problem, fit: Fit) -> list[tuple[float, ...]]:
     """A lag was seen: how much worse an offset alone does."""
-    alone = fitted(problem, tuple(e for e in fit.effects if e != "arm_lag"), fit.values, limit=fit.limit)
+    alone = fitted(
+        problem,
+        tuple(e for e in fit.effects if e != "arm_lag"),
+        fit.values,
+        limit=fit.limit,
+    )
     place, lag = fit.names.index(OFFSET), fit.names.index(LAG)
     variance = fit.covariance[place, place]
     own = alone.names.index(OFFSET)
@@ -59,6 +73,8 @@ def _with_lag(problem: Problem, fit: Fit) -> list[tuple[float, ...]]:
     for k in AROUND:
         offset = fit.x[place] + k * np.sqrt(variance)
         off = (offset - alone.x[own]) ** 2 / alone.covariance[own, own]
-        follows = fit.x[lag] + fit.covariance[lag, place] / variance * (offset - fit.x[place])
+        follows = fit.x[lag] + fit.covariance[lag, place] / variance * (
+            offset - fit.x[place]
+        )
         rows.append((offset, more + off, k**2, follows))
     return rows

@@ -1,4 +1,6 @@
-"""Sightings: where points that are rigid with the arm were seen, and where the model has them."""
+"""Sightings: where points that are rigid with the arm were seen, and where the model
+has them.
+"""
 
 from __future__ import annotations
 
@@ -32,9 +34,13 @@ class Sighted:
     sightings: Sightings
 
     def off(self, model: Model, values: np.ndarray) -> np.ndarray:
-        """Residuals of candidates, (C, N) [m]: each point as simulated less as seen, along its direction. values: (C,
-        P)."""
-        there = on_links(model.arm_seen(self.motion, values, self.sightings.times), self.sightings)
+        """Residuals of candidates, (C, N) [m]: each point as simulated less as seen,
+        along its direction. values: (C, P).
+        """
+        there = on_links(
+            model.observed_arm(self.motion, values, self.sightings.times),
+            self.sightings,
+        )
         return np.sum((there - self.sightings.seen) * self.sightings.along, axis=-1)
 
 

@@ -1,4 +1,6 @@
-"""Calibrate: from pictures of a printed board, the lens of a camera and where it sees the plane of motion."""
+"""Calibrate: from pictures of a printed board, the lens of a camera and where it sees
+the plane of motion.
+"""
 
 from __future__ import annotations
 

@@ -29,8 +29,10 @@ class Thresholds:
 
 @dataclass(frozen=True)
 class Solution:
-    """used: views of the board. lens: of them all; alone: RMS of each with the lens of the others (V,) [px]. held: the
-    view in the plane of motion; plane: what follows. size: of the pictures [px]."""
+    """used: views of the board. lens: of them all; alone: RMS of each with the lens of
+    the others (V,) [px]. held: the view in the plane of motion; plane: what follows.
+    size: of the pictures [px].
+    """
 
     used: Sequence[View]
     lens: Fitted
@@ -43,7 +45,9 @@ class Solution:
     def filled(self) -> np.ndarray:
         """(CELLS, CELLS) bool, rows first: a corner was seen there."""
         every = np.concatenate([view.pixels for view in self.used])
-        columns, rows = np.clip(every * CELLS // np.array(self.size), 0, CELLS - 1).astype(int).T
+        columns, rows = (
+            np.clip(every * CELLS // np.array(self.size), 0, CELLS - 1).astype(int).T
+        )
         filled = np.zeros((CELLS, CELLS), bool)
         filled[rows, columns] = True
         return filled
@@ -66,13 +70,19 @@ class Solution:
 
 
 def reason(solution: Solution, thresholds: Thresholds) -> str:
-    """The reason why a calibration cannot be used, with the remedy; empty if it can. The first that is wrong explains
-    those after it."""
-    return next(chain(_of_the_views(solution, thresholds), _of_the_lens(solution, thresholds)), "")
+    """The reason why a calibration cannot be used, with the remedy; empty if it can.
+    The first that is wrong explains those after it.
+    """
+    return next(
+        chain(_of_the_views(solution, thresholds), _of_the_lens(solution, thresholds)),
+        "",
+    )
 
 
 def _of_the_views(solution: Solution, thresholds: Thresholds) -> Iterator[str]:
-    """Too few views, views that are too much alike, and one that does not fit the others."""
+    """Too few views, views that are too much alike, and one that does not fit the
+    others.
+    """
     if len(solution.used) < thresholds.views:
         yield f"{len(solution.used)} views can be used, {thresholds.views} are needed. Take more."
     if not solution.spread >= thresholds.spread:
@@ -91,7 +101,9 @@ def _of_the_views(solution: Solution, thresholds: Thresholds) -> Iterator[str]:
 
 
 def _of_the_lens(solution: Solution, thresholds: Thresholds) -> Iterator[str]:
-    """A lens that does not explain the views, or is not known all over the picture; a plane that is off."""
+    """A lens that does not explain the views, or is not known all over the picture; a
+    plane that is off.
+    """
     if not solution.lens.rms <= thresholds.rms:  # what is no number is refused, too
         yield (
             f"the reprojection error is {solution.lens.rms:.2f} px, allowed are {thresholds.rms:g}. See that the board "

@@ -1,4 +1,6 @@
-"""The ChArUco board: a chessboard with a marker in each white square, so that every corner has a name."""
+"""The ChArUco board: a chessboard with a marker in each white square, so that every
+corner has a name.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +14,11 @@ from pydantic import Field
 
 @dataclass(frozen=True)
 class Board:
-    """squares: columns and rows. square, marker: their sides [m]. dictionary: of the markers, by OpenCV's name.
+    """squares: columns and rows. square, marker: their sides [m]. dictionary: of the
+    markers, by OpenCV's name.
 
-    Garrido-Jurado et al., Automatic generation and detection of highly reliable fiducial markers (2014).
+    Garrido-Jurado et al., Automatic generation and detection of highly reliable
+    fiducial markers (2014).
     """
 
     squares: tuple[Annotated[int, Field(ge=3)], Annotated[int, Field(ge=3)]]
@@ -27,9 +31,13 @@ class Board:
         if self.marker >= self.square:
             raise ValueError("a marker must be smaller than the square that it lies in")
         if not hasattr(cv2.aruco, self.dictionary):
-            raise ValueError(f"OpenCV has no dictionary {self.dictionary}; DICT_5X5_100 is one")
+            raise ValueError(
+                f"OpenCV has no dictionary {self.dictionary}; DICT_5X5_100 is one"
+            )
         if self.markers > self.words:
-            raise ValueError(f"{self.dictionary} has {self.words} markers, the board needs {self.markers}")
+            raise ValueError(
+                f"{self.dictionary} has {self.words} markers, the board needs {self.markers}"
+            )
 
     @property
     def markers(self) -> int:
@@ -39,7 +47,11 @@ class Board:
     @property
     def words(self) -> int:
         """The number of markers in the dictionary."""
-        return len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary)).bytesList)
+        return len(
+            cv2.aruco.getPredefinedDictionary(
+                getattr(cv2.aruco, self.dictionary)
+            ).bytesList
+        )
 
     @property
     def size(self) -> np.ndarray:
@@ -49,17 +61,27 @@ class Board:
     @property
     def pattern(self) -> cv2.aruco.CharucoBoard:
         """The pattern as OpenCV's class."""
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
-        return cv2.aruco.CharucoBoard(self.squares, self.square, self.marker, dictionary)
+        dictionary = cv2.aruco.getPredefinedDictionary(
+            getattr(cv2.aruco, self.dictionary)
+        )
+        return cv2.aruco.CharucoBoard(
+            self.squares, self.square, self.marker, dictionary
+        )
 
     @property
     def corners(self) -> np.ndarray:
-        """(N, 2) inner corners [m]: x to the right, y up, from the lower left corner of the printed pattern."""
-        return np.array([0.0, self.size[1]]) + self.points[:, :2] * np.array([1.0, -1.0])
+        """(N, 2) inner corners [m]: x to the right, y up, from the lower left corner of
+        the printed pattern.
+        """
+        return np.array([0.0, self.size[1]]) + self.points[:, :2] * np.array(
+            [1.0, -1.0]
+        )
 
     @property
     def points(self) -> np.ndarray:
-        """(N, 3) inner corners [m] as OpenCV has them: y down, from the upper left corner of the pattern, z into it."""
+        """(N, 3) inner corners [m] as OpenCV has them: y down, from the upper left
+        corner of the pattern, z into it.
+        """
         return np.array(self.pattern.getChessboardCorners(), dtype=float)
 
     @property

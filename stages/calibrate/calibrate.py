@@ -1,4 +1,6 @@
-"""Calibrate: the lens from many tilted views of a board, the plane of motion from one view of it in that plane."""
+"""Calibrate: the lens from many tilted views of a board, the plane of motion from one
+view of it in that plane.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +25,18 @@ from stringcast.stages.model.camera import Camera
 from stringcast.stages.spec import Call
 
 SOLVABLE = 4  # views below which there is nothing to judge
-FOLDS = 4  # of the cross-validation of the lens: each view is predicted by a lens that has not seen it
+# of the cross-validation of the lens: each view is predicted by a lens that has not
+# seen it
+FOLDS = 4
 
 
-def run(call: Call, tilted: Sequence[np.ndarray], flat: Sequence[np.ndarray], board: Board) -> Calibration:
+def run(
+    call: Call, tilted: Sequence[np.ndarray], flat: Sequence[np.ndarray], board: Board
+) -> Calibration:
     """The camera, as a stage."""
-    made: Calibration = call.by(tilted, flat, board, call.setup.model.camera, progress=call.progress)
+    made: Calibration = call.by(
+        tilted, flat, board, call.setup.model.camera, progress=call.progress
+    )
     return made
 
 
@@ -48,34 +56,47 @@ def calibrate(
 ) -> Calibration:
     """Calibration of `camera`, whose rate and exposure are kept.
 
-    pictures: of the board tilted in all directions. flat: of the board held in the plane of motion, of which the one
-    with most corners is used. Both uint8 (height, width) or (height, width, 3).
+    pictures: of the board tilted in all directions. flat: of the board held in the
+    plane of motion, of which the one with most corners is used. Both uint8 (height,
+    width) or (height, width, 3).
 
-    place: of the board in that plane. views: fewest that must be usable. spread: least angle between two of them [rad].
-    coverage: least share of the picture where corners were seen. rms: largest reprojection error [px]. astray: times
-    the usual error that no view's may be. What misses one of these is in the artifact, with the reason. Raises
-    DataError where there is too little to work out anything.
+    place: of the board in that plane. views: fewest that must be usable. spread: least
+    angle between two of them [rad]. coverage: least share of the picture where corners
+    were seen. rms: largest reprojection error [px]. astray: times the usual error that
+    no view's may be. What misses one of these is in the artifact, with the reason.
+    Raises DataError where there is too little to work out anything.
     """
     seen = []
     for number, picture in enumerate(pictures):
         seen.append(look(number, picture, board))
-        progress(0.9 * (number + 1) / len(pictures))  # most of the time goes into finding the markers
+        # most of the time goes into finding the markers
+        progress(0.9 * (number + 1) / len(pictures))
     used = _readable(seen)
     held = _held(flat, board)
     sizes = sorted({view.image.shape[::-1] for view in (*seen, held)})
     if len(sizes) > 1:
         several = " and ".join(f"{width}x{height}" for width, height in sizes[:2])
-        raise DataError(f"pictures are {several} px. Take all with the camera set as for the experiment.")
+        raise DataError(
+            f"pictures are {several} px. Take all with the camera set as for the experiment."
+        )
     size = (int(sizes[0][0]), int(sizes[0][1]))
     lens = fitted(used, board, size)
     alone = held_out(used, board, size, FOLDS)
-    plane = in_plane(held, board, place, lens, replace(camera, width=size[0], height=size[1]))
+    plane = in_plane(
+        held, board, place, lens, replace(camera, width=size[0], height=size[1])
+    )
     solution = Solution(used, lens, alone, held, plane, size)
-    return tables(solution, seen, reason(solution, Thresholds(views, spread, coverage, rms, astray)))
+    return tables(
+        solution,
+        seen,
+        reason(solution, Thresholds(views, spread, coverage, rms, astray)),
+    )
 
 
 def _readable(seen: Sequence[View]) -> list[View]:
-    """The views in which the board can be read. Raises DataError where there are too few."""
+    """The views in which the board can be read. Raises DataError where there are too
+    few.
+    """
     used = [view for view in seen if not view.reason]
     if len(used) < SOLVABLE:
         reasons = Counter(view.reason for view in seen if view.reason)
@@ -91,8 +112,12 @@ def _held(flat: Sequence[np.ndarray], board: Board) -> View:
     """The view in the plane of motion."""
     seen = [look(number, picture, board) for number, picture in enumerate(flat)]
     if not seen:
-        raise DataError("the board in the plane of motion: there is no picture of it. Take one.")
+        raise DataError(
+            "the board in the plane of motion: there is no picture of it. Take one."
+        )
     best = max(seen, key=lambda view: len(view.corners))
     if best.reason:
-        raise DataError(f"the board in the plane of motion: {best.reason}. Hold it in view, lit and still.")
+        raise DataError(
+            f"the board in the plane of motion: {best.reason}. Hold it in view, lit and still."
+        )
     return best

@@ -1,4 +1,6 @@
-"""The lens from many views of a plane (Zhang, A flexible new technique for camera calibration, 2000)."""
+"""The lens from many views of a plane (Zhang, A flexible new technique for camera
+calibration, 2000).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from stringcast.stages.calibrate.board import Board
 from stringcast.stages.calibrate.views import View
 from stringcast.stages.model.lens import Lens
 
-FLAGS = cv2.CALIB_FIX_K3  # a third radial coefficient is seldom determined, and bends the edge where nothing is
+# a third radial coefficient is seldom determined, and bends the edge where nothing is
+FLAGS = cv2.CALIB_FIX_K3
 NAMES = ("focal_x", "focal_y", "centre_x", "centre_y", "k1", "k2", "p1", "p2")
 OWN = len(NAMES)
 Pose = tuple[np.ndarray, np.ndarray]
@@ -20,8 +23,10 @@ Pose = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Fitted:
-    """lens, and of each view the pose: turn (3,) [rad] and place (3,) [m] of the board before the camera. covariance:
-    (8, 8) of NAMES. errors: measured less projected corners of each view, (N, 2) [px]."""
+    """lens, and of each view the pose: turn (3,) [rad] and place (3,) [m] of the board
+    before the camera. covariance: (8, 8) of NAMES. errors: measured less projected
+    corners of each view, (N, 2) [px].
+    """
 
     lens: Lens
     poses: Sequence[Pose]
@@ -48,15 +53,27 @@ def fitted(views: Sequence[View], board: Board, size: tuple[int, int]) -> Fitted
     """The lens that explains all views best. size: width and height [px]."""
     solid = [_solid(board, view) for view in views]
     seen = [view.pixels.astype(np.float32) for view in views]
-    _, matrix, bent, turns, places = cv2.calibrateCamera(solid, seen, size, None, None, flags=FLAGS)
-    lens = lens_of([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *bent.ravel()[:4]])
-    poses = [(turn.ravel(), place.ravel()) for turn, place in zip(turns, places, strict=True)]
-    errors = [view.pixels - projected(lens, board, view, *at) for view, at in zip(views, poses, strict=True)]
+    _, matrix, bent, turns, places = cv2.calibrateCamera(
+        solid, seen, size, None, None, flags=FLAGS
+    )
+    lens = lens_of(
+        [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *bent.ravel()[:4]]
+    )
+    poses = [
+        (turn.ravel(), place.ravel()) for turn, place in zip(turns, places, strict=True)
+    ]
+    errors = [
+        view.pixels - projected(lens, board, view, *at)
+        for view, at in zip(views, poses, strict=True)
+    ]
 
-    # covariance of the lens: the inverse of what the views say of it once each has chosen its own pose
+    # covariance of the lens: the inverse of what the views say of it once each has
+    # chosen its own pose
     known = np.zeros((OWN, OWN))
     for points, (turn, place) in zip(solid, poses, strict=True):
-        _, slopes = cv2.projectPoints(points, turn, place, lens.matrix, np.array(lens.distortion))
+        _, slopes = cv2.projectPoints(
+            points, turn, place, lens.matrix, np.array(lens.distortion)
+        )
         own, common = slopes[:, :6], slopes[:, 6 : 6 + OWN]
         left = common - own @ np.linalg.lstsq(own, common, rcond=None)[0]
         known += left.T @ left
@@ -77,28 +94,45 @@ def lens_of(values: Iterable[float]) -> Lens:
     return Lens((fx, fy), (cx, cy), (k1, k2, p1, p2))
 
 
-def held_out(views: Sequence[View], board: Board, size: tuple[int, int], folds: int) -> np.ndarray:
-    """RMS of each view with the lens of the others, (V,) [px]; only its pose is its own."""
+def held_out(
+    views: Sequence[View], board: Board, size: tuple[int, int], folds: int
+) -> np.ndarray:
+    """RMS of each view with the lens of the others, (V,) [px]; only its pose is its
+    own.
+    """
     errors = np.zeros(len(views))
     for fold in range(folds):
         left = list(range(fold, len(views), folds))
-        lens = fitted([view for k, view in enumerate(views) if k not in left], board, size).lens
+        lens = fitted(
+            [view for k, view in enumerate(views) if k not in left], board, size
+        ).lens
         for k in left:
-            errors[k] = rms(views[k].pixels - projected(lens, board, views[k], *pose(lens, board, views[k])))
+            errors[k] = rms(
+                views[k].pixels
+                - projected(lens, board, views[k], *pose(lens, board, views[k]))
+            )
     return errors
 
 
 def pose(lens: Lens, board: Board, view: View) -> Pose:
     """Turn (3,) [rad] and place (3,) [m] of the board before a known lens."""
     bent = np.array(lens.distortion)
-    _, turn, place = cv2.solvePnP(_solid(board, view), view.pixels, lens.matrix, bent, flags=cv2.SOLVEPNP_IPPE)
-    turn, place = cv2.solvePnPRefineLM(_solid(board, view), view.pixels, lens.matrix, bent, turn, place)
+    _, turn, place = cv2.solvePnP(
+        _solid(board, view), view.pixels, lens.matrix, bent, flags=cv2.SOLVEPNP_IPPE
+    )
+    turn, place = cv2.solvePnPRefineLM(
+        _solid(board, view), view.pixels, lens.matrix, bent, turn, place
+    )
     return turn.ravel(), place.ravel()
 
 
-def projected(lens: Lens, board: Board, view: View, turn: np.ndarray, place: np.ndarray) -> np.ndarray:
+def projected(
+    lens: Lens, board: Board, view: View, turn: np.ndarray, place: np.ndarray
+) -> np.ndarray:
     """Corners of a view as the lens projects them, (N, 2) [px]."""
-    pixels, _ = cv2.projectPoints(_solid(board, view), turn, place, lens.matrix, np.array(lens.distortion))
+    pixels, _ = cv2.projectPoints(
+        _solid(board, view), turn, place, lens.matrix, np.array(lens.distortion)
+    )
     return pixels.reshape(-1, 2)
 
 

@@ -10,7 +10,13 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from stringcast.data.calibration import CORNERS, MEASURED, OUTCOME, VIEWS, Calibration
+from stringcast.data.calibration import (
+    CALIBRATION_SUMMARY,
+    CORNERS,
+    MEASURED_PARAMETERS,
+    VIEWS,
+    Calibration,
+)
 from stringcast.stages.calibrate.acceptance import Solution
 from stringcast.stages.calibrate.fit import values_of
 from stringcast.stages.calibrate.views import View
@@ -37,16 +43,25 @@ PLANE = (
 
 
 def tables(solution: Solution, seen: Sequence[View], reason: str) -> Calibration:
-    """The calibration as tables. seen: every picture of the tilted board, used or not. reason: why it cannot be used,
-    or empty."""
+    """The calibration as tables. seen: every picture of the tilted board, used or not.
+    reason: why it cannot be used, or empty.
+    """
     columns = zip(solution.used, solution.lens.errors, strict=True)
     corners = [_seen(view, view.pixels - error, False) for view, error in columns]
     corners.append(_seen(solution.held, solution.plane.fit, True))
     camera = solution.plane.camera
     assert camera.lens is not None
-    values = [*values_of(camera.lens), camera.px_per_m, *camera.origin_px, camera.rotation, *camera.tilt]
+    values = [
+        *values_of(camera.lens),
+        camera.px_per_m,
+        *camera.origin_px,
+        camera.rotation,
+        *camera.tilt,
+    ]
     sigma = [*np.sqrt(np.diag(solution.lens.covariance)), *solution.plane.sigma]
-    measured = pd.DataFrame([*LENS, *PLANE], columns=["name", "unit", "meaning"]).assign(value=values, sigma=sigma)
+    measured = pd.DataFrame(
+        [*LENS, *PLANE], columns=["name", "unit", "meaning"]
+    ).assign(value=values, sigma=sigma)
     outcome = {
         "valid": not reason,
         "reason": reason,
@@ -57,13 +72,15 @@ def tables(solution: Solution, seen: Sequence[View], reason: str) -> Calibration
         "plane_rms": solution.plane_rms,
         "coverage": float(solution.filled.mean()),
         "spread": solution.spread,
-        "camera": yaml.safe_dump(_plain(asdict(camera)), sort_keys=False, default_flow_style=None),
+        "camera": yaml.safe_dump(
+            _plain(asdict(camera)), sort_keys=False, default_flow_style=None
+        ),
     }
     return Calibration(
         VIEWS.check(pd.DataFrame(_views(solution, seen))),
         CORNERS.check(pd.concat(corners, ignore_index=True)),
-        MEASURED.check(measured),
-        OUTCOME.check(pd.DataFrame([outcome])),
+        MEASURED_PARAMETERS.check(measured),
+        CALIBRATION_SUMMARY.check(pd.DataFrame([outcome])),
     )
 
 
@@ -71,9 +88,16 @@ def _views(solution: Solution, seen: Sequence[View]) -> list[dict[str, object]]:
     """Rows of every view of the tilted board, and of that in the plane of motion."""
     lens, camera = solution.lens, solution.plane.camera
     tilts = np.arccos(np.clip(np.abs(lens.normals[:, 2]), 0, 1))
-    columns = zip(solution.used, solution.errors, solution.alone, tilts, lens.poses, strict=True)
+    columns = zip(
+        solution.used, solution.errors, solution.alone, tilts, lens.poses, strict=True
+    )
     known = {
-        view.number: {"rms": error, "held_out_rms": alone, "tilt": tilt, "distance": float(np.linalg.norm(place))}
+        view.number: {
+            "rms": error,
+            "held_out_rms": alone,
+            "tilt": tilt,
+            "distance": float(np.linalg.norm(place)),
+        }
         for view, error, alone, tilt, (_, place) in columns
     }
     nothing = dict.fromkeys(("rms", "held_out_rms", "tilt", "distance"), np.nan)
@@ -88,13 +112,22 @@ def _views(solution: Solution, seen: Sequence[View]) -> list[dict[str, object]]:
 def _view(view: View, plane: bool) -> dict[str, object]:
     good, jpeg = cv2.imencode(".jpg", view.image, [cv2.IMWRITE_JPEG_QUALITY, 80])
     assert good
-    about = {"view": view.number, "plane": plane, "corners": len(view.corners), "reason": view.reason}
+    about = {
+        "view": view.number,
+        "plane": plane,
+        "corners": len(view.corners),
+        "reason": view.reason,
+    }
     return about | {"picture": jpeg.tobytes()}
 
 
 def _seen(view: View, fit: np.ndarray, plane: bool) -> pd.DataFrame:
-    seen = dict(zip(("u", "v", "fit_u", "fit_v"), [*view.pixels.T, *fit.T], strict=True))
-    return pd.DataFrame({"view": view.number, "plane": plane, "corner": view.corners} | seen)
+    seen = dict(
+        zip(("u", "v", "fit_u", "fit_v"), [*view.pixels.T, *fit.T], strict=True)
+    )
+    return pd.DataFrame(
+        {"view": view.number, "plane": plane, "corner": view.corners} | seen
+    )
 
 
 def _plain(value: object) -> object:

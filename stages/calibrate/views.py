@@ -11,13 +11,15 @@ from stringcast.stages.calibrate.board import Board
 
 FEWEST = 8  # corners that fix a board's place with something to spare
 PRECISE = 1e-3  # [px] of a step towards a corner that is small enough
-ASTRAY = 0.25  # marker sides by which markers may be off a board seen without distortion
+# marker sides by which markers may be off a board seen without distortion
+ASTRAY = 0.25
 
 
 @dataclass(frozen=True)
 class View:
-    """One picture. number: among those given. corners: (N,) names, and pixels (N, 2) where they are. reason: why it
-    cannot be used; empty if it can."""
+    """One picture. number: among those given. corners: (N,) names, and pixels (N, 2)
+    where they are. reason: why it cannot be used; empty if it can.
+    """
 
     number: int
     image: np.ndarray = field(repr=False)
@@ -27,12 +29,16 @@ class View:
 
 
 def look(number: int, image: np.ndarray, board: Board) -> View:
-    """Find the board's corners in a picture (height, width) or (height, width, 3) uint8; with the reason where they
-    cannot be used."""
+    """Find the board's corners in a picture (height, width) or (height, width, 3)
+    uint8; with the reason where they cannot be used.
+    """
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     how = cv2.aruco.DetectorParameters()
-    how.cornerRefinementMinAccuracy = PRECISE  # by itself, OpenCV stops a tenth of a pixel from the corner
-    detector = cv2.aruco.CharucoDetector(board.pattern, cv2.aruco.CharucoParameters(), how)
+    # by itself, OpenCV stops a tenth of a pixel from the corner
+    how.cornerRefinementMinAccuracy = PRECISE
+    detector = cv2.aruco.CharucoDetector(
+        board.pattern, cv2.aruco.CharucoParameters(), how
+    )
     pixels, corners, at, ids = detector.detectBoard(grey)
     if ids is None or not len(ids):
         return View(number, grey, reason="no marker of the dictionary is seen")
@@ -40,7 +46,8 @@ def look(number: int, image: np.ndarray, board: Board) -> View:
     reason = _another(board, np.array(at).reshape(-1, 4, 2), ids.ravel())
     if not reason and len(names) < FEWEST:
         reason = f"{len(names)} corners are seen, {FEWEST} are needed"
-    lines = np.divmod(names, board.squares[0] - 1)  # four corners fix its place, no three of them on a line
+    # four corners fix its place, no three of them on a line
+    lines = np.divmod(names, board.squares[0] - 1)
     if not reason and min(len(names) - np.bincount(line).max() for line in lines) < 2:
         reason = f"the {len(names)} corners that are seen are on one line"
     if reason:
@@ -49,7 +56,9 @@ def look(number: int, image: np.ndarray, board: Board) -> View:
 
 
 def _another(board: Board, at: np.ndarray, ids: np.ndarray) -> str:
-    """Why it must be another board; empty if it need not be. at: corners (M, 4, 2) of the markers seen [px]."""
+    """Why it must be another board; empty if it need not be. at: corners (M, 4, 2) of
+    the markers seen [px].
+    """
     if ids.max() >= board.markers:
         there = f"the board of the settings has 0 to {board.markers - 1}"
         return f"marker {ids.max()} is seen, {there}: it is another board"

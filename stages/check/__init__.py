@@ -1,1 +1,3 @@
-"""Whether measured data can be trusted: what is there, what looks wrong and what to do, before anything runs."""
+"""Whether measured data can be trusted: what is there, what looks wrong and what to do,
+before anything runs.
+"""

@@ -1,4 +1,6 @@
-"""All checks of measured data, and what follows from them. A check more is a function more in CHECKS."""
+"""All checks of measured data, and what follows from them. A check more is a function
+more in CHECKS.
+"""
 
 from __future__ import annotations
 
@@ -47,20 +49,31 @@ CHECKS: tuple[Check, ...] = (
 
 
 def findings(measured: Measured) -> list[Finding]:
-    """Findings of all checks, the worst first; those of the same place with the same remedy as one, in the words of the
-    first."""
+    """Findings of all checks, the worst first; those of the same place with the same
+    remedy as one, in the words of the first.
+    """
     whole: dict[tuple[str, ...], Finding] = {}
     for finding in (finding for check in CHECKS for finding in check(measured)):
         key = (finding.severity, finding.file, finding.field, finding.remedy)
         first = whole.setdefault(key, finding)
-        whole[key] = replace(first, trials=tuple(dict.fromkeys((*first.trials, *finding.trials))))
-    return sorted(whole.values(), key=lambda finding: list(Severity).index(finding.severity))
+        whole[key] = replace(
+            first, trials=tuple(dict.fromkeys((*first.trials, *finding.trials)))
+        )
+    return sorted(
+        whole.values(), key=lambda finding: list(Severity).index(finding.severity)
+    )
 
 
 def refuse(measured: Measured) -> None:
     """Raise DataError where something is certainly wrong."""
-    errors = [finding for finding in findings(measured) if finding.severity is Severity.ERROR]
+    errors = [
+        finding for finding in findings(measured) if finding.severity is Severity.ERROR
+    ]
     if errors:
         place = measured.data.folder
-        more = f" {len(errors) - 1} more:" if len(errors) > 1 else " All that was found:"
-        raise DataError(f"{place}: {errors[0].sentence}{more} python -m pipeline check {place}")
+        more = (
+            f" {len(errors) - 1} more:" if len(errors) > 1 else " All that was found:"
+        )
+        raise DataError(
+            f"{place}: {errors[0].sentence}{more} python -m pipeline check {place}"
+        )

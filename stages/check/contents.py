@@ -1,4 +1,6 @@
-"""Checks of a dataset's content: rows and trials that are left out, misspelt names, noise, number of strings."""
+"""Checks of a dataset's content: rows and trials that are left out, misspelt names,
+noise, number of strings.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +13,17 @@ from typing import Any
 import numpy as np
 
 from stringcast.data.artifacts import ARM, GRASP, POINTS
-from stringcast.data.dataset import fits, with_trial
-from stringcast.data.metadata import NAME, ArmBlock, Block, CameraBlock, Metadata, NoiseBlock, StringBlock, TrialBlock
+from stringcast.data.dataset import exclude_stray_points, with_trial
+from stringcast.data.metadata import (
+    DATASET_FILE,
+    ArmBlock,
+    Block,
+    CameraBlock,
+    Metadata,
+    NoiseBlock,
+    StringBlock,
+    TrialBlock,
+)
 from stringcast.stages.check.finding import Finding, Severity
 from stringcast.stages.check.measured import LOST, Measured
 from stringcast.stages.check.mistakes import impossible, unknown_arm
@@ -25,53 +36,97 @@ OTHER = 1.1  # times as long is another string
 FASTEST = 1e7  # [1/s]: no camera films faster
 SHORT = 0.5  # of the length: if nothing is seen beyond, the tip was not
 GEOMETRY = {"links": "how long its links are", "base": "where its joint 1 sits"}
-BLOCKS: Mapping[str, type[Block]] = {"string": StringBlock, "noise": NoiseBlock, "arm": ArmBlock, "camera": CameraBlock}
+BLOCKS: Mapping[str, type[Block]] = {
+    "string": StringBlock,
+    "noise": NoiseBlock,
+    "arm": ArmBlock,
+    "camera": CameraBlock,
+}
 
 
 def rows(measured: Measured) -> Iterator[Finding]:
     """Rows that cannot be used, or were not in order."""
-    known = {column.name for table in (ARM, GRASP, POINTS) for column in with_trial(table).columns}
-    for file, what in measured.data.rows.items():
+    known = {
+        column.name
+        for table in (ARM, GRASP, POINTS)
+        for column in with_trial(table).columns
+    }
+    for file, what in measured.data.row_counts.items():
         if what.dropped:
             lost = sum(what.dropped.values())
-            reasons = "; ".join(f"{count}: {reason}" for reason, count in what.dropped.items())
-            said = f"{lost} of {what.read} rows are left out ({reasons})"
-            severity = Severity.WARNING if lost > MUCH * what.read else Severity.NOTE
-            if lost > LOST * what.read:
-                severity, said = Severity.ERROR, f"{said}: too few are left to tell anything"
-            spoken = (word for reason in what.dropped for word in reason.split()[:2] if word in known)  # of columns
+            reasons = "; ".join(
+                f"{count}: {reason}" for reason, count in what.dropped.items()
+            )
+            said = f"{lost} of {what.total} rows are left out ({reasons})"
+            severity = Severity.WARNING if lost > MUCH * what.total else Severity.NOTE
+            if lost > LOST * what.total:
+                severity, said = (
+                    Severity.ERROR,
+                    f"{said}: too few are left to tell anything",
+                )
+            # of columns
+            spoken = (
+                word
+                for reason in what.dropped
+                for word in reason.split()[:2]
+                if word in known
+            )
             field = ", ".join(dict.fromkeys(spoken))
-            yield Finding(severity, file, field, said, "Correct them if they should count")
+            yield Finding(
+                severity, file, field, said, "Correct them if they should count"
+            )
         if what.unordered:
             said = f"{what.unordered} rows are earlier than the row before them"
             yield Finding(
-                Severity.NOTE, file, "t", said, "They are put in order; see that each trial was one recording"
+                Severity.NOTE,
+                file,
+                "t",
+                said,
+                "They are put in order; see that each trial was one recording",
             )
 
 
 def empty(measured: Measured) -> Iterator[Finding]:
     """Tables without a row."""
-    for file, what in measured.data.rows.items():
-        if not what.read:
-            yield Finding(Severity.ERROR, file, "trial", "it holds no rows", "Fill it in")
+    for file, what in measured.data.row_counts.items():
+        if not what.total:
+            yield Finding(
+                Severity.ERROR, file, "trial", "it holds no rows", "Fill it in"
+            )
 
 
 def rejected(measured: Measured) -> Iterator[Finding]:
     """Trials that cannot be used: an error where no other is left."""
-    kept, contradictory = fits(measured.data, measured.length), impossible(measured)
+    kept, contradictory = (
+        exclude_stray_points(measured.data, measured.length),
+        impossible(measured),
+    )
     severity = Severity.WARNING if kept.trials else Severity.ERROR
     for name, fault in kept.unusable.items():
         if name not in contradictory:  # of which `mistakes` says more
             said = f"the trial is left out: {fault.reason}"
-            yield Finding(severity, measured.file(fault.file), fault.field, said, fault.remedy, (name,))
+            yield Finding(
+                severity,
+                measured.file(fault.file),
+                fault.field,
+                said,
+                fault.remedy,
+                (name,),
+            )
 
 
 def twice(measured: Measured) -> Iterator[Finding]:
     """Tables that are there as Parquet and as CSV: one of them is not looked at."""
-    for file in measured.data.rows:
+    for file in measured.data.row_counts:
         other = Path(file).with_suffix(".csv").name
         if file != other and (measured.data.folder / other).exists():
-            yield Finding(Severity.WARNING, file, "", f"it is read, and {other} is not", "Remove the one that is old")
+            yield Finding(
+                Severity.WARNING,
+                file,
+                "",
+                f"it is read, and {other} is not",
+                "Remove the one that is old",
+            )
 
 
 def one_trial(measured: Measured) -> Iterator[Finding]:
@@ -79,15 +134,28 @@ def one_trial(measured: Measured) -> Iterator[Finding]:
     if len(measured.trials) == 1:
         said = "one trial can be used: a cause found in it could not be confirmed on another"
         yield Finding(
-            Severity.WARNING, measured.hand_file, "trial", said, "Record two more", (measured.trials[0].name,)
+            Severity.WARNING,
+            measured.hand_file,
+            "trial",
+            said,
+            "Record two more",
+            (measured.trials[0].name,),
         )
 
 
 def length(measured: Measured) -> Iterator[Finding]:
-    """A string whose length is not said, does not reach its points, or that is several strings."""
+    """A string whose length is not said, does not reach its points, or that is several
+    strings.
+    """
     if "length" not in (measured.data.metadata.get("string") or {}):
         said = f"it is missing; {measured.length:.3f} m is assumed"
-        yield Finding(Severity.WARNING, NAME, "string.length", said, "Write string: {length: <metres, grasp to tip>}")
+        yield Finding(
+            Severity.WARNING,
+            DATASET_FILE,
+            "string.length",
+            said,
+            "Write string: {length: <metres, grasp to tip>}",
+        )
     ends = {seen.name: float(seen.points["s"].max()) for seen in measured.with_points()}
     if ends and max(ends.values()) > OTHER * min(ends.values()):
         said = f"the largest s is {min(ends.values()):.3g} m in one trial and {max(ends.values()):.3g} m in another"
@@ -96,18 +164,28 @@ def length(measured: Measured) -> Iterator[Finding]:
     elif ends and SHORT * measured.length > max(ends.values()) > 0.01 * measured.length:
         said = f"points go to {max(ends.values()):.3g} m of a string of {measured.length:.3g} m: its tip was not seen"
         yield Finding(
-            Severity.WARNING, measured.file("points"), "s", said, "Correct s or string.length, if that is wrong"
+            Severity.WARNING,
+            measured.file("points"),
+            "s",
+            said,
+            "Correct s or string.length, if that is wrong",
         )
 
 
 def arm(measured: Measured) -> Iterator[Finding]:
-    """Joint angles of an arm of which nobody says how long its links are, or where it stands."""
+    """Joint angles of an arm of which nobody says how long its links are, or where it
+    stands.
+    """
     missing = unknown_arm(measured)
     if not missing:
         return
     configured = {key: f"{key}: {list(getattr(measured.arm, key))}" for key in missing}
     lacking = " and ".join(GEOMETRY[key] for key in missing)
-    held = "not be held where its hand would be" if impossible(measured) else "be held, as it could by another"
+    held = (
+        "not be held where its hand would be"
+        if impossible(measured)
+        else "be held, as it could by another"
+    )
     said = (
         f"{measured.hand_file} holds joint angles of an arm, and nothing says {lacking}; of the configured arm "
         f"({', '.join(configured.values())}, in metres) this string could {held}"
@@ -117,18 +195,30 @@ def arm(measured: Measured) -> Iterator[Finding]:
         remedy += " and ".join(configured.values())
     else:
         block = f"\\narm: {{{', '.join(configured.values())}}}\\n"
-        file = shlex.quote(str(measured.data.folder / NAME))
+        file = shlex.quote(str(measured.data.folder / DATASET_FILE))
         remedy = f"Write what your arm has; if it is the configured one: printf '{block}' >> {file}"
-    yield Finding(Severity.ERROR, NAME, ", ".join(f"arm.{key}" for key in missing), said, remedy)
+    yield Finding(
+        Severity.ERROR,
+        DATASET_FILE,
+        ", ".join(f"arm.{key}" for key in missing),
+        said,
+        remedy,
+    )
 
 
 def hands(measured: Measured) -> Iterator[Finding]:
     """Joint angles and poses of the hand, of which one is not looked at."""
-    there = [file for file in measured.data.hashes if file.rpartition(".")[0] in (ARM.name, GRASP.name)]
+    there = [
+        file
+        for file in measured.data.hashes
+        if file.rpartition(".")[0] in (ARM.name, GRASP.name)
+    ]
     if len(there) > 1:
         said = f"{' and '.join(there)} both say how the hand moved"
         remedy = f"Keep the one that is right, and take the other away: rm {measured.data.folder / there[-1]}"
-        yield Finding(Severity.ERROR, ", ".join(there), "q1, q2, q3, x, y, theta", said, remedy)
+        yield Finding(
+            Severity.ERROR, ", ".join(there), "q1, q2, q3, x, y, theta", said, remedy
+        )
 
 
 def camera(measured: Measured) -> Iterator[Finding]:
@@ -136,21 +226,44 @@ def camera(measured: Measured) -> Iterator[Finding]:
     fps = (measured.data.metadata.get("camera") or {}).get("fps")
     if fps is not None and fps > FASTEST:
         said = f"it is {float(fps):.3g} frames a second, more than any camera takes"
-        yield Finding(Severity.WARNING, NAME, "camera.fps", said, "Write how many it took in a second")
+        yield Finding(
+            Severity.WARNING,
+            DATASET_FILE,
+            "camera.fps",
+            said,
+            "Write how many it took in a second",
+        )
 
 
 def noise(measured: Measured) -> Iterator[Finding]:
     """Noise that is stated in another unit, or that points do not have."""
     for seen in measured.telling():
-        sigma = float(np.median(seen.points["sigma"])) if "sigma" in seen.points else None  # as the dataset states it
-        place = (NAME, "noise.point_sigma") if "noise" in measured.data.metadata else (measured.file("points"), "sigma")
+        # as the dataset states it
+        sigma = (
+            float(np.median(seen.points["sigma"])) if "sigma" in seen.points else None
+        )
+        place = (
+            (DATASET_FILE, "noise.point_sigma")
+            if "noise" in measured.data.metadata
+            else (measured.file("points"), "sigma")
+        )
         if sigma is not None and sigma > COARSE * seen.length:
             said = f"noise is stated as {sigma:.3g} m on a string of {seen.length:.3g} m: millimetres, as it seems"
-            yield Finding(Severity.ERROR, *place, said, "Multiply it by 0.001", (seen.name,))
-        elif sigma is not None and seen.noise > 0 and not 1 / QUIET < seen.noise / sigma < LOUD:
+            yield Finding(
+                Severity.ERROR, *place, said, "Multiply it by 0.001", (seen.name,)
+            )
+        elif (
+            sigma is not None
+            and seen.noise > 0
+            and not 1 / QUIET < seen.noise / sigma < LOUD
+        ):
             said = f"noise is stated as {sigma:.2g} m, points show {seen.noise:.2g} m from frame to frame"
             yield Finding(
-                Severity.WARNING, *place, said, "Correct it, or leave it out: then it is estimated", (seen.name,)
+                Severity.WARNING,
+                *place,
+                said,
+                "Correct it, or leave it out: then it is estimated",
+                (seen.name,),
             )
 
 
@@ -163,31 +276,66 @@ def names(measured: Measured) -> Iterator[Finding]:
     for trial, own in about.get("trials", {}).items():
         yield from _nearly(own, TrialBlock.model_fields, f"trials.{trial}.")
     for seen in measured.trials[:1]:
-        for table, frame in ((POINTS, seen.points), (GRASP if seen.joints is None else ARM, seen.motion)):
+        for table, frame in (
+            (POINTS, seen.points),
+            (GRASP if seen.joints is None else ARM, seen.motion),
+        ):
             known = [column.name for column in table.columns if len(column.name) > 2]
-            yield from _nearly(dict.fromkeys(frame.columns), known, "", measured.file(table.name))
+            yield from _nearly(
+                dict.fromkeys(frame.columns), known, "", measured.file(table.name)
+            )
 
 
-def _nearly(given: Mapping[Any, Any], known: Any, place: str, file: str = NAME) -> Iterator[Finding]:
+def _nearly(
+    given: Mapping[Any, Any], known: Any, place: str, file: str = DATASET_FILE
+) -> Iterator[Finding]:
     """Unknown names that look like known ones that are not given."""
     for name in map(str, given):
-        near = difflib.get_close_matches(name.strip().lower(), [k for k in known if k not in given], 1, NEAR)
+        near = difflib.get_close_matches(
+            name.strip().lower(), [k for k in known if k not in given], 1, NEAR
+        )
         if near and name not in known:
             said = f"there is no such name, it is ignored; '{near[0]}' is one"
-            yield Finding(Severity.WARNING, file, f"{place}{name}", said, f"Call it '{near[0]}', if it is that")
+            yield Finding(
+                Severity.WARNING,
+                file,
+                f"{place}{name}",
+                said,
+                f"Call it '{near[0]}', if it is that",
+            )
 
 
 def roles(measured: Measured) -> Iterator[Finding]:
     """Trials that dataset.yaml speaks of and that are not there; trials all held out."""
     spoken = measured.data.metadata.get("trials", {})
     there = {seen.name for seen in measured.trials}
-    for name in sorted(set(spoken) - there - set(measured.data.rejected)):
-        yield Finding(Severity.WARNING, NAME, f"trials.{name}", "there is no such trial", "Correct the name")
+    for name in sorted(set(spoken) - there - set(measured.data.rejection_reasons)):
+        yield Finding(
+            Severity.WARNING,
+            DATASET_FILE,
+            f"trials.{name}",
+            "there is no such trial",
+            "Correct the name",
+        )
     for name, own in spoken.items():
         if own.get("role") not in (None, "held_out"):
-            said = f"{own['role']!r} is no role, and counts for nothing; 'held_out' is one"
-            yield Finding(Severity.WARNING, NAME, f"trials.{name}.role", said, "Write held_out, or leave it out")
+            said = (
+                f"{own['role']!r} is no role, and counts for nothing; 'held_out' is one"
+            )
+            yield Finding(
+                Severity.WARNING,
+                DATASET_FILE,
+                f"trials.{name}.role",
+                said,
+                "Write held_out, or leave it out",
+            )
     held_out = {name for name, own in spoken.items() if own.get("role") == "held_out"}
     if there and there <= held_out:
         said = "all trials are held out: none is left to learn from, and so none is held out"
-        yield Finding(Severity.WARNING, NAME, "trials", said, "Take the role from some of them")
+        yield Finding(
+            Severity.WARNING,
+            DATASET_FILE,
+            "trials",
+            said,
+            "Take the role from some of them",
+        )

@@ -8,7 +8,9 @@ from enum import StrEnum
 
 
 class Severity(StrEnum):
-    """error: certainly wrong, nothing runs on it. warning: suspicious, or left out. note: good to know."""
+    """error: certainly wrong, nothing runs on it. warning: suspicious, or left out.
+    note: good to know.
+    """
 
     ERROR = "error"
     WARNING = "warning"
@@ -19,8 +21,9 @@ class Severity(StrEnum):
 class Finding:
     """One thing that was found.
 
-    file: where. field: column or key there; empty if it is about the whole file. said: what is so. remedy: what to do;
-    findings of several trials with the same remedy are told as one. trials: in which; empty if in all of the data.
+    file: where. field: column or key there; empty if it is about the whole file. said:
+    what is so. remedy: what to do; findings of several trials with the same remedy are
+    told as one. trials: in which; empty if in all of the data.
     """
 
     severity: Severity

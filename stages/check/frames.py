@@ -6,32 +6,47 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stringcast.data.metadata import NAME
+from stringcast.data.metadata import DATASET_FILE
 from stringcast.stages.check.clocks import SLOW, usual
 from stringcast.stages.check.finding import Finding, Severity
 from stringcast.stages.check.measured import Measured
 
 PLACES = 9  # in either direction of a picture, at which it is asked where they lie
-RETURN = 0.5  # [px] from where a place must come back from the plane: nearer, no pixel is another's
-CORNERS = 0.1  # of the places, the outermost of a lens that bends much: no string hangs there
+# [px] from where a place must come back from the plane: nearer, no pixel is another's
+RETURN = 0.5
+# of the places, the outermost of a lens that bends much: no string hangs there
+CORNERS = 0.1
 LEAST = 3.0  # [px] of a string: shorter, it has no direction
 MOST = 20.0  # pictures that a string is long: a frame shows nothing of its shape
 MUCH = 0.02  # share of a film's frames: so many are more than bad luck
 
 
 def shown(measured: Measured) -> Iterator[Finding]:
-    """A picture that the camera's numbers fold, or in which the string would be a speck or everything."""
+    """A picture that the camera's numbers fold, or in which the string would be a speck
+    or everything.
+    """
     if not measured.data.films:
         return
-    camera, size = measured.camera, np.array([measured.camera.width, measured.camera.height])
-    places = np.stack(np.meshgrid(*(np.linspace(0, side - 1, PLACES) for side in size)), axis=-1).reshape(-1, 2)
+    camera, size = (
+        measured.camera,
+        np.array([measured.camera.width, measured.camera.height]),
+    )
+    places = np.stack(
+        np.meshgrid(*(np.linspace(0, side - 1, PLACES) for side in size)), axis=-1
+    ).reshape(-1, 2)
     with np.errstate(all="ignore"):  # what is no number is found
         there = camera.world(places)
         lost = ~(np.linalg.norm(camera.pixels(there) - places, axis=-1) < RETURN)
     if lost.mean() > CORNERS:
         severity = Severity.ERROR if lost.mean() > 0.5 else Severity.WARNING
         said = f"{lost.mean():.0%} of the picture lies nowhere in the plane by these numbers, or twice"
-        yield Finding(severity, NAME, "camera", said, "Correct lens, distortion or tilt, or calibrate anew")
+        yield Finding(
+            severity,
+            DATASET_FILE,
+            "camera",
+            said,
+            "Correct lens, distortion or tilt, or calibrate anew",
+        )
         return
     with np.errstate(all="ignore"):
         long = measured.length / np.ptp(there[~lost], axis=0)  # in pictures
@@ -39,7 +54,13 @@ def shown(measured: Measured) -> Iterator[Finding]:
         said = "by these numbers the string is as long as {:.2g} pictures are wide, and as {:.2g} are high".format(
             *long
         )
-        yield Finding(Severity.ERROR, NAME, "camera", said, "Correct px_per_m, width and height, or the lens")
+        yield Finding(
+            Severity.ERROR,
+            DATASET_FILE,
+            "camera",
+            said,
+            "Correct px_per_m, width and height, or the lens",
+        )
 
 
 def dropped(measured: Measured) -> Iterator[Finding]:

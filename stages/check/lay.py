@@ -1,5 +1,6 @@
-"""By how much two clocks differ, where nobody says: hand and string begin to move at about the same time, and a string
-is never longer than it is."""
+"""By how much two clocks differ, where nobody says: hand and string begin to move at
+about the same time, and a string is never longer than it is.
+"""
 
 from __future__ import annotations
 
@@ -10,20 +11,28 @@ import numpy as np
 from stringcast.stages.check.measured import Seen
 
 ALIKE = (
-    0.2  # [s] within which trials' onsets agree if their clocks differ by the same in all: the tip is so late at most
+    # [s] within which trials' onsets agree if their clocks differ by the same in all:
+    # the tip is so late at most
+    0.2
 )
-AROUND = 0.3  # [s] about the onset in which clocks are sought: a tip that hangs sqrt(length / g) below follows so late
+# [s] about the onset in which clocks are sought: a tip that hangs sqrt(length / g)
+# below follows so late
+AROUND = 0.3
 STEP = 1e-3  # [s]
 SLACK = (
-    0.004  # of the length by which a string may seem longer at another shift than at the best: 1 mm of noise on 0.3 m
+    # of the length by which a string may seem longer at another shift than at the best:
+    # 1 mm of noise on 0.3 m
+    0.004
 )
 
 
 def shifts(trials: Sequence[Seen]) -> dict[str, float]:
-    """Time shifts to be added to each trial's points [s], by trial; none for a trial without motion.
+    """Time shifts to be added to each trial's points [s], by trial; none for a trial
+    without motion.
 
-    The same for all trials where their onsets agree. The latest shift is taken at which points stay about as near to
-    the hand as their arc lengths demand: the string follows the hand, so that by the onsets alone it would be early.
+    The same for all trials where their onsets agree. The latest shift is taken at which
+    points stay about as near to the hand as their arc lengths demand: the string
+    follows the hand, so that by the onsets alone it would be early.
     """
     onsets = {
         seen.name: seen.hand_onset - seen.string_onset
@@ -37,14 +46,24 @@ def shifts(trials: Sequence[Seen]) -> dict[str, float]:
 
 
 def _latest(trials: Sequence[Seen], about: float) -> float:
-    """The latest shift near `about` [s] at which these strings are hardly longer than at the best."""
+    """The latest shift near `about` [s] at which these strings are hardly longer than
+    at the best.
+    """
     tried = about + np.arange(-AROUND, AROUND + STEP, STEP)
-    stretched = []  # excess of points' distance from the hand over their arc lengths, in lengths of the string (rms)
+    # excess of points' distance from the hand over their arc lengths, in lengths of the
+    # string (rms)
+    stretched = []
     for seen in trials:
         s, *place = seen.points[["s", "x", "y"]].to_numpy().T
         t = seen.points["t"].to_numpy() + tried[:, None]
-        off = [at - np.interp(t, seen.hand_t, hand) for at, hand in zip(place, seen.pose.T[:2], strict=True)]
-        stretched.append(np.sqrt(np.mean(np.maximum(np.hypot(*off) - s, 0.0) ** 2, axis=1)) / seen.length)
+        off = [
+            at - np.interp(t, seen.hand_t, hand)
+            for at, hand in zip(place, seen.pose.T[:2], strict=True)
+        ]
+        stretched.append(
+            np.sqrt(np.mean(np.maximum(np.hypot(*off) - s, 0.0) ** 2, axis=1))
+            / seen.length
+        )
     excess = np.max(stretched, axis=0)
     best = int(excess.argmin())
     bad = excess[best:] > excess[best] + SLACK

@@ -1,4 +1,6 @@
-"""Measured data as checks look at them: trial by trial, with the hand's pose worked out."""
+"""Measured data as checks look at them: trial by trial, with the hand's pose worked
+out.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +22,14 @@ MOVED = 0.03  # of the string's length: who has gone so far has left his place
 FEWEST = 60  # differences from which a place tells its noise
 CLEAR = 8.0  # noises by which a point must have gone
 GRAVITY = 9.81  # [m/s2]
-SECOND = 2.76  # of a hanging string's swings: its frequency in sqrt(g / length), half the second zero of Bessel's J0
-SAMPLES = 4.0  # of a period, at least: two would tell it only if there were neither noise nor gaps
-MOSTLY, LEAP = 0.9, 0.1  # of the steps from frame to frame, and of the length: who goes further swings in between
+# of a hanging string's swings: its frequency in sqrt(g / length), half the second zero
+# of Bessel's J0
+SECOND = 2.76
+# of a period, at least: two would tell it only if there were neither noise nor gaps
+SAMPLES = 4.0
+# of the steps from frame to frame, and of the length: who goes further swings in
+# between
+MOSTLY, LEAP = 0.9, 0.1
 LOST = 0.8  # of the rows: from fewer nothing can be said
 
 
@@ -42,29 +49,41 @@ class Seen:
     @property
     def moving(self) -> bool:
         """The string is said to be in motion when the trial begins."""
-        return self.observation.moving
+        return self.observation.starts_moving
 
     @cached_property
     def points(self) -> pd.DataFrame:
         """Valid points, in the order of time and arc length."""
-        return self.observation.read.sort_values(["t", "s"], kind="stable")
+        return self.observation.valid_points.sort_values(["t", "s"], kind="stable")
 
     @cached_property
     def motion(self) -> pd.DataFrame:
         """Joint angles or poses of the grasp, as they are stored."""
-        motion = self.observation.arm if self.observation.arm is not None else self.observation.grasp
+        motion = (
+            self.observation.arm
+            if self.observation.arm is not None
+            else self.observation.grasp
+        )
         assert motion is not None
         return motion
 
     @cached_property
     def joints(self) -> np.ndarray | None:
         """Joint angles (K, J) [rad], or None where poses were measured."""
-        return None if self.observation.arm is None else self.motion[list(JOINTS)].to_numpy()
+        return (
+            None
+            if self.observation.arm is None
+            else self.motion[list(JOINTS)].to_numpy()
+        )
 
     @cached_property
     def pose(self) -> np.ndarray:
         """Pose of the grasp (K, 3): x [m], y [m], theta [rad]."""
-        return self.motion[["x", "y", "theta"]].to_numpy() if self.joints is None else self.arm.grasp(self.joints)
+        return (
+            self.motion[["x", "y", "theta"]].to_numpy()
+            if self.joints is None
+            else self.arm.grasp_pose(self.joints)
+        )
 
     @cached_property
     def hand_t(self) -> np.ndarray:
@@ -78,21 +97,26 @@ class Seen:
 
     @cached_property
     def tracks(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Times (F,) [s] and positions (F, 2) [m] of each place on the string that was seen in five frames or more."""
+        """Times (F,) [s] and positions (F, 2) [m] of each place on the string that was
+        seen in five frames or more.
+        """
         times, frame = np.unique(self.points["t"], return_inverse=True)
         s, xy = self.points["s"].to_numpy(), self.points[["x", "y"]].to_numpy()
         tracks = tracked(frame, s)
         found = [track for track in tracks if len(track) >= 5]
         if not wander(s, tracks):
             return [(times[frame[track]], xy[track]) for track in found]
-        lines = at_places(frame, s, xy, np.array([np.median(s[track]) for track in found]))
+        lines = at_places(
+            frame, s, xy, np.array([np.median(s[track]) for track in found])
+        )
         there = np.isfinite(lines[..., 0])
         return [(times[there[:, k]], lines[there[:, k], k]) for k in range(len(found))]
 
     @cached_property
     def rate(self) -> float:
-        """The rate at which a place of the string was seen [1/s], gaps and missing points counted; NaN for one
-        frame."""
+        """The rate at which a place of the string was seen [1/s], gaps and missing
+        points counted; NaN for one frame.
+        """
         _, frame = np.unique(self.points["t"], return_inverse=True)
         lengths = [len(track) for track in tracked(frame, self.points["s"].to_numpy())]
         duration = float(np.ptp(self.frame_t))
@@ -105,37 +129,51 @@ class Seen:
 
     @cached_property
     def scarce(self) -> bool:
-        """Whether it was seen so seldom that how it moves cannot be told: a hand so slow that the string only hangs
-        from it needs few frames."""
+        """Whether it was seen so seldom that how it moves cannot be told: a hand so
+        slow that the string only hangs from it needs few frames.
+        """
         steps = [np.linalg.norm(np.diff(xy, axis=0), axis=1) for _, xy in self.tracks]
-        leaps = not steps or float(np.quantile(np.concatenate(steps), MOSTLY)) > LEAP * self.length
+        leaps = (
+            not steps
+            or float(np.quantile(np.concatenate(steps), MOSTLY)) > LEAP * self.length
+        )
         return self.rate < self.least_rate and leaps
 
     @cached_property
     def noise(self) -> float:
-        """One standard deviation of a coordinate [m], from fourth differences in time, which smooth motion hardly has:
-        of the calmest place, for the tip of a string that whips has them. NaN where frames are too few."""
+        """One standard deviation of a coordinate [m], from fourth differences in time,
+        which smooth motion hardly has: of the calmest place, for the tip of a string
+        that whips has them. NaN where frames are too few.
+        """
         rough = [np.diff(xy, 4, axis=0).ravel() for _, xy in self.tracks]
         enough = [some for some in rough if len(some) >= FEWEST and some.any()] or rough
-        return float(min((mad_sigma(some) for some in enough), default=np.nan) / np.sqrt(70))
+        return float(
+            min((mad_sigma(some) for some in enough), default=np.nan) / np.sqrt(70)
+        )
 
     @cached_property
     def hand_onset(self) -> float | None:
-        """The time at which the hand has left its first pose [s], by the arm's clock; None if it never does."""
+        """The time at which the hand has left its first pose [s], by the arm's clock;
+        None if it never does.
+        """
         gone = np.abs(self.pose - np.median(self.pose[:STILL], axis=0))
-        away = np.hypot(gone[:, 0], gone[:, 1]) + self.length * np.minimum(gone[:, 2], np.pi)
+        away = np.hypot(gone[:, 0], gone[:, 1]) + self.length * np.minimum(
+            gone[:, 2], np.pi
+        )
         return _first(self.hand_t, away > MOVED * self.length)
 
     @cached_property
     def string_onset(self) -> float | None:
-        """The time at which most of the string has left its first place [s], by the camera's clock; None if it never
-        does."""
+        """The time at which most of the string has left its first place [s], by the
+        camera's clock; None if it never does.
+        """
         noise = 0.0 if np.isnan(self.noise) else self.noise
         least = max(MOVED * self.length, CLEAR * noise)
         onsets = []
         for t, xy in self.tracks:
             away = np.linalg.norm(xy - np.median(xy[:STILL], axis=0), axis=1) > least
-            onset = _first(t[:-1], away[:-1] & away[1:])  # one point alone may be an outlier
+            # one point alone may be an outlier
+            onset = _first(t[:-1], away[:-1] & away[1:])
             onsets.append(np.inf if onset is None else onset)
         middle = float(np.median(onsets)) if onsets else np.inf
         return middle if np.isfinite(middle) else None
@@ -158,7 +196,10 @@ class Measured:
     @cached_property
     def trials(self) -> tuple[Seen, ...]:
         """Trials that can be used."""
-        return tuple(Seen(observation, self.arm, self.length) for observation in self.data.trials.values())
+        return tuple(
+            Seen(observation, self.arm, self.length)
+            for observation in self.data.trials.values()
+        )
 
     def with_points(self) -> Iterator[Seen]:
         """The trials with measured points."""
@@ -166,15 +207,20 @@ class Measured:
 
     def telling(self) -> Iterator[Seen]:
         """The trials with enough points to tell how they move, and when they begin to."""
-        rows = self.data.rows.get(self.file("points"))
-        lost = sum(rows.dropped.values()) / rows.read if rows and rows.read else 0.0  # share that cannot be used
+        rows = self.data.row_counts.get(self.file("points"))
+        # share that cannot be used
+        lost = sum(rows.dropped.values()) / rows.total if rows and rows.total else 0.0
         return (t for t in self.with_points() if lost <= LOST and not t.scarce)
 
     def file(self, name: str) -> str:
         """The file of a table, as it is called here: Parquet or CSV."""
-        return next((file for file in self.data.hashes if file.rpartition(".")[0] == name), name)
+        return next(
+            (file for file in self.data.hashes if file.rpartition(".")[0] == name), name
+        )
 
     @property
     def hand_file(self) -> str:
         """The file of the hand's motion."""
-        return self.file("grasp" if any(trial.joints is None for trial in self.trials) else "arm")
+        return self.file(
+            "grasp" if any(trial.joints is None for trial in self.trials) else "arm"
+        )

@@ -1,7 +1,9 @@
-"""Mistakes that make a string impossible: units, axes, the end from which arc length is counted.
+"""Mistakes that make a string impossible: units, axes, the end from which arc length is
+counted.
 
-A string is as long as it is, so that neighbouring points lie as far apart as their arc lengths say, and begins in the
-hand. Where it cannot be so, each common mistake is undone in turn, then two at once; what makes it possible is said.
+A string is as long as it is, so that neighbouring points lie as far apart as their arc
+lengths say, and begins in the hand. Where it cannot be so, each common mistake is
+undone in turn, then two at once; what makes it possible is said.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from itertools import product
 
 import numpy as np
 
-from stringcast.data.dataset import BEYOND, fits
+from stringcast.data.dataset import MAX_ARC_LENGTH_RATIO, exclude_stray_points
 from stringcast.stages.check.finding import Finding, Severity
 from stringcast.stages.check.gravity import usual_fall
 from stringcast.stages.check.measured import GRAVITY, Measured, Seen
@@ -21,13 +23,16 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
 FRAMES = 10  # at the beginning, when the clocks matter least
-APART = 0.25  # of the length: so much further from the hand than its arc length is no point of this string
+# of the length: so much further from the hand than its arc length is no point of this
+# string
+APART = 0.25
 MOST = 0.8  # of the points must be possible: others may be outliers
 NEARLY = 0.95  # of the points lie no further along than the string's end
 STRETCH = 1.5  # times as long as its arc length is no piece of it
 DENSE = 0.15  # of the length: pieces so short are nearly straight
 LENGTHS = (0.01, 20.0)  # [m] of strings at all
-SWUNG = 2.0  # [m] of strings that arms swing: what is taken for a mistake must leave no longer one
+# [m] of strings that arms swing: what is taken for a mistake must leave no longer one
+SWUNG = 2.0
 LIKE = 1e-6  # of the misfit: as likely
 RADIANS = 4 * np.pi  # a joint does not turn further
 TURNS = 12 * np.pi  # nor does a hand
@@ -38,8 +43,9 @@ MOSTLY = 0.9  # of the samples: others may be outliers
 class View:
     """The string at the beginning of a trial.
 
-    t (N,) [s], s (N,) [m], xy (N, 2) [m]: its points, by time and arc length. joints (N, J) [rad] or None; hand (N, 2)
-    [m]: where the grasp is then, where there are no joints. length: of the string [m].
+    t (N,) [s], s (N,) [m], xy (N, 2) [m]: its points, by time and arc length. joints
+    (N, J) [rad] or None; hand (N, 2) [m]: where the grasp is then, where there are no
+    joints. length: of the string [m].
     """
 
     t: np.ndarray
@@ -54,22 +60,37 @@ class View:
     @property
     def grasp(self) -> np.ndarray:
         """Positions of the grasp, (N, 2) [m]."""
-        return self.hand if self.joints is None else self.arm.grasp(self.joints)[:, :2]
+        return (
+            self.hand
+            if self.joints is None
+            else self.arm.grasp_pose(self.joints)[:, :2]
+        )
 
     @property
     def gap(self) -> float:
-        """Excess of the points' distance from the hand over their arc lengths, in lengths of the string."""
-        return float(np.quantile((np.linalg.norm(self.xy - self.grasp, axis=1) - self.s) / self.length, MOST))
+        """Excess of the points' distance from the hand over their arc lengths, in
+        lengths of the string.
+        """
+        return float(
+            np.quantile(
+                (np.linalg.norm(self.xy - self.grasp, axis=1) - self.s) / self.length,
+                MOST,
+            )
+        )
 
     @property
     def stretch(self) -> tuple[float, bool]:
-        """Distance over arc length of neighbouring points, and whether they lie close together; 1 if there are none."""
+        """Distance over arc length of neighbouring points, and whether they lie close
+        together; 1 if there are none.
+        """
         ds, same = np.diff(self.s), np.diff(self.t) == 0
         pieces = same & (ds > 1e-9)
         if not pieces.any():
             return 1.0, False
         ratio = np.linalg.norm(np.diff(self.xy, axis=0), axis=1)[pieces] / ds[pieces]
-        return float(np.median(ratio)), bool(np.median(ds[pieces]) < DENSE * self.length)
+        return float(np.median(ratio)), bool(
+            np.median(ds[pieces]) < DENSE * self.length
+        )
 
     @property
     def end(self) -> float:
@@ -82,7 +103,7 @@ class View:
         ratio, dense = self.stretch
         return bool(
             LENGTHS[0] <= self.length <= LENGTHS[1]
-            and self.end <= BEYOND * self.length
+            and self.end <= MAX_ARC_LENGTH_RATIO * self.length
             and ratio < STRETCH
             and (ratio > 1 / STRETCH or not dense)
             and self.gap < APART
@@ -90,31 +111,49 @@ class View:
 
     @property
     def misfit(self) -> float:
-        """Misfit of the string, 0 for one that is seen to its tip, is as long as stated and begins in the hand."""
+        """Misfit of the string, 0 for one that is seen to its tip, is as long as stated
+        and begins in the hand.
+        """
         ratio, _ = self.stretch
-        return float(abs(np.log(ratio)) + abs(np.log(self.end / self.length)) + max(self.gap, 0.0))
+        return float(
+            abs(np.log(ratio))
+            + abs(np.log(self.end / self.length))
+            + max(self.gap, 0.0)
+        )
 
 
 def views(seen: Seen, camera: Camera) -> tuple[View, View]:
-    """The first frames of a trial, with the hand where the clocks say, and where it begins if the clocks are wrong."""
+    """The first frames of a trial, with the hand where the clocks say, and where it
+    begins if the clocks are wrong.
+    """
     first = seen.points[seen.points["t"] <= seen.frame_t[:FRAMES][-1]]
-    t, s, xy = first["t"].to_numpy(), first["s"].to_numpy(), first[["x", "y"]].to_numpy()
+    t, s, xy = (
+        first["t"].to_numpy(),
+        first["s"].to_numpy(),
+        first[["x", "y"]].to_numpy(),
+    )
     moved = seen.pose[:, :2] if seen.joints is None else seen.joints
     now = np.stack([np.interp(t, seen.hand_t, column) for column in moved.T], axis=-1)
     begun = np.broadcast_to(moved[0], now.shape)
     if seen.joints is None:
-        one, other = (View(t, s, xy, None, hand, seen.length, seen.arm, camera) for hand in (now, begun))
+        one, other = (
+            View(t, s, xy, None, hand, seen.length, seen.arm, camera)
+            for hand in (now, begun)
+        )
     else:
         one, other = (
-            View(t, s, xy, hand, np.empty((len(t), 0)), seen.length, seen.arm, camera) for hand in (now, begun)
+            View(t, s, xy, hand, np.empty((len(t), 0)), seen.length, seen.arm, camera)
+            for hand in (now, begun)
         )
     return one, other
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """table, field: where it was made. said: what is so. remedy: what undoes it. undone: the string without it. parts,
-    factor: of a wrong unit, which lengths are too large, and metres in one of it. option: for `import`."""
+    """table, field: where it was made. said: what is so. remedy: what undoes it.
+    undone: the string without it. parts, factor: of a wrong unit, which lengths are too
+    large, and metres in one of it. option: for `import`.
+    """
 
     table: str
     field: str
@@ -130,11 +169,18 @@ SCALE: Mapping[str, Callable[[View, float], View]] = {
     "xy": lambda v, factor: replace(v, xy=factor * v.xy),
     "s": lambda v, factor: replace(v, s=factor * v.s),
     "length": lambda v, factor: replace(v, length=factor * v.length),
-    "hand": lambda v, factor: replace(v, hand=factor * v.hand) if v.joints is None else v,
-    "links": lambda v, factor: replace(v, arm=replace(v.arm, links=tuple(factor * link for link in v.arm.links))),
-    "base": lambda v, factor: replace(v, arm=replace(v.arm, base=(factor * v.arm.base[0], factor * v.arm.base[1]))),
+    "hand": lambda v, factor: (
+        replace(v, hand=factor * v.hand) if v.joints is None else v
+    ),
+    "links": lambda v, factor: replace(
+        v, arm=replace(v.arm, links=tuple(factor * link for link in v.arm.links))
+    ),
+    "base": lambda v, factor: replace(
+        v, arm=replace(v.arm, base=(factor * v.arm.base[0], factor * v.arm.base[1]))
+    ),
 }
-LENGTHS_OF = (  # where they are, what is said of them, what is to be multiplied, and what that scales
+# where they are, what is said of them, what is to be multiplied, and what that scales
+LENGTHS_OF = (
     ("points", "x, y", "positions are", "x and y", ("xy",)),
     ("points", "s", "arc lengths are", "s", ("s",)),
     ("dataset.yaml", "string.length", "it is", "it", ("length",)),
@@ -228,52 +274,94 @@ def mistakes(measured: Measured) -> Iterator[Finding]:
         return
     likely = explanations(measured, contradictory)
     if not likely:
-        yield from (unexplained(measured, name, both[0]) for name, both in contradictory.items())
+        yield from (
+            unexplained(measured, name, both[0]) for name, both in contradictory.items()
+        )
         return
     here = next(iter(contradictory.values()))[0]
 
     # the second best explanation, where two units fit
     instead = ""
     if len(likely) > 1 and lengths_of(likely[0]) != lengths_of(likely[1]):
-        lengths = [reduce(lambda view, mistake: mistake.undone(view), made, here).length for made in likely[:2]]
+        lengths = [
+            reduce(lambda view, mistake: mistake.undone(view), made, here).length
+            for made in likely[:2]
+        ]
         other = likely[1][0].said.partition(" in ")[2].partition(",")[0]
         instead = f" (a string of {lengths[0]:.3g} m; {other} would fit too, and make it {lengths[1]:.3g} m)"
     for mistake in likely[0]:
         file = mistake.table if "." in mistake.table else measured.file(mistake.table)
         said = f"{mistake.said} as it seems: {shown(here)}{instead}"
-        yield Finding(Severity.ERROR, file, mistake.field, said, mistake.remedy, tuple(contradictory))
+        yield Finding(
+            Severity.ERROR,
+            file,
+            mistake.field,
+            said,
+            mistake.remedy,
+            tuple(contradictory),
+        )
 
 
 def impossible(measured: Measured) -> dict[str, tuple[View, View]]:
-    """Strings that cannot be, by trial. Where nobody says how long they are, as long as they were seen to be."""
-    looked = {seen.name: views(seen, measured.camera) for seen in measured.with_points()}
+    """Strings that cannot be, by trial. Where nobody says how long they are, as long as
+    they were seen to be.
+    """
+    looked = {
+        seen.name: views(seen, measured.camera) for seen in measured.with_points()
+    }
     if "length" not in (measured.data.metadata.get("string") or {}):
         end = max((both[0].end for both in looked.values()), default=0.0)
-        if end > BEYOND * measured.length:
-            looked = {name: (replace(a, length=end), replace(b, length=end)) for name, (a, b) in looked.items()}
-    return {name: both for name, both in looked.items() if not any(here.possible for here in both)}
+        if end > MAX_ARC_LENGTH_RATIO * measured.length:
+            looked = {
+                name: (replace(a, length=end), replace(b, length=end))
+                for name, (a, b) in looked.items()
+            }
+    return {
+        name: both
+        for name, both in looked.items()
+        if not any(here.possible for here in both)
+    }
 
 
 def unknown_arm(measured: Measured) -> list[str]:
-    """The fields of an arm (links, base) that dataset.yaml lacks although there are joint angles."""
+    """The fields of an arm (links, base) that dataset.yaml lacks although there are
+    joint angles.
+    """
     given = measured.data.metadata.get("arm") or {}
     by_joints = any(seen.joints is not None for seen in measured.trials)
     return [key for key in ("links", "base") if key not in given and by_joints]
 
 
-def explanations(measured: Measured, contradictory: Mapping[str, tuple[View, View]]) -> list[tuple[Mistake, ...]]:
-    """The mistakes without which all of these strings are possible and fit best, the likeliest first: that with
-    which they fall as things do, and millimetres before centimetres. Where no single one is enough, a unit and a
-    direction that are both wrong; none if these are not enough either."""
+def explanations(
+    measured: Measured, contradictory: Mapping[str, tuple[View, View]]
+) -> list[tuple[Mistake, ...]]:
+    """The mistakes without which all of these strings are possible and fit best, the
+    likeliest first: that with which they fall as things do, and millimetres before
+    centimetres. Where no single one is enough, a unit and a direction that are both
+    wrong; none if these are not enough either.
+    """
     # with s in another unit, all would lie at one place
     units = [m for m in MISTAKES if m.parts and "s" not in m.parts]
     directions = [m for m in MISTAKES if m.option]
     for tried in (((m,) for m in MISTAKES), product(units, directions)):
-        explained = {made: left for made in tried if (left := misfit_without(made, contradictory.values())) is not None}
-        best = [made for made, left in explained.items() if left <= min(explained.values()) + LIKE]
+        explained = {
+            made: left
+            for made in tried
+            if (left := misfit_without(made, contradictory.values())) is not None
+        }
+        best = [
+            made
+            for made, left in explained.items()
+            if left <= min(explained.values()) + LIKE
+        ]
         if best:
             seen = usual_fall(measured.with_points()) if len(best) > 1 else np.nan
-            return sorted(best, key=lambda made: np.nan_to_num(abs(np.log(abs(seen) * lengths_of(made) / GRAVITY))))
+            return sorted(
+                best,
+                key=lambda made: np.nan_to_num(
+                    abs(np.log(abs(seen) * lengths_of(made) / GRAVITY))
+                ),
+            )
     return []
 
 
@@ -282,12 +370,21 @@ def lengths_of(made: tuple[Mistake, ...]) -> float:
     return float(np.prod([mistake.factor for mistake in made if "xy" in mistake.parts]))
 
 
-def misfit_without(made: tuple[Mistake, ...], contradictory: Iterable[tuple[View, View]]) -> float | None:
-    """The misfit of strings after mistakes are undone, summed, or None if one of them still cannot be."""
+def misfit_without(
+    made: tuple[Mistake, ...], contradictory: Iterable[tuple[View, View]]
+) -> float | None:
+    """The misfit of strings after mistakes are undone, summed, or None if one of them
+    still cannot be.
+    """
     left = []
     for both in contradictory:
-        undone = (reduce(lambda view, mistake: mistake.undone(view), made, here) for here in both)
-        left.append([view.misfit for view in undone if view.possible and view.length <= SWUNG])
+        undone = (
+            reduce(lambda view, mistake: mistake.undone(view), made, here)
+            for here in both
+        )
+        left.append(
+            [view.misfit for view in undone if view.possible and view.length <= SWUNG]
+        )
         if not left[-1]:
             return None
     return sum(min(each) for each in left)
@@ -305,8 +402,9 @@ def shown(here: View) -> str:
 
 
 def unexplained(measured: Measured, name: str, here: View) -> Finding:
-    """An impossible string that no common mistake explains. One that is merely too short is left out of a run, which
-    is an error where no other is left."""
+    """An impossible string that no common mistake explains. One that is merely too
+    short is left out of a run, which is an error where no other is left.
+    """
     nearest = here.s == here.s.min()
     off = np.median((here.xy - here.grasp)[nearest], axis=0)
     severity = Severity.ERROR
@@ -317,11 +415,18 @@ def unexplained(measured: Measured, name: str, here: View) -> Finding:
             "whether the angles count from +x, counter-clockwise"
         )
     elif replace(here, length=float(here.s.max())).possible:
-        severity = Severity.WARNING if fits(measured.data, measured.length).trials else Severity.ERROR
+        severity = (
+            Severity.WARNING
+            if exclude_stray_points(measured.data, measured.length).trials
+            else Severity.ERROR
+        )
         said = f"s goes up to {here.s.max():.3f} m on a string of {here.length:.3f} m, and the trial is left out"
         remedy = "Correct string.length in dataset.yaml, or s"
     else:
-        said, remedy = shown(here), "Look at the units of s, x, y and string.length: all are metres"
+        said, remedy = (
+            shown(here),
+            "Look at the units of s, x, y and string.length: all are metres",
+        )
     return Finding(severity, measured.file("points"), "s, x, y", said, remedy, (name,))
 
 
@@ -333,4 +438,11 @@ def angles(measured: Measured) -> Iterator[Finding]:
         if worst > (TURNS if seen.joints is None else RADIANS):
             field = ", ".join(names)
             said = f"angles are in degrees, not in radians as it seems: they go up to {worst:.4g}"
-            yield Finding(Severity.ERROR, measured.hand_file, field, said, "Multiply them by pi / 180", (seen.name,))
+            yield Finding(
+                Severity.ERROR,
+                measured.hand_file,
+                field,
+                said,
+                "Multiply them by pi / 180",
+                (seen.name,),
+            )

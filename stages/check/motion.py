@@ -1,4 +1,6 @@
-"""How hand and string move: frozen readings, jumps, a string that hangs upwards, motion that says nothing."""
+"""How hand and string move: frozen readings, jumps, a string that hangs upwards, motion
+that says nothing.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,11 @@ from stringcast.stages.check.measured import CLEAR, GRAVITY, Measured
 from stringcast.stages.check.mistakes import impossible
 
 HELD = 0.1  # [s] for which a reading is the same to the last digit while others change
-REPEATED = 0.05  # of the steps of moving points: so many are not by chance the same to the last digit
+# of the steps of moving points: so many are not by chance the same to the last digit
+REPEATED = 0.05
 TURN = 1.5 * np.pi  # a jump so large within two samples is a wrapped angle
-SLOWEST, FASTEST = 4.0, 10.0  # times less and more than gravity: of 17 benches 5 to 19 m/s2, of a clamped strip 41
+# times less and more than gravity: of 17 benches 5 to 19 m/s2, of a clamped strip 41
+SLOWEST, FASTEST = 4.0, 10.0
 UP = 0.5  # of its arc length: so far above the grasp no limp string rests
 
 
@@ -29,15 +33,28 @@ def frozen(measured: Measured) -> Iterator[Finding]:
             same = (np.diff(reading) == 0) & moving
             runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]]))) - 1
             longest = float(runs.max()) * usual(seen.hand_t)
-            said = f"it stands still for {longest:.2f} s while other joints move" if longest > HELD else ""
+            said = (
+                f"it stands still for {longest:.2f} s while other joints move"
+                if longest > HELD
+                else ""
+            )
             said = "it never changes" if np.ptp(reading) == 0 else said
             if said:
                 remedy = f"If joint {number} moved, its log is frozen: leave the trial out, or record it again"
-                yield Finding(Severity.WARNING, measured.hand_file, f"q{number}", said, remedy, (seen.name,))
+                yield Finding(
+                    Severity.WARNING,
+                    measured.hand_file,
+                    f"q{number}",
+                    said,
+                    remedy,
+                    (seen.name,),
+                )
 
 
 def wrapped(measured: Measured) -> Iterator[Finding]:
-    """Joint angles that jump by a turn. Of theta it does not matter: a direction is the same after a turn."""
+    """Joint angles that jump by a turn. Of theta it does not matter: a direction is the
+    same after a turn.
+    """
     for seen in measured.trials:
         if seen.joints is None:
             continue
@@ -46,7 +63,14 @@ def wrapped(measured: Measured) -> Iterator[Finding]:
             if jumps and np.ptp(reading) < 2 * np.pi + 0.01:
                 said = f"{jumps} jump(s) by a whole turn: the angle is wrapped at +-pi"
                 remedy = "Unwrap it, as numpy.unwrap does"
-                yield Finding(Severity.ERROR, measured.hand_file, f"q{number}", said, remedy, (seen.name,))
+                yield Finding(
+                    Severity.ERROR,
+                    measured.hand_file,
+                    f"q{number}",
+                    said,
+                    remedy,
+                    (seen.name,),
+                )
 
 
 def hangs(measured: Measured) -> Iterator[Finding]:
@@ -56,10 +80,21 @@ def hangs(measured: Measured) -> Iterator[Finding]:
         tip = first.iloc[-1]
         grasp = np.interp(tip["t"], seen.hand_t, seen.pose[:, 1])
         above = float(tip["y"] - grasp)
-        if not seen.moving and tip["s"] > 0.5 * seen.length and UP * tip["s"] < above < seen.length:
+        if (
+            not seen.moving
+            and tip["s"] > 0.5 * seen.length
+            and UP * tip["s"] < above < seen.length
+        ):
             said = f"at rest the string's end is {above:.3f} m above the grasp"
             remedy = "If it hung down, y points down: multiply y of points and of the hand by -1 (and theta too)"
-            yield Finding(Severity.WARNING, measured.file("points"), "y", said, remedy, (seen.name,))
+            yield Finding(
+                Severity.WARNING,
+                measured.file("points"),
+                "y",
+                said,
+                remedy,
+                (seen.name,),
+            )
 
 
 def held(measured: Measured) -> Iterator[Finding]:
@@ -69,19 +104,30 @@ def held(measured: Measured) -> Iterator[Finding]:
         for _, xy in seen.tracks:
             steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
             far = steps > CLEAR * np.nan_to_num(seen.noise) + 1e-12
-            beside = np.concatenate([far[1:], [False]]) | np.concatenate([[False], far[:-1]])
+            beside = np.concatenate([far[1:], [False]]) | np.concatenate(
+                [[False], far[:-1]]
+            )
             same += int(((steps == 0) & beside).sum())
             moved += int(far.sum())
         share = same / (same + moved) if moved else 0.0
         if share > REPEATED:
             said = f"{share:.0%} of the steps of moving points are none: the same to the last digit"
             remedy = "If the tracker held its last value, drop those rows or set 'valid' to false"
-            yield Finding(Severity.WARNING, measured.file("points"), "x, y", said, remedy, (seen.name,))
+            yield Finding(
+                Severity.WARNING,
+                measured.file("points"),
+                "x, y",
+                said,
+                remedy,
+                (seen.name,),
+            )
 
 
 def falls(measured: Measured) -> Iterator[Finding]:
     """A string that falls as nothing does on Earth."""
-    if impossible(measured) or any(factor_of(seen.frame_t) != 1 for seen in measured.with_points()):
+    if impossible(measured) or any(
+        factor_of(seen.frame_t) != 1 for seen in measured.with_points()
+    ):
         return  # which makes it fall otherwise, and is said
     seen = usual_fall(measured.telling())
     if not (seen < GRAVITY / SLOWEST or seen > GRAVITY * FASTEST):
@@ -99,4 +145,11 @@ def still(measured: Measured) -> Iterator[Finding]:
     for seen in measured.with_points():
         if seen.hand_onset is None and seen.string_onset is None:
             said = "neither hand nor string leaves its place"
-            yield Finding(Severity.WARNING, measured.hand_file, "t", said, "It says little: leave it out", (seen.name,))
+            yield Finding(
+                Severity.WARNING,
+                measured.hand_file,
+                "t",
+                said,
+                "It says little: leave it out",
+                (seen.name,),
+            )

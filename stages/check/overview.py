@@ -8,13 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from stringcast.data.dataset import fits
+from stringcast.data.dataset import exclude_stray_points
 from stringcast.stages.check.check import findings
 from stringcast.stages.check.clocks import restless, usual
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import Measured
 
-PLAIN = {"s": (1e3, "ms"), "m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "1": (100.0, "%")}  # units as people say them
+# units as people say them
+PLAIN = {
+    "s": (1e3, "ms"),
+    "m": (1e3, "mm"),
+    "rad": (180 / np.pi, "deg"),
+    "1": (100.0, "%"),
+}
 EFFECTS = (
     "Found from: the size from which on a diagnosis would find an effect in these trials, and how far it then moves "
     "the tip. Like the string: the share of what it does that the string's own parameters can imitate. Taken for: "
@@ -24,9 +30,10 @@ EFFECTS = (
 
 @dataclass(frozen=True)
 class Row:
-    """One trial. duration: seen [s]. common: seen by the arm's clock too [s]. fps, hand_rate: samples [1/s]. points: in
-    a usual frame. noise: of a coordinate [m], None if unknown. path: of the hand [m]. begins: at rest, moving, or what
-    contradicts it."""
+    """One trial. duration: seen [s]. common: seen by the arm's clock too [s]. fps,
+    hand_rate: samples [1/s]. points: in a usual frame. noise: of a coordinate [m], None
+    if unknown. path: of the hand [m]. begins: at rest, moving, or what contradicts it.
+    """
 
     trial: str
     duration: float
@@ -50,7 +57,8 @@ def rows(measured: Measured) -> list[Row]:
     found, films = [], measured.data.films
     for seen in measured.trials:
         filmed = films[seen.name].t if seen.name in films else None
-        t = seen.frame_t if len(seen.frame_t) or filmed is None else filmed  # where no points were measured
+        # where no points were measured
+        t = seen.frame_t if len(seen.frame_t) or filmed is None else filmed
         common = min(t[-1], seen.hand_t[-1]) - max(t[0], seen.hand_t[0])
         path = float(np.linalg.norm(np.diff(seen.pose[:, :2], axis=0), axis=1).sum())
         begins = "moving" if seen.moving else "at rest"
@@ -65,7 +73,9 @@ def rows(measured: Measured) -> list[Row]:
 
 
 def found_from(told: Mapping[str, Any]) -> str:
-    """The size from which on an effect would be found, in plain words. told: as of `check --effects`."""
+    """The size from which on an effect would be found, in plain words. told: as of
+    `check --effects`.
+    """
     factor, unit = PLAIN.get(told["unit"], (1.0, told["unit"]))
     if told["found_from"] is None:
         return f"never: {told['most_tip_m'] * 1e3:.1f} mm at most"
@@ -75,15 +85,18 @@ def found_from(told: Mapping[str, Any]) -> str:
 
 
 def overview(measured: Measured) -> dict[str, Any]:
-    """All that is known about the data, JSON-able; `usable` says whether an experiment would run on them."""
+    """All that is known about the data, JSON-able; `usable` says whether an experiment
+    would run on them.
+    """
     found = findings(measured)
     errors = sum(finding.severity is Severity.ERROR for finding in found)
     return {
         "format": 1,
         "folder": str(measured.data.folder),
-        "usable": bool(fits(measured.data, measured.length).trials) and not errors,
+        "usable": bool(exclude_stray_points(measured.data, measured.length).trials)
+        and not errors,
         "string_length_m": measured.length,
         "trials": [asdict(each) for each in rows(measured)],
-        "rejected": dict(measured.data.rejected),
+        "rejected": dict(measured.data.rejection_reasons),
         "findings": [asdict(finding) for finding in found],
     }

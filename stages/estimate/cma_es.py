@@ -1,6 +1,8 @@
-"""CMA-ES on the matching rate, for when the paper's random search is too slow to converge.
+"""CMA-ES on the matching rate, for when the paper's random search is too slow to
+converge.
 
-Reference: N. Hansen, The CMA evolution strategy: a tutorial, arXiv 1604.00772 (cmaes package).
+Reference: N. Hansen, The CMA evolution strategy: a tutorial, arXiv 1604.00772 (cmaes
+package).
 """
 
 from __future__ import annotations
@@ -15,10 +17,19 @@ from pydantic import Field
 from stringcast.data.artifacts import Estimate, Observation
 from stringcast.stages.common import Progress
 from stringcast.stages.estimate.least_squares import posterior_samples
-from stringcast.stages.estimate.matching import Matching, matching_rate, targets
-from stringcast.stages.estimate.result import Candidates, estimate_of, insensitive, start_chi
+from stringcast.stages.estimate.matching import (
+    Matching,
+    matching_rate,
+    matching_targets,
+)
+from stringcast.stages.estimate.result import (
+    Candidates,
+    build_estimate,
+    insensitive_parameters,
+    start_chi,
+)
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import values_of
+from stringcast.stages.model.parameter import parameter_values
 
 
 def estimate(
@@ -34,29 +45,55 @@ def estimate(
     matching: Matching,
     progress: Progress = lambda share: None,
 ) -> Estimate:
-    """Parameters with the highest E. sigma: first step in chi, divided by `manipulation`.
+    """Parameters with the highest E. sigma: first step in chi, divided by
+    `manipulation`.
 
-    A search that has come to rest begins again somewhere else, until `candidates` are spent.
+    A search that has come to rest begins again somewhere else, until `candidates` are
+    spent.
     """
-    goals = targets(model, observations, matching)
+    goals = matching_targets(model, observations, matching)
     before = start_chi(model.parameters, previous)
     # about a point on a bound half of what is drawn lies beyond
-    middle = np.clip(before, 0.05, 0.95) if previous is not None else np.full(len(before), 0.5)
+    middle = (
+        np.clip(before, 0.05, 0.95)
+        if previous is not None
+        else np.full(len(before), 0.5)
+    )
     bounds = np.tile([0.0, 1.0], (len(before), 1))
-    settings = {"sigma": sigma / manipulation, "bounds": bounds, "population_size": population}
+    settings = {
+        "sigma": sigma / manipulation,
+        "bounds": bounds,
+        "population_size": population,
+    }
     search, rng = CMA(mean=middle, seed=seed, **settings), np.random.default_rng(seed)
-    tried, rates = [before[None]], [matching_rate(goals, values_of(model.parameters, before[None]))]
+    tried, rates = (
+        [before[None]],
+        [matching_rate(goals, parameter_values(model.parameters, before[None]))],
+    )
     rounds = max((candidates - 1) // population, 1)
     for number in range(rounds):
         if search.should_stop():
-            search = CMA(mean=rng.uniform(0, 1, len(before)), seed=int(rng.integers(2**31)), **settings)
+            search = CMA(
+                mean=rng.uniform(0, 1, len(before)),
+                seed=int(rng.integers(2**31)),
+                **settings,
+            )
         chi = np.stack([search.ask() for _ in range(population)])
-        rate = matching_rate(goals, values_of(model.parameters, chi))
+        rate = matching_rate(goals, parameter_values(model.parameters, chi))
         # E is at least 0: a run that was rejected is worse than any other
-        search.tell([(c, -r if np.isfinite(r) else 1.0) for c, r in zip(chi, rate, strict=True)])
+        search.tell(
+            [(c, -r if np.isfinite(r) else 1.0) for c, r in zip(chi, rate, strict=True)]
+        )
         tried.append(chi)
         rates.append(rate)
         progress((number + 1) / rounds)
     found = Candidates("CMA-ES", np.concatenate(tried), np.concatenate(rates))
-    best = found.chi[found.best]
-    return estimate_of(goals, before, best, found, insensitive(goals, found), posterior_samples(goals, best, seed))
+    best = found.chi[found.best_index]
+    return build_estimate(
+        goals,
+        before,
+        best,
+        found,
+        insensitive_parameters(goals, found),
+        posterior_samples(goals, best, seed),
+    )

@@ -8,23 +8,36 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import CANDIDATES, DRAWS, FIT, MATCHING, PARAMETERS, Estimate
+from stringcast.data.artifacts import (
+    CANDIDATES,
+    DRAWS,
+    ESTIMATION_SUMMARY,
+    MATCHING,
+    PARAMETERS,
+    Estimate,
+)
 from stringcast.data.schema import DataError
-from stringcast.stages.estimate.matching import Target, matching_rate
-from stringcast.stages.model.parameter import Parameter, values_of
+from stringcast.stages.estimate.matching import MatchingTarget, matching_rate
+from stringcast.stages.model.parameter import Parameter, parameter_values
 
-NEAR = 0.01  # candidates within this much of the best E are as good as it
-BROAD = 0.5  # an undetermined parameter's good values spread over this share of its range
-SCAN = np.linspace(0, 1, 21)  # chi at which a parameter is tried for that
-CORRELATED = 0.95  # correlation beyond which two parameters are known only together
-POOR = 0.6  # E below which the model does not explain the data, whatever its parameters
-FAR = 0.1  # of the string's length: a residual beyond that is no fit either
-EDGE = 0.01  # of the range: a value this close to an end sits on it
+# candidates within this much of the best E are as good as it
+EQUAL_RATE_TOLERANCE = 0.01
+# an undetermined parameter's good values spread over this share of its range
+UNDETERMINED_SPREAD = 0.5
+SCAN_EXPONENTS = np.linspace(0, 1, 21)  # chi at which a parameter is tried for that
+# correlation beyond which two parameters are known only together
+MAX_CORRELATION = 0.95
+# E below which the model does not explain the data, whatever its parameters
+MIN_MATCHING_RATE = 0.6
+MAX_RMS_SHARE = 0.1  # of the string's length: a residual beyond that is no fit either
+BOUND_TOLERANCE = 0.01  # of the range: a value this close to an end sits on it
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidates of a method, in order: chi (C, P) and matching rate E (C,), NaN where the simulation diverged."""
+    """Candidates of a method, in order: chi (C, P) and matching rate E (C,), NaN where
+    the simulation diverged.
+    """
 
     method: str
     chi: np.ndarray
@@ -39,15 +52,16 @@ class Candidates:
             )
 
     @property
-    def best(self) -> int:
+    def best_index(self) -> int:
         """The candidate with the highest E."""
         return int(np.nanargmax(self.matching_rate))
 
 
 @dataclass(frozen=True)
 class Interval:
-    """95 % intervals in chi, low and high (P,); which parameters the data determines (P,) bool; the same as a
-    sentence."""
+    """95 % intervals in chi, low and high (P,); which parameters the data determines
+    (P,) bool; the same as a sentence.
+    """
 
     low: np.ndarray
     high: np.ndarray
@@ -56,27 +70,40 @@ class Interval:
 
 
 def start_chi(parameters: Sequence[Parameter], previous: Estimate | None) -> np.ndarray:
-    """The start of the search: the previous manipulation's estimate, else the start values, (P,)."""
+    """The start of the search: the previous manipulation's estimate, else the start
+    values, (P,).
+    """
     known = {} if previous is None else previous.values()
-    return np.array([float(p.chi(np.asarray(known.get(p.name, p.start)))) for p in parameters])
+    return np.array(
+        [float(p.chi(np.asarray(known.get(p.name, p.start)))) for p in parameters]
+    )
 
 
-def estimate_of(
-    goals: Sequence[Target],
+def build_estimate(
+    goals: Sequence[MatchingTarget],
     before: np.ndarray,
     after: np.ndarray,
     search: Candidates,
     interval: Interval,
     draws: np.ndarray,
 ) -> Estimate:
-    """The artifact of an estimation. before, after: (P,) exponents of Eq. 3. search: all candidates tried. draws: (K,
-    P) that the trials leave possible."""
-    parameters = goals[0].case.model.parameters
-    pair = values_of(parameters, np.stack([before, after]))
-    scores = [(goal.case, *goal.per_frame(pair)[0]) for goal in goals]
-    frames = [pd.DataFrame({"trial": c.name, "t": c.times, "before": old, "after": new}) for c, old, new in scores]
+    """The artifact of an estimation. before, after: (P,) exponents of Eq. 3. search:
+    all candidates tried. draws: (K, P) that the trials leave possible.
+    """
+    parameters = goals[0].trial.model.parameters
+    pair = parameter_values(parameters, np.stack([before, after]))
+    scores = [(goal.trial, *goal.rates_by_frame(pair)[0]) for goal in goals]
+    frames = [
+        pd.DataFrame({"trial": c.name, "t": c.times, "before": old, "after": new})
+        for c, old, new in scores
+    ]
     matching = pd.concat(frames, ignore_index=True)
-    rms, tip = np.sqrt(np.mean([[goal.case.off(v) for v in pair] for goal in goals], axis=0)).T
+    rms, tip = np.sqrt(
+        np.mean(
+            [[goal.trial.mean_square_distances(v) for v in pair] for goal in goals],
+            axis=0,
+        )
+    ).T
     rate = search.matching_rate
     fit = {
         "method": search.method,
@@ -87,70 +114,117 @@ def estimate_of(
         "tip_before": tip[0],
         "tip_after": tip[1],
         "rejected": int(np.isnan(rate).sum()),
-        "sentence": bad_fit(matching["after"].mean(), rms[1], goals[0].case.model.string.length) or interval.sentence,
+        "sentence": describe_bad_fit(
+            matching["after"].mean(), rms[1], goals[0].trial.model.string.length
+        )
+        or interval.sentence,
     }
     record = np.fmax.accumulate(np.where(np.isnan(rate), -np.inf, rate))
     better = np.concatenate([[True], record[1:] > record[:-1]]) & ~np.isnan(rate)
-    tried = {"candidate": np.arange(len(rate)), "matching_rate": rate, "finite": ~np.isnan(rate), "accepted": better}
+    tried = {
+        "candidate": np.arange(len(rate)),
+        "matching_rate": rate,
+        "finite": ~np.isnan(rate),
+        "accepted": better,
+    }
     return Estimate(
-        PARAMETERS.check(_parameters(parameters, pair[1], after, interval)),
-        CANDIDATES.check(pd.DataFrame(tried | _columns(parameters, search.chi))),
+        PARAMETERS.check(_parameter_table(parameters, pair[1], after, interval)),
+        CANDIDATES.check(pd.DataFrame(tried | _value_columns(parameters, search.chi))),
         MATCHING.check(matching),
-        FIT.check(pd.DataFrame([fit])),
-        DRAWS.check(pd.DataFrame({"draw": np.arange(len(draws))} | _columns(parameters, draws))),
+        ESTIMATION_SUMMARY.check(pd.DataFrame([fit])),
+        DRAWS.check(
+            pd.DataFrame(
+                {"draw": np.arange(len(draws))} | _value_columns(parameters, draws)
+            )
+        ),
     )
 
 
-def insensitive(goals: Sequence[Target], search: Candidates) -> Interval:
+def insensitive_parameters(
+    goals: Sequence[MatchingTarget], search: Candidates
+) -> Interval:
     """The parameters on which E does not depend at the best string that a search found.
 
-    It cannot be said that a parameter is determined: a search narrows by itself, and may end beside a string that is
-    better still. Each parameter is moved through its range, the others held.
+    It cannot be said that a parameter is determined: a search narrows by itself, and
+    may end beside a string that is better still. Each parameter is moved through its
+    range, the others held.
     """
-    parameters = goals[0].case.model.parameters
-    best = search.chi[search.best]
-    scan = np.tile(best, (len(best), len(SCAN), 1))
-    scan[np.arange(len(best)), :, np.arange(len(best))] = SCAN
+    parameters = goals[0].trial.model.parameters
+    best = search.chi[search.best_index]
+    scan = np.tile(best, (len(best), len(SCAN_EXPONENTS), 1))
+    scan[np.arange(len(best)), :, np.arange(len(best))] = SCAN_EXPONENTS
     moved = scan.reshape(-1, len(best))
     chi = np.concatenate([search.chi, moved])
-    rate = np.concatenate([search.matching_rate, matching_rate(goals, values_of(parameters, moved))])
-    width = np.ptp(chi[rate >= search.matching_rate[search.best] - NEAR], axis=0)
-    found = (width < BROAD) & (best > EDGE) & (best < 1 - EDGE)
+    rate = np.concatenate(
+        [
+            search.matching_rate,
+            matching_rate(goals, parameter_values(parameters, moved)),
+        ]
+    )
+    width = np.ptp(
+        chi[rate >= search.matching_rate[search.best_index] - EQUAL_RATE_TOLERANCE],
+        axis=0,
+    )
+    found = (
+        (width < UNDETERMINED_SPREAD)
+        & (best > BOUND_TOLERANCE)
+        & (best < 1 - BOUND_TOLERANCE)
+    )
     unknown = np.full(len(best), np.nan)
-    loose = undetermined(parameters, found, "Near the best string found, E depends on every parameter.")
-    sentence = f"{loose} How sure the others are, a search on E cannot say; least squares can."
+    loose = describe_undetermined(
+        parameters, found, "Near the best string found, E depends on every parameter."
+    )
+    sentence = (
+        f"{loose} How sure the others are, a search on E cannot say; least squares can."
+    )
     return Interval(unknown, unknown, np.zeros(len(best), dtype=bool), sentence)
 
 
-def undetermined(parameters: Sequence[Parameter], determined: np.ndarray, clear: str) -> str:
-    """The parameters that the data cannot determine, in a sentence; `clear` if there are none."""
-    loose = [called(p) for p, good in zip(parameters, determined, strict=True) if not good]
+def describe_undetermined(
+    parameters: Sequence[Parameter], determined: np.ndarray, clear: str
+) -> str:
+    """The parameters that the data cannot determine, in a sentence; `clear` if there
+    are none.
+    """
+    loose = [
+        parameter_label(p)
+        for p, good in zip(parameters, determined, strict=True)
+        if not good
+    ]
     if not loose:
         return clear
     why = "other values fit as well, or the best lies at the end of the range"
     return f"This data cannot determine {', '.join(loose)}: {why}."
 
 
-def called(parameter: Parameter) -> str:
+def parameter_label(parameter: Parameter) -> str:
     """Its name, as in settings and tables, and the paper's symbol where it has one."""
-    return f"{parameter.name} ({parameter.symbol})" if parameter.symbol else parameter.name
+    return (
+        f"{parameter.name} ({parameter.symbol})" if parameter.symbol else parameter.name
+    )
 
 
-def correlated(parameters: Sequence[Parameter], determined: np.ndarray, correlation: np.ndarray) -> str:
-    """The parameters, not all determined, that the data determines only in combination, in a sentence. correlation: (P,
-    P)."""
-    names = [called(p) for p in parameters]
+def describe_correlated(
+    parameters: Sequence[Parameter], determined: np.ndarray, correlation: np.ndarray
+) -> str:
+    """The parameters, not all determined, that the data determines only in combination,
+    in a sentence. correlation: (P, P).
+    """
+    names = [parameter_label(p) for p in parameters]
     pairs = [
         f"{names[i]} and {names[j]} (correlation {correlation[i, j]:+.2f})"
         for i, j in zip(*np.triu_indices(len(names), 1), strict=True)
-        if abs(correlation[i, j]) > CORRELATED and not (determined[i] and determined[j])
+        if abs(correlation[i, j]) > MAX_CORRELATION
+        and not (determined[i] and determined[j])
     ]
     return f" It knows only together: {', '.join(pairs)}." if pairs else ""
 
 
-def bad_fit(rate: float, rms: float, length: float) -> str:
-    """A warning about a model that does not fit, whose parameters mean little; empty if it fits. rms, length [m]."""
-    if rate >= POOR and rms < FAR * length:
+def describe_bad_fit(rate: float, rms: float, length: float) -> str:
+    """A warning about a model that does not fit, whose parameters mean little; empty if
+    it fits. rms, length [m].
+    """
+    if rate >= MIN_MATCHING_RATE and rms < MAX_RMS_SHARE * length:
         return ""
     return (
         f"The model does not explain this data (E = {rate:.2f}, {rms * 1e3:.0f} mm between the simulated string and "
@@ -158,12 +232,16 @@ def bad_fit(rate: float, rms: float, length: float) -> str:
     )
 
 
-def _parameters(
-    parameters: Sequence[Parameter], value: np.ndarray, chi: np.ndarray, interval: Interval
+def _parameter_table(
+    parameters: Sequence[Parameter],
+    value: np.ndarray,
+    chi: np.ndarray,
+    interval: Interval,
 ) -> pd.DataFrame:
-    bound = (chi <= EDGE) | (chi >= 1 - EDGE)
+    bound = (chi <= BOUND_TOLERANCE) | (chi >= 1 - BOUND_TOLERANCE)
     ends = [
-        [p.value(np.asarray(c)) for p, c in zip(parameters, end, strict=True)] for end in (interval.low, interval.high)
+        [p.value(np.asarray(c)) for p, c in zip(parameters, end, strict=True)]
+        for end in (interval.low, interval.high)
     ]
     return pd.DataFrame(
         {
@@ -183,6 +261,14 @@ def _parameters(
     )
 
 
-def _columns(parameters: Sequence[Parameter], chi: np.ndarray) -> dict[str, np.ndarray]:
+def _value_columns(
+    parameters: Sequence[Parameter], chi: np.ndarray
+) -> dict[str, np.ndarray]:
     """Values at exponents (C, P), by parameter."""
-    return dict(zip((p.name for p in parameters), values_of(parameters, chi).T, strict=True))
+    return dict(
+        zip(
+            (p.name for p in parameters),
+            parameter_values(parameters, chi).T,
+            strict=True,
+        )
+    )

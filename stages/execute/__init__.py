@@ -1,4 +1,6 @@
-"""Execute: perform a motion with an arm and film it with a camera, or make a dry run of it."""
+"""Execute: perform a motion with an arm and film it with a camera, or make a dry run of
+it.
+"""
 
 from stringcast.data.artifacts import Motion, Trial
 from stringcast.stages.spec import StageSpec, This
@@ -10,5 +12,9 @@ STAGE = StageSpec(
     uses=("arm", "camera", "hardware", "execute", "seed"),
     run="stages.execute.execute.run",
     inputs={"motion": This(Motion)},
-    by=("stages.execute.execute.execute", "stages.execute.dry_run.dry", "stages.execute.dry_run.slow"),
+    by=(
+        "stages.execute.execute.execute",
+        "stages.execute.dry_run.dry",
+        "stages.execute.dry_run.slow",
+    ),
 )

@@ -31,17 +31,20 @@ def execute(
 ) -> Trial:
     """Perform `motion` and record the trial: commands, measured angles, frames.
 
-    before, after: rest filmed around the movement [s] (V: 0.2 s). Devices are opened here and always left stopped.
-    Raises what the devices raise.
+    before, after: rest filmed around the movement [s] (V: 0.2 s). Devices are opened
+    here and always left stopped. Raises what the devices raise.
     """
     commands = padded(motion.commands, before, after)
     with camera, arm:
         return filmed(commands, arm, camera, end=motion.duration + after)
 
 
-def filmed(commands: pd.DataFrame, arm: ArmDevice, camera: CameraDevice, end: float) -> Trial:
-    """Go to the start of `commands` and play them on film, with open devices. end: of the film [s]. Raises
-    HardwareError where no frame came meanwhile."""
+def filmed(
+    commands: pd.DataFrame, arm: ArmDevice, camera: CameraDevice, end: float
+) -> Trial:
+    """Go to the start of `commands` and play them on film, with open devices. end: of
+    the film [s]. Raises HardwareError where no frame came meanwhile.
+    """
     begin = float(commands["t"].iloc[0])
     arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
     camera.start()
@@ -52,10 +55,16 @@ def filmed(commands: pd.DataFrame, arm: ArmDevice, camera: CameraDevice, end: fl
     inside = np.flatnonzero((recording.t >= begin - 1e-9) & (recording.t <= end + 1e-9))
     if not len(inside):
         why = recording.fault or "its clock or delay is wrong"
-        raise HardwareError(f"camera: no frame came during the movement ({why}). Check the device and source.delay.")
+        raise HardwareError(
+            f"camera: no frame came during the movement ({why}). Check the device and source.delay."
+        )
     files = [f"images/{number:06d}.png" for number in range(len(inside))]
-    frames = pd.DataFrame({"frame": np.arange(len(inside)), "t": recording.t[inside], "file": files})
-    frames = frames.assign(**{name: column.to_numpy()[inside] for name, column in recording.counts.items()})
+    frames = pd.DataFrame(
+        {"frame": np.arange(len(inside)), "t": recording.t[inside], "file": files}
+    )
+    frames = frames.assign(
+        **{name: column.to_numpy()[inside] for name, column in recording.counts.items()}
+    )
     images = [recording.images[int(i)] for i in inside]
     link = performance.link.assign(**recording.summary)
     trial = Trial(performance.arm, performance.ticks, frames, link, images)
@@ -69,11 +78,23 @@ def distrusted(trial: Trial, reason: str) -> Trial:
 
 
 def padded(commands: pd.DataFrame, before: float, after: float) -> pd.DataFrame:
-    """Commands with rest before and after, on the same tick; the movement still starts at t = 0."""
+    """Commands with rest before and after, on the same tick; the movement still starts
+    at t = 0.
+    """
     tick = float(np.median(np.diff(commands["t"])))
     early, late = (round(rest / tick) for rest in (before, after))
     still = dict.fromkeys(SPEEDS, 0.0)
-    first = pd.concat([commands.iloc[:1]] * early, ignore_index=True).assign(**still) if early else commands.iloc[:0]
-    last = pd.concat([commands.iloc[-1:]] * late, ignore_index=True).assign(**still) if late else commands.iloc[:0]
+    first = (
+        pd.concat([commands.iloc[:1]] * early, ignore_index=True).assign(**still)
+        if early
+        else commands.iloc[:0]
+    )
+    last = (
+        pd.concat([commands.iloc[-1:]] * late, ignore_index=True).assign(**still)
+        if late
+        else commands.iloc[:0]
+    )
     whole = pd.concat([first, commands, last], ignore_index=True)
-    return whole.assign(t=commands["t"].iloc[0] + tick * (np.arange(len(whole)) - early))
+    return whole.assign(
+        t=commands["t"].iloc[0] + tick * (np.arange(len(whole)) - early)
+    )

@@ -1,8 +1,9 @@
-"""The string as MuJoCo has it: links that do not stretch on hinges with springs and dampers, mass points at their ends.
+"""The string as MuJoCo has it: links that do not stretch on hinges with springs and
+dampers, mass points at their ends.
 
-All that bends, weighs or is blown about is carried over as it is; a segment's stretch is not. Air resists each point by
-MuJoCo's ellipsoid model of a ball: its viscous force 6 pi eta r v is the linear drag, its blunt drag rho C pi r^2 |v| v
-the squared one.
+All that bends, weighs or is blown about is carried over as it is; a segment's stretch
+is not. Air resists each point by MuJoCo's ellipsoid model of a ball: its viscous force
+6 pi eta r v is the linear drag, its blunt drag rho C pi r^2 |v| v the squared one.
 """
 
 from __future__ import annotations
@@ -12,19 +13,23 @@ from typing import Any
 import numpy as np
 
 from stringcast.data.schema import DataError
-from stringcast.stages.model.effect import StringEffect, position_dependent
-from stringcast.stages.model.equilibrium import hanging
+from stringcast.stages.model.effect import StringEffect, is_position_dependent
+from stringcast.stages.model.engine.stability import vector_slot_sum
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.stability import vector_sum
-from stringcast.stages.model.statics import grasp_set
-from stringcast.stages.model.string import BASE
+from stringcast.stages.model.statics.chain import grasp_rest_angle
+from stringcast.stages.model.statics.equilibrium import hanging_shape
+from stringcast.stages.model.string import PAPER_EFFECTS
 
-SAID = {"acceleration", "flow", "rest_curvature", "density", "tip_mass", "tip_length"}  # slots that MuJoCo has, too
+# slots that MuJoCo has, too
+SAID = {"acceleration", "flow", "rest_curvature", "density", "tip_mass", "tip_length"}
 SAID |= {"hidden_length", "grasp_offset"}
-VISCOSITY, DENSITY = 0.1, 1.0  # of the air [Pa s], [kg/m3]: such that a ball moves no air to speak of along with it
+# of the air [Pa s], [kg/m3]: such that a ball moves no air to speak of along with it
+VISCOSITY, DENSITY = 0.1, 1.0
 SMALL = 1e-3  # radius of gyration of a mass point, in segments
-DOWN = np.array([[0.0, 0.0, -np.pi / 2]])  # pose of a grasp from which the string hangs straight
-HEAVY = 1e6  # times the string's mass (times m^2 for turns): a hand that the string does not move
+# pose of a grasp from which the string hangs straight
+DOWN = np.array([[0.0, 0.0, -np.pi / 2]])
+# times the string's mass (times m^2 for turns): a hand that the string does not move
+HEAVY = 1e6
 
 PAGE = """\
 <mujoco model="string">
@@ -66,59 +71,116 @@ fluidshape="ellipsoid" fluidcoef="{blunt:.9g} 0 0 0 0"/>
 def mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> str:
     """The string of a model as an MJCF document.
 
-    values: (P,) of its parameters. mass: of the string [kg], which motion alone does not tell. step: [s]. Effects on
-    hand, clocks and camera are no part of a string, and are left out. Raises DataError for one on the string that
-    MuJoCo has no law for.
+    values: (P,) of its parameters. mass: of the string [kg], which motion alone does
+    not tell. step: [s]. Effects on hand, clocks and camera are no part of a string, and
+    are left out. Raises DataError for one on the string that MuJoCo has no law for.
     """
     string = model.string
     for effect in string.effects:
-        if effect not in BASE and (position_dependent(effect) or not set(effect.laws()) <= SAID):
+        if effect not in PAPER_EFFECTS and (
+            is_position_dependent(effect) or not set(effect.laws()) <= SAID
+        ):
             raise DataError(
                 f"effect '{effect.name}': MuJoCo has no such law ({', '.join(effect.laws())}). Estimate the string "
                 "again without it, and export that."
             )
     material = string.material(values[None, : len(string.parameters)])
-    over = mass / string.length  # mass per length, by which everything of ours is divided [kg/m]
+    # mass per length, by which everything of ours is divided [kg/m]
+    over = mass / string.length
     nothing = {"x": np.zeros((1, 1)), "y": np.zeros((1, 1)), "t": np.zeros((1, 1))}
-    gravity, wind = (vector_sum(string, material, slot, nothing)[0, 0] for slot in ("acceleration", "flow"))
-    beside = [effect.name for effect in model.effects if not issubclass(effect, StringEffect)]
+    gravity, wind = (
+        vector_slot_sum(string, material, slot, nothing)[0, 0]
+        for slot in ("acceleration", "flow")
+    )
+    beside = [
+        effect.name for effect in model.effects if not issubclass(effect, StringEffect)
+    ]
 
     # bodies one inside the other
     links = _links(model, material, over)
     pads = ["  " * (3 + i) for i in range(len(links))]
-    opened = "".join(LINK.format(pad=pad, **link) for pad, link in zip(pads, links, strict=True))
+    opened = "".join(
+        LINK.format(pad=pad, **link) for pad, link in zip(pads, links, strict=True)
+    )
     tip = f'{pads[-1]}  <site name="tip" pos="{links[-1]["length"]:.9g} 0 0"/>\n'
     closed = "\n".join(f"{pad}</body>" for pad in reversed(pads))
     return PAGE.format(
-        **{"segments": string.points - 1, "length": string.length, "mass": mass, "step": step},
+        **{
+            "segments": string.points - 1,
+            "length": string.length,
+            "mass": mass,
+            "step": step,
+        },
         **{"gx": gravity[0], "gy": gravity[1], "wx": wind[0], "wy": wind[1]},
         **{"density": DENSITY, "viscosity": VISCOSITY, "heavy": HEAVY * mass},
-        longer=1e3 * float((hanging(string, material, DOWN)[1][0] - string.segments(material)).sum()),
-        stated=f" Left out, for no part of the string: {', '.join(beside)}." if beside else "",
+        longer=1e3
+        * float(
+            (
+                hanging_shape(string, material, DOWN)[1][0]
+                - string.free_segment_lengths(material)
+            ).sum()
+        ),
+        stated=f" Left out, for no part of the string: {', '.join(beside)}."
+        if beside
+        else "",
         chain=opened + tip + closed,
     )
 
 
 def _links(model: Model, material: np.ndarray, over: float) -> list[dict[str, Any]]:
-    """The properties of each link, from the grasp to the tip. over: mass per length [kg/m]."""
+    """The properties of each link, from the grasp to the tip. over: mass per length
+    [kg/m].
+    """
     string = model.string
-    named = {name: float(material[0, place]) for place, name in enumerate(string.rows)}
-    length = float(string.segments(material)[0])
-    masses, cells = (rows[0, 1:] * over for rows in string.masses(material))
-    places = string.places(material)[:, 1:-1]
-    given = {"s": places, "length": string.length * string.longer(material)[:, None]}
-    rest = sum(string.added("rest_curvature", material, given), np.zeros_like(places))[0] * length
-    hinges = [(named["grasp_stiffness"], named["grasp_damping"], float(grasp_set(string, material)[0, 0]))]
-    hinges += [(named["bending_stiffness"] / length, named["bending_damping"] / length, angle) for angle in rest]
-    # a sphere's drag: by Stokes its radius follows from the linear part, and the coefficient of the rest from both
+    named = {
+        name: float(material[0, place]) for place, name in enumerate(string.row_names)
+    }
+    length = float(string.free_segment_lengths(material)[0])
+    masses, cells = (rows[0, 1:] * over for rows in string.point_masses(material))
+    places = string.free_arc_lengths(material)[:, 1:-1]
+    given = {
+        "s": places,
+        "length": string.length * string.free_length_ratio(material)[:, None],
+    }
+    rest = (
+        sum(
+            string.law_values("rest_curvature", material, given), np.zeros_like(places)
+        )[0]
+        * length
+    )
+    hinges = [
+        (
+            named["grasp_stiffness"],
+            named["grasp_damping"],
+            float(grasp_rest_angle(string, material)[0, 0]),
+        )
+    ]
+    hinges += [
+        (named["bending_stiffness"] / length, named["bending_damping"] / length, angle)
+        for angle in rest
+    ]
+    # a sphere's drag: by Stokes its radius follows from the linear part, and the
+    # coefficient of the rest from both
     radius = cells * named["linear_drag"] / (6 * np.pi * VISCOSITY)
     blunt = cells * named["quadratic_drag"] / (DENSITY * np.pi * radius**2)
-    offsets = [np.ravel(offset) for offset in string.added("grasp_offset", material, {})]
+    offsets = [
+        np.ravel(offset) for offset in string.law_values("grasp_offset", material, {})
+    ]
     along, across = np.sum([np.zeros(2), *offsets], axis=0)
     return [
-        {"number": i + 1, "start": length if i else along, "beside": 0.0 if i else across}
+        {
+            "number": i + 1,
+            "start": length if i else along,
+            "beside": 0.0 if i else across,
+        }
         | {"length": length, "mass": masses[i]}
-        | {"stiffness": stiff * over, "damping": damped * over, "rest": angle, "radius": radius[i], "blunt": blunt[i]}
+        | {
+            "stiffness": stiff * over,
+            "damping": damped * over,
+            "rest": angle,
+            "radius": radius[i],
+            "blunt": blunt[i],
+        }
         | {"inertia": masses[i] * (SMALL * length) ** 2}
         for i, (stiff, damped, angle) in enumerate(hinges)
     ]

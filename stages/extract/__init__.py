@@ -1,4 +1,6 @@
-"""Extract: from camera frames to the string's centre-line, tip and binary images (IV-B)."""
+"""Extract: from camera frames to the string's centre-line, tip and binary images
+(IV-B).
+"""
 
 from stringcast.data.artifacts import Film, Points, Trial
 from stringcast.stages.spec import StageSpec, This

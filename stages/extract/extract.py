@@ -1,4 +1,6 @@
-"""Read the string in every frame; what cannot be read is marked invalid with the reason."""
+"""Read the string in every frame; what cannot be read is marked invalid with the
+reason.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,17 @@ import pandas as pd
 from pydantic import Field
 
 from stringcast.data.artifacts import MASKS, POINTS, READINGS, Film, Points, Trial
-from stringcast.data.images import Held
+from stringcast.data.images import CachedImages
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress
-from stringcast.stages.extract.centreline import HALF, Line, UnreadableError, along, refine, trace
+from stringcast.stages.extract.centreline import (
+    HALF,
+    Line,
+    UnreadableError,
+    along,
+    refine,
+    trace,
+)
 from stringcast.stages.extract.footage import Footage, aligned_footage
 from stringcast.stages.extract.quality import check
 from stringcast.stages.extract.score import rasterise
@@ -36,14 +45,20 @@ from stringcast.stages.model.camera import Camera
 from stringcast.stages.spec import Call
 
 MARGIN = 12.0  # [px] around what the string can reach
-BLURRED = 2.0  # [px] by how much half the string's width may be more than in the other frames
-UNEVEN = 0.3  # of what a point is moved along the line because tension is not the same all along: may be wrong
-WIDE = 3.0  # [px] half width from which brightness alone does not show where the middle is
+# [px] by how much half the string's width may be more than in the other frames
+BLURRED = 2.0
+# of what a point is moved along the line because tension is not the same all along: may
+# be wrong
+UNEVEN = 0.3
+# [px] half width from which brightness alone does not show where the middle is
+WIDE = 3.0
 
 
 @dataclass(frozen=True)
 class Reading:
-    """One frame: points (K, 2) [m], sigma (K,) [m], mask as PNG, length of the line [m]."""
+    """One frame: points (K, 2) [m], sigma (K,) [m], mask as PNG, length of the line
+    [m].
+    """
 
     points: np.ndarray
     sigma: np.ndarray
@@ -55,7 +70,9 @@ def run(call: Call, trial: Trial | Film) -> Points:
     """The string in each frame of a trial of ours or a film of others, as a stage."""
     film = trial if isinstance(trial, Film) else trial.film
     model = call.setup.model
-    made: Points = call.by(aligned_footage(film, model), model.camera, progress=call.progress)
+    made: Points = call.by(
+        aligned_footage(film, model), model.camera, progress=call.progress
+    )
     return made
 
 
@@ -74,10 +91,11 @@ def extract(
 ) -> Points:
     """The string in each frame.
 
-    string_length: from grasp to tip [m]. points: how many are reported along it. sigmas:
-    threshold above noise. arm_width: of the limbs to be masked [m]. hidden: length near the
-    grasp that may be out of sight [m]. shorter, longer: by how much of the string's length the
-    line may differ before the frame is refused (a swung string stretches).
+    string_length: from grasp to tip [m]. points: how many are reported along it.
+    sigmas: threshold above noise. arm_width: of the limbs to be masked [m]. hidden:
+    length near the grasp that may be out of sight [m]. shorter, longer: by how much of
+    the string's length the line may differ before the frame is refused (a swung string
+    stretches).
     """
     rows, columns = footage.images[0].shape
     if (columns, rows) != (camera.width, camera.height):
@@ -85,31 +103,64 @@ def extract(
             f"camera.width x camera.height is {camera.width} x {camera.height}, the frames are {columns} x {rows} px. "
             "Say so in the dataset's dataset.yaml, or in conf/camera."
         )
-    images, sway = stabilised(Held(footage.images))
+    images, sway = stabilised(CachedImages(footage.images))
     footage = replace(footage, images=images)
     reach = string_length * (1 + longer) * camera.px_per_m + MARGIN
     backdrop = _backdrop(footage, camera, string_length, arm_width, sway)
     readings: list[Reading | str] = []
     for number in range(len(footage.t)):
         try:
-            line, mask = _line(footage, number, backdrop, camera, reach, sigmas, arm_width, hidden)
-            readings.append(_reading(line, mask, camera, np.linspace(0, string_length, points), shorter, longer))
+            line, mask = _line(
+                footage, number, backdrop, camera, reach, sigmas, arm_width, hidden
+            )
+            readings.append(
+                _reading(
+                    line,
+                    mask,
+                    camera,
+                    np.linspace(0, string_length, points),
+                    shorter,
+                    longer,
+                )
+            )
         except UnreadableError as reason:
             readings.append(str(reason))
         progress((number + 1) / len(footage.t))
     return _tables(footage.t, readings, np.linspace(0, string_length, points))
 
 
-def _backdrop(footage: Footage, camera: Camera, string_length: float, arm_width: float, sway: float) -> Backdrop:
-    """The scene shared by all frames, from a sample of them. sway: one sigma of where the camera looks [px]."""
+def _backdrop(
+    footage: Footage,
+    camera: Camera,
+    string_length: float,
+    arm_width: float,
+    sway: float,
+) -> Backdrop:
+    """The scene shared by all frames, from a sample of them. sway: one sigma of where
+    the camera looks [px].
+    """
     images, chosen = footage.images, samples(len(footage.images))
-    frames = [image if image.dtype == np.uint8 else cv2.convertScaleAbs(image) for image in (images[i] for i in chosen)]
-    bodies = np.zeros((len(footage.t), 0, 2)) if footage.body is None else camera.pixels(footage.body)
-    arms = [packed(silhouette(frames[0].shape, bodies[i][None], arm_width * camera.px_per_m)) for i in chosen]
+    frames = [
+        image if image.dtype == np.uint8 else cv2.convertScaleAbs(image)
+        for image in (images[i] for i in chosen)
+    ]
+    bodies = (
+        np.zeros((len(footage.t), 0, 2))
+        if footage.body is None
+        else camera.pixels(footage.body)
+    )
+    arms = [
+        packed(
+            silhouette(frames[0].shape, bodies[i][None], arm_width * camera.px_per_m)
+        )
+        for i in chosen
+    ]
     low = darkest(frames)
     half = half_widths(frames, low, arms)
     scene = background(frames, arms, low, half)
-    scene = uncovered(scene, camera.pixels(footage.grasp[:, :2]), string_length * camera.px_per_m)
+    scene = uncovered(
+        scene, camera.pixels(footage.grasp[:, :2]), string_length * camera.px_per_m
+    )
     return Backdrop(scene, brightest(footage.images, scene), half, sway)
 
 
@@ -123,29 +174,51 @@ def _line(
     arm_width: float,
     hidden: float,
 ) -> tuple[Line, np.ndarray]:
-    """The centre-line [px] in one frame, beginning at the grasp, and its binary image. reach: of the string [px]."""
+    """The centre-line [px] in one frame, beginning at the grasp, and its binary image.
+    reach: of the string [px].
+    """
     grasp = camera.pixels(footage.grasp[number, :2])
     image = footage.images[number]
     window = around(grasp, reach, image.shape)
     if min(window.shape) < 2 * HALF:
         raise UnreadableError("the grasp is out of view")
 
-    # the arm's joints (K, J + 1, 2) at moments of the exposure, and how far the fastest moves in it [px]
+    # the arm's joints (K, J + 1, 2) at moments of the exposure, and how far the fastest
+    # moves in it [px]
     moments, blur = np.zeros((0, 0, 2)), 0.0
     if footage.body is not None:
         beside = slice(max(number - 1, 0), number + 2)
         near = camera.pixels(footage.body[beside])
-        moved = (near[-1] - near[0]) / max(float(np.ptp(footage.t[beside])), 1e-9) * camera.exposure
+        moved = (
+            (near[-1] - near[0])
+            / max(float(np.ptp(footage.t[beside])), 1e-9)
+            * camera.exposure
+        )
         blur = float(np.linalg.norm(moved, axis=-1).max())
         count = int(np.ceil(blur)) + 1
         share = (np.arange(count) + 0.5) / count - 0.5
         moments = camera.pixels(footage.body[number]) + share[:, None, None] * moved
 
     part = replace(backdrop, scene=window.cut(backdrop.scene))
-    seen = segment(window.cut(image), part, moments - window.corner, arm_width * camera.px_per_m, blur, sigmas)
+    seen = segment(
+        window.cut(image),
+        part,
+        moments - window.corner,
+        arm_width * camera.px_per_m,
+        blur,
+        sigmas,
+    )
     half = min(half_width(seen.mask), backdrop.half + BLURRED)
-    ridge = cv2.GaussianBlur(seen.light, (0, 0), 0.6 * half) if half > WIDE else seen.light
-    way = trace(ridge, seen.mask, seen.arm, grasp - window.corner, start_radius=hidden * camera.px_per_m + 8)
+    ridge = (
+        cv2.GaussianBlur(seen.light, (0, 0), 0.6 * half) if half > WIDE else seen.light
+    )
+    way = trace(
+        ridge,
+        seen.mask,
+        seen.arm,
+        grasp - window.corner,
+        start_radius=hidden * camera.px_per_m + 8,
+    )
     line = refine(seen.light, seen.outline, way, seen.noise, half)
     check(line, seen.mask, half)
     points = np.concatenate([grasp[None], line.points[1:] + window.corner])
@@ -155,22 +228,33 @@ def _line(
 
 
 def drawn(s: np.ndarray, length: float) -> np.ndarray:
-    """Arc lengths (K,) [m] on a line of this length of those at rest s (K,), whose last is the tip's.
+    """Arc lengths (K,) [m] on a line of this length of those at rest s (K,), whose last
+    is the tip's.
 
-    A string that is longer than it was is drawn: by the tension of what is beyond each point, which falls to nothing at
-    the free end, evenly where the string is thrown straight. A line that is shorter was read short all along.
+    A string that is longer than it was is drawn: by the tension of what is beyond each
+    point, which falls to nothing at the free end, evenly where the string is thrown
+    straight. A line that is shorter was read short all along.
     """
     share, more = s / s[-1], max(length - s[-1], 0.0)
     return np.asarray(share * (length - more) + more * share * (2 - share))
 
 
-def _reading(line: Line, mask: np.ndarray, camera: Camera, s: np.ndarray, shorter: float, longer: float) -> Reading:
+def _reading(
+    line: Line,
+    mask: np.ndarray,
+    camera: Camera,
+    s: np.ndarray,
+    shorter: float,
+    longer: float,
+) -> Reading:
     """Points at equal arc lengths; refuses a line that is not as long as the string."""
     world = camera.world(line.points)
     depth = along(world)
     length = float(depth[-1])
     if not s[-1] * (1 - shorter) <= length <= s[-1] * (1 + longer):
-        raise UnreadableError(f"the line is {'shorter' if length < s[-1] else 'longer'} than the string")
+        raise UnreadableError(
+            f"the line is {'shorter' if length < s[-1] else 'longer'} than the string"
+        )
     end = line.points[-1]
     if not (1 <= end[0] <= camera.width - 2 and 1 <= end[1] <= camera.height - 2):
         raise UnreadableError("the string leaves the picture")
@@ -178,28 +262,53 @@ def _reading(line: Line, mask: np.ndarray, camera: Camera, s: np.ndarray, shorte
     at = np.stack([np.interp(wanted, depth, world[:, i]) for i in (0, 1)], axis=-1)
     good, png = cv2.imencode(".png", mask * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
     assert good
-    sigma = np.hypot(np.interp(wanted, depth, line.sigma) / camera.px_per_m, UNEVEN * (wanted - length * s / s[-1]))
+    sigma = np.hypot(
+        np.interp(wanted, depth, line.sigma) / camera.px_per_m,
+        UNEVEN * (wanted - length * s / s[-1]),
+    )
     return Reading(at, sigma, png.tobytes(), length)
 
 
 def _tables(t: np.ndarray, readings: list[Reading | str], s: np.ndarray) -> Points:
-    """Everything read, as tables. t: (F,) times of the frames [s]. s: (K,) arc lengths of the points [m]."""
+    """Everything read, as tables. t: (F,) times of the frames [s]. s: (K,) arc lengths
+    of the points [m].
+    """
     rows: list[dict[str, object]] = []
     for number, reading in enumerate(readings):
         if isinstance(reading, str):  # why it could not be read
             found = dict.fromkeys(("tip_x", "tip_y", "tip_sigma", "length"), np.nan)
-            rows.append({"frame": number, "t": t[number], "valid": False, "reason": reading} | found)
+            rows.append(
+                {"frame": number, "t": t[number], "valid": False, "reason": reading}
+                | found
+            )
         else:
             x, y = reading.points[-1]
-            tip = {"tip_x": x, "tip_y": y, "tip_sigma": float(reading.sigma[-1]), "length": reading.length}
-            rows.append({"frame": number, "t": t[number], "valid": True, "reason": ""} | tip)
+            tip = {
+                "tip_x": x,
+                "tip_y": y,
+                "tip_sigma": float(reading.sigma[-1]),
+                "length": reading.length,
+            }
+            rows.append(
+                {"frame": number, "t": t[number], "valid": True, "reason": ""} | tip
+            )
     table = READINGS.check(pd.DataFrame(rows)) if rows else READINGS.empty()
-    good = [(number, reading) for number, reading in enumerate(readings) if isinstance(reading, Reading)]
+    good = [
+        (number, reading)
+        for number, reading in enumerate(readings)
+        if isinstance(reading, Reading)
+    ]
     if not good:
         return Points(POINTS.empty(), table, MASKS.empty())
     frames, read = [number for number, _ in good], [reading for _, reading in good]
     places = {"t": np.repeat(t[frames], len(s)), "s": np.tile(s, len(frames))}
-    places |= dict(zip("xy", np.concatenate([reading.points for reading in read]).T, strict=True))
+    places |= dict(
+        zip("xy", np.concatenate([reading.points for reading in read]).T, strict=True)
+    )
     places |= {"sigma": np.concatenate([reading.sigma for reading in read])}
     masks = {"frame": frames, "t": t[frames], "png": [reading.mask for reading in read]}
-    return Points(POINTS.check(pd.DataFrame(places).assign(valid=True)), table, MASKS.check(pd.DataFrame(masks)))
+    return Points(
+        POINTS.check(pd.DataFrame(places).assign(valid=True)),
+        table,
+        MASKS.check(pd.DataFrame(masks)),
+    )

@@ -1,4 +1,6 @@
-"""Segmentation: the pixels of a frame that are brighter than the scene without the string would be."""
+"""Segmentation: the pixels of a frame that are brighter than the scene without the
+string would be.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +12,24 @@ import numpy as np
 
 SAMPLES = 120  # frames from which the background is learnt
 BAND = 16  # rows of them that are put in order at a time: about a megabyte
-LIT = 0.75  # of the frames without the arm: where in their order of brightness the wall is not in shadow
+# of the frames without the arm: where in their order of brightness the wall is not in
+# shadow
+LIT = 0.75
 SHADE = 4.0  # [grey levels] by how much a shadow at least darkens the wall
-LEVEL = 3  # percentile over time: a pixel shows the background when the string has left it at least this often
-STATIC = 0.35  # of the string's length: how far from a resting grasp the string may never leave its pixels
+# percentile over time: a pixel shows the background when the string has left it at
+# least this often
+LEVEL = 3
+# of the string's length: how far from a resting grasp the string may never leave its
+# pixels
+STATIC = 0.35
 STILL = 5.0  # [px] a resting grasp moves less
-WIDEST = 350  # [px] of the median that fills it in; OpenCV does none that is wider than 361
+# [px] of the median that fills it in; OpenCV does none that is wider than 361
+WIDEST = 350
 SPECK = 12  # [px] a patch with fewer is the arm's edge or noise, not string
 OUTLINE = 1.0  # [px] by how much the outline of a resting arm may be off
 LEAST = 5.0  # the string outshines nothing less than this part of the typical
-UNCERTAIN = 10.0  # [grey levels] more than this off, a pixel does not tell where the string's middle is
+# [grey levels] more than this off, a pixel does not tell where the string's middle is
+UNCERTAIN = 10.0
 GREY = 0.3  # [grey levels] noise of rounding to whole levels
 
 
@@ -27,8 +37,9 @@ GREY = 0.3  # [grey levels] noise of rounding to whole levels
 class Backdrop:
     """The scene behind the string, shared by all frames of a film.
 
-    scene: (height, width) grey levels without string and arm. string: brightness of the string [grey levels]. half:
-    half its width, blurred [px]. sway: one sigma of where the camera looks [px].
+    scene: (height, width) grey levels without string and arm. string: brightness of the
+    string [grey levels]. half: half its width, blurred [px]. sway: one sigma of where
+    the camera looks [px].
     """
 
     scene: np.ndarray
@@ -41,8 +52,9 @@ class Backdrop:
 class Segmented:
     """The string of one frame, each array (height, width).
 
-    light: brightness above what else is seen, as in front of the scene [grey levels]. mask: where it is certain, uint8.
-    arm: where the arm may hide it, outline: where the arm's edge blurs what is what, bool. noise: one sigma of light.
+    light: brightness above what else is seen, as in front of the scene [grey levels].
+    mask: where it is certain, uint8. arm: where the arm may hide it, outline: where the
+    arm's edge blurs what is what, bool. noise: one sigma of light.
     """
 
     light: np.ndarray
@@ -53,34 +65,51 @@ class Segmented:
 
 
 def segment(
-    image: np.ndarray, backdrop: Backdrop, moments: np.ndarray, width: float, blur: float, sigmas: float
+    image: np.ndarray,
+    backdrop: Backdrop,
+    moments: np.ndarray,
+    width: float,
+    blur: float,
+    sigmas: float,
 ) -> Segmented:
     """The pixels of a frame that are neither scene nor arm.
 
-    moments: (K, J + 1, 2) the arm's joints [px] at moments of the exposure. width: of a link, blur: how far the arm
-    moves in the exposure [px]; its clock may be half an exposure off. sigmas: threshold above the noise.
+    moments: (K, J + 1, 2) the arm's joints [px] at moments of the exposure. width: of a
+    link, blur: how far the arm moves in the exposure [px]; its clock may be half an
+    exposure off. sigmas: threshold above the noise.
     """
-    seen, body, outline = expected(image, backdrop.scene, moments, width, OUTLINE + blur / 2)
+    seen, body, outline = expected(
+        image, backdrop.scene, moments, width, OUTLINE + blur / 2
+    )
     above = cv2.GaussianBlur(image - seen, (0, 0), 0.8)
     grain = noise(above[::3, ::3])
     rough = max(grain, noise(above[body])) if body.any() else grain
-    mask = without_specks((above > sigmas * np.where(body, rough, grain)).astype(np.uint8))
+    mask = without_specks(
+        (above > sigmas * np.where(body, rough, grain)).astype(np.uint8)
+    )
     arm = silhouette(image.shape, moments, width + 4 + blur)
     # what is as bright as the arm is noise, made larger
     sure = ~body | (cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0)
-    # brightness as it would be in front of a typical part: the string outshines a bright arm less than a dark wall
+    # brightness as it would be in front of a typical part: the string outshines a
+    # bright arm less than a dark wall
     room = backdrop.string - seen
     typical = max(float(np.median(room)), GREY)
     light = np.maximum(above, 0) * typical / np.maximum(room, typical / LEAST)
     return Segmented(sure * light, mask, arm, outline, grain)
 
 
-def background(frames: Sequence[np.ndarray], arm: Sequence[np.ndarray], low: np.ndarray, half: float) -> np.ndarray:
+def background(
+    frames: Sequence[np.ndarray],
+    arm: Sequence[np.ndarray],
+    low: np.ndarray,
+    half: float,
+) -> np.ndarray:
     """The scene without string and arm, (height, width) float32.
 
-    frames: some, (height, width) uint8 each. arm: of each the pixels where the arm is, `packed`. low: `darkest` of
-    them. half: half the string's width [px]. What is bright in a few frames is string or arm; but where a shadow
-    passes, the wall is what is bright in some, over more than the string's width.
+    frames: some, (height, width) uint8 each. arm: of each the pixels where the arm is,
+    `packed`. low: `darkest` of them. half: half the string's width [px]. What is bright
+    in a few frames is string or arm; but where a shadow passes, the wall is what is
+    bright in some, over more than the string's width.
     """
     wall = np.maximum(_in_bands(_bare, frames, arm) - low, 0)
     across = 2 * int(np.ceil(2 * half)) + 5
@@ -89,18 +118,30 @@ def background(frames: Sequence[np.ndarray], arm: Sequence[np.ndarray], low: np.
 
 
 def darkest(frames: Sequence[np.ndarray]) -> np.ndarray:
-    """The brightness of each pixel when nothing bright covers it, (height, width) float32. frames: uint8."""
+    """The brightness of each pixel when nothing bright covers it, (height, width)
+    float32. frames: uint8.
+    """
     levels = _in_bands(_low_and_middle, frames)
     low, middle = levels[..., 0], levels[..., 1]
-    return np.asarray(low + np.median(middle - low))  # noise alone makes a low percentile darker than the scene
+    # noise alone makes a low percentile darker than the scene
+    return np.asarray(low + np.median(middle - low))
 
 
-def _in_bands(look: Callable[..., np.ndarray], *films: Sequence[np.ndarray]) -> np.ndarray:
-    """A look at frames, so many rows of all at a time: what is made of them meanwhile fits into a processor's cache.
+def _in_bands(
+    look: Callable[..., np.ndarray], *films: Sequence[np.ndarray]
+) -> np.ndarray:
+    """A look at frames, so many rows of all at a time: what is made of them meanwhile
+    fits into a processor's cache.
 
-    look: from stacks (F, rows, width), one of each film, to (rows, width, ...)."""
+    look: from stacks (F, rows, width), one of each film, to (rows, width, ...).
+    """
     bands = (slice(first, first + BAND) for first in range(0, len(films[0][0]), BAND))
-    return np.concatenate([look(*(np.stack([frame[rows] for frame in film]) for film in films)) for rows in bands])
+    return np.concatenate(
+        [
+            look(*(np.stack([frame[rows] for frame in film]) for film in films))
+            for rows in bands
+        ]
+    )
 
 
 def _low_and_middle(stack: np.ndarray) -> np.ndarray:
@@ -110,17 +151,23 @@ def _low_and_middle(stack: np.ndarray) -> np.ndarray:
 
 
 def _bare(stack: np.ndarray, arm: np.ndarray) -> np.ndarray:
-    """How bright a pixel is in a few of the frames in which the arm does not cover it, (height, width) float32."""
+    """How bright a pixel is in a few of the frames in which the arm does not cover it,
+    (height, width) float32.
+    """
     arm = unpacked(arm, stack.shape[-1])
     ordered = _ordered(np.where(arm, 0, stack))
     covered = arm.sum(axis=0)
     place = covered + LIT * (len(stack) - 1 - covered)
-    chosen = np.take_along_axis(ordered, place.astype(int).clip(0, len(stack) - 1)[..., None], axis=-1)
+    chosen = np.take_along_axis(
+        ordered, place.astype(int).clip(0, len(stack) - 1)[..., None], axis=-1
+    )
     return chosen[..., 0].astype(np.float32)
 
 
 def packed(mask: np.ndarray) -> np.ndarray:
-    """A mask (..., width) bool with eight pixels to a byte: masks of a whole film take a tenth of a gigabyte."""
+    """A mask (..., width) bool with eight pixels to a byte: masks of a whole film take
+    a tenth of a gigabyte.
+    """
     return np.packbits(mask, axis=-1)
 
 
@@ -129,25 +176,36 @@ def unpacked(mask: np.ndarray, width: int) -> np.ndarray:
     return np.unpackbits(mask, axis=-1, count=width).view(bool)
 
 
-def half_widths(frames: Sequence[np.ndarray], scene: np.ndarray, arm: Sequence[np.ndarray]) -> float:
-    """Half the width of what outshines the scene most [px], blurred as it may be in some frames: the string's."""
+def half_widths(
+    frames: Sequence[np.ndarray], scene: np.ndarray, arm: Sequence[np.ndarray]
+) -> float:
+    """Half the width of what outshines the scene most [px], blurred as it may be in
+    some frames: the string's.
+    """
     widths = []
     for number in np.unique(np.linspace(0, len(frames) - 1, SAMPLES // 8).astype(int)):
         covered = unpacked(arm[number], scene.shape[1]).astype(np.uint8)
-        above = np.where(cv2.dilate(covered, np.ones((5, 5))) > 0, 0, frames[number] - scene)
-        widths.append(half_width(without_specks((above > above.max() / 2).astype(np.uint8))))
+        above = np.where(
+            cv2.dilate(covered, np.ones((5, 5))) > 0, 0, frames[number] - scene
+        )
+        widths.append(
+            half_width(without_specks((above > above.max() / 2).astype(np.uint8)))
+        )
     return float(np.percentile(widths, 90))
 
 
 def half_width(mask: np.ndarray) -> float:
-    """Half the width of what is in the mask [px]: a typical distance of its inside from its edge."""
+    """Half the width of what is in the mask [px]: a typical distance of its inside from
+    its edge.
+    """
     distance = cv2.distanceTransform(mask, cv2.DIST_L2, 3)
     return float(np.percentile(distance[mask > 0], 90)) if mask.any() else 1.0
 
 
 def _ordered(stack: np.ndarray) -> np.ndarray:
     """Each pixel's values from dark to bright, (height, width, F)."""
-    turned: np.ndarray = cv2.transpose(stack.reshape(len(stack), -1))  # ten times as quick as NumPy's
+    # ten times as quick as NumPy's
+    turned: np.ndarray = cv2.transpose(stack.reshape(len(stack), -1))
     turned.sort(axis=-1, kind="stable")  # by radix: quick
     return turned.reshape(*stack.shape[1:], -1)
 
@@ -157,37 +215,50 @@ def _level(ordered: np.ndarray, percent: float) -> np.ndarray:
     place = percent / 100 * (ordered.shape[-1] - 1)
     before = min(int(place), ordered.shape[-1] - 1)
     after = min(before + 1, ordered.shape[-1] - 1)
-    low, high = ordered[..., before].astype(np.float32), ordered[..., after].astype(np.float32)
+    low, high = (
+        ordered[..., before].astype(np.float32),
+        ordered[..., after].astype(np.float32),
+    )
     return low + np.float32(place - before) * (high - low)
 
 
 def uncovered(scene: np.ndarray, grasp: np.ndarray, length: float) -> np.ndarray:
     """The scene with what the string never leaves replaced by what surrounds it.
 
-    grasp: (F, 2) [px], length: of the string [px]. Only where the grasp rests; a moving one uncovers everything. What
-    outshines its surroundings and hangs together with what is at the grasp is taken for string.
+    grasp: (F, 2) [px], length: of the string [px]. Only where the grasp rests; a moving
+    one uncovers everything. What outshines its surroundings and hangs together with
+    what is at the grasp is taken for string.
     """
     if np.ptp(grasp, axis=0).max() > STILL:
         return scene
     width = min(int(length), WIDEST) // 2 * 2 + 1
-    around = cv2.medianBlur(np.clip(scene, 0, 255).astype(np.uint8), width).astype(np.float32)
+    around = cv2.medianBlur(np.clip(scene, 0, 255).astype(np.uint8), width).astype(
+        np.float32
+    )
     v, u = np.indices(scene.shape)
     away = np.hypot(u - grasp[0, 0], v - grasp[0, 1])
-    patch = cv2.connectedComponents(((scene > around + SHADE) & (away < length)).astype(np.uint8))[1]
+    patch = cv2.connectedComponents(
+        ((scene > around + SHADE) & (away < length)).astype(np.uint8)
+    )[1]
     hangs = np.isin(patch, np.setdiff1d(patch[away < STATIC * length], 0))
     return np.where(hangs, np.minimum(scene, around), scene)
 
 
 def expected(
-    image: np.ndarray, scene: np.ndarray, moments: np.ndarray, width: float, margin: float
+    image: np.ndarray,
+    scene: np.ndarray,
+    moments: np.ndarray,
+    width: float,
+    margin: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The brightest that a frame could be without the string, (height, width) float32.
 
-    Also, bool: where the arm is all it shows, and where the arm's outline makes it uncertain.
+    Also, bool: where the arm is all it shows, and where the arm's outline makes it
+    uncertain.
 
-    moments: (K, J + 1, 2) the arm's joints [px] at moments of the exposure, width: of a link, margin: by how much its
-    outline may be off [px]. The arm is taken to be as bright as along its middle; the string in front of it must be
-    brighter.
+    moments: (K, J + 1, 2) the arm's joints [px] at moments of the exposure, width: of a
+    link, margin: by how much its outline may be off [px]. The arm is taken to be as
+    bright as along its middle; the string in front of it must be brighter.
     """
     if not len(moments):
         nowhere = np.zeros(scene.shape, bool)
@@ -204,24 +275,38 @@ def expected(
 
 
 def brightest(images: Sequence[np.ndarray], scene: np.ndarray) -> float:
-    """The brightness of the string where nothing blurs it, from where each frame outshines the scene most."""
+    """The brightness of the string where nothing blurs it, from where each frame
+    outshines the scene most.
+    """
     chosen = np.unique(np.linspace(0, len(images) - 1, SAMPLES // 4).astype(int))
-    return float(np.percentile([images[int(i)].flat[np.argmax(images[int(i)] - scene)] for i in chosen], 90))
+    return float(
+        np.percentile(
+            [images[int(i)].flat[np.argmax(images[int(i)] - scene)] for i in chosen], 90
+        )
+    )
 
 
 def noise(difference: np.ndarray) -> float:
-    """One sigma of what is not string, by the median: the string covers less than half. difference: any shape."""
-    return max(float(np.median(np.abs(difference - np.median(difference)))) / 0.6745, GREY)
+    """One sigma of what is not string, by the median: the string covers less than half.
+    difference: any shape.
+    """
+    return max(
+        float(np.median(np.abs(difference - np.median(difference)))) / 0.6745, GREY
+    )
 
 
 def without_specks(mask: np.ndarray) -> np.ndarray:
-    """The mask without patches of fewer than SPECK pixels. mask: (height, width) uint8, 0 or 1."""
+    """The mask without patches of fewer than SPECK pixels. mask: (height, width) uint8,
+    0 or 1.
+    """
     _, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     return mask & (stats[:, cv2.CC_STAT_AREA] >= SPECK)[label].astype(np.uint8)
 
 
 def silhouette(shape: tuple[int, ...], moments: np.ndarray, width: float) -> np.ndarray:
-    """Pixels within `width` / 2 [px] of the arm's links at any moment, bool. moments: (K, J + 1, 2) joints [px]."""
+    """Pixels within `width` / 2 [px] of the arm's links at any moment, bool. moments:
+    (K, J + 1, 2) joints [px].
+    """
     canvas = np.zeros(shape, np.uint8)
     pixels = list(np.rint(moments * 16).astype(np.int32)[:, :, None])
     cv2.polylines(canvas, pixels, False, 255, max(round(width), 1), cv2.LINE_8, 4)

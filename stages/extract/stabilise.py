@@ -1,8 +1,8 @@
 """Stabilisation: frames corrected for a flickering lamp and a trembling camera.
 
-Each frame is compared with the median of the film: frame = gain * median, shifted (d_u, d_v), by least squares on the
-picture's own texture (Lucas and Kanade, IJCAI 1981), where what moves has no weight. Where there is too little texture,
-nothing is changed.
+Each frame is compared with the median of the film: frame = gain * median, shifted (d_u,
+d_v), by least squares on the picture's own texture (Lucas and Kanade, IJCAI 1981),
+where what moves has no weight. Where there is too little texture, nothing is changed.
 """
 
 from __future__ import annotations
@@ -16,15 +16,21 @@ import numpy as np
 from stringcast.stages.common import mad_sigma
 
 SAMPLES = 120  # frames whose median stands for the film
-PYRAMID = (8, 3)  # the picture is made so many times smaller: large shifts first, then their fractions
+# the picture is made so many times smaller: large shifts first, then their fractions
+PYRAMID = (8, 3)
 STEPS = 2  # of Gauss and Newton in each
 DARKEST = 1e-3  # gain of a black frame
 MOVES = 3.0  # sigmas from which a pixel shows something that moves
 TREMBLE = 0.1  # [px] RMS shift below which a camera stands still
 FLICKER = 0.01  # RMS relative brightness below which a lamp burns steadily
-CLEARLY = 0.7  # of both, below which the first look is enough: it errs by 0.05 px, and so finds the more, not the less
-SURE = 0.05  # [px] one sigma of a shift, above which there is too little texture to know it
-PARTS = 5  # across and down: what one of them alone says, such as a wide string that swings there, is not believed
+# of both, below which the first look is enough: it errs by 0.05 px, and so finds the
+# more, not the less
+CLEARLY = 0.7
+# [px] one sigma of a shift, above which there is too little texture to know it
+SURE = 0.05
+# across and down: what one of them alone says, such as a wide string that swings there,
+# is not believed
+PARTS = 5
 
 
 def samples(count: int) -> list[int]:
@@ -33,8 +39,9 @@ def samples(count: int) -> list[int]:
 
 
 def stabilised(images: Sequence[np.ndarray]) -> tuple[Sequence[np.ndarray], float]:
-    """The film without flicker and tremble (the same object where it has none), and one sigma of the mean shift
-    [px]."""
+    """The film without flicker and tremble (the same object where it has none), and one
+    sigma of the mean shift [px].
+    """
     coarse, fine = PYRAMID
     found, _ = _against(images, coarse, np.tile([1.0, 0.0, 0.0], (len(images), 1)))
     gain, shift = _beyond(found, CLEARLY)
@@ -62,28 +69,53 @@ class Stabilised(Sequence[np.ndarray]):
 
     def __getitem__(self, index):  # type: ignore[no-untyped-def]
         """One image."""
-        image = self.images[index].astype(np.float32) / np.float32(max(self.gain[index], DARKEST))
+        image = self.images[index].astype(np.float32) / np.float32(
+            max(self.gain[index], DARKEST)
+        )
         return _moved(image, -self.shift[index]) if self.shift[index].any() else image
 
 
 def _beyond(found: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Gains (F,) and shifts (F, 2) [px] about their medians; 1 and 0 where they are within a share of what counts."""
-    gain, shift = found[:, 0] / np.median(found[:, 0]), found[:, 1:] - np.median(found[:, 1:], axis=0)
-    shift = shift if np.sqrt(np.mean(shift**2)) > share * TREMBLE else np.zeros_like(shift)
-    gain = gain if np.sqrt(np.mean((gain - 1) ** 2)) > share * FLICKER else np.ones_like(gain)
+    """Gains (F,) and shifts (F, 2) [px] about their medians; 1 and 0 where they are
+    within a share of what counts.
+    """
+    gain, shift = (
+        found[:, 0] / np.median(found[:, 0]),
+        found[:, 1:] - np.median(found[:, 1:], axis=0),
+    )
+    shift = (
+        shift if np.sqrt(np.mean(shift**2)) > share * TREMBLE else np.zeros_like(shift)
+    )
+    gain = (
+        gain
+        if np.sqrt(np.mean((gain - 1) ** 2)) > share * FLICKER
+        else np.ones_like(gain)
+    )
     return gain, shift
 
 
 def _smaller(image: np.ndarray, by: int) -> np.ndarray:
     """The image so many times smaller, float32."""
-    small = cv2.resize(image.astype(np.float32), None, fx=1 / by, fy=1 / by, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(
+        image.astype(np.float32),
+        None,
+        fx=1 / by,
+        fy=1 / by,
+        interpolation=cv2.INTER_AREA,
+    )
     return cv2.GaussianBlur(small, (0, 0), 1.0)
 
 
-def _against(images: Sequence[np.ndarray], by: int, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and shift (d_u, d_v) [px] of each image against the median of some, all so many times smaller, (F, 3), and
-    one sigma of the shift (F,) [px], by Gauss and Newton. start: (F, 3) from where."""
-    template = np.median([_smaller(images[i], by) for i in samples(len(images))], axis=0)
+def _against(
+    images: Sequence[np.ndarray], by: int, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gain and shift (d_u, d_v) [px] of each image against the median of some, all so
+    many times smaller, (F, 3), and one sigma of the shift (F,) [px], by Gauss and
+    Newton. start: (F, 3) from where.
+    """
+    template = np.median(
+        [_smaller(images[i], by) for i in samples(len(images))], axis=0
+    )
     places, sigmas = [], []
     for whole, begin in zip(images, start, strict=True):
         image, found = _smaller(whole, by), begin
@@ -91,15 +123,26 @@ def _against(images: Sequence[np.ndarray], by: int, start: np.ndarray) -> tuple[
             like = _moved(template, found[1:] / by)
             across = cv2.Sobel(like, cv2.CV_32F, 1, 0, scale=0.125)
             down = cv2.Sobel(like, cv2.CV_32F, 0, 1, scale=0.125)
-            columns = np.stack([like, -found[0] * across / by, -found[0] * down / by])[:, 2:-2, 2:-2]
+            columns = np.stack([like, -found[0] * across / by, -found[0] * down / by])[
+                :, 2:-2, 2:-2
+            ]
             rest = (image - found[0] * like)[2:-2, 2:-2]
             still = np.abs(rest) < MOVES * (float(mad_sigma(rest.ravel()[::7])) + 1e-3)
-            # normal equations of each part of the picture, (PARTS^2, 4, 4), and steps without each in turn
-            bands = np.array_split(np.concatenate([columns, rest[None]]) * still, PARTS, axis=1)
-            parts = [part.reshape(4, -1) for band in bands for part in np.array_split(band, PARTS, axis=2)]
+            # normal equations of each part of the picture, (PARTS^2, 4, 4), and steps
+            # without each in turn
+            bands = np.array_split(
+                np.concatenate([columns, rest[None]]) * still, PARTS, axis=1
+            )
+            parts = [
+                part.reshape(4, -1)
+                for band in bands
+                for part in np.array_split(band, PARTS, axis=2)
+            ]
             sums = np.stack([part @ part.T for part in parts])
             others = sums.sum(axis=0) - sums
-            steps = np.linalg.solve(others[:, :3, :3] + 1e-6 * np.eye(3), others[:, :3, 3:])[..., 0]
+            steps = np.linalg.solve(
+                others[:, :3, :3] + 1e-6 * np.eye(3), others[:, :3, 3:]
+            )[..., 0]
             found = found + np.mean(steps, axis=0)
         scatter = np.sqrt((len(steps) - 1) * np.var(steps, axis=0))  # the jackknife
         places.append(found)
@@ -110,4 +153,10 @@ def _against(images: Sequence[np.ndarray], by: int, start: np.ndarray) -> tuple[
 def _moved(image: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """The image shifted by (d_u, d_v) [px]."""
     to = np.array([[1, 0, shift[0]], [0, 1, shift[1]]])
-    return cv2.warpAffine(image, to, image.shape[::-1], flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
+    return cv2.warpAffine(
+        image,
+        to,
+        image.shape[::-1],
+        flags=cv2.INTER_LANCZOS4,
+        borderMode=cv2.BORDER_REPLICATE,
+    )

@@ -22,7 +22,9 @@ class Window:
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width); nothing where it lies outside the picture."""
-        return max(self.rows[1] - self.rows[0], 0), max(self.columns[1] - self.columns[0], 0)
+        return max(self.rows[1] - self.rows[0], 0), max(
+            self.columns[1] - self.columns[0], 0
+        )
 
     def cut(self, image: np.ndarray) -> np.ndarray:
         """The part of an image (height, width, ...) in the window."""
@@ -36,7 +38,9 @@ class Window:
 
 
 def around(centre: np.ndarray, reach: float, shape: tuple[int, ...]) -> Window:
-    """The window of half width `reach` [px] about a place (u, v), cut at the picture's edges."""
+    """The window of half width `reach` [px] about a place (u, v), cut at the picture's
+    edges.
+    """
     low = np.maximum(np.floor(centre - reach), 0).astype(int)
     high = np.minimum(np.ceil(centre + reach) + 1, shape[1::-1]).astype(int)
     return Window((int(low[1]), int(high[1])), (int(low[0]), int(high[0])))

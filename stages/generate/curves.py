@@ -10,27 +10,40 @@ from scipy.special import comb
 
 from stringcast.stages.model.arm import Arm
 
-INTERVALS = 5  # degree of the Bezier curves of joint speeds (Eq. 2): six control points each
+# degree of the Bezier curves of joint speeds (Eq. 2): six control points each
+INTERVALS = 5
 
 
 @dataclass(frozen=True)
 class Curves:
-    """A batch of movements. start: (B, J) initial angles [rad]. duration: (B,) T [s], whole ticks.
-    control: (B, J, 6) V_0..V_5 [rad/s]."""
+    """A batch of movements. start: (B, J) initial angles [rad]. duration: (B,) T [s],
+    whole ticks. control: (B, J, 6) V_0..V_5 [rad/s].
+    """
 
     start: np.ndarray
     duration: np.ndarray
     control: np.ndarray
 
     def sampled(self, tick: float, until: float) -> tuple[np.ndarray, np.ndarray]:
-        """Angles and velocities (B, K, J) on the tick from 0 to `until` [s]; at rest after T."""
+        """Angles and velocities (B, K, J) on the tick from 0 to `until` [s]; at rest
+        after T.
+        """
         u = np.arange(round(until / tick) + 1) * tick / self.duration[:, None]
         inside = np.clip(u, 0, 1)[:, :, None]
         # the tick at T still moves, whatever the rounding
-        speed = np.einsum("bkn,bjn->bkj", _bernstein(inside), self.control) * (u <= 1 + 1e-9)[..., None]
-        # The integral of a Bezier curve is one of a degree more over the sums of its points.
-        sums = np.concatenate([np.zeros((*self.control.shape[:2], 1)), np.cumsum(self.control, axis=-1)], axis=-1)
-        turned = np.einsum("bkn,bjn->bkj", _bernstein(inside, INTERVALS + 1), sums / (INTERVALS + 1))
+        speed = (
+            np.einsum("bkn,bjn->bkj", _bernstein(inside), self.control)
+            * (u <= 1 + 1e-9)[..., None]
+        )
+        # The integral of a Bezier curve is one of a degree more over the sums of its
+        # points.
+        sums = np.concatenate(
+            [np.zeros((*self.control.shape[:2], 1)), np.cumsum(self.control, axis=-1)],
+            axis=-1,
+        )
+        turned = np.einsum(
+            "bkn,bjn->bkj", _bernstein(inside, INTERVALS + 1), sums / (INTERVALS + 1)
+        )
         return self.start[:, None] + turned * self.duration[:, None, None], speed
 
     def only(self, chosen: np.ndarray | slice) -> Curves:
@@ -40,11 +53,20 @@ class Curves:
 
 def joined(parts: Sequence[Curves]) -> Curves:
     """Several batches of movements as one."""
-    return Curves(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("start", "duration", "control")))
+    return Curves(
+        *(
+            np.concatenate([getattr(p, name) for p in parts])
+            for name in ("start", "duration", "control")
+        )
+    )
 
 
 def first_curves(
-    arm: Arm, rng: np.random.Generator, count: int, durations: tuple[float, float], alpha: float
+    arm: Arm,
+    rng: np.random.Generator,
+    count: int,
+    durations: tuple[float, float],
+    alpha: float,
 ) -> Curves:
     """Random poses and curves: V_n = alpha_n (t_n - t_{n-1}), V_0 = V_5 = 0 (Eq. 2)."""
     start = rng.uniform(arm.lowest, arm.highest, (count, len(arm.links)))
@@ -64,19 +86,29 @@ def next_curves(
     last: Curves,
     fraction: float,
 ) -> Curves:
-    """Slight changes of the last movement: same start, T within half its first range around the
-    last, V_1..V_4 within `fraction` of their range."""
+    """Slight changes of the last movement: same start, T within half its first range
+    around the last, V_1..V_4 within `fraction` of their range.
+    """
     half = (durations[1] - durations[0]) / 4
-    duration = whole_ticks(np.clip(last.duration[0] + rng.uniform(-half, half, count), *durations), arm.tick)
+    duration = whole_ticks(
+        np.clip(last.duration[0] + rng.uniform(-half, half, count), *durations),
+        arm.tick,
+    )
     reach = np.minimum(alpha * duration[:, None] / INTERVALS, np.asarray(arm.speed))
-    change = rng.uniform(-1, 1, (count, len(arm.links), INTERVALS - 1)) * fraction * reach[..., None]
+    change = (
+        rng.uniform(-1, 1, (count, len(arm.links), INTERVALS - 1))
+        * fraction
+        * reach[..., None]
+    )
     control = np.repeat(last.control, count, axis=0)
     control[..., 1:-1] += change
     return Curves(np.repeat(last.start, count, axis=0), duration, control)
 
 
 def plain_cast(arm: Arm, duration: float) -> Curves:
-    """One swing of all joints together, through the middle third of their ranges in `duration` [s]."""
+    """One swing of all joints together, through the middle third of their ranges in
+    `duration` [s].
+    """
     lowest, highest = np.asarray(arm.lowest), np.asarray(arm.highest)
     sweep = (highest - lowest) / 3
     whole = whole_ticks(np.array([duration]), arm.tick)
@@ -86,7 +118,9 @@ def plain_cast(arm: Arm, duration: float) -> Curves:
 
 
 def whole_ticks(duration: np.ndarray, tick: float) -> np.ndarray:
-    """Durations of any shape [s] rounded to ticks, at least as many as there are intervals. tick: [s]."""
+    """Durations of any shape [s] rounded to ticks, at least as many as there are
+    intervals. tick: [s].
+    """
     return np.maximum(np.round(duration / tick), INTERVALS) * tick
 
 

@@ -1,4 +1,6 @@
-"""Uncertainty of the next cast, as draws: of the string, of how the arm follows, of the simulation's error."""
+"""Uncertainty of the next cast, as draws: of the string, of how the arm follows, of the
+simulation's error.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,9 @@ Small = Annotated[float, Field(ge=0, le=0.1)]
 class Uncertainty:
     """Uncertainty beside the string's.
 
-    amplitude: of a joint's relative speed from one trial to the next, one sigma. lag: how late joints follow their
-    commands at most [s]. tip: error of the simulation at the tip before a trial tells it, one sigma of a coordinate
-    [m].
+    amplitude: of a joint's relative speed from one trial to the next, one sigma. lag:
+    how late joints follow their commands at most [s]. tip: error of the simulation at
+    the tip before a trial tells it, one sigma of a coordinate [m].
     """
 
     amplitude: Small
@@ -30,8 +32,10 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class Draws:
-    """Draws of what may be so. values: (K, P) of the model's parameters. amplitude: (K, J) what joints turn more than
-    commanded, as a share. lag: (K,) [s]. off: (K, 2) of the simulated tip [m]."""
+    """Draws of what may be so. values: (K, P) of the model's parameters. amplitude: (K,
+    J) what joints turn more than commanded, as a share. lag: (K,) [s]. off: (K, 2) of
+    the simulated tip [m].
+    """
 
     values: np.ndarray
     amplitude: np.ndarray
@@ -44,26 +48,47 @@ class Draws:
 
     def only(self, chosen: slice | np.ndarray) -> Draws:
         """Some of the draws, in the order of their numbers."""
-        return Draws(self.values[chosen], self.amplitude[chosen], self.lag[chosen], self.off[chosen])
+        return Draws(
+            self.values[chosen],
+            self.amplitude[chosen],
+            self.lag[chosen],
+            self.off[chosen],
+        )
 
 
 def drawn(
-    model: Model, estimate: Estimate | None, uncertainty: Uncertainty, count: int, rng: np.random.Generator
+    model: Model,
+    estimate: Estimate | None,
+    uncertainty: Uncertainty,
+    count: int,
+    rng: np.random.Generator,
 ) -> Draws:
-    """Draws of the string, of how the arm follows, and of the simulation's error; `count` of them.
+    """Draws of the string, of how the arm follows, and of the simulation's error;
+    `count` of them.
 
-    Strings come from what an estimate's trials leave possible; before the first, every exponent within a parameter's
-    range is as likely as another (Eq. 3), but for parameters that are known. Once there is an estimate, the
-    distance that it leaves between simulated and measured strings says how far the simulation is off.
+    Strings come from what an estimate's trials leave possible; before the first, every
+    exponent within a parameter's range is as likely as another (Eq. 3), but for
+    parameters that are known. Once there is an estimate, the distance that it leaves
+    between simulated and measured strings says how far the simulation is off.
     """
-    amplitude = uncertainty.amplitude * rng.standard_normal((count, len(model.arm.links)))
+    amplitude = uncertainty.amplitude * rng.standard_normal(
+        (count, len(model.arm.links))
+    )
     lag = rng.uniform(0, uncertainty.lag, count)
-    tip = uncertainty.tip if estimate is None else float(estimate.fit["rms_after"].iloc[0])
+    tip = (
+        uncertainty.tip
+        if estimate is None
+        else float(estimate.fit["rms_after"].iloc[0])
+    )
     off = tip * rng.standard_normal((count, 2))
     if estimate is None:
         columns = [p.value(rng.uniform(0, 1, count)) for p in model.parameters]
-        known = [model.known.get(name) for name in model.names]
-        values = [column if x is None else np.full(count, x) for column, x in zip(columns, known, strict=True)]
+        known = [model.start_values.get(name) for name in model.names]
+        values = [
+            column if x is None else np.full(count, x)
+            for column, x in zip(columns, known, strict=True)
+        ]
         return Draws(np.stack(values, axis=-1), amplitude, lag, off)
-    every = np.stack([model.values(row) for row in estimate.draws.to_dict("records")])  # any as likely as another
+    # any as likely as another
+    every = np.stack([model.values(row) for row in estimate.draws.to_dict("records")])
     return Draws(every[rng.integers(0, len(every), count)], amplitude, lag, off)

@@ -1,6 +1,8 @@
-"""Random motions race: all on a few draws of what may be so, the nearer ones on more, and so on.
+"""Random motions race: all on a few draws of what may be so, the nearer ones on more,
+and so on.
 
-Successive halving: Jamieson and Talwalkar 2016, Non-stochastic best arm identification, AISTATS.
+Successive halving: Jamieson and Talwalkar 2016, Non-stochastic best arm identification,
+AISTATS.
 """
 
 from __future__ import annotations
@@ -25,21 +27,36 @@ FEWER = 4  # for a share of 1 / FEWER of the motions
 
 
 def entrants(
-    task: Task, space: Space, previous: Motion | None, fraction: float, count: int, rng: np.random.Generator
+    task: Task,
+    space: Space,
+    previous: Motion | None,
+    fraction: float,
+    count: int,
+    rng: np.random.Generator,
 ) -> Curves:
-    """Random movements that the arm can make: anywhere, and a quarter of them near the last one.
+    """Random movements that the arm can make: anywhere, and a quarter of them near the
+    last one.
 
     Fewer than `count` where hardly any is possible.
     """
     arm, durations, found = space.arm, (space.shortest, space.longest), []
-    draw = [partial(first_curves, arm, rng, AT_ONCE, durations, space.alpha * share) for share in GENTLER]
+    draw = [
+        partial(first_curves, arm, rng, AT_ONCE, durations, space.alpha * share)
+        for share in GENTLER
+    ]
     if previous is not None:
         last = curves_of(previous)
         found.append(possible(task, last))
-        draw.append(partial(next_curves, arm, rng, AT_ONCE, durations, space.alpha, last, fraction))
+        draw.append(
+            partial(
+                next_curves, arm, rng, AT_ONCE, durations, space.alpha, last, fraction
+            )
+        )
     for kind in draw:
         own: list[Curves] = []
-        while sum(len(c.duration) for c in own) * len(draw) < count and len(own) < TRIES:
+        while (
+            sum(len(c.duration) for c in own) * len(draw) < count and len(own) < TRIES
+        ):
             own.append(possible(task, kind()))
         found += own
     return joined(found)
@@ -48,7 +65,9 @@ def entrants(
 def possible(task: Task, curves: Curves) -> Curves:
     """The movements that keep every limit of the arm."""
     angles, speeds = curves.sampled(task.model.arm.tick, float(curves.duration.max()))
-    return curves.only(np.flatnonzero(arm_faults(task.model.arm, task.obstacles, angles, speeds) == ""))
+    return curves.only(
+        np.flatnonzero(arm_faults(task.model.arm, task.obstacles, angles, speeds) == "")
+    )
 
 
 def race(task: Task, curves: Curves, draws: Draws) -> Curves:
@@ -59,4 +78,7 @@ def race(task: Task, curves: Curves, draws: Draws) -> Curves:
         ranked = curves.only(np.argsort(-closeness, kind="stable"))
         if count >= len(draws):
             return ranked
-        curves, count = ranked.only(np.arange(-(-len(closeness) // FEWER))), count * MORE
+        curves, count = (
+            ranked.only(np.arange(-(-len(closeness) // FEWER))),
+            count * MORE,
+        )

@@ -1,7 +1,8 @@
-"""Generate a motion that hits whatever the string may be: the highest chance over many draws of it.
+"""Generate a motion that hits whatever the string may be: the highest chance over many
+draws of it.
 
-Random motions race, the winners are refined, and validation draws, which had no part in choosing, say how likely the
-chosen motion hits.
+Random motions race, the winners are refined, and validation draws, which had no part in
+choosing, say how likely the chosen motion hits.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import pandas as pd
 from pydantic import Field
 
 from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, Estimate, Motion
-from stringcast.data.later import Later
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.common import Progress, SettingsGroup, part
 from stringcast.stages.generate.chance import Task, between, outcome, simulated
 from stringcast.stages.generate.curves import Curves, joined
@@ -35,7 +36,7 @@ from stringcast.stages.hit_test import check_reach
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
 
-stats = Later("scipy.stats")
+stats = LazyModule("scipy.stats")
 
 FINALISTS = 4  # winners of the race that are refined
 NEAREST = 8  # winners of the race that may be chosen all the same
@@ -44,7 +45,9 @@ ENOUGH = 0.5  # of the draws hit: nothing else is sought
 
 @dataclass(frozen=True)
 class Sought:
-    """Motions found, of how many tried, and the largest share of draws that one of those refined hits."""
+    """Motions found, of how many tried, and the largest share of draws that one of
+    those refined hits.
+    """
 
     best: Curves
     tried: int
@@ -53,10 +56,12 @@ class Sought:
 
 @dataclass(frozen=True)
 class Search(SettingsGroup):
-    """Effort of the search. motions: random ones that race. strings: draws on which winners are refined, for `rounds`
-    of CMA-ES. searches: from other random motions each, at most, while none found hits half of the draws; before the
-    first trial, one. exploration: closeness (see `Outcome`) that may be given up for a more informative cast.
-    validation: draws that had no part in the choice, for its hit probability."""
+    """Effort of the search. motions: random ones that race. strings: draws on which
+    winners are refined, for `rounds` of CMA-ES. searches: from other random motions
+    each, at most, while none found hits half of the draws; before the first trial, one.
+    exploration: closeness (see `Outcome`) that may be given up for a more informative
+    cast. validation: draws that had no part in the choice, for its hit probability.
+    """
 
     motions: Annotated[int, Field(ge=16)]
     strings: Annotated[int, Field(ge=4)]
@@ -79,39 +84,73 @@ def generate(
     uncertainty: Uncertainty,
     progress: Progress = lambda share: None,
 ) -> Motion:
-    """The motion with the highest chance that the tip enters the target box, as far as is known.
+    """The motion with the highest chance that the tip enters the target box, as far as
+    is known.
 
-    previous: the last motion; a quarter of those tried are slight changes of it. estimate: what is known of the
-    string, None before the first trial. uncertainty: of all but the string. Raises MotionNotFoundError where the
-    arm can make no motion or none is clear of the obstacles, and DataError for a target out of reach or an empty range
-    of durations; a motion that hits with no draw is still the one that comes nearest.
+    previous: the last motion; a quarter of those tried are slight changes of it.
+    estimate: what is known of the string, None before the first trial. uncertainty: of
+    all but the string. Raises MotionNotFoundError where the arm can make no motion or
+    none is clear of the obstacles, and DataError for a target out of reach or an empty
+    range of durations; a motion that hits with no draw is still the one that comes
+    nearest.
     """
     space = Space(model.arm, *drawing.durations, drawing.alpha)
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
     task = Task(model, target, obstacles)
     draws = drawn(model, estimate, uncertainty, search.strings, rng)
-    most = 1 if estimate is None else search.searches  # half of all strings there may be are not hit by any motion
+    # half of all strings there may be are not hit by any motion
+    most = 1 if estimate is None else search.searches
     found: list[Sought] = []
     while len(found) < most and not any(each.share >= ENOUGH for each in found):
         random = entrants(task, space, previous, drawing.fraction, search.motions, rng)
-        found.append(sought(task, space, random, draws, search.rounds, seed, part(progress, len(found), most)))
+        found.append(
+            sought(
+                task,
+                space,
+                random,
+                draws,
+                search.rounds,
+                seed,
+                part(progress, len(found), most),
+            )
+        )
     final = joined([each.best for each in found])
 
-    best = _chosen(task, final, drawn(model, estimate, uncertainty, search.strings, rng), search.exploration)
+    best = _chosen(
+        task,
+        final,
+        drawn(model, estimate, uncertainty, search.strings, rng),
+        search.exploration,
+    )
     progress(1.0)
     validation = drawn(model, estimate, uncertainty, search.validation, rng)
-    return stated(task, final.only(np.array([best])), validation, sum(each.tried for each in found))
+    return stated(
+        task,
+        final.only(np.array([best])),
+        validation,
+        sum(each.tried for each in found),
+    )
 
 
 def _chosen(task: Task, final: Curves, fresh: Draws, exploration: float) -> int:
-    """Number of the motion that comes nearest, or of one that is nearly so and teaches more. fresh: draws by which
-    none was chosen. exploration: closeness that may be given for that."""
+    """Number of the motion that comes nearest, or of one that is nearly so and teaches
+    more. fresh: draws by which none was chosen. exploration: closeness that may be
+    given for that.
+    """
     closeness = outcome(task, final, fresh).closeness
     best = int(np.argmax(closeness))
     near = np.flatnonzero(closeness >= closeness[best] - exploration)
     if len(near) > 1:
-        best = int(near[np.argmin(predictive_sd(task, final.only(near), fresh, int(np.searchsorted(near, best))))])
+        best = int(
+            near[
+                np.argmin(
+                    predictive_sd(
+                        task, final.only(near), fresh, int(np.searchsorted(near, best))
+                    )
+                )
+            ]
+        )
     return best
 
 
@@ -124,7 +163,9 @@ def sought(
     seed: int,
     progress: Progress,
 ) -> Sought:
-    """The best of random motions, and these refined; raises MotionNotFoundError where there is none."""
+    """The best of random motions, and these refined; raises MotionNotFoundError where
+    there is none.
+    """
     if not len(random.duration):
         raise MotionNotFoundError(
             "no random motion keeps the arm's limits and clear of the obstacles. Widen them, or lower generate.alpha."
@@ -134,13 +175,18 @@ def sought(
     refined = refine(task, space, best.only(slice(FINALISTS)), draws, rounds, seed)
     progress(0.9)
     share = float(outcome(task, refined, draws).hit.mean(axis=1).max())
-    return Sought(joined([refined, best.only(slice(NEAREST))]), len(random.duration), share)
+    return Sought(
+        joined([refined, best.only(slice(NEAREST))]), len(random.duration), share
+    )
 
 
 def stated(task: Task, curve: Curves, draws: Draws, tried: int) -> Motion:
     """The artifact of one movement, with its chance of hitting as these draws find it."""
     made = outcome(task, curve, draws)
-    hit, distance = made.hit[0], np.where(made.hit[0] | (made.clear[0] == 1), made.distance[0], np.inf)
+    hit, distance = (
+        made.hit[0],
+        np.where(made.hit[0] | (made.clear[0] == 1), made.distance[0], np.inf),
+    )
     if np.isinf(distance).all():
         raise MotionNotFoundError(
             f"on the best motion found, each of {len(hit)} likely strings touches an obstacle or cannot be simulated. "
@@ -150,20 +196,35 @@ def stated(task: Task, curve: Curves, draws: Draws, tried: int) -> Motion:
     typical = int(order[hit.sum() // 2])
     points = simulated(task.model, curve, draws.only(np.array([typical])))[1][0]
     target, way = task.target, between(points[None, :, -1])[0]
-    at = int(np.argmin(target.away(way)))
+    at = int(np.argmin(target.distance_to_centre(way)))
     share = stats.binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")
     row = {
         "duration": float(curve.duration[0]),
         "t_hit": at * task.model.arm.tick / 2,
         **{"tip_x": way[at, 0], "tip_y": way[at, 1], "tried": tried},
-        **{"target_x": target.x, "target_y": target.y, "target_w": target.w, "target_h": target.h},
-        **{"chance": float(hit.mean()), "chance_low": share.low, "chance_high": share.high},
+        **{
+            "target_x": target.x,
+            "target_y": target.y,
+            "target_w": target.w,
+            "target_h": target.h,
+        },
+        **{
+            "chance": float(hit.mean()),
+            "chance_low": share.low,
+            "chance_high": share.high,
+        },
     }
-    attempts = pd.DataFrame({"outcome": ["less likely to hit", HIT], "count": [tried - 1, 1]})
+    attempts = pd.DataFrame(
+        {"outcome": ["less likely to hit", HIT], "count": [tried - 1, 1]}
+    )
     return Motion(
         commands_of(task.model.arm, curve),
         control_points_of(curve),
-        string_of(np.arange(len(points)) * task.model.arm.tick, task.model.string.arc_lengths(), points),
+        string_of(
+            np.arange(len(points)) * task.model.arm.tick,
+            task.model.string.arc_lengths(),
+            points,
+        ),
         ATTEMPTS.check(attempts),
         MOTION_OUTCOME.check(pd.DataFrame([row])),
     )

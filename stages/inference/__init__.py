@@ -1,1 +1,3 @@
-"""Inference: how likely trials are under a model, the most likely parameters, and how sure they are."""
+"""Inference: how likely trials are under a model, the most likely parameters, and how
+sure they are.
+"""

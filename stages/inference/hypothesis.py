@@ -1,4 +1,6 @@
-"""Hypotheses: a base model together with the causes that may be active in addition to it."""
+"""Hypotheses: a base model together with the causes that may be active in addition to
+it.
+"""
 
 from __future__ import annotations
 
@@ -31,27 +33,38 @@ class Hypothesis:
         return self.model.parameters
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def cause_names(self) -> tuple[str, ...]:
         """The names of the causes."""
         return tuple(cause.name for cause in self.causes)
 
-    def joined(self, cause: type[Effect]) -> Hypothesis:
+    def with_cause(self, cause: type[Effect]) -> Hypothesis:
         """Add one cause."""
         return replace(self, causes=(*self.causes, cause))
 
-    def without(self, cause: type[Effect]) -> Hypothesis:
+    def without_cause(self, cause: type[Effect]) -> Hypothesis:
         """Remove one cause."""
-        return replace(self, causes=tuple(other for other in self.causes if other is not cause))
+        return replace(
+            self, causes=tuple(other for other in self.causes if other is not cause)
+        )
 
-    def places(self, cause: type[Effect], parameters: Sequence[Parameter]) -> list[int]:
+    def parameter_indices(
+        self, cause: type[Effect], parameters: Sequence[Parameter]
+    ) -> list[int]:
         """Find the indices of some parameters of a cause among all parameters."""
-        return [self.model.names.index(cause.qualified(p)) for p in parameters]
+        return [self.model.names.index(cause.qualified_name(p)) for p in parameters]
 
     @cached_property
-    def base_places(self) -> list[int]:
+    def base_indices(self) -> list[int]:
         """The indices of the base model's parameters among all parameters."""
         return [self.model.names.index(name) for name in self.base.names]
 
-    def carried(self, known: Mapping[str, float]) -> np.ndarray:
-        """Collect exponents (P,) known by name; others are at their start, where a cause is absent."""
-        return np.array([known.get(p.name, float(p.chi(np.asarray(p.start)))) for p in self.parameters])
+    def exponents_from(self, known: Mapping[str, float]) -> np.ndarray:
+        """Collect exponents (P,) known by name; others are at their start, where a
+        cause is absent.
+        """
+        return np.array(
+            [
+                known.get(p.name, float(p.chi(np.asarray(p.start))))
+                for p in self.parameters
+            ]
+        )

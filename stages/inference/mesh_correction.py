@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-NEAR = 0.05  # of a range: beyond this distance the slopes do not hold
+MESH_CORRECTION_RADIUS = 0.05  # of a range: beyond this distance the slopes do not hold
 
 
 @dataclass(frozen=True)
-class Finer:
-    """The first-order change of residuals between this mesh and its limit, about one point.
+class MeshCorrection:
+    """The first-order change of residuals between this mesh and its limit, about one
+    point.
 
     Parameters
     ----------
@@ -26,25 +27,33 @@ class Finer:
     slopes : of each trial, the slopes (P, 2 n) of the change of its residuals over sigma.
     """
 
-    names: tuple[str, ...]
+    parameter_names: tuple[str, ...]
     chi: np.ndarray
     slopes: tuple[np.ndarray, ...]
 
-    def about(self, known: Mapping[str, float]) -> Finer:
+    def centred_at(self, known: Mapping[str, float]) -> MeshCorrection:
         """Move the point to other exponents, known by name."""
-        pairs = zip(self.names, self.chi, strict=True)
-        return replace(self, chi=np.array([known.get(name, chi) for name, chi in pairs]))
+        pairs = zip(self.parameter_names, self.chi, strict=True)
+        return replace(
+            self, chi=np.array([known.get(name, chi) for name, chi in pairs])
+        )
 
-    def only(self, chosen: Sequence[int]) -> Finer:
+    def subset(self, chosen: Sequence[int]) -> MeshCorrection:
         """Select some of the trials by number."""
         return replace(self, slopes=tuple(self.slopes[k] for k in chosen))
 
-    def beside(self, names: Sequence[str], chi: np.ndarray) -> list[np.ndarray]:
-        """Compute the change of each trial's residuals (C, 2 n) at exponents (C, P') of these names.
+    def correction_at(self, names: Sequence[str], chi: np.ndarray) -> list[np.ndarray]:
+        """Compute the change of each trial's residuals (C, 2 n) at exponents (C, P') of
+        these names.
 
-        Parameters that the correction does not know change nothing; distances beyond its radius are cut there.
+        Parameters that the correction does not know change nothing; distances beyond
+        its radius are cut there.
         """
-        known = [i for i, name in enumerate(self.names) if name in names]
-        places = [names.index(self.names[i]) for i in known]
-        distance = np.clip(chi[:, places] - self.chi[known], -NEAR, NEAR)
+        known = [i for i, name in enumerate(self.parameter_names) if name in names]
+        places = [names.index(self.parameter_names[i]) for i in known]
+        distance = np.clip(
+            chi[:, places] - self.chi[known],
+            -MESH_CORRECTION_RADIUS,
+            MESH_CORRECTION_RADIUS,
+        )
         return [distance @ slope[known] for slope in self.slopes]

@@ -1,4 +1,6 @@
-"""Whitening of correlated noise: residuals of one covariance become independent, with deviations of one."""
+"""Whitening of correlated noise: residuals of one covariance become independent, with
+deviations of one.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class LowRank:
+class LowRankWhitening:
     """The whitening of a covariance 1 + U U'.
 
     V^(-1/2) r = r - Q (1 - (1 + s^2)^(-1/2)) Q' r, where U = Q s R'.
@@ -21,10 +23,10 @@ class LowRank:
     """
 
     basis: np.ndarray
-    taken: np.ndarray
+    removed_share: np.ndarray
 
     @classmethod
-    def of(cls, columns: np.ndarray) -> LowRank:
+    def from_columns(cls, columns: np.ndarray) -> LowRankWhitening:
         """Decompose the columns U (N, M)."""
         basis, size, _ = np.linalg.svd(columns, full_matrices=False)
         return cls(basis, 1.0 - 1.0 / np.sqrt(1.0 + size**2))
@@ -32,7 +34,7 @@ class LowRank:
     def __call__(self, residual: np.ndarray) -> np.ndarray:
         """Whiten the residuals of candidates (C, N)."""
         along = np.einsum("cn,nm->cm", residual, self.basis)
-        return residual - np.einsum("cm,nm->cn", self.taken * along, self.basis)
+        return residual - np.einsum("cm,nm->cn", self.removed_share * along, self.basis)
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,12 @@ class IndependentErrors:
         return scaled if self._low_rank is None else self._low_rank(scaled)
 
     @cached_property
-    def _low_rank(self) -> LowRank | None:
-        return None if self.nuisance is None else LowRank.of(self.nuisance / self.scale)
+    def _low_rank(self) -> LowRankWhitening | None:
+        return (
+            None
+            if self.nuisance is None
+            else LowRankWhitening.from_columns(self.nuisance / self.scale)
+        )
 
 
 UNIT_ERRORS = IndependentErrors()

@@ -1,1 +1,3 @@
-"""The forward model: hand, string, camera. Everything that generates, estimates or diagnoses asks it."""
+"""The forward model: hand, string, camera. Everything that generates, estimates or
+diagnoses asks it.
+"""

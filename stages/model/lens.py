@@ -6,17 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stringcast.data.later import Later
+from stringcast.data.lazy_module import LazyModule
 
-cv2 = Later("cv2")
+cv2 = LazyModule("cv2")
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A pinhole with Brown's distortion (Brown, Close-range camera calibration, 1971), as OpenCV has it.
+    """A pinhole with Brown's distortion (Brown, Close-range camera calibration, 1971),
+    as OpenCV has it.
 
-    focal: focal lengths fx, fy [px]. centre: principal point cx, cy [px], pixel centres at integers. distortion: k1,
-    k2, p1, p2 [1]: radial coefficients k of r^2 and r^4, tangential ones p.
+    focal: focal lengths fx, fy [px]. centre: principal point cx, cy [px], pixel centres
+    at integers. distortion: k1, k2, p1, p2 [1]: radial coefficients k of r^2 and r^4,
+    tangential ones p.
     """
 
     focal: tuple[float, float]
@@ -35,7 +37,9 @@ class Lens:
         return float(np.sqrt(self.focal[0] * self.focal[1]))
 
     def pixels(self, rays: np.ndarray) -> np.ndarray:
-        """Pixels (..., 2) of directions (..., 2): x/z and y/z, x right, y down, z forward."""
+        """Pixels (..., 2) of directions (..., 2): x/z and y/z, x right, y down, z
+        forward.
+        """
         x, y = np.moveaxis(np.asarray(rays, dtype=float), -1, 0)
         k1, k2, p1, p2 = self.distortion
         r2 = x * x + y * y
@@ -44,13 +48,20 @@ class Lens:
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
             y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
         )
-        return np.stack([f * b + c for f, b, c in zip(self.focal, bent, self.centre, strict=True)], axis=-1)
+        return np.stack(
+            [f * b + c for f, b, c in zip(self.focal, bent, self.centre, strict=True)],
+            axis=-1,
+        )
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
-        """Directions (..., 2) of pixels (..., 2); the inverse of `pixels` where the lens is one to one."""
+        """Directions (..., 2) of pixels (..., 2); the inverse of `pixels` where the
+        lens is one to one.
+        """
         flat = np.asarray(pixels, dtype=float).reshape(-1, 1, 2)
         if not len(flat):
             return np.zeros(np.shape(pixels))
         close = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-        rays = cv2.undistortPoints(flat, self.matrix, np.array(self.distortion), None, None, None, close)
+        rays = cv2.undistortPoints(
+            flat, self.matrix, np.array(self.distortion), None, None, None, close
+        )
         return np.asarray(rays).reshape(np.shape(pixels))

@@ -1,2 +1,3 @@
-"""Report: self-contained HTML pages from what runs have made. `page.py` is what a page is, `pages/` those there are,
-`charts/` what is drawn in them."""
+"""Report: self-contained HTML pages from what runs have made. `page.py` is what a page
+is, `pages/` those there are, `charts/` what is drawn in them.
+"""

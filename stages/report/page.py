@@ -1,5 +1,7 @@
-"""A page is a list of sections, a section a list of parts; each kind of part is a class here and a macro of its name in
-`page.html.j2`. What is said is decided in Python, how it looks in the template and in `theme.css`."""
+"""A page is a list of sections, a section a list of parts; each kind of part is a class
+here and a macro of its name in `page.html.j2`. What is said is decided in Python, how
+it looks in the template and in `theme.css`.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +17,26 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from stringcast.stages.report import words
-from stringcast.stages.report.theme import MM, THEME, Picture
+from stringcast.stages.report import formatting
+from stringcast.stages.report.theme import MM_PER_M, THEME, Picture
 
 HERE = Path(__file__).parent
 SCRIPTS = ("vendor/uPlot.iife.min.js", "explore.js")
 
 
 class Part:
-    """Anything that a page shows; markupsafe's protocol lets a template or another part simply name it."""
+    """Anything that a page shows; markupsafe's protocol lets a template or another part
+    simply name it.
+    """
 
     def __html__(self) -> str:
         """The part as HTML, everything in it escaped that is not Markup."""
-        return str(getattr(_templates().get_template("parts.html.j2").module, type(self).__name__.lower())(self))
+        return str(
+            getattr(
+                _templates().get_template("parts.html.j2").module,
+                type(self).__name__.lower(),
+            )(self)
+        )
 
 
 @dataclass(frozen=True)
@@ -55,7 +64,9 @@ class Tiles(Part):
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table. kind: n (a number), code or missing. title: shown where a pointer rests on it."""
+    """A cell of a table. kind: n (a number), code or missing. title: shown where a
+    pointer rests on it.
+    """
 
     words: Any
     kind: str = ""
@@ -64,8 +75,9 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table(Part):
-    """columns: headings; none for a table of names and values. Cells are `Cell` or words. named: the first of a row
-    is its heading."""
+    """columns: headings; none for a table of names and values. Cells are `Cell` or
+    words. named: the first of a row is its heading.
+    """
 
     columns: Sequence[str]
     rows: Sequence[Sequence[Any]]
@@ -74,7 +86,10 @@ class Table(Part):
     @property
     def cells(self) -> list[list[Cell]]:
         """Every cell as a `Cell`."""
-        return [[cell if isinstance(cell, Cell) else Cell(cell) for cell in row] for row in self.rows]
+        return [
+            [cell if isinstance(cell, Cell) else Cell(cell) for cell in row]
+            for row in self.rows
+        ]
 
 
 @dataclass(frozen=True)
@@ -135,7 +150,9 @@ class Details(Part):
 
 @dataclass(frozen=True)
 class Layer:
-    """Strings of a film that can be shown or not. name: in its data. colour: of the theme, or #... shown: at first."""
+    """Strings of a film that can be shown or not. name: in its data. colour: of the
+    theme, or #... shown: at first.
+    """
 
     name: str
     colour: str
@@ -145,7 +162,9 @@ class Layer:
 
 @dataclass(frozen=True)
 class Film(Part):
-    """Strings over time, over camera frames where there are any. data: see `charts.camera.animation`, JSON-able."""
+    """Strings over time, over camera frames where there are any. data: see
+    `charts.camera.animation`, JSON-able.
+    """
 
     data: Mapping[str, Any] = field(repr=False)
     words: str
@@ -153,7 +172,9 @@ class Film(Part):
 
 @dataclass(frozen=True)
 class Line:
-    """A curve of a chart. values: at its times; NaN where there is none. colour: a name of the theme."""
+    """A curve of a chart. values: at its times; NaN where there is none. colour: a name
+    of the theme.
+    """
 
     label: str
     values: np.ndarray = field(repr=False)
@@ -163,8 +184,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Chart(Part):
-    """Curves over time that are hovered over and zoomed. t: [s], ascending. axis: what is drawn, with its unit. words:
-    for those who cannot see it. moving: while the arm moves [s]. mark: a moment [s]. low: end of the axis, if given."""
+    """Curves over time that are hovered over and zoomed. t: [s], ascending. axis: what
+    is drawn, with its unit. words: for those who cannot see it. moving: while the arm
+    moves [s]. mark: a moment [s]. low: end of the axis, if given.
+    """
 
     title: str
     t: np.ndarray = field(repr=False)
@@ -180,21 +203,32 @@ class Chart(Part):
     def data(self) -> dict[str, Any]:
         """The data of the page's script: times in ms, null where there is no value."""
         return {
-            "t": np.round(np.asarray(self.t, float) * MM, 2).tolist(),
+            "t": np.round(np.asarray(self.t, float) * MM_PER_M, 2).tolist(),
             "lines": [
-                {"label": one.label, "colour": one.colour, "dashed": one.dashed, "values": _figures(one.values)}
+                {
+                    "label": one.label,
+                    "colour": one.colour,
+                    "dashed": one.dashed,
+                    "values": _figures(one.values),
+                }
                 for one in self.lines
             ],
             "axis": self.axis,
-            "moving": None if self.moving is None else [end * MM for end in self.moving],
-            "mark": None if self.mark is None or not np.isfinite(self.mark) else self.mark * MM,
+            "moving": None
+            if self.moving is None
+            else [end * MM_PER_M for end in self.moving],
+            "mark": None
+            if self.mark is None or not np.isfinite(self.mark)
+            else self.mark * MM_PER_M,
             "low": self.low,
         }
 
 
 @dataclass(frozen=True)
 class Explore(Part):
-    """Films and charts with one clock. layers: of its films. times: differences between them can be enlarged."""
+    """Films and charts with one clock. layers: of its films. times: differences between
+    them can be enlarged.
+    """
 
     parts: Sequence[Part]
     layers: Sequence[Layer] = ()
@@ -216,7 +250,8 @@ class Jump(Part):
     words: str
 
 
-HERE_IN_WORDS = "{here}"  # in a command: the page's own folder, which the reader's browser knows
+# in a command: the page's own folder, which the reader's browser knows
+FOLDER_PLACEHOLDER = "{here}"
 
 
 @dataclass(frozen=True)
@@ -228,7 +263,10 @@ class Commands(Part):
     @property
     def rows(self) -> list[tuple[str, list[str]]]:
         """Words, and the command in pieces between which the page's folder stands."""
-        return [(words, command.split(HERE_IN_WORDS)) for words, command in self.commands]
+        return [
+            (words, command.split(FOLDER_PLACEHOLDER))
+            for words, command in self.commands
+        ]
 
 
 @dataclass(frozen=True)
@@ -244,9 +282,11 @@ class Section(Part):
 
 @dataclass(frozen=True)
 class Page:
-    """title: of the window. kicker: above the heading. tone: good or bad, for its colour and mark. nav: links to
-    sections. origin: seed if any, code, packages. settings: by name. following: commands for what is next.
-    explored: with films and curves, which need scripts."""
+    """title: of the window. kicker: above the heading. tone: good or bad, for its
+    colour and mark. nav: links to sections. origin: seed if any, code, packages.
+    settings: by name. following: commands for what is next. explored: with films and
+    curves, which need scripts.
+    """
 
     title: str
     kicker: str
@@ -262,13 +302,24 @@ class Page:
     explored: bool = False
 
     def __str__(self) -> str:
-        """The page as text; the same record gives the same page. One file that needs nothing else."""
+        """The page as text; the same record gives the same page. One file that needs
+        nothing else.
+        """
         scripts = [_read(name) for name in SCRIPTS] if self.explored else []
-        digests = [base64.b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in scripts]
-        allowed = "; script-src " + " ".join(f"'sha256-{one}'" for one in digests) if scripts else ""
+        digests = [
+            base64.b64encode(hashlib.sha256(one.encode()).digest()).decode()
+            for one in scripts
+        ]
+        allowed = (
+            "; script-src " + " ".join(f"'sha256-{one}'" for one in digests)
+            if scripts
+            else ""
+        )
         sheet = _read("theme.css") + (_read("vendor/uPlot.min.css") if scripts else "")
         given = {
-            "ahead": Section("What next", [Card("", [Commands(self.following)])]) if self.following else None,
+            "ahead": Section("What next", [Card("", [Commands(self.following)])])
+            if self.following
+            else None,
             "again": self.again,
             "allowed": Markup(allowed),
             "scripts": map(Markup, scripts),
@@ -282,7 +333,11 @@ class Page:
         seed = f"seed {self.origin['seed']}, " if "seed" in self.origin else ""
         origin = f"Origin: {seed}code {self.origin['code']['commit'][:10]}"
         settings = "All settings, by their names on the command line"
-        folded = [Details(line, [named(of)]) for line, of in ((origin, self.origin), (settings, self.settings)) if of]
+        folded = [
+            Details(line, [named(of)])
+            for line, of in ((origin, self.origin), (settings, self.settings))
+            if of
+        ]
         return Section("How to make this again", folded)
 
 
@@ -293,7 +348,14 @@ def number(text: Any) -> Cell:
 
 def named(settings: Mapping[str, Any]) -> Table:
     """Settings by their names on the command line."""
-    return Table((), [(name, Cell(value, "code")) for name, value in words.settings(settings)], named=True)
+    return Table(
+        (),
+        [
+            (name, Cell(value, "code"))
+            for name, value in formatting.flatten_settings(settings)
+        ],
+        named=True,
+    )
 
 
 def badge(hit: bool) -> Markup:
@@ -318,7 +380,9 @@ def bold(text: str) -> Markup:
 
 
 def joined(parts: Iterable[Any]) -> Markup:
-    """Sentences one after another, each escaped unless it is Markup; those that are empty are left out."""
+    """Sentences one after another, each escaped unless it is Markup; those that are
+    empty are left out.
+    """
     return Markup(" ").join(part for part in parts if part)
 
 
@@ -329,7 +393,10 @@ def either(title: str, part: Part | None, otherwise: str) -> Part:
 
 def _figures(values: np.ndarray) -> list[float | None]:
     """Four significant figures, which is more than a screen shows."""
-    return [float(f"{value:.4g}") if np.isfinite(value) else None for value in np.asarray(values, float)]
+    return [
+        float(f"{value:.4g}") if np.isfinite(value) else None
+        for value in np.asarray(values, float)
+    ]
 
 
 @cache

@@ -1,6 +1,8 @@
-"""How well clocks are compared: `python -m tests.alignment`. Leaves offsets.parquet in tests/benchmarks/alignment/results.
+"""How well clocks are compared: `python -m tests.alignment`. Leaves offsets.parquet in
+tests/benchmarks/alignment/results.
 
-Most from points of the hand, drawn with a noise of 0.7 mm; some filmed on the virtual lab and read in its frames.
+Most from points of the hand, drawn with a noise of 0.7 mm; some filmed on the virtual
+lab and read in its frames.
 """
 
 import argparse
@@ -16,8 +18,13 @@ from rich.progress import track
 from stringcast.data.artifacts import MASKS, POINTS, READINGS, Motion, Observation
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table
-from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
-from stringcast.pipeline.provenance import software
+from stringcast.hardware.virtual.bench import (
+    Specimen,
+    VirtualArm,
+    VirtualBench,
+    VirtualCamera,
+)
+from stringcast.pipeline.run.provenance import software_versions
 from stringcast.stages.align.align import align, measured_table
 from stringcast.stages.align.excitation.excite import excite
 from stringcast.stages.align.fit import Problem, chosen, measuring
@@ -34,20 +41,30 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tests" / "benchmarks" / "alignment" / "results"
 RATES = (200.0, 60.0, 30.0)
 SIGMA = 7e-4  # [m]
-NOISES = {"white": (0.0, 0.0), "correlated": (0.9, 0.0), "rolling shutter": (0.0, 5e-3)}  # correlation, readout [s]
+# correlation, readout [s]
+NOISES = {"white": (0.0, 0.0), "correlated": (0.9, 0.0), "rolling shutter": (0.0, 5e-3)}
 OFFSETS = Table(
     "offsets",
     "a row for each alignment: what was hidden and what was found",
     (
         Column("seen", "", "points of the hand, or frames of the virtual lab", "text"),
-        Column("noise", "", "white; correlated from frame to frame by 0.9; or white behind a rolling shutter", "text"),
+        Column(
+            "noise",
+            "",
+            "white; correlated from frame to frame by 0.9; or white behind a rolling shutter",
+            "text",
+        ),
         Column("fps", "1/s", "frames per second"),
         Column("seed", "1", "of motion, misalignment and noise", "int"),
         Column("hidden", "s", "arm's clock less the camera's"),
         Column("found", "s", "what was found"),
         Column("low", "s", "lower end of the 95 % interval"),
         Column("high", "s", "upper end of the 95 % interval"),
-        Column("plain", "s", "half width of the interval if nothing is there that was looked for and not seen"),
+        Column(
+            "plain",
+            "s",
+            "half width of the interval if nothing is there that was looked for and not seen",
+        ),
         Column("effects", "", "beyond those always measured, joined by ' + '", "text"),
     ),
 )
@@ -57,17 +74,33 @@ def main() -> None:
     """Draw, align, keep what came out, and say it."""
     parser = argparse.ArgumentParser("python -m tests.alignment", description=__doc__)
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--filmed", type=int, default=3, help="alignments of filmed motions, at 30, 60 and 200 in turn")
+    parser.add_argument(
+        "--filmed",
+        type=int,
+        default=3,
+        help="alignments of filmed motions, at 30, 60 and 200 in turn",
+    )
     asked = parser.parse_args()
-    made = {"command": f"python -m tests.alignment --seeds {asked.seeds} --filmed {asked.filmed}"}
-    made |= software()
-    asks = [partial(pointed, noise, fps, seed) for seed in range(asked.seeds) for noise in NOISES for fps in RATES]
-    asks += [partial(filmed, RATES[-1 - number % len(RATES)], 100 + number) for number in range(asked.filmed)]
+    made = {
+        "command": f"python -m tests.alignment --seeds {asked.seeds} --filmed {asked.filmed}"
+    }
+    made |= software_versions()
+    asks = [
+        partial(pointed, noise, fps, seed)
+        for seed in range(asked.seeds)
+        for noise in NOISES
+        for fps in RATES
+    ]
+    asks += [
+        partial(filmed, RATES[-1 - number % len(RATES)], 100 + number)
+        for number in range(asked.filmed)
+    ]
     FOLDER.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, object]] = []
     for ask in track(asks, "alignments"):
         rows.append(ask())
-        write_table(OFFSETS, pd.DataFrame(rows), FOLDER / "offsets.parquet", made)  # what is done stands
+        # what is done stands
+        write_table(OFFSETS, pd.DataFrame(rows), FOLDER / "offsets.parquet", made)
     print(summary(pd.DataFrame(rows)).to_string(index=False))
 
 
@@ -103,11 +136,21 @@ def pointed(noise: str, fps: float, seed: int) -> dict[str, object]:
     """From points."""
     correlation, readout = NOISES[noise]
     bench, true = Stand(laid(fps), swung(seed), seed), drawn(seed)
-    seen = bench.observation(true | {"rolling_shutter.readout": readout}, fps, SIGMA, correlation)
+    seen = bench.observation(
+        true | {"rolling_shutter.readout": readout}, fps, SIGMA, correlation
+    )
     problem = Problem(measuring(bench.model), (from_points(seen, bench.model.arm),))
     fit = chosen(problem)
     measured = measured_table(problem, fit, 0.0)
-    return row("points", noise, fps, seed, true[OFFSET], measured, float(fit.reach[fit.names.index(OFFSET)]))
+    return row(
+        "points",
+        noise,
+        fps,
+        seed,
+        true[OFFSET],
+        measured,
+        float(fit.reach[fit.names.index(OFFSET)]),
+    )
 
 
 def filmed(fps: float, seed: int) -> dict[str, object]:
@@ -118,23 +161,48 @@ def filmed(fps: float, seed: int) -> dict[str, object]:
         effect, _, parameter = name.partition(".")
         hidden.setdefault(effect, {})[parameter] = true[name]
     model = laid(fps)
-    bench = Bench(
-        model.arm, model.camera, replace(configured(Specimen, "specimen/A.yaml"), hidden=hidden), seed, count=1
+    bench = VirtualBench(
+        model.arm,
+        model.camera,
+        replace(configured(Specimen, "specimen/A.yaml"), hidden=hidden),
+        seed,
+        trial_number=1,
     )
-    trial = execute(swung(seed), VirtualArm(bench), VirtualCamera(bench), before=0.2, after=0.2)
-    nothing = Observation("t01", POINTS.empty(), READINGS.empty(), MASKS.empty(), arm=trial.arm)
+    trial = execute(
+        swung(seed), VirtualArm(bench), VirtualCamera(bench), before=0.2, after=0.2
+    )
+    nothing = Observation(
+        "t01", POINTS.empty(), READINGS.empty(), MASKS.empty(), arm=trial.arm
+    )
     made = align(model, [nothing], {"t01": trial.film}, arm_width=0.035)
     return row("frames", "sensor", fps, seed, true[OFFSET], made.measured, np.nan)
 
 
 def row(
-    seen: str, noise: str, fps: float, seed: int, hidden: float, measured: pd.DataFrame, plain: float
+    seen: str,
+    noise: str,
+    fps: float,
+    seed: int,
+    hidden: float,
+    measured: pd.DataFrame,
+    plain: float,
 ) -> dict[str, object]:
     """A row of OFFSETS."""
     found = measured.set_index("name").loc[OFFSET]
     effects = sorted({n.split(".")[0] for n in measured[measured["found"]]["name"]})
-    beyond = [e for e in effects if e in ("arm_lag", "clock_drift", "rolling_shutter", "lens_distortion")]
-    where = {"seen": seen, "noise": noise, "fps": fps, "seed": seed, "hidden": hidden, "plain": plain}
+    beyond = [
+        e
+        for e in effects
+        if e in ("arm_lag", "clock_drift", "rolling_shutter", "lens_distortion")
+    ]
+    where = {
+        "seen": seen,
+        "noise": noise,
+        "fps": fps,
+        "seed": seed,
+        "hidden": hidden,
+        "plain": plain,
+    }
     ends = {"found": found["value"], "low": found["low"], "high": found["high"]}
     return where | ends | {"effects": " + ".join(beyond)}
 

@@ -1,4 +1,6 @@
-"""A stand for alignment: an arm that swings, and its hand as a camera of known misalignment would see it."""
+"""A stand for alignment: an arm that swings, and its hand as a camera of known
+misalignment would see it.
+"""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -7,12 +9,20 @@ import numpy as np
 import pandas as pd
 from scipy.signal import lfilter
 
-from stringcast.data.artifacts import JOINTS, MASKS, POINTS, READINGS, SPEEDS, Motion, Observation
-from stringcast.hardware.virtual.servo import Servo
+from stringcast.data.artifacts import (
+    JOINTS,
+    MASKS,
+    POINTS,
+    READINGS,
+    SPEEDS,
+    Motion,
+    Observation,
+)
+from stringcast.hardware.virtual.servo import VirtualServo
 from stringcast.stages.align.excitation.excite import excite
 from stringcast.stages.align.fit import measuring
-from stringcast.stages.model.hand import JointMotion, joint_motion
-from stringcast.stages.model.library import named
+from stringcast.stages.model.hand import JointMotion, resample_joint_motion
+from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 
 SWING = {"duration": 4.0, "speed": 2.0, "highest": 2.5, "sines": 3, "motions": 8}
@@ -35,12 +45,18 @@ class Stand:
 
     @cached_property
     def _performed(self) -> tuple[pd.DataFrame, JointMotion]:
-        servo, commands = Servo(), self.motion.commands
+        servo, commands = VirtualServo(), self.motion.commands
         start, t = commands[list(JOINTS)].to_numpy()[0], commands["t"].to_numpy()
-        fine, turned = servo.follow(t, commands[list(SPEEDS)].to_numpy(), np.random.default_rng([self.seed, 1]))
-        told = np.stack([np.interp(t, fine, start[j] + turned[:, j]) for j in range(3)], axis=-1)
-        report = dict(zip(JOINTS, servo.encoder(told).T, strict=True))
-        return pd.DataFrame({"t": t} | report), joint_motion(fine, start + turned, 0.001)
+        fine, turned = servo.follow_commands(
+            t, commands[list(SPEEDS)].to_numpy(), np.random.default_rng([self.seed, 1])
+        )
+        told = np.stack(
+            [np.interp(t, fine, start[j] + turned[:, j]) for j in range(3)], axis=-1
+        )
+        report = dict(zip(JOINTS, servo.encoder_reading(told).T, strict=True))
+        return pd.DataFrame({"t": t} | report), resample_joint_motion(
+            fine, start + turned, 0.001
+        )
 
     @property
     def arm(self) -> pd.DataFrame:
@@ -48,19 +64,33 @@ class Stand:
         return self._performed[0]
 
     def joints(self, true, fps, also=()):
-        """Times (F,) of frames and where the camera sees the joints, (F, J + 1, 2). true: by qualified name."""
-        model = measuring(self.model).with_effects(*named(also))
+        """Times (F,) of frames and where the camera sees the joints, (F, J + 1, 2).
+        true: by qualified name.
+        """
+        model = measuring(self.model).with_effects(*find_effects(also))
         times = np.arange(0.0, self.motion.duration, 1 / fps)
-        return times, model.arm_seen(self._performed[1], model.values(true)[None], times)[0]
+        return times, model.observed_arm(
+            self._performed[1], model.values(true)[None], times
+        )[0]
 
-    def observation(self, true, fps=60.0, sigma=1e-3, correlation=0.0, also=(), name="t01"):
-        """The hand as points at s = 0. correlation: of the noise from one frame to the next."""
+    def observation(
+        self, true, fps=60.0, sigma=1e-3, correlation=0.0, also=(), name="t01"
+    ):
+        """The hand as points at s = 0. correlation: of the noise from one frame to the
+        next.
+        """
         t, joints = self.joints(true, fps, also)
         fresh = np.random.default_rng([self.seed, 2]).normal(size=(len(t) + 200, 2))
-        noise = lfilter([np.sqrt(1 - correlation**2)], [1, -correlation], fresh, axis=0)[200:]
+        noise = lfilter(
+            [np.sqrt(1 - correlation**2)], [1, -correlation], fresh, axis=0
+        )[200:]
         x, y = (joints[:, -1] + sigma * noise).T
-        points = pd.DataFrame({"t": t, "s": 0.0, "x": x, "y": y, "sigma": sigma, "valid": True})
-        return Observation(name, POINTS.check(points), READINGS.empty(), MASKS.empty(), arm=self.arm)
+        points = pd.DataFrame(
+            {"t": t, "s": 0.0, "x": x, "y": y, "sigma": sigma, "valid": True}
+        )
+        return Observation(
+            name, POINTS.check(points), READINGS.empty(), MASKS.empty(), arm=self.arm
+        )
 
 
 def stand(model: Model, seed: int = 0, **swing) -> Stand:
@@ -72,4 +102,8 @@ def still(observation: Observation) -> Observation:
     """The same as if the arm had not moved."""
     first = observation.points.iloc[0]
     arm = observation.arm.assign(**observation.arm[list(JOINTS)].iloc[0])
-    return replace(observation, arm=arm, points=observation.points.assign(x=first["x"], y=first["y"]))
+    return replace(
+        observation,
+        arm=arm,
+        points=observation.points.assign(x=first["x"], y=first["y"]),
+    )

@@ -1,4 +1,6 @@
-"""Camera and clock against the arm: what is hidden is found, as surely as is said; what cannot be told is refused."""
+"""Camera and clock against the arm: what is hidden is found, as surely as is said; what
+cannot be told is refused.
+"""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -8,9 +10,22 @@ import pandas as pd
 import pytest
 import yaml
 
-from stringcast.data.artifacts import JOINTS, MASKS, POINTS, READINGS, Film, Observation, Points
+from stringcast.data.artifacts import (
+    JOINTS,
+    MASKS,
+    POINTS,
+    READINGS,
+    Film,
+    Observation,
+    Points,
+)
 from stringcast.data.schema import DataError
-from stringcast.hardware.virtual.render import Look, noisy, render, scenery
+from stringcast.hardware.virtual.render import (
+    Look,
+    add_sensor_noise,
+    render_background,
+    render_frame,
+)
 from stringcast.stages.align.align import align
 from stringcast.stages.align.excitation.excite import drawn, excite, information
 from stringcast.stages.align.fit import ALWAYS, Problem, measuring
@@ -22,12 +37,12 @@ from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.random_search import estimate
 from stringcast.stages.extract.footage import aligned_footage
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.hand import joint_motion
-from stringcast.stages.model.library import named
+from stringcast.stages.model.hand import resample_joint_motion
+from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.report.pages.alignment import alignment_page
-from stringcast.stages.report.records import Facts
+from stringcast.stages.report.records import StageRecord
 from tests.alignment.stand import OFF, SWING, stand, still
 
 MISSED = 1.5  # half widths of a 95 % interval: one in 300 is further out by chance
@@ -40,7 +55,9 @@ def model(arm, camera):
 
 @pytest.fixture(scope="module")
 def bench(model):
-    """Measured with the noise of fourteen seeds: the intervals of thirteen hold, that of one (0) is out by 1.9 halves."""
+    """Measured with the noise of fourteen seeds: the intervals of thirteen hold, that
+    of one (0) is out by 1.9 halves.
+    """
     return replace(stand(model), seed=1)
 
 
@@ -53,11 +70,17 @@ def interval(made, name):
     return row["value"], (row["high"] - row["low"]) / 2
 
 
-# --- what is hidden is found ---------------------------------------------------------------------------------------
+# --- what is hidden is found
+# ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("fps", "offset", "correlation"), [(200, -0.02, 0.0), (60, 0.0123, 0.8), (30, 0.02, 0.0)])
-def test_known_values_are_recovered_within_what_is_stated(bench, fps, offset, correlation):
+@pytest.mark.parametrize(
+    ("fps", "offset", "correlation"),
+    [(200, -0.02, 0.0), (60, 0.0123, 0.8), (30, 0.02, 0.0)],
+)
+def test_known_values_are_recovered_within_what_is_stated(
+    bench, fps, offset, correlation
+):
     true = OFF | {"time_offset.offset": offset}
     made = aligned(bench, bench.observation(true, fps, correlation=correlation))
     assert abs(made.found()["time_offset.offset"] - offset) < 1e-3
@@ -85,11 +108,23 @@ def test_turning_the_scene_turns_the_result_and_another_clock_sets_it_off(bench)
     turn, later = 0.05, 0.004
     centre, c, s = bench.model.camera.centre, np.cos(turn), np.sin(turn)
     x, y = seen.points["x"] - centre[0], seen.points["y"] - centre[1]
-    turned = seen.points.assign(x=centre[0] + c * x - s * y, y=centre[1] + s * x + c * y, t=seen.points["t"] + later)
-    before, after = (aligned(bench, o).found() for o in (seen, replace(seen, points=turned)))
-    assert after["camera_rotation.angle"] - before["camera_rotation.angle"] == pytest.approx(turn, abs=1e-4)
-    assert after["time_offset.offset"] - before["time_offset.offset"] == pytest.approx(-later, abs=2e-5)
-    assert after["pixel_scale.excess"] == pytest.approx(before["pixel_scale.excess"], abs=1e-4)
+    turned = seen.points.assign(
+        x=centre[0] + c * x - s * y,
+        y=centre[1] + s * x + c * y,
+        t=seen.points["t"] + later,
+    )
+    before, after = (
+        aligned(bench, o).found() for o in (seen, replace(seen, points=turned))
+    )
+    assert after["camera_rotation.angle"] - before[
+        "camera_rotation.angle"
+    ] == pytest.approx(turn, abs=1e-4)
+    assert after["time_offset.offset"] - before["time_offset.offset"] == pytest.approx(
+        -later, abs=2e-5
+    )
+    assert after["pixel_scale.excess"] == pytest.approx(
+        before["pixel_scale.excess"], abs=1e-4
+    )
 
 
 def test_a_lens_that_bends_is_measured_too(bench):
@@ -104,10 +139,13 @@ def test_noise_that_nobody_states_is_found(bench):
     seen = bench.observation(OFF, sigma=2e-3)
     made = aligned(bench, replace(seen, points=seen.points.drop(columns="sigma")))
     assert made.seen["sigma"].iloc[0] == pytest.approx(2e-3, rel=0.2)
-    assert made.found()["time_offset.offset"] == pytest.approx(OFF["time_offset.offset"], abs=1e-3)
+    assert made.found()["time_offset.offset"] == pytest.approx(
+        OFF["time_offset.offset"], abs=1e-3
+    )
 
 
-# --- look-alikes ---------------------------------------------------------------------------------------------------
+# --- look-alikes
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_a_lag_that_shows_is_told_from_the_offset(bench):
@@ -124,7 +162,9 @@ def test_a_lag_that_does_not_show_is_left_open_and_said(bench):
     """Offset and lag together are measured; neither is named for the other."""
     made = aligned(bench, bench.observation(OFF | {"arm_lag.time_constant": 0.002}))
     assert "arm_lag.time_constant" not in made.found()
-    assert made.found()["time_offset.offset"] == pytest.approx(OFF["time_offset.offset"] - 0.002, abs=1e-3)
+    assert made.found()["time_offset.offset"] == pytest.approx(
+        OFF["time_offset.offset"] - 0.002, abs=1e-3
+    )
     assert made.aligned["most_lag"].iloc[0] > 0.002
     assert "would look the same" in made.sentence
     alike = made.likelihood.set_index("offset")["with_lag"]
@@ -132,15 +172,22 @@ def test_a_lag_that_does_not_show_is_left_open_and_said(bench):
 
 
 def test_a_lag_that_would_show_at_once_is_told_smaller_than_the_first_that_is_tried():
-    table = pd.DataFrame({"lag": [0.0, 0.25e-3, 0.5e-3], "with_lag": [0.0, 38.4, 150.0]})
-    assert most_lag(table, SimpleNamespace(effects=("time_offset",))) == pytest.approx(0.025e-3)
+    table = pd.DataFrame(
+        {"lag": [0.0, 0.25e-3, 0.5e-3], "with_lag": [0.0, 38.4, 150.0]}
+    )
+    assert most_lag(table, SimpleNamespace(effects=("time_offset",))) == pytest.approx(
+        0.025e-3
+    )
 
 
-# --- what cannot be told is refused --------------------------------------------------------------------------------
+# --- what cannot be told is refused
+# --------------------------------------------------------------------------------
 
 
 def in_millimetres(o):
-    return replace(o, points=o.points.assign(x=1e3 * o.points["x"], y=1e3 * o.points["y"]))
+    return replace(
+        o, points=o.points.assign(x=1e3 * o.points["x"], y=1e3 * o.points["y"])
+    )
 
 
 def in_degrees(o):
@@ -148,7 +195,9 @@ def in_degrees(o):
 
 
 def knocked(o):
-    return replace(o, points=o.points.assign(x=o.points["x"] + 0.02 * (o.points["t"] > 2.5)))
+    return replace(
+        o, points=o.points.assign(x=o.points["x"] + 0.02 * (o.points["t"] > 2.5))
+    )
 
 
 def told(o):
@@ -157,10 +206,19 @@ def told(o):
 
 WRONG = {
     "too slow": (still, "the hand moves at 0.000 m/s at most: too slow"),
-    "hardly seen": (lambda o: replace(o, points=o.points[:20]), "seen in 20 frames only"),
-    "millimetres": (in_millimetres, r"spreads \d{3,4} times as far as the joints say.*must be in metres"),
+    "hardly seen": (
+        lambda o: replace(o, points=o.points[:20]),
+        "seen in 20 frames only",
+    ),
+    "millimetres": (
+        in_millimetres,
+        r"spreads \d{3,4} times as far as the joints say.*must be in metres",
+    ),
     "degrees": (in_degrees, "joint angles in radians"),
-    "knocked": (knocked, r"times what noise explains.*camera or arm was knocked at 2\.[2-7]"),
+    "knocked": (
+        knocked,
+        r"times what noise explains.*camera or arm was knocked at 2\.[2-7]",
+    ),
     "no grasp": (told, r"no point at the grasp \(s = 0\)"),
     "no joints": (lambda o: replace(o, arm=None), "needs joint angles"),
     "far off": (
@@ -180,7 +238,10 @@ def test_it_refuses_with_the_reason(bench, wrong):
 def test_points_that_the_joints_told_show_nothing(bench):
     seen = bench.observation({})
     hand = bench.model.arm.joints(
-        np.stack([np.interp(seen.points["t"], bench.arm["t"], bench.arm[q]) for q in JOINTS], axis=-1)
+        np.stack(
+            [np.interp(seen.points["t"], bench.arm["t"], bench.arm[q]) for q in JOINTS],
+            axis=-1,
+        )
     )
     x, y = hand[:, -1].T
     with pytest.raises(DataError, match="begin where the joints say"):
@@ -191,49 +252,82 @@ def test_joints_that_turn_further_than_told_are_named(bench):
     seen = bench.observation(
         OFF | {"joint_gain.gain": 0.05}, sigma=3e-4, also=("joint_gain",)
     )  # a lens hides most of it: 2.7 sigma are left
-    with pytest.raises(DataError, match="the joints turned more or less than they report"):
+    with pytest.raises(
+        DataError, match="the joints turned more or less than they report"
+    ):
         aligned(bench, seen)
 
 
-# --- frames --------------------------------------------------------------------------------------------------------
+# --- frames
+# --------------------------------------------------------------------------------------------------------
 
 
-LOOKS = {"bright": Look(), "dark": replace(Look(), background=170.0, arm=30.0, string=10.0)}
+LOOKS = {
+    "bright": Look(),
+    "dark": replace(Look(), background=170.0, arm=30.0, string=10.0),
+}
 
 
 @pytest.mark.parametrize("arm_is", LOOKS)
 def test_the_arm_is_read_in_frames(model, arm_is):
-    """320 x 320 px, 6 mm a pixel: the clocks to 0.1 ms, places to 0.3 of a pixel at 0.6 m. A string hangs in the way."""
-    camera = replace(model.camera, width=320, height=320, px_per_m=170.0, origin_px=(125.5, 193.5))
+    """320 x 320 px, 6 mm a pixel: the clocks to 0.1 ms, places to 0.3 of a pixel at 0.6
+    m. A string hangs in the way.
+    """
+    camera = replace(
+        model.camera, width=320, height=320, px_per_m=170.0, origin_px=(125.5, 193.5)
+    )
     bench = stand(replace(model, camera=camera), motions=4)
     t, joints = bench.joints(OFF, fps=30)
     look, rng = LOOKS[arm_is], np.random.default_rng(0)
-    wall = scenery(camera, look, 0)
+    wall = render_background(camera, look, 0)
     string = joints[:, -1:] + np.linspace(0, 0.3, 20)[:, None] * np.array([0.3, -0.95])
     images = [
-        noisy(render(camera, look, j[None], s[None], wall), look, rng) for j, s in zip(joints, string, strict=True)
+        add_sensor_noise(render_frame(camera, look, j[None], s[None], wall), look, rng)
+        for j, s in zip(joints, string, strict=True)
     ]
-    nothing = Observation("t01", POINTS.empty(), READINGS.empty(), MASKS.empty(), arm=bench.arm)
-    made = align(bench.model, [nothing], {"t01": Film(t, images, arm=bench.arm)}, arm_width=0.035)
-    found = made.found()
-    assert found["time_offset.offset"] == pytest.approx(OFF["time_offset.offset"], abs=1e-4)
+    nothing = Observation(
+        "t01", POINTS.empty(), READINGS.empty(), MASKS.empty(), arm=bench.arm
+    )
+    made = align(
+        bench.model, [nothing], {"t01": Film(t, images, arm=bench.arm)}, arm_width=0.035
+    )
+    found = made.aligned_values()
+    assert found["time_offset.offset"] == pytest.approx(
+        OFF["time_offset.offset"], abs=1e-4
+    )
     for name in set(OFF) - {"time_offset.offset"}:
         assert found[name] == pytest.approx(OFF[name], abs=3e-3), name
     assert len(made.seen) > 10 * len(t)
-    page = alignment_page(Facts("a", made.sentence, made, None, {}, {"seed": 0, "code": {"commit": "0" * 10}}))
+    page = alignment_page(
+        StageRecord(
+            "a",
+            made.sentence,
+            made,
+            None,
+            {},
+            {"seed": 0, "code": {"commit": "0" * 10}},
+        )
+    )
     assert page.count("<figure") == 3
     assert "looked for, not seen" in page
 
 
-# --- what comes of it ----------------------------------------------------------------------------------------------
+# --- what comes of it
+# ----------------------------------------------------------------------------------------------
 
 
 def taken_over(model, made):
     """The model as another experiment has it."""
     told = yaml.safe_load(made.extended)
     known = {name: block["value"] for name, block in told["known"].items()}
-    measured = {name: (block["low"], block["high"]) for name, block in told["known"].items()}
-    return replace(model.with_effects(*named(told["effects"])), known=known, measured=measured)
+    measured = {
+        name: (block["low"], block["high"]) for name, block in told["known"].items()
+    }
+    return replace(
+        model.with_effects(*find_effects(told["effects"])),
+        start_values=known,
+        measured=measured,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -242,93 +336,181 @@ def later(bench, model):
 
 
 def test_estimation_is_better_with_the_alignment_known(bench, model, later):
-    """A short search within 2 % of the true string, noise of 1 mm in x and in y: little more is left, or far more."""
-    known = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "axial_stiffness": 2e5, "axial_damping": 30.0}
-    known |= {"linear_drag": 0.3, "quadratic_drag": 0.2, "grasp_stiffness": 3.0, "grasp_damping": 5e-3}
+    """A short search within 2 % of the true string, noise of 1 mm in x and in y: little
+    more is left, or far more.
+    """
+    known = {
+        "bending_stiffness": 4.0,
+        "bending_damping": 5e-3,
+        "axial_stiffness": 2e5,
+        "axial_damping": 30.0,
+    }
+    known |= {
+        "linear_drag": 0.3,
+        "quadratic_drag": 0.2,
+        "grasp_stiffness": 3.0,
+        "grasp_damping": 5e-3,
+    }
     near = {
-        p.name: replace(p, low=0.98 * known[p.name], high=1.02 * known[p.name], start=0.985 * known[p.name])
+        p.name: replace(
+            p,
+            low=0.98 * known[p.name],
+            high=1.02 * known[p.name],
+            start=0.985 * known[p.name],
+        )
         for p in model.string.parameters
     }
     cast = bench.arm[bench.arm["t"] < 1.2]
     t, s = np.arange(0.1, 1.1, 0.04), model.string.arc_lengths()
-    motion = joint_motion(cast["t"].to_numpy(), cast[list(JOINTS)].to_numpy())
-    truth = model.with_effects(*named(sorted({n.split(".")[0] for n in OFF})))
+    motion = resample_joint_motion(cast["t"].to_numpy(), cast[list(JOINTS)].to_numpy())
+    truth = model.with_effects(*find_effects(sorted({n.split(".")[0] for n in OFF})))
     seen = truth.seen(motion, truth.values(known | OFF)[None], t).points[0]
     seen = seen + 1e-3 * np.random.default_rng(0).normal(size=seen.shape)
-    rows = {"t": np.repeat(t, len(s)), "s": np.tile(s, len(t)), "x": seen[..., 0].ravel(), "y": seen[..., 1].ravel()}
+    rows = {
+        "t": np.repeat(t, len(s)),
+        "s": np.tile(s, len(t)),
+        "x": seen[..., 0].ravel(),
+        "y": seen[..., 1].ravel(),
+    }
     points = POINTS.check(pd.DataFrame(rows | {"sigma": 1e-3}))
     observation = Observation("t02", points, READINGS.empty(), MASKS.empty(), arm=cast)
-    how = {"seed": 0, "manipulation": 1, "candidates": 33, "chi_0": 0.6, "beta": 0.95, "batch": 32}
+    how = {
+        "seed": 0,
+        "manipulation": 1,
+        "candidates": 33,
+        "chi_0": 0.6,
+        "beta": 0.95,
+        "batch": 32,
+    }
     matching = Matching(dilations=20, step_px=2, tip_step_px=3.0, delta_w=0.25)
     models = [replace(m, string=replace(m.string, ranges=near)) for m in (model, later)]
-    left = [estimate(m, [observation], None, **how, matching=matching).fit["rms_after"].iloc[0] for m in models]
+    left = [
+        estimate(m, [observation], None, **how, matching=matching)
+        .fit["rms_after"]
+        .iloc[0]
+        for m in models
+    ]
     assert left[1] < 3e-3
     assert left[0] > 3 * left[1]
 
 
-def test_extraction_looks_for_the_string_where_the_camera_has_the_hand(bench, model, later):
+def test_extraction_looks_for_the_string_where_the_camera_has_the_hand(
+    bench, model, later
+):
     t, joints = bench.joints(OFF, fps=50)
-    plain, looked = (aligned_footage(Film(t, [], arm=bench.arm), m) for m in (model, later))
-    off = [np.abs(footage.grasp[:, :2] - joints[:, -1]).max() for footage in (plain, looked)]
+    plain, looked = (
+        aligned_footage(Film(t, [], arm=bench.arm), m) for m in (model, later)
+    )
+    off = [
+        np.abs(footage.grasp[:, :2] - joints[:, -1]).max()
+        for footage in (plain, looked)
+    ]
     assert off[0] > 0.02
     assert off[1] < 1e-3
     assert np.abs(looked.body - joints).max() < 1e-3
 
 
 def test_the_tip_is_judged_where_it_is(model, later):
-    t, true = np.linspace(0, 1, 30), np.random.default_rng(0).uniform(-0.2, 0.8, (30, 2))
+    t, true = (
+        np.linspace(0, 1, 30),
+        np.random.default_rng(0).uniform(-0.2, 0.8, (30, 2)),
+    )
     stills = np.tile(true[None, :, None], (1, 3, 1, 1))
-    x, y = measuring(model).reported(stills, measuring(model).values(OFF)[None], t)[0, :, 0].T
+    x, y = (
+        measuring(model)
+        .observed_points(stills, measuring(model).values(OFF)[None], t)[0, :, 0]
+        .T
+    )
     points = POINTS.check(pd.DataFrame({"t": t, "s": 0.0, "x": x, "y": y}))
     tips = READINGS.check(
         pd.DataFrame(
-            {"frame": 0, "t": t, "valid": True, "reason": "", "tip_x": x, "tip_y": y, "tip_sigma": 0.0, "length": 0.3}
+            {
+                "frame": 0,
+                "t": t,
+                "valid": True,
+                "reason": "",
+                "tip_x": x,
+                "tip_y": y,
+                "tip_sigma": 0.0,
+                "length": 0.3,
+            }
         )
     )
     right = in_arms_frame(Points(points, tips, MASKS.empty()), later)
-    for table, columns in ((right.points, ["x", "y"]), (right.readings, ["tip_x", "tip_y"])):
+    for table, columns in (
+        (right.points, ["x", "y"]),
+        (right.readings, ["tip_x", "tip_y"]),
+    ):
         assert np.abs(table[columns].to_numpy() - true).max() < 1e-3
 
 
-# --- the motion ----------------------------------------------------------------------------------------------------
+# --- the motion
+# ----------------------------------------------------------------------------------------------------
 
 
 def hand_speed(arm, angles):
     """The hand's greatest speed [m/s]. angles: (K, J)."""
-    return np.linalg.norm(arm.grasp_velocity(angles, np.gradient(angles, arm.tick, axis=0))[:, :2], axis=-1).max()
+    return np.linalg.norm(
+        arm.grasp_velocity(angles, np.gradient(angles, arm.tick, axis=0))[:, :2],
+        axis=-1,
+    ).max()
 
 
 def test_the_hand_is_never_faster_than_asked_however_far_it_swings(arm):
-    """Slow and wide: the lever changes much on the way. Measured where that was not looked at: up to 1.6 times."""
+    """Slow and wide: the lever changes much on the way. Measured where that was not
+    looked at: up to 1.6 times.
+    """
     rng = np.random.default_rng(0)
     for _ in range(40):
         angles, _ = drawn(arm, rng, duration=10.0, speed=5.0, highest=0.15, sines=3)
         assert hand_speed(arm, angles) < 1.001 * 5.0
 
 
-def test_motions_are_ranked_by_how_well_they_tell_the_clocks_where_only_these_count(model, monkeypatch):
-    """Against what sightings 10 ms apart say of the offset, all else but a lag unknown; drawn ones differ by half."""
+def test_motions_are_ranked_by_how_well_they_tell_the_clocks_where_only_these_count(
+    model, monkeypatch
+):
+    """Against what sightings 10 ms apart say of the offset, all else but a lag unknown;
+    drawn ones differ by half.
+    """
     monkeypatch.setattr("stringcast.stages.align.excitation.excite.CLOCKS", 1e6)
     told, known = [], []
     for seed in range(6):
-        angles, speeds = drawn(model.arm, np.random.default_rng(seed), duration=3.0, speed=2.0, highest=2.5, sines=3)
+        angles, speeds = drawn(
+            model.arm,
+            np.random.default_rng(seed),
+            duration=3.0,
+            speed=2.0,
+            highest=2.5,
+            sines=3,
+        )
         told.append(information(model, angles, speeds))
         t = np.arange(0, 3.0, 0.01)
         hand = at_hand(t, np.zeros((len(t), 2)), np.ones(len(t)), 3)
-        problem = Problem(measuring(model), (Sighted("", joint_motion(np.arange(601) * 0.005, angles), hand),))
-        names = problem.parameters((*ALWAYS, "clock_drift", "rolling_shutter", "lens_distortion"))
+        problem = Problem(
+            measuring(model),
+            (Sighted("", resample_joint_motion(np.arange(601) * 0.005, angles), hand),),
+        )
+        names = problem.parameters(
+            (*ALWAYS, "clock_drift", "rolling_shutter", "lens_distortion")
+        )
         slope = problem.slopes(names, np.zeros(len(names)))
-        known.append(np.linalg.inv(slope.T @ slope)[names.index("time_offset.offset")][0])
+        known.append(
+            np.linalg.inv(slope.T @ slope)[names.index("time_offset.offset")][0]
+        )
     assert max(known) > 1.5 * min(known)
     assert np.corrcoef(told, -np.log(known))[0, 1] > 0.99
 
 
 def test_a_swing_that_does_not_come_round_once_is_refused(model):
-    with pytest.raises(DataError, match=r"excite\.highest=0\.2 Hz .*excite\.duration=4 s\. Raise one"):
+    with pytest.raises(
+        DataError, match=r"excite\.highest=0\.2 Hz .*excite\.duration=4 s\. Raise one"
+    ):
         excite(model, (), seed=0, **SWING | {"highest": 0.2})
 
 
-def test_the_motion_is_slow_begins_at_rest_and_keeps_the_strings_length_from_obstacles(model):
+def test_the_motion_is_slow_begins_at_rest_and_keeps_the_strings_length_from_obstacles(
+    model,
+):
     box = Box(0.75, 0.7, 0.05, 0.05)
     made = excite(model, (box,), seed=3, **SWING)
     angles, arm = made.commands[list(JOINTS)].to_numpy(), model.arm
@@ -336,7 +518,7 @@ def test_the_motion_is_slow_begins_at_rest_and_keeps_the_strings_length_from_obs
     hand = arm.joints(angles)[:, -1]
     assert 0.9 * SWING["speed"] < hand_speed(arm, angles) < 1.001 * SWING["speed"]
     assert np.abs(speeds[[0, -1]]).max() < 0.05
-    assert min(box.gap(x, y) for x, y in hand) > 0.29
+    assert min(box.distance_to(x, y) for x, y in hand) > 0.29
     assert (angles > arm.lowest).all()
     assert (angles < arm.highest).all()
     pixels = model.camera.pixels(arm.joints(angles)[:, 1:])

@@ -7,9 +7,9 @@ import pytest
 import yaml
 from omegaconf import OmegaConf
 
-from stringcast.pipeline.experiment import prepare
-from stringcast.pipeline.inherited import extended_model
-from stringcast.pipeline.settings import UserError, composed
+from stringcast.pipeline.run.experiment import prepare_experiment
+from stringcast.pipeline.settings.settings_from_runs import read_extended_model
+from stringcast.pipeline.settings.typed_settings import UserError, compose_settings
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from tests.alignment.stand import OFF, stand
@@ -19,8 +19,13 @@ MEASURED = {"time_offset.offset": {"value": 0.012, "low": 0.0119, "high": 0.0122
 
 
 def made(known, effects=("time_offset",)):
-    settings = OmegaConf.to_container(OmegaConf.create(composed()), resolve=True)
-    return prepare(settings | {"effects": list(effects), "known": known}, lambda block: f"conf/{block}")
+    settings = OmegaConf.to_container(
+        OmegaConf.create(compose_settings()), resolve=True
+    )
+    return prepare_experiment(
+        settings | {"effects": list(effects), "known": known},
+        lambda block: f"conf/{block}",
+    )
 
 
 def test_what_was_measured_is_where_a_search_begins_and_all_it_searches():
@@ -40,7 +45,10 @@ def test_what_was_measured_is_where_a_search_begins_and_all_it_searches():
     [
         ({"value": 0.012, "low": 0.013, "high": 0.014}, "must enclose value"),
         ({"value": 0.012, "low": 0.01}, "it must be a number, or value, low and high"),
-        ({"value": "soon", "low": 0.0, "high": 0.1}, "it must be a number, or value, low and high"),
+        (
+            {"value": "soon", "low": 0.0, "high": 0.1},
+            "it must be a number, or value, low and high",
+        ),
     ],
 )
 def test_a_range_that_is_none_is_refused(told, words):
@@ -48,7 +56,9 @@ def test_a_range_that_is_none_is_refused(told, words):
         made({"time_offset.offset": told})
 
 
-def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(arm, camera, called, tmp_path):
+def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(
+    arm, camera, called, tmp_path
+):
     bench = stand(Model(String(0.3), arm, camera))
     seen = bench.observation(OFF)
     trials = tmp_path / "trials"
@@ -58,9 +68,11 @@ def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(arm, ca
     about = {"format": 1, "name": "swing", "string": {"length": 0.3}}
     about["arm"] = {"links": list(arm.links), "base": list(arm.base)}
     (trials / "dataset.yaml").write_text(yaml.safe_dump(about))
-    ended = called("+experiment=align", f"trials={trials}", f"hydra.run.dir={tmp_path / 'run'}")
+    ended = called(
+        "+experiment=align", f"trials={trials}", f"hydra.run.dir={tmp_path / 'run'}"
+    )
     assert ended.returncode == 0, ended.stderr
-    told = extended_model(tmp_path / "run")
+    told = read_extended_model(tmp_path / "run")
     taken = made(**told).model
     assert set(taken.measured) == set(OFF)
     for name, value in OFF.items():

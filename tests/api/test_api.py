@@ -1,4 +1,6 @@
-"""`import stringcast`: the same answers as from the command line, without folders and words of Hydra."""
+"""`import stringcast`: the same answers as from the command line, without folders and
+words of Hydra.
+"""
 
 import json
 import subprocess
@@ -10,8 +12,8 @@ import pandas as pd
 import pytest
 
 import stringcast as sc
-from stringcast.answers import Diagnosed
-from stringcast.known import prepared
+from stringcast.answers import DiagnosisResult
+from stringcast.known import experiment_for_call
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "data" / "sample"
@@ -21,10 +23,14 @@ HEAVY = ("numba", "cv2", "matplotlib", "pandas", "hydra", "pyarrow")
 
 def test_the_package_alone_loads_nothing():
     code = f"import stringcast, sys; print([m for m in {HEAVY} if m in sys.modules], len(dir(stringcast)))"
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
     assert said.split() == ["[]", str(len(sc.__all__) + 1)]
     assert all(callable(getattr(sc, name)) for name in sc.__all__)
-    with pytest.raises(AttributeError, match=r"no attribute 'diagnos'\. There are .*diagnose"):
+    with pytest.raises(
+        AttributeError, match=r"no attribute 'diagnos'\. There are .*diagnose"
+    ):
         _ = sc.diagnos
 
 
@@ -32,14 +38,18 @@ def test_trials_are_the_same_from_a_folder_and_from_tables():
     read = sc.read(SAMPLE)
     assert len(read) == 5
     pd.testing.assert_frame_equal(sc.sample().table, read.table)
-    points, arm = (pd.read_parquet(SAMPLE / f"{name}.parquet") for name in ("points", "arm"))
+    points, arm = (
+        pd.read_parquet(SAMPLE / f"{name}.parquet") for name in ("points", "arm")
+    )
     made = sc.trials(points, arm=arm, length=0.304, sigma=0.0007, **BENCH)
     pd.testing.assert_frame_equal(made.table, read.table)
     assert "<table" in read._repr_html_()
     assert repr(read) == f"Trials(5 of {SAMPLE})"
     one = points[points["trial"] == "t00"].drop(columns="trial")
     its_arm = arm[arm["trial"] == "t00"].drop(columns="trial")
-    assert list(sc.trials(one, arm=its_arm, length=0.304, **BENCH).table["trial"]) == ["t00"]
+    assert list(sc.trials(one, arm=its_arm, length=0.304, **BENCH).table["trial"]) == [
+        "t00"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -47,12 +57,28 @@ def test_trials_are_the_same_from_a_folder_and_from_tables():
     [
         (lambda: sc.read("nowhere"), "nowhere: there is no such folder. Name"),
         (lambda: sc.trials(pd.DataFrame(), length=0.3), "either grasp= .* or arm="),
-        (lambda: sc.trials(pd.DataFrame(), arm=pd.DataFrame(), length=0.3, links=[0.2] * 3), "Give links=.*base="),
-        (lambda: sc.generate(target=(400, 700)), "out of reach.*Choose target.x and target.y closer"),
+        (
+            lambda: sc.trials(
+                pd.DataFrame(), arm=pd.DataFrame(), length=0.3, links=[0.2] * 3
+            ),
+            "Give links=.*base=",
+        ),
+        (
+            lambda: sc.generate(target=(400, 700)),
+            "out of reach.*Choose target.x and target.y closer",
+        ),
         (lambda: sc.generate(None, "generate.longst=1", target=(0.4, 0.7)), "longest"),
-        (lambda: sc.generate(None, "source=video", "source.path=film.mp4", target=(0.4, 0.7)), "virtual lab films"),
+        (
+            lambda: sc.generate(
+                None, "source=video", "source.path=film.mp4", target=(0.4, 0.7)
+            ),
+            "virtual lab films",
+        ),
         (lambda: sc.KnownString.load("nowhere"), "Name the run folder of a diagnosis"),
-        (lambda: prepared((), sc.KnownString({"effects": ["tipmass"]})), "Did you mean 'tip_mass'"),
+        (
+            lambda: experiment_for_call((), sc.KnownString({"effects": ["tipmass"]})),
+            "Did you mean 'tip_mass'",
+        ),
     ],
 )
 def test_what_cannot_be_done_is_said_with_the_remedy(call, says):
@@ -62,50 +88,73 @@ def test_what_cannot_be_done_is_said_with_the_remedy(call, says):
 
 @pytest.fixture(scope="module")
 def motion():
-    return sc.generate(None, "method=paper", "generate.longest=0.6", target=(0.45, 0.6), seed=1)
+    return sc.generate(
+        None, "method=paper", "generate.longest=0.6", target=(0.45, 0.6), seed=1
+    )
 
 
 def test_the_string_is_simulated_as_it_was_planned(motion):
-    """To 0.1 mm: what is planned is a curve, what is commanded are its samples each 5 ms."""
+    """To 0.1 mm: what is planned is a curve, what is commanded are its samples each 5
+    ms.
+    """
     planned = motion.string
     times = planned["t"].unique()
     string = sc.simulate(None, motion, "method=paper", times=times)
     pd.testing.assert_frame_equal(
-        string[["t", "s", "x", "y"]], planned[["t", "s", "x", "y"]].reset_index(drop=True), atol=1e-4
+        string[["t", "s", "x", "y"]],
+        planned[["t", "s", "x", "y"]].reset_index(drop=True),
+        atol=1e-4,
     )
-    fine = sc.simulate(None, motion, "method=paper", times=np.arange(0, motion.duration, 1e-4))
+    fine = sc.simulate(
+        None, motion, "method=paper", times=np.arange(0, motion.duration, 1e-4)
+    )
     tip = fine[fine["s"] == fine["s"].max()]
     inside = (np.abs(tip["x"] - 0.45) <= 0.01) & (np.abs(tip["y"] - 0.6) <= 0.02)
     assert inside.any()
 
 
 def test_a_known_string_is_another_and_words_stand_above_it(motion, tmp_path):
-    known = sc.KnownString({"effects": ["tip_mass"], "known": {"tip_mass.ratio": 0.2}, "string": {"points": 12}})
+    known = sc.KnownString(
+        {
+            "effects": ["tip_mass"],
+            "known": {"tip_mass.ratio": 0.2},
+            "string": {"points": 12},
+        }
+    )
     again = sc.KnownString.load(known.save(tmp_path).parent)
     assert (again.effects, again.parameters) == (["tip_mass"], {"tip_mass.ratio": 0.2})
-    plain, heavy = (sc.simulate(string, motion, "string.points=10") for string in (None, again))
+    plain, heavy = (
+        sc.simulate(string, motion, "string.points=10") for string in (None, again)
+    )
     assert heavy["s"].nunique() == 10  # a word on the call stands above what is known
     assert sc.simulate(again, motion)["s"].nunique() == 12
     assert np.hypot(heavy["x"] - plain["x"], heavy["y"] - plain["y"]).max() > 5e-3
 
 
 def test_a_diagnosis_shows_what_it_says(tmp_path):
-    """The diagnosis itself is asked elsewhere: here is one that was made, from the same table of contents."""
+    """The diagnosis itself is asked elsewhere: here is one that was made, from the same
+    table of contents.
+    """
     from tests.report.test_diagnosis_page import diagnosed
 
-    made = Diagnosed(diagnosed("effect", ["tip_mass"]), prepared((), None))
+    made = DiagnosisResult(
+        diagnosed("effect", ["tip_mass"]), experiment_for_call((), None)
+    )
     assert made.sentence in repr(made)
     assert made.verdict == made.document["verdict"]
     assert made.causes["effect"].iloc[0] in made._repr_html_()
     assert made.budget.empty
-    budget = [{"source": "wind", "tip_rms_m": 2e-3, "log_evidence": 9.0}, {"source": "noise", "tip_rms_m": 1e-3}]
-    made.made.finding["diagnosis"] = json.dumps(made.document | {"budget": budget})
+    budget = [
+        {"source": "wind", "tip_rms_m": 2e-3, "log_evidence": 9.0},
+        {"source": "noise", "tip_rms_m": 1e-3},
+    ]
+    made.artifact.finding["diagnosis"] = json.dumps(made.document | {"budget": budget})
     assert made.budget["source"].tolist() == ["wind", "noise"]
     assert made.budget["tip_rms_m"].tolist() == [2e-3, 1e-3]
     assert len(made.plot().axes[0].lines) == 3
     page = made.report(tmp_path / "page.html").read_text()
     assert page.startswith("<!DOCTYPE html>") or "<html" in page[:200]
-    assert made.extended.settings
+    assert made.extended_model.settings
 
 
 @pytest.mark.long
@@ -113,4 +162,4 @@ def test_the_sample_is_diagnosed_from_python(tmp_path):
     found = sc.diagnose(sc.read(SAMPLE))
     assert found.verdict == "effect"
     assert list(found.causes["effect"].unique()) == ["wind"]
-    assert found.extended.effects == ["wind"]
+    assert found.extended_model.effects == ["wind"]

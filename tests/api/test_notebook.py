@@ -14,7 +14,12 @@ def test_the_notebook_runs_and_shows_what_it_says(capsys):
     known = found.parameters.set_index("name")
     assert (len(known), "<table" in found._repr_html_()) == (8, True)
     assert found.string.parameters == pytest.approx(found.made.values())
-    assert known.loc["bending_stiffness", "low"] < 1.5 < 1.2 * known.loc["bending_stiffness", "high"]
+    assert (
+        known.loc["bending_stiffness", "low"]
+        < 1.5
+        < 1.2 * known.loc["bending_stiffness", "high"]
+    )
     millimetres = float(re.search(r"([\d.]+) mm root mean square", shown)[1])
     assert 0.7 < millimetres < 4  # more than the noise, for the wind is not modelled
-    assert made["nearest"] < 0.04  # [m], of a box of 20 by 40 mm that the tip crosses between two samples
+    # [m], of a box of 20 by 40 mm that the tip crosses between two samples
+    assert made["nearest"] < 0.04

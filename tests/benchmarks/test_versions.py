@@ -10,8 +10,8 @@ from stringcast.data.store import content_hash
 from stringcast.pipeline.studies.blind.scores import OWN
 from stringcast.stages.model import effects
 from stringcast.stages.model.effects.equal_points import EqualPoints
-from stringcast.stages.model.library import library
-from stringcast.stages.model.string import BASE
+from stringcast.stages.model.library import effects_by_name
+from stringcast.stages.model.string import PAPER_EFFECTS
 from tests.benchmarks.simulators.blind import LATEST, VERSIONS, draw
 from tests.benchmarks.simulators.laboratory import version as laboratories
 from tests.benchmarks.simulators.outside import causes
@@ -35,12 +35,16 @@ def with_one_more(monkeypatch, tmp_path):
     shutil.copytree(effects.__path__[0], folder)
     (folder / "aaa_earliest.py").write_text(FAKE, encoding="utf-8")
     monkeypatch.setattr(effects, "__path__", [str(folder)])
-    assert next(iter(library())) == "aaa_earliest"
+    assert next(iter(effects_by_name())) == "aaa_earliest"
 
 
 @pytest.mark.parametrize("case", ["clock_drift"])
-def test_the_same_seed_is_the_same_bench_and_a_new_effect_moves_none(case, arm, camera, tmp_path, request):
-    """Case, values and noise, to the bit: of what is read, what hangs there, and what could pass for another."""
+def test_the_same_seed_is_the_same_bench_and_a_new_effect_moves_none(
+    case, arm, camera, tmp_path, request
+):
+    """Case, values and noise, to the bit: of what is read, what hangs there, and what
+    could pass for another.
+    """
     seed = VERSIONS[1].cases.index(case)
     for when in ("before", "after"):
         bench = draw(seed, arm, camera, 1)
@@ -51,8 +55,19 @@ def test_the_same_seed_is_the_same_bench_and_a_new_effect_moves_none(case, arm, 
 
 
 def test_every_effect_is_in_the_latest_version():
-    ours = [e for e in library().values() if e.__module__.startswith(effects.__name__)]
-    may = {e.name for e in ours if e not in BASE and not e.excluded and e is not EqualPoints and e.parameters}
+    ours = [
+        e
+        for e in effects_by_name().values()
+        if e.__module__.startswith(effects.__name__)
+    ]
+    may = {
+        e.name
+        for e in ours
+        if e not in PAPER_EFFECTS
+        and not e.excluded_from_search
+        and e is not EqualPoints
+        and e.parameters
+    }
     there = set(VERSIONS[LATEST].effects) | set(VERSIONS[LATEST].outside)
     missing = (may | {c.name for c in causes()}) - there
     assert not missing, (
@@ -62,12 +77,21 @@ def test_every_effect_is_in_the_latest_version():
 
 def test_recorded_benches_are_what_their_version_says():
     """All that any study asked: nobody deals the cards again."""
-    benches = pd.read_parquet(ROOT / "tests" / "benchmarks" / "diagnosis" / "results" / "diagnoses.parquet")
+    benches = pd.read_parquet(
+        ROOT / "tests" / "benchmarks" / "diagnosis" / "results" / "diagnoses.parquet"
+    )
     assert len(benches) >= 500
     own = benches["laboratory"] == OWN
-    for seed, kind, truth, version in benches[own][["seed", "kind", "truth", "version"]].itertuples(index=False):
+    for seed, kind, truth, version in benches[own][
+        ["seed", "kind", "truth", "version"]
+    ].itertuples(index=False):
         case = VERSIONS[version].case(seed)
         assert case == (kind if kind in ("none", "pair", "resolution") else truth), seed
-    for name, seed, kind, version in benches[~own][["laboratory", "seed", "kind", "version"]].itertuples(index=False):
+    for name, seed, kind, version in benches[~own][
+        ["laboratory", "seed", "kind", "version"]
+    ].itertuples(index=False):
         meant = laboratories.VERSIONS[name][version].kind(seed)
-        assert kind == ("effect" if meant == laboratories.SINGLE else meant), (name, seed)
+        assert kind == ("effect" if meant == laboratories.SINGLE else meant), (
+            name,
+            seed,
+        )

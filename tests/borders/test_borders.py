@@ -1,4 +1,6 @@
-"""Who may know whom: data nobody, stages data, hardware the model; the shell alone knows Hydra."""
+"""Who may know whom: data nobody, stages data, hardware the model; the shell alone
+knows Hydra.
+"""
 
 import ast
 import re
@@ -15,13 +17,19 @@ ALLOWED = {
     "pipeline": {"data", "stages", "hardware", "pipeline", "hydra", "omegaconf"},
 }
 GUARDED = set(ALLOWED) | {"hydra", "omegaconf", "serial", "dynamixel_sdk"}
-LONGEST, WHOLE = 32, 40  # lines of a function's body, and of all of it: more are not read at a glance
+# lines of a function's body, and of all of it: more are not read at a glance
+LONGEST, WHOLE = 32, 40
 
 
 def imported(file: Path) -> set[str]:
     """Rooms and packages of all that a file imports, wherever in it."""
     nodes = list(ast.walk(ast.parse(file.read_text())))
-    plain = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    plain = {
+        alias.name
+        for node in nodes
+        if isinstance(node, ast.Import)
+        for alias in node.names
+    }
     names = plain | {n.module or "" for n in nodes if isinstance(n, ast.ImportFrom)}
     return {name.removeprefix("stringcast.").split(".")[0] for name in names}
 
@@ -38,19 +46,27 @@ def test_a_room_knows_only_the_rooms_below_it(room):
 def test_hardware_knows_nothing_of_the_stages_but_the_model_and_what_a_device_must_do():
     for file in sorted((ROOT / "hardware").rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("stringcast.stages"):
-                assert re.match(r"stringcast\.stages\.(model\b|execute\.interfaces$)", node.module), (
-                    f"{file}: {node.module}"
-                )
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
+                "stringcast.stages"
+            ):
+                assert re.match(
+                    r"stringcast\.stages\.(model\b|execute\.interfaces$)", node.module
+                ), f"{file}: {node.module}"
 
 
 def test_no_module_knows_one_that_knows_it():
-    """Imports for types and those inside functions count: what cannot be read alone cannot be understood alone."""
-    files = {file: name(file) for room in ALLOWED for file in (ROOT / room).rglob("*.py")}
+    """Imports for types and those inside functions count: what cannot be read alone
+    cannot be understood alone.
+    """
+    files = {
+        file: name(file) for room in ALLOWED for file in (ROOT / room).rglob("*.py")
+    }
     modules = set(files.values())
     known = {name: modules_in(file, modules) - {name} for file, name in files.items()}
     assert sum(map(len, known.values())) > 1000
-    assert known["stringcast.stages.model.effects.wind"] == {"stringcast.stages.model.effect"}
+    assert known["stringcast.stages.model.effects.wind"] == {
+        "stringcast.stages.model.effect"
+    }
     try:
         TopologicalSorter(known).prepare()
     except CycleError as error:
@@ -58,14 +74,29 @@ def test_no_module_knows_one_that_knows_it():
 
 
 def test_the_picture_of_the_rooms_shows_what_they_import():
-    """Arrows that follow from others are left out, and those of the shell are not all imports. A room that is not drawn
-    is a stage of one's own: none of ours stands on it."""
-    arrows = re.findall(r"^    (.+) --> (.+)$", (ROOT / "stages" / "README.md").read_text(), re.M)
-    drawn = {(one, other) for left, right in arrows for one in left.split(" & ") for other in right.split(" & ")}
+    """Arrows that follow from others are left out, and those of the shell are not all
+    imports. A room that is not drawn is a stage of one's own: none of ours stands on
+    it.
+    """
+    arrows = re.findall(
+        r"^    (.+) --> (.+)$", (ROOT / "stages" / "README.md").read_text(), re.M
+    )
+    drawn = {
+        (one, other)
+        for left, right in arrows
+        for one in left.split(" & ")
+        for other in right.split(" & ")
+    }
     below = {one: {other for begin, other in drawn if begin == one} for one, _ in drawn}
     known = {}
-    for file in (file for room in ("stages", "hardware") for file in (ROOT / room).rglob("*.py")):
-        names = {place for module in imports_of(file) if (place := room_of(module.split(".")[1:]))}
+    for file in (
+        file for room in ("stages", "hardware") for file in (ROOT / room).rglob("*.py")
+    ):
+        names = {
+            place
+            for module in imports_of(file)
+            if (place := room_of(module.split(".")[1:]))
+        }
         known.setdefault(room_of(file.relative_to(ROOT).parts), set()).update(names)
     for room in known.keys() - {None, "data"}:
         needed = {
@@ -76,25 +107,39 @@ def test_the_picture_of_the_rooms_shows_what_they_import():
         if room in below:
             assert below[room] == needed, room
         else:
-            assert not any(room in known[other] for other in known.keys() - {room}), f"{room} is not drawn"
+            assert not any(room in known[other] for other in known.keys() - {room}), (
+                f"{room} is not drawn"
+            )
 
 
 def room_of(parts):
-    """A folder beneath `stages`, or a room of the first floor; None for a file of its own in `stages`."""
+    """A folder beneath `stages`, or a room of the first floor; None for a file of its
+    own in `stages`.
+    """
     if parts[0] != "stages":
         return parts[0]
-    return parts[1] if len(parts) > 1 and (ROOT / "stages" / parts[1]).is_dir() else None
+    return (
+        parts[1] if len(parts) > 1 and (ROOT / "stages" / parts[1]).is_dir() else None
+    )
 
 
 def imports_of(file: Path) -> set[str]:
     """Our modules that a file imports from."""
-    nodes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ImportFrom)]
-    return {node.module for node in nodes if (node.module or "").startswith("stringcast.")}
+    nodes = [
+        node
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.ImportFrom)
+    ]
+    return {
+        node.module for node in nodes if (node.module or "").startswith("stringcast.")
+    }
 
 
 def beneath(known: dict, room: str) -> set[str]:
     """All that a room stands on, however far."""
-    return set().union(*({one} | beneath(known, one) for one in known.get(room, set()) - {room}))
+    return set().union(
+        *({one} | beneath(known, one) for one in known.get(room, set()) - {room})
+    )
 
 
 @pytest.mark.parametrize("room", ALLOWED)
@@ -105,18 +150,34 @@ def test_a_function_is_read_at_a_glance(room):
             if isinstance(made, ast.FunctionDef):
                 body = made.body[bool(ast.get_docstring(made)) :]
                 lines = body[-1].end_lineno - body[0].lineno + 1 if body else 0
-                assert lines <= LONGEST, f"{file}:{made.lineno}: {made.name} has {lines} lines"
+                assert lines <= LONGEST, (
+                    f"{file}:{made.lineno}: {made.name} has {lines} lines"
+                )
                 whole = made.end_lineno - made.lineno + 1
-                assert whole <= WHOLE, f"{file}:{made.lineno}: {made.name} has {whole} lines with its signature"
+                assert whole <= WHOLE, (
+                    f"{file}:{made.lineno}: {made.name} has {whole} lines with its signature"
+                )
 
 
 def name(file: Path) -> str:
     """A module's name."""
-    return ".".join(("stringcast", *file.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__")
+    return ".".join(
+        ("stringcast", *file.relative_to(ROOT).with_suffix("").parts)
+    ).removesuffix(".__init__")
 
 
 def modules_in(file: Path, modules: set[str]) -> set[str]:
-    """Those of our modules that a file imports, wherever in it; `from package import module` is of the module."""
-    nodes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ImportFrom)]
-    names = [(node.module or "", f"{node.module}.{alias.name}") for node in nodes for alias in node.names]
+    """Those of our modules that a file imports, wherever in it; `from package import
+    module` is of the module.
+    """
+    nodes = [
+        node
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.ImportFrom)
+    ]
+    names = [
+        (node.module or "", f"{node.module}.{alias.name}")
+        for node in nodes
+        for alias in node.names
+    ]
     return {full if full in modules else module for module, full in names} & modules

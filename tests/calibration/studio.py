@@ -1,4 +1,6 @@
-"""Pictures of a board by a camera that is known: a pinhole, a lens, light, blur and noise."""
+"""Pictures of a board by a camera that is known: a pinhole, a lens, light, blur and
+noise.
+"""
 
 from functools import cache
 
@@ -17,8 +19,13 @@ SQUARE = 48  # pixels of a square of the texture
 
 
 def pose(tilt_x, tilt_y, roll, across, down, distance):
-    """Turn and place of a board [rad], [m]: its middle at (across, down) of the picture, -1 to 1, so far away."""
-    turn = cv2.Rodrigues(np.array([tilt_x, 0, 0]))[0] @ cv2.Rodrigues(np.array([0, tilt_y, 0]))[0]
+    """Turn and place of a board [rad], [m]: its middle at (across, down) of the
+    picture, -1 to 1, so far away.
+    """
+    turn = (
+        cv2.Rodrigues(np.array([tilt_x, 0, 0]))[0]
+        @ cv2.Rodrigues(np.array([0, tilt_y, 0]))[0]
+    )
     turn = turn @ cv2.Rodrigues(np.array([0, 0, roll]))[0]
     ray = LENS.rays(np.array([(1 + across) * SIZE[0] / 2, (1 + down) * SIZE[1] / 2]))
     middle = np.array([*(ray * distance), distance])
@@ -27,23 +34,43 @@ def pose(tilt_x, tilt_y, roll, across, down, distance):
 
 @cache
 def looking(lens):
-    """Directions (rows, columns, 3) of all fine pixels; every eighth is worked out, between them it is smooth."""
+    """Directions (rows, columns, 3) of all fine pixels; every eighth is worked out,
+    between them it is smooth.
+    """
     fine = [(np.arange(side * FINER) + 0.5) / FINER - 0.5 for side in SIZE]
     coarse = [np.append(every[::8], every[-1]) for every in fine]
     rays = np.moveaxis(lens.rays(np.stack(np.meshgrid(*coarse), axis=-1)), -1, 0)
-    whole = [RectBivariateSpline(coarse[1], coarse[0], part)(fine[1], fine[0]) for part in rays]
+    whole = [
+        RectBivariateSpline(coarse[1], coarse[0], part)(fine[1], fine[0])
+        for part in rays
+    ]
     return np.stack([*whole, np.ones_like(whole[0])], axis=-1)
 
 
 def picture(turn, place, rng, lens=LENS, board=BOARD, blur=0.6, noise=3.0):
-    """What the camera sees. blur: of the optics [px]; noise: of the sensor [grey levels]."""
-    flat = np.column_stack([turn[:, :2], place])  # from the board (x, y, 1) to directions
+    """What the camera sees. blur: of the optics [px]; noise: of the sensor [grey
+    levels].
+    """
+    # from the board (x, y, 1) to directions
+    flat = np.column_stack([turn[:, :2], place])
     there = looking(lens) @ np.linalg.inv(flat).T
     on_board = there[..., :2] / there[..., 2:] / board.square * SQUARE - 0.5
-    texture = cv2.copyMakeBorder(board.drawn(SQUARE), SQUARE, SQUARE, SQUARE, SQUARE, cv2.BORDER_CONSTANT, value=255)
+    texture = cv2.copyMakeBorder(
+        board.drawn(SQUARE),
+        SQUARE,
+        SQUARE,
+        SQUARE,
+        SQUARE,
+        cv2.BORDER_CONSTANT,
+        value=255,
+    )
     maps = (on_board + SQUARE).astype(np.float32)
-    seen = cv2.remap(texture, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderValue=90)
-    seen = cv2.resize(cv2.GaussianBlur(seen, (0, 0), blur * FINER), SIZE, interpolation=cv2.INTER_AREA)
+    seen = cv2.remap(
+        texture, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderValue=90
+    )
+    seen = cv2.resize(
+        cv2.GaussianBlur(seen, (0, 0), blur * FINER), SIZE, interpolation=cv2.INTER_AREA
+    )
     lit = 20 + 0.8 * seen.astype(float) * np.linspace(0.8, 1.1, SIZE[0])
     return np.clip(lit + rng.normal(0, noise, lit.shape), 0, 255).astype(np.uint8)
 

@@ -1,4 +1,6 @@
-"""Boards rendered by a known camera: it comes back within the stated uncertainty, or the set is refused, with why."""
+"""Boards rendered by a known camera: it comes back within the stated uncertainty, or
+the set is refused, with why.
+"""
 
 from dataclasses import replace
 
@@ -13,11 +15,18 @@ from stringcast.stages.calibrate.calibrate import calibrate
 from stringcast.stages.calibrate.fit import FLAGS, fitted, lens_of, projected, values_of
 from stringcast.stages.calibrate.plane import BoardPlacement
 from stringcast.stages.calibrate.views import View, look
-from stringcast.stages.model.camera import FACING, Camera
+from stringcast.stages.model.camera import CAMERA_AXES, Camera
 
 NOMINAL = Camera(320, 320, 340.0, (1.0, 1.0), 200.0, exposure=0.001)
 PLACE = BoardPlacement((0.3, 0.1), 0.2)
-DEMANDS = {"place": PLACE, "views": 10, "spread": 0.5, "coverage": 0.6, "rms": 0.5, "astray": 3.0}
+DEMANDS = {
+    "place": PLACE,
+    "views": 10,
+    "spread": 0.5,
+    "coverage": 0.6,
+    "rms": 0.5,
+    "astray": 3.0,
+}
 FLAT = pose(0.03, -0.05, 0.04, 0.0, 0.05, 0.42)
 
 
@@ -41,12 +50,18 @@ def made(pictures, flat, board=BOARD, **changed):
 
 
 def true_pixels(world):
-    """Where the true lens sees points of the world (N, 2), by way of the board and OpenCV."""
+    """Where the true lens sees points of the world (N, 2), by way of the board and
+    OpenCV.
+    """
     turn, place = FLAT
     c, s = np.cos(PLACE.turn), np.sin(PLACE.turn)
     board = (world - PLACE.corner) @ np.array([[c, -s], [s, c]])
-    solid = np.column_stack([board[:, 0], BOARD.size[1] - board[:, 1], np.zeros(len(world))])
-    seen, _ = cv2.projectPoints(solid, cv2.Rodrigues(turn)[0], place, LENS.matrix, np.array(LENS.distortion))
+    solid = np.column_stack(
+        [board[:, 0], BOARD.size[1] - board[:, 1], np.zeros(len(world))]
+    )
+    seen, _ = cv2.projectPoints(
+        solid, cv2.Rodrigues(turn)[0], place, LENS.matrix, np.array(LENS.distortion)
+    )
     return seen[:, 0]
 
 
@@ -67,8 +82,15 @@ def test_a_known_camera_comes_back_within_its_uncertainty(clean):
 def test_the_plane_is_where_the_board_was_held(clean):
     found = clean
     block = found.camera
-    camera = Camera(**block | {"lens": lens_of([v for part in block["lens"].values() for v in part])})
-    assert (camera.width, camera.height, camera.fps, camera.exposure) == (*SIZE, 200.0, 0.001)
+    camera = Camera(
+        **block
+        | {"lens": lens_of([v for part in block["lens"].values() for v in part])}
+    )
+    assert (camera.width, camera.height, camera.fps, camera.exposure) == (
+        *SIZE,
+        200.0,
+        0.001,
+    )
     world = PLACE.world(np.random.default_rng(0).uniform(0, 1, (200, 2)) * BOARD.size)
     pixels = true_pixels(world)
     off = np.linalg.norm(camera.world(pixels) - world, axis=1)
@@ -95,7 +117,9 @@ def _distance():
 @pytest.mark.parametrize(("blur", "noise"), [(1.4, 3.0), (0.6, 10.0)])
 def test_blur_and_noise_cost_accuracy_and_are_told(clean, blur, noise):
     worse = made(*drawn(1, blur=blur, noise=noise))
-    z = (worse.measured["value"].iloc[:8] - values_of(LENS)) / worse.measured["sigma"].iloc[:8]
+    z = (worse.measured["value"].iloc[:8] - values_of(LENS)) / worse.measured[
+        "sigma"
+    ].iloc[:8]
     assert np.abs(z).max() < 3.5  # measured: 2.2 and 1.6
     if noise > 3:
         assert worse.outcome["rms"].iloc[0] > 1.3 * clean.outcome["rms"].iloc[0]
@@ -107,7 +131,10 @@ def seen_exactly(rng, sigma, lens=LENS, poses=TILTED):
     for number, each in enumerate(poses):
         turn, place = pose(*each)
         view = View(
-            number, np.zeros(SIZE[::-1], np.uint8), np.arange(len(BOARD.points)), np.zeros((len(BOARD.points), 2))
+            number,
+            np.zeros(SIZE[::-1], np.uint8),
+            np.arange(len(BOARD.points)),
+            np.zeros((len(BOARD.points), 2)),
         )
         pixels = projected(lens, BOARD, view, cv2.Rodrigues(turn)[0], place)
         views.append(replace(view, pixels=pixels + rng.normal(0, sigma, pixels.shape)))
@@ -117,7 +144,12 @@ def seen_exactly(rng, sigma, lens=LENS, poses=TILTED):
 def test_the_uncertainty_is_the_spread_of_repeated_calibrations():
     rng = np.random.default_rng(3)
     fits = [fitted(seen_exactly(rng, 0.3), BOARD, SIZE) for _ in range(12)]
-    z = np.array([(values_of(fit.lens) - values_of(LENS)) / np.sqrt(np.diag(fit.covariance)) for fit in fits])
+    z = np.array(
+        [
+            (values_of(fit.lens) - values_of(LENS)) / np.sqrt(np.diag(fit.covariance))
+            for fit in fits
+        ]
+    )
     assert 0.75 < np.sqrt(np.mean(z**2)) < 1.25  # 96 values; measured: 0.95
     assert np.abs(z).max() < 4
 
@@ -127,20 +159,31 @@ def test_the_covariance_has_the_deviations_that_opencv_gives():
     ours = np.sqrt(np.diag(fitted(views, BOARD, SIZE).covariance))
     solid = [BOARD.points.astype(np.float32)] * len(views)
     theirs = cv2.calibrateCameraExtended(
-        solid, [view.pixels.astype(np.float32) for view in views], SIZE, None, None, flags=FLAGS
+        solid,
+        [view.pixels.astype(np.float32) for view in views],
+        SIZE,
+        None,
+        None,
+        flags=FLAGS,
     )[5].ravel()[:8]
     np.testing.assert_allclose(ours, theirs, rtol=0.02)
 
 
-# --- refused ----------------------------------------------------------------------------------------------------------
+# --- refused
+# ----------------------------------------------------------------------------------------------------------
 
 
 def test_views_that_are_parallel_cannot_tell_the_focal_length():
     rng = np.random.default_rng(5)
-    parallel = [(0.02 * (k % 2), 0.02 * (k % 3), 0.1 * k, 0.4 * (k % 3 - 1), 0.3 * (k % 2), 0.4) for k in range(10)]
+    parallel = [
+        (0.02 * (k % 2), 0.02 * (k % 3), 0.1 * k, 0.4 * (k % 3 - 1), 0.3 * (k % 2), 0.4)
+        for k in range(10)
+    ]
     found = made(tilted(rng, parallel), picture(*FLAT, rng))
     assert not found.outcome["valid"].iloc[0]
-    assert "are needed to tell focal length from distance. Tilt the board" in found.reason
+    assert (
+        "are needed to tell focal length from distance. Tilt the board" in found.reason
+    )
 
 
 def test_a_half_of_the_picture_that_no_corner_covers_is_named(pictures):
@@ -154,7 +197,12 @@ def test_one_view_that_does_not_fit_is_named(pictures):
     """The board was bent, or shaken while the rows were read: no pinhole sees that."""
     tilts, flat = pictures
     across, down = np.meshgrid(*(np.arange(side, dtype=np.float32) for side in SIZE))
-    bent = cv2.remap(tilts[4], across + 3 * np.sin(down / 40, dtype=np.float32), down, cv2.INTER_LINEAR)
+    bent = cv2.remap(
+        tilts[4],
+        across + 3 * np.sin(down / 40, dtype=np.float32),
+        down,
+        cv2.INTER_LINEAR,
+    )
     found = made([*tilts[:4], bent, *tilts[5:]], flat)
     assert found.reason.startswith("view 4 does not fit the others:")
     assert "Leave it out" in found.reason
@@ -163,9 +211,13 @@ def test_one_view_that_does_not_fit_is_named(pictures):
 
 def test_too_few_views_are_refused(pictures):
     tilts, flat = pictures
-    assert made(tilts[:6], flat, coverage=0.1).reason == "6 views can be used, 10 are needed. Take more."
+    assert (
+        made(tilts[:6], flat, coverage=0.1).reason
+        == "6 views can be used, 10 are needed. Take more."
+    )
     with pytest.raises(
-        DataError, match=r"read in 2 of 4 pictures; of most, no marker of the dictionary is seen\. Take"
+        DataError,
+        match=r"read in 2 of 4 pictures; of most, no marker of the dictionary is seen\. Take",
     ):
         made([*tilts[:2], np.zeros_like(flat), np.zeros_like(flat)], flat)
     with pytest.raises(DataError, match="board in the plane of motion: no marker"):
@@ -187,10 +239,16 @@ def test_a_board_of_other_dimensions_is_recognised(pictures, kind):
 
 def test_corners_on_one_line_do_not_fix_a_board(pictures):
     """The rest is hidden: ten corners, more than enough, from which no pose follows."""
-    strip = cv2.copyMakeBorder(BOARD.drawn(40)[:, :80], 20, 20, 280, 280, cv2.BORDER_CONSTANT, value=255)
-    assert look(0, strip, BOARD).reason == "the 10 corners that are seen are on one line"
+    strip = cv2.copyMakeBorder(
+        BOARD.drawn(40)[:, :80], 20, 20, 280, 280, cv2.BORDER_CONSTANT, value=255
+    )
+    assert (
+        look(0, strip, BOARD).reason == "the 10 corners that are seen are on one line"
+    )
     assert made([strip, *pictures[0]], pictures[1]).reason == ""
-    two = cv2.copyMakeBorder(BOARD.drawn(40)[:, :120], 20, 20, 260, 260, cv2.BORDER_CONSTANT, value=255)
+    two = cv2.copyMakeBorder(
+        BOARD.drawn(40)[:, :120], 20, 20, 260, 260, cv2.BORDER_CONSTANT, value=255
+    )
     assert look(0, two, BOARD).reason == ""
 
 
@@ -208,7 +266,8 @@ def test_a_board_that_cannot_be_is_refused():
         Board((8, 11), 0.02, 0.015, "DICT_9X9")
 
 
-# --- the camera that comes of it --------------------------------------------------------------------------------------
+# --- the camera that comes of it
+# --------------------------------------------------------------------------------------
 
 
 def test_a_lens_without_distortion_squarely_before_the_plane_is_the_plain_camera():
@@ -217,19 +276,29 @@ def test_a_lens_without_distortion_squarely_before_the_plane_is_the_plain_camera
     world = np.random.default_rng(0).uniform(-0.5, 0.8, (3, 7, 2))
     np.testing.assert_allclose(through.pixels(world), plain.pixels(world), atol=1e-9)
     np.testing.assert_allclose(through.world(plain.pixels(world)), world, atol=1e-12)
-    turned = plain.world(np.array([[251.5, 387.5], [251.5 + 34 * np.cos(0.1), 387.5 - 34 * np.sin(0.1)]]))
+    turned = plain.world(
+        np.array([[251.5, 387.5], [251.5 + 34 * np.cos(0.1), 387.5 - 34 * np.sin(0.1)]])
+    )
     np.testing.assert_allclose(turned, [[0, 0], [0.1, 0]], atol=1e-12)
 
 
 def test_a_tilted_plane_is_seen_as_by_a_pinhole():
-    camera = Camera(*SIZE, 500.0, (300.0, 260.0), 200.0, rotation=0.3, tilt=(0.2, -0.1), lens=LENS)
+    camera = Camera(
+        *SIZE, 500.0, (300.0, 260.0), 200.0, rotation=0.3, tilt=(0.2, -0.1), lens=LENS
+    )
     world = np.random.default_rng(1).uniform(-0.4, 0.4, (50, 2))
-    x, y, z = (cv2.Rodrigues(np.array(v))[0] for v in ([0.2, 0, 0], [0, -0.1, 0], [0, 0, -0.3]))
-    turn = x @ y @ z @ FACING
+    x, y, z = (
+        cv2.Rodrigues(np.array(v))[0] for v in ([0.2, 0, 0], [0, -0.1, 0], [0, 0, -0.3])
+    )
+    turn = x @ y @ z @ CAMERA_AXES
     straight = np.linalg.inv(LENS.matrix) @ [300.0, 260.0, 1.0]
     origin = straight * (LENS.mean_focal / 500.0) * turn[2, 2] / (turn[:, 2] @ straight)
     seen, _ = cv2.projectPoints(
-        np.column_stack([world, 0 * world[:, 0]]), turn, origin, LENS.matrix, np.array(LENS.distortion)
+        np.column_stack([world, 0 * world[:, 0]]),
+        turn,
+        origin,
+        LENS.matrix,
+        np.array(LENS.distortion),
     )
     np.testing.assert_allclose(camera.pixels(world), seen[:, 0], atol=1e-9)
     np.testing.assert_allclose(camera.world(seen[:, 0]), world, atol=1e-9)

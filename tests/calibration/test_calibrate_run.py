@@ -1,4 +1,6 @@
-"""The experiment from its settings to camera.yaml and the page, and what another experiment makes of it."""
+"""The experiment from its settings to camera.yaml and the page, and what another
+experiment makes of it.
+"""
 
 import io
 import re
@@ -14,9 +16,16 @@ from studio import BOARD, SIZE, TILTED, picture, pose, tilted
 from stringcast.data import store
 from stringcast.data.calibration import Calibration
 from stringcast.pipeline.commands import board
-from stringcast.pipeline.experiment import prepare
-from stringcast.pipeline.inherited import measured_camera, with_inherited_settings
-from stringcast.pipeline.settings import UserError, build, composed
+from stringcast.pipeline.run.experiment import prepare_experiment
+from stringcast.pipeline.settings.settings_from_runs import (
+    inherit_settings,
+    read_measured_camera,
+)
+from stringcast.pipeline.settings.typed_settings import (
+    UserError,
+    build_dataclass,
+    compose_settings,
+)
 from stringcast.stages.calibrate.views import look
 from stringcast.stages.model.camera import Camera
 
@@ -41,21 +50,36 @@ def settled(folders, *more):
     given = {"source.folder": folders / "tilted", "plane.folder": folders / "flat"}
     given |= dict(override.split("=", 1) for override in more)
     words = [f"{name}={value}" for name, value in given.items()]
-    config = OmegaConf.create(composed(["+experiment=calibrate", "source=images", *words]))
-    return prepare(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
+    config = OmegaConf.create(
+        compose_settings(["+experiment=calibrate", "source=images", *words])
+    )
+    return prepare_experiment(
+        OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}"
+    )
 
 
 def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_path):
     here = settled(folders, "calibrate.place.corner=[0.1,0.2]")
     said = Console(file=io.StringIO(), width=1000)
     here.mode.perform(here, tmp_path, said)
-    assert "Press Enter" not in said.file.getvalue()  # nobody need do anything for images
-    assert re.search(r"The camera is known: reprojection error 0\.\d+ px", said.file.getvalue())
+    # nobody need do anything for images
+    assert "Press Enter" not in said.file.getvalue()
+    assert re.search(
+        r"The camera is known: reprojection error 0\.\d+ px", said.file.getvalue()
+    )
     assert f"calibrated={tmp_path}" in said.file.getvalue()
-    camera = build(Camera, measured_camera(tmp_path), "camera", "camera.yaml")
+    camera = build_dataclass(
+        Camera, read_measured_camera(tmp_path), "camera", "camera.yaml"
+    )
     assert (camera.width, camera.height) == SIZE
-    corner = look(0, cv2.imread(str(folders / "flat" / "00.png"), cv2.IMREAD_GRAYSCALE), BOARD)
-    np.testing.assert_allclose(camera.world(corner.pixels), BOARD.corners[corner.corners] + [0.1, 0.2], atol=4e-4)
+    corner = look(
+        0, cv2.imread(str(folders / "flat" / "00.png"), cv2.IMREAD_GRAYSCALE), BOARD
+    )
+    np.testing.assert_allclose(
+        camera.world(corner.pixels),
+        BOARD.corners[corner.corners] + [0.1, 0.2],
+        atol=4e-4,
+    )
     stored = store.load(Calibration, tmp_path / "calibration")
     assert stored.camera == yaml.safe_load((tmp_path / "camera.yaml").read_text())
     page = (tmp_path / "report.html").read_text()
@@ -64,29 +88,55 @@ def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_pa
     assert not re.search(r'(src|href)="http', page)
 
 
-def test_a_measured_camera_takes_the_place_of_the_configured_and_the_command_line_stands(tmp_path):
-    measured = {"width": 320, "height": 240, "px_per_m": 512.5, "origin_px": [1.5, 2.5], "fps": 50.0, "rotation": 0.01}
+def test_a_measured_camera_takes_the_place_of_the_configured_and_the_command_line_stands(
+    tmp_path,
+):
+    measured = {
+        "width": 320,
+        "height": 240,
+        "px_per_m": 512.5,
+        "origin_px": [1.5, 2.5],
+        "fps": 50.0,
+        "rotation": 0.01,
+    }
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump(measured))
-    config = OmegaConf.create(composed([f"calibrated={tmp_path}", "camera.fps=60"]))
-    assert with_inherited_settings(config, {"calibrated", "camera.fps"})["camera"] == measured | {"fps": 60}
-    assert with_inherited_settings(OmegaConf.create(composed()), set())["camera"]["width"] == 640
+    config = OmegaConf.create(
+        compose_settings([f"calibrated={tmp_path}", "camera.fps=60"])
+    )
+    assert inherit_settings(config, {"calibrated", "camera.fps"})[
+        "camera"
+    ] == measured | {"fps": 60}
+    assert (
+        inherit_settings(OmegaConf.create(compose_settings()), set())["camera"]["width"]
+        == 640
+    )
 
 
 def test_a_bad_one_is_refused_but_its_page_shows_why(folders, tmp_path):
     here = settled(folders, "calibrate.views=20")
-    with pytest.raises(UserError, match=r"12 views can be used, 20 are needed\. Take more\. See .*report\.html"):
+    with pytest.raises(
+        UserError,
+        match=r"12 views can be used, 20 are needed\. Take more\. See .*report\.html",
+    ):
         here.mode.perform(here, tmp_path, SILENT)
     assert not (tmp_path / "camera.yaml").exists()
-    assert "No <code>camera.yaml</code> was written" in (tmp_path / "report.html").read_text()
+    assert (
+        "No <code>camera.yaml</code> was written"
+        in (tmp_path / "report.html").read_text()
+    )
     with pytest.raises(
-        UserError, match=r"camera\.yaml: there is no such file.* Name the run folder of a good calibration"
+        UserError,
+        match=r"camera\.yaml: there is no such file.* Name the run folder of a good calibration",
     ):
-        measured_camera(tmp_path)
+        read_measured_camera(tmp_path)
 
 
 @pytest.mark.parametrize(
     ("wrong", "words"),
-    [("source.folder=null", r"source\.folder = None"), ("board.marker=0.03", "smaller than the square")],
+    [
+        ("source.folder=null", r"source\.folder = None"),
+        ("board.marker=0.03", "smaller than the square"),
+    ],
 )
 def test_settings_are_refused_by_name(folders, tmp_path, wrong, words):
     here = settled(folders, wrong)
@@ -102,5 +152,12 @@ def test_the_board_is_drawn_in_its_true_size(tmp_path):
     assert width == pytest.approx(8 * 0.024 + 0.016, abs=1e-5)
     assert height < 0.297  # it fits on A4
     assert (
-        look(0, cv2.copyMakeBorder(BOARD.drawn(40), 30, 30, 30, 30, cv2.BORDER_CONSTANT, value=255), BOARD).reason == ""
+        look(
+            0,
+            cv2.copyMakeBorder(
+                BOARD.drawn(40), 30, 30, 30, 30, cv2.BORDER_CONSTANT, value=255
+            ),
+            BOARD,
+        ).reason
+        == ""
     )

@@ -1,4 +1,6 @@
-"""A string filmed through a lens, by a camera that is tilted: read as well as without, if the camera is known."""
+"""A string filmed through a lens, by a camera that is tilted: read as well as without,
+if the camera is known.
+"""
 
 from dataclasses import replace
 
@@ -7,14 +9,14 @@ import pytest
 from conftest import specimen, swing
 
 from stringcast.data.artifacts import Film
-from stringcast.hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
-from stringcast.stages.diagnose.proposals import candidates
+from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench, VirtualCamera
+from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import footage_of
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.lens import Lens
-from stringcast.stages.model.library import library
+from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 
 PLAIN = Camera(320, 320, 170.0, (125.5, 193.5), 50.0, exposure=0.001)
@@ -34,9 +36,11 @@ READ = {
 @pytest.fixture(scope="module")
 def trial(arm):
     """A swing filmed by the bent camera, and where the string was."""
-    bench = Bench(arm, BENT, specimen("B"), seed=3)
+    bench = VirtualBench(arm, BENT, specimen("B"), seed=3)
     bench.look = replace(bench.look, string_width=0.008)
-    made = execute(swing(), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1)
+    made = execute(
+        swing(), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1
+    )
     return made, bench.string_at(made.frames["t"].to_numpy()), bench.specimen.length
 
 
@@ -44,10 +48,14 @@ def off(trial, arm, camera):
     """Distance of the tips read from the true ones, (F,) [m]."""
     made, true, length = trial
     film = Film(made.frames["t"].to_numpy(), made.images, arm=made.arm)
-    readings = extract(footage_of(film, arm), camera, **READ | {"string_length": length}).readings
+    readings = extract(
+        footage_of(film, arm), camera, **READ | {"string_length": length}
+    ).readings
     good = readings["valid"].to_numpy(dtype=bool)
     assert good.mean() > 0.7
-    return np.linalg.norm(readings[["tip_x", "tip_y"]].to_numpy()[good] - true[good, -1], axis=1)
+    return np.linalg.norm(
+        readings[["tip_x", "tip_y"]].to_numpy()[good] - true[good, -1], axis=1
+    )
 
 
 def test_the_string_is_read_where_it_is_and_with_the_lens_ignored_elsewhere(trial, arm):
@@ -60,6 +68,12 @@ def test_the_string_is_read_where_it_is_and_with_the_lens_ignored_elsewhere(tria
 def test_a_lens_that_was_measured_is_not_guessed(arm):
     string = specimen("B").string()
     names = {
-        camera: {e.name for e in candidates(Model(string, arm, camera), library(), ())} for camera in (PLAIN, BENT)
+        camera: {
+            e.name
+            for e in candidate_effects(
+                Model(string, arm, camera), effects_by_name(), ()
+            )
+        }
+        for camera in (PLAIN, BENT)
     }
     assert names[PLAIN] - names[BENT] == {"lens_distortion"}

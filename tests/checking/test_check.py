@@ -1,4 +1,6 @@
-"""A clean dataset with each kind of dirt: the right finding, naming file, field and remedy; and nothing for clean ones."""
+"""A clean dataset with each kind of dirt: the right finding, naming file, field and
+remedy; and nothing for clean ones.
+"""
 
 import json
 import re
@@ -16,7 +18,7 @@ from conftest import ROOT, pipeline
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands import check_effects
-from stringcast.pipeline.commands.check import measured
+from stringcast.pipeline.commands.check import read_measurements
 from stringcast.stages.check.check import CHECKS, findings, refuse
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.frames import shown
@@ -28,17 +30,22 @@ SAMPLE = ROOT / "data" / "sample"
 MEASURED = ROOT.parent / "shared" / "measured"
 ANGLES = ["q1", "q2", "q3"]
 TRIALS = ["t00", "t03", "t04"]
-AS_A_RUN = measured(SAMPLE, [])  # with the arm and camera of the configuration
+AS_A_RUN = read_measurements(SAMPLE, [])  # with the arm and camera of the configuration
 
 
 class Dirty:
     """The sample's tables, to be spoilt and written."""
 
     def __init__(self):
-        arm, points = (pd.read_parquet(SAMPLE / f"{name}.parquet") for name in ("arm", "points"))
-        few = np.sort(points["s"].unique())[::3]  # a third of the points, three of the trials: it is quicker
+        arm, points = (
+            pd.read_parquet(SAMPLE / f"{name}.parquet") for name in ("arm", "points")
+        )
+        # a third of the points, three of the trials: it is quicker
+        few = np.sort(points["s"].unique())[::3]
         self.arm = arm[arm["trial"].isin(TRIALS)].reset_index(drop=True)
-        self.points = points[points["trial"].isin(TRIALS) & points["s"].isin([*few, points["s"].max()])]
+        self.points = points[
+            points["trial"].isin(TRIALS) & points["s"].isin([*few, points["s"].max()])
+        ]
         self.points = self.points.reset_index(drop=True)
         self.about = yaml.safe_load((SAMPLE / "dataset.yaml").read_text())
         self.grasp = None
@@ -50,8 +57,10 @@ class Dirty:
 
     def with_poses(self):
         """Poses of the grasp instead of joint angles."""
-        pose = AS_A_RUN.arm.grasp(self.arm[ANGLES].to_numpy())
-        self.grasp = self.arm[["trial", "t"]].assign(x=pose[:, 0], y=pose[:, 1], theta=pose[:, 2])
+        pose = AS_A_RUN.arm.grasp_pose(self.arm[ANGLES].to_numpy())
+        self.grasp = self.arm[["trial", "t"]].assign(
+            x=pose[:, 0], y=pose[:, 1], theta=pose[:, 2]
+        )
         return self
 
     def write(self, folder):
@@ -70,10 +79,15 @@ def dirty():
 
 def looked_at(folder):
     """As the command does, without composing the configuration anew."""
-    data = dataset.read(folder)
+    data = dataset.read_dataset(folder)
     links = data.metadata.get("arm", {}).get("links", AS_A_RUN.arm.links)
     length = data.metadata.get("string", {}).get("length", 0.3)
-    return replace(AS_A_RUN, data=data, arm=replace(AS_A_RUN.arm, links=tuple(links)), length=length)
+    return replace(
+        AS_A_RUN,
+        data=data,
+        arm=replace(AS_A_RUN.arm, links=tuple(links)),
+        length=length,
+    )
 
 
 def found(folder):
@@ -129,7 +143,9 @@ def mm_and_down(dirty):
 
 
 def five_frames(dirty):
-    dirty.points = dirty.points[dirty.points.groupby("trial")["t"].rank("dense") % 40 == 1]
+    dirty.points = dirty.points[
+        dirty.points.groupby("trial")["t"].rank("dense") % 40 == 1
+    ]
 
 
 def nine_lost(dirty):
@@ -176,20 +192,44 @@ def sigma_in_mm(dirty):
 
 
 CERTAIN = {
-    "points in mm": (scaled("points", ["x", "y"], 1e3), "points.csv x, y", "Multiply x and y by 0.001"),
-    "points in cm": (scaled("points", ["x", "y"], 1e2), "points.csv x, y", "Multiply x and y by 0.01"),
+    "points in mm": (
+        scaled("points", ["x", "y"], 1e3),
+        "points.csv x, y",
+        "Multiply x and y by 0.001",
+    ),
+    "points in cm": (
+        scaled("points", ["x", "y"], 1e2),
+        "points.csv x, y",
+        "Multiply x and y by 0.01",
+    ),
     "points in px": (in_pixels, "points.csv x, y", "camera.px_per_m"),
     "s in mm": (scaled("points", ["s"], 1e3), "points.csv s", "Multiply s by 0.001"),
-    "s, x, y in mm": (scaled("points", ["s", "x", "y"], 1e3), "points.csv s, x, y", "Multiply s, x and y by 0.001"),
+    "s, x, y in mm": (
+        scaled("points", ["s", "x", "y"], 1e3),
+        "points.csv s, x, y",
+        "Multiply s, x and y by 0.001",
+    ),
     "length in mm": (length(1e3), "dataset.yaml string.length", "Multiply it by 0.001"),
     "length in cm": (length(1e2), "dataset.yaml string.length", "Multiply it by 0.01"),
     "links in mm": (links, "dataset.yaml arm.links", "Multiply them by 0.001"),
     "poses in mm": (poses, "grasp.csv x, y", "Multiply x and y by 0.001"),
-    "all in mm": (everything, "points.csv s, x, y", "Multiply all of them, and arm.links and arm.base, by 0.001"),
-    "mm and y down": (mm_and_down, "points.csv x, y; points.csv y", "Multiply x and y by 0.001"),
+    "all in mm": (
+        everything,
+        "points.csv s, x, y",
+        "Multiply all of them, and arm.links and arm.base, by 0.001",
+    ),
+    "mm and y down": (
+        mm_and_down,
+        "points.csv x, y; points.csv y",
+        "Multiply x and y by 0.001",
+    ),
     "five frames a second": (five_frames, "points.csv t", "Film faster"),
     "nine of ten lost": (nine_lost, "points.csv x", "Correct them"),
-    "arm and grasp": (arm_and_grasp, "arm.csv, grasp.csv q1, q2, q3, x, y, theta", "take the other away: rm "),
+    "arm and grasp": (
+        arm_and_grasp,
+        "arm.csv, grasp.csv q1, q2, q3, x, y, theta",
+        "take the other away: rm ",
+    ),
     "unknown arm": (
         unknown_arm,
         "dataset.yaml arm.links, arm.base",
@@ -203,30 +243,51 @@ CERTAIN = {
     "arm anywhere": (somewhere, "dataset.yaml arm.base", "base: [0.2, 0.2]"),
     "no trial left": (none_left, "points.csv valid", "a blank is false"),
     "shorter string": (length(0.8), "points.csv s, x, y", "Correct string.length"),
-    "degrees": (scaled("arm", ANGLES, 180 / np.pi), "arm.csv q1, q2, q3", "Multiply them by pi / 180"),
-    "theta in degrees": (degrees_of_poses, "grasp.csv theta", "Multiply them by pi / 180"),
+    "degrees": (
+        scaled("arm", ANGLES, 180 / np.pi),
+        "arm.csv q1, q2, q3",
+        "Multiply them by pi / 180",
+    ),
+    "theta in degrees": (
+        degrees_of_poses,
+        "grasp.csv theta",
+        "Multiply them by pi / 180",
+    ),
     "y down": (scaled("points", ["y"], -1), "points.csv y", "Multiply y by -1"),
     "x to the left": (scaled("points", ["x"], -1), "points.csv x", "Multiply x by -1"),
     "x for y": (exchanged, "points.csv x, y", "Exchange the two columns"),
     "s from the tip": (from_the_tip, "points.csv s", "Replace s by string.length - s"),
     "other origin": (other_origin, "points.csv s, x, y", "one frame of reference"),
-    "camera in ms": (scaled("points", ["t"], 1e3), "points.csv t", "Multiply t by 0.001"),
+    "camera in ms": (
+        scaled("points", ["t"], 1e3),
+        "points.csv t",
+        "Multiply t by 0.001",
+    ),
     "arm in ms": (scaled("arm", ["t"], 1e3), "arm.csv t", "Multiply t by 0.001"),
     "joint wrapped": (wrapped, "arm.csv q1", "numpy.unwrap"),
-    "sigma in mm": (sigma_in_mm, "dataset.yaml noise.point_sigma", "Multiply it by 0.001"),
+    "sigma in mm": (
+        sigma_in_mm,
+        "dataset.yaml noise.point_sigma",
+        "Multiply it by 0.001",
+    ),
 }
 
 
 @pytest.mark.parametrize("kind", CERTAIN)
-def test_a_certain_error_is_named_with_its_remedy_and_nothing_runs_on_it(dirty, tmp_path, kind):
+def test_a_certain_error_is_named_with_its_remedy_and_nothing_runs_on_it(
+    dirty, tmp_path, kind
+):
     spoil, place, remedy = CERTAIN[kind]
     spoil(dirty)
     here = looked_at(dirty.write(tmp_path))
     told = findings(here)
     errors = [f for f in told if f.severity is Severity.ERROR]
-    assert {f"{f.file} {f.field}" for f in errors} == {*place.split("; ")}, [f.sentence for f in errors]
+    assert {f"{f.file} {f.field}" for f in errors} == {*place.split("; ")}, [
+        f.sentence for f in errors
+    ]
     assert remedy in errors[0].remedy
-    assert len(told) == 1 or kind not in TOO_LITTLE  # of which no advice on clocks or noise is given
+    # of which no advice on clocks or noise is given
+    assert len(told) == 1 or kind not in TOO_LITTLE
     assert not overview(here)["usable"]
     with pytest.raises(DataError) as refused:
         refuse(here)
@@ -236,14 +297,26 @@ def test_a_certain_error_is_named_with_its_remedy_and_nothing_runs_on_it(dirty, 
 
 
 TOO_LITTLE = ("five frames a second", "nine of ten lost")
-AT_THE_TIP = ("points in mm", "points in px", "s in mm", "length in mm", "links in mm", "poses in mm", "degrees")
+AT_THE_TIP = (
+    "points in mm",
+    "points in px",
+    "s in mm",
+    "length in mm",
+    "links in mm",
+    "poses in mm",
+    "degrees",
+)
 
 
 @pytest.mark.parametrize("kind", AT_THE_TIP)
 def test_tips_alone_are_enough_to_refuse_it(dirty, tmp_path, kind):
-    """With the tip alone another mistake may explain it too; that something is wrong is certain."""
+    """With the tip alone another mistake may explain it too; that something is wrong is
+    certain.
+    """
     spoil, _, _ = CERTAIN[kind]
-    dirty.points = dirty.points[dirty.points["s"] > 0.99 * dirty.length].reset_index(drop=True)
+    dirty.points = dirty.points[dirty.points["s"] > 0.99 * dirty.length].reset_index(
+        drop=True
+    )
     spoil(dirty)
     assert any(f.severity is Severity.ERROR for f in found(dirty.write(tmp_path)))
 
@@ -273,7 +346,9 @@ def held(dirty):
     number = dirty.points.groupby("trial")["t"].rank("dense").astype(int)
     for column in ("x", "y"):
         again = dirty.points.groupby(["trial", "s"])[column].shift(1)
-        dirty.points[column] = again.where((number % 4 == 0) & again.notna(), dirty.points[column])
+        dirty.points[column] = again.where(
+            (number % 4 == 0) & again.notna(), dirty.points[column]
+        )
 
 
 def many_lost(dirty):
@@ -337,7 +412,9 @@ def two_frames(dirty):
 
 def beyond(dirty):
     """Of one trial, and not at its beginning."""
-    late = (dirty.points["trial"] == "t03") & (dirty.points["t"] > dirty.points["t"].min() + 0.3)
+    late = (dirty.points["trial"] == "t03") & (
+        dirty.points["t"] > dirty.points["t"].min() + 0.3
+    )
     dirty.points.loc[late, "s"] *= 1.2
 
 
@@ -351,21 +428,40 @@ SUSPICIOUS = {
     "held points": (held, "points.csv x, y", "'valid' to false"),
     "lost points": (many_lost, "points.csv x", "Correct them"),
     "hole in the log": (hole_in_the_log, "arm.csv t", "leave the trial out"),
-    "only in arm": (without("points", "t03"), "points.csv trial", "Add its rows to points"),
-    "only in points": (without("arm", "t03"), "arm.csv trial", "Add its rows to the arm's"),
+    "only in arm": (
+        without("points", "t03"),
+        "points.csv trial",
+        "Add its rows to points",
+    ),
+    "only in points": (
+        without("arm", "t03"),
+        "arm.csv trial",
+        "Add its rows to the arm's",
+    ),
     "one trial": (one_trial, "arm.csv trial", "Record two more"),
     "no length": (no_length, "dataset.yaml string.length", "grasp to tip"),
     "longer string": (length(3.0), "points.csv s", "Correct s or string.length"),
     "other fps": (about(camera={"fps": 240}), "points.csv t", "as filmed"),
-    "noise too small": (about(noise={"point_sigma": 5e-5}), "dataset.yaml noise.point_sigma", "estimated"),
+    "noise too small": (
+        about(noise={"point_sigma": 5e-5}),
+        "dataset.yaml noise.point_sigma",
+        "estimated",
+    ),
     "misspelt key": (misspelt, "dataset.yaml strin", "Call it 'string'"),
     "misspelt column": (named_sigma, "points.csv Sigma", "Call it 'sigma'"),
-    "no such trial": (about(trials={"t77": {"role": "held_out"}}), "dataset.yaml trials.t77", "Correct the name"),
+    "no such trial": (
+        about(trials={"t77": {"role": "held_out"}}),
+        "dataset.yaml trials.t77",
+        "Correct the name",
+    ),
     "upside down": (turned, "points.csv y", "y points down"),
     "none valid": (none_valid, "points.csv valid", "a blank is false"),
     "two frames": (two_frames, "points.csv t", "takes more frames"),
     "said to be invalid": (
-        *(about(trials={"t03": {"invalid": "it slipped off"}}), "dataset.yaml trials.t03.invalid"),
+        *(
+            about(trials={"t03": {"invalid": "it slipped off"}}),
+            "dataset.yaml trials.t03.invalid",
+        ),
         "Take 'invalid' out",
     ),
     "points beyond": (beyond, "points.csv s", "Correct s or string.length"),
@@ -377,8 +473,12 @@ def test_what_is_suspicious_is_told(dirty, tmp_path, kind):
     spoil, place, remedy = SUSPICIOUS[kind]
     spoil(dirty)
     told = found(dirty.write(tmp_path))
-    assert any(f"{f.file} {f.field}" == place and remedy in f.remedy for f in told), [f.sentence for f in told]
-    assert all(f.severity is not Severity.ERROR for f in told), [f.sentence for f in told]
+    assert any(f"{f.file} {f.field}" == place and remedy in f.remedy for f in told), [
+        f.sentence for f in told
+    ]
+    assert all(f.severity is not Severity.ERROR for f in told), [
+        f.sentence for f in told
+    ]
 
 
 @pytest.mark.parametrize("kind", {**CERTAIN, **SUSPICIOUS})
@@ -391,7 +491,9 @@ def test_programs_find_file_field_and_remedy_of_all_that_is_told(dirty, tmp_path
 def test_the_command_that_describes_the_arm_mends_it(dirty, tmp_path):
     undescribed(dirty)
     (told,) = found(dirty.write(tmp_path))
-    assert told.sentence.startswith("dataset.yaml arm.links, arm.base: arm.csv holds joint angles of an arm")
+    assert told.sentence.startswith(
+        "dataset.yaml arm.links, arm.base: arm.csv holds joint angles of an arm"
+    )
     subprocess.run(["sh", "-c", told.remedy.partition("one: ")[2]], check=True)
     assert found(tmp_path) == []
 
@@ -400,7 +502,10 @@ def test_data_of_which_no_trial_is_left_say_why(dirty, called, tmp_path):
     none_left(dirty)
     done = called("check", dirty.write(tmp_path))
     assert done.returncode == 1
-    assert "error points.csv valid (trial t00, t03, t04): the trial is left out" in done.stdout
+    assert (
+        "error points.csv valid (trial t00, t03, t04): the trial is left out"
+        in done.stdout
+    )
     assert done.stdout.strip().endswith("Not usable: 1 error.")
 
 
@@ -413,9 +518,14 @@ def test_the_sample_is_clean_as_joints_and_as_poses_and_in_csv(dirty, tmp_path):
 
 def test_harmless_dirt_is_noted_and_no_more(dirty, tmp_path):
     dirty.points.loc[100, "y"] = np.nan
-    dirty.points = pd.concat([dirty.points, dirty.points.iloc[:40]]).sample(frac=1, random_state=3).assign(held=False)
+    dirty.points = (
+        pd.concat([dirty.points, dirty.points.iloc[:40]])
+        .sample(frac=1, random_state=3)
+        .assign(held=False)
+    )
     dirty.with_poses()
-    dirty.grasp["theta"] = np.angle(np.exp(1j * dirty.grasp["theta"]))  # a direction may be wrapped
+    # a direction may be wrapped
+    dirty.grasp["theta"] = np.angle(np.exp(1j * dirty.grasp["theta"]))
     told = found(dirty.write(tmp_path))
     assert {f.severity for f in told} == {Severity.NOTE}
     assert any("(1: y is not a finite number; 40: a row twice)" in f.said for f in told)
@@ -432,7 +542,13 @@ def spiked(dirty):
 
 def strays(dirty):
     for t in (dirty.points["t"].min(), 0.4):
-        dirty.points.loc[len(dirty.points)] = {"trial": "t00", "t": t, "s": 7.0, "x": 0.1, "y": 0.2}
+        dirty.points.loc[len(dirty.points)] = {
+            "trial": "t00",
+            "t": t,
+            "s": 7.0,
+            "x": 0.1,
+            "y": 0.2,
+        }
 
 
 def commas(dirty):
@@ -440,22 +556,29 @@ def commas(dirty):
     dirty.commas = True
 
 
-DIRT = {"clocks that run for years": long_running, "spikes": spiked, "stray points": strays, "commas": commas}
+DIRT = {
+    "clocks that run for years": long_running,
+    "spikes": spiked,
+    "stray points": strays,
+    "commas": commas,
+}
 
 
 @pytest.mark.parametrize("kind", DIRT)
 def test_dirty_data_are_read_as_the_clean_ones(dirty, tmp_path, kind):
     for name in ("clean", "dirty"):
         (tmp_path / name).mkdir()
-    clean = dataset.read(dirty.write(tmp_path / "clean"))
+    clean = dataset.read_dataset(dirty.write(tmp_path / "clean"))
     DIRT[kind](dirty)
     folder = dirty.write(tmp_path / "dirty")
     if kind == "commas":
         head, *lines = (folder / "arm.csv").read_text().splitlines()
-        (folder / "arm.csv").write_text("\n".join([head.replace(",", " ,"), *(f"{line}," for line in lines)]))
+        (folder / "arm.csv").write_text(
+            "\n".join([head.replace(",", " ,"), *(f"{line}," for line in lines)])
+        )
     here = looked_at(folder)
     assert not [f for f in findings(here) if f.severity is Severity.ERROR]
-    read = dataset.fits(here.data, here.length)
+    read = dataset.exclude_stray_points(here.data, here.length)
     assert set(read.trials) == set(clean.trials)
     for name, trial in read.trials.items():
         for table, keys in (("arm", ["t"]), ("points", ["t", "s"])):
@@ -464,7 +587,9 @@ def test_dirty_data_are_read_as_the_clean_ones(dirty, tmp_path, kind):
             )
             assert len(same) >= len(getattr(clean.trials[name], table)) - 2
             columns = [c for c in same if f"{c}_read" in same]
-            np.testing.assert_allclose(same[columns], same[[f"{c}_read" for c in columns]], atol=1e-9)
+            np.testing.assert_allclose(
+                same[columns], same[[f"{c}_read" for c in columns]], atol=1e-9
+            )
 
 
 def from_its_start(table):
@@ -472,7 +597,9 @@ def from_its_start(table):
 
 
 @pytest.mark.parametrize("share", [0.3, 1.0])
-def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(dirty, tmp_path, share):
+def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(
+    dirty, tmp_path, share
+):
     """Fewer points, fewer frames, the tip alone: not suspicious."""
     kept = dirty.points["s"] >= (1 - 1e-9) * dirty.length * share
     dirty.points = dirty.points[kept]
@@ -485,10 +612,17 @@ def test_every_check_can_find_something():
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
-@pytest.mark.parametrize(("unit", "size", "slow"), [("centimetres", 1e2, 1.0), ("millimetres", 5e2, np.sqrt(0.5))])
-def test_where_two_units_fit_the_fall_decides_and_both_are_said(dirty, tmp_path, share, unit, size, slow):
-    """Of a whole string and of its tip: 0.304 m in cm would be 30 mm if these were mm, and half that string in mm, which
-    moves in the square root of half the time, 1.52 m if these were cm."""
+@pytest.mark.parametrize(
+    ("unit", "size", "slow"),
+    [("centimetres", 1e2, 1.0), ("millimetres", 5e2, np.sqrt(0.5))],
+)
+def test_where_two_units_fit_the_fall_decides_and_both_are_said(
+    dirty, tmp_path, share, unit, size, slow
+):
+    """Of a whole string and of its tip: 0.304 m in cm would be 30 mm if these were mm,
+    and half that string in mm, which moves in the square root of half the time, 1.52 m
+    if these were cm.
+    """
     dirty.with_poses()
     dirty.points = dirty.points[dirty.points["s"] >= share * (1 - 1e-9) * dirty.length]
     for table in (dirty.grasp, dirty.points):
@@ -502,8 +636,13 @@ def test_where_two_units_fit_the_fall_decides_and_both_are_said(dirty, tmp_path,
     assert "would fit too" in worst.said
 
 
-@pytest.mark.parametrize(("times", "lengths", "said"), [(8.0, 1.0, "slow motion"), (1.0, 10.0, "in which unit")])
-def test_a_string_that_falls_as_nothing_does_is_told(dirty, tmp_path, times, lengths, said):
+@pytest.mark.parametrize(
+    ("times", "lengths", "said"),
+    [(8.0, 1.0, "slow motion"), (1.0, 10.0, "in which unit")],
+)
+def test_a_string_that_falls_as_nothing_does_is_told(
+    dirty, tmp_path, times, lengths, said
+):
     """A film of 200 frames a second played at 25, and all lengths in decimetres."""
     for table in (dirty.with_poses().grasp, dirty.points):
         table["t"] *= times
@@ -511,20 +650,41 @@ def test_a_string_that_falls_as_nothing_does_is_told(dirty, tmp_path, times, len
     dirty.points["s"] *= lengths
     dirty.about["string"]["length"] *= lengths
     told = found(dirty.write(tmp_path))
-    assert any(f.field == "t, x, y" and said in f.remedy and "falls with" in f.said for f in told)
+    assert any(
+        f.field == "t, x, y" and said in f.remedy and "falls with" in f.said
+        for f in told
+    )
 
 
 SQUARE = Lens((500.0, 500.0), (160.0, 120.0), (0.0, 0.0, 0.0, 0.0))
 PICTURES = {  # of 320 x 240 px; what is said of those that no camera takes
     "ordinary": ({}, ""),
     "barrel": ({"distortion": -0.1}, ""),
-    "lens": ({"lens": replace(SQUARE, distortion=(-0.3, 0.1, 1e-3, 1e-3)), "tilt": (0.1, 0.0)}, ""),
-    "folds at the corners": ({"distortion": -0.25}, "warning .*% of the picture lies nowhere"),
-    "folds": ({"lens": replace(SQUARE, distortion=(-50.0, 0.0, 0.0, 0.0))}, "error .*% of the picture lies nowhere"),
-    "no numbers": ({"lens": replace(SQUARE, distortion=(1e300, 0.0, 0.0, 0.0))}, "error 100% of the picture"),
+    "lens": (
+        {
+            "lens": replace(SQUARE, distortion=(-0.3, 0.1, 1e-3, 1e-3)),
+            "tilt": (0.1, 0.0),
+        },
+        "",
+    ),
+    "folds at the corners": (
+        {"distortion": -0.25},
+        "warning .*% of the picture lies nowhere",
+    ),
+    "folds": (
+        {"lens": replace(SQUARE, distortion=(-50.0, 0.0, 0.0, 0.0))},
+        "error .*% of the picture lies nowhere",
+    ),
+    "no numbers": (
+        {"lens": replace(SQUARE, distortion=(1e300, 0.0, 0.0, 0.0))},
+        "error 100% of the picture",
+    ),
     "px per mm": ({"px_per_m": 0.3}, "error .* as long as 0.00028 pictures are wide"),
     "nothing but string": ({"px_per_m": 1e5}, "error .* as long as 94 pictures"),
-    "one focal length": ({"lens": replace(SQUARE, focal=(1e300, 500.0))}, "error .* the string is as long as"),
+    "one focal length": (
+        {"lens": replace(SQUARE, focal=(1e300, 500.0))},
+        "error .* the string is as long as",
+    ),
 }
 
 
@@ -532,15 +692,26 @@ PICTURES = {  # of 320 x 240 px; what is said of those that no camera takes
 def test_a_picture_is_of_the_plane_and_of_the_strings_size(kind):
     changed, said = PICTURES[kind]
     camera = Camera(
-        **{"width": 320, "height": 240, "px_per_m": 300.0, "origin_px": (160.0, 120.0), "fps": 200.0} | changed
+        **{
+            "width": 320,
+            "height": 240,
+            "px_per_m": 300.0,
+            "origin_px": (160.0, 120.0),
+            "fps": 200.0,
+        }
+        | changed
     )
-    filmed = SimpleNamespace(data=SimpleNamespace(films={"a": None}), camera=camera, length=0.3)
+    filmed = SimpleNamespace(
+        data=SimpleNamespace(films={"a": None}), camera=camera, length=0.3
+    )
     told = [f"{finding.severity} {finding.said}" for finding in shown(filmed)]
     assert len(told) == bool(said)
     assert not said or re.match(said, told[0]), told
 
 
-def test_the_command_says_what_is_there_and_its_status_whether_it_is_usable(dirty, called, tmp_path):
+def test_the_command_says_what_is_there_and_its_status_whether_it_is_usable(
+    dirty, called, tmp_path
+):
     good = pipeline("check", SAMPLE)
     assert good.returncode == 0, good.stderr
     assert "Usable: 5 trials; nothing looks wrong" in good.stdout
@@ -552,7 +723,11 @@ def test_the_command_says_what_is_there_and_its_status_whether_it_is_usable(dirt
     assert said["findings"][0]["trials"] == TRIALS
     assert len(said["trials"]) == 3
     before = {file.name for file in tmp_path.iterdir()}
-    run = called("+experiment=diagnose", f"trials={tmp_path}", f"hydra.run.dir={tmp_path / 'run'}")
+    run = called(
+        "+experiment=diagnose",
+        f"trials={tmp_path}",
+        f"hydra.run.dir={tmp_path / 'run'}",
+    )
     assert run.returncode == 1
     assert "Multiply x and y by 0.001" in run.stderr
     assert "Traceback" not in run.stderr
@@ -575,35 +750,68 @@ def test_a_page_shows_what_was_measured_and_found(dirty, called, undrawn, tmp_pa
 
 
 EFFECT = {
-    **{"effect": "wind", "parameter": "along_x", "meaning": "velocity of the air to the right", "unit": "m/s"},
-    **{"absent": 0.0, "found_from": 0.021, "tip_m": 6.8e-4, "most_tip_m": 0.2, "imitated": 0.52, "alike": ["tip_mass"]},
+    **{
+        "effect": "wind",
+        "parameter": "along_x",
+        "meaning": "velocity of the air to the right",
+        "unit": "m/s",
+    },
+    **{
+        "absent": 0.0,
+        "found_from": 0.021,
+        "tip_m": 6.8e-4,
+        "most_tip_m": 0.2,
+        "imitated": 0.52,
+        "alike": ["tip_mass"],
+    },
 }
 
 
-def test_what_the_trials_can_tell_is_said_where_it_is_asked(dirty, called, undrawn, tmp_path, monkeypatch):
+def test_what_the_trials_can_tell_is_said_where_it_is_asked(
+    dirty, called, undrawn, tmp_path, monkeypatch
+):
     asked = []
-    monkeypatch.setattr(check_effects, "effects", lambda *given: asked.append(given) or [EFFECT])
+    monkeypatch.setattr(
+        check_effects,
+        "detectable_effects",
+        lambda *given: asked.append(given) or [EFFECT],
+    )
     folder = dirty.write(tmp_path)
     assert "wind" not in called("check", folder).stdout
-    done = called("check", folder, "--effects", "--report", tmp_path / "page.html", "string.points=15")
+    done = called(
+        "check",
+        folder,
+        "--effects",
+        "--report",
+        tmp_path / "page.html",
+        "string.points=15",
+    )
     assert asked == [(folder, ["string.points=15"])]
     assert re.search(r"wind.along_x +0.021 m/s +0.7 +52% +tip_mass", done.stdout)
     assert done.stdout.index("Found from:") < done.stdout.index("Usable: 3 trials")
     page = (tmp_path / "page.html").read_text()
     assert "What these trials can tell" in page
     assert "0.021 m/s" in page
-    assert json.loads(called("check", folder, "--effects", "--json").stdout)["effects"] == [EFFECT]
+    assert json.loads(called("check", folder, "--effects", "--json").stdout)[
+        "effects"
+    ] == [EFFECT]
     none_left(dirty)
-    assert "effects" not in json.loads(called("check", dirty.write(tmp_path), "--effects", "--json").stdout)
+    assert "effects" not in json.loads(
+        called("check", dirty.write(tmp_path), "--effects", "--json").stdout
+    )
     assert len(asked) == 2
 
 
 @pytest.mark.long
 def test_what_the_sample_can_tell(called):
-    """Half a metre of string, thousands of readings: of an offset of the camera, half a millimetre, for less does not
-    count; and of the clocks, a small part of a frame."""
+    """Half a metre of string, thousands of readings: of an offset of the camera, half a
+    millimetre, for less does not count; and of the clocks, a small part of a frame.
+    """
     done = called("check", SAMPLE, "--effects", "--json", "diagnose.without=[wind]")
-    told = {f"{each['effect']}.{each['parameter']}": each for each in json.loads(done.stdout)["effects"]}
+    told = {
+        f"{each['effect']}.{each['parameter']}": each
+        for each in json.loads(done.stdout)["effects"]
+    }
     assert len(told) > 25
     assert "wind.along_x" not in told
     assert told["camera_offset.x"]["found_from"] == pytest.approx(5e-4, rel=0.01)
@@ -618,7 +826,10 @@ def test_what_cannot_be_read_is_one_error(called, tmp_path):
     cut = called("check", tmp_path / "cut", "--json")
     assert cut.returncode == 1
     finding = json.loads(cut.stdout)["findings"][0]
-    assert (finding["file"], finding["said"][:24]) == (str(file), "not a whole Parquet file")
+    assert (finding["file"], finding["said"][:24]) == (
+        str(file),
+        "not a whole Parquet file",
+    )
     assert finding["remedy"] == "Restore it or delete it and run again"
     nowhere = called("check", tmp_path / "nowhere")
     assert nowhere.returncode == 1
@@ -653,25 +864,44 @@ UNREAD = {  # file, field, and what the remedy says
 
 
 @pytest.mark.parametrize("spoil", UNREAD, ids=lambda spoil: spoil.__name__)
-def test_what_cannot_be_read_names_file_field_and_remedy(dirty, called, tmp_path, spoil):
+def test_what_cannot_be_read_names_file_field_and_remedy(
+    dirty, called, tmp_path, spoil
+):
     spoil(dirty.write(tmp_path))
     file, field, remedy = UNREAD[spoil]
     finding = json.loads(called("check", tmp_path, "--json").stdout)["findings"][0]
-    assert (finding["file"], finding["field"]) == (str(tmp_path / file) if file else str(tmp_path), field)
+    assert (finding["file"], finding["field"]) == (
+        str(tmp_path / file) if file else str(tmp_path),
+        field,
+    )
     assert re.search(remedy, finding["remedy"])
 
 
-def test_a_clock_that_counts_since_1970_beside_one_that_does_not_is_told(dirty, tmp_path):
+def test_a_clock_that_counts_since_1970_beside_one_that_does_not_is_told(
+    dirty, tmp_path
+):
     dirty.arm["t"] += 1.764e9
-    reasons = [f.said for f in found(dirty.write(tmp_path)) if f.trials == tuple(TRIALS) and "overlap" in f.said]
-    assert re.search(r"the arm's clock says 2025-11-24 .*camera's goes from -0.05 to", reasons[0])
+    reasons = [
+        f.said
+        for f in found(dirty.write(tmp_path))
+        if f.trials == tuple(TRIALS) and "overlap" in f.said
+    ]
+    assert re.search(
+        r"the arm's clock says 2025-11-24 .*camera's goes from -0.05 to", reasons[0]
+    )
 
 
 @pytest.mark.skipif(not MEASURED.exists(), reason="the measured sets are not here")
 @pytest.mark.parametrize("name", ["l4dc_strip_video", "tudelft_cable_fr3"])
-def test_of_real_strings_nothing_is_certainly_wrong_but_the_missing_description_is_told(name):
-    told = findings(measured(MEASURED / name, []))
-    errors = findings(measured(MEASURED / name, ["string.length=0.75"]))
+def test_of_real_strings_nothing_is_certainly_wrong_but_the_missing_description_is_told(
+    name,
+):
+    told = findings(read_measurements(MEASURED / name, []))
+    errors = findings(read_measurements(MEASURED / name, ["string.length=0.75"]))
     assert all(f.severity is not Severity.ERROR for f in errors)
-    assert all("on a string of 0.300 m (string.length)" in f.said for f in told if f.severity is Severity.ERROR)
+    assert all(
+        "on a string of 0.300 m (string.length)" in f.said
+        for f in told
+        if f.severity is Severity.ERROR
+    )
     assert {"string.length", "s", "t"} <= {f.field for f in told}

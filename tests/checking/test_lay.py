@@ -1,37 +1,56 @@
-"""Clocks of arm and camera are laid over one another by the motion: of all of a string, and of its tip alone."""
+"""Clocks of arm and camera are laid over one another by the motion: of all of a string,
+and of its tip alone.
+"""
 
 from dataclasses import replace
 
 import pytest
 from conftest import ROOT
 
-from stringcast.pipeline.commands.check import measured
+from stringcast.pipeline.commands.check import read_measurements
 from stringcast.stages.check.lay import shifts
 
-TRIALS = measured(ROOT / "data" / "sample", []).trials
+TRIALS = read_measurements(ROOT / "data" / "sample", []).trials
 
 
 def late(seen, by, tip_alone):
-    points = seen.points.groupby("t").tail(1) if tip_alone else seen.points[seen.points["s"] > 0.2]
-    return replace(seen, observation=replace(seen.observation, points=points.assign(t=points["t"] + by)))
+    points = (
+        seen.points.groupby("t").tail(1)
+        if tip_alone
+        else seen.points[seen.points["s"] > 0.2]
+    )
+    return replace(
+        seen,
+        observation=replace(seen.observation, points=points.assign(t=points["t"] + by)),
+    )
 
 
 @pytest.mark.parametrize("tip_alone", [True, False])
 def test_a_shift_of_all_trials_is_found_to_a_frame(tip_alone):
     found = shifts([late(seen, 12.345, tip_alone) for seen in TRIALS])
     assert set(found) == {seen.name for seen in TRIALS}
-    assert all(shift == pytest.approx(-12.345, abs=0.005) for shift in found.values())  # [s], of one frame
+    # [s], of one frame
+    assert all(shift == pytest.approx(-12.345, abs=0.005) for shift in found.values())
 
 
 def test_each_trial_may_have_a_shift_of_its_own():
     given = {"t00": 3.0, "t03": -5.0}
-    found = shifts([late(seen, given[seen.name], True) for seen in TRIALS if seen.name in given])
-    assert {name: round(shift) for name, shift in found.items()} == {"t00": -3, "t03": 5}
+    found = shifts(
+        [late(seen, given[seen.name], True) for seen in TRIALS if seen.name in given]
+    )
+    assert {name: round(shift) for name, shift in found.items()} == {
+        "t00": -3,
+        "t03": 5,
+    }
 
 
 @pytest.mark.parametrize("tip_alone", [True, False])
-def test_clocks_that_begin_anew_with_each_trial_are_laid_to_a_frame_but_where_the_string_hangs_slack(tip_alone):
-    """In t01 the hand goes towards the tip at first, so that for 25 ms nothing says that it is late."""
+def test_clocks_that_begin_anew_with_each_trial_are_laid_to_a_frame_but_where_the_string_hangs_slack(
+    tip_alone,
+):
+    """In t01 the hand goes towards the tip at first, so that for 25 ms nothing says
+    that it is late.
+    """
     own = {seen.name: -10.0 * number for number, seen in enumerate(TRIALS)}
     found = shifts([late(seen, own[seen.name], tip_alone) for seen in TRIALS])
     off = {name: shift + own[name] for name, shift in found.items()}

@@ -1,16 +1,22 @@
-"""The accuracy that is asked for is the accuracy that is got, and no dearer than needed."""
+"""The accuracy that is asked for is the accuracy that is got, and no dearer than
+needed.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from stringcast.known import prepared
+from stringcast.known import experiment_for_call
 from stringcast.stages.generate.curves import plain_cast
-from stringcast.stages.model.accuracy import ToleranceError, accurate, remaining
+from stringcast.stages.model.engine.accuracy import (
+    ToleranceError,
+    find_converged_string,
+    remaining_error,
+)
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import JointMotion
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.string import String
 
 STRING_A = {
@@ -29,19 +35,20 @@ def test_errors_that_shrink_like_a_power_are_found_exactly():
     step = 0.1 * 0.5 ** np.arange(3)
     for order in (1.0, 1.5, 2.0):
         result = 7.0 + 3.0 * step**order
-        left = remaining(result[0] - result[1], result[1] - result[2], 2)
+        left = remaining_error(result[0] - result[1], result[1] - result[2], 2)
         assert left == pytest.approx(3.0 * step[1] ** order, rel=1e-9)
-    # faster than the method can be: not believed; not shrinking: nothing known; not moving: nothing left
-    assert remaining(np.array(16.0), np.array(1.0), 2) == pytest.approx(4 / 3)
-    assert remaining(np.array(1.0), np.array(1.0), 2) == np.inf
-    assert remaining(np.array(np.inf), np.array(np.inf), 2) == np.inf
-    assert remaining(np.array(0.0), np.array(0.0), 2) == 0.0
+    # faster than the method can be: not believed; not shrinking: nothing known; not
+    # moving: nothing left
+    assert remaining_error(np.array(16.0), np.array(1.0), 2) == pytest.approx(4 / 3)
+    assert remaining_error(np.array(1.0), np.array(1.0), 2) == np.inf
+    assert remaining_error(np.array(np.inf), np.array(np.inf), 2) == np.inf
+    assert remaining_error(np.array(0.0), np.array(0.0), 2) == 0.0
 
 
 @pytest.fixture(scope="module")
 def thrown(arm):
     cast = plain_cast(arm, 0.5)
-    hand = JointMotion(0.0, arm.tick, *cast.sampled(arm.tick, 0.5)).grasp(arm)
+    hand = JointMotion(0.0, arm.tick, *cast.sampled(arm.tick, 0.5)).hand_motion(arm)
     times = hand.start + hand.tick * np.arange(hand.pose.shape[1])
     string = String(0.3, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog())
     values = string.values(STRING_A)
@@ -49,12 +56,23 @@ def thrown(arm):
     return hand, string, values, times, simulate(fine, hand, values, times).tip
 
 
-def test_the_fine_string_keeps_the_tip_within_a_millimetre_and_the_paper_s_does_not(thrown):
+def test_the_fine_string_keeps_the_tip_within_a_millimetre_and_the_paper_s_does_not(
+    thrown,
+):
     """Root mean square over a plain cast: 0.2 mm, and 25."""
     hand, _, values, times, exact = thrown
     fine, paper = (
-        np.sqrt(np.mean(np.sum((simulate(string, hand, values, times).tip - exact) ** 2, axis=-1)))
-        for string in (prepared((f"string={name}",), None).string for name in ("fine", "paper"))
+        np.sqrt(
+            np.mean(
+                np.sum(
+                    (simulate(string, hand, values, times).tip - exact) ** 2, axis=-1
+                )
+            )
+        )
+        for string in (
+            experiment_for_call((f"string={name}",), None).string
+            for name in ("fine", "paper")
+        )
     )
     assert fine < 1e-3 < paper
 
@@ -63,20 +81,24 @@ def test_the_fine_string_keeps_the_tip_within_a_millimetre_and_the_paper_s_does_
 def test_the_tip_is_within_the_tolerance_of_a_converged_string(thrown, tolerance):
     """And half as many points are not: measured 0.5 to 0.9 of the tolerance."""
     hand, string, values, times, exact = thrown
-    found = accurate(string, hand, values, tolerance)
+    found = find_converged_string(string, hand, values, tolerance)
 
     def off(string: String) -> float:
-        return np.linalg.norm(simulate(string, hand, values, times).tip - exact, axis=-1).max()
+        return np.linalg.norm(
+            simulate(string, hand, values, times).tip - exact, axis=-1
+        ).max()
 
     assert off(found.string) < tolerance
-    assert off(found.string) == pytest.approx(found.in_points + found.in_step, rel=0.5)
+    assert off(found.string) == pytest.approx(
+        found.point_error_m + found.step_error_m, rel=0.5
+    )
     assert off(replace(found.string, points=(found.string.points + 1) // 2)) > tolerance
 
 
 def test_what_cannot_be_kept_is_refused_with_what_was_measured(thrown):
     hand, string, values, _, _ = thrown
     with pytest.raises(ToleranceError, match="the best measured is"):
-        accurate(string, hand, values, 1e-5)
+        find_converged_string(string, hand, values, 1e-5)
 
 
 def test_a_plain_cast_is_within_what_the_arm_can_do(arm):
@@ -85,4 +107,7 @@ def test_a_plain_cast_is_within_what_the_arm_can_do(arm):
     np.testing.assert_allclose(angles[0, -1] - angles[0, 0], sweep, rtol=1e-9)
     assert (angles >= arm.lowest).all()
     assert (angles <= arm.highest).all()
-    assert np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1).max() < arm.hand_speed
+    assert (
+        np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1).max()
+        < arm.hand_speed
+    )

@@ -5,10 +5,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from stringcast.stages.model.hand import hand_motion_from_grasp
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.integrator import ExplicitEuler, RungeKutta4, SemiImplicitEuler
-from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.integrators import (
+    ExplicitEuler,
+    RungeKutta4,
+    SemiImplicitEuler,
+)
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.string import String
 
 NAMED = {
@@ -22,11 +26,22 @@ NAMED = {
     "grasp_damping": 5e-3,
 }
 T = np.arange(0, 0.6, 0.005)
-POSE = np.stack([0.1 * np.sin(9 * T) ** 2, 0.1 * np.sin(5 * T) ** 2, -1.0 + 1.5 * np.sin(7 * T) ** 2], axis=-1)
-HAND = hand_motion_from_grasp(T, POSE)
+POSE = np.stack(
+    [
+        0.1 * np.sin(9 * T) ** 2,
+        0.1 * np.sin(5 * T) ** 2,
+        -1.0 + 1.5 * np.sin(7 * T) ** 2,
+    ],
+    axis=-1,
+)
+HAND = resample_hand_motion(T, POSE)
 
 
-CLAMPED = NAMED | {"grasp_stiffness": 5e4, "grasp_damping": 1e-4, "bending_damping": 0.05}
+CLAMPED = NAMED | {
+    "grasp_stiffness": 5e4,
+    "grasp_damping": 1e-4,
+    "bending_damping": 0.05,
+}
 
 
 def tip(named: dict[str, float] = NAMED, **settings) -> np.ndarray:
@@ -38,19 +53,27 @@ def order(errors: list[float], factor: float) -> float:
     return float(np.log(errors[0] / errors[-1]) / np.log(factor ** (len(errors) - 1)))
 
 
-@pytest.mark.parametrize("integrator", [SemiImplicitEuler(), ExplicitEuler(), ImplicitLeapfrog(), RungeKutta4()])
+@pytest.mark.parametrize(
+    "integrator",
+    [SemiImplicitEuler(), ExplicitEuler(), ImplicitLeapfrog(), RungeKutta4()],
+)
 def test_order_in_the_step(integrator):
     """Steps of 1/1.2^k ticks: each halving divides the error by 2^order."""
     exact = tip(integrator=RungeKutta4(), largest_step=4e-6)
     start = {1: 2.4e-5, 2: 5e-4, 4: 3.2e-4}[integrator.order]
     levels = [1.2**-0, 1.2**-4, 1.2**-8]
-    errors = [np.abs(tip(integrator=integrator, largest_step=start * level) - exact).max() for level in levels]
+    errors = [
+        np.abs(tip(integrator=integrator, largest_step=start * level) - exact).max()
+        for level in levels
+    ]
     assert order(errors, 1.2**4) == pytest.approx(integrator.order, abs=0.35)
 
 
 def differences(**settings) -> list[float]:
     """Largest tip distance between n and twice as many segments."""
-    tips = [tip(points=n, integrator=RungeKutta4(), **settings) for n in (11, 21, 41, 81)]
+    tips = [
+        tip(points=n, integrator=RungeKutta4(), **settings) for n in (11, 21, 41, 81)
+    ]
     return [np.abs(a - b).max() for a, b in pairwise(tips)]
 
 
@@ -63,14 +86,28 @@ def test_second_order_in_the_number_of_points():
 
 
 def test_a_damped_string_in_a_clamp_is_of_second_order_too():
-    """Its half cell beside the clamp is damped as the rest is, although a clamp that does not turn damps nothing."""
-    settings = {"tip_cell": 0.5, "grasp_cell": 0.5, "integrator": ImplicitLeapfrog(), "largest_step": 1e-4}
+    """Its half cell beside the clamp is damped as the rest is, although a clamp that
+    does not turn damps nothing.
+    """
+    settings = {
+        "tip_cell": 0.5,
+        "grasp_cell": 0.5,
+        "integrator": ImplicitLeapfrog(),
+        "largest_step": 1e-4,
+    }
     tips = [tip(CLAMPED, points=n, **settings) for n in (11, 21, 41, 161)]
     errors = [np.sqrt(np.mean((each - tips[-1]) ** 2)) for each in tips[:-1]]
     assert order(errors, 2) == pytest.approx(2, abs=0.3)
 
 
 def test_how_a_clamp_that_does_not_turn_is_damped_does_not_matter():
-    settings = {"points": 11, "tip_cell": 0.5, "grasp_cell": 0.5, "integrator": ImplicitLeapfrog()}
-    weak, strong = (tip(CLAMPED | {"grasp_damping": damping}, **settings) for damping in (1e-5, 1.0))
+    settings = {
+        "points": 11,
+        "tip_cell": 0.5,
+        "grasp_cell": 0.5,
+        "integrator": ImplicitLeapfrog(),
+    }
+    weak, strong = (
+        tip(CLAMPED | {"grasp_damping": damping}, **settings) for damping in (1e-5, 1.0)
+    )
     assert np.abs(weak - strong).max() < 1e-6

@@ -1,4 +1,6 @@
-"""Stiff strings: no step too large to be stable, and as near the truth as small explicit steps."""
+"""Stiff strings: no step too large to be stable, and as near the truth as small
+explicit steps.
+"""
 
 from dataclasses import replace
 
@@ -6,19 +8,26 @@ import numba
 import numpy as np
 import pytest
 
-from stringcast.stages.model import rotation
 from stringcast.stages.model.effect import StringEffect
-from stringcast.stages.model.hand import hand_motion_from_grasp
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
+from stringcast.stages.model.engine import rotation
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.integrators import RungeKutta4, SemiImplicitEuler
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.engine.stability import steps_per_tick
+from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.simulate import simulate
-from stringcast.stages.model.stability import steps_per_tick
-from stringcast.stages.model.string import BASE, String
+from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 T = np.arange(0, 0.6, 0.005)
-POSE = np.stack([0.2 * np.sin(9 * T) ** 2, 0.2 * np.sin(5 * T) ** 2, -1.0 + 1.5 * np.sin(7 * T) ** 2], axis=-1)
-HAND = hand_motion_from_grasp(T, POSE)
+POSE = np.stack(
+    [
+        0.2 * np.sin(9 * T) ** 2,
+        0.2 * np.sin(5 * T) ** 2,
+        -1.0 + 1.5 * np.sin(7 * T) ** 2,
+    ],
+    axis=-1,
+)
+HAND = resample_hand_motion(T, POSE)
 DAMPED = {
     "axial_stiffness": 9e5,
     "axial_damping": 1.3e3,
@@ -32,32 +41,47 @@ DAMPED = {
 
 
 def implicit(step: float, points: int, length: float = 0.3) -> String:
-    return String(length, points, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=step)
+    return String(
+        length,
+        points,
+        tip_cell=0.5,
+        grasp_cell=0.5,
+        integrator=ImplicitLeapfrog(),
+        largest_step=step,
+    )
 
 
 @pytest.mark.parametrize("points", [10, 25, 60])
 def test_every_corner_of_table_3_stays_finite_and_whole(points):
-    """All 256 corners and as many strings within; the explicit step rejects some as impractical at 60 points.
+    """All 256 corners and as many strings within; the explicit step rejects some as
+    impractical at 60 points.
 
-    Strings with k_s over 1e5 reach 1.30 lengths at most, as with small explicit steps. Softer ones
-    that are stiff in bending fold their segments flat, where Eq. 1 itself has no solution to follow.
+    Strings with k_s over 1e5 reach 1.30 lengths at most, as with small explicit steps.
+    Softer ones that are stiff in bending fold their segments flat, where Eq. 1 itself
+    has no solution to follow.
     """
     string = implicit(5e-4, points)
     low, high = np.array([[p.low, p.high] for p in string.parameters]).T
     corners = np.where(np.indices((2,) * 8).reshape(8, -1).T, high, low)
     chance = np.random.default_rng(0).random((256, 8)).T
-    inside = np.array([p.value(c) for p, c in zip(string.parameters, chance, strict=True)]).T
+    inside = np.array(
+        [p.value(c) for p, c in zip(string.parameters, chance, strict=True)]
+    ).T
     values = np.concatenate([corners, inside])
     motion = simulate(string, HAND, values, T)
     assert motion.finite.all()
     taut = motion.points[values[:, 0] > 1e5]
     assert np.linalg.norm(taut - taut[:, :, :1], axis=-1).max() < 1.4 * string.length
-    _, practical = steps_per_tick(replace(string, integrator=SemiImplicitEuler()), string.material(values), 0.005)
+    _, practical = steps_per_tick(
+        replace(string, integrator=SemiImplicitEuler()), string.material(values), 0.005
+    )
     assert practical.all() == (points < 60)
 
 
 def test_strong_damping_at_many_points_as_near_as_small_steps():
-    """25 points at the top of c_s and c_h: the explicit step is 3 us; half a millisecond is within 0.1 mm of it."""
+    """25 points at the top of c_s and c_h: the explicit step is 3 us; half a
+    millisecond is within 0.1 mm of it.
+    """
     string = implicit(5e-4, 25)
     values = string.values(DAMPED)[None]
     exact = replace(string, integrator=RungeKutta4(), largest_step=1e-4)
@@ -80,37 +104,65 @@ class Stiffening(StringEffect):
 
 def test_what_is_not_linear_in_a_law_bounds_the_step_and_nothing_else_does():
     plain = replace(implicit(0.005, 60), ranges={})
-    steps, _ = steps_per_tick(plain, plain.material(plain.values(DAMPED | {"quadratic_drag": 1e-4})[None]), 0.005)
+    steps, _ = steps_per_tick(
+        plain,
+        plain.material(plain.values(DAMPED | {"quadratic_drag": 1e-4})[None]),
+        0.005,
+    )
     assert steps[0] == 1
-    bent = replace(plain, effects=(*BASE, Stiffening))
-    values = bent.values(DAMPED | {"quadratic_drag": 1e-4, "stiffening.cube": 1e5})[None]
+    bent = replace(plain, effects=(*PAPER_EFFECTS, Stiffening))
+    values = bent.values(DAMPED | {"quadratic_drag": 1e-4, "stiffening.cube": 1e5})[
+        None
+    ]
     steps, _ = steps_per_tick(bent, bent.material(values), 0.005)
-    # slope 3 cube stretch^2 at the largest sampled stretch 0.3; dt = 2 / omega, omega^2 = 4 slope (1 + 0.2) / l^2
-    omega = 2 * np.sqrt(1.2 * 3 * 1e5 * 0.3**2) / bent.segment
+    # slope 3 cube stretch^2 at the largest sampled stretch 0.3; dt = 2 / omega, omega^2
+    # = 4 slope (1 + 0.2) / l^2
+    omega = 2 * np.sqrt(1.2 * 3 * 1e5 * 0.3**2) / bent.segment_length
     assert steps[0] == pytest.approx(0.005 * omega / 2 / 0.9, rel=0.2)
     assert simulate(bent, HAND, values, T).finite.all()
 
 
-@pytest.mark.parametrize(("text", "most", "error"), [(rotation.SMALL, 26.5, 2e-10), (rotation.ANY, 179.9, 1e-10)])
+@pytest.mark.parametrize(
+    ("text", "most", "error"),
+    [
+        (rotation.SMALL_TURN_SOURCE, 26.5, 2e-10),
+        (rotation.ANY_TURN_SOURCE, 179.9, 1e-10),
+    ],
+)
 def test_the_turn_of_a_segment_is_its_arc_tangent(text, most, error):
     module = {"njit": numba.njit, "np": np, "LAW": {}}
     exec(text, module)
     for angle in np.radians(np.linspace(-most, most, 1001)):
-        assert module["turned"](3 * np.sin(angle), 3 * np.cos(angle)) == pytest.approx(angle, rel=error)
+        assert module["turned"](3 * np.sin(angle), 3 * np.cos(angle)) == pytest.approx(
+            angle, rel=error
+        )
 
 
-@pytest.mark.parametrize(("numbers", "limit"), [(rotation.UP_TO_HALF, 0.5), (rotation.UP_TO_ONE, 1.0)])
+@pytest.mark.parametrize(
+    ("numbers", "limit"),
+    [
+        (rotation.ATAN_COEFFICIENTS_TO_HALF, 0.5),
+        (rotation.ATAN_COEFFICIENTS_TO_ONE, 1.0),
+    ],
+)
 def test_the_coefficients_of_the_arc_tangent_are_those_of_the_fit(numbers, limit):
-    np.testing.assert_allclose(numbers, rotation.fitted(len(numbers), limit), rtol=1e-7)
+    np.testing.assert_allclose(
+        numbers, rotation.fit_atan_coefficients(len(numbers), limit), rtol=1e-7
+    )
 
 
 def test_undamped_stiff_modes_do_not_grow():
-    """A stiff string without damping, pushed once: after 2 s its tip moves no faster than after 0.5 s."""
+    """A stiff string without damping, pushed once: after 2 s its tip moves no faster
+    than after 0.5 s.
+    """
     string = implicit(5e-4, 25)
     t = np.arange(0, 2.5, 0.005)
     push = 0.05 * np.exp(-(((t - 0.1) / 0.03) ** 2))
-    hand = hand_motion_from_grasp(t, np.stack([push, 0 * t, 0 * t - np.pi / 2], -1))
-    named = {p.name: p.low for p in string.parameters} | {"axial_stiffness": 9e5, "bending_stiffness": 400.0}
+    hand = resample_hand_motion(t, np.stack([push, 0 * t, 0 * t - np.pi / 2], -1))
+    named = {p.name: p.low for p in string.parameters} | {
+        "axial_stiffness": 9e5,
+        "bending_stiffness": 400.0,
+    }
     tip = simulate(string, hand, string.values(named)[None], t).tip[0]
     speed = np.linalg.norm(np.gradient(tip, t, axis=0), axis=-1)
     assert speed[400:].max() < 1.05 * speed[60:160].max()

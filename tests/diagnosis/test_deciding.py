@@ -6,21 +6,34 @@ import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
 
-from stringcast.stages.diagnose.casts import Design, imagined, possible
-from stringcast.stages.diagnose.design import Rivals, _promising, designed
-from stringcast.stages.diagnose.prepared import lacking, resolved
+from stringcast.stages.diagnose.candidate_motions import (
+    DesignSettings,
+    sample_motions_within_limits,
+    synthetic_trial,
+)
+from stringcast.stages.diagnose.experiment_design import (
+    Rivals,
+    _most_different_motions,
+    design_experiment,
+)
+from stringcast.stages.diagnose.prepared_data import (
+    attach_discrepancy_model,
+    with_second_order_mesh,
+)
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.generate import arm_faults
-from stringcast.stages.inference.evidence import fitted
 from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.laplace import fit_hypothesis
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.effects.arm_lag import ArmLag
 from stringcast.stages.model.effects.time_offset import TimeOffset
-from stringcast.stages.model.parameter import chi_of, values_of
+from stringcast.stages.model.parameter import parameter_exponents, parameter_values
 
 SIGMA = 7e-4
 ENOUGH = float(np.log(0.95 / 0.05))
-DESIGN = Design(motions=12, shortest=0.2, longest=0.6, alpha=150.0, before=0.1, after=0.1)
+DESIGN = DesignSettings(
+    motions=12, shortest=0.2, longest=0.6, alpha=150.0, before=0.1, after=0.1
+)
 
 
 class Lead(TimeOffset):
@@ -43,7 +56,7 @@ class _Like:
 
 @pytest.fixture(scope="module")
 def model(arm):
-    return resolved(ordinary(arm))
+    return with_second_order_mesh(ordinary(arm))
 
 
 @pytest.fixture(scope="module")
@@ -52,24 +65,49 @@ def slow(model):
     speeds = np.array([[1.0, 0.6, -0.4, -1.0], [0.5, 0.9, 0.2, -0.8], [0.3] * 4])
     control = np.zeros((2, 3, 6))
     control[..., 1:-1] = np.array([0.8, 1.2])[:, None, None] * speeds
-    curves = Curves(np.array([[0.3, 0.5, 0.2], [0.6, 0.2, -0.3]]), np.array([0.6, 0.6]), control)
+    curves = Curves(
+        np.array([[0.3, 0.5, 0.2], [0.6, 0.2, -0.3]]), np.array([0.6, 0.6]), control
+    )
     like, late = _Like(np.linspace(0.03, 0.3, 8)), model.with_effects(ArmLag)
-    cases = [imagined(model, curves.only(np.array([i])), like, DESIGN) for i in range(2)]
-    values, rng = late.values({**TRUTH, "arm_lag.time_constant": 0.008})[None], np.random.default_rng(0)
-    seen = [case.at_measured(late.seen(case.motion, values, case.times).points)[0] for case in cases]
+    cases = [
+        synthetic_trial(model, curves.only(np.array([i])), like, DESIGN)
+        for i in range(2)
+    ]
+    values, rng = (
+        late.values({**TRUTH, "arm_lag.time_constant": 0.008})[None],
+        np.random.default_rng(0),
+    )
+    seen = [
+        case.sample_at_points(late.seen(case.motion, values, case.times).points)[0]
+        for case in cases
+    ]
     pairs = zip(cases, seen, strict=True)
-    return [replace(case, points=points + SIGMA * rng.standard_normal(points.shape)) for case, points in pairs]
+    return [
+        replace(case, points=points + SIGMA * rng.standard_normal(points.shape))
+        for case, points in pairs
+    ]
 
 
 def rivals(model, slow, *effects):
     """The base model with each of some effects, all fitted."""
     base = Hypothesis(model)
-    data = lacking(slow, base, chi_of(base.parameters, np.array([TRUTH[p.name] for p in base.parameters])))
+    data = attach_discrepancy_model(
+        slow,
+        base,
+        parameter_exponents(
+            base.parameters, np.array([TRUTH[p.name] for p in base.parameters])
+        ),
+    )
     fits, sizes = {}, np.zeros(len(slow), dtype=int)
     for effect in effects:
-        hypothesis = base.joined(effect)
+        hypothesis = base.with_cause(effect)
         start = [TRUTH.get(p.name, p.start) for p in hypothesis.parameters]
-        fits[effect.name] = fitted(data, hypothesis, chi_of(hypothesis.parameters, np.array(start))[None], sizes)
+        fits[effect.name] = fit_hypothesis(
+            data,
+            hypothesis,
+            parameter_exponents(hypothesis.parameters, np.array(start))[None],
+            sizes,
+        )
     return Rivals(fits, data, ENOUGH)
 
 
@@ -80,11 +118,11 @@ def contest(model, slow):
 
 @pytest.fixture(scope="module")
 def curves(model):
-    return possible(model, (), DESIGN, np.random.default_rng(1))
+    return sample_motions_within_limits(model, (), DESIGN, np.random.default_rng(1))
 
 
 def proposal_of(contest):
-    return designed(contest, (), DESIGN, np.random.default_rng(1))
+    return design_experiment(contest, (), DESIGN, np.random.default_rng(1))
 
 
 def test_motions_are_within_the_arms_limits_and_clear_of_obstacles(model, curves):
@@ -93,46 +131,80 @@ def test_motions_are_within_the_arms_limits_and_clear_of_obstacles(model, curves
     assert len(curves.duration) == DESIGN.motions
     assert (arm_faults(arm, (), *sampled) == "").all()
     wall = Box(0.5, 0.4, 0.1, 0.1)
-    around = possible(model, (wall,), DESIGN, np.random.default_rng(1))
+    around = sample_motions_within_limits(
+        model, (wall,), DESIGN, np.random.default_rng(1)
+    )
     sampled = around.sampled(arm.tick, float(around.duration.max()))
     assert (arm_faults(arm, (wall,), *sampled) == "").all()
-    assert not (arm_faults(arm, (wall,), *curves.sampled(arm.tick, float(curves.duration.max()))) == "").all()
+    assert not (
+        arm_faults(
+            arm, (wall,), *curves.sampled(arm.tick, float(curves.duration.max()))
+        )
+        == ""
+    ).all()
 
 
 def test_joints_that_lag_arrive_where_they_are_sent(model, curves):
-    """Or a lag would be told from an offset by a hand that stops short, which none does."""
+    """Or a lag would be told from an offset by a hand that stops short, which none
+    does.
+    """
     curve = curves.only(np.array([2]))
-    case = imagined(model, curve, _Like(np.array([0.3])), DESIGN)
-    late = case.motion.actual(model.arm, [(ArmLag, {"time_constant": np.full((1, 1, 1), 0.008)})])
-    there = model.arm.grasp(curve.sampled(model.arm.tick, float(curve.duration[0]))[0][0, -1])
+    case = synthetic_trial(model, curve, _Like(np.array([0.3])), DESIGN)
+    late = case.motion.actual_hand_motion(
+        model.arm, [(ArmLag, {"time_constant": np.full((1, 1, 1), 0.008)})]
+    )
+    there = model.arm.grasp(
+        curve.sampled(model.arm.tick, float(curve.duration[0]))[0][0, -1]
+    )
     assert late.end > case.times[-1] - model.arm.tick
     np.testing.assert_allclose(late.pose[0, -1], there, atol=1e-5)
 
 
-def test_no_motion_takes_any_part_of_the_string_through_an_obstacle(model, contest, curves):
+def test_no_motion_takes_any_part_of_the_string_through_an_obstacle(
+    model, contest, curves
+):
     """Not even where the tip alone is measured, which passes by it."""
-    cases = [imagined(model, curves.only(np.array([i])), _Like(np.array([0.3])), DESIGN) for i in range(3)]
+    cases = [
+        synthetic_trial(
+            model, curves.only(np.array([i])), _Like(np.array([0.3])), DESIGN
+        )
+        for i in range(3)
+    ]
     fit = contest.fits["arm_lag"]
-    values = values_of(fit.hypothesis.parameters, fit.chi[None])
-    line = fit.hypothesis.model.true(cases[1].motion, values, cases[1].times).points[0]
+    values = parameter_values(fit.hypothesis.parameters, fit.chi[None])
+    line = fit.hypothesis.model.simulate_string(
+        cases[1].motion, values, cases[1].times
+    ).points[0]
     post = Box(*line[0, line.shape[1] // 4], 0.02, 0.02)
-    assert not post.crossed(line[:-1, -1], line[1:, -1]).any()
-    assert 1 in _promising(contest, cases, ())
-    assert 1 not in _promising(contest, cases, (post,))
+    assert not post.is_crossed_by(line[:-1, -1], line[1:, -1]).any()
+    assert 1 in _most_different_motions(contest, cases, ())
+    assert 1 not in _most_different_motions(contest, cases, (post,))
 
 
-def test_the_motion_proposed_tells_more_than_others_and_than_what_was_done(model, slow, contest, curves):
+def test_the_motion_proposed_tells_more_than_others_and_than_what_was_done(
+    model, slow, contest, curves
+):
     made = proposal_of(contest)
     said = made.next_experiment
     assert said["between"] == ["arm_lag", "time_offset"]
     assert said["inseparable"] == []
     assert said["expected_log_odds"] > ENOUGH
     assert said["probability_to_decide"] > 0.95
-    assert said["already_performed"]["expected_log_odds"] < 0.5 * said["expected_log_odds"]
-    cases = [imagined(model, curves.only(np.array([i])), slow[0], DESIGN) for i in range(0, DESIGN.motions, 4)]
+    assert (
+        said["already_performed"]["expected_log_odds"] < 0.5 * said["expected_log_odds"]
+    )
+    cases = [
+        synthetic_trial(model, curves.only(np.array([i])), slow[0], DESIGN)
+        for i in range(0, DESIGN.motions, 4)
+    ]
     base = Hypothesis(model)
-    chi = chi_of(base.parameters, np.array([TRUTH[p.name] for p in base.parameters]))
-    told = [contest.odds(lacking([case], base, chi))[0].min() for case in cases]
+    chi = parameter_exponents(
+        base.parameters, np.array([TRUTH[p.name] for p in base.parameters])
+    )
+    told = [
+        contest.expected_log_odds(attach_discrepancy_model([case], base, chi))[0].min()
+        for case in cases
+    ]
     assert said["expected_log_odds"] > np.median(told)
     assert len(made.commands) > 20
     assert set(made.predicted["hypothesis"]) == {"arm_lag", "time_offset"}

@@ -18,7 +18,11 @@ def places(arm, camera, tmp_path_factory):
     bench = draw(1, arm, camera)
     bench.write(place / "data")
     bench.envelope(place / "envelope.json")
-    asked = ("+experiment=diagnose", f"trials={place / 'data'}", "diagnose.design.motions=60")
+    asked = (
+        "+experiment=diagnose",
+        f"trials={place / 'data'}",
+        "diagnose.design.motions=60",
+    )
     done = pipeline(*asked, f"hydra.run.dir={place / 'run'}")
     assert done.returncode == 0, done.stderr
     return place
@@ -29,22 +33,37 @@ def test_a_lag_and_an_offset_of_the_clock_are_not_told_apart(places):
     truth = json.loads((places / "envelope.json").read_text())
     assert truth["names"] == ["arm_lag"]
     assert said["verdict"] == "ambiguous"
-    assert [set(group) for group in said["indistinguishable"]] == [{"arm_lag", "time_offset"}]
+    assert [set(group) for group in said["indistinguishable"]] == [
+        {"arm_lag", "time_offset"}
+    ]
     whole = [each["probability"] for each in (*said["causes"], *said["alternatives"])]
     assert sum(whole) == pytest.approx(1.0, abs=1e-6)
     assert said["gain"]["rms_m"]["extended"] < said["gain"]["rms_m"]["base"]
 
 
 def test_the_motion_that_tells_them_apart_is_proposed(places):
-    said = json.loads((places / "run" / "diagnosis.json").read_text())["next_experiment"]
+    said = json.loads((places / "run" / "diagnosis.json").read_text())[
+        "next_experiment"
+    ]
     assert set(said["between"]) == {"arm_lag", "time_offset"}
-    assert said["probability_to_decide"] > said["already_performed"]["probability_to_decide"]
+    assert (
+        said["probability_to_decide"]
+        > said["already_performed"]["probability_to_decide"]
+    )
     assert len(load(Motion, places / "run" / said["motion"]).commands) > 20
-    assert said["sentence"] in (places / "run" / "report.html").read_text().replace("&#39;", "'")
+    assert said["sentence"] in (places / "run" / "report.html").read_text().replace(
+        "&#39;", "'"
+    )
 
 
-def test_an_arm_is_not_moved_for_trials_of_which_nobody_says_where_they_were_made(places, called, tmp_path):
-    done = called("+experiment=decide", f"trials={places / 'data'}", f"hydra.run.dir={tmp_path / 'run'}")
+def test_an_arm_is_not_moved_for_trials_of_which_nobody_says_where_they_were_made(
+    places, called, tmp_path
+):
+    done = called(
+        "+experiment=decide",
+        f"trials={places / 'data'}",
+        f"hydra.run.dir={tmp_path / 'run'}",
+    )
     assert done.returncode == 1
     assert "hardware=serial" in done.stderr
     assert "Traceback" not in done.stderr
@@ -61,8 +80,14 @@ def test_it_leaves_evidence_and_a_page(places):
 def test_other_experiments_take_the_extended_model(places, called):
     extended = yaml.safe_load((places / "run" / "extended.yaml").read_text())
     assert set(extended["effects"]) <= {"arm_lag", "time_offset"}
-    wanted = ("+experiment=estimate", f"trials={places / 'data'}", f"extended={places / 'run'}")
-    done = called(*wanted, "estimate.candidates=20", f"hydra.run.dir={places / 'again'}")
+    wanted = (
+        "+experiment=estimate",
+        f"trials={places / 'data'}",
+        f"extended={places / 'run'}",
+    )
+    done = called(
+        *wanted, "estimate.candidates=20", f"hydra.run.dir={places / 'again'}"
+    )
     assert done.returncode == 0, done.stderr
     settings = json.loads((places / "again" / "config.json").read_text())
     assert settings["effects"] == extended["effects"]
@@ -72,7 +97,11 @@ def test_other_experiments_take_the_extended_model(places, called):
 
 
 def test_what_is_not_a_diagnosis_is_refused_by_name(places, called, tmp_path):
-    wanted = ("+experiment=estimate", f"trials={places / 'data'}", f"extended={tmp_path}")
+    wanted = (
+        "+experiment=estimate",
+        f"trials={places / 'data'}",
+        f"extended={tmp_path}",
+    )
     done = called(*wanted, f"hydra.run.dir={tmp_path / 'run'}")
     assert done.returncode == 1
     assert "extended.yaml" in done.stderr

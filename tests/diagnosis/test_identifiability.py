@@ -1,4 +1,6 @@
-"""What trials can tell before causes are sought: by answers that are known, and by data made with what is said."""
+"""What trials can tell before causes are sought: by answers that are known, and by data
+made with what is said.
+"""
 
 from dataclasses import replace
 
@@ -7,12 +9,16 @@ import pytest
 from conftest import TRUTH, ordinary
 
 from stringcast.stages.check.overview import found_from
-from stringcast.stages.diagnose.identifiability import foreseen
-from stringcast.stages.diagnose.prepared import Prepared, lacking, resolved
-from stringcast.stages.diagnose.single_effects import least_gain
-from stringcast.stages.inference.evidence import evaluated, fitted
-from stringcast.stages.inference.forward import case
+from stringcast.stages.diagnose.forward_selection import min_leave_one_out_gain
+from stringcast.stages.diagnose.identifiability import detection_limits
+from stringcast.stages.diagnose.prepared_data import (
+    PreparedData,
+    attach_discrepancy_model,
+    with_second_order_mesh,
+)
 from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
+from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.effects.arm_lag import ArmLag
 from stringcast.stages.model.effects.camera_offset import CameraOffset
 from stringcast.stages.model.effects.contact import Contact
@@ -26,28 +32,43 @@ ASKED = (ArmLag, CameraOffset, Contact, TimeOffset, Wind)
 
 @pytest.fixture(scope="module")
 def model(arm):
-    return resolved(ordinary(arm))
+    return with_second_order_mesh(ordinary(arm))
 
 
 def seen(arm, model, values, seed):
     """Three swings of which three places were seen, as cases."""
     rng, places = np.random.default_rng(seed), np.array([8, 14, 20])
-    made = [performed(f"t{k}", arm, model, values, each, places, rng) for k, each in enumerate(swings(arm, 3, 0.4))]
-    return tuple(case(model, trial) for trial in made)
+    made = [
+        performed(f"t{k}", arm, model, values, each, places, rng)
+        for k, each in enumerate(swings(arm, 3, 0.4))
+    ]
+    return tuple(prepare_trial(model, trial) for trial in made)
 
 
 def start(hypothesis):
     """Exponents (P,) of the string as it is, without causes."""
     base = hypothesis.base.parameters
-    return hypothesis.carried({p.name: float(p.chi(np.asarray(TRUTH[p.name]))) for p in base})
+    return hypothesis.carried(
+        {p.name: float(p.chi(np.asarray(TRUTH[p.name]))) for p in base}
+    )
 
 
 def ready(arm, model, values, seed):
     """Data of three swings, and the base model fitted to them from where the string is."""
     cases, hypothesis = seen(arm, model, values, seed), Hypothesis(model)
-    data = lacking(cases, hypothesis, start(hypothesis))
-    fit = fitted(data, hypothesis, start(hypothesis)[None], np.zeros(3, dtype=int))
-    return Prepared(data, evaluated(data, hypothesis, fit.chi), cases, cases, 0, np.zeros(3), literal=True)
+    data = attach_discrepancy_model(cases, hypothesis, start(hypothesis))
+    fit = fit_hypothesis(
+        data, hypothesis, start(hypothesis)[None], np.zeros(3, dtype=int)
+    )
+    return PreparedData(
+        data,
+        evaluate_fit(data, hypothesis, fit.chi),
+        cases,
+        cases,
+        0,
+        np.zeros(3),
+        mesh_is_model=True,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +78,7 @@ def plain(arm, model):
 
 @pytest.fixture(scope="module")
 def told(plain):
-    found = foreseen(plain, ASKED, ANY_SIZE, 0)
+    found = detection_limits(plain, ASKED, ANY_SIZE, 0)
     return {f"{each.effect.name}.{each.parameter.name}": each for each in found}
 
 
@@ -70,7 +91,12 @@ def test_a_camera_that_is_off_moves_the_tip_by_as_much(told):
 
 def test_what_depends_on_place_is_not_asked_and_all_else_is(told):
     assert set(told) == {
-        *("arm_lag.time_constant", "camera_offset.x", "camera_offset.y", "time_offset.offset"),
+        *(
+            "arm_lag.time_constant",
+            "camera_offset.x",
+            "camera_offset.y",
+            "time_offset.offset",
+        ),
         *("wind.along_x", "wind.along_y"),
     }
 
@@ -79,44 +105,76 @@ def test_what_depends_on_place_is_not_asked_and_all_else_is(told):
 def test_the_tip_moves_as_far_as_is_said_where_it_is_simulated(plain, told, name):
     each, base = told[name], plain.base
     hypothesis = base.hypothesis.joined(each.effect)
-    chi = hypothesis.carried(base.named | {name: float(each.parameter.chi(np.asarray(each.found)))})
+    chi = hypothesis.carried(
+        base.named | {name: float(each.parameter.chi(np.asarray(each.found)))}
+    )
     there = [one[0] for one in plain.data.residuals(hypothesis.model, chi[None])]
-    moved = plain.data.tip_rms([a - b for a, b in zip(there, base.residuals, strict=True)])
+    moved = plain.data.tip_rms(
+        [a - b for a, b in zip(there, base.residuals, strict=True)]
+    )
     assert np.sqrt(np.mean(moved**2)) == pytest.approx(each.tip, rel=0.02)
 
 
 @pytest.mark.parametrize(("times", "found"), [(0.5, False), (2.0, True)])
-def test_an_effect_is_evident_from_the_size_on_that_is_said(arm, model, told, times, found):
-    """In most of five sets of trials that are made with it, by fits without it and with it."""
-    windy, base = Hypothesis(model).joined(Wind), Hypothesis(model)
+def test_an_effect_is_evident_from_the_size_on_that_is_said(
+    arm, model, told, times, found
+):
+    """In most of five sets of trials that are made with it, by fits without it and with
+    it.
+    """
+    windy, base = Hypothesis(model).with_cause(Wind), Hypothesis(model)
     strength = {"wind.along_x": times * told["wind.along_x"].found, "wind.along_y": 0.0}
     evident = []
     for seed in range(1, 6):
         cases = seen(arm, windy.model, TRUTH | strength, seed)
         chi = start(base)
-        data = lacking([replace(each, model=model) for each in cases], base, chi)
-        plain, fit = (fitted(data, h, start(h)[None], np.zeros(3, dtype=int)) for h in (base, windy))
-        evident.append(least_gain(plain, fit) > CRITERIA.enough)
+        data = attach_discrepancy_model(
+            [replace(each, model=model) for each in cases], base, chi
+        )
+        plain, fit = (
+            fit_hypothesis(data, h, start(h)[None], np.zeros(3, dtype=int))
+            for h in (base, windy)
+        )
+        evident.append(
+            min_leave_one_out_gain(plain, fit) > CRITERIA.min_log_bayes_factor
+        )
     assert (np.mean(evident) > 0.5) == found
 
 
 def test_a_least_size_is_asked_for_beside_the_evidence(plain, told):
     name = "camera_offset.x"
-    (each, *_) = foreseen(plain, [CameraOffset], replace(CRITERIA, least_size=0.05), 0)
+    (each, *_) = detection_limits(
+        plain, [CameraOffset], replace(CRITERIA, least_size=0.05), 0
+    )
     assert told[name].tip < 0.05
-    assert each.tip == pytest.approx(0.05, rel=1e-6)
-    (none, *_) = foreseen(plain, [CameraOffset], replace(CRITERIA, least_size=0.2), 0)
-    assert np.isnan([none.found, none.tip]).all()
+    assert each.detectable_tip_shift_m == pytest.approx(0.05, rel=1e-6)
+    (none, *_) = detection_limits(
+        plain, [CameraOffset], replace(CRITERIA, least_size=0.2), 0
+    )
+    assert np.isnan([none.detectable_value, none.detectable_tip_shift_m]).all()
 
 
 def test_look_alikes_are_named_and_others_are_not(told):
     """A lag is a delay in slow motion, and neither is wind or a camera that is off."""
-    assert told["arm_lag.time_constant"].alike == ("time_offset",)
-    assert told["time_offset.offset"].alike == ("arm_lag",)
-    assert {told[name].alike for name in told if name[:3] in ("cam", "win")} == {()}
+    assert told["arm_lag.time_constant"].lookalikes == ("time_offset",)
+    assert told["time_offset.offset"].lookalikes == ("arm_lag",)
+    assert {told[name].lookalikes for name in told if name[:3] in ("cam", "win")} == {
+        ()
+    }
 
 
 def test_sizes_are_said_in_plain_units(told):
-    assert found_from({"unit": "s", "absent": 0.0, "found_from": 1.1e-4, "most_tip_m": 0.2}) == "0.11 ms"
-    assert found_from({"unit": "1", "absent": 1.0, "found_from": 1.02, "most_tip_m": 0.2}) == "100 % to 102 %"
-    assert found_from({"unit": "m", "absent": 0.0, "found_from": None, "most_tip_m": 2e-4}) == "never: 0.2 mm at most"
+    assert (
+        found_from(
+            {"unit": "s", "absent": 0.0, "found_from": 1.1e-4, "most_tip_m": 0.2}
+        )
+        == "0.11 ms"
+    )
+    assert (
+        found_from({"unit": "1", "absent": 1.0, "found_from": 1.02, "most_tip_m": 0.2})
+        == "100 % to 102 %"
+    )
+    assert (
+        found_from({"unit": "m", "absent": 0.0, "found_from": None, "most_tip_m": 2e-4})
+        == "never: 0.2 mm at most"
+    )

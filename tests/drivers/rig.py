@@ -1,4 +1,6 @@
-"""What the driver tests share: an emulated device in a process of its own, a driver for it, a movement."""
+"""What the driver tests share: an emulated device in a process of its own, a driver for
+it, a movement.
+"""
 
 import json
 import subprocess
@@ -15,26 +17,51 @@ from stringcast.hardware.arm.limits import Workspace
 from stringcast.hardware.serial.wire import SerialWire
 from stringcast.stages.model.arm import Arm
 
-ARM = Arm((0.25, 0.2, 0.135), (0.0, 0.0), (-2.0,) * 3, (2.0,) * 3, (20.0,) * 3, (300.0,) * 3, 21.8, 0.005)
+ARM = Arm(
+    (0.25, 0.2, 0.135),
+    (0.0, 0.0),
+    (-2.0,) * 3,
+    (2.0,) * 3,
+    (20.0,) * 3,
+    (300.0,) * 3,
+    21.8,
+    0.005,
+)
 WORKSPACE = Workspace((-0.6, -0.6), (0.6, 0.6))
-# A busy machine must not fail the tests: budgets for time are wide, and so is the device's watchdog (`emulator`).
-DRIVING = Driving(1.0, 20, 0.1, 0.5, 3.0, approach=2.0, settle=0.0, priority=0, workspace=WORKSPACE)
+# A busy machine must not fail the tests: budgets for time are wide, and so is the
+# device's watchdog (`emulator`).
+DRIVING = Driving(
+    1.0, 20, 0.1, 0.5, 3.0, approach=2.0, settle=0.0, priority=0, workspace=WORKSPACE
+)
 WATCHDOG = 0.25  # [s]
 
 
 def driver(port, arm=ARM, **changed):
-    return VelocityArm(arm, SerialWire(port, 1_000_000), Driving(**{**vars(DRIVING), **changed}))
+    return VelocityArm(
+        arm, SerialWire(port, 1_000_000), Driving(**{**vars(DRIVING), **changed})
+    )
 
 
 def movement(duration=0.3):
     t = np.arange(0, duration + 1e-9, 0.005)
-    q = np.stack([a * (1 - np.cos(np.pi * t / duration)) / 2 for a in (0.5, -0.4, 0.6)], axis=-1)
+    q = np.stack(
+        [a * (1 - np.cos(np.pi * t / duration)) / 2 for a in (0.5, -0.4, 0.6)], axis=-1
+    )
     w = np.concatenate([np.diff(q, axis=0) / 0.005, np.zeros((1, 3))])
-    return pd.DataFrame({"t": t} | dict(zip(JOINTS, q.T, strict=True)) | dict(zip(SPEEDS, w.T, strict=True)))
+    return pd.DataFrame(
+        {"t": t}
+        | dict(zip(JOINTS, q.T, strict=True))
+        | dict(zip(SPEEDS, w.T, strict=True))
+    )
 
 
 @contextmanager
-def emulator(log, *options, command=(sys.executable, "-m", "stringcast.hardware.serial.emulator"), watchdog=WATCHDOG):
+def emulator(
+    log,
+    *options,
+    command=(sys.executable, "-m", "stringcast.hardware.serial.emulator"),
+    watchdog=WATCHDOG,
+):
     """The name of an emulated device's port; the device ends with the block."""
     patience = ["--watchdog", str(round(watchdog * 1e3))] if watchdog else []
     whole = [*command, "--log", str(log), "--until", "60", *patience, *options]
@@ -49,18 +76,25 @@ def emulator(log, *options, command=(sys.executable, "-m", "stringcast.hardware.
 
 def events(log):
     """What the firmware noted, oldest first."""
-    return [json.loads(line) for line in log.read_text().splitlines() if line.endswith("}")]
+    return [
+        json.loads(line) for line in log.read_text().splitlines() if line.endswith("}")
+    ]
 
 
 def standstill(log, since, within=5.0):
-    """Seconds on the device's clock from the first event named `since` to the arm's standstill for good; waits for
-    it. None if it never comes."""
+    """Seconds on the device's clock from the first event named `since` to the arm's
+    standstill for good; waits for it. None if it never comes.
+    """
     end = time.monotonic() + within
     while time.monotonic() < end:
         noted = events(log)
         first = next((e["t"] for e in noted if e["event"] == since), None)
         motion = [e for e in noted if e["event"] in ("stands", "moves")]
-        if first is not None and (not motion or motion[-1]["event"] == "stands") and noted[-1]["state"] != "moving":
+        if (
+            first is not None
+            and (not motion or motion[-1]["event"] == "stands")
+            and noted[-1]["state"] != "moving"
+        ):
             time.sleep(0.05)
             if len(events(log)) == len(noted):
                 return max(motion[-1]["t"] - first, 0.0) if motion else 0.0

@@ -1,28 +1,48 @@
-"""A capture device that films its own clock, and can drop, repeat, delay, die, or do as it likes with settings."""
+"""A capture device that films its own clock, and can drop, repeat, delay, die, or do as
+it likes with settings.
+"""
 
 import time
 
 import cv2
 import numpy as np
 
-from stringcast.hardware.camera.device import BUFFERED
+from stringcast.hardware.camera.device import MAX_BUFFERED_FRAMES
 
 
 class Sensor:
-    """Takes the place of cv2.VideoCapture. Frame k is exposed at `begun` + k / fps, whoever looks.
+    """Takes the place of cv2.VideoCapture. Frame k is exposed at `begun` + k / fps,
+    whoever looks.
 
-    lost: numbers never delivered. again: numbers in whose place the frame before comes again. held: how late a number
-    is delivered [s]. dies: the first number that does not come. stamps: whether it tells when a frame was exposed.
-    obeys: what becomes of a property that is set. size: (width, height), whatever it is asked. quiet: without noise.
-    decoding: how long it takes to decode a frame of this number [s]. damaged: numbers that cannot be decoded.
+    lost: numbers never delivered. again: numbers in whose place the frame before comes
+    again. held: how late a number is delivered [s]. dies: the first number that does
+    not come. stamps: whether it tells when a frame was exposed. obeys: what becomes of
+    a property that is set. size: (width, height), whatever it is asked. quiet: without
+    noise. decoding: how long it takes to decode a frame of this number [s]. damaged:
+    numbers that cannot be decoded.
     """
 
-    def __init__(self, fps=50.0, size=(32, 24), lost=(), again=(), held=None, dies=None, stamps=False, quiet=False):
+    def __init__(
+        self,
+        fps=50.0,
+        size=(32, 24),
+        lost=(),
+        again=(),
+        held=None,
+        dies=None,
+        stamps=False,
+        quiet=False,
+    ):
         self.fps, self.size, self.lost, self.again = fps, size, set(lost), set(again)
         self.held, self.dies, self.stamps, self.quiet = held or {}, dies, stamps, quiet
         self.properties, self.ignored, self.dumb = {}, set(), set()
         self.rng = np.random.default_rng(0)
-        self.begun, self.next, self.seen, self.released = time.monotonic(), 0, None, False
+        self.begun, self.next, self.seen, self.released = (
+            time.monotonic(),
+            0,
+            None,
+            False,
+        )
         self.counting_from = None  # of the film, as tests number frames
         self.decoding, self.damaged = lambda number: 0.0, set()
 
@@ -46,9 +66,11 @@ class Sensor:
         return 0.0 if key in self.dumb else self.properties.get(key, 0.0)
 
     def film(self):
-        """Numbers in `lost`, `again`, `held` and `dies` count from the next frame on that is kept."""
+        """Numbers in `lost`, `again`, `held` and `dies` count from the next frame on
+        that is kept.
+        """
         self.next = int((time.monotonic() - self.begun) * self.fps) + 1
-        self.counting_from = self.next + BUFFERED
+        self.counting_from = self.next + MAX_BUFFERED_FRAMES
 
     def exposed_at(self, number):
         return self.begun + number / self.fps
@@ -71,7 +93,10 @@ class Sensor:
 
     def retrieve(self):
         time.sleep(self.decoding(self.last))
-        if self.counting_from is not None and self.last - self.counting_from in self.damaged:
+        if (
+            self.counting_from is not None
+            and self.last - self.counting_from in self.damaged
+        ):
             return False, None
         return True, self.seen.copy()
 
@@ -81,7 +106,9 @@ class Sensor:
         if not self.quiet:
             image += self.rng.integers(0, 20, image.shape, dtype=np.uint8)
         for row in (0, 1):
-            image[row, :8] = [[255 * (number >> (8 * row + bit) & 1)] * 3 for bit in range(8)]
+            image[row, :8] = [
+                [255 * (number >> (8 * row + bit) & 1)] * 3 for bit in range(8)
+            ]
         return image
 
 

@@ -1,5 +1,6 @@
-"""The device's side in C: golden frames and fuzzed bytes give what the Python firmware gives, and the real driver
-drives it over a pseudo-terminal."""
+"""The device's side in C: golden frames and fuzzed bytes give what the Python firmware
+gives, and the real driver drives it over a pseudo-terminal.
+"""
 
 import random
 import shutil
@@ -12,12 +13,25 @@ import pytest
 from rig import driver, movement
 
 from stringcast.hardware.serial.firmware import Firmware
-from stringcast.hardware.serial.protocol import VERSION, Command, Kind, encode_command
+from stringcast.hardware.serial.protocol import (
+    PROTOCOL_VERSION,
+    Command,
+    FrameKind,
+    encode_command,
+)
 from stringcast.stages.execute.interfaces import HardwareError
 
 FOLDER = Path(__file__).resolve().parents[2] / "hardware" / "serial" / "device"
 POSE = (0.5, 0.25, -1.0)
-STRICT = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+STRICT = [
+    "-std=c99",
+    "-O1",
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wconversion",
+    "-Werror",
+]
 # Every way into memory is watched where the compiler can.
 WATCHED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
@@ -35,7 +49,9 @@ def built(tmp_path_factory):
         sources = [str(FOLDER / f"{main}.c"), str(FOLDER / "stringcast.c"), "-lm"]
         if not program.exists():
             command = [compiler, *STRICT, "-o", program, *sources]
-            watched = subprocess.run([*command, *WATCHED], check=False, capture_output=True)
+            watched = subprocess.run(
+                [*command, *WATCHED], check=False, capture_output=True
+            )
             if watched.returncode:
                 subprocess.run(command, check=True)
         return program
@@ -54,17 +70,22 @@ def in_python(data):
 
 
 def in_c(program, data):
-    return subprocess.run([program], input=data, capture_output=True, check=True, timeout=20).stdout
+    return subprocess.run(
+        [program], input=data, capture_output=True, check=True, timeout=20
+    ).stdout
 
 
 def golden():
     lines = (FOLDER / "golden.txt").read_text().splitlines()
-    return (b"".join(bytes.fromhex(x[2:]) for x in lines if x.startswith(side)) for side in "><")
+    return (
+        b"".join(bytes.fromhex(x[2:]) for x in lines if x.startswith(side))
+        for side in "><"
+    )
 
 
 def test_python_holds_the_golden_conversation():
     said, answered = golden()
-    assert encode_command(Command(Kind.VELOCITY, 65535, (1.5, -2.25, 0.0))) in said
+    assert encode_command(Command(FrameKind.VELOCITY, 65535, (1.5, -2.25, 0.0))) in said
     assert in_python(said) == answered
 
 
@@ -74,27 +95,54 @@ def test_c_holds_the_golden_conversation(built):
 
 
 def fuzz(rng):
-    """Whole commands of every kind among torn, flipped, overlong and random ones, so that states are reached."""
-    sequence, stream = 0, encode_command(Command(Kind.HELLO, 0, (VERSION,)))
+    """Whole commands of every kind among torn, flipped, overlong and random ones, so
+    that states are reached.
+    """
+    sequence, stream = (
+        0,
+        encode_command(Command(FrameKind.HELLO, 0, (PROTOCOL_VERSION,))),
+    )
     odd = [0.0, 1.5, -3.0, 0.1, -0.0, 1e30, -1e30, float("nan"), float("inf")]
-    values = {Kind.VELOCITY: lambda: [rng.choice(odd[: rng.choice([1, 2, 5, 9])]) for _ in range(3)]}
-    usual, strange = [2.0] * 3 + [300.0] * 3, [2.0, 1.5, 300.0, 0.0, 1e-3, -1.0, float("nan")]
-    values[Kind.LIMITS] = lambda: [
+    values = {
+        FrameKind.VELOCITY: lambda: [
+            rng.choice(odd[: rng.choice([1, 2, 5, 9])]) for _ in range(3)
+        ]
+    }
+    usual, strange = (
+        [2.0] * 3 + [300.0] * 3,
+        [2.0, 1.5, 300.0, 0.0, 1e-3, -1.0, float("nan")],
+    )
+    values[FrameKind.LIMITS] = lambda: [
         *rng.choice([usual, usual, [rng.choice(strange) for _ in range(6)]]),
         *(rng.choice([0, 5000]), rng.choice([0, 7, 400])),
     ]
-    values[Kind.HELLO] = lambda: [rng.choice([VERSION, VERSION, 1])]
+    values[FrameKind.HELLO] = lambda: [
+        rng.choice([PROTOCOL_VERSION, PROTOCOL_VERSION, 1])
+    ]
     for _ in range(300):
-        kind = rng.choice([*[k for k in Kind if k < 0x80], Kind.VELOCITY, Kind.VELOCITY, Kind.HELLO, Kind.LIMITS])
+        kind = rng.choice(
+            [
+                *[k for k in FrameKind if k < 0x80],
+                FrameKind.VELOCITY,
+                FrameKind.VELOCITY,
+                FrameKind.HELLO,
+                FrameKind.LIMITS,
+            ]
+        )
         sequence = (sequence + rng.choice([1, 1, 1, 0, -1, 40000])) % 2**16
-        frame = bytearray(encode_command(Command(kind, sequence, tuple(values.get(kind, list)()))))
+        frame = bytearray(
+            encode_command(Command(kind, sequence, tuple(values.get(kind, list)())))
+        )
         harm = rng.randrange(8)
         if harm == 0:
             frame[rng.randrange(len(frame))] ^= 1 << rng.randrange(8)
         elif harm == 1:
             frame = frame[: rng.randrange(len(frame))]
         elif harm == 2:
-            frame = bytearray(rng.randbytes(rng.choice([1, 5, 63, 64, 65, 66, 300]))) + b"\0"
+            frame = (
+                bytearray(rng.randbytes(rng.choice([1, 5, 63, 64, 65, 66, 300])))
+                + b"\0"
+            )
         elif harm == 3:
             frame += b"\0" * rng.choice([1, 5, 30])
         stream += bytes(frame)
@@ -121,7 +169,9 @@ def test_c_answers_fuzzed_bytes_as_python_does(built, seed):
     ],
 )
 def test_a_device_that_is_wrong_is_found_out(tmp_path, right, wrong):
-    """The control: with the checksum, a limit or the watchdog switched off, fuzzed bytes are answered otherwise."""
+    """The control: with the checksum, a limit or the watchdog switched off, fuzzed
+    bytes are answered otherwise.
+    """
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler")
@@ -129,14 +179,22 @@ def test_a_device_that_is_wrong_is_found_out(tmp_path, right, wrong):
     assert text.count(right) == 1
     (tmp_path / "stringcast.c").write_text(text.replace(right, wrong))
     sources = [tmp_path / "stringcast.c", FOLDER / "pipe.c", f"-I{FOLDER}", "-lm"]
-    subprocess.run([compiler, "-std=c99", "-o", tmp_path / "pipe", *sources], check=True, capture_output=True)
+    subprocess.run(
+        [compiler, "-std=c99", "-o", tmp_path / "pipe", *sources],
+        check=True,
+        capture_output=True,
+    )
     streams = [fuzz(random.Random(seed)) for seed in range(20)]
-    assert any(in_c(tmp_path / "pipe", stream) != in_python(stream) for stream in streams)
+    assert any(
+        in_c(tmp_path / "pipe", stream) != in_python(stream) for stream in streams
+    )
 
 
 @pytest.fixture
 def port(built):
-    process = subprocess.Popen([built("posix"), "250", "30"], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [built("posix"), "250", "30"], stdout=subprocess.PIPE, text=True
+    )
     yield process.stdout.readline().strip()
     process.kill()
     process.wait()
@@ -161,7 +219,9 @@ def held(wire, number, within=5.0):
     return None
 
 
-def test_the_device_in_c_stands_when_its_host_falls_silent_and_must_be_greeted_again(port):
+def test_the_device_in_c_stands_when_its_host_falls_silent_and_must_be_greeted_again(
+    port,
+):
     with driver(port) as arm:
         arm.wire.send(np.array([0.5, 0.0, 0.0]))
         time.sleep(0.6)

@@ -1,4 +1,6 @@
-"""The Dynamixel driver, through the maker's own library, against an emulated bus on a real pseudo-terminal."""
+"""The Dynamixel driver, through the maker's own library, against an emulated bus on a
+real pseudo-terminal.
+"""
 
 import math
 import os
@@ -15,12 +17,16 @@ import numpy as np
 import pytest
 from rig import ARM, DRIVING, emulator, events, movement, standstill
 
-from stringcast.data.artifacts import LINK, SENT, TICKS
+from stringcast.data.artifacts import LINK, SENT_SPEEDS, TICKS
 from stringcast.hardware.arm import Driving, VelocityArm
-from stringcast.hardware.dynamixel.bus import DynamixelBus, Servo
-from stringcast.hardware.dynamixel.emulator.bus import LIMIT, Bus
-from stringcast.hardware.dynamixel.emulator.bus import Servo as Emulated
-from stringcast.hardware.dynamixel.emulator.packets import Splitter, crc16, status
+from stringcast.hardware.dynamixel.bus import DynamixelBus, ServoSettings
+from stringcast.hardware.dynamixel.emulator.bus import LIMIT, EmulatedBus
+from stringcast.hardware.dynamixel.emulator.bus import EmulatedServo as Emulated
+from stringcast.hardware.dynamixel.emulator.packets import (
+    PacketSplitter,
+    crc16,
+    status_packet,
+)
 from stringcast.hardware.dynamixel.registers import (
     ACCELERATION_UNIT,
     BUS_WATCHDOG,
@@ -29,18 +35,22 @@ from stringcast.hardware.dynamixel.registers import (
     OPERATING_MODE,
     PROFILE_ACCELERATION,
     TORQUE_ENABLE,
-    TRIPPED,
     VELOCITY_LIMIT,
     VELOCITY_MODE,
     VELOCITY_UNIT,
+    WATCHDOG_TRIPPED,
 )
-from stringcast.hardware.emulated.joints import STEP
-from stringcast.hardware.emulated.terminal import _talk
+from stringcast.hardware.emulated.joints import STEP_S
+from stringcast.hardware.emulated.terminal import _exchange_bytes
 from stringcast.stages.execute.interfaces import HardwareError
 
 sdk = pytest.importorskip("dynamixel_sdk")
 
-SERVOS = (Servo(1, 2048, 1), Servo(2, 2048, -1), Servo(3, 2048, 1))
+SERVOS = (
+    ServoSettings(1, 2048, 1),
+    ServoSettings(2, 2048, -1),
+    ServoSettings(3, 2048, 1),
+)
 EMULATOR = (sys.executable, "-m", "stringcast.hardware.dynamixel.emulator")
 PATIENCE = 15  # 0.3 s: a busy machine must not trip it
 SWINGS_OUT = 0.15
@@ -61,7 +71,9 @@ def bus(log, *options):
 
 
 def test_packets_are_those_of_the_makers_library():
-    """The library writes and checks with its own table-driven CRC and stuffing; ours is bit by bit."""
+    """The library writes and checks with its own table-driven CRC and stuffing; ours is
+    bit by bit.
+    """
     library = sdk.Protocol2PacketHandler()
     rng = np.random.default_rng(0)
     for size in (1, 10, 60):
@@ -82,13 +94,20 @@ def test_packets_are_those_of_the_makers_library():
             return len(data)
 
     assert library.txPacket(Port(), packet) == sdk.COMM_SUCCESS
-    torn = Splitter()
-    found = [p for byte in b"noise" + bytes(written) for p in torn.packets(bytes([byte]))]
-    assert [(p.id, p.instruction, list(p.parameters)) for p in found] == [(1, 3, parameters)]
+    torn = PacketSplitter()
+    found = [
+        p for byte in b"noise" + bytes(written) for p in torn.packets(bytes([byte]))
+    ]
+    assert [(p.id, p.instruction, list(p.parameters)) for p in found] == [
+        (1, 3, parameters)
+    ]
     damaged = bytearray(written)
     damaged[9] ^= 4
-    assert Splitter().packets(bytes(damaged)) == []
-    assert library.removeStuffing(list(status(1, 0, bytes(parameters))))[9:15] == parameters
+    assert PacketSplitter().packets(bytes(damaged)) == []
+    assert (
+        library.removeStuffing(list(status_packet(1, 0, bytes(parameters))))[9:15]
+        == parameters
+    )
 
 
 def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
@@ -97,12 +116,18 @@ def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
             performance = arm.perform(movement())
             ended = arm.angles()
         assert standstill(log, "moves") is not None
-        assert events(log)[-1]["angles"][1] > 0.3  # the second servo is mounted the other way round
+        # the second servo is mounted the other way round
+        assert events(log)[-1]["angles"][1] > 0.3
     ticks = TICKS.check(performance.ticks)
     LINK.check(performance.link)
     np.testing.assert_allclose(ended, [0.5, -0.4, 0.6], atol=0.1)
-    sent, asked = ticks[list(SENT)].to_numpy(), movement().filter(like="w").to_numpy()
-    np.testing.assert_allclose(sent / VELOCITY_UNIT, np.rint(sent / VELOCITY_UNIT), atol=1e-9)
+    sent, asked = (
+        ticks[list(SENT_SPEEDS)].to_numpy(),
+        movement().filter(like="w").to_numpy(),
+    )
+    np.testing.assert_allclose(
+        sent / VELOCITY_UNIT, np.rint(sent / VELOCITY_UNIT), atol=1e-9
+    )
     # Rounded to 0.024 rad/s, yet it adds up to the way that was asked for.
     assert np.abs(np.cumsum(sent - asked, axis=0)).max() <= VELOCITY_UNIT / 2 + 1e-9
     assert performance.arm["t"].is_monotonic_increasing
@@ -121,7 +146,9 @@ def test_the_torque_is_off_after_the_last_word(log):
 
 def test_a_lost_velocity_is_survived(log):
     with bus(log, "--fault", "drop:30") as port, driver(port) as arm:
-        np.testing.assert_allclose(arm.perform(movement()).arm.iloc[-1][["q1", "q3"]], [0.5, 0.6], atol=0.15)
+        np.testing.assert_allclose(
+            arm.perform(movement()).arm.iloc[-1][["q1", "q3"]], [0.5, 0.6], atol=0.15
+        )
 
 
 @pytest.mark.parametrize("kind", ["freeze", "unplug", "brownout"])
@@ -139,26 +166,44 @@ class Interrupted(VelocityArm):
     """A driver whose user loses patience in mid-movement."""
 
     @property
-    def latched(self):
+    def latch_reason(self):
         """Asked before each velocity."""
-        if self.moving and self.wire.number > 20:
+        if self.is_moving and self.wire.number > 20:
             raise KeyboardInterrupt
         return self.why
 
-    @latched.setter
-    def latched(self, why):
+    @latch_reason.setter
+    def latch_reason(self, why):
         self.why = why
 
 
 def test_an_emergency_stop_is_the_servos_own_latch_until_it_is_cleared(log):
     with bus(log) as port:
-        with pytest.raises(KeyboardInterrupt), Interrupted(ARM, driver(port).wire, DRIVING) as arm:
+        with (
+            pytest.raises(KeyboardInterrupt),
+            Interrupted(ARM, driver(port).wire, DRIVING) as arm,
+        ):
             arm.perform(movement())
         assert "tripped" in {e["event"] for e in events(log)}
         for _ in range(2):  # a refusal must not clear it on its way out
-            with pytest.raises(HardwareError, match=r"latched.*hardware\.dynamixel\.clear .* 1 2 3"), driver(port):
+            with (
+                pytest.raises(
+                    HardwareError, match=r"latched.*hardware\.dynamixel\.clear .* 1 2 3"
+                ),
+                driver(port),
+            ):
                 pass
-        clear = [sys.executable, "-m", "stringcast.hardware.dynamixel.clear", port, "1", "2", "3", "--baud", "1000000"]
+        clear = [
+            sys.executable,
+            "-m",
+            "stringcast.hardware.dynamixel.clear",
+            port,
+            "1",
+            "2",
+            "3",
+            "--baud",
+            "1000000",
+        ]
         subprocess.run(clear, input="yes\n", text=True, check=True, capture_output=True)
         with driver(port) as arm:
             arm.move_to([0.1, 0.0, 0.0])
@@ -174,18 +219,26 @@ def test_silence_trips_the_watchdogs_and_the_driver_is_told(log):
         assert "watchdog" in arm.wire.answers()[0].held
         np.testing.assert_array_equal(arm.angles(), there)
         arm.wire.stop()
-        assert arm.wire._read(SERVOS[0], BUS_WATCHDOG) == TRIPPED  # a stop is not a clear
+        # a stop is not a clear
+        assert arm.wire._read(SERVOS[0], BUS_WATCHDOG) == WATCHDOG_TRIPPED
 
 
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"servos": (*SERVOS[:2], Servo(9, 2048, 1))}, r"servo 9: .*no status packet"),
+        (
+            {"servos": (*SERVOS[:2], ServoSettings(9, 2048, 1))},
+            r"servo 9: .*no status packet",
+        ),
         ({"fastest": (100.0,) * 3}, r"60\.\d+ rad/s at most .*, arm\.speed is 100"),
     ],
 )
 def test_what_is_wrong_with_the_servos_is_one_clear_error(log, changed, words):
-    with bus(log) as port, pytest.raises(HardwareError, match=words), driver(port, **changed):
+    with (
+        bus(log) as port,
+        pytest.raises(HardwareError, match=words),
+        driver(port, **changed),
+    ):
         pass
 
 
@@ -196,7 +249,13 @@ def served(servos):
     tty.setraw(slave)
     ended = threading.Event()
     there = threading.Thread(
-        target=_talk, args=(Bus({}, lambda *_: None, servos), master, time.monotonic() + 60, ended)
+        target=_exchange_bytes,
+        args=(
+            EmulatedBus({}, lambda *_: None, servos),
+            master,
+            time.monotonic() + 60,
+            ended,
+        ),
     )
     there.start()
     try:
@@ -210,7 +269,9 @@ def served(servos):
 
 @dataclass
 class Deaf(Emulated):
-    """A servo that acknowledges writes to some registers and keeps what it had. written: addresses, in order."""
+    """A servo that acknowledges writes to some registers and keeps what it had.
+    written: addresses, in order.
+    """
 
     keeps: tuple[int, ...] = ()
 
@@ -220,7 +281,11 @@ class Deaf(Emulated):
 
     def write(self, address, data):
         self.written.append(address)
-        kept = bytes(self.table[address : address + len(data)]) if address in self.keeps else data
+        kept = (
+            bytes(self.table[address : address + len(data)])
+            if address in self.keeps
+            else data
+        )
         return super().write(address, kept)
 
 
@@ -228,7 +293,9 @@ SLOW = replace(ARM, speed=(4.0, 5.0, 6.0), acceleration=(30.0, 40.0, 50.0))
 
 
 def slow(port):
-    return VelocityArm(SLOW, DynamixelBus(port, 1_000_000, SERVOS, SLOW.speed, 0.2, PATIENCE), DRIVING)
+    return VelocityArm(
+        SLOW, DynamixelBus(port, 1_000_000, SERVOS, SLOW.speed, 0.2, PATIENCE), DRIVING
+    )
 
 
 def test_every_servo_is_told_the_arms_limits_and_the_lasting_one_is_written_once():
@@ -236,31 +303,56 @@ def test_every_servo_is_told_the_arms_limits_and_the_lasting_one_is_written_once
     with served(servos) as port:
         for _ in range(2):
             with slow(port):
-                held = [[s.get(r) for s in servos.values()] for r in (VELOCITY_LIMIT, PROFILE_ACCELERATION)]
+                held = [
+                    [s.get(r) for s in servos.values()]
+                    for r in (VELOCITY_LIMIT, PROFILE_ACCELERATION)
+                ]
     per_unit = ((SLOW.speed, VELOCITY_UNIT), (SLOW.acceleration, ACCELERATION_UNIT))
-    assert held == [[math.ceil(limit / unit) for limit in limits] for limits, unit in per_unit]
+    assert held == [
+        [math.ceil(limit / unit) for limit in limits] for limits, unit in per_unit
+    ]
     for servo in servos.values():
         assert servo.get(OPERATING_MODE) == VELOCITY_MODE
-        assert servo.written.count(VELOCITY_LIMIT.address) == servo.written.count(OPERATING_MODE.address) == 1
+        assert (
+            servo.written.count(VELOCITY_LIMIT.address)
+            == servo.written.count(OPERATING_MODE.address)
+            == 1
+        )
 
 
-@pytest.mark.parametrize("register", [VELOCITY_LIMIT, PROFILE_ACCELERATION, OPERATING_MODE])
-def test_a_servo_that_does_not_hold_what_it_was_asked_is_refused_before_anything_moves(register):
+@pytest.mark.parametrize(
+    "register", [VELOCITY_LIMIT, PROFILE_ACCELERATION, OPERATING_MODE]
+)
+def test_a_servo_that_does_not_hold_what_it_was_asked_is_refused_before_anything_moves(
+    register,
+):
     servos = {1: Deaf(), 2: Deaf(keeps=(register.address,)), 3: Deaf()}
     with served(servos) as port:
-        with pytest.raises(HardwareError, match=rf"servo 2 holds \d+ in register {register.address} where \d+ was"):
+        with pytest.raises(
+            HardwareError,
+            match=rf"servo 2 holds \d+ in register {register.address} where \d+ was",
+        ):
             slow(port).__enter__()
         until = time.monotonic() + 5.0  # the last words are not answered
-        while any(servo.get(TORQUE_ENABLE) for servo in servos.values()) and time.monotonic() < until:
+        while (
+            any(servo.get(TORQUE_ENABLE) for servo in servos.values())
+            and time.monotonic() < until
+        ):
             time.sleep(0.01)
-        assert not any(servo.get(TORQUE_ENABLE) or servo.get(GOAL_VELOCITY) for servo in servos.values())
+        assert not any(
+            servo.get(TORQUE_ENABLE) or servo.get(GOAL_VELOCITY)
+            for servo in servos.values()
+        )
     assert all(servo.joint.angle == 0.0 for servo in servos.values())
 
 
 def test_a_servo_that_takes_accelerations_as_times_is_refused():
     servos = {i: Deaf() for i in (1, 2, 3)}
     servos[3].set(DRIVE_MODE, 4)
-    with served(servos) as port, pytest.raises(HardwareError, match=r"servo 3 takes accelerations as times"):
+    with (
+        served(servos) as port,
+        pytest.raises(HardwareError, match=r"servo 3 takes accelerations as times"),
+    ):
         slow(port).__enter__()
     assert PROFILE_ACCELERATION.address not in servos[3].written
 
@@ -271,31 +363,51 @@ def test_velocities_beyond_the_limit_never_reach_a_servo_and_nothing_does_before
         plain = DynamixelBus(port, 1_000_000, SERVOS, SLOW.speed, 0.2, PATIENCE)
         plain.open()
         assert plain.send(np.full(3, 1.0))[1].tolist() == [0.0, 0.0, 0.0]
-        plain.limit(SLOW)
+        plain.set_limits(SLOW)
         _, carried = plain.send(np.array([1e6, -1e6, 1.0]))
         plain.answers()  # they have read it when they answer
         told = [servo.get(GOAL_VELOCITY) for servo in servos.values()]
         plain.close()
-    assert told == [math.ceil(4.0 / VELOCITY_UNIT), math.ceil(5.0 / VELOCITY_UNIT), round(1.0 / VELOCITY_UNIT)]
+    assert told == [
+        math.ceil(4.0 / VELOCITY_UNIT),
+        math.ceil(5.0 / VELOCITY_UNIT),
+        round(1.0 / VELOCITY_UNIT),
+    ]
     np.testing.assert_allclose(carried, np.array(told) * VELOCITY_UNIT * [1, -1, 1])
 
 
 def test_the_device_keeps_its_limits_against_any_bytes():
-    """The emulated servo: a goal beyond its limit is not taken, and one within it is gone to by its profile."""
+    """The emulated servo: a goal beyond its limit is not taken, and one within it is
+    gone to by its profile.
+    """
     servo = Emulated()
-    for register, value in ((OPERATING_MODE, 1), (VELOCITY_LIMIT, 100), (PROFILE_ACCELERATION, 20)):
-        assert servo.write(register.address, value.to_bytes(register.size, "little")) == 0
+    for register, value in (
+        (OPERATING_MODE, 1),
+        (VELOCITY_LIMIT, 100),
+        (PROFILE_ACCELERATION, 20),
+    ):
+        assert (
+            servo.write(register.address, value.to_bytes(register.size, "little")) == 0
+        )
     servo.write(TORQUE_ENABLE.address, b"\1")
     for goal in (101, -101, 2**31 - 1):
-        assert servo.write(GOAL_VELOCITY.address, goal.to_bytes(4, "little", signed=True)) == LIMIT
+        assert (
+            servo.write(GOAL_VELOCITY.address, goal.to_bytes(4, "little", signed=True))
+            == LIMIT
+        )
         assert servo.get(GOAL_VELOCITY) == 0
-    assert servo.write(GOAL_VELOCITY.address, (-100).to_bytes(4, "little", signed=True)) == 0
+    assert (
+        servo.write(GOAL_VELOCITY.address, (-100).to_bytes(4, "little", signed=True))
+        == 0
+    )
     speeds = [0.0]
     for k in range(1000):
-        servo.step(k * STEP)
+        servo.step(k * STEP_S)
         speeds.append(servo.speed)
     assert speeds[-1] == pytest.approx(-100 * VELOCITY_UNIT)
-    assert np.abs(np.diff(speeds)).max() == pytest.approx(20 * ACCELERATION_UNIT * STEP)
+    assert np.abs(np.diff(speeds)).max() == pytest.approx(
+        20 * ACCELERATION_UNIT * STEP_S
+    )
 
 
 def test_no_bus_is_one_clear_error():

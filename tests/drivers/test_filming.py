@@ -1,4 +1,6 @@
-"""Filming a device that drops, repeats, delays, dies, disobeys: what is lost is found, and what is wrong refused."""
+"""Filming a device that drops, repeats, delays, dies, disobeys: what is lost is found,
+and what is wrong refused.
+"""
 
 import time
 from types import SimpleNamespace
@@ -8,16 +10,23 @@ import numpy as np
 import pytest
 from sensor import Sensor, number_in
 
-from stringcast.hardware.camera import Device, FilmingCamera, ImageFolder, VideoFile, filming
-from stringcast.hardware.camera.record import Film, recording, repeated
-from stringcast.hardware.camera.schedule import fitted
+from stringcast.hardware.camera import (
+    Device,
+    FilmingCamera,
+    ImageFolder,
+    VideoFile,
+    filming,
+)
+from stringcast.hardware.camera.record import RawFilm, build_recording, repeated_frames
+from stringcast.hardware.camera.schedule import fit_schedule
 from stringcast.hardware.camera.source import Frame
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.frames import dropped
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.camera import Camera
 
-CAMERA = Camera(32, 24, 50.0, (16.0, 12.0), 50.0)  # slow: a busy machine is late by some milliseconds
+# slow: a busy machine is late by some milliseconds
+CAMERA = Camera(32, 24, 50.0, (16.0, 12.0), 50.0)
 CONTROLS = {"AUTO_EXPOSURE": 1, "EXPOSURE": 10, "GAIN": 2}
 
 
@@ -26,7 +35,9 @@ def plugged(monkeypatch):
     """Plugs a sensor in; gives the camera that films it."""
 
     def plug(sensor, most_lost=0.02, delay=0.0, **device):
-        monkeypatch.setattr("stringcast.hardware.camera.device.cv2.VideoCapture", lambda *_: sensor)
+        monkeypatch.setattr(
+            "stringcast.hardware.camera.device.cv2.VideoCapture", lambda *_: sensor
+        )
         settings = {"controls": {}, "seconds": 0.2, "interval": 0.04} | device
         return FilmingCamera(CAMERA, Device(0, "ANY", delay, **settings), most_lost)
 
@@ -34,7 +45,9 @@ def plugged(monkeypatch):
 
 
 def film(camera, sensor, seconds=0.8):
-    """A recording whose movement begins when filming does, and the sensor's time of each frame in it."""
+    """A recording whose movement begins when filming does, and the sensor's time of
+    each frame in it.
+    """
     with camera:
         sensor.film()
         camera.start()
@@ -42,7 +55,9 @@ def film(camera, sensor, seconds=0.8):
         time.sleep(seconds)
         made = camera.stop(begun)
     assert sensor.released
-    return made, np.array([sensor.exposed_at(number_in(image)) - begun for image in made.images])
+    return made, np.array(
+        [sensor.exposed_at(number_in(image)) - begun for image in made.images]
+    )
 
 
 @pytest.mark.parametrize("stamps", [True, False])
@@ -51,14 +66,17 @@ def test_frames_have_the_times_at_which_they_were_exposed(plugged, stamps):
     made, truth = film(plugged(sensor), sensor)
     assert len(made.t) >= 38
     assert made.fault == ""
-    # Measured on a busy core, where single frames came 5 ms late: below 0.3 ms; the period is 20 ms.
+    # Measured on a busy core, where single frames came 5 ms late: below 0.3 ms; the
+    # period is 20 ms.
     np.testing.assert_allclose(made.t, truth, atol=2e-3)
     assert made.summary["frames_dropped"] == made.summary["frames_repeated"] == 0
     assert made.summary["fps"] == pytest.approx(50, rel=2e-3)
 
 
 def test_the_time_that_decoding_takes_is_none_of_the_exposures(plugged):
-    """As with MJPG: now 4 ms, now 12. What the driver held before is let go although that is slow to decode too."""
+    """As with MJPG: now 4 ms, now 12. What the driver held before is let go although
+    that is slow to decode too.
+    """
     sensor = Sensor()
     sensor.decoding = lambda number: 0.004 + 0.008 * (number % 2)
     with plugged(sensor) as camera:
@@ -67,9 +85,12 @@ def test_the_time_that_decoding_takes_is_none_of_the_exposures(plugged):
         camera.start()
         time.sleep(0.6)
         made = camera.stop(begun)
-    truth = np.array([sensor.exposed_at(number_in(image)) - begun for image in made.images])
+    truth = np.array(
+        [sensor.exposed_at(number_in(image)) - begun for image in made.images]
+    )
     assert truth[0] > 0.02  # where frames that waited were kept: below 0
-    np.testing.assert_allclose(made.t, truth, atol=2e-3)  # measured with decoding counted in: 4 to 12 ms
+    # measured with decoding counted in: 4 to 12 ms
+    np.testing.assert_allclose(made.t, truth, atol=2e-3)
     assert made.fault == ""
 
 
@@ -105,9 +126,9 @@ def test_a_frame_given_twice_is_left_out_and_counts_as_lost(plugged):
 
 def test_a_drawn_scene_at_rest_is_not_taken_for_a_camera_that_repeats():
     still, moved = np.zeros((4, 4), np.uint8), np.ones((4, 4), np.uint8)
-    assert not repeated([still] * 6 + [moved, moved], 6).any()
+    assert not repeated_frames([still] * 6 + [moved, moved], 6).any()
     noisy = [np.full((4, 4), k, np.uint8) for k in range(6)]
-    assert repeated([*noisy, moved, moved], 6).sum() == 1
+    assert repeated_frames([*noisy, moved, moved], 6).sum() == 1
 
 
 def test_a_camera_that_dies_says_when_and_the_film_is_not_trusted(plugged):
@@ -118,33 +139,45 @@ def test_a_camera_that_dies_says_when_and_the_film_is_not_trusted(plugged):
     assert made.summary["frames_dropped"] >= 24  # of 0.8 s
 
 
-def test_a_camera_that_dies_before_the_first_frame_is_refused_before_anything_moves(plugged):
+def test_a_camera_that_dies_before_the_first_frame_is_refused_before_anything_moves(
+    plugged,
+):
     sensor = Sensor(dies=0)
     with plugged(sensor) as camera:
         sensor.film()
-        with pytest.raises(HardwareError, match=r"no frame came \(it gives no more frames\)"):
+        with pytest.raises(
+            HardwareError, match=r"no frame came \(it gives no more frames\)"
+        ):
             camera.start()
 
 
 @pytest.mark.parametrize("where", ["grab", "retrieve"])
-def test_whatever_goes_wrong_while_a_frame_is_taken_is_told(plugged, monkeypatch, where):
+def test_whatever_goes_wrong_while_a_frame_is_taken_is_told(
+    plugged, monkeypatch, where
+):
     sensor = Sensor()
     with plugged(sensor) as camera:
         monkeypatch.setattr(sensor, where, lambda: 1 // 0)
-        with pytest.raises(HardwareError, match=r"no frame came \(integer division or modulo by zero\)"):
+        with pytest.raises(
+            HardwareError, match=r"no frame came \(integer division or modulo by zero\)"
+        ):
             camera.start()
     assert sensor.released
 
 
-def test_an_image_that_cannot_be_made_grey_ends_the_film_with_the_reason(plugged, monkeypatch):
-    """And nobody waits for ever for room in the queue: whoever takes frames ends as well."""
-    monkeypatch.setattr(filming, "ROOM", 1)
+def test_an_image_that_cannot_be_made_grey_ends_the_film_with_the_reason(
+    plugged, monkeypatch
+):
+    """And nobody waits for ever for room in the queue: whoever takes frames ends as
+    well.
+    """
+    monkeypatch.setattr(filming, "QUEUE_FRAMES", 1)
     sensor = Sensor()
     with plugged(sensor) as camera:
         sensor.film()
         camera.start()
         begun = time.monotonic()
-        monkeypatch.setattr(filming, "grey", lambda image: {}["format"])
+        monkeypatch.setattr(filming, "to_grey", lambda image: {}["format"])
         time.sleep(0.3)
         made, threads = camera.stop(begun), camera.film.threads
         assert not any(thread.is_alive() for thread in threads)
@@ -154,7 +187,7 @@ def test_an_image_that_cannot_be_made_grey_ends_the_film_with_the_reason(plugged
 
 
 def test_a_device_that_hangs_is_let_go_of_once_it_does_not(plugged, monkeypatch):
-    monkeypatch.setattr(filming, "LAST", 0.1)
+    monkeypatch.setattr(filming, "READ_TIMEOUT_S", 0.1)
     sensor = Sensor(held={5: 2.0})
     with plugged(sensor) as camera:
         sensor.film()
@@ -197,15 +230,18 @@ def test_a_camera_that_hangs_is_not_waited_for(plugged):
 
 
 def test_a_host_that_is_too_slow_loses_frames_and_says_so(plugged, monkeypatch):
-    monkeypatch.setattr(filming, "ROOM", 2)
-    monkeypatch.setattr(filming, "grey", lambda image: time.sleep(0.06) or image[..., 0])
+    monkeypatch.setattr(filming, "QUEUE_FRAMES", 2)
+    monkeypatch.setattr(
+        filming, "to_grey", lambda image: time.sleep(0.06) or image[..., 0]
+    )
     sensor = Sensor()
     made, _ = film(plugged(sensor), sensor)
     assert "the host was too slow for" in made.summary["remarks"]
     assert made.summary["frames_dropped"] > 10
 
 
-# --- what a device is told --------------------------------------------------------------------------------------------
+# --- what a device is told
+# --------------------------------------------------------------------------------------------
 
 
 def test_controls_are_set_and_read_back(plugged):
@@ -220,7 +256,10 @@ def test_a_camera_that_ignores_its_exposure_is_refused_by_name(plugged):
     sensor = Sensor()
     sensor.ignored = {cv2.CAP_PROP_EXPOSURE}
     sensor.properties = {cv2.CAP_PROP_EXPOSURE: 156.0}
-    with pytest.raises(HardwareError, match=r"source\.controls\.EXPOSURE is 10, the driver reports 156\. Set it to"):
+    with pytest.raises(
+        HardwareError,
+        match=r"source\.controls\.EXPOSURE is 10, the driver reports 156\. Set it to",
+    ):
         plugged(sensor, controls=CONTROLS).__enter__()
     assert sensor.released
 
@@ -235,7 +274,9 @@ def test_a_driver_that_can_report_nothing_is_remarked_upon(plugged):
 def test_exposure_that_is_still_changing_is_remarked_upon(plugged):
     class Brightening(Sensor):
         def picture(self, number):
-            return np.clip(super().picture(number) + 0.5 * number, 0, 255).astype(np.uint8)
+            return np.clip(super().picture(number) + 0.5 * number, 0, 255).astype(
+                np.uint8
+            )
 
     sensor = Brightening()
     with plugged(sensor) as camera:
@@ -248,16 +289,24 @@ class Deep(Sensor):
 
 
 REFUSED = {
-    "size": (Sensor(size=(64, 48)), "asked for 32x24 and gives 64x48. Set camera.width"),
+    "size": (
+        Sensor(size=(64, 48)),
+        "asked for 32x24 and gives 64x48. Set camera.width",
+    ),
     "rate": (Sensor(fps=30.0), r"[23]\d\.\d frames come in a second, camera.fps is 50"),
     "frozen": (Sensor(again=range(-10000, 10000)), "all the same to the bit"),
     "dead": (Sensor(dies=0), r"0 frame\(s\) came"),
-    "deep": (Deep(), r"images are uint16 of shape \(24, 32, 3\), neither grey nor BGR of 8 bits"),
+    "deep": (
+        Deep(),
+        r"images are uint16 of shape \(24, 32, 3\), neither grey nor BGR of 8 bits",
+    ),
 }
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_a_device_that_gives_something_else_is_refused_before_anything_moves(plugged, kind):
+def test_a_device_that_gives_something_else_is_refused_before_anything_moves(
+    plugged, kind
+):
     sensor, words = REFUSED[kind]
     sensor.film()
     with pytest.raises(HardwareError, match=words):
@@ -272,12 +321,15 @@ def test_stills_are_taken_at_intervals_once_a_person_is_ready(plugged):
     assert 4 <= len(stills) <= 6
 
 
-# --- files that stand in for a device ---------------------------------------------------------------------------------
+# --- files that stand in for a device
+# ---------------------------------------------------------------------------------
 
 
 def test_a_folder_and_a_video_are_played_at_the_cameras_rate(tmp_path):
     sensor = Sensor()
-    video = cv2.VideoWriter(str(tmp_path / "film.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (32, 24))
+    video = cv2.VideoWriter(
+        str(tmp_path / "film.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (32, 24)
+    )
     for number in range(60):
         cv2.imwrite(str(tmp_path / f"{number:03d}.png"), sensor.picture(number))
         video.write(sensor.picture(number))
@@ -302,28 +354,37 @@ def test_a_folder_without_images_and_images_of_another_size_are_refused(tmp_path
         FilmingCamera(CAMERA, ImageFolder(tmp_path), 0.0).__enter__()
 
 
-# --- the schedule, by numbers -----------------------------------------------------------------------------------------
+# --- the schedule, by numbers
+# -----------------------------------------------------------------------------------------
 
 
 def jittered(rng, jitter, heavy, lost):
-    """Numbers and times of 200 frames at 199.4 Hz: late by chance [periods], some by one and a half, some lost."""
+    """Numbers and times of 200 frames at 199.4 Hz: late by chance [periods], some by
+    one and a half, some lost.
+    """
     n = np.flatnonzero(rng.random(200) >= lost)
     late = rng.exponential(jitter, len(n)) + 1.5 * (rng.random(len(n)) < heavy)
     return n, np.maximum.accumulate(3.0 + (n + late) * 0.005015)
 
 
-# Shares measured with twenty seeds: 0, 0, 0.0010, 0.0032, 0.011; a frame later than its successor is due, which itself
-# was lost, cannot be told from it.
+# Shares measured with twenty seeds: 0, 0, 0.0010, 0.0032, 0.011; a frame later than its
+# successor is due, which itself was lost, cannot be told from it.
 @pytest.mark.parametrize(
     ("jitter", "heavy", "lost", "wrong"),
-    [(1e-9, 0, 0.3, 0), (0.1, 0, 0, 0), (0.2, 0, 0.05, 0.004), (0.3, 0, 0.05, 0.01), (0.2, 0.05, 0.1, 0.025)],
+    [
+        (1e-9, 0, 0.3, 0),
+        (0.1, 0, 0, 0),
+        (0.2, 0, 0.05, 0.004),
+        (0.3, 0, 0.05, 0.01),
+        (0.2, 0.05, 0.1, 0.025),
+    ],
 )
 def test_numbers_come_back_from_jittered_times(jitter, heavy, lost, wrong):
     rng = np.random.default_rng(1)
     missed, total = 0, 0
     for _ in range(10):
         n, t = jittered(rng, jitter, heavy, lost)
-        found = fitted(t, 0.005)
+        found = fit_schedule(t, 0.005)
         shift = np.median(found.numbers - n)
         missed, total = missed + int((found.numbers - shift != n).sum()), total + len(n)
         assert found.period == pytest.approx(0.005015, rel=1e-3)
@@ -333,23 +394,29 @@ def test_numbers_come_back_from_jittered_times(jitter, heavy, lost, wrong):
 
 
 def test_a_counter_that_poses_as_a_clock_is_not_believed():
-    """Some backends give the frame's number times a nominal period: it hides what was dropped."""
+    """Some backends give the frame's number times a nominal period: it hides what was
+    dropped.
+    """
     t = np.delete(np.arange(100), [30, 31, 32, 33]) * 0.005
-    frames = [Frame(5.0 + at, (k + 1) * 0.005, np.full((2, 2), k, np.uint8)) for k, at in enumerate(t)]
-    made = recording(Film(frames, 0.495, "", ()), 5.0, 0.0, 0.005, 0.02)
+    frames = [
+        Frame(5.0 + at, (k + 1) * 0.005, np.full((2, 2), k, np.uint8))
+        for k, at in enumerate(t)
+    ]
+    made = build_recording(RawFilm(frames, 0.495, "", ()), 5.0, 0.0, 0.005, 0.02)
     np.testing.assert_allclose(made.t, t, atol=1e-6)
     assert made.summary["frames_dropped"] == 4
 
 
 @pytest.mark.parametrize("clock", [np.nan, 100.0])
 def test_late_frames_are_put_where_they_were_exposed(clock):
-    """All come 30 ms after their exposure, every fifth 13 ms later by chance of the bus; late is not lost. clock: by
-    which the source stamps them, if it does."""
+    """All come 30 ms after their exposure, every fifth 13 ms later by chance of the
+    bus; late is not lost. clock: by which the source stamps them, if it does.
+    """
     due = np.arange(40) * 0.02
     held = np.where(np.arange(40) % 5 == 3, 0.013, 0.0)
     came = zip(7.03 + due + held, clock + due, strict=True)
     frames = [Frame(*when, np.full((2, 2), k, np.uint8)) for k, when in enumerate(came)]
-    made = recording(Film(frames, 0.785, "", ()), 7.0, 0.03, 0.02, 0.0)
+    made = build_recording(RawFilm(frames, 0.785, "", ()), 7.0, 0.03, 0.02, 0.0)
     np.testing.assert_allclose(made.t, due, atol=1e-9)
     np.testing.assert_allclose(made.counts["late"], held, atol=1e-9)
     assert made.summary["frames_late"] == 8
@@ -359,6 +426,14 @@ def test_late_frames_are_put_where_they_were_exposed(clock):
 def test_a_check_of_stored_frames_tells_of_those_that_are_missing():
     t = np.delete(np.arange(100), [30, 31, 60]) * 0.005
     films = {"t01": SimpleNamespace(t=t), "t02": SimpleNamespace(t=t[:20])}
-    (finding,) = dropped(SimpleNamespace(data=SimpleNamespace(films=films), file=lambda name: f"{name}.parquet"))
+    (finding,) = dropped(
+        SimpleNamespace(
+            data=SimpleNamespace(films=films), file=lambda name: f"{name}.parquet"
+        )
+    )
     assert finding.said == "3 of 100 frames are missing (3.0%)"
-    assert (finding.severity, finding.file, finding.trials) == (Severity.WARNING, "frames.parquet", ("t01",))
+    assert (finding.severity, finding.file, finding.trials) == (
+        Severity.WARNING,
+        "frames.parquet",
+        ("t01",),
+    )

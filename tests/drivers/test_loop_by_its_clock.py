@@ -1,4 +1,6 @@
-"""When the loop sends, how long it waits and where each limit lies, by a clock of our own: nothing here takes time."""
+"""When the loop sends, how long it waits and where each limit lies, by a clock of our
+own: nothing here takes time.
+"""
 
 from types import SimpleNamespace
 
@@ -9,8 +11,8 @@ from test_velocity_loop import Script
 
 from stringcast.hardware.arm import Driving, VelocityArm, clock, device, loop
 from stringcast.hardware.arm.limits import Workspace, check_movement
-from stringcast.hardware.arm.loop import DRAIN, Guard, blank, play
-from stringcast.pipeline.settings import UserError, build
+from stringcast.hardware.arm.loop import DRAIN_S, Guard, play, reserve_log
+from stringcast.pipeline.settings.typed_settings import UserError, build_dataclass
 from stringcast.stages.execute.interfaces import HardwareError
 
 LOOK = 1e-6  # [s] that a look at the clock takes
@@ -31,12 +33,16 @@ def now(monkeypatch):
         time.now += seconds
 
     for module in (loop, clock, device):
-        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=monotonic, sleep=sleep))
+        monkeypatch.setattr(
+            module, "time", SimpleNamespace(monotonic=monotonic, sleep=sleep)
+        )
     return time
 
 
 class Timed(Script):
-    """Notes when each command was sent. late: seconds by which each answer comes after its command, by its number."""
+    """Notes when each command was sent. late: seconds by which each answer comes after
+    its command, by its number.
+    """
 
     def __init__(self, now, late=lambda number: 0.0):
         super().__init__()
@@ -50,7 +56,9 @@ class Timed(Script):
 
     def answers(self):
         here = [answer for moment, answer in self.coming if moment <= self.now.now]
-        self.coming = [(moment, answer) for moment, answer in self.coming if moment > self.now.now]
+        self.coming = [
+            (moment, answer) for moment, answer in self.coming if moment > self.now.now
+        ]
         return here
 
 
@@ -59,7 +67,7 @@ def guard(misses=4, astray=0.5, pressed=lambda: ""):
 
 
 def played(wire, speeds, **how):
-    log = blank(np.zeros(3), speeds, ARM.tick)
+    log = reserve_log(np.zeros(3), speeds, ARM.tick)
     play(wire, log, guard(**how), 0)
     return log
 
@@ -67,7 +75,9 @@ def played(wire, speeds, **how):
 def test_the_first_tick_goes_out_after_two_and_each_other_at_its_own_moment(now):
     wire, begun = Timed(now), now.now
     log = played(wire, np.zeros((10, 3)))
-    np.testing.assert_allclose(wire.at, begun + (2 + np.arange(10)) * ARM.tick, atol=1e-4)
+    np.testing.assert_allclose(
+        wire.at, begun + (2 + np.arange(10)) * ARM.tick, atol=1e-4
+    )
     np.testing.assert_allclose(log.sent, np.arange(10) * ARM.tick, atol=1e-4)
     assert (log.sent >= log.due).all()
 
@@ -84,11 +94,13 @@ def test_a_tick_that_is_late_delays_no_other(now):
     np.testing.assert_allclose(late, [0, 0, 0, 0, 0.007, 0.002, 0, 0, 0, 0], atol=2e-4)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.003, 0.004, 0.9 * DRAIN])
+@pytest.mark.parametrize("late", [0.0, 0.003, 0.004, 0.9 * DRAIN_S])
 def test_the_last_answers_are_waited_for(now, late):
     log = played(Timed(now, lambda number: late), np.zeros((5, 3)), misses=20)
     took = log.acknowledged - log.sent
-    assert ((took > late - 1e-9) & (took < late + clock.SPIN + loop.POLL + 1e-4)).all()
+    assert (
+        (took > late - 1e-9) & (took < late + clock.SPIN_S + loop.POLL_S + 1e-4)
+    ).all()
 
 
 def test_answers_that_never_come_are_waited_for_no_longer_than_stated(now):
@@ -96,9 +108,10 @@ def test_answers_that_never_come_are_waited_for_no_longer_than_stated(now):
     log = played(wire, np.zeros((5, 3)))
     assert list(log.waiting.values()) == [3, 4]
     assert np.isnan(log.acknowledged[3:]).all()
-    assert now.now - wire.at[-1] == pytest.approx(DRAIN, abs=5e-4)
-    assert now.slept.count(loop.POLL) > 0.9 * DRAIN / loop.POLL  # asleep, not watching the clock
-    assert DRAIN == 0.05
+    assert now.now - wire.at[-1] == pytest.approx(DRAIN_S, abs=5e-4)
+    # asleep, not watching the clock
+    assert now.slept.count(loop.POLL_S) > 0.9 * DRAIN_S / loop.POLL_S
+    assert DRAIN_S == 0.05
 
 
 def test_nobody_waits_where_all_have_answered(now):
@@ -108,7 +121,9 @@ def test_nobody_waits_where_all_have_answered(now):
 
 
 def test_answers_are_looked_at_even_where_the_loop_is_late(now):
-    """Between ticks that are overdue: else silence would be told of a device that answers."""
+    """Between ticks that are overdue: else silence would be told of a device that
+    answers.
+    """
 
     def stall(answer):
         now.now += 0.02
@@ -120,7 +135,9 @@ def test_answers_are_looked_at_even_where_the_loop_is_late(now):
     assert np.isfinite(log.acknowledged).all()
 
 
-@pytest.mark.parametrize(("speed", "ticks"), [(0.0, 1), (1.5, 1), (1.6, 2), (3.0, 2), (4.6, 4), (-4.6, 4)])
+@pytest.mark.parametrize(
+    ("speed", "ticks"), [(0.0, 1), (1.5, 1), (1.6, 2), (3.0, 2), (4.6, 4), (-4.6, 4)]
+)
 def test_it_slows_to_rest_as_the_acceleration_asks_tick_by_tick(now, speed, ticks):
     """300 rad/s2 in 5 ms are 1.5 rad/s; the fastest joint says how long it takes."""
     wire = Timed(now)
@@ -128,25 +145,41 @@ def test_it_slows_to_rest_as_the_acceleration_asks_tick_by_tick(now, speed, tick
     wire.send = lambda speeds: (Script.send(wire, speeds), wire.at.append(now.now))[0]
     wire.answers = list
     asked = np.tile([0.2 * speed, speed, 0.0], (10, 1))
-    with pytest.raises(HardwareError, match=r"no answer for 5 ticks at 0\.025 s; it was brought to rest"):
+    with pytest.raises(
+        HardwareError,
+        match=r"no answer for 5 ticks at 0\.025 s; it was brought to rest",
+    ):
         played(wire, asked)
     ramp = np.array(wire.sent[6:])
-    np.testing.assert_allclose(ramp, asked[0] * (1 - np.arange(1, ticks + 1)[:, None] / ticks), atol=1e-12)
+    np.testing.assert_allclose(
+        ramp, asked[0] * (1 - np.arange(1, ticks + 1)[:, None] / ticks), atol=1e-12
+    )
     np.testing.assert_allclose(np.diff(wire.at[5:]), ARM.tick, atol=1e-4)
     assert wire.said == ["stop"]
 
 
 def after(leap, between=0.005, **how):
-    """What the guard says where joint 3 has turned by `leap` [rad] between two answers `between` [s] apart."""
-    log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
-    log.clock[:2], log.angles[:2], log.judged, log.last = [7.0, 7.0 + between], 0.0, 0, 1
+    """What the guard says where joint 3 has turned by `leap` [rad] between two answers
+    `between` [s] apart.
+    """
+    log = reserve_log(np.zeros(3), np.zeros((4, 3)), ARM.tick)
+    log.device_time[:2], log.angles[:2], log.last_checked, log.last_answered = (
+        [7.0, 7.0 + between],
+        0.0,
+        0,
+        1,
+    )
     log.angles[1, 2] = leap
     return guard(**{"astray": 10.0, **how}).reason(log, 2)
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize(("between", "most"), [(0.0, 0.22), (0.005, 0.22), (0.010, 0.42), (0.025, 1.02)])
-def test_an_encoder_may_turn_twice_as_fast_as_the_arm_and_by_its_noise(between, most, sign):
+@pytest.mark.parametrize(
+    ("between", "most"), [(0.0, 0.22), (0.005, 0.22), (0.010, 0.42), (0.025, 1.02)]
+)
+def test_an_encoder_may_turn_twice_as_fast_as_the_arm_and_by_its_noise(
+    between, most, sign
+):
     """2 x 20 rad/s over the time between, a tick at least, and 0.02 rad."""
     assert after(sign * (most - 1e-6), between) == ""
     assert after(sign * (most + 1e-6), between) == "the encoder of joint 3 jumped"
@@ -155,8 +188,13 @@ def test_an_encoder_may_turn_twice_as_fast_as_the_arm_and_by_its_noise(between, 
 @pytest.mark.parametrize("jump", [1, 2, 3])
 def test_a_jump_shows_among_answers_that_came_at_once(jump):
     """As where this computer was late: a look each tick is not a look at each answer."""
-    log = blank(np.zeros(3), np.zeros((5, 3)), ARM.tick)
-    log.clock[:4], log.angles[:4], log.judged, log.last = 7.0 + 0.005 * np.arange(4), 0.0, 0, 3
+    log = reserve_log(np.zeros(3), np.zeros((5, 3)), ARM.tick)
+    log.device_time[:4], log.angles[:4], log.last_checked, log.last_answered = (
+        7.0 + 0.005 * np.arange(4),
+        0.0,
+        0,
+        3,
+    )
     assert guard(astray=10.0).reason(log, 4) == ""
     log.angles[jump:4, 1] = 0.3
     assert guard(astray=10.0).reason(log, 4) == "the encoder of joint 2 jumped"
@@ -167,10 +205,13 @@ def test_a_joint_may_be_as_far_astray_as_stated():
     assert after(-0.1000001, astray=0.1) == "joint 3 is 0.10 rad from where it was sent"
 
 
-@pytest.mark.parametrize(("last", "reason"), [(3, ""), (2, "no answer for 5 ticks"), (-1, "no answer for 8 ticks")])
+@pytest.mark.parametrize(
+    ("last", "reason"),
+    [(3, ""), (2, "no answer for 5 ticks"), (-1, "no answer for 8 ticks")],
+)
 def test_so_many_ticks_may_stay_unanswered(last, reason):
-    log = blank(np.zeros(3), np.zeros((10, 3)), ARM.tick)
-    log.last, log.angles[:], log.clock[:] = last, 0.0, 0.0
+    log = reserve_log(np.zeros(3), np.zeros((10, 3)), ARM.tick)
+    log.last_answered, log.angles[:], log.device_time[:] = last, 0.0, 0.0
     assert guard().reason(log, 8) == reason
 
 
@@ -178,22 +219,35 @@ def test_an_answer_to_nothing_and_one_that_comes_twice_change_nothing(now):
     wire = Timed(now)
     log = played(wire, np.zeros((5, 3)))
     before = log.acknowledged.copy()
-    loop._note(log, wire.spoil(SimpleNamespace(number=2, clock=9.0, held="", angles=(9.0, 9.0, 9.0))))
-    loop._note(log, SimpleNamespace(number=77, clock=9.0, held="no", angles=(9.0, 9.0, 9.0)))
+    loop._record_answer(
+        log,
+        wire.spoil(
+            SimpleNamespace(number=2, clock=9.0, held="", angles=(9.0, 9.0, 9.0))
+        ),
+    )
+    loop._record_answer(
+        log, SimpleNamespace(number=77, clock=9.0, held="no", angles=(9.0, 9.0, 9.0))
+    )
     assert (log.acknowledged == before).all()
     assert (log.last, log.held) == (4, "")
 
 
 def test_an_answer_that_was_overtaken_is_kept_but_is_not_the_latest(now):
-    log = blank(np.zeros(3), np.zeros((5, 3)), ARM.tick)
-    log.waiting = {0: 0, 1: 1, 2: 2}
+    log = reserve_log(np.zeros(3), np.zeros((5, 3)), ARM.tick)
+    log.pending_ticks = {0: 0, 1: 1, 2: 2}
     for number in (0, 2, 1):
-        loop._note(log, SimpleNamespace(number=number, clock=0.1 * number, held="", angles=(0.1 * number,) * 3))
-    assert log.last == 2
-    np.testing.assert_allclose(log.clock[:3], [0.0, 0.1, 0.2])
+        loop._record_answer(
+            log,
+            SimpleNamespace(
+                number=number, clock=0.1 * number, held="", angles=(0.1 * number,) * 3
+            ),
+        )
+    assert log.last_answered == 2
+    np.testing.assert_allclose(log.device_time[:3], [0.0, 0.1, 0.2])
 
 
-# --- the device ---------------------------------------------------------------------------
+# --- the device
+# ---------------------------------------------------------------------------
 
 
 def arm(wire, **changed):
@@ -214,12 +268,18 @@ class Slow(Script):
 
 
 def test_a_link_is_tried_fifty_times_and_its_median_counts(now):
-    for trips, good in (([0.002] * 3, True), ([0.001, 0.001, 0.3], True), ([0.0021] * 3, False)):
+    for trips, good in (
+        ([0.002] * 3, True),
+        ([0.001, 0.001, 0.3], True),
+        ([0.0021] * 3, False),
+    ):
         wire = Slow(now, trips)
         link = arm(wire, round_trip=0.002 + 2 * LOOK)
         if good:
             with link:
-                np.testing.assert_allclose(np.sort(link.trips), np.sort(np.resize(trips, 50)), atol=1e-5)
+                np.testing.assert_allclose(
+                    np.sort(link.trips), np.sort(np.resize(trips, 50)), atol=1e-5
+                )
         else:
             said = r"a round trip takes 2\.1 ms \(99 %: 2\.1, longest: 2\.1 ms\), allowed are 2\.0"
             with pytest.raises(HardwareError, match=said), link:
@@ -248,9 +308,12 @@ def test_it_waits_for_the_string_after_it_went_to_a_pose(now):
 
 
 @pytest.mark.parametrize(
-    ("way", "ticks"), [(0.0049, 0), (0.0051, 20), (0.2, int(np.ceil(0.2 * np.pi / 2 / 2.0 / 0.005)))]
+    ("way", "ticks"),
+    [(0.0049, 0), (0.0051, 20), (0.2, int(np.ceil(0.2 * np.pi / 2 / 2.0 / 0.005)))],
 )
-def test_a_way_takes_as_long_as_its_speed_asks_and_at_least_twenty_ticks(now, way, ticks):
+def test_a_way_takes_as_long_as_its_speed_asks_and_at_least_twenty_ticks(
+    now, way, ticks
+):
     """A way of less than a quarter of the tolerance is none."""
     wire = Timed(now)
     arm(wire).move_to((0.0, 0.0, way))
@@ -266,7 +329,9 @@ def test_a_pose_that_is_not_reached_is_gone_to_three_times(now):
     assert wire.pose[2] == pytest.approx(0.4 * (1 - 0.5**3))
 
 
-@pytest.mark.parametrize(("start", "off"), [(0.0, -0.02), (0.7, 0.0199), (0.7, -0.0201), (-0.7, 0.03)])
+@pytest.mark.parametrize(
+    ("start", "off"), [(0.0, -0.02), (0.7, 0.0199), (0.7, -0.0201), (-0.7, 0.03)]
+)
 def test_a_movement_begins_where_it_is_told_within_the_tolerance(now, start, off):
     wire = Timed(now)
     begins = movement().assign(q2=lambda table: table["q2"] + start)
@@ -275,7 +340,10 @@ def test_a_movement_begins_where_it_is_told_within_the_tolerance(now, start, off
         with arm(wire) as driven:
             assert len(driven.perform(begins).ticks) == len(begins)
     else:
-        with pytest.raises(HardwareError, match=rf"{np.degrees(abs(off)):.1f} degrees from the movement's start"):
+        with pytest.raises(
+            HardwareError,
+            match=rf"{np.degrees(abs(off)):.1f} degrees from the movement's start",
+        ):
             arm(wire).perform(begins)
         assert not wire.sent
 
@@ -285,8 +353,13 @@ def test_the_emergency_stop_holds_until_it_is_cleared_and_limits_are_set_again(n
     driven = arm(wire)
     driven._test_link()
     driven.press("button")
-    for act in (lambda: driven.move_to((0.0, 0.3, 0.0)), lambda: driven.perform(movement())):
-        with pytest.raises(HardwareError, match=r"latched by the emergency stop \(button\)"):
+    for act in (
+        lambda: driven.move_to((0.0, 0.3, 0.0)),
+        lambda: driven.perform(movement()),
+    ):
+        with pytest.raises(
+            HardwareError, match=r"latched by the emergency stop \(button\)"
+        ):
             act()
     driven.clear()
     assert wire.said == ["clear"]
@@ -302,7 +375,8 @@ def test_a_movement_is_placed_in_time_by_its_first_command(now):
     assert not made.ticks["missed"].any()
 
 
-# --- limits -------------------------------------------------------------------------------
+# --- limits
+# -------------------------------------------------------------------------------
 
 BOUNDS = {  # of each setting: what is just allowed, and what is just not
     "round_trip": ([1e-9], [0.0, -1.0]),
@@ -321,21 +395,34 @@ def test_what_cannot_be_driven_by_is_refused(name):
     block = {**vars(DRIVING), "workspace": {"low": [-0.4, -0.4], "high": [0.8, 0.8]}}
     good, bad = BOUNDS[name]
     for value in good:
-        assert getattr(build(Driving, {**block, name: value}, "driving", "here"), name) == value
+        assert (
+            getattr(
+                build_dataclass(Driving, {**block, name: value}, "driving", "here"),
+                name,
+            )
+            == value
+        )
     for value in bad:
         with pytest.raises(UserError, match=rf"driving\.{name}"):
-            build(Driving, {**block, name: value}, "driving", "here")
+            build_dataclass(Driving, {**block, name: value}, "driving", "here")
 
 
 def swung(share, joint=1):
-    """Angles of a joint that speeds up to a share of its limit, within its acceleration."""
+    """Angles of a joint that speeds up to a share of its limit, within its
+    acceleration.
+    """
     ticks = np.concatenate([np.linspace(0, 1, 20), np.linspace(1, 0, 20)])
     angles = np.zeros((41, 3))
     angles[1:, joint] = np.cumsum(share * ARM.speed[joint] * ticks) * ARM.tick
     return angles - angles[-1] / 2
 
 
-ROOMY = {"hand_speed": 1e3, "acceleration": (1e6,) * 3, "lowest": (-3.0,) * 3, "highest": (3.0,) * 3}
+ROOMY = {
+    "hand_speed": 1e3,
+    "acceleration": (1e6,) * 3,
+    "lowest": (-3.0,) * 3,
+    "highest": (3.0,) * 3,
+}
 ANYWHERE = Workspace((-9.0, -9.0), (9.0, 9.0))
 
 
@@ -353,11 +440,15 @@ def refused(limits, angles, workspace=ANYWHERE):
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_the_speed_may_be_reached_and_not_more(joint, sign):
     assert refused(ROOMY, sign * swung(1.0005, joint)) == ()
-    assert refused(ROOMY, sign * swung(1.0015, joint)) == ("arm.speed", 0.095)  # as it is fastest, in tick 19
+    # as it is fastest, in tick 19
+    assert refused(ROOMY, sign * swung(1.0015, joint)) == ("arm.speed", 0.095)
 
 
 def test_the_acceleration_may_be_reached_and_not_more():
-    change = np.abs(np.diff(ARM.commanded(swung(0.5)), axis=0, prepend=0.0)).max() / ARM.tick
+    change = (
+        np.abs(np.diff(ARM.commanded_velocities(swung(0.5)), axis=0, prepend=0.0)).max()
+        / ARM.tick
+    )
     for share, said in ((1.0005, ""), (1.0015, "arm.acceleration")):
         found = refused({**ROOMY, "acceleration": (change / share,) * 3}, swung(0.5))
         assert (found[0] if found else "") == said
@@ -367,7 +458,7 @@ def test_the_acceleration_may_be_reached_and_not_more():
 
 def test_the_hands_speed_may_be_reached_and_not_more():
     angles = swung(0.5, joint=0)
-    speed = ARM.commanded(angles)[:, 0].max() * ARM.reach  # outstretched
+    speed = ARM.commanded_velocities(angles)[:, 0].max() * ARM.reach  # outstretched
     for share, said in ((1.0005, ""), (1.0015, "arm.hand_speed")):
         found = refused({**ROOMY, "hand_speed": speed / share}, angles)
         assert (found[0] if found else "") == said
@@ -385,24 +476,32 @@ def test_the_ends_of_the_range_may_be_touched(end, joint):
     assert refused({**ROOMY, end: tuple(tight)}, angles)[0] == "arm.lowest"
 
 
-@pytest.mark.parametrize(("corner", "axis"), [("low", 0), ("low", 1), ("high", 0), ("high", 1)])
+@pytest.mark.parametrize(
+    ("corner", "axis"), [("low", 0), ("low", 1), ("high", 0), ("high", 1)]
+)
 def test_the_edge_of_the_workspace_may_be_touched_by_joints_and_hand(corner, axis):
     angles = np.zeros((3, 3)) + [0.5, 0.2, 0.2] + np.array([[0.0], [1e-4], [2e-4]])
     places = ARM.joints(angles)
     edge = {"low": [-9.0, -9.0], "high": [9.0, 9.0]}
     touched = places[..., axis].min() if corner == "low" else places[..., axis].max()
     edge[corner][axis] = float(touched)
-    assert refused(ROOMY, angles, Workspace(**{k: tuple(v) for k, v in edge.items()})) == ()
+    assert (
+        refused(ROOMY, angles, Workspace(**{k: tuple(v) for k, v in edge.items()}))
+        == ()
+    )
     edge[corner][axis] = float(touched + (1e-9 if corner == "low" else -1e-9))
     found = refused(ROOMY, angles, Workspace(**{k: tuple(v) for k, v in edge.items()}))
     assert found[0] == "hardware.driving.workspace"
 
 
 @pytest.mark.parametrize(
-    ("low", "high"), [((0.0, 0.0), (0.0, 1.0)), ((0.0, 0.0), (1.0, 0.0)), ((2.0, 0.0), (1.0, 1.0))]
+    ("low", "high"),
+    [((0.0, 0.0), (0.0, 1.0)), ((0.0, 0.0), (1.0, 0.0)), ((2.0, 0.0), (1.0, 1.0))],
 )
 def test_a_workspace_without_room_is_refused(low, high):
-    with pytest.raises(ValueError, match=r"each of workspace\.low must be below its workspace\.high"):
+    with pytest.raises(
+        ValueError, match=r"each of workspace\.low must be below its workspace\.high"
+    ):
         Workspace(low, high)
 
 

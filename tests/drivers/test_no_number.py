@@ -1,4 +1,6 @@
-"""What is no number stops an arm: every comparison of guard and start check fails safe. Nothing here waits for a clock."""
+"""What is no number stops an arm: every comparison of guard and start check fails safe.
+Nothing here waits for a clock.
+"""
 
 import math
 import struct
@@ -12,9 +14,15 @@ from rig import ARM, DRIVING, WORKSPACE, movement
 from stringcast.data.artifacts import JOINTS
 from stringcast.hardware.arm import VelocityArm
 from stringcast.hardware.arm.limits import Workspace, check_movement
-from stringcast.hardware.arm.loop import Guard, blank
-from stringcast.hardware.arm.record import performance
-from stringcast.hardware.serial.protocol import FrameError, Report, State, decode_answer, encode_answer
+from stringcast.hardware.arm.loop import Guard, reserve_log
+from stringcast.hardware.arm.record import build_performance
+from stringcast.hardware.serial.protocol import (
+    DeviceState,
+    FrameError,
+    Report,
+    decode_answer,
+    encode_answer,
+)
 from stringcast.stages.execute.interfaces import HardwareError
 
 BAD = [float("nan"), float("inf"), -float("inf")]
@@ -22,18 +30,18 @@ BAD = [float("nan"), float("inf"), -float("inf")]
 
 @pytest.mark.parametrize("bad", BAD)
 def test_an_angle_that_is_no_number_is_refused_where_it_is_decoded(bad):
-    good = Report(7, 5000, State.MOVING, (0.1, 0.2, 0.3))
+    good = Report(7, 5000, DeviceState.MOVING, (0.1, 0.2, 0.3))
     assert decode_answer(encode_answer(good)[:-1]).sequence == 7
     with pytest.raises(FrameError, match="encoder reports no number"):
         decode_answer(encode_answer(replace(good, angles=(0.1, bad, 0.3)))[:-1])
 
 
 def guarded(angles, astray=0.5, before=(0.0, 0.0, 0.0)):
-    log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
-    log.clock[:3] = [0.0, 0.005, 0.010]
+    log = reserve_log(np.zeros(3), np.zeros((4, 3)), ARM.tick)
+    log.device_time[:3] = [0.0, 0.005, 0.010]
     log.angles[1], log.angles[2] = before, angles
-    log.judged, log.last = 1, 2
-    return Guard(ARM, 4, astray, lambda: "").reason(log, 3)
+    log.last_checked, log.last_answered = 1, 2
+    return Guard(ARM, 4, astray, lambda: "").stop_reason(log, 3)
 
 
 @pytest.mark.parametrize("joint", range(3))
@@ -43,16 +51,19 @@ def test_the_guard_stops_for_what_is_no_number(bad, joint):
     assert guarded(angles) == ""
     angles[joint] = bad
     assert guarded(angles) == "an encoder reports no number"
-    assert guarded(np.zeros(3), before=angles).startswith(f"the encoder of joint {joint + 1} jumped") or not np.isnan(
-        bad
-    )
+    assert guarded(np.zeros(3), before=angles).startswith(
+        f"the encoder of joint {joint + 1} jumped"
+    ) or not np.isnan(bad)
     assert guarded(np.zeros(3), astray=float("nan")) != ""
 
 
 def test_the_guard_looks_at_the_first_answer_too():
-    log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
-    log.clock[0], log.angles[0], log.last = 0.0, np.nan, 0
-    assert Guard(ARM, 4, 0.5, lambda: "").reason(log, 0) == "an encoder reports no number"
+    log = reserve_log(np.zeros(3), np.zeros((4, 3)), ARM.tick)
+    log.device_time[0], log.angles[0], log.last_answered = 0.0, np.nan, 0
+    assert (
+        Guard(ARM, 4, 0.5, lambda: "").stop_reason(log, 0)
+        == "an encoder reports no number"
+    )
 
 
 class Wire:
@@ -73,7 +84,10 @@ class Wire:
 @pytest.mark.parametrize("bad", BAD)
 def test_no_movement_starts_from_what_is_no_number(bad):
     arm = VelocityArm(ARM, Wire([0.0, bad, 0.0]), DRIVING)
-    for begin in (lambda: arm.perform(movement()), lambda: arm.move_to([0.1, 0.1, 0.1])):
+    for begin in (
+        lambda: arm.perform(movement()),
+        lambda: arm.move_to([0.1, 0.1, 0.1]),
+    ):
         with pytest.raises(HardwareError, match="encoder reports no number"):
             begin()
 
@@ -92,11 +106,18 @@ def test_a_limit_that_is_no_number_lets_nothing_pass(limits):
     angles = movement()[list(JOINTS)].to_numpy()
     check_movement(ARM, WORKSPACE, angles)
     values = SimpleNamespace(
-        **{**{f: getattr(ARM, f) for f in ("lowest", "highest", "speed", "acceleration")}, **limits}
+        **{
+            **{
+                f: getattr(ARM, f)
+                for f in ("lowest", "highest", "speed", "acceleration")
+            },
+            **limits,
+        }
     )
     arm = SimpleNamespace(
-        **vars(values) | {"tick": ARM.tick, "hand_speed": limits.get("hand_speed", ARM.hand_speed)},
-        commanded=ARM.commanded,
+        **vars(values)
+        | {"tick": ARM.tick, "hand_speed": limits.get("hand_speed", ARM.hand_speed)},
+        commanded=ARM.commanded_velocities,
         grasp_velocity=ARM.grasp_velocity,
         joints=ARM.joints,
     )
@@ -111,16 +132,26 @@ def test_a_workspace_that_is_no_number_is_refused():
 
 
 def test_a_link_whose_times_are_no_numbers_is_refused():
-    for driving, watchdog in ((replace(DRIVING, round_trip=math.nan), 0.25), (DRIVING, math.nan)):
+    for driving, watchdog in (
+        (replace(DRIVING, round_trip=math.nan), 0.25),
+        (DRIVING, math.nan),
+    ):
         with pytest.raises(HardwareError, match=r"round trip|watchdog"):
             VelocityArm(ARM, Wire([0.0] * 3, watchdog), driving)._test_link()
 
 
 def test_a_tick_that_was_never_sent_counts_as_missed():
-    log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
-    log.sent[:], log.acknowledged[:], log.clock[:], log.angles[:] = log.due, log.due, log.due, 0.0
+    log = reserve_log(np.zeros(3), np.zeros((4, 3)), ARM.tick)
+    log.sent[:], log.acknowledged[:], log.device_time[:], log.angles[:] = (
+        log.due,
+        log.due,
+        log.due,
+        0.0,
+    )
     log.sent[2] = np.nan
-    assert performance(log, 0.0, 0.1, 0.5, np.ones(3)).ticks["missed"].tolist() == [False, False, True, False]
+    assert build_performance(log, 0.0, 0.1, 0.5, np.ones(3)).ticks[
+        "missed"
+    ].tolist() == [False, False, True, False]
 
 
 def test_the_answer_is_as_long_as_the_specification_says():
@@ -128,13 +159,19 @@ def test_the_answer_is_as_long_as_the_specification_says():
 
 
 def test_the_guard_looks_from_the_first_answer_to_the_second():
-    log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
-    log.clock[:2], log.angles[:2] = [0.0, 0.005], [[0.0] * 3, [0.0, 0.0, 1.0]]
-    log.judged, log.last = 0, 1
-    assert Guard(ARM, 4, 2.0, lambda: "").reason(log, 1).startswith("the encoder of joint 3 jumped")
+    log = reserve_log(np.zeros(3), np.zeros((4, 3)), ARM.tick)
+    log.device_time[:2], log.angles[:2] = [0.0, 0.005], [[0.0] * 3, [0.0, 0.0, 1.0]]
+    log.last_checked, log.last_answered = 0, 1
+    assert (
+        Guard(ARM, 4, 2.0, lambda: "")
+        .stop_reason(log, 1)
+        .startswith("the encoder of joint 3 jumped")
+    )
 
 
 def test_where_an_arm_is_expected_is_the_sum_of_all_velocities_before():
     speeds = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]])
     expected = [[0.5, 0.5, 0.5], [0.505, 0.5, 0.5], [0.505, 0.51, 0.5]]
-    np.testing.assert_allclose(blank(np.full(3, 0.5), speeds, 0.005).expected, expected)
+    np.testing.assert_allclose(
+        reserve_log(np.full(3, 0.5), speeds, 0.005).expected, expected
+    )

@@ -1,4 +1,6 @@
-"""Rehearsals: nothing moves, or moves slowly, or only in an emulator, and nobody learns from it."""
+"""Rehearsals: nothing moves, or moves slowly, or only in an emulator, and nobody learns
+from it.
+"""
 
 from dataclasses import replace
 
@@ -9,10 +11,10 @@ from rig import DRIVING, WORKSPACE
 
 from stringcast.data.artifacts import JOINTS, SPEEDS
 from stringcast.hardware.serial.rehearsal import open_lab
-from stringcast.hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
+from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench, VirtualCamera
 from stringcast.hardware.virtual.obstacles import Obstacles
 from stringcast.hardware.virtual.render import Look
-from stringcast.hardware.virtual.servo import Servo
+from stringcast.hardware.virtual.servo import VirtualServo
 from stringcast.stages.execute.dry_run import dry, slow, slowed
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.execute.interfaces import HardwareError
@@ -22,8 +24,10 @@ START = [-0.9, 0.6, 0.4]
 
 @pytest.fixture
 def bench(arm, camera):
-    small = replace(camera, width=64, height=64, px_per_m=34.0, origin_px=(25.0, 38.0), fps=50.0)
-    return Bench(arm, small, specimen("A"), seed=3)
+    small = replace(
+        camera, width=64, height=64, px_per_m=34.0, origin_px=(25.0, 38.0), fps=50.0
+    )
+    return VirtualBench(arm, small, specimen("A"), seed=3)
 
 
 def test_a_slowed_movement_goes_the_same_way_at_the_share_of_the_speed():
@@ -36,11 +40,21 @@ def test_a_slowed_movement_goes_the_same_way_at_the_share_of_the_speed():
         np.testing.assert_allclose(q[:-1] + 0.005 * w[:-1], q[1:], atol=1e-12)
         fastest = np.abs(whole[list(SPEEDS)]).max().to_numpy()
         assert (np.abs(w).max(axis=0) <= share * fastest + 1e-9).all()
-        assert np.abs(np.diff(w, axis=0)).max() <= np.abs(np.diff(whole[list(SPEEDS)], axis=0)).max() + 1e-9
+        assert (
+            np.abs(np.diff(w, axis=0)).max()
+            <= np.abs(np.diff(whole[list(SPEEDS)], axis=0)).max() + 1e-9
+        )
 
 
 def test_slowly_the_arm_ends_where_it_should_and_the_trial_says_so(bench):
-    trial = slow(swing(), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1, share=0.5)
+    trial = slow(
+        swing(),
+        VirtualArm(bench),
+        VirtualCamera(bench),
+        before=0.1,
+        after=0.1,
+        share=0.5,
+    )
     ended = swing().commands[list(JOINTS)].iloc[-1]
     np.testing.assert_allclose(trial.arm[list(JOINTS)].iloc[-1], ended, atol=0.02)
     assert trial.frames["t"].iloc[-1] == pytest.approx(1.1, abs=0.03)
@@ -51,7 +65,9 @@ def test_slowly_the_arm_ends_where_it_should_and_the_trial_says_so(bench):
 def test_dry_the_arm_stays_where_it_is_and_the_film_is_whole(bench):
     bench.pose = np.array(START) + 0.3
     trial = dry(swing(), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1)
-    np.testing.assert_allclose(trial.arm[list(JOINTS)] - (np.array(START) + 0.3), 0, atol=1e-4)
+    np.testing.assert_allclose(
+        trial.arm[list(JOINTS)] - (np.array(START) + 0.3), 0, atol=1e-4
+    )
     assert len(trial.images) == pytest.approx(0.7 * 50, abs=2)
     assert not trial.link["valid"].iloc[0]
     assert "disabled" in trial.link["reason"].iloc[0]
@@ -59,8 +75,17 @@ def test_dry_the_arm_stays_where_it_is_and_the_film_is_whole(bench):
 
 @pytest.fixture
 def rehearsal(bench):
-    settings = {"specimen": bench.specimen, "servo": Servo(), "look": Look(), "obstacles": Obstacles()}
-    driving = replace(DRIVING, workspace=replace(WORKSPACE, low=(-0.5, -0.5), high=(0.9, 0.9)), approach=3.0)
+    settings = {
+        "specimen": bench.specimen,
+        "servo": VirtualServo(),
+        "look": Look(),
+        "obstacles": Obstacles(),
+    }
+    driving = replace(
+        DRIVING,
+        workspace=replace(WORKSPACE, low=(-0.5, -0.5), high=(0.9, 0.9)),
+        approach=3.0,
+    )
 
     def lab(faults=()):
         more = {"driving": driving, "watchdog": 250, "faults": list(faults)}
@@ -75,7 +100,7 @@ def test_the_emulators_movement_swings_the_virtual_string(rehearsal):
     ended = swing().commands[list(JOINTS)].iloc[-1]
     np.testing.assert_allclose(trial.arm[list(JOINTS)].iloc[-1], ended, atol=0.3)
     assert len(trial.images) == pytest.approx(0.7 * 50, abs=3)
-    performed = lab.camera.bench.performed
+    performed = lab.camera.bench.performed_motion
     np.testing.assert_array_equal(performed[1], trial.arm[list(JOINTS)])
     assert lab.arm.emulator.process is None
 
@@ -93,5 +118,11 @@ def test_dry_sends_nothing_but_zero_to_the_device(rehearsal):
 def test_a_fault_in_rehearsal_is_the_error_that_a_real_one_would_be(rehearsal):
     lab = rehearsal(["brownout:400"])
     with pytest.raises(HardwareError, match=r"restarted|no answer"):
-        execute(swing(3.0, speeds=(0.3, 0.2, 0.1)), lab.arm, lab.camera, before=0.1, after=0.1)
+        execute(
+            swing(3.0, speeds=(0.3, 0.2, 0.1)),
+            lab.arm,
+            lab.camera,
+            before=0.1,
+            after=0.1,
+        )
     assert lab.arm.emulator.process is None

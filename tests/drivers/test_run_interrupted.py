@@ -1,4 +1,6 @@
-"""Whole runs by the command line whose process is told to end while the arm moves: it stands, and the run goes on."""
+"""Whole runs by the command line whose process is told to end while the arm moves: it
+stands, and the run goes on.
+"""
 
 import json
 import os
@@ -10,7 +12,8 @@ import time
 from conftest import ROOT, share
 from rig import events
 
-SHARED = os.environ | {"NUMBA_NUM_THREADS": str(share())}  # of the cores: others go by clocks beside it
+# of the cores: others go by clocks beside it
+SHARED = os.environ | {"NUMBA_NUM_THREADS": str(share())}
 SMALL = (
     "+experiment=quick",
     "hardware=emulator",
@@ -21,12 +24,17 @@ SMALL = (
 
 
 def told_to_end(number, record, *arguments):
-    """Exit status and words of a command that gets a signal once the arm moves; record: the emulator's, whose arm
-    stands in the end."""
+    """Exit status and words of a command that gets a signal once the arm moves; record:
+    the emulator's, whose arm stands in the end.
+    """
     record.unlink(missing_ok=True)
     command = [sys.executable, "-m", "pipeline", *arguments]
-    run = subprocess.Popen(command, cwd=ROOT, env=SHARED, stderr=subprocess.PIPE, text=True)
-    while "moves" not in {noted["event"] for noted in (events(record) if record.exists() else [])}:
+    run = subprocess.Popen(
+        command, cwd=ROOT, env=SHARED, stderr=subprocess.PIPE, text=True
+    )
+    while "moves" not in {
+        noted["event"] for noted in (events(record) if record.exists() else [])
+    }:
         assert run.poll() is None, run.stderr.read()
         time.sleep(0.02)
     run.send_signal(number)
@@ -47,6 +55,12 @@ def test_a_run_told_to_end_while_the_arm_moves_leaves_it_at_rest_and_goes_on(tmp
     assert not (folder / "run.json").exists()
     assert told_to_end(signal.SIGINT, record, "resume", str(folder))[0] == 130
     command = [sys.executable, "-m", "pipeline", "resume", str(folder)]
-    subprocess.run(command, cwd=ROOT, env=SHARED, check=True, capture_output=True, timeout=120)
-    assert {step.name for step in (folder / "iterations/01").iterdir()} == {"motion", "trial", "points"}
+    subprocess.run(
+        command, cwd=ROOT, env=SHARED, check=True, capture_output=True, timeout=120
+    )
+    assert {step.name for step in (folder / "iterations/01").iterdir()} == {
+        "motion",
+        "trial",
+        "points",
+    }
     assert json.loads((folder / "run.json").read_text())["sentence"]

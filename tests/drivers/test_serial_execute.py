@@ -1,4 +1,6 @@
-"""The execute stage on the real driver and the OpenCV camera: an emulated arm, and a film played to it."""
+"""The execute stage on the real driver and the OpenCV camera: an emulated arm, and a
+film played to it.
+"""
 
 import time
 from types import SimpleNamespace
@@ -11,7 +13,7 @@ from rig import ARM, DRIVING, emulator, events, standstill
 
 from stringcast.data.artifacts import JOINTS, SPEEDS
 from stringcast.hardware.camera import FilmingCamera, VideoFile
-from stringcast.hardware.camera.played import Played
+from stringcast.hardware.camera.playback import PlayedSource
 from stringcast.hardware.serial.lab import open_lab
 from stringcast.hardware.serial.wire import SerialWire
 from stringcast.stages.execute.execute import execute
@@ -34,8 +36,13 @@ def film(tmp_path):
     path = tmp_path / "film.avi"
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
     for number in range(800):
-        bits = np.array([number >> bit & 1 for bit in range(12)], np.uint8).reshape(3, 4) * 200
-        video.write(np.kron(bits, np.ones((16, 16), np.uint8))[..., None].repeat(3, axis=2))
+        bits = (
+            np.array([number >> bit & 1 for bit in range(12)], np.uint8).reshape(3, 4)
+            * 200
+        )
+        video.write(
+            np.kron(bits, np.ones((16, 16), np.uint8))[..., None].repeat(3, axis=2)
+        )
     video.release()
     return VideoFile(path, every=1)
 
@@ -48,9 +55,15 @@ def number_in(image):
 
 def motion(duration=0.3):
     t = np.arange(0, duration + 1e-9, 0.005)
-    q = np.stack([a * (1 - np.cos(np.pi * t / duration)) / 2 for a in (0.5, -0.4, 0.6)], axis=-1)
+    q = np.stack(
+        [a * (1 - np.cos(np.pi * t / duration)) / 2 for a in (0.5, -0.4, 0.6)], axis=-1
+    )
     w = np.concatenate([np.diff(q, axis=0) / 0.005, np.zeros((1, 3))])
-    columns = {"t": t} | dict(zip(JOINTS, q.T, strict=True)) | dict(zip(SPEEDS, w.T, strict=True))
+    columns = (
+        {"t": t}
+        | dict(zip(JOINTS, q.T, strict=True))
+        | dict(zip(SPEEDS, w.T, strict=True))
+    )
     return SimpleNamespace(commands=pd.DataFrame(columns), duration=duration)
 
 
@@ -58,24 +71,31 @@ def test_a_trial_comes_back_whole_and_on_one_clock(port, film):
     lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=film, **LINK)
     trial = execute(motion(), lab.arm, lab.camera, before=0.1, after=0.1)
     t = trial.frames["t"].to_numpy()
-    assert t[0] == pytest.approx(-0.1, abs=0.03)  # a frame every 10 ms; a busy machine is late with one or two
+    # a frame every 10 ms; a busy machine is late with one or two
+    assert t[0] == pytest.approx(-0.1, abs=0.03)
     assert t[-1] == pytest.approx(0.4, abs=0.03)
     assert np.median(np.diff(t)) == pytest.approx(0.01, abs=1e-3)
     assert len(trial.images) == len(t) >= 45
     assert trial.ticks["t_due"].iloc[20] == pytest.approx(0.0, abs=1e-9)
     turned = trial.arm.iloc[-1][list(JOINTS)] - trial.arm.iloc[0][list(JOINTS)]
-    late = float((trial.ticks["t_sent"] - trial.ticks["t_due"]).max())  # the arm goes on as told until it is told again
+    # the arm goes on as told until it is told again
+    late = float((trial.ticks["t_sent"] - trial.ticks["t_due"]).max())
     fastest = float(np.abs(motion().commands[list(SPEEDS)]).to_numpy().max())
     np.testing.assert_allclose(turned, [0.5, -0.4, 0.6], atol=0.03 + fastest * late)
     shown = np.array([number_in(image) for image in trial.images])
-    np.testing.assert_array_equal(shown - shown[0], trial.frames["number"] - trial.frames["number"].iloc[0])
-    np.testing.assert_allclose(np.diff(t), np.diff(shown) * 0.01, atol=1e-9)  # late as frames may come
+    np.testing.assert_array_equal(
+        shown - shown[0], trial.frames["number"] - trial.frames["number"].iloc[0]
+    )
+    # late as frames may come
+    np.testing.assert_allclose(np.diff(t), np.diff(shown) * 0.01, atol=1e-9)
     assert trial.link["frames_dropped"].iloc[0] == 0
     assert trial.link["valid"].iloc[0]
 
 
 def test_the_camera_is_told_when_the_arm_began_to_move(port, film, monkeypatch):
-    """Not when it was asked to: pings and checks lie between, and differ from cast to cast."""
+    """Not when it was asked to: pings and checks lie between, and differ from cast to
+    cast.
+    """
     sent, told = [], []
     send = SerialWire.send
 
@@ -99,14 +119,17 @@ def test_the_camera_is_told_when_the_arm_began_to_move(port, film, monkeypatch):
     lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=film, **LINK)
     with pytest.raises(HardwareError, match="no frame came during the movement"):
         execute(motion(), lab.arm, Watch(CAMERA, film, 0.0), before=0.1, after=0.1)
-    assert told[0] == pytest.approx(sent[0], abs=0.004)  # less than a tick, on a machine that may be busy
+    # less than a tick, on a machine that may be busy
+    assert told[0] == pytest.approx(sent[0], abs=0.004)
 
 
-def test_a_camera_that_dies_on_the_way_leaves_the_arm_at_rest_and_an_invalid_trial(tmp_path, film):
+def test_a_camera_that_dies_on_the_way_leaves_the_arm_at_rest_and_an_invalid_trial(
+    tmp_path, film
+):
     """The film ends before the movement does, as when a cable is pulled."""
     images = film.images()[:30]
 
-    class Short(Played):
+    class Short(PlayedSource):
         name = "short film"
 
         def images(self):

@@ -10,21 +10,34 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rig import ARM, DRIVING, WATCHDOG, WORKSPACE, driver, emulator, events, movement, standstill
+from rig import (
+    ARM,
+    DRIVING,
+    WATCHDOG,
+    WORKSPACE,
+    driver,
+    emulator,
+    events,
+    movement,
+    standstill,
+)
 
-from stringcast.data.artifacts import JOINTS, LINK, SENT, TICKS
+from stringcast.data.artifacts import JOINTS, LINK, SENT_SPEEDS, TICKS
 from stringcast.hardware.arm import VelocityArm
 from stringcast.hardware.arm.limits import check_movement
-from stringcast.hardware.arm.loop import blank
-from stringcast.hardware.arm.record import performance
-from stringcast.hardware.serial.emulator.device import KINDS
-from stringcast.hardware.serial.protocol import VERSION
+from stringcast.hardware.arm.loop import reserve_log
+from stringcast.hardware.arm.record import build_performance
+from stringcast.hardware.serial.emulator.device import FAULT_KINDS
+from stringcast.hardware.serial.protocol import PROTOCOL_VERSION
 from stringcast.hardware.serial.wire import SerialWire
 from stringcast.stages.execute.interfaces import HardwareError
 
-# From the watchdog's last word to standstill: the wires swing out. Measured 0.05 s on the device's own clock.
+# From the watchdog's last word to standstill: the wires swing out. Measured 0.05 s on
+# the device's own clock.
 SWINGS_OUT = 0.15
-SURVIVED = tuple(kind for kind in KINDS if kind not in ("freeze", "unplug", "brownout", "jump"))
+SURVIVED = tuple(
+    kind for kind in FAULT_KINDS if kind not in ("freeze", "unplug", "brownout", "jump")
+)
 
 
 @pytest.fixture
@@ -45,26 +58,34 @@ def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
     LINK.check(performance.link)
     assert len(ticks) == len(movement())
     np.testing.assert_allclose(ended, [0.5, -0.4, 0.6], atol=0.1)
-    np.testing.assert_array_equal(ticks[list(SENT)].to_numpy(), movement().filter(like="w").astype("float32"))
+    np.testing.assert_array_equal(
+        ticks[list(SENT_SPEEDS)].to_numpy(),
+        movement().filter(like="w").astype("float32"),
+    )
     assert (ticks["t_sent"] >= ticks["t_due"]).all()
     answered = ticks.dropna(subset="t_acknowledged")
-    assert (np.diff(answered["t_device"]) >= 0).all()  # a busy machine lets frames arrive together
+    # a busy machine lets frames arrive together
+    assert (np.diff(answered["t_device"]) >= 0).all()
     assert np.ptp(answered["t_device"]) < 60.0
     assert performance.arm["t"].is_monotonic_increasing
     assert {"trip_p50", "trip_p99", "trip_max"} <= set(performance.link)
 
 
 def test_measured_angles_are_put_at_the_moment_they_were_measured():
-    """A device clock 7 s ahead; answers linger for 0.3 to 9 ms on their way back, as they do in an adapter."""
+    """A device clock 7 s ahead; answers linger for 0.3 to 9 ms on their way back, as
+    they do in an adapter.
+    """
     rng = np.random.default_rng(1)
-    log = blank(np.zeros(3), np.ones((400, 3)), 0.005)
+    log = reserve_log(np.zeros(3), np.ones((400, 3)), 0.005)
     log.sent = log.due + 1e-4
     measured = log.sent + 3e-4
     log.acknowledged = measured + 3e-4 + rng.exponential(3e-3, 400)
-    log.clock, log.angles = measured + 7.0, np.zeros((400, 3))
+    log.device_time, log.angles = measured + 7.0, np.zeros((400, 3))
     log.acknowledged[50:60] = np.nan
-    table = performance(log, -0.2, 1.0, 1.0, np.ones(2)).arm
-    np.testing.assert_allclose(table["t"], np.delete(measured, slice(50, 60)) - 0.2, atol=5e-4)
+    table = build_performance(log, -0.2, 1.0, 1.0, np.ones(2)).arm
+    np.testing.assert_allclose(
+        table["t"], np.delete(measured, slice(50, 60)) - 0.2, atol=5e-4
+    )
 
 
 def test_move_to_goes_there_slowly(log):
@@ -90,7 +111,8 @@ def test_a_fault_of_one_frame_is_survived_and_accounted_for(log, kind):
 def test_a_fault_of_the_device_ends_with_the_arm_at_rest_and_one_error(log, kind):
     frame = random.Random(kind).randrange(5, 55)
     said = r"no answer|link is gone|does not answer|restarted|watchdog|jumped"
-    slow = replace(ARM, speed=(3.0,) * 3)  # so that what an encoder can truly report is little, also after a pause
+    # so that what an encoder can truly report is little, also after a pause
+    slow = replace(ARM, speed=(3.0,) * 3)
     with emulator(log, "--fault", f"{kind}:{frame}") as port:
         with pytest.raises(HardwareError, match=said), driver(port, slow) as arm:
             arm.perform(movement(0.6))
@@ -109,7 +131,9 @@ def test_too_many_late_ticks_make_the_trial_invalid_with_the_reason(log):
 def test_a_slow_link_is_refused_with_its_distribution(log):
     with (
         emulator(log) as port,
-        pytest.raises(HardwareError, match=r"round trip takes .* ms \(99 %: .*, longest: "),
+        pytest.raises(
+            HardwareError, match=r"round trip takes .* ms \(99 %: .*, longest: "
+        ),
         driver(port, round_trip=1e-6),
     ):
         pass
@@ -119,14 +143,22 @@ def test_a_wrong_start_is_refused_before_anything_moves(log):
     shifted = movement()
     shifted["q1"] += 0.1
     with emulator(log) as port:
-        with pytest.raises(HardwareError, match="degrees from the movement's start"), driver(port) as arm:
+        with (
+            pytest.raises(HardwareError, match="degrees from the movement's start"),
+            driver(port) as arm,
+        ):
             arm.perform(shifted)
         assert not {"moving", "moves"} & {e["event"] for e in events(log)}
 
 
 @pytest.mark.parametrize(
     ("change", "limit"),
-    [(3.0, "range"), (0.12, r"arm\.speed"), (0.01, r"arm\.acceleration"), (float("nan"), "no numbers")],
+    [
+        (3.0, "range"),
+        (0.12, r"arm\.speed"),
+        (0.01, r"arm\.acceleration"),
+        (float("nan"), "no numbers"),
+    ],
 )
 def test_limits_are_checked_on_the_whole_movement(change, limit):
     angles = np.zeros((40, 3))
@@ -160,13 +192,19 @@ def test_the_emergency_stop_is_latched_here_and_in_the_device(log):
     with emulator(log) as port:
         wire = Pressed(port, 1_000_000)
         pressed = VelocityArm(ARM, wire, DRIVING)
-        wire.press = pressed.press
-        with pytest.raises(HardwareError, match=r"emergency stop \(button\)"), pressed as arm:
+        wire.press = pressed.press_emergency_stop
+        with (
+            pytest.raises(HardwareError, match=r"emergency stop \(button\)"),
+            pressed as arm,
+        ):
             arm.perform(movement())
         assert standstill(log, "latched") < SWINGS_OUT
         clear = [sys.executable, "-m", "stringcast.hardware.serial.clear", port]
         subprocess.run(clear, input="no\n", text=True, check=False, capture_output=True)
-        with pytest.raises(HardwareError, match=r"latched.*hardware\.serial\.clear"), driver(port):
+        with (
+            pytest.raises(HardwareError, match=r"latched.*hardware\.serial\.clear"),
+            driver(port),
+        ):
             pass
         subprocess.run(clear, input="yes\n", text=True, check=True, capture_output=True)
         with driver(port) as arm:
@@ -184,9 +222,13 @@ def test_killing_the_host_leaves_the_arm_at_rest(log, name):
         "with rig.driver(sys.argv[1]) as arm: arm.perform(rig.movement(3.0))\n"
     )
     with emulator(log) as port:
-        host = subprocess.Popen([sys.executable, "-c", script, port], stderr=subprocess.DEVNULL)
+        host = subprocess.Popen(
+            [sys.executable, "-c", script, port], stderr=subprocess.DEVNULL
+        )
         end = time.monotonic() + 20
-        while "moves" not in {e["event"] for e in events(log)} and time.monotonic() < end:
+        while (
+            "moves" not in {e["event"] for e in events(log)} and time.monotonic() < end
+        ):
             time.sleep(0.02)
         os.kill(host.pid, getattr(signal, name))
         host.wait(timeout=10)
@@ -198,10 +240,12 @@ def test_killing_the_host_leaves_the_arm_at_rest(log, name):
 
 
 def test_a_host_of_another_version_is_refused(log, monkeypatch):
-    monkeypatch.setattr("stringcast.hardware.serial.wire.VERSION", VERSION + 1)
+    monkeypatch.setattr("stringcast.hardware.serial.wire.VERSION", PROTOCOL_VERSION + 1)
     with (
         emulator(log) as port,
-        pytest.raises(HardwareError, match=f"speaks version {VERSION} for 3 joints"),
+        pytest.raises(
+            HardwareError, match=f"speaks version {PROTOCOL_VERSION} for 3 joints"
+        ),
         driver(port),
     ):
         pass

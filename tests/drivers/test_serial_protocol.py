@@ -1,28 +1,30 @@
-"""Frames and the state machine of the device, byte by byte and without any clock but the test's own."""
+"""Frames and the state machine of the device, byte by byte and without any clock but
+the test's own.
+"""
 
 import pytest
 from rig import ARM
 
 from stringcast.hardware.serial.firmware import Firmware
 from stringcast.hardware.serial.protocol import (
-    LONGEST,
-    VERSION,
+    MAX_FRAME_BYTES,
+    PROTOCOL_VERSION,
     Command,
     Deframer,
+    DeviceState,
     FrameError,
+    FrameKind,
     Greeting,
-    Kind,
     Report,
-    State,
-    cobs,
     decode_answer,
+    decode_cobs,
     decode_command,
     encode_answer,
+    encode_cobs,
     encode_command,
-    newer,
-    uncobs,
+    is_newer,
 )
-from stringcast.hardware.serial.protocol import Limits as LimitsAnswer
+from stringcast.hardware.serial.protocol import LimitsAnswer as LimitsAnswer
 from stringcast.hardware.serial.wire import SerialWire, check_latency
 from stringcast.stages.execute.interfaces import HardwareError
 
@@ -31,30 +33,35 @@ POSE = (0.5, 0.25, -1.0)
 
 
 def tell(firmware, kind, sequence, values=(), micros=0):
-    answer = firmware.receive(encode_command(Command(kind, sequence, values)), micros, POSE)
+    answer = firmware.receive(
+        encode_command(Command(kind, sequence, values)), micros, POSE
+    )
     return decode_answer(answer[:-1])
 
 
 @pytest.fixture
 def firmware():
     device = Firmware()
-    tell(device, Kind.HELLO, 1, (VERSION,))
-    tell(device, Kind.LIMITS, 1, LIMITS)
+    tell(device, FrameKind.HELLO, 1, (PROTOCOL_VERSION,))
+    tell(device, FrameKind.LIMITS, 1, LIMITS)
     return device
 
 
-@pytest.mark.parametrize("data", [b"", b"\0", b"\0\0", b"abc", bytes(range(256)) * 3, b"\1" * 254, b"\1" * 255])
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"\0", b"\0\0", b"abc", bytes(range(256)) * 3, b"\1" * 254, b"\1" * 255],
+)
 def test_stuffing_has_no_zero_and_undoes_itself(data):
-    assert 0 not in cobs(data)
-    assert uncobs(cobs(data)) == data
+    assert 0 not in encode_cobs(data)
+    assert decode_cobs(encode_cobs(data)) == data
 
 
 def test_frames_come_back_and_damaged_ones_do_not():
-    command = Command(Kind.VELOCITY, 513, (1.5, -2.25, 0.0))
+    command = Command(FrameKind.VELOCITY, 513, (1.5, -2.25, 0.0))
     assert decode_command(encode_command(command)[:-1]) == command
-    greeting = Greeting(9, VERSION, 3, 25, State.LATCHED)
+    greeting = Greeting(9, PROTOCOL_VERSION, 3, 25, DeviceState.LATCHED)
     assert decode_answer(encode_answer(greeting)[:-1]) == greeting
-    report = Report(7, 1_250_000, State.MOVING, POSE)
+    report = Report(7, 1_250_000, DeviceState.MOVING, POSE)
     wire = encode_answer(report)
     assert decode_answer(wire[:-1]) == report
     for i in range(len(wire) - 1):
@@ -69,93 +76,130 @@ def test_frames_come_back_and_damaged_ones_do_not():
 def test_what_is_shorter_than_kind_sequence_and_checksum_is_no_frame(length):
     for decode in (decode_command, decode_answer):
         with pytest.raises(FrameError):
-            decode(cobs(b"\x01" * length))
+            decode(encode_cobs(b"\x01" * length))
 
 
 def test_the_longest_frame_is_whole_and_what_is_longer_is_dropped():
-    whole = b"\x01" * LONGEST
-    assert Deframer().frames(whole + b"\0" + whole + b"\x01\0" + whole + b"\0") == [whole, whole]
+    whole = b"\x01" * MAX_FRAME_BYTES
+    assert Deframer().frames(whole + b"\0" + whole + b"\x01\0" + whole + b"\0") == [
+        whole,
+        whole,
+    ]
 
 
 def test_frames_are_cut_wherever_the_bytes_are_torn():
-    frames = [encode_command(Command(Kind.VELOCITY, n, POSE))[:-1] for n in range(3)]
+    frames = [
+        encode_command(Command(FrameKind.VELOCITY, n, POSE))[:-1] for n in range(3)
+    ]
     stream = b"\0".join([*frames, b"x" * 500, b"", frames[0], b""])
     for size in (1, 2, 7, 64, 1000):
         cut = Deframer()
-        found = [f for i in range(0, len(stream), size) for f in cut.frames(stream[i : i + size])]
+        found = [
+            f
+            for i in range(0, len(stream), size)
+            for f in cut.frames(stream[i : i + size])
+        ]
         assert found == [*frames, frames[0]]
 
 
 @pytest.mark.parametrize(
     ("sequence", "last", "after"),
     [
-        *((1, 0, True), (0, 65535, True), (5, 65530, True), (0, 0, False), (65535, 0, False)),
+        *(
+            (1, 0, True),
+            (0, 65535, True),
+            (5, 65530, True),
+            (0, 0, False),
+            (65535, 0, False),
+        ),
         *((2**15 - 1, 0, True), (2**15, 0, False)),
     ],
 )
 def test_sequence_numbers_go_round(sequence, last, after):
-    assert newer(sequence, last) is after
+    assert is_newer(sequence, last) is after
 
 
 def test_the_host_unwraps_the_devices_clock_and_bears_answers_that_change_places():
     wire = SerialWire("", 0)
     reported = [2**32 - 2000, 2**32 - 1000, 500, 2**32 - 500, 4000]
-    times = [wire._clock(micros) for micros in reported]
+    times = [wire._unwrap_clock(micros) for micros in reported]
     assert [round((t - times[0]) * 1e6) for t in times] == [0, 1000, 2500, 1500, 6000]
 
 
 def test_a_fresh_device_obeys_no_velocity_before_a_greeting():
     device = Firmware()
-    assert tell(device, Kind.VELOCITY, 1, POSE).state is State.FRESH
+    assert tell(device, FrameKind.VELOCITY, 1, POSE).state is DeviceState.FRESH
     assert device.target == (0.0, 0.0, 0.0)
 
 
 def test_a_greeting_of_another_version_changes_nothing():
     device = Firmware()
-    assert tell(device, Kind.HELLO, 1, (VERSION + 1,)) == Greeting(1, VERSION, 3, 25, State.FRESH)
+    assert tell(device, FrameKind.HELLO, 1, (PROTOCOL_VERSION + 1,)) == Greeting(
+        1, PROTOCOL_VERSION, 3, 25, DeviceState.FRESH
+    )
 
 
 def test_the_watchdog_trips_for_good_also_when_its_clock_goes_round(firmware):
     start = 2**32 - 10_000
-    tell(firmware, Kind.VELOCITY, 2, POSE, start)
+    tell(firmware, FrameKind.VELOCITY, 2, POSE, start)
     firmware.tick((start + 25_000) % 2**32)
-    assert firmware.state is State.MOVING
+    assert firmware.state is DeviceState.MOVING
     firmware.tick((start + 25_001) % 2**32)
-    assert firmware.state is State.TRIPPED
-    assert tell(firmware, Kind.VELOCITY, 3, POSE, 20_000).state is State.TRIPPED
+    assert firmware.state is DeviceState.TRIPPED
+    assert (
+        tell(firmware, FrameKind.VELOCITY, 3, POSE, 20_000).state is DeviceState.TRIPPED
+    )
     assert firmware.target == (0.0, 0.0, 0.0)
-    assert tell(firmware, Kind.HELLO, 4, (VERSION,)).state is State.IDLE
+    assert (
+        tell(firmware, FrameKind.HELLO, 4, (PROTOCOL_VERSION,)).state
+        is DeviceState.IDLE
+    )
 
 
 def test_a_device_at_rest_has_no_watchdog(firmware):
     firmware.tick(10_000_000)
-    assert firmware.state is State.IDLE
+    assert firmware.state is DeviceState.IDLE
 
 
 def test_what_was_overtaken_is_answered_but_not_obeyed(firmware):
-    tell(firmware, Kind.VELOCITY, 3, (1.0, 1.0, 1.0))
-    assert tell(firmware, Kind.VELOCITY, 2, (2.0, 2.0, 2.0)).sequence == 2
+    tell(firmware, FrameKind.VELOCITY, 3, (1.0, 1.0, 1.0))
+    assert tell(firmware, FrameKind.VELOCITY, 2, (2.0, 2.0, 2.0)).sequence == 2
     assert firmware.target == (1.0, 1.0, 1.0)
-    tell(firmware, Kind.STOP, 5)
-    assert tell(firmware, Kind.VELOCITY, 4, (2.0, 2.0, 2.0)).state is State.IDLE
+    tell(firmware, FrameKind.STOP, 5)
+    assert (
+        tell(firmware, FrameKind.VELOCITY, 4, (2.0, 2.0, 2.0)).state is DeviceState.IDLE
+    )
     assert firmware.target == (0.0, 0.0, 0.0)
 
 
 def test_an_emergency_stop_holds_against_everything_but_clear(firmware):
-    tell(firmware, Kind.VELOCITY, 2, POSE)
-    assert tell(firmware, Kind.LATCH, 3).state is State.LATCHED
-    for kind, values in ((Kind.VELOCITY, POSE), (Kind.STOP, ()), (Kind.HELLO, (VERSION,)), (Kind.PING, ())):
-        assert tell(firmware, kind, 4, values).state is State.LATCHED
+    tell(firmware, FrameKind.VELOCITY, 2, POSE)
+    assert tell(firmware, FrameKind.LATCH, 3).state is DeviceState.LATCHED
+    for kind, values in (
+        (FrameKind.VELOCITY, POSE),
+        (FrameKind.STOP, ()),
+        (FrameKind.HELLO, (PROTOCOL_VERSION,)),
+        (FrameKind.PING, ()),
+    ):
+        assert tell(firmware, kind, 4, values).state is DeviceState.LATCHED
         assert firmware.target == (0.0, 0.0, 0.0)
-    assert tell(firmware, Kind.CLEAR, 5).state is State.FRESH
-    assert tell(firmware, Kind.VELOCITY, 6, POSE).state is State.FRESH
-    assert tell(firmware, Kind.HELLO, 7, (VERSION,)).state is State.IDLE
+    assert tell(firmware, FrameKind.CLEAR, 5).state is DeviceState.FRESH
+    assert tell(firmware, FrameKind.VELOCITY, 6, POSE).state is DeviceState.FRESH
+    assert (
+        tell(firmware, FrameKind.HELLO, 7, (PROTOCOL_VERSION,)).state
+        is DeviceState.IDLE
+    )
 
 
 @pytest.mark.parametrize("speed", [float("nan"), float("inf")])
 def test_a_speed_that_is_no_number_is_no_command(firmware, speed):
-    assert firmware.receive(encode_command(Command(Kind.VELOCITY, 2, (0.0, speed, 0.0))), 0, POSE) == b""
-    assert firmware.state is State.IDLE
+    assert (
+        firmware.receive(
+            encode_command(Command(FrameKind.VELOCITY, 2, (0.0, speed, 0.0))), 0, POSE
+        )
+        == b""
+    )
+    assert firmware.state is DeviceState.IDLE
 
 
 def test_a_slow_adapter_is_refused_with_the_remedy(tmp_path):
@@ -169,22 +213,24 @@ def test_a_slow_adapter_is_refused_with_the_remedy(tmp_path):
 
 
 def limited(firmware, *values, sequence=1):
-    return tell(firmware, Kind.LIMITS, sequence, values).values
+    return tell(firmware, FrameKind.LIMITS, sequence, values).values
 
 
 def test_nothing_moves_before_limits_were_set():
     device = Firmware()
-    tell(device, Kind.HELLO, 1, (VERSION,))
-    assert tell(device, Kind.VELOCITY, 2, POSE).state is State.CLAMPED
+    tell(device, FrameKind.HELLO, 1, (PROTOCOL_VERSION,))
+    assert tell(device, FrameKind.VELOCITY, 2, POSE).state is DeviceState.CLAMPED
     assert device.target == (0.0, 0.0, 0.0)
     assert limited(device, *LIMITS)[0] == 0.0  # nor are they set while it moves
-    tell(device, Kind.STOP, 3)
+    tell(device, FrameKind.STOP, 3)
     assert limited(device, *LIMITS) == LIMITS
-    assert tell(device, Kind.VELOCITY, 4, POSE).state is State.MOVING
+    assert tell(device, FrameKind.VELOCITY, 4, POSE).state is DeviceState.MOVING
 
 
 @pytest.mark.parametrize(
-    "bad", [(-1.0, *LIMITS[1:]), (*LIMITS[:5], -1.0, 5000, 25), (*LIMITS[:7], 0)], ids=["speed", "rate", "watchdog"]
+    "bad",
+    [(-1.0, *LIMITS[1:]), (*LIMITS[:5], -1.0, 5000, 25), (*LIMITS[:7], 0)],
+    ids=["speed", "rate", "watchdog"],
 )
 def test_limits_that_are_none_are_not_taken_over(firmware, bad):
     assert limited(firmware, *bad) == LIMITS
@@ -193,30 +239,56 @@ def test_limits_that_are_none_are_not_taken_over(firmware, bad):
 def test_the_shorter_watchdog_is_in_force(firmware):
     assert limited(firmware, *LIMITS[:7], 60)[-1] == 25
     assert limited(firmware, *LIMITS[:7], 11)[-1] == 11
-    tell(firmware, Kind.VELOCITY, 2, (1.0, 0.0, 0.0))
+    tell(firmware, FrameKind.VELOCITY, 2, (1.0, 0.0, 0.0))
     firmware.tick(11_000)
-    assert firmware.state is State.MOVING
+    assert firmware.state is DeviceState.MOVING
     firmware.tick(11_001)
-    assert firmware.state is State.TRIPPED
+    assert firmware.state is DeviceState.TRIPPED
 
 
 @pytest.mark.parametrize("speed", [1e30, -1e30, 4.001])
-def test_a_speed_beyond_the_limit_is_cut_and_told_until_the_host_has_stopped(firmware, speed):
+def test_a_speed_beyond_the_limit_is_cut_and_told_until_the_host_has_stopped(
+    firmware, speed
+):
     sign = 1 if speed > 0 else -1
-    for number in range(2, 6):  # 4 rad/s at 300 rad/s^2 over two ticks, 3 rad/s a command
-        state = tell(firmware, Kind.VELOCITY, number, (speed, 1.0, 0.0), 5000 * number).state
-        assert state is State.CLAMPED
-        assert firmware.target == (pytest.approx(sign * min(4.0, 3.0 * (number - 1))), 1.0, 0.0)
-    assert tell(firmware, Kind.VELOCITY, 6, (sign * 4.0, 1.0, 0.0), 30_000).state is State.CLAMPED
-    assert tell(firmware, Kind.STOP, 7).state is State.IDLE
-    assert tell(firmware, Kind.VELOCITY, 8, (1.0, 1.0, 0.0)).state is State.MOVING
+    # 4 rad/s at 300 rad/s^2 over two ticks, 3 rad/s a command
+    for number in range(2, 6):
+        state = tell(
+            firmware, FrameKind.VELOCITY, number, (speed, 1.0, 0.0), 5000 * number
+        ).state
+        assert state is DeviceState.CLAMPED
+        assert firmware.target == (
+            pytest.approx(sign * min(4.0, 3.0 * (number - 1))),
+            1.0,
+            0.0,
+        )
+    assert (
+        tell(firmware, FrameKind.VELOCITY, 6, (sign * 4.0, 1.0, 0.0), 30_000).state
+        is DeviceState.CLAMPED
+    )
+    assert tell(firmware, FrameKind.STOP, 7).state is DeviceState.IDLE
+    assert (
+        tell(firmware, FrameKind.VELOCITY, 8, (1.0, 1.0, 0.0)).state
+        is DeviceState.MOVING
+    )
 
 
 def test_a_change_that_a_lost_command_explains_is_obeyed(firmware):
-    tell(firmware, Kind.VELOCITY, 2, (1.0, 0.0, 0.0), 0)
-    assert tell(firmware, Kind.VELOCITY, 4, (-2.0, 0.0, 0.0), 5000).state is State.MOVING  # 3 rad/s in two ticks
-    assert tell(firmware, Kind.VELOCITY, 8, (4.0, 0.0, 0.0), 25_000).state is State.MOVING  # 6 rad/s in 20 ms
-    assert tell(firmware, Kind.VELOCITY, 9, (0.9, 0.0, 0.0), 30_000).state is State.CLAMPED
+    tell(firmware, FrameKind.VELOCITY, 2, (1.0, 0.0, 0.0), 0)
+    # 3 rad/s in two ticks
+    assert (
+        tell(firmware, FrameKind.VELOCITY, 4, (-2.0, 0.0, 0.0), 5000).state
+        is DeviceState.MOVING
+    )
+    # 6 rad/s in 20 ms
+    assert (
+        tell(firmware, FrameKind.VELOCITY, 8, (4.0, 0.0, 0.0), 25_000).state
+        is DeviceState.MOVING
+    )
+    assert (
+        tell(firmware, FrameKind.VELOCITY, 9, (0.9, 0.0, 0.0), 30_000).state
+        is DeviceState.CLAMPED
+    )
 
 
 def test_a_device_that_does_not_take_the_limits_is_refused(monkeypatch):
@@ -224,6 +296,6 @@ def test_a_device_that_does_not_take_the_limits_is_refused(monkeypatch):
     taken = lambda kind, values: LimitsAnswer(1, (*values[:-1], 20))  # noqa: E731
     monkeypatch.setattr(wire, "_exchange", taken)
     with pytest.raises(HardwareError, match="does not enforce the limits"):
-        wire.limit(ARM)
+        wire.set_limits(ARM)
     monkeypatch.setattr(wire, "_exchange", lambda kind, values: LimitsAnswer(1, values))
-    wire.limit(ARM)
+    wire.set_limits(ARM)

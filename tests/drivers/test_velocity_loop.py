@@ -1,4 +1,6 @@
-"""The loop that drives any wire, on a scripted one: every reason to stop, and how it stops."""
+"""The loop that drives any wire, on a scripted one: every reason to stop, and how it
+stops.
+"""
 
 import gc
 import os
@@ -8,15 +10,17 @@ import numpy as np
 import pytest
 from rig import ARM, DRIVING, movement
 
-from stringcast.hardware.arm import Answer, Driving, VelocityArm
-from stringcast.hardware.arm.clock import undisturbed
-from stringcast.hardware.arm.loop import blank
-from stringcast.hardware.arm.record import performance
+from stringcast.hardware.arm import ArmAnswer, Driving, VelocityArm
+from stringcast.hardware.arm.clock import real_time_priority
+from stringcast.hardware.arm.loop import reserve_log
+from stringcast.hardware.arm.record import build_performance
 from stringcast.stages.execute.interfaces import HardwareError
 
 
 class Script:
-    """A wire whose arm follows perfectly, until `spoil` says otherwise of an answer (None: it is lost)."""
+    """A wire whose arm follows perfectly, until `spoil` says otherwise of an answer
+    (None: it is lost).
+    """
 
     name, watchdog = "script", 0.025
 
@@ -38,7 +42,7 @@ class Script:
 
     def send(self, speeds):
         number = len(self.sent)
-        answer = self.spoil(Answer(number, 0.005 * number, "", tuple(self.pose)))
+        answer = self.spoil(ArmAnswer(number, 0.005 * number, "", tuple(self.pose)))
         self.due += [answer] if answer else []
         self.sent.append(np.array(speeds))
         self.pose = self.pose + 0.005 * np.array(speeds)
@@ -64,7 +68,12 @@ def after(number, change):
 
 
 def turned(answer, by):
-    return Answer(answer.number, answer.clock, "", (answer.angles[0], answer.angles[1] + by, answer.angles[2]))
+    return ArmAnswer(
+        answer.number,
+        answer.clock,
+        "",
+        (answer.angles[0], answer.angles[1] + by, answer.angles[2]),
+    )
 
 
 def driver(wire, **changed):
@@ -75,19 +84,32 @@ def driver(wire, **changed):
     ("change", "reason"),
     [
         (lambda answer: None, r"no answer for 5 ticks at 0\.175 s"),
-        (lambda answer: Answer(answer.number, answer.clock, "the device restarted", answer.angles), "device restarted"),
+        (
+            lambda answer: ArmAnswer(
+                answer.number, answer.clock, "the device restarted", answer.angles
+            ),
+            "device restarted",
+        ),
         (lambda answer: turned(answer, 0.3), "encoder of joint 2 jumped"),
-        (lambda answer: turned(answer, -0.02 * (answer.number - 30)), r"joint 2 is 0\.\d+ rad from where it was sent"),
+        (
+            lambda answer: turned(answer, -0.02 * (answer.number - 30)),
+            r"joint 2 is 0\.\d+ rad from where it was sent",
+        ),
     ],
     ids=["silence", "held", "jump", "astray"],
 )
-def test_every_reason_to_stop_ends_in_a_ramp_within_the_arms_acceleration(change, reason):
+def test_every_reason_to_stop_ends_in_a_ramp_within_the_arms_acceleration(
+    change, reason
+):
     wire = Script(after(30, change))
     with pytest.raises(HardwareError, match=reason), driver(wire, astray=0.2) as arm:
         arm.perform(movement())
     assert not wire.sent[-1].any()
     assert len(wire.sent) < len(movement()) - 5
-    assert np.abs(np.diff(wire.sent, axis=0)).max() / ARM.tick <= max(ARM.acceleration) * 1.001
+    assert (
+        np.abs(np.diff(wire.sent, axis=0)).max() / ARM.tick
+        <= max(ARM.acceleration) * 1.001
+    )
     assert wire.said == ["open", "stop", "stop", "close"]
 
 
@@ -101,7 +123,11 @@ def test_as_many_misses_as_allowed_are_borne_and_then_forgotten():
 
 
 def test_an_encoder_that_jumps_while_an_answer_is_lost_is_seen_all_the_same():
-    wire = Script(lambda answer: None if answer.number == 30 else turned(answer, 0.5 * (answer.number > 30)))
+    wire = Script(
+        lambda answer: (
+            None if answer.number == 30 else turned(answer, 0.5 * (answer.number > 30))
+        )
+    )
     with pytest.raises(HardwareError, match="joint 2 jumped"), driver(wire) as arm:
         arm.perform(movement())
 
@@ -145,7 +171,10 @@ def test_a_way_out_that_fails_keeps_none_of_the_others_from_being_taken(way):
 def test_an_exception_at_rest_stops_and_closes_without_a_latch():
     wire = Script()
     wire.pose = np.ones(3)
-    with pytest.raises(HardwareError, match="degrees from the movement's start"), driver(wire) as arm:
+    with (
+        pytest.raises(HardwareError, match="degrees from the movement's start"),
+        driver(wire) as arm,
+    ):
         arm.perform(movement())
     assert wire.said == ["open", "stop", "close"]
 
@@ -153,25 +182,32 @@ def test_an_exception_at_rest_stops_and_closes_without_a_latch():
 def test_a_hasty_watchdog_is_refused():
     wire = Script()
     wire.watchdog = 0.008
-    with pytest.raises(HardwareError, match="watchdog of 8 ms is shorter than two ticks"), driver(wire):
+    with (
+        pytest.raises(
+            HardwareError, match="watchdog of 8 ms is shorter than two ticks"
+        ),
+        driver(wire),
+    ):
         pass
 
 
 @pytest.mark.parametrize("priority", [0, 10])
 def test_the_loop_leaves_the_process_as_it_found_it(priority):
     before = os.sched_getscheduler(0), gc.isenabled()
-    with undisturbed(priority):
+    with real_time_priority(priority):
         assert not gc.isenabled()
     assert (os.sched_getscheduler(0), gc.isenabled()) == before
 
 
 def test_angles_have_the_time_in_the_middle_of_the_quickest_exchanges():
-    """2 ms there and back; every second answer is held up for 6 ms more, which says nothing of the clocks."""
-    log = blank(np.zeros(3), np.zeros((40, 3)), 0.005)
-    log.sent, log.carried, log.angles = log.due, log.asked, np.zeros((40, 3))
-    log.clock = 7.0 + log.sent + 0.001
+    """2 ms there and back; every second answer is held up for 6 ms more, which says
+    nothing of the clocks.
+    """
+    log = reserve_log(np.zeros(3), np.zeros((40, 3)), 0.005)
+    log.sent, log.speeds_sent, log.angles = log.due, log.commanded, np.zeros((40, 3))
+    log.device_time = 7.0 + log.sent + 0.001
     log.acknowledged = log.sent + 0.002 + 0.006 * (np.arange(40) % 2)
-    made = performance(log, -0.2, late=0.0025, most_missed=0.0, trips=np.ones(1))
+    made = build_performance(log, -0.2, late=0.0025, most_missed=0.0, trips=np.ones(1))
     np.testing.assert_allclose(made.arm["t"], log.sent - 0.2 + 0.001, atol=1e-9)
 
 
@@ -183,7 +219,7 @@ def test_it_goes_to_a_pose_no_faster_than_it_may_and_all_the_way():
 
 
 def test_every_tick_is_sent_at_its_moment_and_all_answers_are_awaited():
-    log = VelocityArm(ARM, Script(), DRIVING)._checked_play(np.zeros((20, 3)))
+    log = VelocityArm(ARM, Script(), DRIVING)._check_and_play(np.zeros((20, 3)))
     assert (log.sent >= log.due).all()
     assert np.median(log.sent - log.due) < ARM.tick
     assert (log.acknowledged >= log.sent).all()

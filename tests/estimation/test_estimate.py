@@ -1,4 +1,6 @@
-"""Matching rate and estimation: the equations to the letter, and known parameters recovered."""
+"""Matching rate and estimation: the equations to the letter, and known parameters
+recovered.
+"""
 
 import numba
 import numpy as np
@@ -6,14 +8,24 @@ import pandas as pd
 import pytest
 from conftest import threads
 
-from stringcast.data.artifacts import CANDIDATES, MASKS, PARAMETERS, READINGS, Observation
+from stringcast.data.artifacts import (
+    CANDIDATES,
+    MASKS,
+    PARAMETERS,
+    READINGS,
+    Observation,
+)
 from stringcast.stages.estimate import cma_es, least_squares, random_search
-from stringcast.stages.estimate.matching import Matching, match, targets
+from stringcast.stages.estimate.matching import (
+    Matching,
+    frame_matching_rates,
+    matching_targets,
+)
 from stringcast.stages.extract.score import rasterise, scores_near
-from stringcast.stages.inference.forward import case
-from stringcast.stages.model.hand import hand_motion_from_grasp
+from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.string import String
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
@@ -36,15 +48,31 @@ def observed(seed, noise=7e-4, name="t01"):
     t = np.arange(0, 1.0, 0.005)
     a, b, c = rng.uniform(0.5, 1.5, 3)
     pose = np.stack(
-        [0.4 + 0.15 * np.sin(9 * a * t) ** 2, 0.4 + 0.15 * np.sin(7 * b * t) ** 2, -1 + 2 * np.sin(6 * c * t) ** 2], -1
+        [
+            0.4 + 0.15 * np.sin(9 * a * t) ** 2,
+            0.4 + 0.15 * np.sin(7 * b * t) ** 2,
+            -1 + 2 * np.sin(6 * c * t) ** 2,
+        ],
+        -1,
     )
-    true = simulate(STRING, hand_motion_from_grasp(t, pose), STRING.values(TRUTH)[None], t[::2]).points[0]
+    true = simulate(
+        STRING, resample_hand_motion(t, pose), STRING.values(TRUTH)[None], t[::2]
+    ).points[0]
     s = np.tile(STRING.arc_lengths(), len(t[::2]))
     seen = true.reshape(-1, 2) + noise * rng.standard_normal((len(s), 2))
     points = pd.DataFrame(
-        {"t": np.repeat(t[::2], 10), "s": s, "x": seen[:, 0], "y": seen[:, 1], "sigma": noise, "valid": True}
+        {
+            "t": np.repeat(t[::2], 10),
+            "s": s,
+            "x": seen[:, 0],
+            "y": seen[:, 1],
+            "sigma": noise,
+            "valid": True,
+        }
     )
-    grasp = pd.DataFrame({"t": t, "x": pose[:, 0], "y": pose[:, 1], "theta": pose[:, 2]})
+    grasp = pd.DataFrame(
+        {"t": t, "x": pose[:, 0], "y": pose[:, 1], "theta": pose[:, 2]}
+    )
     return Observation(name, points, READINGS.empty(), MASKS.empty(), grasp=grasp)
 
 
@@ -63,64 +91,109 @@ def test_matching_rate_is_equations_5_and_6():
             p[i] = maps[f, v, u] if 0 <= u < 40 and 0 <= v < 30 else 0
         p[5] = max(7 - np.linalg.norm(pixels[c, f, 5] - tips[f]) // 3.0, 0)
         literal[c, f] = (p * weights[f]).sum() / (7 * weights[f].sum())
-    windows = np.array([[f * maps[f].size, 0, 0, *maps[f].shape] for f in range(len(maps))])
-    found = match(pixels, maps.ravel(), windows, tips, 3.0, 7.0, weights)
+    windows = np.array(
+        [[f * maps[f].size, 0, 0, *maps[f].shape] for f in range(len(maps))]
+    )
+    found = frame_matching_rates(pixels, maps.ravel(), windows, tips, 3.0, 7.0, weights)
     np.testing.assert_allclose(found, literal, rtol=1e-12)
 
 
 def test_targets_are_the_dilated_images_and_the_weights_of_equation_6(arm, camera):
-    """w_i = 1 + (i - 1) delta_w, maps dilated by step_px at a time: E of a candidate, word for word."""
+    """w_i = 1 + (i - 1) delta_w, maps dilated by step_px at a time: E of a candidate,
+    word for word.
+    """
     model, matching = Model(STRING, arm, camera), Matching(6, 2, 3.0, 0.5)
     seen = observed(1)
-    (goal,) = targets(model, [seen], matching)
+    (goal,) = matching_targets(model, [seen], matching)
     np.testing.assert_allclose(goal.weights[7], 1 + 0.5 * np.arange(10))
     t = np.unique(seen.points["t"])[7]
     line = camera.pixels(seen.points[seen.points["t"] == t][["x", "y"]].to_numpy())
     mask = rasterise(line, (camera.height, camera.width), 3)
     begin, top, left, height, width = goal.windows[7]
     whole = np.zeros(mask.shape, np.uint8)
-    whole[top : top + height, left : left + width] = goal.scores[begin:][: height * width].reshape(height, width)
+    whole[top : top + height, left : left + width] = goal.scores[begin:][
+        : height * width
+    ].reshape(height, width)
     first, leftmost, scores = scores_near(mask, 6, 2)
     assert (first, leftmost, scores.shape) == (top, left, (height, width))
-    np.testing.assert_array_equal(whole[top : top + height, left : left + width], scores)
+    np.testing.assert_array_equal(
+        whole[top : top + height, left : left + width], scores
+    )
     assert set(np.unique(whole)) == set(range(7))
-    rates, finite = goal.per_frame(STRING.start()[None])
-    strings = camera.pixels(next(goal.case.simulate(STRING.start()[None]))[1].points[0, 7])
+    rates, finite = goal.rates_by_frame(STRING.start_values()[None])
+    strings = camera.pixels(
+        next(goal.trial.simulate(STRING.start_values()[None]))[1].points[0, 7]
+    )
     inside = [whole[int(v + 0.5), int(u + 0.5)] for u, v in strings[:9]]
     tip = max(6 - np.linalg.norm(strings[9] - line[9]) // 3.0, 0)
     weights = 1 + 0.5 * np.arange(10)
     assert finite.all()
-    assert rates[0, 7] == pytest.approx(weights @ [*inside, tip] / (6 * weights.sum()), abs=1e-12)
+    assert rates[0, 7] == pytest.approx(
+        weights @ [*inside, tip] / (6 * weights.sum()), abs=1e-12
+    )
 
 
 def test_the_next_manipulation_begins_where_the_last_one_ended(arm, camera):
     model = Model(STRING, arm, camera)
     settings = {"candidates": 64, "matching": MATCHING}
     walk = {"chi_0": 0.5, "beta": 0.99, "batch": 16}
-    first = random_search.estimate(model, [observed(1)], None, seed=2, manipulation=1, **settings, **walk)
-    second = random_search.estimate(model, [observed(2)], first, seed=3, manipulation=2, **settings, **walk)
+    first = random_search.estimate(
+        model, [observed(1)], None, seed=2, manipulation=1, **settings, **walk
+    )
+    second = random_search.estimate(
+        model, [observed(2)], first, seed=3, manipulation=2, **settings, **walk
+    )
     begun = second.candidates.iloc[0]
-    assert {name: begun[name] for name in STRING.names} == pytest.approx(first.values(), rel=1e-9)
-    assert second.fit["before"].iloc[0] == pytest.approx(begun["matching_rate"], abs=1e-12)
+    assert {name: begun[name] for name in STRING.names} == pytest.approx(
+        first.values(), rel=1e-9
+    )
+    assert second.fit["before"].iloc[0] == pytest.approx(
+        begun["matching_rate"], abs=1e-12
+    )
 
 
 def test_cma_es_looks_closer_with_every_manipulation(arm, camera):
     model = Model(STRING, arm, camera)
     widths = []
     for manipulation in (1, 4):
-        settings = {"candidates": 33, "sigma": 0.1, "population": 32, "matching": MATCHING}
-        found = cma_es.estimate(model, [observed(1)], None, seed=2, manipulation=manipulation, **settings)
-        chi = np.stack([p.chi(found.candidates[p.name].to_numpy()[1:]) for p in STRING.parameters], axis=-1)
+        settings = {
+            "candidates": 33,
+            "sigma": 0.1,
+            "population": 32,
+            "matching": MATCHING,
+        }
+        found = cma_es.estimate(
+            model, [observed(1)], None, seed=2, manipulation=manipulation, **settings
+        )
+        chi = np.stack(
+            [p.chi(found.candidates[p.name].to_numpy()[1:]) for p in STRING.parameters],
+            axis=-1,
+        )
         widths.append(chi.std(axis=0).mean())
     assert widths[0] / widths[1] == pytest.approx(4, rel=0.1)
 
 
 def test_candidates_narrow_as_equation_4_says(arm, camera):
     """Within chi_0 / M beta^m of the best so far, and reaching near that bound."""
-    settings = {"candidates": 400, "chi_0": 0.5, "beta": 0.99, "batch": 1, "matching": MATCHING}
-    found = random_search.estimate(Model(STRING, arm, camera), [observed(1)], None, seed=2, manipulation=2, **settings)
+    settings = {
+        "candidates": 400,
+        "chi_0": 0.5,
+        "beta": 0.99,
+        "batch": 1,
+        "matching": MATCHING,
+    }
+    found = random_search.estimate(
+        Model(STRING, arm, camera),
+        [observed(1)],
+        None,
+        seed=2,
+        manipulation=2,
+        **settings,
+    )
     table = CANDIDATES.check(found.candidates)
-    chi = np.stack([p.chi(table[p.name].to_numpy()) for p in STRING.parameters], axis=-1)
+    chi = np.stack(
+        [p.chi(table[p.name].to_numpy()) for p in STRING.parameters], axis=-1
+    )
     best = chi[0]
     shares = []
     for m in range(1, len(table)):
@@ -130,15 +203,28 @@ def test_candidates_narrow_as_equation_4_says(arm, camera):
         shares.append(change.max() / reach)
         best = chi[m] if table["accepted"][m] else best
     assert 0.85 < np.mean(shares) < 1
-    assert table["matching_rate"].max() == pytest.approx(float(found.fit["after"].iloc[0]), abs=1e-12)
+    assert table["matching_rate"].max() == pytest.approx(
+        float(found.fit["after"].iloc[0]), abs=1e-12
+    )
 
 
 def test_estimation_is_bit_identical_whatever_the_threads(arm, camera):
-    settings = {"candidates": 200, "chi_0": 0.6, "beta": 0.995, "batch": 16, "matching": MATCHING}
+    settings = {
+        "candidates": 200,
+        "chi_0": 0.6,
+        "beta": 0.995,
+        "batch": 16,
+        "matching": MATCHING,
+    }
 
     def run():
         return random_search.estimate(
-            Model(STRING, arm, camera), [observed(1)], None, seed=5, manipulation=1, **settings
+            Model(STRING, arm, camera),
+            [observed(1)],
+            None,
+            seed=5,
+            manipulation=1,
+            **settings,
         )
 
     with threads(numba.config.NUMBA_NUM_THREADS):
@@ -149,27 +235,50 @@ def test_estimation_is_bit_identical_whatever_the_threads(arm, camera):
 
 
 def test_cma_es_brings_the_string_to_the_points(arm, camera):
-    settings = {"candidates": 2000, "sigma": 0.3, "population": 32, "matching": MATCHING}
-    found = cma_es.estimate(Model(STRING, arm, camera), [observed(1)], None, seed=0, manipulation=1, **settings)
+    settings = {
+        "candidates": 2000,
+        "sigma": 0.3,
+        "population": 32,
+        "matching": MATCHING,
+    }
+    found = cma_es.estimate(
+        Model(STRING, arm, camera),
+        [observed(1)],
+        None,
+        seed=0,
+        manipulation=1,
+        **settings,
+    )
     before, after = found.fit["before"].iloc[0], found.fit["after"].iloc[0]
     assert after - before > 0.8 * (1 - before)
     assert found.fit["rms_after"].iloc[0] < 0.2 * found.fit["rms_before"].iloc[0]
 
 
 def test_least_squares_recovers_known_parameters_within_its_intervals(arm, camera):
-    """Every fit reaches the noise floor, and intervals hold the truth: 94.7 % of 320 did, measured over 40 seeds from
-    starts beside it; of the 80 here, a wrong covariance or a fit short of its minimum loses more."""
+    """Every fit reaches the noise floor, and intervals hold the truth: 94.7 % of 320
+    did, measured over 40 seeds from starts beside it; of the 80 here, a wrong
+    covariance or a fit short of its minimum loses more.
+    """
     settings = {"starts": 8, "screening": 128, "iterations": 20, "matching": MATCHING}
     inside, determined = [], []
     for seed in range(10):
         found = least_squares.estimate(
-            Model(STRING, arm, camera), [observed(seed)], None, seed=seed, manipulation=1, **settings
+            Model(STRING, arm, camera),
+            [observed(seed)],
+            None,
+            seed=seed,
+            manipulation=1,
+            **settings,
         )
         table = PARAMETERS.check(found.parameters).set_index("name")
-        assert found.fit["rms_after"].iloc[0] == pytest.approx(7e-4 * np.sqrt(2), rel=0.05)
+        assert found.fit["rms_after"].iloc[0] == pytest.approx(
+            7e-4 * np.sqrt(2), rel=0.05
+        )
         sure = table[table["determined"]]
         determined.append(len(sure))
-        inside += [(row["low"] <= TRUTH[name] <= row["high"]) for name, row in sure.iterrows()]
+        inside += [
+            (row["low"] <= TRUTH[name] <= row["high"]) for name, row in sure.iterrows()
+        ]
     assert np.mean(determined) >= 6
     assert np.mean(inside) >= 0.85
 
@@ -181,21 +290,32 @@ def test_what_the_data_cannot_determine_is_said(arm, camera):
     rest = pd.concat([start] * 100, ignore_index=True).assign(t=np.arange(100) * 0.005)
     true = simulate(
         STRING,
-        hand_motion_from_grasp(rest["t"].to_numpy(), rest[["x", "y", "theta"]].to_numpy()),
+        resample_hand_motion(
+            rest["t"].to_numpy(), rest[["x", "y", "theta"]].to_numpy()
+        ),
         STRING.values(TRUTH)[None],
         np.arange(50) * 0.01,
     ).points[0]
     noise = 7e-4 * np.random.default_rng(0).standard_normal((500, 2))
-    points = pd.DataFrame({"t": np.repeat(np.arange(50) * 0.01, 10), "s": np.tile(STRING.arc_lengths(), 50)})
+    points = pd.DataFrame(
+        {
+            "t": np.repeat(np.arange(50) * 0.01, 10),
+            "s": np.tile(STRING.arc_lengths(), 50),
+        }
+    )
     points[["x", "y"]] = true.reshape(-1, 2) + noise
-    lazy = Observation("rest", points.assign(sigma=7e-4), READINGS.empty(), MASKS.empty(), grasp=rest)
+    lazy = Observation(
+        "rest", points.assign(sigma=7e-4), READINGS.empty(), MASKS.empty(), grasp=rest
+    )
     settings = {"starts": 4, "screening": 128, "iterations": 16, "matching": MATCHING}
-    found = least_squares.estimate(Model(STRING, arm, camera), [lazy], None, seed=0, manipulation=1, **settings)
+    found = least_squares.estimate(
+        Model(STRING, arm, camera), [lazy], None, seed=0, manipulation=1, **settings
+    )
     loose = set(found.parameters["symbol"][~found.parameters["determined"]])
     assert {"c_s", "c_h", "C_c1", "C_c2", "c_ph"} <= loose
     assert "c_ph" in found.fit["sentence"].iloc[0]
 
 
 def test_points_between_mass_points_are_interpolated(arm, camera):
-    ready = case(Model(STRING, arm, camera), observed(1, noise=0.0))
-    assert np.sqrt(ready.off(STRING.values(TRUTH))[0]) < 1e-9
+    ready = prepare_trial(Model(STRING, arm, camera), observed(1, noise=0.0))
+    assert np.sqrt(ready.mean_square_distances(STRING.values(TRUTH))[0]) < 1e-9

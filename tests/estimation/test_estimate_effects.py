@@ -1,4 +1,6 @@
-"""Effects in estimation and generation: found where they are, added from elsewhere, free where absent."""
+"""Effects in estimation and generation: found where they are, added from elsewhere,
+free where absent.
+"""
 
 from dataclasses import replace
 
@@ -7,23 +9,34 @@ import pandas as pd
 import pytest
 
 from stringcast.data.artifacts import MASKS, READINGS, Observation
-from stringcast.pipeline.experiment import with_effects
-from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.run.experiment import add_effects
+from stringcast.pipeline.settings.typed_settings import UserError
 from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.generate import Budget, Drawing, generate
-from stringcast.stages.inference.forward import case
+from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.hand import hand_motion_from_grasp, joint_motion
-from stringcast.stages.model.library import VARIABLE, library, named
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import resample_hand_motion, resample_joint_motion
+from stringcast.stages.model.library import (
+    EFFECTS_VARIABLE,
+    effects_by_name,
+    find_effects,
+)
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.string import String
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
 STRING = String(0.3)
 T = np.arange(0, 0.7, 0.005)
-POSE = np.stack([0.4 + 0.15 * np.sin(9 * T) ** 2, 0.4 + 0.15 * np.sin(7 * T) ** 2, -1 + 2 * np.sin(6 * T) ** 2], -1)
+POSE = np.stack(
+    [
+        0.4 + 0.15 * np.sin(9 * T) ** 2,
+        0.4 + 0.15 * np.sin(7 * T) ** 2,
+        -1 + 2 * np.sin(6 * T) ** 2,
+    ],
+    -1,
+)
 TRUTH = {
     "axial_stiffness": 9e4,
     "axial_damping": 30.0,
@@ -41,7 +54,7 @@ import numpy as np
 
 from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
+from stringcast.stages.model.effect_plots import line
 
 
 class Magnet(StringEffect):
@@ -71,26 +84,50 @@ class Magnet(StringEffect):
 def observed(model, size, noise=7e-4):
     """A swing as the camera of a model reports it, with noise."""
     t = T[::4] + 0.0013
-    seen = model.seen(hand_motion_from_grasp(T, POSE), model.values(TRUTH | size)[None], t).points[0]
+    seen = model.seen(
+        resample_hand_motion(T, POSE), model.values(TRUTH | size)[None], t
+    ).points[0]
     s = np.tile(STRING.arc_lengths(), len(t))
-    place = seen.reshape(-1, 2) + noise * np.random.default_rng(0).standard_normal((len(s), 2))
-    points = pd.DataFrame({"t": np.repeat(t, 10), "s": s, "x": place[:, 0], "y": place[:, 1], "sigma": noise})
-    grasp = pd.DataFrame({"t": T, "x": POSE[:, 0], "y": POSE[:, 1], "theta": POSE[:, 2]})
-    return Observation("t01", points.assign(valid=True), READINGS.empty(), MASKS.empty(), grasp=grasp)
+    place = seen.reshape(-1, 2) + noise * np.random.default_rng(0).standard_normal(
+        (len(s), 2)
+    )
+    points = pd.DataFrame(
+        {
+            "t": np.repeat(t, 10),
+            "s": s,
+            "x": place[:, 0],
+            "y": place[:, 1],
+            "sigma": noise,
+        }
+    )
+    grasp = pd.DataFrame(
+        {"t": T, "x": POSE[:, 0], "y": POSE[:, 1], "theta": POSE[:, 2]}
+    )
+    return Observation(
+        "t01", points.assign(valid=True), READINGS.empty(), MASKS.empty(), grasp=grasp
+    )
 
 
 def recovered(model, observation):
     """The estimate, by name."""
     settings = {"starts": 2, "screening": 128, "iterations": 16, "matching": MATCHING}
-    found = least_squares.estimate(model, [observation], None, seed=0, manipulation=1, **settings)
+    found = least_squares.estimate(
+        model, [observation], None, seed=0, manipulation=1, **settings
+    )
     return found.parameters.set_index("name"), found.fit.iloc[0]
 
 
 def test_effects_of_three_worlds_are_recovered_together(arm, camera):
-    """A weight at the tip, clocks 8 ms apart, a rolled camera, at 0.7 mm of noise: within their intervals or 3 %."""
-    size = {"tip_mass.ratio": 0.2, "time_offset.offset": 0.008, "camera_rotation.angle": -0.03}
+    """A weight at the tip, clocks 8 ms apart, a rolled camera, at 0.7 mm of noise:
+    within their intervals or 3 %.
+    """
+    size = {
+        "tip_mass.ratio": 0.2,
+        "time_offset.offset": 0.008,
+        "camera_rotation.angle": -0.03,
+    }
     plain = Model(STRING, arm, camera)
-    model = plain.with_effects(*named([name.split(".")[0] for name in size]))
+    model = plain.with_effects(*find_effects([name.split(".")[0] for name in size]))
     observation = observed(model, size)
     table, fit = recovered(model, observation)
     assert fit["rms_after"] == pytest.approx(7e-4 * np.sqrt(2), rel=0.05)
@@ -102,107 +139,149 @@ def test_effects_of_three_worlds_are_recovered_together(arm, camera):
 
 
 def test_joints_that_lag_arrive_though_the_log_ends_with_the_motion(arm, camera):
-    """Filmed for longer than logged: else the arm would stop short for ever, by 2 mm here."""
+    """Filmed for longer than logged: else the arm would stop short for ever, by 2 mm
+    here.
+    """
     t = T[T < 0.3]
     braking = np.array([0.3, 0.5, 0.2]) * (1 - (t / t[-1] - 1) ** 2)[:, None]
-    log = pd.DataFrame({"t": t, "q1": braking[:, 0], "q2": braking[:, 1], "q3": braking[:, 2]})
+    log = pd.DataFrame(
+        {"t": t, "q1": braking[:, 0], "q2": braking[:, 1], "q3": braking[:, 2]}
+    )
     points = observed(Model(STRING, arm, camera), {}).points
     short = Observation("t01", points, READINGS.empty(), MASKS.empty(), arm=log)
-    ready = case(Model(STRING, arm, camera), short)
-    acts = [(library()["arm_lag"], {"time_constant": np.full((1, 1, 1), 0.02)})]
+    ready = prepare_trial(Model(STRING, arm, camera), short)
+    acts = [(effects_by_name()["arm_lag"], {"time_constant": np.full((1, 1, 1), 0.02)})]
     there = arm.grasp(braking[-1])[:2]
-    stops = joint_motion(t, braking).actual(arm, acts).pose[0, -1, :2]
-    arrives = ready.motion.actual(arm, acts)
+    stops = (
+        resample_joint_motion(t, braking).actual_hand_motion(arm, acts).pose[0, -1, :2]
+    )
+    arrives = ready.motion.actual_hand_motion(arm, acts)
     assert arrives.end >= ready.times[-1]
     assert np.linalg.norm(stops - there) > 2e-3
     assert np.linalg.norm(arrives.pose[0, -1, :2] - there) < 1e-5
 
 
 def test_what_is_known_of_an_effect_is_refined_and_not_sought_all_over(arm, camera):
-    """A dry friction anywhere in its range would ask for a hundred times as many steps as one where it is known."""
-    heavy = Model(STRING, arm, camera).with_effects(*named(["tip_mass"]))
-    known = replace(heavy, known={"tip_mass.ratio": 0.17})
+    """A dry friction anywhere in its range would ask for a hundred times as many steps
+    as one where it is known.
+    """
+    heavy = Model(STRING, arm, camera).with_effects(*find_effects(["tip_mass"]))
+    known = replace(heavy, start_values={"tip_mass.ratio": 0.17})
     settings = {"starts": 2, "screening": 128, "iterations": 16, "matching": MATCHING}
     seen = observed(heavy, {"tip_mass.ratio": 0.2})
-    found = least_squares.estimate(known, [seen], None, seed=0, manipulation=1, **settings)
+    found = least_squares.estimate(
+        known, [seen], None, seed=0, manipulation=1, **settings
+    )
     screened = found.candidates.iloc[: settings["screening"]]
     assert screened["tip_mass.ratio"].to_numpy() == pytest.approx(0.17)
     assert screened["bending_stiffness"].nunique() == settings["screening"]
     assert found.values()["tip_mass.ratio"] == pytest.approx(0.2, rel=0.03)
 
 
-def test_an_effect_in_a_folder_of_its_own_needs_no_other_file(tmp_path, monkeypatch, arm, camera):
+def test_an_effect_in_a_folder_of_its_own_needs_no_other_file(
+    tmp_path, monkeypatch, arm, camera
+):
     (tmp_path / "magnet.py").write_text(MAGNET)
-    monkeypatch.setenv(VARIABLE, str(tmp_path))
-    magnet = library()["magnet"]
+    monkeypatch.setenv(EFFECTS_VARIABLE, str(tmp_path))
+    magnet = effects_by_name()["magnet"]
     assert magnet.describe({"pull": 3.0}) == "a magnet pulls with 3.0 m/s2"
     model = Model(STRING, arm, camera).with_effects(magnet)
     t = np.linspace(0, 1, 21)
-    values = np.stack([model.values(TRUTH | {"magnet.pull": pull}) for pull in (0.0, 5.0)])
-    weak, strong = model.true(hand_motion_from_grasp(T, POSE), values, t).points
+    values = np.stack(
+        [model.values(TRUTH | {"magnet.pull": pull}) for pull in (0.0, 5.0)]
+    )
+    weak, strong = model.simulate_string(
+        resample_hand_motion(T, POSE), values, t
+    ).points
     assert (strong[:, -1, 1] - weak[:, -1, 1]).min() < -0.01
     table, _ = recovered(model, observed(model, {"magnet.pull": 5.0}))
     assert table.loc["magnet.pull", "value"] == pytest.approx(5.0, rel=0.03)
 
 
 def test_files_that_are_no_effect_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    monkeypatch.setenv(EFFECTS_VARIABLE, str(tmp_path))
     (tmp_path / "compass.py").write_text(MAGNET)
-    with pytest.raises(ValueError, match=r"compass.py: it must hold one effect, with name = 'compass'"):
-        library()
+    with pytest.raises(
+        ValueError, match=r"compass.py: it must hold one effect, with name = 'compass'"
+    ):
+        effects_by_name()
     (tmp_path / "compass.py").unlink()
-    (tmp_path / "mute.py").write_text(MAGNET.replace('"magnet"', '"mute"').replace("def describe", "def said"))
+    (tmp_path / "mute.py").write_text(
+        MAGNET.replace('"magnet"', '"mute"').replace("def describe", "def said")
+    )
     with pytest.raises(ValueError, match="the effect lacks describe"):
-        library()
+        effects_by_name()
     (tmp_path / "mute.py").unlink()
     (tmp_path / "wind.py").write_text(MAGNET.replace('"magnet"', '"wind"'))
     with pytest.raises(ValueError, match="there is an effect 'wind' already"):
-        library()
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "nowhere"))
+        effects_by_name()
+    monkeypatch.setenv(EFFECTS_VARIABLE, str(tmp_path / "nowhere"))
     with pytest.raises(ValueError, match="there is no folder"):
-        library()
+        effects_by_name()
 
 
 def test_without_effects_the_model_is_the_string_to_the_bit(arm, camera):
     rng = np.random.default_rng(0)
     values = np.array([p.value(rng.random(20)) for p in STRING.parameters]).T
     model, t = Model(STRING, arm, camera), np.linspace(0, 1.1, 40)
-    angles = rng.normal(size=3) + np.stack([np.sin(9 * T) ** 2, np.sin(5 * T) ** 2, np.cos(7 * T)], axis=-1)
+    angles = rng.normal(size=3) + np.stack(
+        [np.sin(9 * T) ** 2, np.sin(5 * T) ** 2, np.cos(7 * T)], axis=-1
+    )
     for motion, hand in [
-        (joint_motion(T, angles), joint_motion(T, angles).grasp(arm)),
-        (hand_motion_from_grasp(T, POSE), hand_motion_from_grasp(T, POSE)),
+        (
+            resample_joint_motion(T, angles),
+            resample_joint_motion(T, angles).hand_motion(arm),
+        ),
+        (resample_hand_motion(T, POSE), resample_hand_motion(T, POSE)),
     ]:
         expected = simulate(STRING, hand, values, t)
-        found = model.seen(motion, values, t)
+        found = model.simulate_observation(motion, values, t)
         np.testing.assert_array_equal(found.points, expected.points)
         np.testing.assert_array_equal(found.finite, expected.finite)
-    ready = case(model, observed(model, {}))
+    ready = prepare_trial(model, observed(model, {}))
     (_, motion), *_ = ready.simulate(values)
-    np.testing.assert_array_equal(motion.points, simulate(STRING, hand, values, ready.times).points)
+    np.testing.assert_array_equal(
+        motion.points, simulate(STRING, hand, values, ready.times).points
+    )
 
 
 def test_generation_knows_a_hand_that_lags(arm, camera):
     """What is hit is hit by the model with the lag, and not by the one without."""
-    model = Model(STRING, arm, camera).with_effects(*named(["arm_lag", "tip_mass"]))
-    settings = {"drawing": Drawing(0.4, 0.6, 150.0, 0.25), "budget": Budget(20000, 256, 1)}
+    model = Model(STRING, arm, camera).with_effects(
+        *find_effects(["arm_lag", "tip_mass"])
+    )
+    settings = {
+        "drawing": Drawing(0.4, 0.6, 150.0, 0.25),
+        "budget": Budget(20000, 256, 1),
+    }
     known = TRUTH | {"arm_lag.time_constant": 0.05, "tip_mass.ratio": 0.3}
     box = Box(0.4, 0.7, 0.04, 0.04)
-    motion = generate(replace(model, known=known), box, (), None, None, seed=1, **settings)
+    motion = generate(
+        replace(model, start_values=known), box, (), None, None, seed=1, **settings
+    )
     commands = motion.commands
-    joints = joint_motion(commands["t"].to_numpy(), commands[["q1", "q2", "q3"]].to_numpy())
+    joints = resample_joint_motion(
+        commands["t"].to_numpy(), commands[["q1", "q2", "q3"]].to_numpy()
+    )
     t = np.arange(0, motion.duration, 0.0005)
     values = np.stack([model.values(known), model.values(TRUTH)])
-    tips = model.true(joints, values, t).tip
-    assert box.crossed(tips[0, :-1], tips[0, 1:]).any()
-    assert not box.crossed(tips[1, :-1], tips[1, 1:]).any()
+    tips = model.simulate_string(joints, values, t).tip
+    assert box.is_crossed_by(tips[0, :-1], tips[0, 1:]).any()
+    assert not box.is_crossed_by(tips[1, :-1], tips[1, 1:]).any()
 
 
 def test_a_wrong_name_in_the_settings_is_answered(arm, camera):
     plain = Model(STRING, arm, camera)
-    with pytest.raises(UserError, match=r"effects \(here\): there is no effect 'tipmass'\. Did you mean 'tip_mass'\?"):
-        with_effects(plain, ["tipmass"], "here")
+    with pytest.raises(
+        UserError,
+        match=r"effects \(here\): there is no effect 'tipmass'\. Did you mean 'tip_mass'\?",
+    ):
+        add_effects(plain, ["tipmass"], "here")
     with pytest.raises(UserError, match="must be a list"):
-        with_effects(plain, "tip_mass", "here")
-    with pytest.raises(UserError, match=r"effects \(here\): effect 'wind' is at work already\. Name it once\."):
-        with_effects(plain, ["wind", "wind"], "here")
-    assert with_effects(plain, ["resolution", "wind"], "here").string.points == 19
+        add_effects(plain, "tip_mass", "here")
+    with pytest.raises(
+        UserError,
+        match=r"effects \(here\): effect 'wind' is at work already\. Name it once\.",
+    ):
+        add_effects(plain, ["wind", "wind"], "here")
+    assert add_effects(plain, ["resolution", "wind"], "here").string.points == 19

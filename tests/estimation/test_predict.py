@@ -1,4 +1,6 @@
-"""What a fitted model predicts of a trial that nothing was fitted to, and what of that trial it may look at."""
+"""What a fitted model predicts of a trial that nothing was fitted to, and what of that
+trial it may look at.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,23 +10,48 @@ import pandas as pd
 import pytest
 import yaml
 
-from stringcast.data.artifacts import MASKS, PARAMETERS, READINGS, SCORE, Estimate, Observation, Prediction
+from stringcast.data.artifacts import (
+    MASKS,
+    PARAMETERS,
+    READINGS,
+    SCORE,
+    Estimate,
+    Observation,
+    Prediction,
+)
 from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.estimate import Estimate as Estimation
-from stringcast.pipeline.result import in_numbers
-from stringcast.stages.estimate.prediction.predict import predict, resting
-from stringcast.stages.inference.forward import case
-from stringcast.stages.model.hand import hand_motion_from_grasp
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.library import named
+from stringcast.pipeline.run.result import run_summary
+from stringcast.stages.estimate.prediction.predict import predict, resting_part
+from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import resample_hand_motion
+from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.simulate import simulate
-from stringcast.stages.model.state import State
+from stringcast.stages.model.state import StringState
 from stringcast.stages.model.string import String
 
-STRING = String(0.3, points=12, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=1e-3)
-TRUTH = {"axial_stiffness": 9e5, "axial_damping": 1300.0, "bending_stiffness": 60.0, "bending_damping": 0.3}
-TRUTH |= {"linear_drag": 1.0, "grasp_stiffness": 5.0, "rest_curvature.curvature": 1.0, "rest_curvature.slope": 4.0}
+STRING = String(
+    0.3,
+    points=12,
+    tip_cell=0.5,
+    grasp_cell=0.5,
+    integrator=ImplicitLeapfrog(),
+    largest_step=1e-3,
+)
+TRUTH = {
+    "axial_stiffness": 9e5,
+    "axial_damping": 1300.0,
+    "bending_stiffness": 60.0,
+    "bending_damping": 0.3,
+}
+TRUTH |= {
+    "linear_drag": 1.0,
+    "grasp_stiffness": 5.0,
+    "rest_curvature.curvature": 1.0,
+    "rest_curvature.slope": 4.0,
+}
 T = np.arange(0, 1.0, 1 / 60)
 MOVES = 0.25  # [s]
 PLACES = np.array([0.15, 0.3])
@@ -33,21 +60,47 @@ NOISE = 3e-4
 
 @pytest.fixture
 def model(arm, camera):
-    """With the laws of `known_answers/test_clamp.py`, absent by their values: there is one loop to compile for both."""
-    return Model(STRING, arm, camera).with_effects(*named(["density_taper", "rest_curvature", "tip_mass"]))
+    """With the laws of `known_answers/test_clamp.py`, absent by their values: there is
+    one loop to compile for both.
+    """
+    return Model(STRING, arm, camera).with_effects(
+        *find_effects(["density_taper", "rest_curvature", "tip_mass"])
+    )
 
 
 def driven(model, values, name="driven", start=None):
-    """A trial whose hand begins to move after a while, or whose string begins in a state; with the noise of points."""
+    """A trial whose hand begins to move after a while, or whose string begins in a
+    state; with the noise of points.
+    """
     reach = 0.1 * np.sin(9 * np.maximum(T - MOVES, 0.0)) if start is None else 0 * T
     pose = np.stack([reach, 0 * T, np.full_like(T, -np.pi / 2)], axis=-1)
-    true = simulate(model.string, hand_motion_from_grasp(T, pose), model.values(TRUTH | values)[None], T, start)
-    line = [[np.interp(PLACES, model.string.arc_lengths(), one[:, axis]) for axis in (0, 1)] for one in true.points[0]]
-    seen = np.array(line).transpose(0, 2, 1) + np.random.default_rng(1).normal(0, NOISE, (len(T), 2, 2))
-    points = pd.DataFrame({"t": T.repeat(2), "s": np.tile(PLACES, len(T)), "sigma": NOISE, "valid": True})
+    true = simulate(
+        model.string,
+        resample_hand_motion(T, pose),
+        model.values(TRUTH | values)[None],
+        T,
+        start,
+    )
+    line = [
+        [np.interp(PLACES, model.string.arc_lengths(), one[:, axis]) for axis in (0, 1)]
+        for one in true.points[0]
+    ]
+    seen = np.array(line).transpose(0, 2, 1) + np.random.default_rng(1).normal(
+        0, NOISE, (len(T), 2, 2)
+    )
+    points = pd.DataFrame(
+        {"t": T.repeat(2), "s": np.tile(PLACES, len(T)), "sigma": NOISE, "valid": True}
+    )
     points[["x", "y"]] = seen.reshape(-1, 2)
     grasp = pd.DataFrame({"t": T} | dict(zip(("x", "y", "theta"), pose.T, strict=True)))
-    return Observation(name, points, READINGS.empty(), MASKS.empty(), grasp=grasp, moving=start is not None)
+    return Observation(
+        name,
+        points,
+        READINGS.empty(),
+        MASKS.empty(),
+        grasp=grasp,
+        starts_moving=start is not None,
+    )
 
 
 def fitted(model, **values):
@@ -60,7 +113,14 @@ def fitted(model, **values):
             "meaning": p.meaning,
             "value": (TRUTH | values).get(p.name, p.start),
         }
-        | {"low": p.low, "high": p.high, "minimum": p.low, "maximum": p.high, "chi": 0.5, "at_bound": False}
+        | {
+            "low": p.low,
+            "high": p.high,
+            "minimum": p.low,
+            "maximum": p.high,
+            "chi": 0.5,
+            "at_bound": False,
+        }
         | {"determined": True}
         for p in model.parameters
     ]
@@ -68,29 +128,40 @@ def fitted(model, **values):
 
 
 def test_a_set_of_another_recording_is_read_where_the_string_rests(model):
-    """Two numbers, of which nothing tells but the frames before the hand moves; all else is as estimated."""
+    """Two numbers, of which nothing tells but the frames before the hand moves; all
+    else is as estimated.
+    """
     other = {"rest_curvature.curvature": -2.0, "rest_curvature.slope": -8.0}
     trial, estimate = driven(model, other), fitted(model)
-    read, plain = (predict(model, estimate, trial, own) for own in (["rest_curvature"], []))
+    read, plain = (
+        predict(model, estimate, trial, own) for own in (["rest_curvature"], [])
+    )
     assert read.score["free"].iloc[0] == 2
     assert read.score["tip"].iloc[0] < 2 * NOISE
     assert read.score["rms"].iloc[0] < 2 * NOISE
     assert plain.score["free"].iloc[0] == 0
     assert plain.score["tip"].iloc[0] > 0.02
-    off = np.hypot(*(read.predicted[f"predicted_{c}"] - read.predicted[c] for c in "xy"))
-    assert np.sqrt(np.mean(off[read.predicted["s"] == 0.3] ** 2)) == pytest.approx(read.score["tip"].iloc[0])
+    off = np.hypot(
+        *(read.predicted[f"predicted_{c}"] - read.predicted[c] for c in "xy")
+    )
+    assert np.sqrt(np.mean(off[read.predicted["s"] == 0.3] ** 2)) == pytest.approx(
+        read.score["tip"].iloc[0]
+    )
 
 
 def test_what_is_read_where_it_rests_knows_nothing_of_what_follows(model):
     trial = driven(model, {})
     late = trial.points["t"] > MOVES + 0.05
     moved = replace(trial, points=trial.points.assign(x=trial.points["x"] + 0.1 * late))
-    both = [predict(model, fitted(model), each, ["rest_curvature"]).predicted["predicted_x"] for each in (trial, moved)]
+    both = [
+        predict(model, fitted(model), each, ["rest_curvature"]).predicted["predicted_x"]
+        for each in (trial, moved)
+    ]
     np.testing.assert_array_equal(*both)
 
 
 def test_a_string_rests_until_its_hand_has_moved(model):
-    still = resting(case(model, driven(model, {})))
+    still = resting_part(prepare_trial(model, driven(model, {})))
     assert still.times[-1] <= MOVES + 0.03  # by then the hand has gone 1.5 mm
     assert len(still.times) >= np.sum(MOVES >= T)
     assert still.frame.max() == len(still.times) - 1
@@ -98,9 +169,11 @@ def test_a_string_rests_until_its_hand_has_moved(model):
 
 def test_of_one_that_begins_moving_only_its_beginning_is_fitted(model):
     middle = (np.arange(60) + 0.5) * 0.3 / 60
-    aside = State(0.0, middle, -np.pi / 2 + 1.2 * np.sin(np.pi / 2 * middle / 0.3), 0 * middle)
+    aside = StringState(
+        0.0, middle, -np.pi / 2 + 1.2 * np.sin(np.pi / 2 * middle / 0.3), 0 * middle
+    )
     trial = driven(model, {}, start=aside)
-    assert resting(case(model, trial)) is None
+    assert resting_part(prepare_trial(model, trial)) is None
     found = predict(model, fitted(model), trial, ["rest_curvature"])
     assert found.score["free"].iloc[0] == 12
     assert found.score["tip"].iloc[0] < 4 * NOISE
@@ -108,7 +181,8 @@ def test_of_one_that_begins_moving_only_its_beginning_is_fitted(model):
     assert worse.score["tip"].iloc[0] > 10 * NOISE
 
 
-# --- in a run ------------------------------------------------------------------------------------------------------
+# --- in a run
+# ------------------------------------------------------------------------------------------------------
 
 
 class Recorder:
@@ -118,11 +192,23 @@ class Recorder:
         self.seen = []
 
     def obtain(self, step):
-        name, trials = step.stage.name, [o.trial for o in step.inputs["trials"].observations]
+        name, trials = (
+            step.stage.name,
+            [o.trial for o in step.inputs["trials"].observations],
+        )
         self.seen.append((name, step.number, trials, step.inputs["estimate"]))
         score = {"trial": trials[-1], "free": 2, "rms": 0.001, "tip": 0.002}
-        fit = {"before": 0.5, "after": 0.9, "rms_before": 0.1, "rms_after": 0.003, "tip_after": 0.004, "sentence": ""}
-        made = {"predict": Prediction(pd.DataFrame(), SCORE.check(pd.DataFrame([score])))}
+        fit = {
+            "before": 0.5,
+            "after": 0.9,
+            "rms_before": 0.1,
+            "rms_after": 0.003,
+            "tip_after": 0.004,
+            "sentence": "",
+        }
+        made = {
+            "predict": Prediction(pd.DataFrame(), SCORE.check(pd.DataFrame([score])))
+        }
         return made.get(name) or Estimate(*[pd.DataFrame()] * 3, pd.DataFrame([fit]))
 
 
@@ -130,7 +216,12 @@ class Settings:
     """As much of a world as estimation from stored trials asks for."""
 
     def __init__(self, model, trials_used, trials):
-        self.model, self.arm, self.camera, self.string = model, model.arm, model.camera, model.string
+        self.model, self.arm, self.camera, self.string = (
+            model,
+            model.arm,
+            model.camera,
+            model.string,
+        )
         self.config = {"trials_used": trials_used, "trials": str(trials)}
 
 
@@ -139,10 +230,16 @@ def run(model, folder, trials_used, held_out):
     for table in ("grasp", "points"):
         rows = [getattr(trial, table).assign(trial=trial.trial) for trial in trials]
         pd.concat(rows).to_parquet(folder / f"{table}.parquet", index=False)
-    about = {"format": 1, "string": {"length": 0.3}, "trials": {name: {"role": "held_out"} for name in held_out}}
+    about = {
+        "format": 1,
+        "string": {"length": 0.3},
+        "trials": {name: {"role": "held_out"} for name in held_out},
+    }
     (folder / "dataset.yaml").write_text(yaml.safe_dump(about))
     executor = Recorder()
-    return executor.seen, Estimation(again=False).work(Settings(model, trials_used, folder), Path(), executor)
+    return executor.seen, Estimation(again=False).run_steps(
+        Settings(model, trials_used, folder), Path(), executor
+    )
 
 
 @pytest.mark.parametrize(
@@ -153,14 +250,21 @@ def run(model, folder, trials_used, held_out):
         ("all", [(3, ["a", "c", "d"])]),
     ],
 )
-def test_what_is_held_out_is_predicted_and_not_estimated_from(trials_used, estimated, model, tmp_path):
+def test_what_is_held_out_is_predicted_and_not_estimated_from(
+    trials_used, estimated, model, tmp_path
+):
     seen, result = run(model, tmp_path, trials_used, ["b"])
-    assert [(number, trials) for name, number, trials, _ in seen if name == "estimate"] == estimated
+    assert [
+        (number, trials) for name, number, trials, _ in seen if name == "estimate"
+    ] == estimated
     name, number, trials, estimate = seen[-1]
     assert (name, number, trials) == ("predict", 4, ["b"])
     assert estimate is result.estimate
-    rows = in_numbers(result)["iterations"]
-    assert [(row["tip_rms_m"], row.get("held_out")) for row in rows[-2:]] == [(0.004, None), (0.002, "b")]
+    rows = run_summary(result)["iterations"]
+    assert [(row["tip_rms_m"], row.get("held_out")) for row in rows[-2:]] == [
+        (0.004, None),
+        (0.002, "b"),
+    ]
     assert "Held out, the tip of b is 2.0 mm off" in result.sentence
 
 

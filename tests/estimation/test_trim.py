@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import MASKS, READINGS, Observation
-from stringcast.stages.estimate.trim import NEAR, trimmed_at_contact
+from stringcast.stages.estimate.trim import CONTACT_MARGIN_M, trim_at_contact
 from stringcast.stages.model.box import Box
 
 S = np.linspace(0.1, 0.3, 5)
@@ -15,7 +15,9 @@ def going_right(step, frames=20):
     """A hanging string that goes right by `step` [m] from frame to frame."""
     t, s = np.meshgrid(0.005 * np.arange(frames), S, indexing="ij")
     x = step * np.round(t / 0.005)
-    points = pd.DataFrame({"t": t.ravel(), "s": s.ravel(), "x": x.ravel(), "y": -s.ravel(), "valid": True})
+    points = pd.DataFrame(
+        {"t": t.ravel(), "s": s.ravel(), "x": x.ravel(), "y": -s.ravel(), "valid": True}
+    )
     return Observation("t", points, READINGS.empty(), MASKS.empty())
 
 
@@ -24,32 +26,37 @@ def last_x(observation):
 
 
 def test_a_trial_ends_before_it_touches():
-    """At 30 mm from frame to frame: 480 mm is within 10 mm of the wall's face at 490 mm, 450 mm is not."""
-    assert last_x(trimmed_at_contact(going_right(0.03), [WALL])) == 0.03 * 15
-    assert 0.49 - NEAR <= 0.03 * 16
+    """At 30 mm from frame to frame: 480 mm is within 10 mm of the wall's face at 490
+    mm, 450 mm is not.
+    """
+    assert last_x(trim_at_contact(going_right(0.03), [WALL])) == 0.03 * 15
+    assert 0.49 - CONTACT_MARGIN_M <= 0.03 * 16
 
 
 def test_what_passes_between_two_frames_has_touched_too():
     """A thin wall, and 150 mm from frame to frame."""
-    assert last_x(trimmed_at_contact(going_right(0.15), [Box(0.525, 0.0, 0.002, 1.0)])) == 0.15 * 3
+    assert (
+        last_x(trim_at_contact(going_right(0.15), [Box(0.525, 0.0, 0.002, 1.0)]))
+        == 0.15 * 3
+    )
 
 
 def test_points_that_were_not_measured_touch_nothing_and_hide_nothing():
     seen = going_right(0.03)
     seen.points.loc[seen.points["s"] == S[2], "valid"] = False
-    cut = trimmed_at_contact(seen, [WALL])
+    cut = trim_at_contact(seen, [WALL])
     assert last_x(cut) == 0.03 * 15
     assert len(cut.points) == 16 * len(S)
 
 
 def test_without_obstacles_or_clear_of_them_or_touching_from_the_first_all_stays():
     seen = going_right(0.01)
-    assert trimmed_at_contact(seen, []) is seen
-    assert trimmed_at_contact(seen, [WALL]) is seen
-    assert trimmed_at_contact(seen, [Box(0.0, 0.0, 0.02, 1.0)]) is seen
+    assert trim_at_contact(seen, []) is seen
+    assert trim_at_contact(seen, [WALL]) is seen
+    assert trim_at_contact(seen, [Box(0.0, 0.0, 0.02, 1.0)]) is seen
 
 
 def test_a_trial_of_which_nothing_was_read_is_left_to_those_who_say_so():
     seen = going_right(0.03)
     seen.points["valid"] = False
-    assert trimmed_at_contact(seen, [WALL]) is seen
+    assert trim_at_contact(seen, [WALL]) is seen

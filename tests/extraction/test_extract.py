@@ -13,8 +13,17 @@ from stringcast.stages.extract.footage import Footage, footage_of
 from stringcast.stages.extract.score import rasterise, scores_near
 from stringcast.stages.model.camera import Camera
 
-SETTINGS = {"points": 31, "sigmas": 6.0, "arm_width": 0.035, "hidden": 0.01, "shorter": 0.12, "longer": 0.4}
-STRIPS = Path(__file__).resolve().parents[3] / "shared" / "measured" / "l4dc_strip_video"
+SETTINGS = {
+    "points": 31,
+    "sigmas": 6.0,
+    "arm_width": 0.035,
+    "hidden": 0.01,
+    "shorter": 0.12,
+    "longer": 0.4,
+}
+STRIPS = (
+    Path(__file__).resolve().parents[3] / "shared" / "measured" / "l4dc_strip_video"
+)
 
 
 def misses(points, trial, true, camera):
@@ -25,52 +34,85 @@ def misses(points, trial, true, camera):
     across, tips = {}, {}
     for moment, rows in points.points.groupby("t"):
         frame = int(np.argmin(np.abs(t - moment)))
-        curve = np.stack([np.interp(fine, s, true[frame, :, i]) for i in (0, 1)], axis=-1)
-        away = np.linalg.norm(rows[["x", "y"]].to_numpy()[:, None] - curve[None], axis=-1).min(axis=1)
+        curve = np.stack(
+            [np.interp(fine, s, true[frame, :, i]) for i in (0, 1)], axis=-1
+        )
+        away = np.linalg.norm(
+            rows[["x", "y"]].to_numpy()[:, None] - curve[None], axis=-1
+        ).min(axis=1)
         across[frame] = np.sqrt(np.mean(away**2)) * camera.px_per_m
-        tips[frame] = np.linalg.norm(rows[["x", "y"]].to_numpy()[-1] - true[frame, -1]) * camera.px_per_m
+        tips[frame] = (
+            np.linalg.norm(rows[["x", "y"]].to_numpy()[-1] - true[frame, -1])
+            * camera.px_per_m
+        )
     return across, tips
 
 
 @pytest.mark.parametrize("name", ["A", "D"])
 def test_centreline_and_tip_on_the_virtual_lab(filmed, arm, camera, name):
-    """Within 1 px RMS and 3 px at the tip on at least 98 % of all frames, readable or not."""
+    """Within 1 px RMS and 3 px at the tip on at least 98 % of all frames, readable or
+    not.
+    """
     trial, true = filmed(name)
     found = extract(footage_of(trial.film, arm), camera, string_length=0.3, **SETTINGS)
     across, tips = misses(found, trial, true, camera)
     total = len(trial.frames)
     assert sum(a < 1 for a in across.values()) >= 0.98 * total
     assert sum(a < 3 for a in tips.values()) >= 0.98 * total
-    assert set(found.masks["frame"]) == set(found.readings["frame"][found.readings["valid"]])
+    assert set(found.masks["frame"]) == set(
+        found.readings["frame"][found.readings["valid"]]
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "duration"),
-    [("B", 0.115), *(pytest.param(*each, marks=pytest.mark.long) for each in (("A", 0.165), ("C", 0.19), ("D", 0.19)))],
+    [
+        ("B", 0.115),
+        *(
+            pytest.param(*each, marks=pytest.mark.long)
+            for each in (("A", 0.165), ("C", 0.19), ("D", 0.19))
+        ),
+    ],
 )
 def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
-    """The same limits at 26 m/s: blur of 9 px, tips in front of the arm and along its outline.
+    """The same limits at 26 m/s: blur of 9 px, tips in front of the arm and along its
+    outline.
 
-    Measured on A to D: line 100 %, tip 98.2 to 100 % of frames; tips 0.92 to 1.00 sigma of a coordinate off. Reading
-    where the mask ends, as for a string at rest, leaves tips 1.5 to 2.2 sigma off.
+    Measured on A to D: line 100 %, tip 98.2 to 100 % of frames; tips 0.92 to 1.00 sigma
+    of a coordinate off. Reading where the mask ends, as for a string at rest, leaves
+    tips 1.5 to 2.2 sigma off.
     """
     upwards = {"duration": 0.24, "speeds": (14.6, 10.4, -16.7)}
-    back = {"duration": duration, "start": (2.2, -0.6, -0.4), "speeds": (-4.5 / duration, 3 / duration, 4.5 / duration)}
+    back = {
+        "duration": duration,
+        "start": (2.2, -0.6, -0.4),
+        "speeds": (-4.5 / duration, 3 / duration, 4.5 / duration),
+    }
     near, close, off, total = 0, 0, [], 0
     for cast in (upwards, back):
         trial, true = filmed(name, **cast)
         t = trial.frames["t"].to_numpy()
-        assert (np.linalg.norm(np.diff(true[:, -1], axis=0), axis=-1) / np.diff(t)).max() > 20  # mean over 5 ms
-        found = extract(footage_of(trial.film, arm), camera, string_length=0.3, **SETTINGS)
+        # mean over 5 ms
+        assert (
+            np.linalg.norm(np.diff(true[:, -1], axis=0), axis=-1) / np.diff(t)
+        ).max() > 20
+        found = extract(
+            footage_of(trial.film, arm), camera, string_length=0.3, **SETTINGS
+        )
         across, tips = misses(found, trial, true, camera)
         sigma = found.readings["tip_sigma"].to_numpy() * camera.px_per_m
         off += [tips[i] / sigma[i] for i in tips]
-        near, close = near + sum(a < 1 for a in across.values()), close + sum(a < 3 for a in tips.values())
+        near, close = (
+            near + sum(a < 1 for a in across.values()),
+            close + sum(a < 3 for a in tips.values()),
+        )
         total += len(t)
     assert near >= 0.98 * total
     assert close >= 0.98 * total
-    assert 0.7 < np.median(off) / np.sqrt(2 * np.log(2)) < 1.4  # of a coordinate: distances in the plane are Rayleigh's
-    assert np.mean(np.array(off) > 4) < 0.1  # measured: 0 to 2 %, and 8 % of D, whose whipping end is told too surely
+    # of a coordinate: distances in the plane are Rayleigh's
+    assert 0.7 < np.median(off) / np.sqrt(2 * np.log(2)) < 1.4
+    # measured: 0 to 2 %, and 8 % of D, whose whipping end is told too surely
+    assert np.mean(np.array(off) > 4) < 0.1
 
 
 def test_what_cannot_be_read_is_refused_with_the_reason(filmed, arm, camera):
@@ -82,21 +124,35 @@ def test_what_cannot_be_read_is_refused_with_the_reason(filmed, arm, camera):
     u, v = camera.pixels(footage.grasp[20, :2])
     cut[int(v) + 25 :, :] = 40
     images[20] = cut
-    found = extract(Footage(footage.t, images, footage.grasp, footage.body), camera, string_length=0.3, **SETTINGS)
+    found = extract(
+        Footage(footage.t, images, footage.grasp, footage.body),
+        camera,
+        string_length=0.3,
+        **SETTINGS,
+    )
     readings = found.readings.set_index("frame")
     assert not readings.loc[10, "valid"]
     assert not readings.loc[20, "valid"]
     assert readings.loc[10, "reason"]
     assert "shorter" in readings.loc[20, "reason"]
-    assert not np.isclose(found.points["t"].to_numpy()[:, None], footage.t[[10, 20]]).any()
+    assert not np.isclose(
+        found.points["t"].to_numpy()[:, None], footage.t[[10, 20]]
+    ).any()
 
 
 def test_a_tip_beyond_the_picture_is_not_guessed(filmed, arm, camera):
-    """Nearly all of the string is seen, as long as it may be: but the end of what is seen is the picture's."""
+    """Nearly all of the string is seen, as long as it may be: but the end of what is
+    seen is the picture's.
+    """
     trial, true = filmed("A", duration=0.2)
     height = int(camera.pixels(true[0, -1])[1]) - 5
     footage = footage_of(trial.film, arm)
-    cut = Footage(footage.t, [image[:height] for image in footage.images], footage.grasp, footage.body)
+    cut = Footage(
+        footage.t,
+        [image[:height] for image in footage.images],
+        footage.grasp,
+        footage.body,
+    )
     found = extract(cut, replace(camera, height=height), string_length=0.3, **SETTINGS)
     assert found.readings["reason"][0] == "the string leaves the picture"
 
@@ -111,7 +167,9 @@ def test_score_map_is_repeated_dilation(step):
         literal[(grown > 0) & (literal == 0)] = p
         grown = cv2.dilate(grown, np.ones((2 * step + 1, 2 * step + 1), np.uint8))
     top, left, near = scores_near(mask, 7, step)
-    about = np.pad(near, ((top, 64 - top - near.shape[0]), (left, 80 - left - near.shape[1])))
+    about = np.pad(
+        near, ((top, 64 - top - near.shape[0]), (left, 80 - left - near.shape[1]))
+    )
     np.testing.assert_array_equal(about, literal)
 
 
@@ -124,11 +182,23 @@ def test_real_footage_agrees_with_its_table(name, length):
     while (frame := film.read())[0]:
         images.append(cv2.cvtColor(frame[1], cv2.COLOR_BGR2GRAY))
     t = np.sort(table["t"].unique())
-    origin = (float((table["u"] - 2350 * table["x"]).mean()), float((table["v"] + 2350 * table["y"]).mean()))
+    origin = (
+        float((table["u"] - 2350 * table["x"]).mean()),
+        float((table["v"] + 2350 * table["y"]).mean()),
+    )
     camera = Camera(640, 360, 2350.0, origin, 239.76)
     every = np.arange(0, len(t), 4)
-    footage = Footage(t[every], [images[i] for i in every], np.tile([0, 0, -np.pi / 2], (len(every), 1)))
-    settings = SETTINGS | {"arm_width": 0.0, "hidden": 0.006, "shorter": 0.15, "longer": 0.15}
+    footage = Footage(
+        t[every],
+        [images[i] for i in every],
+        np.tile([0, 0, -np.pi / 2], (len(every), 1)),
+    )
+    settings = SETTINGS | {
+        "arm_width": 0.0,
+        "hidden": 0.006,
+        "shorter": 0.15,
+        "longer": 0.15,
+    }
     found = extract(footage, camera, string_length=length, **settings)
     away = []
     for moment, rows in found.points.groupby("t"):
@@ -140,7 +210,9 @@ def test_real_footage_agrees_with_its_table(name, length):
 
 
 def test_a_string_drawn_by_its_own_weight_has_its_arc_lengths_where_they_are():
-    """Hung up, a string of stiffness EA and weight w is longer by w (s L - s^2 / 2) / EA down to s."""
+    """Hung up, a string of stiffness EA and weight w is longer by w (s L - s^2 / 2) /
+    EA down to s.
+    """
     s, stretch = np.linspace(0, 0.3, 31), 0.8
     hung = s + stretch * (0.3 * s - s**2 / 2)
     np.testing.assert_allclose(drawn(s, hung[-1]), hung, atol=1e-12)

@@ -1,4 +1,6 @@
-"""The sigma that is stated is the error that is made: on rendered films against the truth, on real ones against time."""
+"""The sigma that is stated is the error that is made: on rendered films against the
+truth, on real ones against time.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -16,33 +18,51 @@ from stringcast.stages.extract.footage import Footage
 from stringcast.stages.extract.segment import uncovered
 from stringcast.stages.extract.uncertainty import sigmas
 
-SETTINGS = yaml.safe_load((ROOT / "conf" / "extract" / "centreline.yaml").read_text()) | {"string_length": 0.3}
+SETTINGS = yaml.safe_load(
+    (ROOT / "conf" / "extract" / "centreline.yaml").read_text()
+) | {"string_length": 0.3}
 SETTINGS.pop("_target_")
-STRIPS = Path(__file__).resolve().parents[3] / "shared" / "measured" / "l4dc_strip_video"
+STRIPS = (
+    Path(__file__).resolve().parents[3] / "shared" / "measured" / "l4dc_strip_video"
+)
 
 
 @pytest.fixture(scope="module")
 def casts(arm, camera):
     """A cast of string A and one of D, 12 frames of each."""
-    return [take(name, specimen(name), arm, camera, frames=12, seed=0) for name in ("A", "D")]
+    return [
+        take(name, specimen(name), arm, camera, frames=12, seed=0)
+        for name in ("A", "D")
+    ]
 
 
 def off(cast, cell):
-    """Errors of both coordinates over the sigma stated, (F, 30, 2): against where each point is on the true string."""
+    """Errors of both coordinates over the sigma stated, (F, 30, 2): against where each
+    point is on the true string.
+    """
     found, shot = read(cast, cell, partial(extract, **SETTINGS))
     share = np.linspace(0, 1, shot.truth.shape[1])
     result = []
     for t, rows in found.points[found.points["s"] > 0].groupby("t"):
-        true = shot.truth[int(np.argmin(np.abs(shot.t - t)))]
-        places = np.stack([np.interp(rows["s"] / 0.3, share, true[:, i]) for i in (0, 1)], axis=-1)
-        result.append((rows[["x", "y"]].to_numpy() - places) / rows[["sigma"]].to_numpy())
+        true = shot.truth[int(np.argmin(np.abs(shot.frame_times - t)))]
+        places = np.stack(
+            [np.interp(rows["s"] / 0.3, share, true[:, i]) for i in (0, 1)], axis=-1
+        )
+        result.append(
+            (rows[["x", "y"]].to_numpy() - places) / rows[["sigma"]].to_numpy()
+        )
     return np.array(result)
 
 
-@pytest.mark.parametrize(("condition", "severity"), [("plain", 1), ("sensor noise", 3), ("cluttered wall", 2)])
+@pytest.mark.parametrize(
+    ("condition", "severity"),
+    [("plain", 1), ("sensor noise", 3), ("cluttered wall", 2)],
+)
 def test_the_stated_sigma_is_the_error_of_a_coordinate(casts, condition, severity):
-    """Standard deviation of the standardised error 0.7 to 1.4, of the line and of the tip. Measured with 16 frames of
-    each: 0.8 to 1.0. With the floors of 0.2 px on the line and 0.5 px at the tip it was 0.4 to 0.6."""
+    """Standard deviation of the standardised error 0.7 to 1.4, of the line and of the
+    tip. Measured with 16 frames of each: 0.8 to 1.0. With the floors of 0.2 px on the
+    line and 0.5 px at the tip it was 0.4 to 0.6.
+    """
     cell = Cell(condition, severity, CONDITIONS[condition][severity - 1])
     errors = np.concatenate([off(cast, cell) for cast in casts])
     assert 0.7 < np.sqrt(np.mean(errors**2)) < 1.4
@@ -51,29 +71,43 @@ def test_the_stated_sigma_is_the_error_of_a_coordinate(casts, condition, severit
 
 @pytest.mark.skipif(not STRIPS.exists(), reason="real footage is not here")
 def test_the_stated_sigma_is_the_scatter_in_time_on_real_strips():
-    """Third differences over four frames, in which a strip at 240 fps moves smoothly, as errors of one. Measured over
-    410 and 470 frames: 0.65 to 0.8. The tip's was 2 (0.9 px of 0.5 stated)."""
+    """Third differences over four frames, in which a strip at 240 fps moves smoothly,
+    as errors of one. Measured over 410 and 470 frames: 0.65 to 0.8. The tip's was 2
+    (0.9 px of 0.5 stated).
+    """
     footage, camera, table = real.strip(STRIPS, "75mm_2", every=1)
     first = Footage(footage.t[:60], footage.images[:60], footage.grasp[:60])
     found = extract(first, camera, string_length=0.075, **real.SETTINGS, **real.STRIP)
-    x, y, sigma = (found.points.pivot(index="t", columns="s", values=c).to_numpy() for c in ("x", "y", "sigma"))
-    rough = np.stack([np.diff(z, 3, axis=0) for z in (x, y)]) / np.sqrt(20) / sigma[2:-1]
+    x, y, sigma = (
+        found.points.pivot(index="t", columns="s", values=c).to_numpy()
+        for c in ("x", "y", "sigma")
+    )
+    rough = (
+        np.stack([np.diff(z, 3, axis=0) for z in (x, y)]) / np.sqrt(20) / sigma[2:-1]
+    )
     assert len(x) == 60
     assert 0.7 < np.sqrt(np.mean(rough[..., 2:] ** 2)) < 1.4
     assert 0.7 < np.sqrt(np.mean(rough[..., -1] ** 2)) < 1.4
 
 
 def test_sigma_grows_where_nothing_is_seen():
-    """A tenth of the line hidden at its start: its length is unsure there, and at its end no more for it."""
+    """A tenth of the line hidden at its start: its length is unsure there, and at its
+    end no more for it.
+    """
     lost = np.arange(100) < 10
-    seen, hidden = (sigmas(np.full(100, 0.05), some, 99, end=0.2) for some in (np.zeros(100, bool), lost))
+    seen, hidden = (
+        sigmas(np.full(100, 0.05), some, 99, end=0.2)
+        for some in (np.zeros(100, bool), lost)
+    )
     assert hidden[10] > 3 * seen[10]
     assert hidden[-1] == pytest.approx(seen[-1])
     assert seen[-1] == pytest.approx(np.hypot(0.05, 0.2) / np.sqrt(2), rel=0.01)
 
 
 def test_a_strip_that_never_leaves_its_pixels_is_no_scene():
-    """Covered as far as two thirds of its length: all of it is taken out of the scene, and a bright spot apart is not."""
+    """Covered as far as two thirds of its length: all of it is taken out of the scene,
+    and a bright spot apart is not.
+    """
     scene = np.full((200, 200), 10.0, np.float32)
     scene[:100, 90:110] = 90
     scene[60:70, 150:160] = 90

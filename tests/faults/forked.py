@@ -1,6 +1,8 @@
-"""The command as a user gives it, with toy stages and all else real, each time in a child of this process: it begins at
-once. With disk.c preloaded, `python -m tests.faults.forked FOLDER run:N sweep:N` strikes the N-th operation that
-writes, or without :N each in turn, looks at what is left, goes on, compares, and prints what it struck.
+"""The command as a user gives it, with toy stages and all else real, each time in a
+child of this process: it begins at once. With disk.c preloaded, `python -m
+tests.faults.forked FOLDER run:N sweep:N` strikes the N-th operation that writes, or
+without :N each in turn, looks at what is left, goes on, compares, and prints what it
+struck.
 """
 
 import errno
@@ -23,10 +25,10 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
 from stringcast.pipeline import __main__ as shell
-from stringcast.pipeline import run
+from stringcast.pipeline.run import single_run
 from stringcast.pipeline.sweep.attempt import Attempt
-from stringcast.pipeline.sweep.begun import BegunLater
-from stringcast.pipeline.sweep.ledger import DONE, Ledger
+from stringcast.pipeline.sweep.lazy_launcher import LazyLauncher
+from stringcast.pipeline.sweep.ledger import DONE_STATE, Ledger
 from tests.faults.strike import look_at_what_is_left
 from tests.faults.toy import ROOT, STAGES, TINY, contents
 
@@ -73,20 +75,34 @@ class Sweep:
 
     def again(self, folder):
         """The command that makes it, or goes on with it."""
-        return (*self.arguments, f"hydra.sweep.dir={folder}", "hydra.launcher.retry=true")
+        return (
+            *self.arguments,
+            f"hydra.sweep.dir={folder}",
+            "hydra.launcher.retry=true",
+        )
 
     def look(self, folder, whole):
-        """Every job's entry can be read, every run is whole as far as it has come, a table is whole."""
+        """Every job's entry can be read, every run is whole as far as it has come, a
+        table is whole.
+        """
         for entry in Ledger(folder).jobs():
-            theirs = {name[13:]: digest for name, digest in whole["runs"].items() if name.startswith(entry.key)}
+            theirs = {
+                name[13:]: digest
+                for name, digest in whole["runs"].items()
+                if name.startswith(entry.key)
+            }
             look_at_what_is_left(folder / entry.key, theirs)
-            assert entry.state != DONE or contents(folder / entry.key) == theirs
+            assert entry.state != DONE_STATE or contents(folder / entry.key) == theirs
         if (folder / "sweep.parquet").exists():
             assert len(pd.read_parquet(folder / "sweep.parquet")) == 2
 
     def made(self, folder):
         """Runs, and the table less chance."""
-        runs = {name: digest for name, digest in contents(folder).items() if name.count("/") and "ledger" not in name}
+        runs = {
+            name: digest
+            for name, digest in contents(folder).items()
+            if name.count("/") and "ledger" not in name
+        }
         table = pd.read_parquet(folder / "sweep.parquet").drop(columns=CHANCE)
         assert (folder / "report.html").read_text().endswith("</html>")
         return {"runs": runs, "table": table.to_json()}
@@ -122,10 +138,10 @@ def status(arguments):
     """Exit status of the command, given in this process; says what it would."""
     GlobalHydra.instance().clear()
     HydraConfig.instance().cfg = None
-    BegunLater.sweep = None
+    LazyLauncher.current = None
     sys.argv = ["pipeline", *arguments]
     try:
-        shell.called()
+        shell.cli()
     except SystemExit as end:
         if isinstance(end.code, str):
             os.write(2, f"{end.code}\n".encode())
@@ -149,7 +165,13 @@ def strike(kind, folder, n, whole):
     number, lasts = ERRORS[n % len(ERRORS)]
     count = folder.with_suffix(".count")
     count.write_bytes(bytes(4096))
-    fault = {"BELOW": folder, "AT": n, "ERROR": number, "LASTS": "1" * lasts, "COUNT": count}
+    fault = {
+        "BELOW": folder,
+        "AT": n,
+        "ERROR": number,
+        "LASTS": "1" * lasts,
+        "COUNT": count,
+    }
     os.environ |= {f"FAULT_{name}": str(value) for name, value in fault.items()}
     code, said = command(kind.again(folder), folder.with_suffix(".said"))
     for name in fault:
@@ -166,19 +188,24 @@ def strike(kind, folder, n, whole):
     kind.look(folder, whole)
     assert command(kind.again(folder), folder.with_suffix(".said"))[0] == 0, where
     assert kind.made(folder) == whole, where
-    litter = [path for pattern in (".*.part", ".*.replaced") for path in folder.rglob(pattern)]
+    litter = [
+        path for pattern in (".*.part", ".*.replaced") for path in folder.rglob(pattern)
+    ]
     assert not litter, where
     shutil.rmtree(folder)
     return struck
 
 
 def main(place, *asked):
-    """Strike. place: a folder. asked: `run:N`, `sweep:N`; without N each operation in turn."""
+    """Strike. place: a folder. asked: `run:N`, `sweep:N`; without N each operation in
+    turn.
+    """
     struck, whole = {}, {}
     for name, _, number in (word.partition(":") for word in asked):
         kind, folder = KINDS[name], place / name
         if name not in whole:
-            assert status(kind.again(folder / "whole")) == 0  # here, so that children find loaded what it loads
+            # here, so that children find loaded what it loads
+            assert status(kind.again(folder / "whole")) == 0
             whole[name] = kind.made(folder / "whole")
         for n in [int(number)] if number else itertools.count():
             operation = strike(kind, folder / str(n), n, whole[name])
@@ -189,14 +216,24 @@ def main(place, *asked):
 
 
 def struck_by(place, *asked):
-    """What `main` struck in a process with disk.c preloaded, {name: [operation]}; fails with its words."""
+    """What `main` struck in a process with disk.c preloaded, {name: [operation]}; fails
+    with its words.
+    """
     if sys.platform != "linux" or shutil.which("cc") is None:
         pytest.skip("needs Linux and a C compiler (cc)")
     library, source = place / "disk.so", Path(__file__).with_name("disk.c")
-    subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True)
-    around = os.environ | {"LD_PRELOAD": str(library), "NUMBA_THREADING_LAYER": "workqueue"}  # which bears a fork
+    subprocess.run(
+        ["cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True
+    )
+    # which bears a fork
+    around = os.environ | {
+        "LD_PRELOAD": str(library),
+        "NUMBA_THREADING_LAYER": "workqueue",
+    }
     command = [sys.executable, "-m", "tests.faults.forked", place, *asked]
-    ran = subprocess.run(command, cwd=ROOT, env=around, capture_output=True, text=True, check=False)
+    ran = subprocess.run(
+        command, cwd=ROOT, env=around, capture_output=True, text=True, check=False
+    )
     assert ran.returncode == 0, ran.stderr[-3000:]
     return json.loads(ran.stdout)
 
@@ -204,9 +241,9 @@ def struck_by(place, *asked):
 KINDS = {"run": Run(), "sweep": Sweep()}
 
 if __name__ == "__main__":
-    REAL, run.prepare = run.prepare, toy_experiment
+    REAL, single_run.prepare_experiment = single_run.prepare_experiment, toy_experiment
     shell.main.__wrapped__.__module__ = "__main__"  # as Hydra finds it when it is run
-    Attempt._process = process
-    import_module("stringcast.pipeline.report")  # so that no child has to
+    Attempt._run_process = process
+    import_module("stringcast.pipeline.run.report")  # so that no child has to
     import_module("stringcast.pipeline.sweep.finish")
     main(Path(sys.argv[1]), *sys.argv[2:])

@@ -1,4 +1,6 @@
-"""Kill real processes, with SIGKILL, at random moments; go on until the run has ended, and compare."""
+"""Kill real processes, with SIGKILL, at random moments; go on until the run has ended,
+and compare.
+"""
 
 import os
 import signal
@@ -46,30 +48,37 @@ def ended_by(run, process, moment):
 
 
 def round_of(run, folder, whole, rng, span):
-    """Kill a run again and again until it gets to its end; a row for each process. span: how long a whole one lasts [s].
+    """Kill a run again and again until it gets to its end; a row for each process.
+    span: how long a whole one lasts [s].
 
     Each life may last a little longer than the one before, so that there is an end.
     """
     rows = []
     status = None
     while status != 0:
-        moment = rng.uniform(0, span * (1 + len(rows)) / 4)
+        moment = rng.uniform_indices(0, span * (1 + len(rows)) / 4)
         status = ended_by(run, run.start(folder), moment)
         assert status in (0, -signal.SIGKILL), f"it failed by itself: {status}"
         look_at_what_is_left(folder, whole)
         steps = len(list(folder.glob("iterations/*/*/")))
-        rows.append({"life": len(rows), "moment": moment, "killed": status != 0, "steps": steps})
+        rows.append(
+            {"life": len(rows), "moment": moment, "killed": status != 0, "steps": steps}
+        )
     assert contents(folder) == whole, "the result is another than the uninterrupted one"
     return rows
 
 
 def rounds(run, folder, seed, numbers):
-    """Rounds of these numbers, each in a folder of its own; the uninterrupted run is made, and timed, first."""
+    """Rounds of these numbers, each in a folder of its own; the uninterrupted run is
+    made, and timed, first.
+    """
     rng = np.random.default_rng(seed)
     begun = time.monotonic()
     assert ended_by(run, run.start(folder / "whole"), 600) == 0
     span = time.monotonic() - begun
     whole = contents(folder / "whole")
     return [
-        {"seed": seed, "round": n} | row for n in numbers for row in round_of(run, folder / str(n), whole, rng, span)
+        {"seed": seed, "round": n} | row
+        for n in numbers
+        for row in round_of(run, folder / str(n), whole, rng, span)
     ]

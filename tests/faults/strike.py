@@ -1,4 +1,6 @@
-"""Strike a whole small run at its n-th file operation, look at what is left, go on, and look at what comes out."""
+"""Strike a whole small run at its n-th file operation, look at what is left, go on, and
+look at what comes out.
+"""
 
 import errno
 import os
@@ -10,7 +12,12 @@ from stringcast.data import disk
 from stringcast.data.schema import DataError
 from tests.faults.toy import contents, toy_run
 
-STEPS = {"motion": "generate", "trial": "execute", "points": "extract", "estimate": "estimate"}
+STEPS = {
+    "motion": "generate",
+    "trial": "execute",
+    "points": "extract",
+    "estimate": "estimate",
+}
 
 
 class Killed(BaseException):
@@ -26,13 +33,18 @@ KINDS = {  # what strikes, and whether it lasts until the run is begun again
 
 
 class Faults:
-    """File operations counted; the n-th fails, and all after it if the fault lasts. A failing write gets half done."""
+    """File operations counted; the n-th fails, and all after it if the fault lasts. A
+    failing write gets half done.
+    """
 
     def __init__(self, patch, n, error, lasts):
         self.n, self.error, self.lasts, self.done = n, error, lasts, []
         for name in ("make_folder", "remove"):
             patch.setattr(disk, name, self.failing(name, getattr(disk, name)))
-        system = {name: self.failing(name, getattr(os, name)) for name in ("open", "fsync", "replace")}
+        system = {
+            name: self.failing(name, getattr(os, name))
+            for name in ("open", "fsync", "replace")
+        }
         patch.setattr(disk, "os", SimpleNamespace(**{**vars(os), **system}))
         patch.setattr(disk, "open", self.opened, raising=False)
 
@@ -52,7 +64,8 @@ class Faults:
         """Note an operation; raise if it is its turn."""
         self.done.append(name)
         at = len(self.done) - 1
-        harmless = name == "remove" and isinstance(self.error, OSError)  # removing never raises one
+        # removing never raises one
+        harmless = name == "remove" and isinstance(self.error, OSError)
         if not harmless and (at == self.n or (self.lasts and at > self.n)):
             raise self.error
 
@@ -84,7 +97,8 @@ class File:
 
 
 def strike(patch_context, n, kind, here, folder, whole):
-    """The operation that was struck; None where there are fewer than n. Fails where anything was lost or half done.
+    """The operation that was struck; None where there are fewer than n. Fails where
+    anything was lost or half done.
 
     patch_context: monkeypatch.context. whole: contents of the uninterrupted run.
     """
@@ -99,9 +113,15 @@ def strike(patch_context, n, kind, here, folder, whole):
         look_at_what_is_left(folder, whole)
         there = finished(folder)
         made, _ = toy_run(folder, here)
-        assert sorted(there + made) == sorted([*here.mode.stages] * here.config["manipulations"]), "work was lost"
+        assert sorted(there + made) == sorted(
+            [*here.mode.stages] * here.config["manipulations"]
+        ), "work was lost"
         assert contents(folder) == whole
-        litter = [path for pattern in (".*.part", ".*.replaced") for path in folder.rglob(pattern)]
+        litter = [
+            path
+            for pattern in (".*.part", ".*.replaced")
+            for path in folder.rglob(pattern)
+        ]
         assert not litter
         shutil.rmtree(folder)
     return faults.struck
@@ -109,16 +129,28 @@ def strike(patch_context, n, kind, here, folder, whole):
 
 def finished(folder: Path):
     """Steps whose folder has its name."""
-    return [STEPS[p.name] for p in folder.glob("iterations/*/*") if not p.name.startswith(".")]
+    return [
+        STEPS[p.name]
+        for p in folder.glob("iterations/*/*")
+        if not p.name.startswith(".")
+    ]
 
 
 def look_at_what_is_left(folder, whole):
-    """Every step that has its name is whole, every file says what it should, run.json stands only over a whole run."""
+    """Every step that has its name is whole, every file says what it should, run.json
+    stands only over a whole run.
+    """
     left = contents(folder) if folder.exists() else {}
     left.pop("failed.txt", None)
-    steps = {name: digest for name, digest in left.items() if name.startswith("iterations")}
+    steps = {
+        name: digest for name, digest in left.items() if name.startswith("iterations")
+    }
     assert steps.items() <= whole.items(), steps.items() - whole.items()
-    for place in {name.rsplit("/", 1)[0] for name in steps if name.endswith(".parquet")}:
-        assert {n for n in steps if n.startswith(place)} == {n for n in whole if n.startswith(place)}
+    for place in {
+        name.rsplit("/", 1)[0] for name in steps if name.endswith(".parquet")
+    }:
+        assert {n for n in steps if n.startswith(place)} == {
+            n for n in whole if n.startswith(place)
+        }
     if "run.json" in left:
         assert left == whole

@@ -1,6 +1,8 @@
-"""No room left, or no right to write, at any operation of a whole run with its report, or of a sweep: one clear error
-with file and remedy, nothing half done, and the same result once there is room. Measured: a strike takes 2 s of a core;
-a run of one cast has 190 operations, a sweep of two jobs 260."""
+"""No room left, or no right to write, at any operation of a whole run with its report,
+or of a sweep: one clear error with file and remedy, nothing half done, and the same
+result once there is room. Measured: a strike takes 2 s of a core; a run of one cast has
+190 operations, a sweep of two jobs 260.
+"""
 
 import pytest
 
@@ -16,11 +18,29 @@ def test_a_full_disk_is_told_and_a_run_and_a_sweep_go_on_to_the_same_result(tmp_
 @pytest.mark.parametrize(
     ("name", "places"),
     [
-        ("run", ("config.json", "run.log", "images", "points.parquet", "dataset.yaml", "report.html", "run.json")),
-        ("sweep", ("ledger", "multirun.yaml", "iterations", "sweep.parquet", "report.html")),
+        (
+            "run",
+            (
+                "config.json",
+                "run.log",
+                "images",
+                "points.parquet",
+                "dataset.yaml",
+                "report.html",
+                "run.json",
+            ),
+        ),
+        (
+            "sweep",
+            ("ledger", "multirun.yaml", "iterations", "sweep.parquet", "report.html"),
+        ),
     ],
 )
 def test_whichever_operation_fails(tmp_path, name, places):
     (struck,) = struck_by(tmp_path, name).values()
-    assert {"mkdir", "open", "write", "fsync", "rename"} <= {operation.split()[0] for operation in struck}
-    assert [place for place in places if not any(place in operation for operation in struck)] == []
+    assert {"mkdir", "open", "write", "fsync", "rename"} <= {
+        operation.split()[0] for operation in struck
+    }
+    assert [
+        place for place in places if not any(place in operation for operation in struck)
+    ] == []

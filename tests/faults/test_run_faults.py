@@ -1,4 +1,6 @@
-"""Whole runs survive every fault at every file operation: nothing half-written counts, nothing finished is lost."""
+"""Whole runs survive every fault at every file operation: nothing half-written counts,
+nothing finished is lost.
+"""
 
 import ast
 import json
@@ -13,19 +15,32 @@ import numpy as np
 import pytest
 
 from stringcast.data.schema import DataError
-from stringcast.pipeline import run_folder
 from stringcast.pipeline.modes import Cast
+from stringcast.pipeline.run import run_folder
 from stringcast.pipeline.studies.blind.study import BlindStudy
 from tests.faults.kills import Forked, rounds
 from tests.faults.strike import KINDS, STEPS, Faults, Killed, strike
 from tests.faults.toy import ROOT, contents, toy_experiment, toy_run
 
-CLOCKS = {"time", "time_ns", "now", "utcnow", "today", "st_mtime", "st_mtime_ns", "st_ctime", "getmtime", "getctime"}
+CLOCKS = {
+    "time",
+    "time_ns",
+    "now",
+    "utcnow",
+    "today",
+    "st_mtime",
+    "st_mtime_ns",
+    "st_ctime",
+    "getmtime",
+    "getctime",
+}
 
 
 @pytest.fixture(autouse=True)
 def _in_memory(monkeypatch):
-    """Nothing here asks whether a power cut is survived (tests/store does): no waiting for the disk."""
+    """Nothing here asks whether a power cut is survived (tests/store does): no waiting
+    for the disk.
+    """
     monkeypatch.setattr(os, "fsync", lambda handle: None)
 
 
@@ -38,19 +53,31 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.long), 11])
-def test_a_run_goes_on_to_the_same_result_whichever_operation_fails(tmp_path, monkeypatch, every):
+def test_a_run_goes_on_to_the_same_result_whichever_operation_fails(
+    tmp_path, monkeypatch, every
+):
     """Every operation of a cast, or every eleventh, the four kinds of fault in turn."""
     here, struck = toy_experiment(1, mode=Cast(("generate", "execute", "extract"))), []
     toy_run(tmp_path / "whole", here)
     unharmed = contents(tmp_path / "whole")
     for n in range(0, 1000, every):
         kind = list(KINDS)[n // every % len(KINDS)]
-        operation = strike(monkeypatch.context, n, kind, here, tmp_path / str(n), unharmed)
+        operation = strike(
+            monkeypatch.context, n, kind, here, tmp_path / str(n), unharmed
+        )
         if operation is None:
             break
         struck.append(operation)
     assert len(struck) > 100 / every
-    assert set(struck) == {"make_folder", "open a file", "write", "fsync", "open", "replace", "remove"}
+    assert set(struck) == {
+        "make_folder",
+        "open a file",
+        "write",
+        "fsync",
+        "open",
+        "replace",
+        "remove",
+    }
 
 
 def test_killed_processes_lose_nothing_they_had_finished(tmp_path, whole):
@@ -73,8 +100,12 @@ def test_a_table_cut_short_is_made_again_and_nothing_else(tmp_path, whole):
         assert contents(tmp_path / "run") == whole
 
 
-def test_a_finished_run_that_is_gone_on_with_never_shows_fewer_trials(tmp_path, whole, monkeypatch):
-    """Killed at any operation: its dataset is the same (at first it was written anew, beginning with one trial)."""
+def test_a_finished_run_that_is_gone_on_with_never_shows_fewer_trials(
+    tmp_path, whole, monkeypatch
+):
+    """Killed at any operation: its dataset is the same (at first it was written anew,
+    beginning with one trial).
+    """
     toy_run(tmp_path / "run", toy_experiment())
     for n in range(2, 30, 3):
         with monkeypatch.context() as patch:
@@ -117,7 +148,9 @@ with run_folder.alone(Path({folder!r})):
 
 def test_two_runs_do_not_share_a_folder_and_a_dead_one_holds_nothing(tmp_path):
     code = HOLDER.format(root=str(ROOT), folder=str(tmp_path))
-    holder = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    holder = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
+    )
     assert holder.stdout.readline() == "held\n"
     with pytest.raises(DataError, match="another process is working in this folder"):
         toy_run(tmp_path, toy_experiment(1))
@@ -129,7 +162,9 @@ def test_two_runs_do_not_share_a_folder_and_a_dead_one_holds_nothing(tmp_path):
 
 
 def test_no_clock_decides_anything(tmp_path, monkeypatch, whole):
-    """The clock jumps by years in both directions at every look, and every file gets a time at random."""
+    """The clock jumps by years in both directions at every look, and every file gets a
+    time at random.
+    """
     rng = np.random.default_rng(1)
 
     class Jumping(datetime):
@@ -149,14 +184,24 @@ def test_only_what_is_for_information_reads_the_wall_clock():
     found = set()
     for room in ("data", "stages", "pipeline"):
         for file in (ROOT / room).rglob("*.py"):
-            calls = [n for n in ast.walk(ast.parse(file.read_text())) if isinstance(n, ast.Attribute)]
-            found |= {file.name for node in calls if node.attr in CLOCKS and ast.unparse(node.value) != "past"}
-    assert found == {"run_folder.py"}, "only `made at` in a footer may be a time of day; nothing reads it but people"
+            calls = [
+                n
+                for n in ast.walk(ast.parse(file.read_text()))
+                if isinstance(n, ast.Attribute)
+            ]
+            found |= {
+                file.name
+                for node in calls
+                if node.attr in CLOCKS and ast.unparse(node.value) != "past"
+            }
+    assert found == {"run_folder.py"}, (
+        "only `made at` in a footer may be a time of day; nothing reads it but people"
+    )
 
 
 def refused(folder):
-    with run_folder.alone(folder), run_folder.failing(folder):
-        run_folder.begin(toy_experiment(), folder)
+    with run_folder.exclusive_access(folder), run_folder.record_failure(folder):
+        run_folder.begin_run(toy_experiment(), folder)
         raise ValueError("refused")
 
 
@@ -165,10 +210,10 @@ def test_a_run_of_which_nothing_was_made_can_be_refused_and_forgotten(tmp_path):
         refused(tmp_path / "run")
     assert not (tmp_path / "run").exists()
     (tmp_path / "run").mkdir()
-    run_folder.forget(tmp_path / "run")
+    run_folder.remove_empty_folder(tmp_path / "run")
     assert not (tmp_path / "run").exists()
     toy_run(tmp_path / "run", toy_experiment(1))
-    run_folder.forget(tmp_path / "run")
+    run_folder.remove_empty_folder(tmp_path / "run")
     assert (tmp_path / "run" / "run.json").exists()
 
 
@@ -184,28 +229,48 @@ with run_folder.alone(Path(sys.argv[1])):
 
 @pytest.mark.parametrize("working", [True, False])
 def test_a_run_that_is_refused_takes_nothing_of_another(tmp_path, working):
-    """Two runs on one folder: the other works in it, or was killed before it had made anything."""
+    """Two runs on one folder: the other works in it, or was killed before it had made
+    anything.
+    """
     command = [sys.executable, "-c", HOLDING, str(tmp_path)]
-    other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT)
+    other = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT
+    )
     try:
         assert other.stdout.readline() == b"held\n"
         (tmp_path / "config.json").write_text("{}")
         if not working:
             other.kill()
             other.wait()
-        with pytest.raises(DataError, match="another process" if working else "other settings"):
+        with pytest.raises(
+            DataError, match="another process" if working else "other settings"
+        ):
             toy_run(tmp_path, toy_experiment(1))
-        run_folder.forget(tmp_path)
-        assert {file.name for file in tmp_path.iterdir()} - {"failed.txt", "run.log"} == {"config.json", ".lock"}
+        run_folder.remove_empty_folder(tmp_path)
+        assert {file.name for file in tmp_path.iterdir()} - {
+            "failed.txt",
+            "run.log",
+        } == {"config.json", ".lock"}
     finally:
         other.kill()
         other.communicate()
 
 
-def test_a_study_may_be_asked_for_more_in_its_folder_but_not_for_something_else(tmp_path):
-    run_folder.begin(toy_experiment(mode=BlindStudy(), study={"benches": 2, "first": 0, "processes": 1}), tmp_path)
+def test_a_study_may_be_asked_for_more_in_its_folder_but_not_for_something_else(
+    tmp_path,
+):
+    run_folder.begin_run(
+        toy_experiment(
+            mode=BlindStudy(), study={"benches": 2, "first": 0, "processes": 1}
+        ),
+        tmp_path,
+    )
     more = {"mode": BlindStudy(), "study": {"benches": 5, "first": 2, "processes": 0}}
-    run_folder.begin(toy_experiment(**more), tmp_path)
-    assert json.loads((tmp_path / "config.json").read_text())["study"] == {"benches": 5, "first": 2, "processes": 0}
+    run_folder.begin_run(toy_experiment(**more), tmp_path)
+    assert json.loads((tmp_path / "config.json").read_text())["study"] == {
+        "benches": 5,
+        "first": 2,
+        "processes": 0,
+    }
     with pytest.raises(DataError, match="other settings"):
-        run_folder.begin(toy_experiment(trials_used=4, **more), tmp_path)
+        run_folder.begin_run(toy_experiment(trials_used=4, **more), tmp_path)

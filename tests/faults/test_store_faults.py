@@ -26,9 +26,26 @@ class Killed(BaseException):
 def points(value):
     """An artifact of three tables, each of which holds `value`."""
     return Points(
-        pd.DataFrame({"t": [0.0, 0.1], "s": 0.1, "x": value, "y": 0.0, "sigma": 1e-3, "valid": True}),
         pd.DataFrame(
-            {"frame": [0], "t": 0.0, "valid": True, "reason": "", "tip_x": value, "tip_y": 0.0, "tip_sigma": 1e-3}
+            {
+                "t": [0.0, 0.1],
+                "s": 0.1,
+                "x": value,
+                "y": 0.0,
+                "sigma": 1e-3,
+                "valid": True,
+            }
+        ),
+        pd.DataFrame(
+            {
+                "frame": [0],
+                "t": 0.0,
+                "valid": True,
+                "reason": "",
+                "tip_x": value,
+                "tip_y": 0.0,
+                "tip_sigma": 1e-3,
+            }
             | {"length": 0.3}
         ),
         pd.DataFrame({"frame": [0], "t": [0.0], "png": [repr(value).encode()]}),
@@ -38,26 +55,39 @@ def points(value):
 def value_of(folder):
     """The one value of a stored artifact; fails where its tables disagree."""
     back = store.load(Points, folder)
-    (value,) = {*back.points["x"], *back.readings["tip_x"], *(float(png) for png in back.masks["png"])}
+    (value,) = {
+        *back.points["x"],
+        *back.readings["tip_x"],
+        *(float(png) for png in back.masks["png"]),
+    }
     return value
 
 
 def trial(frames=3):
     """A trial with images of noise."""
-    images = [np.random.default_rng(i).integers(0, 255, (8, 9)).astype(np.uint8) for i in range(frames)]
+    images = [
+        np.random.default_rng(i).integers(0, 255, (8, 9)).astype(np.uint8)
+        for i in range(frames)
+    ]
     files = [f"images/{i:06d}.png" for i in range(frames)]
     link = {"valid": True, "reason": "", "ticks": 1, "missed": 0}
     return Trial(
         pd.DataFrame({"t": [0.0, 0.1], "q1": 0.0, "q2": 0.1, "q3": 0.2}),
         pd.DataFrame(columns=[c.name for c in Trial.TABLES["ticks"].columns]),
-        pd.DataFrame({"frame": range(frames), "t": np.arange(frames) / 10, "file": files}),
-        pd.DataFrame([link | dict.fromkeys(("jitter_p50", "jitter_p99", "jitter_max"), 0.0)]),
+        pd.DataFrame(
+            {"frame": range(frames), "t": np.arange(frames) / 10, "file": files}
+        ),
+        pd.DataFrame(
+            [link | dict.fromkeys(("jitter_p50", "jitter_p99", "jitter_max"), 0.0)]
+        ),
         images,
     )
 
 
 def fail_at(patch, n, error):
-    """Let the n-th file operation fail, every second write halfway; after a kill none works. Returns those done."""
+    """Let the n-th file operation fail, every second write halfway; after a kill none
+    works. Returns those done.
+    """
     done = []
 
     def wrapped(name, real):
@@ -80,7 +110,9 @@ def fail_at(patch, n, error):
 
 
 def faults(monkeypatch, error, write):
-    """Call write(n) with the n-th operation failing, for every n until none fails; yields n, that operation, what was raised."""
+    """Call write(n) with the n-th operation failing, for every n until none fails;
+    yields n, that operation, what was raised.
+    """
     for n in range(40):
         stopped = None
         with monkeypatch.context() as patch:
@@ -96,28 +128,39 @@ def faults(monkeypatch, error, write):
     pytest.fail("the fault was never reached past")
 
 
-def test_a_full_disk_at_any_operation_leaves_the_old_or_the_new_and_no_litter(tmp_path, monkeypatch):
+def test_a_full_disk_at_any_operation_leaves_the_old_or_the_new_and_no_litter(
+    tmp_path, monkeypatch
+):
     for n in range(40):
         store.save(points(1.0), tmp_path / str(n) / "p", {})
     full = OSError(errno.ENOSPC, "No space left on device")
-    for n, _, stopped in faults(monkeypatch, full, lambda n: store.save(points(2.0), tmp_path / str(n) / "p", {})):
+    for n, _, stopped in faults(
+        monkeypatch,
+        full,
+        lambda n: store.save(points(2.0), tmp_path / str(n) / "p", {}),
+    ):
         assert "No space left" in str(stopped)
         assert "Free space" in str(stopped)
         assert value_of(tmp_path / str(n) / "p") in (1.0, 2.0)
         assert [f.name for f in (tmp_path / str(n)).iterdir()] == ["p"]
 
 
-def test_a_kill_at_any_operation_leaves_whole_artifacts_and_the_next_save_tidies(tmp_path, monkeypatch):
+def test_a_kill_at_any_operation_leaves_whole_artifacts_and_the_next_save_tidies(
+    tmp_path, monkeypatch
+):
     for n in range(40):
         store.save(points(1.0), tmp_path / str(n) / "p", {})
     for n, operation, _ in faults(
-        monkeypatch, Killed(), lambda n: store.save(points(2.0), tmp_path / str(n) / "p", {})
+        monkeypatch,
+        Killed(),
+        lambda n: store.save(points(2.0), tmp_path / str(n) / "p", {}),
     ):
         place = tmp_path / str(n) / "p"
         if place.exists():
             assert value_of(place) in (1.0, 2.0)
         else:
-            assert operation == "rename"  # between the two renames of a replacement: the old one stands beside, whole
+            # between the two renames of a replacement: the old one stands beside, whole
+            assert operation == "rename"
             assert value_of(next(place.parent.glob(".p.*.replaced"))) == 1.0
         store.save(points(3.0), place, {})
         assert value_of(place) == 3.0
@@ -126,16 +169,27 @@ def test_a_kill_at_any_operation_leaves_whole_artifacts_and_the_next_save_tidies
 
 def test_a_first_save_that_fails_leaves_nothing(tmp_path, monkeypatch):
     fault = OSError(errno.EIO, "Input/output error")
-    for n, operation, _ in faults(monkeypatch, fault, lambda n: store.save(trial(), tmp_path / str(n) / "t", {})):
-        left = [f.name for f in (tmp_path / str(n)).iterdir()] if (tmp_path / str(n)).exists() else []
+    for n, operation, _ in faults(
+        monkeypatch, fault, lambda n: store.save(trial(), tmp_path / str(n) / "t", {})
+    ):
+        left = (
+            [f.name for f in (tmp_path / str(n)).iterdir()]
+            if (tmp_path / str(n)).exists()
+            else []
+        )
         assert left == [] or (
-            operation == "sync_folder" and len(store.load(Trial, tmp_path / str(n) / "t").images) == 3
+            operation == "sync_folder"
+            and len(store.load(Trial, tmp_path / str(n) / "t").images) == 3
         )
 
 
-def test_a_table_or_text_in_place_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
+def test_a_table_or_text_in_place_is_replaced_whole_or_not_at_all(
+    tmp_path, monkeypatch
+):
     store.write_text(tmp_path / "run.json", "old")
-    for _, _, _ in faults(monkeypatch, Killed(), lambda n: store.write_text(tmp_path / "run.json", "new")):
+    for _, _, _ in faults(
+        monkeypatch, Killed(), lambda n: store.write_text(tmp_path / "run.json", "new")
+    ):
         assert (tmp_path / "run.json").read_text() in ("old", "new")
 
 
@@ -150,17 +204,24 @@ for number in count(1):
 """
 
 
-def test_real_processes_killed_at_random_moments_lose_nothing_they_had_finished(tmp_path):
+def test_real_processes_killed_at_random_moments_lose_nothing_they_had_finished(
+    tmp_path,
+):
     moments = np.random.default_rng(5).uniform(0.0, 0.05, 4)
-    code = WRITER.format(root=str(ROOT), tests=str(Path(__file__).parent), folder=str(tmp_path))
+    code = WRITER.format(
+        root=str(ROOT), tests=str(Path(__file__).parent), folder=str(tmp_path)
+    )
     for moment in moments:
-        writer = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+        writer = subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
+        )
         assert writer.stdout.readline() == "1\n"  # it has begun
         time.sleep(moment)
         writer.send_signal(signal.SIGKILL)
         finished = int((["1", *writer.stdout.read().split()])[-1])
         writer.wait()
-        for number in range(max(finished - 1, 1), finished + 1):  # the one after them may have replaced the third
+        # the one after them may have replaced the third
+        for number in range(max(finished - 1, 1), finished + 1):
             assert value_of(tmp_path / str(number % 3)) >= number
 
 
@@ -170,16 +231,25 @@ def test_a_file_cut_short_anywhere_is_named(tmp_path):
     whole = file.read_bytes()
     for length in {*range(0, len(whole), 97), *range(len(whole) - 12, len(whole))}:
         file.write_bytes(whole[:length])
-        with pytest.raises(DataError, match=r"points\.parquet.*not a whole Parquet file"):
+        with pytest.raises(
+            DataError, match=r"points\.parquet.*not a whole Parquet file"
+        ):
             store.load(Points, tmp_path / "p")
 
 
 def test_a_flipped_bit_in_the_numbers_is_noticed(tmp_path):
     values = np.random.default_rng(1).normal(size=500)
-    store.write_table(Points.TABLES["points"], pd.DataFrame(dict.fromkeys("tsxy", values)), tmp_path / "f", {})
+    store.write_table(
+        Points.TABLES["points"],
+        pd.DataFrame(dict.fromkeys("tsxy", values)),
+        tmp_path / "f",
+        {},
+    )
     whole = bytearray((tmp_path / "f").read_bytes())
     for place in range(200, 4000, 371):
-        (tmp_path / "f").write_bytes(bytes(b ^ (i == place) for i, b in enumerate(whole)))
+        (tmp_path / "f").write_bytes(
+            bytes(b ^ (i == place) for i, b in enumerate(whole))
+        )
         with pytest.raises(DataError, match="not a whole Parquet file"):
             store.read_table(Points.TABLES["points"], tmp_path / "f")
 
@@ -191,7 +261,9 @@ def test_missing_and_foreign_files_are_named(tmp_path):
     with pytest.raises(DataError, match="holds the table 'masks', not 'points'"):
         store.load(Points, tmp_path / "p")
     pd.DataFrame({"speed": [1.0]}).to_parquet(file)
-    with pytest.raises(DataError, match="has no column 't', 's', 'x', 'y'; it has speed"):
+    with pytest.raises(
+        DataError, match="has no column 't', 's', 'x', 'y'; it has speed"
+    ):
         store.load(Points, tmp_path / "p")
     file.unlink()
     with pytest.raises(DataError, match="the file is missing"):
@@ -206,7 +278,9 @@ def test_missing_and_damaged_images_are_named(tmp_path):
     file.write_bytes(file.read_bytes()[:-20])
     back = store.load(Trial, tmp_path / "t")
     assert np.array_equal(back.images[0], trial().images[0])
-    with pytest.raises(DataError, match=r"000001\.png: the frame is missing or damaged"):
+    with pytest.raises(
+        DataError, match=r"000001\.png: the frame is missing or damaged"
+    ):
         back.images[1]
     file.unlink()
     with pytest.raises(DataError, match=r"000001\.png: the frame is missing"):
@@ -220,7 +294,9 @@ def test_missing_and_damaged_images_are_named(tmp_path):
         ("valid", ["yes", "no"], r"column 'valid' must be bool.*'yes'"),
     ],
 )
-def test_a_column_of_the_wrong_kind_is_named_and_nothing_written(tmp_path, column, wrong, words):
+def test_a_column_of_the_wrong_kind_is_named_and_nothing_written(
+    tmp_path, column, wrong, words
+):
     bad = points(1.0)
     bad.points[column] = wrong
     with pytest.raises(DataError, match=words):
@@ -231,7 +307,8 @@ def test_a_column_of_the_wrong_kind_is_named_and_nothing_written(tmp_path, colum
 def test_a_place_that_cannot_be_written_is_one_clear_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(
-        DataError, match=r"file/p: cannot be written \(.*\)\. Look at the disk, or choose another folder"
+        DataError,
+        match=r"file/p: cannot be written \(.*\)\. Look at the disk, or choose another folder",
     ):
         store.save(points(1.0), tmp_path / "file" / "p", {})
     with pytest.raises(DataError, match="cannot be written"):

@@ -1,4 +1,6 @@
-"""Whole small runs: the real pipeline with toy stages, whose numbers hang on all that they are given."""
+"""Whole small runs: the real pipeline with toy stages, whose numbers hang on all that
+they are given.
+"""
 
 import hashlib
 import io
@@ -17,13 +19,19 @@ from rich.console import Console
 
 from stringcast.data import store
 from stringcast.data.artifacts import Estimate, Motion, Points, Trial
-from stringcast.pipeline import report
-from stringcast.pipeline.experiment import prepare
-from stringcast.pipeline.layout import LOG
-from stringcast.pipeline.run import perform
+from stringcast.pipeline.run import report
+from stringcast.pipeline.run.experiment import prepare_experiment
+from stringcast.pipeline.run.file_names import LOG_FILE
+from stringcast.pipeline.run.single_run import perform_run
 
 ROOT = Path(__file__).resolve().parents[2]
-TINY = ("+experiment=quick", "camera.width=16", "camera.height=16", "camera.px_per_m=8", "camera.origin_px=[6,10]")
+TINY = (
+    "+experiment=quick",
+    "camera.width=16",
+    "camera.height=16",
+    "camera.px_per_m=8",
+    "camera.origin_px=[6,10]",
+)
 CALLS = []  # what was made, in order
 
 
@@ -31,16 +39,24 @@ CALLS = []  # what was made, in order
 def composed(*overrides):
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         config = compose("config", [*overrides])
-    return prepare(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
+    return prepare_experiment(
+        OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}"
+    )
 
 
 def toy_experiment(casts=2, pause=0.0, estimate_by=None, mode=None, **changed):
-    """casts: manipulations. pause: how long each stage takes [s]. estimate_by: instead of the toy estimation. mode:
-    instead of casting. changed: settings, whole blocks."""
+    """casts: manipulations. pause: how long each stage takes [s]. estimate_by: instead
+    of the toy estimation. mode: instead of casting. changed: settings, whole blocks.
+    """
     whole = composed(*TINY, f"manipulations={casts}")
     stages = STAGES if estimate_by is None else STAGES | {"estimate": estimate_by}
     stages = {name: slow(stage, pause) for name, stage in stages.items()}
-    return replace(whole, config={**whole.config, **changed}, stages=stages, mode=mode or whole.mode)
+    return replace(
+        whole,
+        config={**whole.config, **changed},
+        stages=stages,
+        mode=mode or whole.mode,
+    )
 
 
 def slow(stage, pause):
@@ -54,46 +70,76 @@ def slow(stage, pause):
 
 def number(*given):
     """A number in 0..1 that hangs on everything given."""
-    said = repr([g.to_numpy().tolist() if isinstance(g, pd.DataFrame) else g for g in given])
+    said = repr(
+        [g.to_numpy().tolist() if isinstance(g, pd.DataFrame) else g for g in given]
+    )
     return int.from_bytes(hashlib.sha256(said.encode()).digest()[:6], "big") / 2**48
 
 
 def rows(table, count=2, **columns):
     """A table of the right columns: what is not given is zero, false or empty."""
     zero = {"float": 0.0, "int": 0, "bool": False, "text": "", "bytes": b""}
-    return pd.DataFrame({c.name: columns.get(c.name, [zero[c.kind]] * count) for c in table.columns})
+    return pd.DataFrame(
+        {c.name: columns.get(c.name, [zero[c.kind]] * count) for c in table.columns}
+    )
 
 
 def generate(model, target, obstacles, motion, estimate, *, seed, progress):
-    x = number(None if estimate is None else estimate.values(), None if motion is None else motion.commands, seed)
+    x = number(
+        None if estimate is None else estimate.values(),
+        None if motion is None else motion.commands,
+        seed,
+    )
     tables = {name: rows(table) for name, table in Motion.TABLES.items()}
-    return Motion(**tables | {"commands": rows(Motion.TABLES["commands"], t=[0.0, 0.1], q1=x, w1=x)})
+    return Motion(
+        **tables
+        | {"commands": rows(Motion.TABLES["commands"], t=[0.0, 0.1], q1=x, w1=x)}
+    )
 
 
 def execute(motion, arm, camera):
     x = number(motion.commands)
     tables = {name: rows(table) for name, table in Trial.TABLES.items()}
     tables["arm"] = rows(Trial.TABLES["arm"], t=[0.0, 0.1], q1=x)
-    tables["frames"] = rows(Trial.TABLES["frames"], t=[0.0, 0.1], file=["images/0.png", "images/1.png"])
+    tables["frames"] = rows(
+        Trial.TABLES["frames"], t=[0.0, 0.1], file=["images/0.png", "images/1.png"]
+    )
     tables["link"] = rows(Trial.TABLES["link"], 1, valid=[True])
-    return Trial(**tables, images=[np.full((16, 16), int(255 * x) ^ i, np.uint8) for i in range(2)])
+    return Trial(
+        **tables,
+        images=[np.full((16, 16), int(255 * x) ^ i, np.uint8) for i in range(2)],
+    )
 
 
 def extract(footage, camera, *, progress):
     x = float(np.mean([image.mean() for image in footage.images]))
     tables = {name: rows(table) for name, table in Points.TABLES.items()}
-    tables["points"] = rows(Points.TABLES["points"], t=[0.0, 0.1], s=[0.1, 0.1], x=[x, x], valid=[True] * 2)
-    tables["readings"] = rows(Points.TABLES["readings"], t=[0.0, 0.1], valid=[True] * 2, tip_x=[9 + x, 9 + x])
+    tables["points"] = rows(
+        Points.TABLES["points"], t=[0.0, 0.1], s=[0.1, 0.1], x=[x, x], valid=[True] * 2
+    )
+    tables["readings"] = rows(
+        Points.TABLES["readings"], t=[0.0, 0.1], valid=[True] * 2, tip_x=[9 + x, 9 + x]
+    )
     return Points(**tables)
 
 
 def estimate(model, observations, last, *, seed, manipulation, progress):
-    x = number(*(o.points for o in observations), None if last is None else last.values(), seed, manipulation)
+    x = number(
+        *(o.points for o in observations),
+        None if last is None else last.values(),
+        seed,
+        manipulation,
+    )
     tables = {name: rows(table) for name, table in Estimate.TABLES.items()}
     names = ["bending_stiffness", "axial_stiffness"]
-    tables["parameters"] = rows(Estimate.TABLES["parameters"], name=names, value=[x, -x])
+    tables["parameters"] = rows(
+        Estimate.TABLES["parameters"], name=names, value=[x, -x]
+    )
     tables["fit"] = rows(Estimate.TABLES["fit"], 1, after=[x])
-    return Estimate(**tables | {"candidates": tables["candidates"].assign(**dict.fromkeys(names, x))})
+    return Estimate(
+        **tables
+        | {"candidates": tables["candidates"].assign(**dict.fromkeys(names, x))}
+    )
 
 
 def hardware(arm, camera, *, seed, trial):
@@ -110,20 +156,29 @@ STAGES = {
 
 
 def toy_run(folder, here):
-    """A whole run but for the report's pictures; what was made, in order, and what was said."""
+    """A whole run but for the report's pictures; what was made, in order, and what was
+    said.
+    """
     CALLS.clear()
-    drawn = report.write
-    report.write = lambda here, result: store.write_text(result.folder / "report.html", "<html>")
+    drawn = report.write_report
+    report.write_report = lambda here, result: store.write_text(
+        result.folder / "report.html", "<html>"
+    )
     said = Console(file=io.StringIO(), width=1000)
     try:
-        perform(here, folder, said)
+        perform_run(here, folder, said)
     finally:
-        report.write = drawn
+        report.write_report = drawn
     return [name for name in CALLS if name != "hardware"], said.file.getvalue()
 
 
 def contents(folder):
     """Content hashes of all that a run leaves, by path."""
-    files = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != LOG)  # which tells the time
-    shown = [p for p in files if not any(part.startswith(".") for part in p.relative_to(folder).parts)]
+    # which tells the time
+    files = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != LOG_FILE)
+    shown = [
+        p
+        for p in files
+        if not any(part.startswith(".") for part in p.relative_to(folder).parts)
+    ]
     return {p.relative_to(folder).as_posix(): store.content_hash(p) for p in shown}

@@ -1,4 +1,6 @@
-"""Measured data of others: nothing in them blocks, fills the memory, leaves its folder or steers the terminal."""
+"""Measured data of others: nothing in them blocks, fills the memory, leaves its folder
+or steers the terminal.
+"""
 
 import io
 import json
@@ -16,9 +18,9 @@ import pytest
 import yaml
 from rich.console import Console
 
-from stringcast.data import dataset, foreign, store
+from stringcast.data import dataset, file_checks, store
 from stringcast.data.images import ImageFiles, Video
-from stringcast.data.metadata import metadata
+from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands import check, index
 from stringcast.stages.check import clocks, contents
@@ -26,13 +28,18 @@ from stringcast.stages.check.measured import Measured
 from tests.store.test_dataset import CAMERA, T, given, grasp, points, shade
 
 BOMB = "a: &a [1, 2]\n" + "".join(
-    f"{b}: &{b} [{', '.join(['*' + a] * 9)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+    f"{b}: &{b} [{', '.join(['*' + a] * 9)}]\n"
+    for a, b in zip("abcdefgh", "bcdefghi", strict=True)
 )
 
 
 def lens(**changed):
     """A dataset.yaml with a lens."""
-    known = {"focal": "[500, 500]", "centre": "[320, 240]", "distortion": "[0.1, 0, 0, 0]"} | changed
+    known = {
+        "focal": "[500, 500]",
+        "centre": "[320, 240]",
+        "distortion": "[0.1, 0, 0, 0]",
+    } | changed
     return f"camera: {{lens: {{{', '.join(f'{name}: {value}' for name, value in known.items())}}}}}"
 
 
@@ -43,31 +50,71 @@ REFUSED = {
     "resolver": ("name: ${oc.env:HOME}", r"name holds '\$\{'"),
     "resolver in a name": ("'${oc.env:HOME}': 1", r"holds '\$\{'"),
     "object": ("name: !!python/object/apply:os.getcwd []", "not valid YAML"),
-    "large": ("# " + "x" * foreign.MOST_TEXT, "at most"),
+    "large": ("# " + "x" * file_checks.MAX_TEXT_BYTES, "at most"),
     "true format": ("format: true", "format is True"),
     "true length": ("string: {length: true}", r"string\.length is True"),
-    "long": ("string: {length: 1e300}", r"string\.length is '1e300'; it must be 1000\.0 or less"),
-    "wide": ("camera: {width: 10000000000}", r"camera\.width is 10000000000; it must be 1048576 or less"),
+    "long": (
+        "string: {length: 1e300}",
+        r"string\.length is '1e300'; it must be 1000\.0 or less",
+    ),
+    "wide": (
+        "camera: {width: 10000000000}",
+        r"camera\.width is 10000000000; it must be 1048576 or less",
+    ),
     "true width": ("camera: {width: true}", r"camera\.width is True"),
     "list": ("[1, 2]", "must hold names and values"),
-    "lens of one number": ("camera: {lens: 3}", r"camera\.lens is 3; it must hold names and values"),
-    "lens without focal": ("camera: {lens: {centre: [1, 2]}}", r"camera\.lens\.focal is missing"),
-    "focal": (lens(focal="[0, 500]"), r"camera\.lens\.focal\.0 is 0; it must be above 0"),
+    "lens of one number": (
+        "camera: {lens: 3}",
+        r"camera\.lens is 3; it must hold names and values",
+    ),
+    "lens without focal": (
+        "camera: {lens: {centre: [1, 2]}}",
+        r"camera\.lens\.focal is missing",
+    ),
+    "focal": (
+        lens(focal="[0, 500]"),
+        r"camera\.lens\.focal\.0 is 0; it must be above 0",
+    ),
     "infinite focal": (lens(focal="[.inf, 500]"), r"camera\.lens\.focal\.0 is inf"),
-    "centre": (lens(centre="[1, 2, 3]"), r"camera\.lens\.centre is \[1, 2, 3\]; it must hold 2 values"),
-    "true distortion": (lens(distortion="[true, 0, 0, 0]"), r"camera\.lens\.distortion\.0 is True"),
+    "centre": (
+        lens(centre="[1, 2, 3]"),
+        r"camera\.lens\.centre is \[1, 2, 3\]; it must hold 2 values",
+    ),
+    "true distortion": (
+        lens(distortion="[true, 0, 0, 0]"),
+        r"camera\.lens\.distortion\.0 is True",
+    ),
     "unknown of a lens": (lens(k3="1"), r"camera\.lens\.k3 is 1; there is no such key"),
-    "distorted twice": (lens()[:-1] + ", distortion: 0.1}", "a lens has its own distortion"),
+    "distorted twice": (
+        lens()[:-1] + ", distortion: 0.1}",
+        "a lens has its own distortion",
+    ),
     "tilt without lens": ("camera: {tilt: [0.1, 0]}", "needs camera.lens"),
     "twice": ("string: {length: 0.3}\nstring: {length: 3.0}", "string is given twice"),
-    "thousands of digits": (f"remark: 0x{'f' * 5000}", "a whole number of 5002 digits"),  # which Python cannot print
-    "hundreds of digits": (f"camera: {{width: {'9' * 400}}}", "a whole number of 400 digits"),
+    # which Python cannot print
+    "thousands of digits": (f"remark: 0x{'f' * 5000}", "a whole number of 5002 digits"),
+    "hundreds of digits": (
+        f"camera: {{width: {'9' * 400}}}",
+        "a whole number of 400 digits",
+    ),
     "set": ("trials: !!set {a, b}", "not valid YAML"),
     "bytes": ("name: !!binary AAAA", "not valid YAML"),
-    "date": ("string: {length: 2024-01-01}", r"string\.length is '2024-01-01'; it must be a number"),
-    "long text": (f"string: {{length: {'x' * 10000}}}", r"string\.length is 'x{199}\.\.\.; it must be a number"),
-    "too many pixels": ("camera: {width: 100000, height: 100000}", "width x height is at most 67108864 pixels"),
-    "noise below an atom": ("noise: {point_sigma: 1e-300}", r"noise\.point_sigma is .*; it must be 1e-09 or more"),
+    "date": (
+        "string: {length: 2024-01-01}",
+        r"string\.length is '2024-01-01'; it must be a number",
+    ),
+    "long text": (
+        f"string: {{length: {'x' * 10000}}}",
+        r"string\.length is 'x{199}\.\.\.; it must be a number",
+    ),
+    "too many pixels": (
+        "camera: {width: 100000, height: 100000}",
+        "width x height is at most 67108864 pixels",
+    ),
+    "noise below an atom": (
+        "noise: {point_sigma: 1e-300}",
+        r"noise\.point_sigma is .*; it must be 1e-09 or more",
+    ),
 }
 
 
@@ -77,27 +124,36 @@ def test_a_bad_dataset_yaml_is_refused_at_once(tmp_path, case):
     (tmp_path / "dataset.yaml").write_text(text)
     begun = time.process_time()
     with pytest.raises(DataError, match=rf"dataset\.yaml[\s\S]*{message}"):
-        metadata(tmp_path)
+        read_metadata(tmp_path)
     assert time.process_time() - begun < 5
 
 
 def test_another_encoding_is_told_as_one(tmp_path):
     (tmp_path / "dataset.yaml").write_bytes("string: {length: 0.3}".encode("utf-16"))
-    with pytest.raises(DataError, match=r"dataset\.yaml: it is not text in UTF-8 .*Save it as UTF-8"):
-        metadata(tmp_path)
+    with pytest.raises(
+        DataError, match=r"dataset\.yaml: it is not text in UTF-8 .*Save it as UTF-8"
+    ):
+        read_metadata(tmp_path)
     (tmp_path / "dataset.yaml").write_bytes("string: {length: 0.3}".encode("utf-8-sig"))
-    assert metadata(tmp_path) == {"string": {"length": 0.3}}
+    assert read_metadata(tmp_path) == {"string": {"length": 0.3}}
 
 
 def test_a_scalar_may_stand_for_itself_again(tmp_path):
     (tmp_path / "dataset.yaml").write_text("camera: {width: &side 64, height: *side}")
-    assert metadata(tmp_path)["camera"] == {"width": 64, "height": 64}
+    assert read_metadata(tmp_path)["camera"] == {"width": 64, "height": 64}
 
 
-@pytest.mark.parametrize("file", ["dataset.yaml", "grasp.csv", "points.parquet", "videos/a.mp4"])
+@pytest.mark.parametrize(
+    "file", ["dataset.yaml", "grasp.csv", "points.parquet", "videos/a.mp4"]
+)
 @pytest.mark.parametrize("kind", ["pipe", "device"])
 def test_pipes_and_devices_are_not_opened(tmp_path, file, kind):
-    given(tmp_path, {"string": {"length": 0.3}, "camera": CAMERA}, grasp=grasp(), points=points())
+    given(
+        tmp_path,
+        {"string": {"length": 0.3}, "camera": CAMERA},
+        grasp=grasp(),
+        points=points(),
+    )
     path = tmp_path / file
     path.parent.mkdir(exist_ok=True)
     path.unlink(missing_ok=True)
@@ -106,37 +162,52 @@ def test_pipes_and_devices_are_not_opened(tmp_path, file, kind):
     else:
         path.symlink_to("/dev/zero")
     with pytest.raises(DataError, match=rf"{path.name}: it is no plain file"):
-        dataset.read(tmp_path)
+        dataset.read_dataset(tmp_path)
 
 
-@pytest.mark.parametrize("file", ["dataset.yaml", "grasp.csv", "points.csv", "videos/a.mp4"])
+@pytest.mark.parametrize(
+    "file", ["dataset.yaml", "grasp.csv", "points.csv", "videos/a.mp4"]
+)
 def test_links_that_leave_the_folder_are_not_followed(tmp_path, file):
     folder = tmp_path / "data"
-    given(folder, {"string": {"length": 0.3}, "camera": CAMERA}, grasp=grasp(), points=points())
+    given(
+        folder,
+        {"string": {"length": 0.3}, "camera": CAMERA},
+        grasp=grasp(),
+        points=points(),
+    )
     path, elsewhere = folder / file, tmp_path / "elsewhere"
     path.parent.mkdir(exist_ok=True)
     elsewhere.write_bytes(path.read_bytes() if path.exists() else b"")
     path.unlink(missing_ok=True)
     path.symlink_to(elsewhere)
-    with pytest.raises(DataError, match=rf"{path.name}: it is a link that leaves the folder .*Put the file itself"):
-        dataset.read(folder)
+    with pytest.raises(
+        DataError,
+        match=rf"{path.name}: it is a link that leaves the folder .*Put the file itself",
+    ):
+        dataset.read_dataset(folder)
 
 
 def test_links_within_the_folder_and_to_it_are_followed(tmp_path):
-    given(tmp_path / "data", {"string": {"length": 0.3}}, grasp=grasp(), points=points())
+    given(
+        tmp_path / "data", {"string": {"length": 0.3}}, grasp=grasp(), points=points()
+    )
     (tmp_path / "data" / "points.csv").rename(tmp_path / "data" / "tracked.csv")
     (tmp_path / "data" / "points.csv").symlink_to("tracked.csv")
     (tmp_path / "link").symlink_to("data")
-    assert list(dataset.read(tmp_path / "link").trials) == ["a"]
+    assert list(dataset.read_dataset(tmp_path / "link").trials) == ["a"]
 
 
 def test_a_table_too_large_for_memory_is_refused_unread(tmp_path, monkeypatch):
     given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     pd.concat([points()] * 20).to_parquet(tmp_path / "points.parquet")
-    monkeypatch.setattr(foreign, "MOST_TABLE", 1000)
+    monkeypatch.setattr(file_checks, "MAX_TABLE_BYTES", 1000)
     monkeypatch.setattr(pq.ParquetFile, "read", lambda *_: pytest.fail("it was read"))
-    with pytest.raises(DataError, match=r"points\.parquet: 1000 rows of .* columns would take .*Split it"):
-        dataset.read(tmp_path)
+    with pytest.raises(
+        DataError,
+        match=r"points\.parquet: 1000 rows of .* columns would take .*Split it",
+    ):
+        dataset.read_dataset(tmp_path)
 
 
 def stored(folder, **columns):
@@ -147,28 +218,43 @@ def stored(folder, **columns):
 
 
 @pytest.mark.parametrize(
-    ("name", "values"), [("x", [[0.1]] * len(T)), ("trial", [{"a": "b"}] * len(T)), ("sigma", [{"a": 1.0}] * len(T))]
+    ("name", "values"),
+    [
+        ("x", [[0.1]] * len(T)),
+        ("trial", [{"a": "b"}] * len(T)),
+        ("sigma", [{"a": 1.0}] * len(T)),
+    ],
 )
 def test_a_column_of_lists_where_values_are_needed_is_refused(tmp_path, name, values):
     stored(tmp_path, **{name: pa.array(values)})
-    with pytest.raises(DataError, match=rf"points\.parquet: column '{name}' holds (list|struct)<.*Store plain columns"):
-        dataset.read(tmp_path)
+    with pytest.raises(
+        DataError,
+        match=rf"points\.parquet: column '{name}' holds (list|struct)<.*Store plain columns",
+    ):
+        dataset.read_dataset(tmp_path)
 
 
 def test_a_column_of_lists_that_nobody_asks_for_is_passed_over(tmp_path):
     stored(tmp_path, remark=pa.array([[{"a": [1, 2]}]] * len(T)))
-    assert len(dataset.read(tmp_path).trials["a"].points) == len(T)
+    assert len(dataset.read_dataset(tmp_path).trials["a"].points) == len(T)
 
 
 def test_columns_that_are_too_many_or_there_twice_are_refused(tmp_path, monkeypatch):
     given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     names = [*points(), "x"]
-    pq.write_table(pa.Table.from_arrays([pa.array(points()[n]) for n in names], names), tmp_path / "points.parquet")
-    with pytest.raises(DataError, match=r"points\.parquet: it has the column 'x' twice"):
-        dataset.read(tmp_path)
-    monkeypatch.setattr(foreign, "MOST_COLUMNS", 5)
-    with pytest.raises(DataError, match=r"points\.parquet: it has 6 columns, at most 5 are read"):
-        dataset.read(tmp_path)
+    pq.write_table(
+        pa.Table.from_arrays([pa.array(points()[n]) for n in names], names),
+        tmp_path / "points.parquet",
+    )
+    with pytest.raises(
+        DataError, match=r"points\.parquet: it has the column 'x' twice"
+    ):
+        dataset.read_dataset(tmp_path)
+    monkeypatch.setattr(file_checks, "MAX_COLUMNS", 5)
+    with pytest.raises(
+        DataError, match=r"points\.parquet: it has 6 columns, at most 5 are read"
+    ):
+        dataset.read_dataset(tmp_path)
 
 
 def test_a_first_line_without_an_end_is_refused_unread(tmp_path):
@@ -176,15 +262,18 @@ def test_a_first_line_without_an_end_is_refused_unread(tmp_path):
     given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     (tmp_path / "points.csv").write_bytes(b"trial,t,s,x,y," + b"a," * 100_000)
     with pytest.raises(DataError, match=r"points\.csv: its first line does not end"):
-        dataset.read(tmp_path)
+        dataset.read_dataset(tmp_path)
 
 
 def test_more_trials_than_anybody_records_are_refused_unread(tmp_path):
-    names = [f"t{k}" for k in range(dataset.MOST_TRIALS + 1)]
+    names = [f"t{k}" for k in range(dataset.MAX_TRIALS + 1)]
     many = pd.DataFrame({"trial": names, "t": 0.0, "x": 0.0, "y": 0.0, "theta": 0.0})
     given(tmp_path, {"string": {"length": 0.3}}, grasp=many, points=points())
-    with pytest.raises(DataError, match=r"grasp\.csv: it holds 4001 trials, at most 4000 are read\. Split it"):
-        dataset.read(tmp_path)
+    with pytest.raises(
+        DataError,
+        match=r"grasp\.csv: it holds 4001 trials, at most 4000 are read\. Split it",
+    ):
+        dataset.read_dataset(tmp_path)
 
 
 @pytest.mark.parametrize("table", ["grasp", "points"])
@@ -199,16 +288,26 @@ def test_a_time_that_would_be_simulated_for_months_is_an_error(tmp_path, table, 
 
 
 def test_times_that_are_no_times_are_left_out(tmp_path):
-    given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp(), points=points(t=T * 1e300))
-    read = dataset.read(tmp_path)
-    assert read.rows["points.csv"].dropped == {"t is beyond 1e+19": len(T) - 1}  # all but 0
+    given(
+        tmp_path, {"string": {"length": 0.3}}, grasp=grasp(), points=points(t=T * 1e300)
+    )
+    read = dataset.read_dataset(tmp_path)
+    # all but 0
+    assert read.row_counts["points.csv"].dropped == {"t is beyond 1e+19": len(T) - 1}
     assert not read.trials
 
 
 def test_a_sigma_below_an_atom_is_left_out(tmp_path):
     """Its square is nought, and nothing can be weighed by it."""
-    given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp(), points=points().assign(sigma=[1e-300] + [1e-3] * 49))
-    assert dataset.read(tmp_path).rows["points.csv"].dropped == {"sigma is below 1e-09 m": 1}
+    given(
+        tmp_path,
+        {"string": {"length": 0.3}},
+        grasp=grasp(),
+        points=points().assign(sigma=[1e-300] + [1e-3] * 49),
+    )
+    assert dataset.read_dataset(tmp_path).row_counts["points.csv"].dropped == {
+        "sigma is below 1e-09 m": 1
+    }
 
 
 @pytest.mark.parametrize("way", ["absolute", "up", "link"])
@@ -219,68 +318,114 @@ def test_frames_outside_the_folder_are_not_read(tmp_path, way):
     outside.write_bytes(cv2.imencode(".png", shade(0))[1].tobytes())
     (folder / "link.png").symlink_to(outside)
     named = {"absolute": str(outside), "up": "../secret.png", "link": "link.png"}[way]
-    frames = pd.DataFrame({"trial": "a", "frame": np.arange(5), "t": T[::10], "file": named})
-    given(folder, {"string": {"length": 0.3}, "camera": CAMERA}, grasp=grasp(), frames=frames, points=points())
-    with pytest.raises(DataError, match=rf"frames\.csv: the frame '{named}' .*lies outside the folder.*Copy it there"):
-        dataset.read(folder)
+    frames = pd.DataFrame(
+        {"trial": "a", "frame": np.arange(5), "t": T[::10], "file": named}
+    )
+    given(
+        folder,
+        {"string": {"length": 0.3}, "camera": CAMERA},
+        grasp=grasp(),
+        frames=frames,
+        points=points(),
+    )
+    with pytest.raises(
+        DataError,
+        match=rf"frames\.csv: the frame '{named}' .*lies outside the folder.*Copy it there",
+    ):
+        dataset.read_dataset(folder)
 
 
 @pytest.mark.parametrize(
-    "named", ["lost.png", "a\0b.png", "x" * 5000, None], ids=["lost", "zero byte", "too long", "none"]
+    "named",
+    ["lost.png", "a\0b.png", "x" * 5000, None],
+    ids=["lost", "zero byte", "too long", "none"],
 )
 def test_frames_that_are_not_there_are_counted(tmp_path, named):
-    frames = pd.DataFrame({"trial": "a", "frame": np.arange(5), "t": T[::10], "file": named})
-    given(tmp_path, {"string": {"length": 0.3}, "camera": CAMERA}, grasp=grasp(), points=points())
+    frames = pd.DataFrame(
+        {"trial": "a", "frame": np.arange(5), "t": T[::10], "file": named}
+    )
+    given(
+        tmp_path,
+        {"string": {"length": 0.3}, "camera": CAMERA},
+        grasp=grasp(),
+        points=points(),
+    )
     frames.to_parquet(tmp_path / "frames.parquet")
-    found = dataset.read(tmp_path)
+    found = dataset.read_dataset(tmp_path)
     assert not found.films
-    assert found.rows["frames.parquet"].dropped == {"no file": 5}
+    assert found.row_counts["frames.parquet"].dropped == {"no file": 5}
 
 
 @pytest.mark.parametrize("name", ["[/]", "[bold]", "<script>", "a b"])
 def test_names_are_text_and_no_markup(tmp_path, name):
     folder = tmp_path / "[bold]"
-    given(folder, {"name": "[/]", "string": {"length": 0.3}}, grasp=grasp(name), points=points(name))
+    given(
+        folder,
+        {"name": "[/]", "string": {"length": 0.3}},
+        grasp=grasp(name),
+        points=points(name),
+    )
     out = io.StringIO()
-    check.show(check.overview(check.measured(folder, ())), Console(file=out, width=200))
+    check.print_overview(
+        check.overview(check.read_measurements(folder, ())),
+        Console(file=out, width=200),
+    )
     assert name in out.getvalue()
 
 
 def test_names_that_steer_a_terminal_are_refused(tmp_path):
     given(tmp_path, {}, grasp=grasp("a\x1b[2J"), points=points("a\x1b[2J"))
-    with pytest.raises(DataError, match=r"grasp\.csv: the trial 'a\\x1b\[2J' has a name that cannot be printed"):
-        dataset.read(tmp_path)
+    with pytest.raises(
+        DataError,
+        match=r"grasp\.csv: the trial 'a\\x1b\[2J' has a name that cannot be printed",
+    ):
+        dataset.read_dataset(tmp_path)
 
 
 def looked_at(folder):
-    read = dataset.read(folder)
+    read = dataset.read_dataset(folder)
     return Measured(read, None, None, 0.3)
 
 
 def test_what_cannot_be_is_warned_of(tmp_path):
     far = points()
     far.loc[3, "x"] = 1e308
-    about_it = {"strng": {"length": 0.3}, "camera": {**CAMERA, "fps": 1e12}, "trials": {"a": {"role": "heldout"}}}
+    about_it = {
+        "strng": {"length": 0.3},
+        "camera": {**CAMERA, "fps": 1e12},
+        "trials": {"a": {"role": "heldout"}},
+    }
     given(tmp_path, about_it, grasp=grasp(), points=far)
     data = looked_at(tmp_path)
     assert data.data.rows["points.csv"].dropped == {"x is beyond 1e+09": 1}
-    said = {f.field: f.said for look in (contents.names, contents.camera, contents.roles) for f in look(data)}
+    said = {
+        f.field: f.said
+        for look in (contents.names, contents.camera, contents.roles)
+        for f in look(data)
+    }
     assert "'string' is one" in said["strng"]
     assert "more than any camera" in said["camera.fps"]
     assert "'heldout' is no role" in said["trials.a.role"]
 
 
 def test_what_we_write_ourselves_can_be_read(tmp_path):
-    known = {"format": 1, "string": {"length": 0.3}, "camera": {"tilt": [0.0, 0.0], "origin_px": [0.0, 0.0]}}
+    known = {
+        "format": 1,
+        "string": {"length": 0.3},
+        "camera": {"tilt": [0.0, 0.0], "origin_px": [0.0, 0.0]},
+    }
     (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(known))
-    assert metadata(tmp_path) == known
+    assert read_metadata(tmp_path) == known
 
 
 def huge_png(side):
     """A PNG of `side` x `side` pixels, of which only the header is there."""
     head = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
     chunks = ((13, head), (0, b"IDAT"), (0, b"IEND"))
-    whole = [struct.pack(">I", size) + chunk + struct.pack(">I", zlib.crc32(chunk)) for size, chunk in chunks]
+    whole = [
+        struct.pack(">I", size) + chunk + struct.pack(">I", zlib.crc32(chunk))
+        for size, chunk in chunks
+    ]
     return b"\x89PNG\r\n\x1a\n" + b"".join(whole)
 
 
@@ -289,15 +434,23 @@ def test_frames_of_different_sizes_are_refused_by_name(tmp_path):
         cv2.imwrite(str(tmp_path / name), image)
     images = ImageFiles(tmp_path, ("a.png", "b.png"))
     assert images.read(0).shape == (32, 48)
-    with pytest.raises(DataError, match=r"b\.png: it has 48 x 16 pixels, the first frame of its trial has 48 x 32"):
+    with pytest.raises(
+        DataError,
+        match=r"b\.png: it has 48 x 16 pixels, the first frame of its trial has 48 x 32",
+    ):
         images.read(1)
 
 
-def test_an_image_that_would_unpack_to_gigabytes_is_refused_by_its_header(tmp_path, monkeypatch):
+def test_an_image_that_would_unpack_to_gigabytes_is_refused_by_its_header(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(cv2, "imread", lambda *_: pytest.fail("it was unpacked"))
-    for side in (10_000, 60_000):  # beyond our bound, and beyond the imaging library's own
+    # beyond our bound, and beyond the imaging library's own
+    for side in (10_000, 60_000):
         (tmp_path / "a.png").write_bytes(huge_png(side))
-        with pytest.raises(DataError, match=r"a\.png: .*(pixels, at most|exceeds limit)"):
+        with pytest.raises(
+            DataError, match=r"a\.png: .*(pixels, at most|exceeds limit)"
+        ):
             ImageFiles(tmp_path, ("a.png",)).read(0)
     (tmp_path / "a.png").unlink()
     os.mkfifo(tmp_path / "a.png")
@@ -305,7 +458,10 @@ def test_an_image_that_would_unpack_to_gigabytes_is_refused_by_its_header(tmp_pa
         ImageFiles(tmp_path, ("a.png",)).read(0)
 
 
-@pytest.mark.parametrize("content", [b"#EXTM3U\n/etc/hostname\n", b"ffconcat version 1.0\nfile /etc/hostname\n", b""])
+@pytest.mark.parametrize(
+    "content",
+    [b"#EXTM3U\n/etc/hostname\n", b"ffconcat version 1.0\nfile /etc/hostname\n", b""],
+)
 def test_a_list_of_other_files_is_no_video(tmp_path, monkeypatch, content):
     monkeypatch.setattr(cv2, "VideoCapture", lambda *_: pytest.fail("it was opened"))
     (tmp_path / "a.mp4").write_bytes(content)
@@ -325,7 +481,7 @@ def test_index_lists_what_is_foreign_as_damaged_or_as_text(tmp_path, capsys):
     assert index.main([str(tmp_path)]) == 0
     shown = capsys.readouterr().out
     assert "\x1b[2J" not in shown
-    found = index.index(tmp_path).set_index("run")["state"]
+    found = index.list_runs(tmp_path).set_index("run")["state"]
     assert found.to_dict() == {"[bold]": "incomplete", "other": "damaged"}
 
 
@@ -333,9 +489,14 @@ def test_a_long_text_that_every_row_repeats_is_held_once(tmp_path):
     """50 kB on the disk, 400 MB if each row had a copy."""
     long_text = "x" * 2**20
     given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
-    pd.concat([points()] * 8).assign(remark=long_text).to_parquet(tmp_path / "points.parquet")
+    pd.concat([points()] * 8).assign(remark=long_text).to_parquet(
+        tmp_path / "points.parquet"
+    )
     assert (tmp_path / "points.parquet").stat().st_size < 2**18
-    frame = store.read_table(dataset.with_trial(dataset.POINTS), tmp_path / "points.parquet")
+    frame = store.read_table(
+        dataset.with_trial(dataset.POINTS), tmp_path / "points.parquet"
+    )
     assert len(frame) == 400
-    assert len({id(text) for text in frame["remark"]}) < 10  # one for each batch that is read
+    # one for each batch that is read
+    assert len({id(text) for text in frame["remark"]}) < 10
     assert frame["trial"].tolist() == ["a"] * 400

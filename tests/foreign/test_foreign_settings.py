@@ -10,17 +10,24 @@ import yaml
 from omegaconf import OmegaConf
 
 from stringcast.data.schema import DataError
-from stringcast.pipeline import log, targets
-from stringcast.pipeline.commands import command
-from stringcast.pipeline.experiment import prepare
-from stringcast.pipeline.inherited import (
-    extended_model,
-    measured_camera,
+from stringcast.pipeline.commands import load_command
+from stringcast.pipeline.run import log
+from stringcast.pipeline.run.experiment import prepare_experiment
+from stringcast.pipeline.settings import allowed_callables
+from stringcast.pipeline.settings.settings_from_runs import (
+    inherit_settings,
+    read_extended_model,
+    read_measured_camera,
     refuse_inherited_limits,
-    with_inherited_settings,
 )
-from stringcast.pipeline.settings import CONF, UserError, composed, loaded, refuse_twice
-from stringcast.stages.model import generated
+from stringcast.pipeline.settings.typed_settings import (
+    CONF_FOLDER,
+    UserError,
+    compose_settings,
+    load_callable,
+    refuse_repeated_settings,
+)
+from stringcast.stages.model.engine import module_cache
 from tests.faults.toy import toy_experiment, toy_run
 
 
@@ -45,12 +52,20 @@ def poisons(canary):
     pickled.write_bytes(pickle.dumps(Touch(canary)))
     return {
         "string.integrator": {
-            "_target_": "stages.model.generated.loaded",
+            "_target_": "stages.model.engine.module_cache.import_generated_module",
             "text": f"import os; os.mkdir({str(canary)!r})",
         },
         "estimate": {"_target_": "builtins.open", "file": str(canary), "mode": "w"},
-        "hardware": {"_target_": "pathlib.Path.write_text", "self": str(canary), "data": ""},
-        "generate": {"_target_": "numpy.load", "file": str(pickled), "allow_pickle": True},
+        "hardware": {
+            "_target_": "pathlib.Path.write_text",
+            "self": str(canary),
+            "data": "",
+        },
+        "generate": {
+            "_target_": "numpy.load",
+            "file": str(pickled),
+            "allow_pickle": True,
+        },
         "source": {"_target_": "os.mkdir", "path": str(canary)},
     }
 
@@ -59,7 +74,10 @@ PLACES = ("string.integrator", "estimate", "hardware", "generate")
 
 
 def resolved(*overrides):
-    return OmegaConf.to_container(OmegaConf.create(composed(("hydra.run.dir=.", *overrides))), resolve=True)
+    return OmegaConf.to_container(
+        OmegaConf.create(compose_settings(("hydra.run.dir=.", *overrides))),
+        resolve=True,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -78,12 +96,19 @@ def poisoned(settings, place, poison):
 def test_a_stored_run_runs_no_code(settings, canary, tmp_path, place, asked):
     run = tmp_path / "outputs" / "run"
     run.mkdir(parents=True)
-    (run / "config.json").write_text(json.dumps(poisoned(settings, place, poisons(canary)[place])))
+    (run / "config.json").write_text(
+        json.dumps(poisoned(settings, place, poisons(canary)[place]))
+    )
     if asked in ("index", "why"):  # which look at files and settings alone
-        assert command(asked)([str(run.parent if asked == "index" else run)]) == (asked == "why")
+        assert load_command(asked)([str(run.parent if asked == "index" else run)]) == (
+            asked == "why"
+        )
     else:
-        with pytest.raises(UserError, match=rf"{place}._target_ = .*config\.json.*may not be named here\. Choose"):
-            command(asked)([str(run)])
+        with pytest.raises(
+            UserError,
+            match=rf"{place}._target_ = .*config\.json.*may not be named here\. Choose",
+        ):
+            load_command(asked)([str(run)])
     assert not canary.exists()
     assert [path.name for path in run.iterdir()] == ["config.json"]
 
@@ -91,8 +116,8 @@ def test_a_stored_run_runs_no_code(settings, canary, tmp_path, place, asked):
 def test_index_and_why_build_no_model(settings, tmp_path, monkeypatch, capsys):
     (tmp_path / "config.json").write_text(json.dumps(settings))
     monkeypatch.setattr("stringcast.stages.model.string.String.__init__", None)
-    assert command("index")([str(tmp_path)]) == 0
-    assert command("why")([str(tmp_path)]) == 1
+    assert load_command("index")([str(tmp_path)]) == 0
+    assert load_command("why")([str(tmp_path)]) == 1
     assert "iterations/01/motion: missing" in capsys.readouterr().out
 
 
@@ -101,24 +126,31 @@ def test_an_extended_model_runs_no_code(settings, canary, tmp_path):
     (tmp_path / "extended.yaml").write_text(yaml.safe_dump(made))
     config = OmegaConf.create({**settings, "extended": str(tmp_path)})
     with pytest.raises(UserError, match=r"string\.integrator"):
-        prepare(with_inherited_settings(config, set()), lambda block: "extended.yaml")
+        prepare_experiment(
+            inherit_settings(config, set()), lambda block: "extended.yaml"
+        )
     assert not canary.exists()
 
 
 def test_stored_trials_run_no_code(settings, canary, tmp_path):
     poison = poisons(canary)["estimate"]
-    (tmp_path / "config.json").write_text(json.dumps(poisoned(settings, "estimate", poison)))
+    (tmp_path / "config.json").write_text(
+        json.dumps(poisoned(settings, "estimate", poison))
+    )
     config = OmegaConf.create({**settings, "trials": str(tmp_path)})
     with pytest.raises(UserError, match=r"estimate\._target_"):
-        prepare(with_inherited_settings(config, set()), lambda block: "config.json")
+        prepare_experiment(inherit_settings(config, set()), lambda block: "config.json")
     assert not canary.exists()
 
 
 @pytest.mark.parametrize("name", ["mode", "hardware", "arm", "trials", "_target_"])
 def test_an_extended_model_sets_the_model_and_nothing_else(tmp_path, name):
     (tmp_path / "extended.yaml").write_text(yaml.safe_dump({"effects": [], name: "x"}))
-    with pytest.raises(UserError, match=rf"extended\.yaml sets '{name}'; it may set string, effects, known"):
-        extended_model(tmp_path)
+    with pytest.raises(
+        UserError,
+        match=rf"extended\.yaml sets '{name}'; it may set string, effects, known",
+    ):
+        read_extended_model(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -133,26 +165,36 @@ def test_an_extended_model_sets_the_model_and_nothing_else(tmp_path, name):
 def test_an_extended_model_of_another_shape_is_refused(tmp_path, said, message):
     (tmp_path / "extended.yaml").write_text(said)
     with pytest.raises(UserError, match=message):
-        extended_model(tmp_path)
+        read_extended_model(tmp_path)
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["string.points=1000000000"], r"string\.points is 1000000000; it must be 10000 at most"),
-        (["effects=[" + ",".join(["wind"] * 101) + "]"], "101 effects are asked for, 100 at most"),
+        (
+            ["string.points=1000000000"],
+            r"string\.points is 1000000000; it must be 10000 at most",
+        ),
+        (
+            ["effects=[" + ",".join(["wind"] * 101) + "]"],
+            "101 effects are asked for, 100 at most",
+        ),
     ],
 )
 def test_what_would_fill_the_memory_or_is_no_number_is_refused(words, message):
     """2 TB were asked for, and loops of 3000 effects compiled until Python gave up."""
     with pytest.raises(UserError, match=message):
-        prepare(resolved(*words), lambda block: block)
+        prepare_experiment(resolved(*words), lambda block: block)
 
 
 def test_what_is_known_is_finite():
-    settings = resolved("effects=[tip_mass]") | {"known": {"tip_mass.ratio": float("nan")}}
-    with pytest.raises(UserError, match=r"known\.tip_mass\.ratio = nan .* must be a number"):
-        prepare(settings, lambda block: block)
+    settings = resolved("effects=[tip_mass]") | {
+        "known": {"tip_mass.ratio": float("nan")}
+    }
+    with pytest.raises(
+        UserError, match=r"known\.tip_mass\.ratio = nan .* must be a number"
+    ):
+        prepare_experiment(settings, lambda block: block)
 
 
 def test_lines_of_the_log_do_not_go_through_a_link(tmp_path):
@@ -161,12 +203,12 @@ def test_lines_of_the_log_do_not_go_through_a_link(tmp_path):
     run.mkdir()
     precious.write_text("mine")
     (run / "run.log").symlink_to(precious)
-    with log.kept(run):
-        log.OURS.info("a line")
+    with log.log_to_folder(run):
+        log.LOGGER.info("a line")
     assert precious.read_text() == "mine"
     (run / "run.log").unlink()
-    with log.kept(run):
-        log.OURS.info("a line")
+    with log.log_to_folder(run):
+        log.LOGGER.info("a line")
     assert "a line" in (run / "run.log").read_text()
 
 
@@ -180,7 +222,7 @@ def test_steps_are_not_made_through_a_link(tmp_path):
     assert not list(elsewhere.iterdir())
 
 
-@pytest.mark.parametrize("read", [extended_model, measured_camera])
+@pytest.mark.parametrize("read", [read_extended_model, read_measured_camera])
 def test_what_refers_elsewhere_is_refused(tmp_path, read):
     for file in ("extended.yaml", "camera.yaml"):
         (tmp_path / file).write_text("known: {a: [1, '${oc.env:HOME}']}\n")
@@ -189,40 +231,56 @@ def test_what_refers_elsewhere_is_refused(tmp_path, read):
 
 
 def test_settings_of_stored_trials_that_refer_elsewhere_are_refused(settings, tmp_path):
-    (tmp_path / "config.json").write_text(json.dumps({**settings, "estimate": {"beta": "${oc.env:HOME}"}}))
+    (tmp_path / "config.json").write_text(
+        json.dumps({**settings, "estimate": {"beta": "${oc.env:HOME}"}})
+    )
     config = OmegaConf.create({**settings, "trials": str(tmp_path)})
     with pytest.raises(DataError, match=r"estimate\.beta holds"):
-        with_inherited_settings(config, set())
+        inherit_settings(config, set())
 
 
 def test_every_role_names_what_there_is_and_what_our_own_settings_choose():
-    for role, names in targets.roles().items():
+    for role, names in allowed_callables.allowed_names_by_role().items():
         for name in names:
-            assert callable(loaded(name, role, ""))
-    for file in CONF.rglob("*.yaml"):
-        group = file.parent.relative_to(CONF).as_posix()
+            assert callable(load_callable(name, role, ""))
+    for file in CONF_FOLDER.rglob("*.yaml"):
+        group = file.parent.relative_to(CONF_FOLDER).as_posix()
         chosen = yaml.safe_load(file.read_text()) or {}
-        if group in targets.roles() and "_target_" in chosen:
-            assert chosen["_target_"] in targets.roles()[group], file
+        if group in allowed_callables.allowed_names_by_role() and "_target_" in chosen:
+            assert (
+                chosen["_target_"] in allowed_callables.allowed_names_by_role()[group]
+            ), file
 
 
-@pytest.mark.parametrize("target", ["os.system", "stages.generate", None, ["x"], {"a": 1}])
+@pytest.mark.parametrize(
+    "target", ["os.system", "stages.generate", None, ["x"], {"a": 1}]
+)
 def test_a_name_that_is_not_on_the_list_is_not_even_imported(target, monkeypatch):
-    monkeypatch.setattr("stringcast.pipeline.settings.get_object", lambda name: pytest.fail(f"{name} was looked up"))
-    for role in (*targets.roles(), "unheard_of"):
+    monkeypatch.setattr(
+        "stringcast.pipeline.settings.typed_settings.get_object",
+        lambda name: pytest.fail(f"{name} was looked up"),
+    )
+    for role in (*allowed_callables.allowed_names_by_role(), "unheard_of"):
         with pytest.raises(UserError, match="may not be named here"):
-            loaded(target, f"a.{role}", "file")
+            load_callable(target, f"a.{role}", "file")
 
 
 def test_a_real_arm_does_not_move_by_limits_of_others(settings):
     real = resolved("hardware=serial")
     faster = {**real, "arm": {**real["arm"], "hand_speed": 99.0}}
-    with pytest.raises(UserError, match=r"arm\.hand_speed: 21\.8 here, 99\.0 there\n.*accept_limits=true"):
+    with pytest.raises(
+        UserError,
+        match=r"arm\.hand_speed: 21\.8 here, 99\.0 there\n.*accept_limits=true",
+    ):
         refuse_inherited_limits(faster, real, "trials=x")
     refuse_inherited_limits(faster, {**real, "accept_limits": True}, "trials=x")
-    estimating, aligning = ({**faster, "mode": resolved(f"mode={mode}")["mode"]} for mode in ("estimate", "align"))
+    estimating, aligning = (
+        {**faster, "mode": resolved(f"mode={mode}")["mode"]}
+        for mode in ("estimate", "align")
+    )
     refuse_inherited_limits(estimating, real, "trials=x")
-    with pytest.raises(UserError, match="accept_limits=true"):  # a motion is performed where no trials are stored
+    # a motion is performed where no trials are stored
+    with pytest.raises(UserError, match="accept_limits=true"):
         refuse_inherited_limits(aligning, real, "trials=x")
     refuse_inherited_limits({**aligning, "trials": "x"}, real, "trials=x")
     refuse_inherited_limits(real, real, "trials=x")
@@ -235,23 +293,27 @@ def test_a_virtual_arm_asks_nobody(settings):
 
 def test_resume_of_a_real_arm_asks_for_a_word(settings, tmp_path):
     (tmp_path / "config.json").write_text(json.dumps(resolved("hardware=serial")))
-    with pytest.raises(UserError, match=r"hardware\.port: .*/dev/ttyUSB0 there[\s\S]*--accept-limits"):
-        command("resume")([str(tmp_path)])
+    with pytest.raises(
+        UserError, match=r"hardware\.port: .*/dev/ttyUSB0 there[\s\S]*--accept-limits"
+    ):
+        load_command("resume")([str(tmp_path)])
     assert [path.name for path in tmp_path.iterdir()] == ["config.json"]
 
 
 @pytest.fixture
 def shared_folder(tmp_path, monkeypatch):
-    """Where temporary files go, and the folder of ours that anybody could have made there."""
+    """Where temporary files go, and the folder of ours that anybody could have made
+    there.
+    """
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr("getpass.getuser", lambda: "ann")
-    generated.temporary_folder.cache_clear()
+    module_cache.private_temporary_folder.cache_clear()
     yield tmp_path / "stringcast-ann"
-    generated.temporary_folder.cache_clear()
+    module_cache.private_temporary_folder.cache_clear()
 
 
 def test_machine_code_is_kept_where_only_we_can_write(shared_folder):
-    assert generated.temporary_folder() == shared_folder
+    assert module_cache.private_temporary_folder() == shared_folder
     assert shared_folder.stat().st_mode & 0o777 == 0o700
 
 
@@ -265,11 +327,11 @@ def test_machine_code_of_others_is_not_run(shared_folder, tmp_path, monkeypatch,
         shared_folder.chmod(0o777 if fault == "open" else 0o700)
     if fault == "others":
         monkeypatch.setattr("os.getuid", lambda: 4321, raising=False)
-    used = generated.temporary_folder()
+    used = module_cache.private_temporary_folder()
     assert used != shared_folder
     assert used.stat().st_mode & 0o777 == 0o700
     assert not list(used.iterdir())
-    assert generated.temporary_folder() == used  # one for a process
+    assert module_cache.private_temporary_folder() == used  # one for a process
 
 
 def test_numpy_would_have_run_the_pickle(canary):
@@ -288,8 +350,19 @@ def test_numpy_would_have_run_the_pickle(canary):
     ],
 )
 def test_a_setting_given_twice_is_refused_with_both_words(given):
-    with pytest.raises(UserError, match=f"{given[0]} and {given[-1]} .*given twice".replace("+", r"\+")):
-        refuse_twice(given)
+    with pytest.raises(
+        UserError, match=f"{given[0]} and {given[-1]} .*given twice".replace("+", r"\+")
+    ):
+        refuse_repeated_settings(given)
     with pytest.raises(UserError, match="given twice"):
-        composed(given)
-    refuse_twice(["source=images", "source@plane=video", "seed=1", "source.folder=x", "~obstacles", "obstacles=none"])
+        compose_settings(given)
+    refuse_repeated_settings(
+        [
+            "source=images",
+            "source@plane=video",
+            "seed=1",
+            "source.folder=x",
+            "~obstacles",
+            "obstacles=none",
+        ]
+    )

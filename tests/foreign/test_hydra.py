@@ -1,7 +1,10 @@
-"""Hydra is the version whose refusals were tried: another may call anything, or refuse more.
+"""Hydra is the version whose refusals were tried: another may call anything, or refuse
+more.
 
-Classes of foreign settings come from fixed lists (`pipeline/targets.py`), so that this list is the second wall and not
-the first. What it does not hold is asked too: the day it does, or no longer holds the rest, the pin is looked at again.
+Classes of foreign settings come from fixed lists
+(`pipeline/settings/allowed_callables.py`), so that this list is the second wall and not
+the first. What it does not hold is asked too: the day it does, or no longer holds the
+rest, the pin is looked at again.
 """
 
 import tomllib
@@ -17,7 +20,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def pinned() -> str:
     """What pyproject.toml asks for."""
-    asked = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    asked = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]["dependencies"]
     return next(one for one in asked if one.startswith("hydra-core"))
 
 
@@ -27,13 +32,17 @@ def test_one_version_is_asked_for_locked_and_installed():
     assert any(line.split()[:1] == [pinned()] for line in locked)
 
 
-@pytest.mark.parametrize("target", ["os.system", "subprocess.run", "builtins.exec", "builtins.eval"])
+@pytest.mark.parametrize(
+    "target", ["os.system", "subprocess.run", "builtins.exec", "builtins.eval"]
+)
 def test_hydra_refuses_what_runs_a_command(target):
     with pytest.raises(InstantiationException, match="blocklisted"):
         instantiate({"_target_": target, "_partial_": True})
 
 
-@pytest.mark.parametrize("target", ["numpy.load", "pathlib.Path.write_text", "builtins.open"])
+@pytest.mark.parametrize(
+    "target", ["numpy.load", "pathlib.Path.write_text", "builtins.open"]
+)
 def test_hydra_alone_would_not_do(target):
     """These it would call, with whatever a file says: why fixed lists come first."""
     instantiate({"_target_": target, "_partial_": True})

@@ -1,4 +1,6 @@
-"""Text that others wrote never steers the terminal: escape sequences in names come out spelt."""
+"""Text that others wrote never steers the terminal: escape sequences in names come out
+spelt.
+"""
 
 import ast
 import io
@@ -9,13 +11,14 @@ from conftest import ROOT
 from rich.table import Table
 from rich.text import Text
 
-from stringcast.pipeline.console import bars
-from stringcast.pipeline.log import LINE
-from stringcast.pipeline.sweep.launcher import line
+from stringcast.pipeline.cli.console import progress_bars
+from stringcast.pipeline.cli.terminal import Terminal
+from stringcast.pipeline.run.log import LINE_FORMATTER
+from stringcast.pipeline.sweep.launcher import job_line
 from stringcast.pipeline.sweep.ledger import Job
-from stringcast.pipeline.terminal import Terminal
 
-EVIL = "a\x1b]0;mine\x07\x1b[2J\x9b2Jb"  # names the window, clears the screen, and clears it in eight bits
+# names the window, clears the screen, and clears it in eight bits
+EVIL = "a\x1b]0;mine\x07\x1b[2J\x9b2Jb"
 
 
 def table(text):
@@ -28,8 +31,12 @@ SHOWN = {
     "text": lambda out: out.print(EVIL, markup=False),
     "wrapped": lambda out: out.print(EVIL, soft_wrap=True),
     "table": lambda out: out.print(table(Text(EVIL))),
-    "sweep": lambda out: out.print(line(Job(0, (f"name={EVIL}",), {}, error=EVIL), ""), soft_wrap=True),
-    "log": lambda out: out.file.write(LINE.format(logging.makeLogRecord({"msg": EVIL}))),
+    "sweep": lambda out: out.print(
+        job_line(Job(0, (f"name={EVIL}",), {}, error=EVIL), ""), soft_wrap=True
+    ),
+    "log": lambda out: out.file.write(
+        LINE_FORMATTER.format(logging.makeLogRecord({"msg": EVIL}))
+    ),
 }
 
 
@@ -44,8 +51,10 @@ def test_control_characters_are_spelt(kind):
 
 
 def test_a_bar_moves_and_its_name_does_not_steer():
-    out = Terminal(file=io.StringIO(), width=200, force_terminal=True, legacy_windows=False)
-    with bars(out) as bar, bar(EVIL) as progress:
+    out = Terminal(
+        file=io.StringIO(), width=200, force_terminal=True, legacy_windows=False
+    )
+    with progress_bars(out) as bar, bar(EVIL) as progress:
         progress(0.5)
     assert "\x1b[2K" in out.file.getvalue()  # its own line, again and again
     assert "\x1b[2J" not in out.file.getvalue()
@@ -59,4 +68,6 @@ def test_all_that_is_shown_is_shown_there():
             called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
             assert called != "Console", file
             if called == "print" and file.parent.name == "commands":
-                assert ast.unparse(node.args[0]).startswith(("printable(", "json.dumps(")), file
+                assert ast.unparse(node.args[0]).startswith(
+                    ("printable(", "json.dumps(")
+                ), file

@@ -7,13 +7,13 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 
 from stringcast.data.schema import DataError
-from stringcast.pipeline.settings import stage
+from stringcast.pipeline.settings.typed_settings import bind_stage
 from stringcast.stages.generate.curves import Curves, first_curves, next_curves
 from stringcast.stages.generate.generate import MotionNotFoundError
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.hand import joint_motion
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.string import String
 
 STRING = String(0.3)
@@ -31,14 +31,44 @@ TARGET = Box(0.4, 0.7, 0.02, 0.04)
 
 def generate(*given, seed, **settings):
     """As a run does it, with settings side by side."""
-    return stage({"_target_": "stages.generate.generate.generate"} | settings, "generate", "here")(*given, seed=seed)
+    return bind_stage(
+        {"_target_": "stages.generate.generate.generate"} | settings, "generate", "here"
+    )(*given, seed=seed)
 
 
 def test_a_box_is_crossed_by_what_passes_through_it_only():
     box = Box(0.0, 0.0, 2.0, 1.0)
-    a = np.array([[-3.0, 0.0], [-3.0, 2.0], [0.0, 0.0], [1.5, -3.0], [0.5, -3.0], [-3.0, 0.0], [0.9, 0.0]])
-    b = np.array([[3.0, 0.0], [3.0, 2.0], [0.1, 0.1], [1.5, 3.0], [0.5, 3.0], [-1.1, 0.0], [0.9, 0.0]])
-    assert box.crossed(a, b).tolist() == [True, False, True, False, True, False, True]
+    a = np.array(
+        [
+            [-3.0, 0.0],
+            [-3.0, 2.0],
+            [0.0, 0.0],
+            [1.5, -3.0],
+            [0.5, -3.0],
+            [-3.0, 0.0],
+            [0.9, 0.0],
+        ]
+    )
+    b = np.array(
+        [
+            [3.0, 0.0],
+            [3.0, 2.0],
+            [0.1, 0.1],
+            [1.5, 3.0],
+            [0.5, 3.0],
+            [-1.1, 0.0],
+            [0.9, 0.0],
+        ]
+    )
+    assert box.is_crossed_by(a, b).tolist() == [
+        True,
+        False,
+        True,
+        False,
+        True,
+        False,
+        True,
+    ]
 
 
 def test_angles_are_the_integral_of_a_bezier_velocity():
@@ -48,7 +78,9 @@ def test_angles_are_the_integral_of_a_bezier_velocity():
     angles, speeds = curve.sampled(1e-4, 0.9)
     t = np.arange(angles.shape[1]) * 1e-4
     np.testing.assert_allclose(
-        angles[0] - [0.1, -0.2, 0.3], cumulative_trapezoid(speeds[0], t, axis=0, initial=0), atol=1e-6
+        angles[0] - [0.1, -0.2, 0.3],
+        cumulative_trapezoid(speeds[0], t, axis=0, initial=0),
+        atol=1e-6,
     )
     assert np.all(speeds[0, t > 0.8001] == 0)
     middle = control[0] @ np.array([1, 5, 10, 10, 5, 1]) / 32
@@ -76,19 +108,33 @@ def test_control_points_follow_equation_2_and_later_ones_stay_near(arm):
 def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
     """Checked again from the commands alone, with another sampling."""
     wall = Box(0.6, 0.35, 0.05, 0.3)  # in the way of most
-    motion = generate(Model(STRING, arm, camera), TARGET, (wall,), None, None, seed=seed, **SETTINGS | {"hits": 5})
+    motion = generate(
+        Model(STRING, arm, camera),
+        TARGET,
+        (wall,),
+        None,
+        None,
+        seed=seed,
+        **SETTINGS | {"hits": 5},
+    )
     commands = motion.commands
-    q, w = commands[["q1", "q2", "q3"]].to_numpy(), commands[["w1", "w2", "w3"]].to_numpy()
+    q, w = (
+        commands[["q1", "q2", "q3"]].to_numpy(),
+        commands[["w1", "w2", "w3"]].to_numpy(),
+    )
     assert np.all((q >= arm.lowest) & (q <= arm.highest))
     assert np.all(np.abs(w) <= np.array(arm.speed) * 1.01)
-    assert np.linalg.norm(arm.grasp_velocity(q, w)[:, :2], axis=1).max() <= arm.hand_speed * 1.01
+    assert (
+        np.linalg.norm(arm.grasp_velocity(q, w)[:, :2], axis=1).max()
+        <= arm.hand_speed * 1.01
+    )
     joints = arm.joints(q)
-    assert not wall.crossed(joints[:, :-1], joints[:, 1:]).any()
+    assert not wall.is_crossed_by(joints[:, :-1], joints[:, 1:]).any()
     times = np.arange(0, motion.duration, 0.0007)
-    hand = joint_motion(commands["t"].to_numpy(), q).grasp(arm)
-    points = simulate(STRING, hand, STRING.start()[None], times).points[0]
-    assert TARGET.crossed(points[:-1, -1], points[1:, -1]).any()
-    assert not wall.crossed(points[:, :-1], points[:, 1:]).any()
+    hand = resample_joint_motion(commands["t"].to_numpy(), q).hand_motion(arm)
+    points = simulate(STRING, hand, STRING.start_values()[None], times).points[0]
+    assert TARGET.is_crossed_by(points[:-1, -1], points[1:, -1]).any()
+    assert not wall.is_crossed_by(points[:, :-1], points[:, 1:]).any()
     attempts = motion.attempts.set_index("outcome")["count"]
     assert attempts.sum() == motion.outcome["tried"].iloc[0]
     assert attempts["the arm touches an obstacle"] > 0
@@ -97,19 +143,35 @@ def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
 
 def test_a_slower_hand_is_obeyed_throughout(arm, camera):
     slow = replace(arm, hand_speed=4.0)
-    motion = generate(Model(STRING, slow, camera), TARGET, (), None, None, seed=1, **SETTINGS)
-    q, w = (motion.commands[names].to_numpy() for names in (["q1", "q2", "q3"], ["w1", "w2", "w3"]))
+    motion = generate(
+        Model(STRING, slow, camera), TARGET, (), None, None, seed=1, **SETTINGS
+    )
+    q, w = (
+        motion.commands[names].to_numpy()
+        for names in (["q1", "q2", "q3"], ["w1", "w2", "w3"])
+    )
     assert np.linalg.norm(slow.grasp_velocity(q, w)[:, :2], axis=1).max() <= 4.0 * 1.01
     assert motion.attempts.set_index("outcome")["count"]["the hand is too fast"] > 0
 
 
 def test_of_several_hits_the_one_that_stays_longest_is_taken(arm, camera):
     def stay(hits, seed):
-        motion = generate(Model(STRING, arm, camera), TARGET, (), None, None, seed=seed, **SETTINGS | {"hits": hits})
+        motion = generate(
+            Model(STRING, arm, camera),
+            TARGET,
+            (),
+            None,
+            None,
+            seed=seed,
+            **SETTINGS | {"hits": hits},
+        )
         t = np.arange(0, motion.duration, 0.0005)
-        hand = joint_motion(motion.commands["t"].to_numpy(), motion.commands[["q1", "q2", "q3"]].to_numpy()).grasp(arm)
-        tip = simulate(STRING, hand, STRING.start()[None], t).tip[0]
-        return TARGET.crossed(tip[:-1], tip[1:]).mean() * motion.duration
+        hand = resample_joint_motion(
+            motion.commands["t"].to_numpy(),
+            motion.commands[["q1", "q2", "q3"]].to_numpy(),
+        ).hand_motion(arm)
+        tip = simulate(STRING, hand, STRING.start_values()[None], t).tip[0]
+        return TARGET.is_crossed_by(tip[:-1], tip[1:]).mean() * motion.duration
 
     first, best = ([stay(hits, seed) for seed in range(3)] for hits in (1, 6))
     assert all(b >= f - 0.0011 for f, b in zip(first, best, strict=True))
@@ -117,19 +179,40 @@ def test_of_several_hits_the_one_that_stays_longest_is_taken(arm, camera):
 
 
 def test_where_no_slight_change_of_the_last_motion_hits_any_motion_may(arm, camera):
-    """Changes of one part in a million stay where the last motion went, 0.5 m from this target."""
+    """Changes of one part in a million stay where the last motion went, 0.5 m from this
+    target.
+    """
     model = Model(STRING, arm, camera)
     last = generate(model, TARGET, (), None, None, seed=0, **SETTINGS)
     stuck = SETTINGS | {"fraction": 1e-6, "attempts": 4096}
-    motion = generate(model, Box(0.75, 0.3, 0.06, 0.06), (), last, None, seed=0, **stuck)
+    motion = generate(
+        model, Box(0.75, 0.3, 0.06, 0.06), (), last, None, seed=0, **stuck
+    )
     assert 4096 < motion.outcome["tried"].iloc[0] < 8192
-    assert motion.attempts.set_index("outcome")["count"]["the tip misses the target"] >= 4096
+    assert (
+        motion.attempts.set_index("outcome")["count"]["the tip misses the target"]
+        >= 4096
+    )
 
 
 def test_failures_say_why(arm, camera):
     with pytest.raises(DataError, match="out of reach"):
-        generate(Model(STRING, arm, camera), Box(2.0, 0.7, 0.02, 0.04), (), None, None, seed=0, **SETTINGS)
+        generate(
+            Model(STRING, arm, camera),
+            Box(2.0, 0.7, 0.02, 0.04),
+            (),
+            None,
+            None,
+            seed=0,
+            **SETTINGS,
+        )
     with pytest.raises(MotionNotFoundError, match="misses the target"):
         generate(
-            Model(STRING, arm, camera), Box(0.9, 0.5, 1e-6, 1e-6), (), None, None, seed=0, **SETTINGS | {"attempts": 64}
+            Model(STRING, arm, camera),
+            Box(0.9, 0.5, 1e-6, 1e-6),
+            (),
+            None,
+            None,
+            seed=0,
+            **SETTINGS | {"attempts": 64},
         )

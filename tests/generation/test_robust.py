@@ -1,4 +1,6 @@
-"""Motions chosen under uncertainty: what is predicted holds, and many strings count for more than one."""
+"""Motions chosen under uncertainty: what is predicted holds, and many strings count for
+more than one.
+"""
 
 from dataclasses import replace
 
@@ -10,16 +12,26 @@ from scipy.stats import binomtest
 
 from stringcast.data.artifacts import Estimate
 from stringcast.data.schema import DataError
-from stringcast.pipeline.settings import stage
+from stringcast.pipeline.settings.typed_settings import bind_stage
 from stringcast.stages.generate import race
-from stringcast.stages.generate.chance import TOGETHER, Task, between, outcome, simulated
+from stringcast.stages.generate.chance import (
+    TOGETHER,
+    Task,
+    between,
+    outcome,
+    simulated,
+)
 from stringcast.stages.generate.curves import Curves, first_curves, joined, plain_cast
 from stringcast.stages.generate.draws import Draws, Uncertainty, drawn
-from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults, curves_of
+from stringcast.stages.generate.generate import (
+    MotionNotFoundError,
+    arm_faults,
+    curves_of,
+)
 from stringcast.stages.generate.learning import predictive_sd
 from stringcast.stages.generate.robust import stated
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.hand import joint_motion
+from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 
@@ -39,37 +51,66 @@ SETTINGS = {
     "fraction": 0.25,
     "uncertainty": NONE,
 }
-SOFT = {"bending_stiffness": 0.05, "bending_damping": 2e-4, "grasp_stiffness": 0.05, "grasp_damping": 1e-3}
-STIFF = {"bending_stiffness": 20.0, "bending_damping": 1e-2, "grasp_stiffness": 5.0, "grasp_damping": 5e-3}
-COMMON = {"axial_stiffness": 1e5, "axial_damping": 30.0, "linear_drag": 0.3, "quadratic_drag": 0.2}
+SOFT = {
+    "bending_stiffness": 0.05,
+    "bending_damping": 2e-4,
+    "grasp_stiffness": 0.05,
+    "grasp_damping": 1e-3,
+}
+STIFF = {
+    "bending_stiffness": 20.0,
+    "bending_damping": 1e-2,
+    "grasp_stiffness": 5.0,
+    "grasp_damping": 5e-3,
+}
+COMMON = {
+    "axial_stiffness": 1e5,
+    "axial_damping": 30.0,
+    "linear_drag": 0.3,
+    "quadratic_drag": 0.2,
+}
 
 
 def likeliest(*given, seed, **settings):
     """As a run does it, with settings side by side."""
-    return stage({"_target_": "stages.generate.robust.generate"} | settings, "generate", "here")(*given, seed=seed)
+    return bind_stage(
+        {"_target_": "stages.generate.robust.generate"} | settings, "generate", "here"
+    )(*given, seed=seed)
 
 
 def first_come(*given, seed, **settings):
     """The same without regard to what is not known."""
-    return stage({"_target_": "stages.generate.generate.generate"} | settings, "generate", "here")(*given, seed=seed)
+    return bind_stage(
+        {"_target_": "stages.generate.generate.generate"} | settings, "generate", "here"
+    )(*given, seed=seed)
 
 
 def known(*strings, rms=0.0):
-    """An estimate whose trials leave exactly these strings possible, the first of them the best."""
+    """An estimate whose trials leave exactly these strings possible, the first of them
+    the best.
+    """
     best = COMMON | strings[0]
     parameters = pd.DataFrame({"name": list(best), "value": list(best.values())})
     nothing = pd.DataFrame()
     return Estimate(
-        parameters, nothing, nothing, pd.DataFrame({"rms_after": [rms]}), pd.DataFrame([COMMON | s for s in strings])
+        parameters,
+        nothing,
+        nothing,
+        pd.DataFrame({"rms_after": [rms]}),
+        pd.DataFrame([COMMON | s for s in strings]),
     )
 
 
 def performed(model, motion, values):
-    """Strings (K, F, n, 2) under the commands as they are sent, sampled anew; and the times."""
+    """Strings (K, F, n, 2) under the commands as they are sent, sampled anew; and the
+    times.
+    """
     commands = motion.commands
-    joints = joint_motion(commands["t"].to_numpy(), commands[["q1", "q2", "q3"]].to_numpy())
+    joints = resample_joint_motion(
+        commands["t"].to_numpy(), commands[["q1", "q2", "q3"]].to_numpy()
+    )
     times = np.arange(0, motion.duration, 0.0007)
-    return model.true(joints, values, times).points
+    return model.simulate_string(joints, values, times).points
 
 
 @pytest.fixture(scope="module")
@@ -87,37 +128,62 @@ def test_the_chance_predicted_is_the_share_that_is_found(model, blind):
     """By 400 other draws of the prior, from the commands as sent, with a finer look."""
     values = drawn(model, None, NONE, 400, np.random.default_rng(99)).values
     tip = performed(model, blind, values)[:, :, -1]
-    found = TARGET.crossed(tip[:, :-1], tip[:, 1:]).any(axis=1).sum()
+    found = TARGET.is_crossed_by(tip[:, :-1], tip[:, 1:]).any(axis=1).sum()
     predicted = blind.outcome.iloc[0]
     assert 0.1 < predicted["chance"] < 0.95
-    spread = np.sqrt(predicted["chance"] * (1 - predicted["chance"]) * (1 / 200 + 1 / 400))
+    spread = np.sqrt(
+        predicted["chance"] * (1 - predicted["chance"]) * (1 / 200 + 1 / 400)
+    )
     assert abs(found / 400 - predicted["chance"]) < 3.3 * spread
-    low, high = binomtest(round(predicted["chance"] * 200), 200).proportion_ci(method="wilson")
-    assert (predicted["chance_low"], predicted["chance_high"]) == pytest.approx((low, high))
+    low, high = binomtest(round(predicted["chance"] * 200), 200).proportion_ci(
+        method="wilson"
+    )
+    assert (predicted["chance_low"], predicted["chance_high"]) == pytest.approx(
+        (low, high)
+    )
 
 
 def test_a_motion_meets_more_draws_than_are_simulated_together(model, blind):
-    """As many as anybody wants to state a chance from; and what becomes of the first is as without the others."""
+    """As many as anybody wants to state a chance from; and what becomes of the first is
+    as without the others.
+    """
     many = drawn(model, None, NONE, TOGETHER + 3, np.random.default_rng(8))
     place, curves = Task(model, TARGET, ()), curves_of(blind)
-    every, few = outcome(place, curves, many), outcome(place, curves, many.only(slice(3)))
+    every, few = (
+        outcome(place, curves, many),
+        outcome(place, curves, many.only(slice(3))),
+    )
     assert every.hit.shape == (1, TOGETHER + 3)
     np.testing.assert_array_equal(every.distance[:, :3], few.distance)
 
 
 def test_two_strings_count_for_more_than_the_better_known_one(model):
-    """The trials leave a soft and a stiff string, equally likely. A motion made for the soft one alone hits with half
-    a chance at most unless by luck; one that is made for both hits both."""
+    """The trials leave a soft and a stiff string, equally likely. A motion made for the
+    soft one alone hits with half a chance at most unless by luck; one that is made for
+    both hits both.
+    """
     both = known(SOFT, STIFF)
     draws = drawn(model, both, NONE, 60, np.random.default_rng(5))
-    settings = {"attempts": 20000, "batch": 256, "shortest": 0.2, "longest": 0.8, "alpha": 150.0, "fraction": 0.25}
+    settings = {
+        "attempts": 20000,
+        "batch": 256,
+        "shortest": 0.2,
+        "longest": 0.8,
+        "alpha": 150.0,
+        "fraction": 0.25,
+    }
     place = Task(model, TARGET, ())
 
     def chance(motion):
         return outcome(place, curves_of(motion), draws).hit.mean()
 
-    robust = [likeliest(model, TARGET, (), None, both, seed=s, **SETTINGS) for s in range(2)]
-    plain = [first_come(model, TARGET, (), None, both, seed=s, hits=1, **settings) for s in range(4)]
+    robust = [
+        likeliest(model, TARGET, (), None, both, seed=s, **SETTINGS) for s in range(2)
+    ]
+    plain = [
+        first_come(model, TARGET, (), None, both, seed=s, hits=1, **settings)
+        for s in range(4)
+    ]
     assert all(chance(motion) == 1.0 for motion in robust)
     assert np.mean([chance(motion) for motion in plain]) < 0.7
 
@@ -125,66 +191,89 @@ def test_two_strings_count_for_more_than_the_better_known_one(model):
 def test_a_certain_string_is_hit_as_plain_generation_promises(model):
     motion = likeliest(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
     tip = performed(model, motion, model.values(COMMON | SOFT)[None])[0, :, -1]
-    assert TARGET.crossed(tip[:-1], tip[1:]).any()
+    assert TARGET.is_crossed_by(tip[:-1], tip[1:]).any()
     told = motion.outcome.iloc[0]
     assert told["chance"] == 1.0
-    assert TARGET.gap(told["tip_x"], told["tip_y"]) < 0.002
+    assert TARGET.distance_to(told["tip_x"], told["tip_y"]) < 0.002
     assert told["t_hit"] <= told["duration"]
 
 
 def test_what_touches_an_obstacle_first_does_not_hit(model):
-    """A wall under the target: strings that are said to hit reach it before they touch the wall, looked at anew."""
+    """A wall under the target: strings that are said to hit reach it before they touch
+    the wall, looked at anew.
+    """
     wall = Box(0.6, 0.35, 0.03, 0.3)
     target = Box(0.75, 0.55, 0.06, 0.06)
-    motion = likeliest(model, target, (wall,), None, None, seed=2, **SETTINGS | {"motions": 400})
+    motion = likeliest(
+        model, target, (wall,), None, None, seed=2, **SETTINGS | {"motions": 400}
+    )
     draws = drawn(model, None, NONE, 60, np.random.default_rng(7))
     made = outcome(Task(model, target, (wall,)), curves_of(motion), draws)
     points = performed(model, motion, draws.values)
-    touched = wall.crossed(points[:, :, :-1], points[:, :, 1:]).any(axis=2)
+    touched = wall.is_crossed_by(points[:, :, :-1], points[:, :, 1:]).any(axis=2)
     before = ~np.logical_or.accumulate(touched, axis=1)
-    entered = target.crossed(points[:, :-1, -1], points[:, 1:, -1])
+    entered = target.is_crossed_by(points[:, :-1, -1], points[:, 1:, -1])
     assert made.hit.any()
     assert (entered & before[:, 1:]).any(axis=1)[made.hit[0]].all()
     assert (made.clear[0][touched.any(axis=1)] < 1).all()
     joints = model.arm.joints(motion.commands[["q1", "q2", "q3"]].to_numpy())
-    assert not wall.crossed(joints[:, :-1], joints[:, 1:]).any()
+    assert not wall.is_crossed_by(joints[:, :-1], joints[:, 1:]).any()
 
 
 def test_what_comes_after_a_touch_does_not_count(model):
-    """A wall that some strings swing into: how near they came until then, looked at anew."""
+    """A wall that some strings swing into: how near they came until then, looked at
+    anew.
+    """
     wall, free = Box(0.6, 0.35, 0.03, 0.3), Task(model, Box(0.75, 0.55, 0.06, 0.06), ())
     rng = np.random.default_rng(5)
     curves = first_curves(model.arm, rng, 40, (0.4, 0.6), 100.0)
     draws = drawn(model, known(SOFT), NONE, 1, rng)
-    some, none = outcome(replace(free, obstacles=(wall,)), curves, draws), outcome(free, curves, draws)
+    some, none = (
+        outcome(replace(free, obstacles=(wall,)), curves, draws),
+        outcome(free, curves, draws),
+    )
     touched = some.clear[:, 0] < 1
     assert 5 < touched.sum() < 35
     assert (some.distance >= none.distance).all()
     assert (some.distance[~touched] == none.distance[~touched]).all()
-    assert (some.distance[touched] > none.distance[touched]).any()  # these came nearer behind the wall
+    # these came nearer behind the wall
+    assert (some.distance[touched] > none.distance[touched]).any()
     assert (some.closeness[touched] < none.closeness[touched]).all()
 
 
 def test_an_arm_that_touches_something_does_not_hit_even_afterwards(model):
-    """A post where the hand is at the end, and nowhere near before: the string has hit long since."""
+    """A post where the hand is at the end, and nowhere near before: the string has hit
+    long since.
+    """
     motion = likeliest(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
     joints = model.arm.joints(motion.commands[["q1", "q2", "q3"]].to_numpy())
     x, y = joints[-1, -1]
     post = Box(float(x), float(y), 1e-3, 1e-3)
     assert motion.outcome["t_hit"].iloc[0] < motion.duration - 0.02
     draws = drawn(model, known(SOFT), NONE, 4, np.random.default_rng(0))
-    free, barred = (outcome(Task(model, TARGET, boxes), curves_of(motion), draws) for boxes in ((), (post,)))
+    free, barred = (
+        outcome(Task(model, TARGET, boxes), curves_of(motion), draws)
+        for boxes in ((), (post,))
+    )
     assert free.hit.all()
     assert not barred.hit.any()
 
 
 def test_every_limit_of_the_arm_is_kept(model):
-    slow = replace(model, arm=replace(model.arm, hand_speed=5.0, acceleration=(120.0, 120.0, 120.0)))
+    slow = replace(
+        model,
+        arm=replace(model.arm, hand_speed=5.0, acceleration=(120.0, 120.0, 120.0)),
+    )
     motion = likeliest(slow, TARGET, (), None, known(SOFT), seed=4, **SETTINGS)
     curves = curves_of(motion)
     angles, speeds = curves.sampled(0.0005, motion.duration)
-    assert (arm_faults(slow.arm, (), *curves.sampled(slow.arm.tick, motion.duration)) == "").all()
-    assert np.linalg.norm(slow.arm.grasp_velocity(angles, speeds)[..., :2], axis=-1).max() < 5.0 * 1.01
+    assert (
+        arm_faults(slow.arm, (), *curves.sampled(slow.arm.tick, motion.duration)) == ""
+    ).all()
+    assert (
+        np.linalg.norm(slow.arm.grasp_velocity(angles, speeds)[..., :2], axis=-1).max()
+        < 5.0 * 1.01
+    )
     assert np.abs(np.diff(speeds[0], axis=0)).max() / 0.0005 < 120.0 * 1.03
     assert ((angles >= slow.arm.lowest) & (angles <= slow.arm.highest)).all()
 
@@ -193,21 +282,33 @@ def test_a_seed_gives_one_motion_whatever_the_threads(model, blind):
     with other_threads():
         again = likeliest(model, TARGET, (), None, None, seed=3, **SETTINGS)
     for table in blind.TABLES:
-        pd.testing.assert_frame_equal(getattr(blind, table), getattr(again, table), check_exact=True)
+        pd.testing.assert_frame_equal(
+            getattr(blind, table), getattr(again, table), check_exact=True
+        )
 
 
 def test_draws_are_what_is_known(model):
-    """Before a trial the whole range, but for what is known; after it the estimate's draws, and its misfit as uncertainty."""
+    """Before a trial the whole range, but for what is known; after it the estimate's
+    draws, and its misfit as uncertainty.
+    """
     rng = np.random.default_rng(0)
     names = model.names
-    prior = drawn(replace(model, known={"bending_stiffness": 4.0}), None, Uncertainty(0.004, 0.01, 0.02), 4000, rng)
+    prior = drawn(
+        replace(model, start_values={"bending_stiffness": 4.0}),
+        None,
+        Uncertainty(0.004, 0.01, 0.02),
+        4000,
+        rng,
+    )
     assert (prior.values[:, names.index("bending_stiffness")] == 4.0).all()
     damping = np.log(prior.values[:, names.index("bending_damping")])
     np.testing.assert_allclose(damping.mean(), np.log(np.sqrt(3e-7 * 0.67)), atol=0.2)
     assert prior.off.std() == pytest.approx(0.02, rel=0.05)
     assert prior.amplitude.std() == pytest.approx(0.004, rel=0.05)
     assert prior.lag.max() == pytest.approx(0.01, rel=0.01)
-    after = drawn(model, known(SOFT, STIFF, rms=0.003), Uncertainty(0.004, 0.01, 0.02), 4000, rng)
+    after = drawn(
+        model, known(SOFT, STIFF, rms=0.003), Uncertainty(0.004, 0.01, 0.02), 4000, rng
+    )
     stiffness = after.values[:, names.index("bending_stiffness")]
     assert np.unique(stiffness).tolist() == [0.05, 20.0]
     assert np.mean(stiffness == 20.0) == pytest.approx(0.5, abs=0.04)
@@ -218,7 +319,9 @@ def test_the_way_between_ticks_is_a_cubic():
     t = np.arange(8.0)
     way = between(np.stack([t**3, 1 - t**2], axis=-1)[None])[0]
     half = np.arange(15) / 2
-    np.testing.assert_allclose(way[2:-2], np.stack([half**3, 1 - half**2], axis=-1)[2:-2], atol=1e-12)
+    np.testing.assert_allclose(
+        way[2:-2], np.stack([half**3, 1 - half**2], axis=-1)[2:-2], atol=1e-12
+    )
 
 
 def test_failures_say_why(model, monkeypatch):
@@ -230,8 +333,11 @@ def test_failures_say_why(model, monkeypatch):
     in_the_way = Box(0.2, 0.2, 0.1, 0.1)
     with pytest.raises(MotionNotFoundError, match="no random motion"):
         likeliest(model, TARGET, (in_the_way,), None, None, seed=0, **SETTINGS)
-    curtain = Box(0.2, 0.0, 3.0, 1e-6)  # below the arm, where some strings hang through it whatever happens
-    down = Curves(np.array([[0.0, -np.pi / 2, 0.0]]), np.array([0.3]), np.zeros((1, 3, 6)))
+    # below the arm, where some strings hang through it whatever happens
+    curtain = Box(0.2, 0.0, 3.0, 1e-6)
+    down = Curves(
+        np.array([[0.0, -np.pi / 2, 0.0]]), np.array([0.3]), np.zeros((1, 3, 6))
+    )
     draws = drawn(model, None, NONE, 10, np.random.default_rng(0))
     with pytest.raises(MotionNotFoundError, match="each of 10 likely strings touches"):
         stated(Task(model, TARGET, (curtain,)), down, draws, 1)
@@ -241,25 +347,37 @@ def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
     """The cast will teach what the string is like."""
     tiny = SETTINGS | {"motions": 60, "rounds": 0, "validation": 10}
     target, more = Box(0.4, 0.7, 1e-7, 1e-7), tiny | {"searches": 2}
-    motion, first = (likeliest(model, target, (), None, None, seed=0, **some) for some in (tiny, more))
+    motion, first = (
+        likeliest(model, target, (), None, None, seed=0, **some)
+        for some in (tiny, more)
+    )
     again = likeliest(model, target, (), None, known(SOFT), seed=0, **more)
     told = motion.outcome.iloc[0]
     assert (told["chance"], told["chance_low"]) == (0.0, pytest.approx(0.0))
     assert told["chance_high"] > 0.2
     assert first.outcome["tried"].iloc[0] == told["tried"]
-    assert again.outcome["tried"].iloc[0] > 1.5 * told["tried"]  # with the string known, it was sought once more
+    # with the string known, it was sought once more
+    assert again.outcome["tried"].iloc[0] > 1.5 * told["tried"]
     assert len(motion.commands) == round(told["duration"] / model.arm.tick) + 1
 
 
 def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
-    """Only bending stiffness is unknown, and a string that hangs straight down does not show it."""
+    """Only bending stiffness is unknown, and a string that hangs straight down does not
+    show it.
+    """
     rng = np.random.default_rng(0)
     values = np.repeat(model.values(COMMON | SOFT)[None], 24, axis=0)
     values[:, model.names.index("bending_stiffness")] = np.geomspace(0.5, 2.0, 24)
-    draws = Draws(values, np.zeros((24, 3)), np.zeros(24), 0.002 * rng.standard_normal((24, 2)))
+    draws = Draws(
+        values, np.zeros((24, 3)), np.zeros(24), 0.002 * rng.standard_normal((24, 2))
+    )
     swing = plain_cast(model.arm, 0.6)
-    down = Curves(np.array([[0.0, -np.pi / 2, 0.0]]), swing.duration, np.zeros_like(swing.control))
-    swung, hung = predictive_sd(Task(model, TARGET, ()), joined([swing, down]), draws, interest=0)
+    down = Curves(
+        np.array([[0.0, -np.pi / 2, 0.0]]), swing.duration, np.zeros_like(swing.control)
+    )
+    swung, hung = predictive_sd(
+        Task(model, TARGET, ()), joined([swing, down]), draws, interest=0
+    )
     tip = simulated(model, swing, draws)[1][:, :, -1]
     assert hung > 0.8 * np.linalg.norm(tip.std(axis=0), axis=-1).min()
     assert swung < 0.2 * hung

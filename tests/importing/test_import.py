@@ -1,4 +1,6 @@
-"""Logs of arms and tables of trackers, as others write them, become the dataset that they are of."""
+"""Logs of arms and tables of trackers, as others write them, become the dataset that
+they are of.
+"""
 
 import re
 from math import pi
@@ -11,49 +13,55 @@ import yaml
 from conftest import ROOT
 
 from stringcast.data import dataset
-from stringcast.data.importers.columns import Meaning, meaning
-from stringcast.data.importers.files import recordings
-from stringcast.data.importers.gathered import gathered
+from stringcast.data.importers.columns import ColumnMeaning, column_meaning
+from stringcast.data.importers.files import read_recordings
+from stringcast.data.importers.gather import gather_tables
 from stringcast.data.importers.reader import ColumnHints
 from stringcast.data.schema import DataError
-from stringcast.pipeline.commands.import_options import expanded, parser
-from stringcast.pipeline.importing import BenchHints, imported, written
-from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.commands.dataset_import import (
+    BenchHints,
+    convert_recordings,
+    write_dataset,
+)
+from stringcast.pipeline.commands.import_options import argument_parser, expand_patterns
+from stringcast.pipeline.settings.typed_settings import UserError
 
 SAMPLE = ROOT / "data" / "sample"
 BENCH = ("--links", "0.25,0.20,0.135", "--base", "0.2,0.2", "--length", "304mm")
 COLUMNS = {
-    "timestamp_ms": Meaning("time", "timestamp", "", "ms"),
-    "Time (Seconds)": Meaning("time", "time", "", "seconds"),
-    "joint1_deg": Meaning("joint", "1", "", "deg"),
-    "actual_q_0": Meaning("joint", "0", "", ""),
-    "Joint 2 Angle [°]": Meaning("joint", "2", "", "°"),
-    "joint1_velocity": Meaning("other"),
-    "joint1_deg/s": Meaning("other"),
-    "target_q_0": Meaning("other"),
-    "tcp_x": Meaning("hand", "tcp", "x", ""),
-    "TCP yaw [deg]": Meaning("hand", "", "angle", "deg"),
-    "tip_x_mm": Meaning("point", "tip", "x", "mm"),
-    "tip_x_mm_s": Meaning("other"),
-    "marker 7 Y [cm]": Meaning("point", "marker 7", "y", "cm"),
-    "tipX": Meaning("point", "tip", "x", ""),
-    "u": Meaning("point", "", "x", "px"),
-    "tip_likelihood": Meaning("point", "tip", "likelihood", ""),
-    "s_mm": Meaning("arc", "", "", "mm"),
-    "episode_index": Meaning("trial"),
-    "motor_temperature": Meaning("other"),
+    "timestamp_ms": ColumnMeaning("time", "timestamp", "", "ms"),
+    "Time (Seconds)": ColumnMeaning("time", "time", "", "seconds"),
+    "joint1_deg": ColumnMeaning("joint", "1", "", "deg"),
+    "actual_q_0": ColumnMeaning("joint", "0", "", ""),
+    "Joint 2 Angle [°]": ColumnMeaning("joint", "2", "", "°"),
+    "joint1_velocity": ColumnMeaning("other"),
+    "joint1_deg/s": ColumnMeaning("other"),
+    "target_q_0": ColumnMeaning("other"),
+    "tcp_x": ColumnMeaning("hand", "tcp", "x", ""),
+    "TCP yaw [deg]": ColumnMeaning("hand", "", "angle", "deg"),
+    "tip_x_mm": ColumnMeaning("point", "tip", "x", "mm"),
+    "tip_x_mm_s": ColumnMeaning("other"),
+    "marker 7 Y [cm]": ColumnMeaning("point", "marker 7", "y", "cm"),
+    "tipX": ColumnMeaning("point", "tip", "x", ""),
+    "u": ColumnMeaning("point", "", "x", "px"),
+    "tip_likelihood": ColumnMeaning("point", "tip", "likelihood", ""),
+    "s_mm": ColumnMeaning("arc", "", "", "mm"),
+    "episode_index": ColumnMeaning("trial"),
+    "motor_temperature": ColumnMeaning("other"),
 }
 
 
 @pytest.mark.parametrize("column", COLUMNS)
 def test_a_column_is_known_by_its_name(column):
-    assert meaning(column) == COLUMNS[column]
+    assert column_meaning(column) == COLUMNS[column]
 
 
 @pytest.fixture(scope="module")
 def sample():
     """Angles and tips of two trials, times from 0."""
-    arm, points = (pd.read_parquet(SAMPLE / f"{name}.parquet") for name in ("arm", "points"))
+    arm, points = (
+        pd.read_parquet(SAMPLE / f"{name}.parquet") for name in ("arm", "points")
+    )
     tips = points[points["s"] == points["s"].max()]
     begun = {name: arm[arm["trial"] == name]["t"].min() for name in ("t00", "t03")}
     return [
@@ -69,19 +77,38 @@ def sample():
 
 
 def logs(folder, sample, clock=81.0, **how):
-    """The robot's log in ms and degrees and the tracker's in s and mm, a pair of files a trial; their paths."""
+    """The robot's log in ms and degrees and the tracker's in s and mm, a pair of files
+    a trial; their paths.
+    """
     for number, (arm, tips) in enumerate(sample, 8):
-        robot = pd.DataFrame({"timestamp_ms": (arm["t"] + clock) * 1e3, "joint1_current": 0.2})
-        robot[[f"joint{j}_deg" for j in (1, 2, 3)]] = np.degrees(arm[["q1", "q2", "q3"]])
+        robot = pd.DataFrame(
+            {"timestamp_ms": (arm["t"] + clock) * 1e3, "joint1_current": 0.2}
+        )
+        robot[[f"joint{j}_deg" for j in (1, 2, 3)]] = np.degrees(
+            arm[["q1", "q2", "q3"]]
+        )
         robot.to_csv(folder / f"robot_{number:02d}.csv", index=False, **how)
-        track = pd.DataFrame({"time_s": tips["t"], "tip_x_mm": tips["x"] * 1e3, "tip_y_mm": tips["y"] * 1e3})
+        track = pd.DataFrame(
+            {
+                "time_s": tips["t"],
+                "tip_x_mm": tips["x"] * 1e3,
+                "tip_y_mm": tips["y"] * 1e3,
+            }
+        )
         track.to_csv(folder / f"tracker_{number:02d}.csv", index=False, **how)
     return sorted(folder.glob("robot_*.csv")), sorted(folder.glob("tracker_*.csv"))
 
 
-def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(sample, called, tmp_path, monkeypatch):
-    """Degrees, ms and mm by the names of columns; clocks 81 s apart by the motion; nothing else was said."""
-    monkeypatch.setattr("stringcast.pipeline.commands.import_.drawn", lambda *_: None)  # which takes most of the time
+def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(
+    sample, called, tmp_path, monkeypatch
+):
+    """Degrees, ms and mm by the names of columns; clocks 81 s apart by the motion;
+    nothing else was said.
+    """
+    # which takes most of the time
+    monkeypatch.setattr(
+        "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
+    )
     robots, trackers = logs(tmp_path, sample)
     done = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
     assert done.returncode == 0, done.stderr
@@ -90,13 +117,16 @@ def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(sample, 
     assert re.search(r"robot_\* \(2\) +joint2_deg +q2 \[deg\], by name", done.stdout)
     assert re.search(r"joint1_current +left out", done.stdout)
     assert "Usable: 2 trials" in done.stdout
-    data = dataset.read(tmp_path / "mine")
+    data = dataset.read_dataset(tmp_path / "mine")
     assert list(data.trials) == ["t08", "t09"]
     for (arm, tips), trial in zip(sample, data.trials.values(), strict=True):
         shift = trial.arm["t"].iloc[0]
         np.testing.assert_allclose(trial.arm["q2"], arm["q2"], atol=1e-9)
-        np.testing.assert_allclose(trial.points[["x", "y"]], tips[["x", "y"]], atol=1e-9)
-        assert np.abs(trial.points["t"] - shift - tips["t"]).max() < 0.006  # a frame: the strings whip at 20 m/s
+        np.testing.assert_allclose(
+            trial.points[["x", "y"]], tips[["x", "y"]], atol=1e-9
+        )
+        # a frame: the strings whip at 20 m/s
+        assert np.abs(trial.points["t"] - shift - tips["t"]).max() < 0.006
         assert set(trial.points["s"]) == {0.304}
     again = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
     assert (again.returncode, "rm -r" in again.stderr) == (2, True)
@@ -104,31 +134,53 @@ def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(sample, 
 
 def test_the_tutorial_goes_as_its_page_says(called, tmp_path, monkeypatch):
     """Up to the diagnosis: what it imports, and what is said of that."""
-    monkeypatch.setattr("stringcast.pipeline.commands.import_.drawn", lambda *_: None)  # which takes most of the time
+    # which takes most of the time
+    monkeypatch.setattr(
+        "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
+    )
     page = (ROOT / "data/tutorial/README.md").read_text(encoding="utf-8")
-    words = re.search(r"pipeline import (.*)", page)[1].replace("--to mine", f"--to {tmp_path / 'mine'}").split()
-    files = [str(file) for word in words if "*" in word for file in sorted(ROOT.glob(word))]
+    words = (
+        re.search(r"pipeline import (.*)", page)[1]
+        .replace("--to mine", f"--to {tmp_path / 'mine'}")
+        .split()
+    )
+    files = [
+        str(file) for word in words if "*" in word for file in sorted(ROOT.glob(word))
+    ]
     assert len(files) == 10
     done = called("import", *files, *(word for word in words if "*" not in word))
     printed = re.search(r"```\n(file .*?)```", page, re.S)[1].splitlines()
     said = [line.rstrip() for line in done.stdout.splitlines()]
-    assert [line for line in printed if line not in (*said, "...", "What was understood, drawn: mine.png")] == []
+    assert [
+        line
+        for line in printed
+        if line not in (*said, "...", "What was understood, drawn: mine.png")
+    ] == []
 
 
-def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(sample, called, tmp_path, monkeypatch):
-    """Names say nothing: millimetres, degrees and y down are seen from arm and string, one after another."""
-    monkeypatch.setattr("stringcast.pipeline.commands.import_.drawn", lambda *_: None)  # which takes most of the time
+def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(
+    sample, called, tmp_path, monkeypatch
+):
+    """Names say nothing: millimetres, degrees and y down are seen from arm and string,
+    one after another.
+    """
+    # which takes most of the time
+    monkeypatch.setattr(
+        "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
+    )
     for number, (arm, tips) in enumerate(sample):
         angles = np.degrees(arm[["q1", "q2", "q3"]]).assign(t=arm["t"])
         angles.to_csv(tmp_path / f"arm{number}.csv", index=False)
-        places = pd.DataFrame({"t": tips["t"], "tip_x": tips["x"] * 1e3, "tip_y": -tips["y"] * 1e3})
+        places = pd.DataFrame(
+            {"t": tips["t"], "tip_x": tips["x"] * 1e3, "tip_y": -tips["y"] * 1e3}
+        )
         places.to_csv(tmp_path / f"tip{number}.csv", index=False, sep=";", decimal=",")
     files = sorted(tmp_path.glob("*.csv"))
     done = called("import", *files, "--to", tmp_path / "mine", *BENCH)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "--unit=tip0.csv=mm" in done.stdout or "--unit tip0.csv=mm" in done.stdout
     assert "--y-down" in done.stdout
-    read = dataset.read(tmp_path / "mine").trials["t0"]
+    read = dataset.read_dataset(tmp_path / "mine").trials["t0"]
     np.testing.assert_allclose(read.points["y"], sample[0][1]["y"], atol=1e-9)
     np.testing.assert_allclose(read.arm["q1"], sample[0][0]["q1"], atol=1e-9)
 
@@ -136,16 +188,21 @@ def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(sample, calle
 def test_nothing_is_written_where_the_string_cannot_be(sample, called, tmp_path):
     robots, trackers = logs(tmp_path, sample, clock=0.0)
     for path in trackers:
-        pd.read_csv(path).assign(tip_x_mm=lambda f: f["tip_x_mm"] + 700).to_csv(path, index=False)
+        pd.read_csv(path).assign(tip_x_mm=lambda f: f["tip_x_mm"] + 700).to_csv(
+            path, index=False
+        )
     done = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
     assert done.returncode == 2
     assert "was not written" in done.stderr
     assert "one frame of reference" in done.stderr
     assert not (tmp_path / "mine").exists()
-    assert (tmp_path / "mine.png").read_bytes().startswith(b"\x89PNG")  # on which it can be seen
+    # on which it can be seen
+    assert (tmp_path / "mine.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_on_a_terminal_it_asks_and_a_no_writes_nothing(sample, called, tmp_path, monkeypatch):
+def test_on_a_terminal_it_asks_and_a_no_writes_nothing(
+    sample, called, tmp_path, monkeypatch
+):
     robots, trackers = logs(tmp_path, sample)
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
     monkeypatch.setattr("builtins.input", lambda words: "n")
@@ -160,23 +217,33 @@ def test_patterns_that_a_shell_has_left_are_files_and_names_with_brackets_too(tm
         (tmp_path / name).touch()
     given = [tmp_path / name for name in ("film[1].csv", "robot_*.csv", "none_*.csv")]
     want = ["film[1].csv", "robot_1.csv", "robot_2.csv", "none_*.csv"]
-    assert [file.name for file in expanded(given)] == want
+    assert [file.name for file in expand_patterns(given)] == want
 
 
 def test_a_film_lies_in_the_dataset_with_what_is_known_of_its_camera(sample, tmp_path):
-    writer = cv2.VideoWriter(str(tmp_path / "film.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 30, (64, 48))
+    writer = cv2.VideoWriter(
+        str(tmp_path / "film.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 30, (64, 48)
+    )
     for _ in range(3):
         writer.write(np.zeros((48, 64, 3), np.uint8))
     writer.release()
     robots, _ = logs(tmp_path, sample[:1])
-    told = BenchHints(length=0.3, links=(0.25, 0.2, 0.135), fps=200.0, px_per_m=100.0, origin_px=(32.0, 24.0))
+    told = BenchHints(
+        length=0.3,
+        links=(0.25, 0.2, 0.135),
+        fps=200.0,
+        px_per_m=100.0,
+        origin_px=(32.0, 24.0),
+    )
     what = of(*robots, tmp_path / "film.mp4")
-    written(imported(what, told), tmp_path / "mine", robots, "")
-    assert (tmp_path / "mine" / "videos" / "t00.mp4").read_bytes() == (tmp_path / "film.mp4").read_bytes()
+    write_dataset(convert_recordings(what, told), tmp_path / "mine", robots, "")
+    assert (tmp_path / "mine" / "videos" / "t00.mp4").read_bytes() == (
+        tmp_path / "film.mp4"
+    ).read_bytes()
     camera = yaml.safe_load((tmp_path / "mine" / "dataset.yaml").read_text())["camera"]
     assert (camera["width"], camera["height"], camera["fps"]) == (64, 48, 200.0)
     with pytest.raises(DataError, match=r"Say --fps 240 --px-per-m 340 --origin-px"):
-        imported(what, BenchHints(length=0.3, links=(0.25, 0.2, 0.135)))
+        convert_recordings(what, BenchHints(length=0.3, links=(0.25, 0.2, 0.135)))
 
 
 def table(folder, name, **columns):
@@ -190,12 +257,32 @@ JOINTS = {f"q{j}": np.linspace(0, j, 5) for j in (1, 2, 3)}
 
 
 def of(*files, **said):
-    return gathered(recordings(files), ColumnHints(**said))
+    return gather_tables(read_recordings(files), ColumnHints(**said))
 
 
 def test_names_of_a_person_come_first_with_sign_and_shift(tmp_path):
-    log = table(tmp_path, "log.csv", Zeit=T, A_deg=[0.0, 1, 2, 3, 4], B_deg=0.5, C_deg=0.25, joint7=1.0, X=1.0, Y=2.0)
-    what = of(log, columns={"t": "Zeit", "q1": "-A_deg+90", "q2": "B_deg", "q3": "C", "tip.x": "X", "tip.y": "Y"})
+    log = table(
+        tmp_path,
+        "log.csv",
+        Zeit=T,
+        A_deg=[0.0, 1, 2, 3, 4],
+        B_deg=0.5,
+        C_deg=0.25,
+        joint7=1.0,
+        X=1.0,
+        Y=2.0,
+    )
+    what = of(
+        log,
+        columns={
+            "t": "Zeit",
+            "q1": "-A_deg+90",
+            "q2": "B_deg",
+            "q3": "C",
+            "tip.x": "X",
+            "tip.y": "Y",
+        },
+    )
     np.testing.assert_allclose(what.motion["q1"], np.radians(90 - np.arange(5)))
     assert what.joints == ["q1", "q2", "q3"]
     assert set(what.points["point"]) == {"tip"}
@@ -206,10 +293,26 @@ def test_names_of_a_person_come_first_with_sign_and_shift(tmp_path):
 
 
 def test_numbers_say_what_names_do_not(tmp_path):
-    """Times by their steps, angles by how far they turn; dates are seconds; a tracker's guesses count for nothing."""
-    arm = table(tmp_path, "arm.csv", stamp=T * 1e9 + 1.7e18, J1=[0.0, 90, 100, 100, 100], J2=[0.0, 1, 1, 1, 1], J3=0.0)
+    """Times by their steps, angles by how far they turn; dates are seconds; a tracker's
+    guesses count for nothing.
+    """
+    arm = table(
+        tmp_path,
+        "arm.csv",
+        stamp=T * 1e9 + 1.7e18,
+        J1=[0.0, 90, 100, 100, 100],
+        J2=[0.0, 1, 1, 1, 1],
+        J3=0.0,
+    )
     dates = pd.Timestamp("2026-01-31 12:00") + pd.to_timedelta(T, unit="s")
-    tip = table(tmp_path, "tip.csv", time=dates, tip_x=0.1, tip_y=0.2, tip_likelihood=[1, 0.9, 0.1, 1, 1])
+    tip = table(
+        tmp_path,
+        "tip.csv",
+        time=dates,
+        tip_x=0.1,
+        tip_y=0.2,
+        tip_likelihood=[1, 0.9, 0.1, 1, 1],
+    )
     what = of(arm, tip)
     assert what.motion["t"].diff().iloc[1:].round(6).eq(0.01).all()
     assert what.motion["q1"].max() == pytest.approx(100 * pi / 180)
@@ -240,42 +343,78 @@ def test_deeplabcut_and_optitrack_are_known_by_their_first_line(tmp_path):
         ",,flange,flange,flange,flange,flange,flange,flange,set:tip,set:tip,set:tip\n"
         ",,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Position,Position,Position\n"
         "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,X,Y,Z\n"
-        + "".join(f"{n},{n / 100},0,0,{half},{half},100,200,3,{110 + n},50,3\n" for n in range(5))
+        + "".join(
+            f"{n},{n / 100},0,0,{half},{half},100,200,3,{110 + n},50,3\n"
+            for n in range(5)
+        )
     )
     with pytest.raises(DataError, match="--plane x,z"):
         of(tmp_path / "take.csv")
     what = of(tmp_path / "take.csv", plane="x,y")
-    np.testing.assert_allclose(what.motion[["x", "y", "theta"]].iloc[0], (0.1, 0.2, pi / 2))
+    np.testing.assert_allclose(
+        what.motion[["x", "y", "theta"]].iloc[0], (0.1, 0.2, pi / 2)
+    )
     np.testing.assert_allclose(what.points[["x", "y"]].iloc[4], (0.114, 0.05))
     turned = of(tmp_path / "take.csv", plane="-y,x").motion.iloc[0]
     np.testing.assert_allclose(turned[["x", "y"]].astype(float), (-0.2, 0.1))
-    assert np.cos(turned["theta"] - pi) == pytest.approx(1)  # what pointed up points to the left
+    # what pointed up points to the left
+    assert np.cos(turned["theta"] - pi) == pytest.approx(1)
 
 
 def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_path):
-    """Two links of 0.3 m, outstretched to the right; points hang 0.1, 0.2 and 0.3 m below the hand."""
+    """Two links of 0.3 m, outstretched to the right; points hang 0.1, 0.2 and 0.3 m
+    below the hand.
+    """
     arm = table(tmp_path, "arm.csv", t=T, q1=0.0, q2=0.0)
     hung = {
-        f"p{n}_{axis}": 0.6 if axis == "x" else -depth for n, depth in ((3, 0.3), (1, 0.1), (2, 0.2)) for axis in "xy"
+        f"p{n}_{axis}": 0.6 if axis == "x" else -depth
+        for n, depth in ((3, 0.3), (1, 0.1), (2, 0.2))
+        for axis in "xy"
     }
-    made = imported(of(arm, table(tmp_path, "track.csv", t=T, **hung)), BenchHints(links=(0.3, 0.3)))
-    assert made.hand.name == "grasp"
-    np.testing.assert_allclose(made.motion[["x", "y", "theta"]].iloc[0], (0.6, 0, 0), atol=1e-12)
+    made = convert_recordings(
+        of(arm, table(tmp_path, "track.csv", t=T, **hung)), BenchHints(links=(0.3, 0.3))
+    )
+    assert made.hand_table.name == "grasp"
+    np.testing.assert_allclose(
+        made.hand_rows[["x", "y", "theta"]].iloc[0], (0.6, 0, 0), atol=1e-12
+    )
     assert sorted(made.points["s"].unique().round(9)) == [0.1, 0.2, 0.3]
     assert made.metadata["string"]["length"] == 0.3
     assert any("say --length" in note for note in made.notes)
-    with pytest.raises(DataError, match=r"angles of 2 joints, and 3 links are named.*--links 0.25,0.20 "):
-        imported(of(arm, tmp_path / "track.csv"), BenchHints(links=(0.3, 0.3, 0.1)))
+    with pytest.raises(
+        DataError,
+        match=r"angles of 2 joints, and 3 links are named.*--links 0.25,0.20 ",
+    ):
+        convert_recordings(
+            of(arm, tmp_path / "track.csv"), BenchHints(links=(0.3, 0.3, 0.1))
+        )
 
 
 WRONG = {
-    "no columns": ({"a.csv": "t,foo\n0,1\n"}, "no columns say how the hand moved.*There are a.csv: t, foo"),
-    "no names": ({"a.csv": "0.0,1.0,2.0\n0.1,1.0,2.0\n"}, "names no columns.*time_s,joint1_deg"),
-    "no times": ({"a.csv": "q1,q2,q3\n1,2,3\n"}, "no column holds times.*--map t=<column>.*--fps"),
-    "no string": ({"a.csv": "t,q1,q2,q3\n0,1,2,3\n"}, "no column says where the string was"),
+    "no columns": (
+        {"a.csv": "t,foo\n0,1\n"},
+        "no columns say how the hand moved.*There are a.csv: t, foo",
+    ),
+    "no names": (
+        {"a.csv": "0.0,1.0,2.0\n0.1,1.0,2.0\n"},
+        "names no columns.*time_s,joint1_deg",
+    ),
+    "no times": (
+        {"a.csv": "q1,q2,q3\n1,2,3\n"},
+        "no column holds times.*--map t=<column>.*--fps",
+    ),
+    "no string": (
+        {"a.csv": "t,q1,q2,q3\n0,1,2,3\n"},
+        "no column says where the string was",
+    ),
     "no number": ({"a.csv": "t,q1,q2,q3\n0,x,y,z\n"}, "column 'q1' holds no number"),
     "strangers": (
-        {"r_a.csv": "t,q1\n0,1\n", "r_b.csv": "t,q1\n0,1\n", "t_c.csv": "t,x,y\n0,1,1\n", "t_d.csv": "t,x,y\n0,1,1\n"},
+        {
+            "r_a.csv": "t,q1\n0,1\n",
+            "r_b.csv": "t,q1\n0,1\n",
+            "t_c.csv": "t,x,y\n0,1,1\n",
+            "t_d.csv": "t,x,y\n0,1,1\n",
+        },
         "of the trials a, b, the string's of c, d. Call files of one trial alike",
     ),
     "ending": ({"a.xlsx": "x"}, "no such file is read. Export it as one of .csv"),
@@ -303,5 +442,5 @@ def test_what_is_missing_is_named_with_the_option_that_says_it(tmp_path, kind):
 )
 def test_a_wrong_option_is_refused_in_one_line(words, message):
     with pytest.raises(UserError, match=message) as refused:
-        parser().parse_args(words)
+        argument_parser().parse_args(words)
     assert "\n" not in str(refused.value)

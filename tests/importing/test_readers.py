@@ -1,4 +1,6 @@
-"""Files that other programs write, made by their own packages or in their layout, are read as what they hold."""
+"""Files that other programs write, made by their own packages or in their layout, are
+read as what they hold.
+"""
 
 import json
 import pickle
@@ -10,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from stringcast.data.importers import deeplabcut_h5
-from stringcast.data.importers.files import recordings
-from stringcast.data.importers.gathered import gathered
+from stringcast.data.importers.files import read_recordings
+from stringcast.data.importers.gather import gather_tables
 from stringcast.data.importers.reader import ColumnHints
 from stringcast.data.schema import DataError
 
@@ -23,7 +25,9 @@ HEADER = (
     + "=" * 80
     + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 )
-JOINT_STATE = HEADER.format("string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort")
+JOINT_STATE = HEADER.format(
+    "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort"
+)
 POINT = (
     HEADER.format("geometry_msgs/Point point")
     + "=" * 80
@@ -36,7 +40,11 @@ def lerobot(folder, names):
     features = {"observation.state": {"dtype": "float32", "shape": [3], "names": names}}
     features |= {"action": {"dtype": "float32", "shape": [3], "names": names}}
     features |= {
-        "observation.image": {"dtype": "video", "shape": [480, 640, 3], "names": ["height", "width", "channel"]}
+        "observation.image": {
+            "dtype": "video",
+            "shape": [480, 640, 3],
+            "names": ["height", "width", "channel"],
+        }
     }
     (folder / "meta").mkdir(parents=True)
     (folder / "meta" / "info.json").write_text(
@@ -44,8 +52,14 @@ def lerobot(folder, names):
     )
     for episode in range(2):
         state = [[0.1 * n, 10.0 * n, -0.5] for n in range(FRAMES)]
-        table = {"observation.state": pa.array(state, pa.list_(pa.float32(), 3)), "action": pa.array(state)}
-        table |= {"timestamp": np.arange(FRAMES) / 30, "episode_index": [episode] * FRAMES}
+        table = {
+            "observation.state": pa.array(state, pa.list_(pa.float32(), 3)),
+            "action": pa.array(state),
+        }
+        table |= {
+            "timestamp": np.arange(FRAMES) / 30,
+            "episode_index": [episode] * FRAMES,
+        }
         path = folder / "data" / "chunk-000" / f"episode_{episode:06d}.parquet"
         path.parent.mkdir(parents=True, exist_ok=True)
         pq.write_table(pa.table(table), path)
@@ -53,47 +67,86 @@ def lerobot(folder, names):
 
 
 def test_a_dataset_of_lerobot_has_its_episodes_and_states(tmp_path):
-    folder = lerobot(tmp_path / "set", {"motors": ["shoulder_pan.pos", "shoulder_lift.pos", "elbow_flex.pos"]})
+    folder = lerobot(
+        tmp_path / "set",
+        {"motors": ["shoulder_pan.pos", "shoulder_lift.pos", "elbow_flex.pos"]},
+    )
     track = pd.DataFrame(
-        {"episode": np.repeat([0, 1], FRAMES), "t": [*np.arange(FRAMES) / 30] * 2, "tip_x": 0.1, "tip_y": 0.2}
+        {
+            "episode": np.repeat([0, 1], FRAMES),
+            "t": [*np.arange(FRAMES) / 30] * 2,
+            "tip_x": 0.1,
+            "tip_y": 0.2,
+        }
     )
     track.to_csv(tmp_path / "tracker.csv", index=False)
-    files = recordings([folder, tmp_path / "tracker.csv"])
+    files = read_recordings([folder, tmp_path / "tracker.csv"])
     names = {"q1": "shoulder_pan", "q2": "-shoulder_lift+90", "q3": "elbow_flex"}
-    what = gathered(files, ColumnHints(columns=names))
+    what = gather_tables(files, ColumnHints(columns=names))
     assert sorted(what.motion["trial"].unique()) == ["t0", "t1"]
-    assert {taken.how for taken in what.taken if taken.role in names} == {"values"}  # nobody said --deg
+    # nobody said --deg
+    assert {taken.how for taken in what.used_columns if taken.role in names} == {
+        "values"
+    }
     one = what.motion[what.motion["trial"] == "t1"]
-    np.testing.assert_allclose(one["q2"], np.radians(90 - 10.0 * np.arange(FRAMES)))  # they turn so far: degrees
+    # they turn so far: degrees
+    np.testing.assert_allclose(one["q2"], np.radians(90 - 10.0 * np.arange(FRAMES)))
     np.testing.assert_allclose(one["t"], np.arange(FRAMES) / 30)
-    with pytest.raises(DataError, match=r"no columns say how the hand moved.*observation.state shoulder_lift.pos"):
-        gathered(files, ColumnHints())
+    with pytest.raises(
+        DataError,
+        match=r"no columns say how the hand moved.*observation.state shoulder_lift.pos",
+    ):
+        gather_tables(files, ColumnHints())
 
 
 def test_ros_messages_are_read_by_topic(tmp_path):
-    writer = pytest.importorskip("mcap_ros2.writer", reason="needs: pip install mcap mcap-ros2-support").Writer
+    writer = pytest.importorskip(
+        "mcap_ros2.writer", reason="needs: pip install mcap mcap-ros2-support"
+    ).Writer
     with (tmp_path / "bag.mcap").open("wb") as file:
         made = writer(file)
         state = made.register_msgdef("sensor_msgs/msg/JointState", JOINT_STATE)
         point = made.register_msgdef("geometry_msgs/msg/PointStamped", POINT)
         for n in range(FRAMES):
-            header = {"stamp": {"sec": 1_700_000_000, "nanosec": n * 10_000_000}, "frame_id": ""}
-            angles = {"name": ["a", "b", "c"], "position": [0.1 * n, 0.2, 0.3], "velocity": [], "effort": []}
+            header = {
+                "stamp": {"sec": 1_700_000_000, "nanosec": n * 10_000_000},
+                "frame_id": "",
+            }
+            angles = {
+                "name": ["a", "b", "c"],
+                "position": [0.1 * n, 0.2, 0.3],
+                "velocity": [],
+                "effort": [],
+            }
             made.write_message("/joint_states", state, {"header": header, **angles})
-            made.write_message("/string/tip", point, {"header": header, "point": {"x": 0.1 * n, "y": 9.0, "z": 0.5}})
+            made.write_message(
+                "/string/tip",
+                point,
+                {"header": header, "point": {"x": 0.1 * n, "y": 9.0, "z": 0.5}},
+            )
         made.finish()
-    what = gathered(recordings([tmp_path / "bag.mcap"]), ColumnHints(plane="x,z"))
+    what = gather_tables(
+        read_recordings([tmp_path / "bag.mcap"]), ColumnHints(plane="x,z")
+    )
     np.testing.assert_allclose(what.motion["q1"], 0.1 * np.arange(FRAMES))
-    np.testing.assert_allclose(what.points[["x", "y"]], [[0.1 * n, 0.5] for n in range(FRAMES)])
-    np.testing.assert_allclose(what.points["t"] - 1.7e9, 0.01 * np.arange(FRAMES), atol=1e-6)
+    np.testing.assert_allclose(
+        what.points[["x", "y"]], [[0.1 * n, 0.5] for n in range(FRAMES)]
+    )
+    np.testing.assert_allclose(
+        what.points["t"] - 1.7e9, 0.01 * np.arange(FRAMES), atol=1e-6
+    )
     whole = (tmp_path / "bag.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(DataError, match=r"cut.mcap: cannot be read as MCAP .*mcap recover"):
-        recordings([tmp_path / "cut.mcap"])
+    with pytest.raises(
+        DataError, match=r"cut.mcap: cannot be read as MCAP .*mcap recover"
+    ):
+        read_recordings([tmp_path / "cut.mcap"])
 
 
 def test_json_messages_are_read_by_topic(tmp_path):
-    writer = pytest.importorskip("mcap.writer", reason="needs: pip install mcap mcap-ros2-support").Writer
+    writer = pytest.importorskip(
+        "mcap.writer", reason="needs: pip install mcap mcap-ros2-support"
+    ).Writer
     with (tmp_path / "foxglove.mcap").open("wb") as file:
         made = writer(file)
         made.start()
@@ -101,24 +154,42 @@ def test_json_messages_are_read_by_topic(tmp_path):
         for topic in ("/tcp", "/tip"):
             channel = made.register_channel(topic, "json", schema)
             for n in range(FRAMES):
-                turned = {"orientation": {"x": 0, "y": 0, "z": 0, "w": 1}} if topic == "/tcp" else {}
+                turned = (
+                    {"orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}
+                    if topic == "/tcp"
+                    else {}
+                )
                 pose = {"position": {"x": n, "y": 1, "z": 2}, **turned}
-                made.add_message(channel, n * 10**7, json.dumps({"pose": pose}).encode(), n * 10**7)
+                made.add_message(
+                    channel, n * 10**7, json.dumps({"pose": pose}).encode(), n * 10**7
+                )
         made.finish()
-    what = gathered(recordings([tmp_path / "foxglove.mcap"]), ColumnHints(plane="x,z"))
-    np.testing.assert_allclose(what.motion[["x", "y", "theta"]], [[n, 2, 0] for n in range(FRAMES)])
+    what = gather_tables(
+        read_recordings([tmp_path / "foxglove.mcap"]), ColumnHints(plane="x,z")
+    )
+    np.testing.assert_allclose(
+        what.motion[["x", "y", "theta"]], [[n, 2, 0] for n in range(FRAMES)]
+    )
     np.testing.assert_allclose(what.points["t"], 0.01 * np.arange(FRAMES))
 
 
 def test_deeplabcuts_hdf5_is_read_as_its_csv(tmp_path):
     for package in ("h5py", "tables"):
-        pytest.importorskip(package, reason="needs: pip install h5py, and tables to write")
-    levels = [("net", part, axis) for part in ("mid", "tip") for axis in ("x", "y", "likelihood")]
+        pytest.importorskip(
+            package, reason="needs: pip install h5py, and tables to write"
+        )
+    levels = [
+        ("net", part, axis)
+        for part in ("mid", "tip")
+        for axis in ("x", "y", "likelihood")
+    ]
     columns = pd.MultiIndex.from_tuples(levels, names=["scorer", "bodyparts", "coords"])
     frame = pd.DataFrame(np.arange(6.0 * FRAMES).reshape(FRAMES, 6), columns=columns)
     frame.to_hdf(tmp_path / "dlc.h5", key="df_with_missing", format="table", mode="w")
     frame.to_csv(tmp_path / "dlc.csv")
-    one, other = (recordings([tmp_path / name])[0].table for name in ("dlc.h5", "dlc.csv"))
+    one, other = (
+        read_recordings([tmp_path / name])[0].table for name in ("dlc.h5", "dlc.csv")
+    )
     pd.testing.assert_frame_equal(one[list(other)], other, check_dtype=False)
 
 
@@ -129,17 +200,23 @@ class Canary:
         return print, ("called",)
 
 
-@pytest.mark.parametrize("what", [Canary(), [("net", Canary(), "x")], [("net", "tip")], {"a": 1}])
+@pytest.mark.parametrize(
+    "what", [Canary(), [("net", Canary(), "x")], [("net", "tip")], {"a": 1}]
+)
 def test_names_of_hdf5_call_nothing(what, capsys):
     with pytest.raises((pickle.UnpicklingError, ValueError)):
-        deeplabcut_h5._names(pickle.dumps(what))
+        deeplabcut_h5._unpickle_names(pickle.dumps(what))
     assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize("name", ["bag.mcap", "dlc.h5"])
 def test_what_is_not_installed_is_named(tmp_path, name, monkeypatch):
-    monkeypatch.setattr("stringcast.data.importers.mcap.find_spec", lambda package: None)
-    monkeypatch.setattr("stringcast.data.importers.deeplabcut_h5.find_spec", lambda package: None)
+    monkeypatch.setattr(
+        "stringcast.data.importers.mcap.find_spec", lambda package: None
+    )
+    monkeypatch.setattr(
+        "stringcast.data.importers.deeplabcut_h5.find_spec", lambda package: None
+    )
     (tmp_path / name).write_bytes(b"")
     with pytest.raises(DataError, match=r"pip install (mcap mcap-ros2-support|h5py)"):
-        recordings([tmp_path / name])
+        read_recordings([tmp_path / name])

@@ -1,14 +1,16 @@
-"""The ladder of meshes: what it says of an error is the error, and what is found on it is the minimum."""
+"""The ladder of meshes: what it says of an error is the error, and what is found on it
+is the minimum.
+"""
 
 import numpy as np
 import pytest
 
-from stringcast.stages.inference.forward import case
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.mesh import discretisation_error, rungs
+from stringcast.stages.inference.mesh import discretisation_error, mesh_ladder
+from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import horizons
-from stringcast.stages.inference.trial_data import Data
-from stringcast.stages.model.parameter import chi_of
+from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.parameter import parameter_exponents
 from tests.speed.estimation_sets import drawn, model
 
 
@@ -19,31 +21,47 @@ def given():
 
 def likelihood(given, points, step):
     chain = model(points, step)
-    return Likelihood(Data(tuple(case(chain, trial) for trial in given.trials)), chain)
+    return Likelihood(
+        TrialData(tuple(prepare_trial(chain, trial) for trial in given.trials)), chain
+    )
 
 
 def test_a_rung_has_half_the_segments_and_half_as_many_steps_down_to_ten(given):
-    found = [(r.model.string.points - 1, r.model.string.largest_step) for r in rungs(likelihood(given, 41, 5e-4))]
+    found = [
+        (r.model.string.points - 1, r.model.string.largest_step)
+        for r in mesh_ladder(likelihood(given, 41, 5e-4))
+    ]
     assert found == [(40, 5e-4), (20, 1e-3), (10, 2e-3)]
-    assert [r.model.string.points for r in rungs(likelihood(given, 10, 1e-3))] == [10]
-    assert all(t.model is r.model for r in rungs(likelihood(given, 41, 5e-4)) for t in r.data.trials)
+    assert [
+        r.model.string.points for r in mesh_ladder(likelihood(given, 10, 1e-3))
+    ] == [10]
+    assert all(
+        t.model is r.model
+        for r in mesh_ladder(likelihood(given, 41, 5e-4))
+        for t in r.data.trials
+    )
 
 
 def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(given):
-    """In the first 0.4 s of casts of string B 0.49 mm with 20 points, 0.12 with 39. And as far as points without noise
-    are from a chain of 77."""
-    chi = chi_of(model().parameters, given.truth)
+    """In the first 0.4 s of casts of string B 0.49 mm with 20 points, 0.12 with 39. And
+    as far as points without noise are from a chain of 77.
+    """
+    chi = parameter_exponents(model().parameters, given.truth)
     meshes = [likelihood(given, *mesh).until(0.4) for mesh in ((20, 1e-3), (39, 5e-4))]
     coarse, fine = (discretisation_error(mesh, chi) for mesh in meshes)
     assert coarse / fine == pytest.approx(4.0, rel=0.05)
     trial = given.held_out
-    far = np.sqrt(case(model(77, 2.5e-4), trial).off(given.truth)[0])
-    own = Likelihood(Data((case(model(), trial),)), model())
+    far = np.sqrt(
+        prepare_trial(model(77, 2.5e-4), trial).mean_square_distances(given.truth)[0]
+    )
+    own = Likelihood(TrialData((prepare_trial(model(), trial),)), model())
     assert discretisation_error(own, chi) == pytest.approx(far, rel=0.05)
 
 
 def test_horizons_begin_before_a_limp_string_swings_to_the_other_side(given):
-    """A quarter of the period of a hanging chain of 0.3 m, 4 pi / 2.405 sqrt(L/g) = 0.914 s."""
+    """A quarter of the period of a hanging chain of 0.3 m, 4 pi / 2.405 sqrt(L/g) =
+    0.914 s.
+    """
     first, *others, last = horizons(likelihood(given, 20, 1e-3))
     assert first == pytest.approx(0.914 / 4, rel=1e-3)
     assert np.all(np.diff([first, *others]) > 0)

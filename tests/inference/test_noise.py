@@ -1,4 +1,6 @@
-"""Noise of a camera whose readings are not independent: found beside motion, and counted for what it says."""
+"""Noise of a camera whose readings are not independent: found beside motion, and
+counted for what it says.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +10,25 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from stringcast.stages.inference.basis import PLACES, along, in_time, products
-from stringcast.stages.inference.discrepancy import SIZES, Discrepancy, tracked_noise
-from stringcast.stages.inference.forward import Case
-from stringcast.stages.inference.noise import WHITE, Noise, gram_roots, told
-from stringcast.stages.model.hand import hand_motion_from_grasp
+from stringcast.stages.inference.basis import (
+    PLACE_FUNCTIONS,
+    place_functions,
+    tensor_products,
+    time_splines,
+)
+from stringcast.stages.inference.discrepancy import (
+    DISCREPANCY_SCALES_M,
+    Discrepancy,
+    noise_track_of_trial,
+)
+from stringcast.stages.inference.noise import (
+    WHITE_NOISE,
+    Noise,
+    fit_noise_model,
+    gram_roots,
+)
+from stringcast.stages.inference.prepared_trial import PreparedTrial
+from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 
@@ -28,8 +44,17 @@ def trial(arm, camera):
     frame, s = (a.ravel() for a in np.meshgrid(np.arange(FRAMES), S, indexing="ij"))
     grasp = np.repeat([[0.1, 0.4, -np.pi / 2]], FRAMES, axis=0)
     still = np.zeros((len(s), 2))
-    motion = hand_motion_from_grasp(T, grasp)
-    return Case("t", Model(String(0.3), arm, camera), motion, T, frame, s, still, np.full(len(s), 1e-3))
+    motion = resample_hand_motion(T, grasp)
+    return PreparedTrial(
+        "t",
+        Model(String(0.3), arm, camera),
+        motion,
+        T,
+        frame,
+        s,
+        still,
+        np.full(len(s), 1e-3),
+    )
 
 
 def along_string():
@@ -38,74 +63,127 @@ def along_string():
 
 
 def noisy(rng, count=1):
-    """Residuals over sigma, (count, n, 2): correlated along the string and with the frame before."""
-    root = np.kron(np.linalg.cholesky(toeplitz(BEFORE ** np.arange(FRAMES))), np.linalg.cholesky(along_string()))
+    """Residuals over sigma, (count, n, 2): correlated along the string and with the
+    frame before.
+    """
+    root = np.kron(
+        np.linalg.cholesky(toeplitz(BEFORE ** np.arange(FRAMES))),
+        np.linalg.cholesky(along_string()),
+    )
     return np.einsum("ij,cjk->cik", root, rng.standard_normal((count, len(root), 2)))
 
 
 def of_places(covariance):
-    """Covariance (PLACES, PLACES) of orthonormal functions of place under one of points (n, n)."""
-    place = along(S, 0.3)
-    inverse = np.linalg.pinv(gram_roots(place, np.zeros(PLACES_SEEN, dtype=int), 1)[0], hermitian=True, rcond=1e-4)
+    """Covariance (PLACES, PLACES) of orthonormal functions of place under one of points
+    (n, n).
+    """
+    place = place_functions(S, 0.3)
+    inverse = np.linalg.pinv(
+        gram_roots(place, np.zeros(PLACES_SEEN, dtype=int), 1)[0],
+        hermitian=True,
+        rcond=1e-4,
+    )
     return inverse @ place.T @ covariance @ place @ inverse
 
 
-OF_MEANS = np.trace(of_places(along_string())) / PLACES * (1 + BEFORE) / (1 - BEFORE)
+OF_MEANS = (
+    np.trace(of_places(along_string())) / PLACE_FUNCTIONS * (1 + BEFORE) / (1 - BEFORE)
+)
 
 
 def test_correlation_is_told_beside_motion_however_large(trial):
-    rng, swing = np.random.default_rng(0), 40 * np.sin(15 * T[trial.frame] + 4 * trial.s) * trial.s / 0.3
-    found = told([tracked_noise(trial, each + swing[:, None]) for each in noisy(rng, 4)])
-    assert found.before == pytest.approx(BEFORE, abs=0.07)
-    assert np.linalg.eigvalsh(found.places) == pytest.approx(np.linalg.eigvalsh(of_places(along_string())), rel=0.2)
-    assert found.of_means == pytest.approx(OF_MEANS, rel=0.2)
+    rng, swing = (
+        np.random.default_rng(0),
+        40 * np.sin(15 * T[trial.frame] + 4 * trial.s) * trial.s / 0.3,
+    )
+    found = fit_noise_model(
+        [noise_track_of_trial(trial, each + swing[:, None]) for each in noisy(rng, 4)]
+    )
+    assert found.frame_correlation == pytest.approx(BEFORE, abs=0.07)
+    assert np.linalg.eigvalsh(found.place_covariance) == pytest.approx(
+        np.linalg.eigvalsh(of_places(along_string())), rel=0.2
+    )
+    assert found.variance_of_means == pytest.approx(OF_MEANS, rel=0.2)
 
 
 def test_white_noise_is_white(trial):
     white = np.random.default_rng(1).standard_normal((4, len(trial.s), 2))
-    found = told([tracked_noise(trial, each) for each in white])
-    assert found.before < 0.1
-    assert found.of_means == pytest.approx(1.0, abs=0.15)
+    found = fit_noise_model([noise_track_of_trial(trial, each) for each in white])
+    assert found.frame_correlation < 0.1
+    assert found.variance_of_means == pytest.approx(1.0, abs=0.15)
 
 
 def test_what_a_model_lacks_in_two_of_five_trials_is_no_noise(trial):
-    rng, crack = np.random.default_rng(2), 8 * np.sin(250 * T[trial.frame]) * trial.s / 0.3
+    rng, crack = (
+        np.random.default_rng(2),
+        8 * np.sin(250 * T[trial.frame]) * trial.s / 0.3,
+    )
     residuals = noisy(rng, 5)
     residuals[:2] += crack[:, None]
-    found = told([tracked_noise(trial, each) for each in residuals])
-    assert found.of_means == pytest.approx(OF_MEANS, rel=0.25)
-    assert told([tracked_noise(trial, each) for each in residuals[:2]]).of_means > 2 * OF_MEANS
-
-
-def test_sums_over_a_film_vary_as_a_dense_covariance_says(trial):
-    noise = Noise(of_places(along_string()) + 1e-9 * np.eye(PLACES), BEFORE)
-    time, place = in_time(T), along(trial.s, 0.3)
-    splines = products(time[trial.frame], place).toarray()
-    dense = np.kron(toeplitz(BEFORE ** np.arange(FRAMES)), along_string())
-    expected = splines.T @ dense @ splines
-    assert noise.covariance(time, gram_roots(place, trial.frame, FRAMES)) == pytest.approx(
-        expected, abs=1e-5 * np.abs(expected).max()
+    found = fit_noise_model([noise_track_of_trial(trial, each) for each in residuals])
+    assert found.variance_of_means == pytest.approx(OF_MEANS, rel=0.25)
+    assert (
+        fit_noise_model(
+            [noise_track_of_trial(trial, each) for each in residuals[:2]]
+        ).variance_of_means
+        > 2 * OF_MEANS
     )
 
 
+def test_sums_over_a_film_vary_as_a_dense_covariance_says(trial):
+    noise = Noise(of_places(along_string()) + 1e-9 * np.eye(PLACE_FUNCTIONS), BEFORE)
+    time, place = time_splines(T), place_functions(trial.s, 0.3)
+    splines = tensor_products(time[trial.frame], place).toarray()
+    dense = np.kron(toeplitz(BEFORE ** np.arange(FRAMES)), along_string())
+    expected = splines.T @ dense @ splines
+    assert noise.covariance(
+        time, gram_roots(place, trial.frame, FRAMES)
+    ) == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
+
+
 def test_what_is_known_of_smooth_motion_is_as_sure_as_is_said(trial):
-    """Of 400 noises the amplitude of a smooth motion varies by one deviation where their correlation is known, and by
-    much more than is said where they are taken for independent."""
-    motion = np.repeat((np.sin(9 * T[trial.frame]) * trial.s / 0.3)[:, None], 2, axis=1).ravel()
+    """Of 400 noises the amplitude of a smooth motion varies by one deviation where
+    their correlation is known, and by much more than is said where they are taken for
+    independent.
+    """
+    motion = np.repeat(
+        (np.sin(9 * T[trial.frame]) * trial.s / 0.3)[:, None], 2, axis=1
+    ).ravel()
     residuals = noisy(np.random.default_rng(3), 400).reshape(400, -1)
 
     def scatter(noise):
-        one = Discrepancy.of(replace(trial, noise=noise), np.ones(FRAMES), np.zeros((2 * len(trial.s), 0)))
-        shape, white = (one.white(one.coefficients(each), 0) for each in (motion[None], residuals))
+        one = Discrepancy.for_trial(
+            replace(trial, noise=noise),
+            np.ones(FRAMES),
+            np.zeros((2 * len(trial.s), 0)),
+        )
+        shape, white = (
+            one.whiten_coefficients(one.coefficients(each), 0)
+            for each in (motion[None], residuals)
+        )
         return float(np.std(white @ shape[0] / np.linalg.norm(shape)))
 
-    assert scatter(Noise(of_places(along_string()) + 1e-9 * np.eye(PLACES), BEFORE)) == pytest.approx(1.0, abs=0.1)
-    assert scatter(WHITE) > 1.5
+    assert scatter(
+        Noise(of_places(along_string()) + 1e-9 * np.eye(PLACE_FUNCTIONS), BEFORE)
+    ) == pytest.approx(1.0, abs=0.1)
+    assert scatter(WHITE_NOISE) > 1.5
 
 
 def test_what_is_lacking_is_found_where_it_is_under_any_noise(trial):
-    lacks = np.stack([30 * np.sin(9 * T[trial.frame] + 3 * trial.s) * trial.s / 0.3] * 2, axis=1).ravel()
-    for noise in (WHITE, Noise(of_places(along_string()) + 1e-9 * np.eye(PLACES), BEFORE)):
-        one = Discrepancy.of(replace(trial, noise=noise), np.ones(FRAMES), np.zeros((2 * len(trial.s), 0)))
-        found = one.mean(one.coefficients(lacks[None])[0], int(np.searchsorted(SIZES, 0.1)))
+    lacks = np.stack(
+        [30 * np.sin(9 * T[trial.frame] + 3 * trial.s) * trial.s / 0.3] * 2, axis=1
+    ).ravel()
+    for noise in (
+        WHITE_NOISE,
+        Noise(of_places(along_string()) + 1e-9 * np.eye(PLACE_FUNCTIONS), BEFORE),
+    ):
+        one = Discrepancy.for_trial(
+            replace(trial, noise=noise),
+            np.ones(FRAMES),
+            np.zeros((2 * len(trial.s), 0)),
+        )
+        found = one.posterior_mean(
+            one.coefficients(lacks[None])[0],
+            int(np.searchsorted(DISCREPANCY_SCALES_M, 0.1)),
+        )
         assert found == pytest.approx(lacks, abs=0.5)

@@ -1,41 +1,72 @@
-"""On which side of a hand that points up a string hangs before it moves: the first frames show it."""
+"""On which side of a hand that points up a string hangs before it moves: the first
+frames show it.
+"""
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from stringcast.data.artifacts import MASKS, READINGS, Observation
-from stringcast.stages.inference.batch import seen_together
-from stringcast.stages.inference.forward import case
-from stringcast.stages.model.hand import hand_motion_from_grasp
-from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.inference.batch import simulate_trials
+from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 
 LENGTH, NOISE = 0.3, 1.5e-3
-NAMED = {"bending_stiffness": 30.0, "bending_damping": 0.05, "linear_drag": 1.0, "grasp_stiffness": 5.0}
+NAMED = {
+    "bending_stiffness": 30.0,
+    "bending_damping": 0.05,
+    "linear_drag": 1.0,
+    "grasp_stiffness": 5.0,
+}
 T = np.arange(0, 0.5, 1 / 120)
 GRASP = np.column_stack([0.2 * np.clip(T - 0.1, 0, None) ** 2, 0 * T, 0 * T])
-PLACES = {"line": np.linspace(0.01, LENGTH, 30), "dense": np.linspace(0.002, LENGTH, 150), "tip": np.array([LENGTH])}
+PLACES = {
+    "line": np.linspace(0.01, LENGTH, 30),
+    "dense": np.linspace(0.002, LENGTH, 150),
+    "tip": np.array([LENGTH]),
+}
 
 
 @pytest.fixture
 def model(arm, camera):
-    string = String(LENGTH, points=21, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=1e-3)
+    string = String(
+        LENGTH,
+        points=21,
+        tip_cell=0.5,
+        grasp_cell=0.5,
+        integrator=ImplicitLeapfrog(),
+        largest_step=1e-3,
+    )
     return Model(string, arm, camera)
 
 
 def observed(model, values, side, lean, places):
-    """A string that hangs to the left (1) or right (-1) of a hand that leans [rad] to the other side."""
+    """A string that hangs to the left (1) or right (-1) of a hand that leans [rad] to
+    the other side.
+    """
     grasp = GRASP + [0, 0, np.pi / 2 - side * lean]
-    points = model.true(hand_motion_from_grasp(T, grasp), values, T, turn=2.0 * side).points[0]
+    points = model.simulate_string(
+        resample_hand_motion(T, grasp), values, T, turn=2.0 * side
+    ).points[0]
     s = model.string.arc_lengths()
     line = [[np.interp(places, s, one[:, axis]) for axis in (0, 1)] for one in points]
     seen = np.array(line).transpose(0, 2, 1)
     seen = seen + np.random.default_rng(0).normal(0, NOISE, seen.shape)
-    table = pd.DataFrame({"t": T.repeat(len(places)), "s": np.tile(places, len(T)), "sigma": NOISE, "valid": True})
+    table = pd.DataFrame(
+        {
+            "t": T.repeat(len(places)),
+            "s": np.tile(places, len(T)),
+            "sigma": NOISE,
+            "valid": True,
+        }
+    )
     table[["x", "y"]] = seen.reshape(-1, 2)
-    hand = pd.DataFrame({"t": T, "x": grasp[:, 0], "y": grasp[:, 1], "theta": grasp[:, 2]})
+    hand = pd.DataFrame(
+        {"t": T, "x": grasp[:, 0], "y": grasp[:, 1], "theta": grasp[:, 2]}
+    )
     return Observation("r", table, READINGS.empty(), MASKS.empty(), grasp=hand)
 
 
@@ -44,10 +75,15 @@ def observed(model, values, side, lean, places):
 def test_a_trial_begins_on_the_side_that_its_first_frames_show(model, where, lean):
     """Alone or beside one that begins on the other."""
     values = model.values(NAMED)[None]
-    trials = [case(model, observed(model, values, side, lean, PLACES[where])) for side in (1, -1)]
+    trials = [
+        prepare_trial(model, observed(model, values, side, lean, PLACES[where]))
+        for side in (1, -1)
+    ]
     assert [np.sign(trial.turn) for trial in trials] == [1, -1]
-    for trial, together in zip(trials, seen_together(model, trials, values), strict=True):
+    for trial, together in zip(
+        trials, simulate_trials(model, trials, values), strict=True
+    ):
         _, alone = next(trial.simulate(values))
         np.testing.assert_array_equal(alone.points, together)
-        off = trial.at_measured(together)[0] - trial.points
+        off = trial.sample_at_points(together)[0] - trial.points
         assert np.sqrt(np.mean(off**2)) == pytest.approx(NOISE, rel=0.2)

@@ -1,4 +1,6 @@
-"""Damped least squares of many runs: the minimum, within bounds, whatever the valley, and whoever runs beside."""
+"""Damped least squares of many runs: the minimum, within bounds, whatever the valley,
+and whoever runs beside.
+"""
 
 from dataclasses import dataclass, field
 
@@ -6,19 +8,32 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from stringcast.stages.inference.huber import loss, weights
-from stringcast.stages.inference.solver import LOST, fitted, least_in_box, slopes
-from stringcast.stages.model.parameter import Parameter, chi_of, values_of
+from stringcast.stages.inference.huber import huber_loss, huber_weights
+from stringcast.stages.inference.solver import (
+    DIVERGED_RESIDUAL,
+    fit_least_squares,
+    forward_differences,
+    minimise_in_box,
+)
+from stringcast.stages.model.parameter import (
+    Parameter,
+    parameter_exponents,
+    parameter_values,
+)
 
 TIMES = np.linspace(0.0, 1.0, 40)
-RATES = tuple(Parameter(name, "1/s", "", 1e-3, 10.0, 0.1) for name in ("first", "second"))
+RATES = tuple(
+    Parameter(name, "1/s", "", 1e-3, 10.0, 0.1) for name in ("first", "second")
+)
 LEVEL = (*RATES, Parameter("level", "1", "", -1.0, 1.0, 0.0))
 TRUTH = np.array([3.0, 0.02])
 
 
 @dataclass
 class Decay:
-    """A level that decays by two rates, of which the data all but know the sum alone: a valley bent in exponents."""
+    """A level that decays by two rates, of which the data all but know the sum alone: a
+    valley bent in exponents.
+    """
 
     parameters: tuple[Parameter, ...] = RATES
     truth: np.ndarray = field(default_factory=lambda: TRUTH)
@@ -28,30 +43,45 @@ class Decay:
 
     def seen(self, values):
         first, second, *level = values.T[..., None]
-        return np.exp(-(first + second) * TIMES) * (1 + 0.1 * second * TIMES) + (level[0] if level else 0.0)
+        return np.exp(-(first + second) * TIMES) * (1 + 0.1 * second * TIMES) + (
+            level[0] if level else 0.0
+        )
 
     def residuals(self, chi):
         self.asked.append(len(chi))
-        return (self.seen(values_of(self.parameters, chi)) - self.seen(self.truth[None])) / 1e-3 + self.noise
+        return (
+            self.seen(parameter_values(self.parameters, chi))
+            - self.seen(self.truth[None])
+        ) / 1e-3 + self.noise
 
 
 class Torn(Decay):
     """Where its first rate is above 5 it cannot be simulated."""
 
     def residuals(self, chi):
-        torn = values_of(self.parameters, chi)[:, 0] > 5.0
-        return np.where(torn[:, None], LOST, super().residuals(chi))
+        torn = parameter_values(self.parameters, chi)[:, 0] > 5.0
+        return np.where(torn[:, None], DIVERGED_RESIDUAL, super().residuals(chi))
 
 
 def test_the_bottom_of_a_bent_valley_is_reached_from_all_over():
-    """SciPy's trust region, straight in exponents, is not there after as many evaluations of the slopes."""
+    """SciPy's trust region, straight in exponents, is not there after as many
+    evaluations of the slopes.
+    """
     starts = np.random.default_rng(0).uniform(0.05, 0.95, (8, 2))
     problem = Decay()
-    fits = fitted(problem, starts, 40)
+    fits = fit_least_squares(problem, starts, 40)
     assert fits.loss.max() < 1e-3
-    np.testing.assert_allclose(values_of(RATES, fits.chi).sum(axis=1), TRUTH.sum(), rtol=0.01)
+    np.testing.assert_allclose(
+        parameter_values(RATES, fits.chi).sum(axis=1), TRUTH.sum(), rtol=0.01
+    )
     theirs = [
-        least_squares(lambda chi: Decay().residuals(chi[None])[0], start, bounds=(0, 1), x_scale="jac", max_nfev=40)
+        least_squares(
+            lambda chi: Decay().residuals(chi[None])[0],
+            start,
+            bounds=(0, 1),
+            x_scale="jac",
+            max_nfev=40,
+        )
         for start in starts
     ]
     assert sum(2 * each.cost / len(TIMES) > 1e-3 for each in theirs) >= 2
@@ -59,32 +89,48 @@ def test_the_bottom_of_a_bent_valley_is_reached_from_all_over():
 
 @pytest.mark.parametrize("limit", [np.inf, 2.0])
 def test_the_minimum_within_bounds_is_scipys(limit):
-    """The best level is beyond its range, so that the rates make the best of its bound; with outliers, and without."""
+    """The best level is beyond its range, so that the rates make the best of its bound;
+    with outliers, and without.
+    """
     noise = np.random.default_rng(1).standard_normal(len(TIMES))
     noise[::9] += 30.0
     problem = Decay(LEVEL, np.array([*TRUTH, 1.02]), limit, noise)
-    found = fitted(problem, np.full((1, 3), 0.5), 200, enough=1e-12)
+    found = fit_least_squares(problem, np.full((1, 3), 0.5), 200, enough=1e-12)
     how = {"loss": "linear"} if np.isinf(limit) else {"loss": "huber", "f_scale": limit}
     start = np.array([0.8, 0.3, 0.9])
-    theirs = least_squares(lambda chi: problem.residuals(chi[None])[0], start, bounds=(0, 1), xtol=1e-15, **how)
+    theirs = least_squares(
+        lambda chi: problem.residuals(chi[None])[0],
+        start,
+        bounds=(0, 1),
+        xtol=1e-15,
+        **how,
+    )
     assert found.chi[0, 2] == 1.0
-    assert 0.5 * len(TIMES) * np.log(found.loss[0] * len(TIMES) / 2 / theirs.cost) < 0.05
+    assert (
+        0.5 * len(TIMES) * np.log(found.loss[0] * len(TIMES) / 2 / theirs.cost) < 0.05
+    )
 
 
 def test_each_run_goes_its_own_way_whoever_runs_beside():
     starts = np.random.default_rng(2).uniform(0, 1, (5, 2))
-    together = fitted(Decay(), starts, 12).chi
-    alone = np.concatenate([fitted(Decay(), start[None], 12).chi for start in starts])
+    together = fit_least_squares(Decay(), starts, 12).chi
+    alone = np.concatenate(
+        [fit_least_squares(Decay(), start[None], 12).chi for start in starts]
+    )
     np.testing.assert_allclose(together, alone, rtol=1e-12)
 
 
 def test_an_iteration_is_two_batches_and_runs_that_are_done_cost_nothing():
-    """Eight runs of two parameters: their residuals, then 8 x 2 differences, then 8 x 6 trial steps."""
+    """Eight runs of two parameters: their residuals, then 8 x 2 differences, then 8 x 6
+    trial steps.
+    """
     problem = Decay()
-    fitted(problem, np.full((8, 2), 0.5), 1)
+    fit_least_squares(problem, np.full((8, 2), 0.5), 1)
     assert problem.asked == [8, 16, 48]
     problem = Decay()
-    fitted(problem, np.stack([chi_of(RATES, TRUTH), [0.5, 0.5]]), 30)
+    fit_least_squares(
+        problem, np.stack([parameter_exponents(RATES, TRUTH), [0.5, 0.5]]), 30
+    )
     assert problem.asked[-1] == 6
 
 
@@ -92,10 +138,10 @@ def test_a_step_into_what_cannot_be_simulated_is_not_taken_and_a_slope_across_it
     edge = RATES[0].chi(5.0)
     chi = np.array([[edge - 1e-5, 0.5]])
     residual = Torn().residuals(chi)
-    slope = slopes(Torn(), chi, residual, np.full((1, 2), -1e-4))
+    slope = forward_differences(Torn(), chi, residual, np.full((1, 2), -1e-4))
     assert not slope[0, 0].any()
     assert slope[0, 1, 1:].all()
-    fits = fitted(Torn(), np.array([[edge - 0.01, 0.9]]), 60)
+    fits = fit_least_squares(Torn(), np.array([[edge - 0.01, 0.9]]), 60)
     assert fits.loss[0] < 1e-3
 
 
@@ -107,23 +153,32 @@ class Blind(Decay):
 
 
 def test_a_direction_without_curvature_stays_put():
-    found = fitted(Blind(LEVEL), np.array([[0.4, 0.6, 0.37]]), 40)
+    found = fit_least_squares(Blind(LEVEL), np.array([[0.4, 0.6, 0.37]]), 40)
     assert found.loss[0] < 1e-3
     assert found.chi[0, 2] == pytest.approx(0.37, abs=1e-9)
 
 
 def test_the_least_of_a_quadratic_in_a_box():
-    """Against a fine grid: what would pass a side stays on it, and the other makes the best of that."""
+    """Against a fine grid: what would pass a side stays on it, and the other makes the
+    best of that.
+    """
     normal, gradient = np.array([[2.0, 1.2], [1.2, 1.0]]), np.array([-3.0, -0.5])
     low, high = np.array([-1.0, -0.8]), np.array([1.0, 0.8])
-    step = least_in_box(normal, gradient, low, high)
-    grid = np.stack(np.meshgrid(*(np.linspace(a, b, 401) for a, b in zip(low, high, strict=True))), axis=-1)
+    step = minimise_in_box(normal, gradient, low, high)
+    grid = np.stack(
+        np.meshgrid(*(np.linspace(a, b, 401) for a, b in zip(low, high, strict=True))),
+        axis=-1,
+    )
     cost = grid @ gradient + 0.5 * np.einsum("...i,ij,...j", grid, normal, grid)
-    np.testing.assert_allclose(step, grid[np.unravel_index(np.argmin(cost), cost.shape)], atol=0.006)
+    np.testing.assert_allclose(
+        step, grid[np.unravel_index(np.argmin(cost), cost.shape)], atol=0.006
+    )
 
 
 def test_hubers_weights_have_the_slope_of_its_loss():
     size = np.linspace(-6, 6, 25)[:, None]
-    slope = (loss(size + 1e-6, 2.0) - loss(size - 1e-6, 2.0)) / 2e-6
-    np.testing.assert_allclose(slope, (2 * weights(size, 2.0) * size)[:, 0], atol=1e-5)
-    assert loss(size, np.inf) == pytest.approx(size[:, 0] ** 2)
+    slope = (huber_loss(size + 1e-6, 2.0) - huber_loss(size - 1e-6, 2.0)) / 2e-6
+    np.testing.assert_allclose(
+        slope, (2 * huber_weights(size, 2.0) * size)[:, 0], atol=1e-5
+    )
+    assert huber_loss(size, np.inf) == pytest.approx(size[:, 0] ** 2)

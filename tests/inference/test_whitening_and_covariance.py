@@ -3,42 +3,53 @@
 import numpy as np
 import pytest
 
-from stringcast.stages.inference.covariance import jackknife
-from stringcast.stages.inference.huber import weights
-from stringcast.stages.inference.whitening import LowRank
+from stringcast.stages.inference.covariance import jackknife_covariance
+from stringcast.stages.inference.huber import huber_weights
+from stringcast.stages.inference.whitening import LowRankWhitening
 
 
 def test_whitened_noise_is_white():
-    """Of V = 1 + U U', with columns that are all but the same: W V W' = 1, and W = V^(-1/2)."""
+    """Of V = 1 + U U', with columns that are all but the same: W V W' = 1, and W =
+    V^(-1/2).
+    """
     rng = np.random.default_rng(0)
     columns = rng.standard_normal((30, 4)) * [10.0, 1.0, 0.1, 3.0]
     columns[:, 3] = columns[:, 0] + 1e-9 * columns[:, 3]
-    whiten = LowRank.of(columns)(np.eye(30))
-    np.testing.assert_allclose(whiten @ (np.eye(30) + columns @ columns.T) @ whiten.T, np.eye(30), atol=1e-10)
+    whiten = LowRankWhitening.from_columns(columns)(np.eye(30))
+    np.testing.assert_allclose(
+        whiten @ (np.eye(30) + columns @ columns.T) @ whiten.T, np.eye(30), atol=1e-10
+    )
     np.testing.assert_allclose(whiten, whiten.T, atol=1e-12)
 
 
 def test_without_columns_nothing_is_taken():
     residual = np.arange(6.0)[None]
-    np.testing.assert_array_equal(LowRank.of(np.empty((6, 0)))(residual), residual)
+    np.testing.assert_array_equal(
+        LowRankWhitening.from_columns(np.empty((6, 0)))(residual), residual
+    )
 
 
 @pytest.mark.parametrize("blocks", [60, 12])
 def test_intervals_hold_where_neighbours_share_their_noise(blocks):
-    """Four parameters of 600 numbers, half of whose noise is that of their block, of which some tell more than others.
-    95 % intervals hold the truth in 93 to 98 % of 300 repetitions (a sandwich's in 85 to 94); who takes all numbers
-    for independent promises a third of the variance at most.
+    """Four parameters of 600 numbers, half of whose noise is that of their block, of
+    which some tell more than others. 95 % intervals hold the truth in 93 to 98 % of 300
+    repetitions (a sandwich's in 85 to 94); who takes all numbers for independent
+    promises a third of the variance at most.
     """
     rng = np.random.default_rng(0)
     block = np.repeat(np.arange(blocks), 600 // blocks)
-    slope = 30 * rng.standard_normal((4, blocks))[:, block] * rng.gamma(2.0, 0.5, blocks)[block]
+    slope = (
+        30
+        * rng.standard_normal((4, blocks))[:, block]
+        * rng.gamma(2.0, 0.5, blocks)[block]
+    )
     found, held = [], []
     for _ in range(300):
         noise = rng.standard_normal(600) + rng.standard_normal(blocks)[block]
         change = np.linalg.solve(slope @ slope.T, -slope @ noise)
-        sure = jackknife(slope, noise + change @ slope, np.ones(600), block)
+        sure = jackknife_covariance(slope, noise + change @ slope, np.ones(600), block)
         found.append(change)
-        held.append(np.abs(change) < sure.reach)
+        held.append(np.abs(change) < sure.half_width_95)
     assert 0.93 < np.mean(held) < 0.98
     assert np.all(np.diag(np.linalg.inv(slope @ slope.T)) < np.var(found, axis=0) / 3)
 
@@ -46,17 +57,24 @@ def test_intervals_hold_where_neighbours_share_their_noise(blocks):
 def test_what_no_data_touches_is_as_wide_as_its_range():
     slope = np.array([[100.0] * 50, [0.0] * 50])
     residual = np.random.default_rng(1).standard_normal(50)
-    sure = jackknife(slope, residual, np.ones(50), np.arange(50))
+    sure = jackknife_covariance(slope, residual, np.ones(50), np.arange(50))
     assert np.sqrt(sure.matrix[1, 1]) == pytest.approx(1 / np.sqrt(12))
-    assert sure.reach[1] > 0.5
+    assert sure.half_width_95[1] > 0.5
     assert sure.correlation[0, 1] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_outliers_that_count_less_widen_nothing():
-    """A slope through noise with one number ten times as far off as any: weighted by Huber it is as sure as without."""
+    """A slope through noise with one number ten times as far off as any: weighted by
+    Huber it is as sure as without.
+    """
     rng = np.random.default_rng(2)
     slope, residual = np.full((1, 200), 20.0), rng.standard_normal(200)
     spoilt = residual.copy()
     spoilt[7] = 30.0
-    sure = [jackknife(slope, r, weights(r, 2.0), np.arange(200)).reach[0] for r in (residual, spoilt)]
+    sure = [
+        jackknife_covariance(
+            slope, r, huber_weights(r, 2.0), np.arange(200)
+        ).half_width_95[0]
+        for r in (residual, spoilt)
+    ]
     assert sure[1] < 1.1 * sure[0]

@@ -1,15 +1,17 @@
-"""A box that the string touches: potential, bounce, rest, friction, and the ledger of a string swung against it."""
+"""A box that the string touches: potential, bounce, rest, friction, and the ledger of a
+string swung against it.
+"""
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from stringcast.stages.model.effect import numbered
+from stringcast.stages.model.effect import numbered_effect
 from stringcast.stages.model.effects.box_contact import BoxContact
-from stringcast.stages.model.hand import hand_motion_from_grasp
-from stringcast.stages.model.integrator import RungeKutta4
+from stringcast.stages.model.engine.integrators import RungeKutta4
+from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.string import BASE, String
+from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 BOX = {"centre_x": 0.3, "centre_y": -0.2, "width": 0.06, "height": 0.1}
 STIFFNESS = 2e4
@@ -24,8 +26,12 @@ def depth(x, y, box=BOX):
 
 def pushed(x, y, vx=0.0, vy=0.0, stiffness=STIFFNESS, friction=0.0, loss=0.0):
     place = {name: BOX[name] for name in ("centre_x", "centre_y")}
-    sides = BoxContact.derived(BOX["width"], BOX["height"])
-    return np.array(BoxContact.load(x, y, vx, vy, 0.0, stiffness, **place, friction=friction, loss=loss, **sides))
+    sides = BoxContact.derive_parameters(BOX["width"], BOX["height"])
+    return np.array(
+        BoxContact.load(
+            x, y, vx, vy, 0.0, stiffness, **place, friction=friction, loss=loss, **sides
+        )
+    )
 
 
 def thrown(start, end, gravity=0.0, **how):
@@ -34,7 +40,9 @@ def thrown(start, end, gravity=0.0, **how):
     def law(_, y):
         return np.concatenate([y[2:], pushed(*y, **how) + [0.0, -gravity]])
 
-    return solve_ivp(law, (0, end), start, method="DOP853", rtol=1e-10, atol=1e-12, max_step=2e-3).y[:, -1]
+    return solve_ivp(
+        law, (0, end), start, method="DOP853", rtol=1e-10, atol=1e-12, max_step=2e-3
+    ).y[:, -1]
 
 
 @pytest.fixture
@@ -52,7 +60,9 @@ def test_the_push_is_the_slope_of_its_potential_and_points_outwards(inside):
     energy = lambda x, y: STIFFNESS / 2 * depth(x, y) ** 2  # noqa: E731
     slope = [energy(x + h, y) - energy(x - h, y), energy(x, y + h) - energy(x, y - h)]
     push = pushed(x, y)
-    np.testing.assert_allclose(push, -np.array(slope) / (2 * h), atol=1e-4 * np.abs(push).max())
+    np.testing.assert_allclose(
+        push, -np.array(slope) / (2 * h), atol=1e-4 * np.abs(push).max()
+    )
     assert (push * (inside - [[BOX["centre_x"]], [BOX["centre_y"]]])).min() >= 0
     assert np.abs(pushed(x + BOX["width"], y)).max() == 0
     assert np.abs(pushed(x, y + BOX["height"])).max() == 0
@@ -78,7 +88,9 @@ WAYS = {
 
 @pytest.mark.parametrize("side", WAYS)
 def test_a_bounce_off_a_side_gives_back_what_it_took(side):
-    """Mirrored but for what the edge 20 mm away turns: 1.5 mm deep, the way along the side changes by 0.03 m/s."""
+    """Mirrored but for what the edge 20 mm away turns: 1.5 mm deep, the way along the
+    side changes by 0.03 m/s.
+    """
     start, mirror = WAYS[side]
     end = thrown(start, 0.01, stiffness=1e6)
     assert depth(*end[:2]) == 0
@@ -88,11 +100,16 @@ def test_a_bounce_off_a_side_gives_back_what_it_took(side):
 
 @pytest.mark.parametrize("side", WAYS)
 def test_with_loss_it_leaves_as_slowly_as_hunt_and_crossley_say(side):
-    """v dv / (1 - a v) over the depth integrates to logarithms; along the side nothing is lost."""
+    """v dv / (1 - a v) over the depth integrates to logarithms; along the side nothing
+    is lost.
+    """
     start, mirror = WAYS[side]
     across = int(np.argmin(mirror))
     end = thrown(start, 0.01, stiffness=1e6, loss=0.3)
-    left, right = (-(np.log1p(-0.3 * v) + 0.3 * v) for v in (abs(end[2 + across]), -abs(start[2 + across])))
+    left, right = (
+        -(np.log1p(-0.3 * v) + 0.3 * v)
+        for v in (abs(end[2 + across]), -abs(start[2 + across]))
+    )
     assert left == pytest.approx(right, rel=0.02)
     assert end[3 - across] == pytest.approx(start[3 - across], abs=0.03)
 
@@ -116,12 +133,18 @@ def test_a_bounce_off_an_edge_gives_back_what_it_took(offset):
 
 
 def test_steps_across_an_edge_keep_energy_to_second_order():
-    """Semi-implicit steps, as the engine's, of points aimed at an edge: the push has no jump anywhere on their way.
+    """Semi-implicit steps, as the engine's, of points aimed at an edge: the push has no
+    jump anywhere on their way.
 
-    With the true distance for the depth the error fell by 2.0 a halving, and was 5 times larger at 0.1 ms.
+    With the true distance for the depth the error fell by 2.0 a halving, and was 5
+    times larger at 0.1 ms.
     """
     rng = np.random.default_rng(0)
-    beside, turn, speed = rng.uniform(-4e-3, 4e-3, 1000), np.pi / 4 + rng.uniform(-0.6, 0.6, 1000), 3.0
+    beside, turn, speed = (
+        rng.uniform(-4e-3, 4e-3, 1000),
+        np.pi / 4 + rng.uniform(-0.6, 0.6, 1000),
+        3.0,
+    )
     way = np.stack([np.cos(turn), np.sin(turn)])
     errors = []
     for step in (1e-4, 5e-5):
@@ -150,45 +173,82 @@ def test_a_mass_that_slides_on_top_is_slowed_by_the_friction_coefficient():
     assert 0.8 - end[2] == pytest.approx(0.4 * 9.81 * 0.04, rel=0.02)
 
 
-# --- a string ----------------------------------------------------------------------------------------------------
+# --- a string
+# ----------------------------------------------------------------------------------------------------
 
 LENGTH = 0.3
 LIMP = {
     "axial_stiffness": 2e4,
     "bending_stiffness": 1.0,
     "grasp_stiffness": 1e-12,
-    **dict.fromkeys(["axial_damping", "bending_damping", "linear_drag", "quadratic_drag"], 1e-9),
+    **dict.fromkeys(
+        ["axial_damping", "bending_damping", "linear_drag", "quadratic_drag"], 1e-9
+    ),
     "grasp_damping": 1e-12,
 }
 
 
 def swung(boxes, t, **how):
-    """An undamped string of 10 points whose hand moves 0.2 m sideways in 0.25 s and stops, (F, n, 2) [m]."""
-    effects = [numbered(BoxContact, i) for i in range(len(boxes))]
-    string = String(LENGTH, effects=(*BASE, *effects), integrator=RungeKutta4(), largest_step=5e-5)
-    sizes = {f"{e.name}.{k}": v for e, box in zip(effects, boxes, strict=True) for k, v in (box | how).items()}
+    """An undamped string of 10 points whose hand moves 0.2 m sideways in 0.25 s and
+    stops, (F, n, 2) [m].
+    """
+    effects = [numbered_effect(BoxContact, i) for i in range(len(boxes))]
+    string = String(
+        LENGTH,
+        effects=(*PAPER_EFFECTS, *effects),
+        integrator=RungeKutta4(),
+        largest_step=5e-5,
+    )
+    sizes = {
+        f"{e.name}.{k}": v
+        for e, box in zip(effects, boxes, strict=True)
+        for k, v in (box | how).items()
+    }
     along = 0.1 * (1 - np.cos(np.pi * np.clip(t / 0.25, 0, 1)))
-    hand = hand_motion_from_grasp(t, np.stack([along, 0 * t, 0 * t - np.pi / 2], axis=-1), float(t[1]))
-    return Model(string, None, None).true(hand, string.values(LIMP | sizes)[None], t).points[0]
+    hand = resample_hand_motion(
+        t, np.stack([along, 0 * t, 0 * t - np.pi / 2], axis=-1), float(t[1])
+    )
+    return (
+        Model(string, None, None)
+        .simulate_string(hand, string.values(LIMP | sizes)[None], t)
+        .points[0]
+    )
 
 
 def ledger(points, t, boxes, stiffness):
-    """Energy over the mass of a point: of speed, height, stretch, bending and depth, (F,) [m^2/s^2]."""
+    """Energy over the mass of a point: of speed, height, stretch, bending and depth,
+    (F,) [m^2/s^2].
+    """
     velocity = np.gradient(points, t, axis=0)
     segment = np.diff(points, axis=1)
-    bend = np.diff(np.unwrap(np.arctan2(segment[..., 1], segment[..., 0]), axis=1), axis=1)
-    energy = 0.5 * (velocity[:, 1:] ** 2).sum(axis=(1, 2)) + 9.81 * points[:, 1:, 1].sum(axis=1)
+    bend = np.diff(
+        np.unwrap(np.arctan2(segment[..., 1], segment[..., 0]), axis=1), axis=1
+    )
+    energy = 0.5 * (velocity[:, 1:] ** 2).sum(axis=(1, 2)) + 9.81 * points[
+        :, 1:, 1
+    ].sum(axis=1)
     stretch = np.linalg.norm(segment, axis=-1) - LENGTH / 9
-    energy += 0.5 * LIMP["axial_stiffness"] * (stretch**2).sum(axis=1) + 0.5 * (bend**2).sum(axis=1)
-    return energy + sum(0.5 * stiffness * (depth(*points[:, 1:].T, box) ** 2).sum(axis=0) for box in boxes)
+    energy += 0.5 * LIMP["axial_stiffness"] * (stretch**2).sum(axis=1) + 0.5 * (
+        bend**2
+    ).sum(axis=1)
+    return energy + sum(
+        0.5 * stiffness * (depth(*points[:, 1:].T, box) ** 2).sum(axis=0)
+        for box in boxes
+    )
 
 
-@pytest.mark.parametrize("how", [{}, {"loss": 0.2}, {"friction": 0.3}], ids=lambda how: next(iter(how), "neither"))
+@pytest.mark.parametrize(
+    "how",
+    [{}, {"loss": 0.2}, {"friction": 0.3}],
+    ids=lambda how: next(iter(how), "neither"),
+)
 def test_a_string_swung_between_two_boxes_stays_outside_and_gains_no_energy(how):
-    """Its middle hangs up on one, its tip bounces off the other; neither is deeper than speed over frequency.
+    """Its middle hangs up on one, its tip bounces off the other; neither is deeper than
+    speed over frequency.
 
-    Without loss the ledger holds to 1.1e-4 m^2/s^2 where the boxes store 0.2 and the swing has 10, velocities
-    being differences over 0.1 ms. With loss or friction it never rises again.
+    Without loss the ledger holds to 1.1e-4 m^2/s^2 where the boxes store 0.2 and the
+    swing has 10, velocities being differences over 0.1 ms. With loss or friction it
+    never rises again.
     """
     stiffness = 1e5
     upper = {"centre_x": 0.33, "centre_y": -0.14, "width": 0.1, "height": 0.08}

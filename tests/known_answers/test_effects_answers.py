@@ -1,4 +1,6 @@
-"""Each effect against an answer known from elsewhere. All in one model with every effect, one of them present."""
+"""Each effect against an answer known from elsewhere. All in one model with every
+effect, one of them present.
+"""
 
 from dataclasses import replace
 
@@ -18,42 +20,64 @@ from stringcast.stages.model.effects.grasp_slip import GraspSlip
 from stringcast.stages.model.effects.internal_friction import InternalFriction
 from stringcast.stages.model.effects.nonlinear_bending import NonlinearBending
 from stringcast.stages.model.effects.resolution import Resolution
-from stringcast.stages.model.equilibrium import hanging
-from stringcast.stages.model.hand import ARRIVED, HandMotion, hand_motion_from_grasp
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.integrator import RungeKutta4
-from stringcast.stages.model.library import library
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.integrators import RungeKutta4
+from stringcast.stages.model.engine.stability import steps_per_tick
+from stringcast.stages.model.hand import MAX_LAG_S, HandMotion, resample_hand_motion
+from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.stability import steps_per_tick
-from stringcast.stages.model.string import BASE, String
+from stringcast.stages.model.statics.equilibrium import hanging_shape
+from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 LENGTH = 0.3
-MANY = tuple(e for e in library().values() if e not in BASE and e.parameters and issubclass(e, StringEffect))
+MANY = tuple(
+    e
+    for e in effects_by_name().values()
+    if e not in PAPER_EFFECTS and e.parameters and issubclass(e, StringEffect)
+)
 SECOND_ORDER = {"tip_cell": 0.5, "grasp_cell": 0.5}
 LIMP = {
     "axial_stiffness": 9e5,
     "axial_damping": 100.0,
-    **dict.fromkeys(["bending_stiffness", "bending_damping", "linear_drag", "quadratic_drag"], 1e-9),
+    **dict.fromkeys(
+        ["bending_stiffness", "bending_damping", "linear_drag", "quadratic_drag"], 1e-9
+    ),
     **dict.fromkeys(["grasp_stiffness", "grasp_damping"], 1e-12),
 }
 ROD = LIMP | {"bending_stiffness": 4e3, "bending_damping": 0.05}
-CLAMPED = LIMP | {"bending_stiffness": 4e4, "grasp_stiffness": 1e9, "axial_stiffness": 1e9}
-PER_LENGTH = LENGTH / 9  # the paper's segment: bending stiffness over mass per length is k_h times its square
+CLAMPED = LIMP | {
+    "bending_stiffness": 4e4,
+    "grasp_stiffness": 1e9,
+    "axial_stiffness": 1e9,
+}
+# the paper's segment: bending stiffness over mass per length is k_h times its square
+PER_LENGTH = LENGTH / 9
 
 
 def at_rest(named, theta=-np.pi / 2, points=41, **settings):
     """Angles (n - 1,) and lengths of the segments in static equilibrium."""
-    string = String(LENGTH, points=points, effects=(*BASE, *MANY), **SECOND_ORDER | settings)
+    string = String(
+        LENGTH,
+        points=points,
+        effects=(*PAPER_EFFECTS, *MANY),
+        **SECOND_ORDER | settings,
+    )
     material = string.material(string.values(named)[None])
-    angles, lengths = hanging(string, material, np.array([[0.0, 0.0, theta]]))
+    angles, lengths = hanging_shape(string, material, np.array([[0.0, 0.0, theta]]))
     return angles[0], lengths[0]
 
 
 def swinging(named, offset, t, points=41, theta=-np.pi / 2):
     """A string whose grasp moves sideways, (F, n, 2) [m]."""
-    string = String(LENGTH, points=points, effects=(*BASE, *MANY), **SECOND_ORDER)
-    hand = hand_motion_from_grasp(t, np.stack([offset, 0 * t, 0 * t + theta], axis=-1))
-    return Model(string, None, None).true(hand, string.values(named)[None], t).points[0]
+    string = String(
+        LENGTH, points=points, effects=(*PAPER_EFFECTS, *MANY), **SECOND_ORDER
+    )
+    hand = resample_hand_motion(t, np.stack([offset, 0 * t, 0 * t + theta], axis=-1))
+    return (
+        Model(string, None, None)
+        .simulate_string(hand, string.values(named)[None], t)
+        .points[0]
+    )
 
 
 def frequency(t, x):
@@ -63,7 +87,8 @@ def frequency(t, x):
     return 2 * np.pi * (len(crossing) - 1) / (crossing[-1] - crossing[0])
 
 
-# --- string --------------------------------------------------------------------------------------------------
+# --- string
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.5])
@@ -78,7 +103,9 @@ def test_a_weight_at_the_tip_slows_a_pendulum(ratio):
 
 @pytest.mark.parametrize("taper", [-1.2, 1.2])
 def test_a_tapered_chain_swings_at_its_own_frequency(taper):
-    """(T x')' + omega^2 rho x = 0, T the weight beyond, by Ritz with polynomials that vanish at the grasp."""
+    """(T x')' + omega^2 rho x = 0, T the weight beyond, by Ritz with polynomials that
+    vanish at the grasp.
+    """
     powers = np.arange(1, 9)
     rho = lambda z: 1 + taper * (z - 0.5)  # noqa: E731
     weight = lambda z: quad(rho, z, 1)[0]  # noqa: E731
@@ -94,39 +121,58 @@ def test_a_tapered_chain_swings_at_its_own_frequency(taper):
     x = swinging(LIMP | {"density_taper.taper": taper}, drive, t)[free, -1, 0]
     plain = swinging(LIMP, drive, t)[free, -1, 0]
     assert frequency(t[free], x - x.mean()) == pytest.approx(expected, rel=0.01)
-    assert abs(frequency(t[free], plain - plain.mean()) / expected - 1) > 0.03  # without taper it would not be found
+    # without taper it would not be found
+    assert abs(frequency(t[free], plain - plain.mean()) / expected - 1) > 0.03
 
 
 def test_wind_holds_a_limp_string_at_an_angle():
     """tan of the angle from the vertical is (C_c1 + C_c2 w) w / g."""
     wind, c1, c2 = 1.7, 2.0, 0.5
-    angles, _ = at_rest(LIMP | {"linear_drag": c1, "quadratic_drag": c2, "wind.along_x": wind})
-    np.testing.assert_allclose(np.tan(angles + np.pi / 2), (c1 + c2 * wind) * wind / 9.81, rtol=1e-6)
+    angles, _ = at_rest(
+        LIMP | {"linear_drag": c1, "quadratic_drag": c2, "wind.along_x": wind}
+    )
+    np.testing.assert_allclose(
+        np.tan(angles + np.pi / 2), (c1 + c2 * wind) * wind / 9.81, rtol=1e-6
+    )
 
 
 def test_wind_acts_more_across_a_string_than_along_it():
     """Only the drag across holds it: tan of the angle is (1 + e) C_c1 w / g."""
-    named = LIMP | {"linear_drag": 2.0, "wind.along_x": 1.7, "anisotropic_drag.excess": 0.8}
+    named = LIMP | {
+        "linear_drag": 2.0,
+        "wind.along_x": 1.7,
+        "anisotropic_drag.excess": 0.8,
+    }
     angles, _ = at_rest(named)
-    np.testing.assert_allclose(np.tan(angles + np.pi / 2), 1.8 * 2.0 * 1.7 / 9.81, rtol=1e-4)
+    np.testing.assert_allclose(
+        np.tan(angles + np.pi / 2), 1.8 * 2.0 * 1.7 / 9.81, rtol=1e-4
+    )
 
 
 @pytest.mark.parametrize("curvature", [3.0, -8.0])
 def test_a_stiff_string_with_a_set_rests_on_a_circle(curvature):
     """Half the difference of both signs is free of gravity, which bends it by 2e-4."""
-    shapes = [at_rest(CLAMPED | {"rest_curvature.curvature": sign * curvature}, points=61)[0] for sign in (1, -1)]
+    shapes = [
+        at_rest(CLAMPED | {"rest_curvature.curvature": sign * curvature}, points=61)[0]
+        for sign in (1, -1)
+    ]
     middle = (np.arange(60) + 0.5) * LENGTH / 60
-    np.testing.assert_allclose((shapes[0] - shapes[1]) / 2, curvature * middle, atol=3e-4 * abs(curvature))
+    np.testing.assert_allclose(
+        (shapes[0] - shapes[1]) / 2, curvature * middle, atol=3e-4 * abs(curvature)
+    )
 
 
 @pytest.mark.parametrize("hardening", [-1e-3, 2e-3])
 def test_a_string_that_stiffens_hangs_as_the_elastica_with_its_law(hardening):
-    """Clamped level: dM/ds = -g (L - s) cos(theta), kappa'(s) from the slope of the law. A clamped first segment
-    of the chain is a rod clamped at its middle."""
+    """Clamped level: dM/ds = -g (L - s) cos(theta), kappa'(s) from the slope of the
+    law. A clamped first segment of the chain is a rod clamped at its middle.
+    """
     stiffness, first = 30.0 * PER_LENGTH**2, LENGTH / 240
 
     def law(k):
-        return k * (stiffness + NonlinearBending.hinge_stiffness(k, stiffness, hardening))
+        return k * (
+            stiffness + NonlinearBending.hinge_stiffness(k, stiffness, hardening)
+        )
 
     def slopes(s, y):
         steep = (law(y[1] + 1e-4) - law(y[1] - 1e-4)) / 2e-4
@@ -134,10 +180,21 @@ def test_a_string_that_stiffens_hangs_as_the_elastica_with_its_law(hardening):
 
     s = np.linspace(first, LENGTH, 61)
     guess = np.stack([-(1 - np.exp(-s / 0.1)), -10 * (1 - s / LENGTH)])
-    exact = solve_bvp(slopes, lambda a, b: np.array([a[0], b[1]]), s, guess, tol=1e-8, max_nodes=20000)
+    exact = solve_bvp(
+        slopes, lambda a, b: np.array([a[0], b[1]]), s, guess, tol=1e-8, max_nodes=20000
+    )
     assert exact.success
-    named = LIMP | {"bending_stiffness": 30.0, "grasp_stiffness": 1e9, "axial_stiffness": 1e9}
-    angles, _ = at_rest(named | {"nonlinear_bending.hardening": hardening}, theta=0.0, points=121, grasp_cell=0.0)
+    named = LIMP | {
+        "bending_stiffness": 30.0,
+        "grasp_stiffness": 1e9,
+        "axial_stiffness": 1e9,
+    }
+    angles, _ = at_rest(
+        named | {"nonlinear_bending.hardening": hardening},
+        theta=0.0,
+        points=121,
+        grasp_cell=0.0,
+    )
     middle = (np.arange(120) + 0.5) * LENGTH / 120
     np.testing.assert_allclose(angles, exact.sol(middle)[0], atol=3e-3)
     linear, _ = at_rest(named, theta=0.0, points=121, grasp_cell=0.0)
@@ -146,21 +203,30 @@ def test_a_string_that_stiffens_hangs_as_the_elastica_with_its_law(hardening):
 
 @pytest.mark.parametrize("hardening", [-5e-3, -3e-4, 5e-3])
 def test_bending_moments_never_fall_however_soft_the_string_becomes(hardening):
-    """Softening comes near to stiffness / (2 sqrt(-hardening)): a string that yields, and buckles nowhere."""
+    """Softening comes near to stiffness / (2 sqrt(-hardening)): a string that yields,
+    and buckles nowhere.
+    """
     k = np.arange(200.0)
     moment = k * (1 + NonlinearBending.hinge_stiffness(k, 1.0, hardening))
     assert np.diff(moment).min() > 0
     small = np.sqrt(1e-3 / abs(hardening))
-    assert NonlinearBending.hinge_stiffness(small, 1.0, hardening) == pytest.approx(hardening * small**2, rel=2e-3)
+    assert NonlinearBending.hinge_stiffness(small, 1.0, hardening) == pytest.approx(
+        hardening * small**2, rel=2e-3
+    )
     if hardening < 0:
         assert moment.max() < 0.5 / np.sqrt(-hardening)
 
 
 @pytest.mark.parametrize("cycles", [20.0, 80.0])
 def test_dry_friction_takes_the_same_from_a_cycle_at_any_rate(cycles):
-    """4 times friction times amplitude; 2 % less at the slower rate, where it passes through rest smoothly."""
+    """4 times friction times amplitude; 2 % less at the slower rate, where it passes
+    through rest smoothly.
+    """
     t = np.linspace(0, 1 / cycles, 4001)
-    curvature, rate = 20 * np.sin(2 * np.pi * cycles * t), 40 * np.pi * cycles * np.cos(2 * np.pi * cycles * t)
+    curvature, rate = (
+        20 * np.sin(2 * np.pi * cycles * t),
+        40 * np.pi * cycles * np.cos(2 * np.pi * cycles * t),
+    )
     moment = rate * InternalFriction.hinge_drag(rate, 0.01)
     assert np.trapezoid(moment, curvature) == pytest.approx(4 * 0.01 * 20, rel=0.02)
 
@@ -173,21 +239,51 @@ def test_dry_friction_takes_the_same_from_a_cycle_at_any_rate(cycles):
         ("nonlinear_bending.hardening", -2e-3),
     ],
 )
-def test_a_steep_moment_costs_an_implicit_step_nothing_and_is_what_small_steps_make_of_it(name, value):
-    """A swing with what would ask for 5 to 8 times the steps if it were explicit; noise is 0.7 mm."""
+def test_a_steep_moment_costs_an_implicit_step_nothing_and_is_what_small_steps_make_of_it(
+    name, value
+):
+    """A swing with what would ask for 5 to 8 times the steps if it were explicit; noise
+    is 0.7 mm.
+    """
     t = np.arange(0, 1.0, 0.005)
-    pose = np.stack([0.3 * np.sin(5 * t) ** 2, 0.2 * np.sin(4 * t) ** 2, 1.2 * np.sin(6 * t) ** 2 - 1.5], axis=-1)
-    hand = hand_motion_from_grasp(t, pose)
-    effects = (*BASE, InternalFriction, NonlinearBending)
+    pose = np.stack(
+        [
+            0.3 * np.sin(5 * t) ** 2,
+            0.2 * np.sin(4 * t) ** 2,
+            1.2 * np.sin(6 * t) ** 2 - 1.5,
+        ],
+        axis=-1,
+    )
+    hand = resample_hand_motion(t, pose)
+    effects = (*PAPER_EFFECTS, InternalFriction, NonlinearBending)
     string = String(LENGTH, 21, effects, integrator=ImplicitLeapfrog(), **SECOND_ORDER)
-    named = {"bending_stiffness": 10.0, "bending_damping": 0.01, "grasp_stiffness": 4.0, "grasp_damping": 5e-3}
-    named |= {"axial_stiffness": 5e5, "axial_damping": 45.0, "linear_drag": 0.2, "quadratic_drag": 0.2}
+    named = {
+        "bending_stiffness": 10.0,
+        "bending_damping": 0.01,
+        "grasp_stiffness": 4.0,
+        "grasp_damping": 5e-3,
+    }
+    named |= {
+        "axial_stiffness": 5e5,
+        "axial_damping": 45.0,
+        "linear_drag": 0.2,
+        "quadratic_drag": 0.2,
+    }
     values = string.values(named | {name: value})[None]
 
     def tip(step, integrator=string.integrator):
-        return Model(replace(string, integrator=integrator, largest_step=step), None, None).true(hand, values, t).tip[0]
+        return (
+            Model(replace(string, integrator=integrator, largest_step=step), None, None)
+            .simulate_string(hand, values, t)
+            .tip[0]
+        )
 
-    assert steps_per_tick(replace(string, largest_step=1e-3), string.material(values), hand.tick)[0] <= 6
+    assert (
+        steps_per_tick(
+            replace(string, largest_step=1e-3), string.material(values), hand.tick
+        )[0]
+        <= 6
+    )
     exact = tip(1e-4, RungeKutta4())
     off = [np.linalg.norm(tip(step) - exact, axis=-1).max() for step in (1e-3, 2.5e-4)]
     assert off[0] < 0.7e-3
@@ -196,29 +292,52 @@ def test_a_steep_moment_costs_an_implicit_step_nothing_and_is_what_small_steps_m
 
 def test_tilted_gravity_is_the_whole_experiment_turned():
     t = np.arange(0, 0.4, 0.005)
-    pose = np.stack([0.1 * np.sin(9 * t) ** 2, 0.1 * np.sin(5 * t) ** 2, 0.3 + 1.5 * np.sin(7 * t) ** 2], axis=-1)
+    pose = np.stack(
+        [
+            0.1 * np.sin(9 * t) ** 2,
+            0.1 * np.sin(5 * t) ** 2,
+            0.3 + 1.5 * np.sin(7 * t) ** 2,
+        ],
+        axis=-1,
+    )
     tilt = 0.25
     rotation = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
     turned = np.concatenate([pose[:, :2] @ rotation.T, pose[:, 2:] + tilt], axis=1)
-    string = String(LENGTH, effects=(*BASE, *MANY))
-    named = LIMP | {"bending_stiffness": 4.0, "bending_damping": 5e-3, "grasp_stiffness": 3.0, "linear_drag": 0.3}
+    string = String(LENGTH, effects=(*PAPER_EFFECTS, *MANY))
+    named = LIMP | {
+        "bending_stiffness": 4.0,
+        "bending_damping": 5e-3,
+        "grasp_stiffness": 3.0,
+        "linear_drag": 0.3,
+    }
 
     def moved(pose, **more):
         values = string.values(named | more)[None]
-        return Model(string, None, None).true(hand_motion_from_grasp(t, pose), values, t).points[0]
+        return (
+            Model(string, None, None)
+            .simulate_string(resample_hand_motion(t, pose), values, t)
+            .points[0]
+        )
 
     found = moved(turned, **{"gravity_direction.tilt": tilt})
     np.testing.assert_allclose(found, moved(pose) @ rotation.T, atol=1e-9)
 
 
-# --- contact ---------------------------------------------------------------------------------------------------
+# --- contact
+# ---------------------------------------------------------------------------------------------------
 
 FLOOR = {"contact.stiffness": 2e4, "contact.height": -0.2}
 
 
 def test_a_floor_carries_what_lies_on_it():
-    """The floor's push is the weight of the string less what still hangs from the hand, L - 0.2 to a few per cent."""
-    angles, lengths = at_rest(LIMP | FLOOR | {"bending_stiffness": 0.05, "grasp_stiffness": 0.01}, -1.2, points=61)
+    """The floor's push is the weight of the string less what still hangs from the hand,
+    L - 0.2 to a few per cent.
+    """
+    angles, lengths = at_rest(
+        LIMP | FLOOR | {"bending_stiffness": 0.05, "grasp_stiffness": 0.01},
+        -1.2,
+        points=61,
+    )
     y = np.concatenate([[0.0], np.cumsum(lengths * np.sin(angles))])
     cells = np.full(61, LENGTH / 60)
     cells[-1] /= 2
@@ -228,10 +347,19 @@ def test_a_floor_carries_what_lies_on_it():
 
 
 def test_the_engine_leaves_a_string_on_the_floor_alone():
-    """Statics and dynamics know the same floor. (A string straight above it would stand, but not for long.)"""
+    """Statics and dynamics know the same floor. (A string straight above it would
+    stand, but not for long.)
+    """
     t = np.linspace(0, 0.3, 61)
     named = (
-        LIMP | FLOOR | {"bending_stiffness": 1.0, "bending_damping": 0.01, "grasp_stiffness": 1.0, "linear_drag": 1.0}
+        LIMP
+        | FLOOR
+        | {
+            "bending_stiffness": 1.0,
+            "bending_damping": 0.01,
+            "grasp_stiffness": 1.0,
+            "linear_drag": 1.0,
+        }
     )
     named |= {"contact.friction": 0.3, "contact.loss": 0.2}
     points = swinging(named, 0 * t, t, points=21, theta=-1.2)
@@ -241,10 +369,12 @@ def test_the_engine_leaves_a_string_on_the_floor_alone():
 
 @pytest.mark.parametrize(("loss", "tilt"), [(0.0, 0.0), (0.3, 0.0), (0.0, 1.1)])
 def test_a_bounce_gives_back_what_it_took_and_never_more(loss, tilt):
-    """A mass on the plane: without loss it leaves as fast as it came, with loss slower, as Hunt and Crossley say."""
+    """A mass on the plane: without loss it leaves as fast as it came, with loss slower,
+    as Hunt and Crossley say.
+    """
     normal = np.array([-np.sin(tilt), np.cos(tilt)])
     given = {"dt": 0.0, "stiffness": 2e4, "height": 0.1, "friction": 0.0, "loss": loss}
-    given |= Contact.derived(tilt=tilt)
+    given |= Contact.derive_parameters(tilt=tilt)
 
     def law(_, y):
         return np.concatenate([y[2:], Contact.load(*y, **given)])
@@ -258,20 +388,33 @@ def test_a_bounce_gives_back_what_it_took_and_never_more(loss, tilt):
     if loss == 0:
         assert out == pytest.approx(speed, rel=1e-8)
     else:
-        # m dv/dt = -k d (1 - loss v)...: v dv / (1 - a v) over depth integrates to log terms
+        # m dv/dt = -k d (1 - loss v)...: v dv / (1 - a v) over depth integrates to log
+        # terms
         left, right = (-(np.log1p(-loss * v) + loss * v) for v in (out, -speed))
         assert left == pytest.approx(right, rel=1e-6)
         assert 0.5 * speed < out < speed
 
 
 @pytest.mark.parametrize(("dt", "within"), [(1e-3, 0.5), (1e-4, 0.1), (1e-5, 0.1)])
-def test_friction_brakes_a_hard_impact_by_its_share_and_turns_no_slide_round(dt, within):
-    """At any step: a mass loses friction times the 20 m/s that the plane gives it, or all it has."""
-    given = {"dt": dt, "stiffness": 1e5, "height": 0.0, "friction": 0.5, "loss": 0.0} | Contact.derived(tilt=0.0)
+def test_friction_brakes_a_hard_impact_by_its_share_and_turns_no_slide_round(
+    dt, within
+):
+    """At any step: a mass loses friction times the 20 m/s that the plane gives it, or
+    all it has.
+    """
+    given = {
+        "dt": dt,
+        "stiffness": 1e5,
+        "height": 0.0,
+        "friction": 0.5,
+        "loss": 0.0,
+    } | Contact.derive_parameters(tilt=0.0)
     for slide, left in ((14.0, 4.0), (1.0, 0.0)):
         place, velocity, slides = np.zeros(2), np.array([slide, -10.0]), []
         while place[1] <= 0:
-            velocity = velocity + dt * np.array(Contact.load(*place, *velocity, **given))
+            velocity = velocity + dt * np.array(
+                Contact.load(*place, *velocity, **given)
+            )
             place = place + dt * velocity
             slides.append(velocity[0])
         assert velocity[1] == pytest.approx(10.0, rel=0.02)
@@ -281,20 +424,42 @@ def test_friction_brakes_a_hard_impact_by_its_share_and_turns_no_slide_round(dt,
 
 
 def test_a_string_dropped_on_a_floor_gains_no_energy():
-    """The engine's own steps: the hand is lowered, and height, speed, bending and floor together never rise again."""
+    """The engine's own steps: the hand is lowered, and height, speed, bending and floor
+    together never rise again.
+    """
     t = np.arange(0, 1.0, 0.001)
-    string = String(LENGTH, effects=(*BASE, *MANY), points=10)
-    named = LIMP | {"axial_stiffness": 2e4, "axial_damping": 5.0, "bending_stiffness": 1.0, "bending_damping": 1e-2}
-    named |= {"contact.stiffness": 2e4, "contact.height": -0.32, "contact.friction": 0.3, "contact.loss": 0.1}
+    string = String(LENGTH, effects=(*PAPER_EFFECTS, *MANY), points=10)
+    named = LIMP | {
+        "axial_stiffness": 2e4,
+        "axial_damping": 5.0,
+        "bending_stiffness": 1.0,
+        "bending_damping": 1e-2,
+    }
+    named |= {
+        "contact.stiffness": 2e4,
+        "contact.height": -0.32,
+        "contact.friction": 0.3,
+        "contact.loss": 0.1,
+    }
     down = -0.15 * (1 - np.cos(np.pi * np.clip(t / 0.2, 0, 1))) / 2
-    hand = hand_motion_from_grasp(t, np.stack([0 * t, down, 0 * t - 1.4], axis=-1), 0.001)
-    points = Model(string, None, None).true(hand, string.values(named)[None], t).points[0]
+    hand = resample_hand_motion(t, np.stack([0 * t, down, 0 * t - 1.4], axis=-1), 0.001)
+    points = (
+        Model(string, None, None)
+        .simulate_string(hand, string.values(named)[None], t)
+        .points[0]
+    )
     velocity = np.gradient(points, t, axis=0)
     segment = np.diff(points, axis=1)
     size = np.linalg.norm(segment, axis=-1)
-    bend = np.diff(np.unwrap(np.arctan2(segment[..., 1], segment[..., 0]), axis=1), axis=1)
-    energy = 0.5 * (velocity[:, 1:] ** 2).sum(axis=(1, 2)) + 9.81 * points[:, 1:, 1].sum(axis=1)
-    energy += 0.5 * 2e4 * ((size - string.segment) ** 2).sum(axis=1) + 0.5 * (bend**2).sum(axis=1)
+    bend = np.diff(
+        np.unwrap(np.arctan2(segment[..., 1], segment[..., 0]), axis=1), axis=1
+    )
+    energy = 0.5 * (velocity[:, 1:] ** 2).sum(axis=(1, 2)) + 9.81 * points[
+        :, 1:, 1
+    ].sum(axis=1)
+    energy += 0.5 * 2e4 * ((size - string.segment_length) ** 2).sum(axis=1) + 0.5 * (
+        bend**2
+    ).sum(axis=1)
     energy += 0.5 * 2e4 * (np.maximum(-0.32 - points[..., 1], 0) ** 2).sum(axis=1)
     free = energy[t > 0.21]
     assert points[..., 1].min() < -0.32
@@ -302,10 +467,13 @@ def test_a_string_dropped_on_a_floor_gains_no_energy():
     assert np.diff(free[5:-5:5]).max() < 0.01 * (free[0] - free[-1])
 
 
-# --- hand --------------------------------------------------------------------------------------------------------
+# --- hand
+# --------------------------------------------------------------------------------------------------------
 
 T = np.arange(0, 1.0, 0.005)
-WAVES = np.stack([np.sin(7 * T) ** 2, 0.5 * np.sin(4 * T), 0.2 * np.cos(11 * T)], axis=-1)[None]
+WAVES = np.stack(
+    [np.sin(7 * T) ** 2, 0.5 * np.sin(4 * T), 0.2 * np.cos(11 * T)], axis=-1
+)[None]
 
 
 @pytest.mark.parametrize("constant", [1e-3, 0.02, 0.1])
@@ -333,23 +501,34 @@ def test_a_ramp_is_followed_at_a_distance():
 
 
 def test_a_hand_that_lags_arrives_while_it_rests():
-    """From its log's last sample on it nears its goal as exp(-t / tau), and no log is made longer than it takes."""
+    """From its log's last sample on it nears its goal as exp(-t / tau), and no log is
+    made longer than it takes.
+    """
     pose = np.stack([0.3 * T**2, 0 * T, 0 * T], axis=-1)
-    motion = hand_motion_from_grasp(T, pose)
+    motion = resample_hand_motion(T, pose)
     acts = [(ArmLag, {"time_constant": np.full((1, 1, 1), 0.02)})]
     goal = pose[-1, 0]
     left = goal - np.array(
-        [motion.lasting(T[-1] + more).actual(None, acts).pose[0, -1, 0] for more in (0.0, 0.02, 0.04)]
+        [
+            motion.extended_until(T[-1] + more)
+            .actual_hand_motion(None, acts)
+            .pose[0, -1, 0]
+            for more in (0.0, 0.02, 0.04)
+        ]
     )
     assert left[1:] / left[:-1] == pytest.approx(np.exp(-1), rel=0.02)
-    assert motion.lasting(0.5).end == motion.end
-    assert motion.lasting(60.0).end == pytest.approx(motion.end + ARRIVED)
+    assert motion.extended_until(0.5).end == motion.end
+    assert motion.extended_until(60.0).end == pytest.approx(motion.end + MAX_LAG_S)
 
 
 def test_play_leaves_a_joint_where_it_is_at_reversals():
-    """It turns half its gap less to either side, and stands still over a whole gap after each reversal."""
+    """It turns half its gap less to either side, and stands still over a whole gap
+    after each reversal.
+    """
     wave, gaps = 0.2 * np.sin(2 * np.pi * T), (0.06, 0.0, 0.02)
-    joints = Backlash.joints(T, np.tile(wave[None, :, None], 3), *(np.full((1, 1, 1), gap) for gap in gaps))
+    joints = Backlash.joints(
+        T, np.tile(wave[None, :, None], 3), *(np.full((1, 1, 1), gap) for gap in gaps)
+    )
     for gap, real in zip(gaps, joints[0].T, strict=True):
         assert real.max() == pytest.approx(0.2 - gap / 2, abs=1e-12)
         assert real.min() == pytest.approx(-0.2 + gap / 2, abs=1e-12)
@@ -359,7 +538,9 @@ def test_play_leaves_a_joint_where_it_is_at_reversals():
 
 
 def hand_model(*names, points=10):
-    return Model(String(LENGTH, points=points), None, None).with_effects(*(library()[name] for name in names))
+    return Model(String(LENGTH, points=points), None, None).with_effects(
+        *(effects_by_name()[name] for name in names)
+    )
 
 
 def grasped(motion: HandMotion, **named) -> HandMotion:
@@ -367,20 +548,37 @@ def grasped(motion: HandMotion, **named) -> HandMotion:
     return model.hand(motion, model.values(named)[None])
 
 
-POSE = np.stack([0.4 + 0.1 * np.sin(9 * T), 0.3 * np.cos(5 * T), 1.5 * np.sin(7 * T) ** 2], axis=-1)
+POSE = np.stack(
+    [0.4 + 0.1 * np.sin(9 * T), 0.3 * np.cos(5 * T), 1.5 * np.sin(7 * T) ** 2], axis=-1
+)
 
 
 def test_a_string_held_askew_leaves_the_hand_at_that_angle():
-    plain = hand_motion_from_grasp(T, POSE)
+    plain = resample_hand_motion(T, POSE)
     found = grasped(plain, **{"grasp_angle.angle": 0.4})
-    np.testing.assert_allclose(found.pose - plain.pose, np.broadcast_to([0, 0, 0.4], plain.pose.shape), atol=1e-12)
+    np.testing.assert_allclose(
+        found.pose - plain.pose,
+        np.broadcast_to([0, 0, 0.4], plain.pose.shape),
+        atol=1e-12,
+    )
     np.testing.assert_allclose(found.rate, plain.rate, atol=1e-9)
 
 
 def test_a_string_that_slips_comes_out_along_the_grasp():
-    plain = hand_motion_from_grasp(T, POSE)
-    found = grasped(plain, **{"grasp_slip.speed": 0.1, "grasp_slip.onset": 0.3, "grasp_slip.duration": 0.4})
-    out = np.sum((found.pose - plain.pose)[0, :, :2] * np.stack([np.cos(POSE[:, 2]), np.sin(POSE[:, 2])], -1), axis=-1)
+    plain = resample_hand_motion(T, POSE)
+    found = grasped(
+        plain,
+        **{
+            "grasp_slip.speed": 0.1,
+            "grasp_slip.onset": 0.3,
+            "grasp_slip.duration": 0.4,
+        },
+    )
+    out = np.sum(
+        (found.pose - plain.pose)[0, :, :2]
+        * np.stack([np.cos(POSE[:, 2]), np.sin(POSE[:, 2])], -1),
+        axis=-1,
+    )
     sliding = (T > 0.35) & (T < 0.65)
     np.testing.assert_allclose(out[sliding], 0.1 * (T[sliding] - 0.3), atol=1e-6)
     np.testing.assert_allclose(out[T < 0.2], 0.0, atol=1e-6)
@@ -392,38 +590,57 @@ def test_a_string_that_slips_comes_out_along_the_grasp():
 
 
 def test_a_gain_turns_joints_about_where_they_began(arm, camera):
-    from stringcast.stages.model.hand import joint_motion
+    from stringcast.stages.model.hand import resample_joint_motion
 
-    model = Model(String(LENGTH), arm, camera).with_effects(library()["joint_gain"])
-    plain = joint_motion(T, WAVES[0])
-    found = model.joints(plain, model.values({"joint_gain.gain": 0.1})[None])
-    np.testing.assert_allclose(
-        found.angles - plain.angles[:, :1], 1.1 * (plain.angles - plain.angles[:, :1]), atol=1e-12
+    model = Model(String(LENGTH), arm, camera).with_effects(
+        effects_by_name()["joint_gain"]
     )
-    np.testing.assert_allclose(found.speeds[:, 3:-3], 1.1 * plain.speeds[:, 3:-3], atol=2e-4)
+    plain = resample_joint_motion(T, WAVES[0])
+    found = model.joint_motion(plain, model.values({"joint_gain.gain": 0.1})[None])
+    np.testing.assert_allclose(
+        found.angles - plain.angles[:, :1],
+        1.1 * (plain.angles - plain.angles[:, :1]),
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(
+        found.speeds[:, 3:-3], 1.1 * plain.speeds[:, 3:-3], atol=2e-4
+    )
 
 
 def test_what_acts_on_joints_is_refused_where_only_the_grasp_is_known():
     from stringcast.data.schema import DataError
 
-    with pytest.raises(DataError, match=r"'backlash' acts on joint angles.*Add arm.parquet"):
-        grasped(hand_motion_from_grasp(T, POSE), **{"backlash.gap_1": 0.01})
+    with pytest.raises(
+        DataError, match=r"'backlash' acts on joint angles.*Add arm.parquet"
+    ):
+        grasped(resample_hand_motion(T, POSE), **{"backlash.gap_1": 0.01})
 
 
-# --- clocks and camera ---------------------------------------------------------------------------------------------
+# --- clocks and camera
+# ---------------------------------------------------------------------------------------------
 
 VIEW = Camera(640, 480, 300.0, (250.0, 380.0), 200.0)
 
 
 def views(*names):
-    model = Model(String(LENGTH), None, VIEW).with_effects(*(library()[name] for name in names))
-    known = LIMP | {"bending_stiffness": 4.0, "bending_damping": 5e-3, "grasp_stiffness": 3.0, "linear_drag": 0.3}
-    return model, known, hand_motion_from_grasp(T, POSE)
+    model = Model(String(LENGTH), None, VIEW).with_effects(
+        *(effects_by_name()[name] for name in names)
+    )
+    known = LIMP | {
+        "bending_stiffness": 4.0,
+        "bending_damping": 5e-3,
+        "grasp_stiffness": 3.0,
+        "linear_drag": 0.3,
+    }
+    return model, known, resample_hand_motion(T, POSE)
 
 
 @pytest.mark.parametrize(
     ("name", "size", "there"),
-    [("time_offset.offset", 0.0123, lambda t: t + 0.0123), ("clock_drift.rate", -0.02, lambda t: 0.98 * t)],
+    [
+        ("time_offset.offset", 0.0123, lambda t: t + 0.0123),
+        ("clock_drift.rate", -0.02, lambda t: 0.98 * t),
+    ],
 )
 def test_other_clocks_show_the_string_at_other_moments(name, size, there):
     """Candidates each at times of their own, the same whatever the company."""
@@ -431,8 +648,14 @@ def test_other_clocks_show_the_string_at_other_moments(name, size, there):
     t = np.linspace(0.05, 0.9, 23)
     values = np.stack([model.values(known), model.values(known | {name: size})])
     seen = model.seen(motion, values, t).points
-    np.testing.assert_allclose(seen[0], model.true(motion, values[:1], t).points[0], atol=1e-12)
-    np.testing.assert_allclose(seen[1], model.true(motion, values[:1], there(t)).points[0], atol=1e-12)
+    np.testing.assert_allclose(
+        seen[0], model.simulate_string(motion, values[:1], t).points[0], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        seen[1],
+        model.simulate_string(motion, values[:1], there(t)).points[0],
+        atol=1e-12,
+    )
     np.testing.assert_array_equal(seen[1], model.seen(motion, values[1:], t).points[0])
 
 
@@ -448,34 +671,61 @@ def test_cameras_that_are_not_what_they_are_taken_for(name):
     model, known, motion = views(name.split(".")[0])
     t = np.linspace(0, 0.9, 7)
     values = model.values(known | {name: 0.08})[None]
-    expected = VIEW.world(REAL[name].pixels(model.true(motion, values, t).points))
-    np.testing.assert_allclose(model.seen(motion, values, t).points, expected, atol=1e-12)
+    expected = VIEW.world(
+        REAL[name].pixels(model.simulate_string(motion, values, t).points)
+    )
+    np.testing.assert_allclose(
+        model.seen(motion, values, t).points, expected, atol=1e-12
+    )
 
 
 def test_a_rolled_camera_turns_the_picture_about_its_middle():
     model, known, motion = views("camera_rotation")
     t = np.linspace(0, 0.9, 7)
     values = model.values(known | {"camera_rotation.angle": 0.1})[None]
-    true, seen = (VIEW.pixels(find(motion, values, t).points) - [319.5, 239.5] for find in (model.true, model.seen))
+    true, seen = (
+        VIEW.pixels(find(motion, values, t).points) - [319.5, 239.5]
+        for find in (model.simulate_string, model.seen)
+    )
     c, s = np.cos(0.1), np.sin(0.1)  # v points down: counter-clockwise to the eye
     np.testing.assert_allclose(seen, true @ np.array([[c, -s], [s, c]]), atol=1e-9)
 
 
 def test_a_rolling_shutter_shears_a_line_that_moves_sideways():
-    """And is right for points that cross rows: it sees each where it is when its row is exposed."""
-    law = library()["rolling_shutter"].seen
+    """And is right for points that cross rows: it sees each where it is when its row is
+    exposed.
+    """
+    law = effects_by_name()["rolling_shutter"].seen
     readout, stamped = np.full((1, 1, 1, 1), 0.01), np.full((1, 1, 1, 1), 0.25)
-    line = np.stack([0 * np.linspace(0, 1, 9), np.linspace(-0.2, 0.8, 9)], axis=-1)[None, None]
-    sideways = law(line, np.broadcast_to([3.0, 0.0], line.shape), np.zeros(1), VIEW, readout, stamped)
+    line = np.stack([0 * np.linspace(0, 1, 9), np.linspace(-0.2, 0.8, 9)], axis=-1)[
+        None, None
+    ]
+    sideways = law(
+        line,
+        np.broadcast_to([3.0, 0.0], line.shape),
+        np.zeros(1),
+        VIEW,
+        readout,
+        stamped,
+    )
     row = VIEW.pixels(line)[..., 1] / 480 - 0.25
     np.testing.assert_allclose(sideways[..., 0], 3.0 * 0.01 * row, atol=1e-12)
-    falling = law(line, np.broadcast_to([1.0, -4.0], line.shape), np.zeros(1), VIEW, readout, stamped)
+    falling = law(
+        line,
+        np.broadcast_to([1.0, -4.0], line.shape),
+        np.zeros(1),
+        VIEW,
+        readout,
+        stamped,
+    )
     when = 0.01 * (VIEW.pixels(falling)[..., 1:] / 480 - 0.25)
     np.testing.assert_allclose(falling, line + when * np.array([1.0, -4.0]), atol=1e-12)
 
 
 def test_the_camera_knows_how_fast_the_string_goes():
-    """A rolling shutter is the string at the moments of its rows, to second order in the readout."""
+    """A rolling shutter is the string at the moments of its rows, to second order in
+    the readout.
+    """
     model, known, motion = views("rolling_shutter")
     t = np.linspace(0.1, 0.9, 9)
     errors = []
@@ -483,7 +733,13 @@ def test_the_camera_knows_how_fast_the_string_goes():
         values = model.values(known | {"rolling_shutter.readout": readout})[None]
         seen = model.seen(motion, values, t).points[0]
         when = t[:, None] + readout * (VIEW.pixels(seen)[..., 1] / 480 - 0.5)
-        exact = np.stack([model.true(motion, values, when[:, i]).points[0, :, i] for i in range(10)], axis=1)
+        exact = np.stack(
+            [
+                model.simulate_string(motion, values, when[:, i]).points[0, :, i]
+                for i in range(10)
+            ],
+            axis=1,
+        )
         errors.append(np.abs(seen - exact).max())
     assert errors[0] < 1e-3
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
@@ -494,7 +750,7 @@ def test_more_mass_points_are_nearer_to_the_string():
     t = np.linspace(0, 0.9, 31)
 
     def tip(model):
-        return model.true(motion, model.values(known)[None], t).tip[0]
+        return model.simulate_string(motion, model.values(known)[None], t).tip[0]
 
     finer = coarse.with_effects(Resolution, Resolution)
     assert finer.string.points == 37
@@ -504,12 +760,25 @@ def test_more_mass_points_are_nearer_to_the_string():
 
 
 def test_the_last_of_equal_points_is_half_a_segment_too_much():
-    """A chain of Eq. 1 is one with half a point at its end, and the excess of its number of points: mass and drag."""
+    """A chain of Eq. 1 is one with half a point at its end, and the excess of its
+    number of points: mass and drag.
+    """
     equal, known, motion = views()
-    half = replace(equal, string=replace(equal.string, tip_cell=0.5)).with_effects(EqualPoints)
+    half = replace(equal, string=replace(equal.string, tip_cell=0.5)).with_effects(
+        EqualPoints
+    )
     t, excess = np.linspace(0, 0.9, 31), 0.5 / (equal.string.points - 1)
-    tip = equal.true(motion, equal.values(known)[None], t).tip
-    same = half.true(motion, half.values(known | {"equal_points.excess": excess})[None], t).tip
+    tip = equal.simulate_string(motion, equal.values(known)[None], t).tip
+    same = half.simulate_string(
+        motion, half.values(known | {"equal_points.excess": excess})[None], t
+    ).tip
     np.testing.assert_allclose(same, tip, atol=1e-9)
-    assert np.abs(half.true(motion, half.values(known)[None], t).tip - tip).max() > 1e-3
-    assert f"about {equal.string.points} equal" in EqualPoints.describe({"excess": excess})
+    assert (
+        np.abs(
+            half.simulate_string(motion, half.values(known)[None], t).tip - tip
+        ).max()
+        > 1e-3
+    )
+    assert f"about {equal.string.points} equal" in EqualPoints.describe(
+        {"excess": excess}
+    )

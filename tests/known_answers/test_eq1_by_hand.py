@@ -1,34 +1,60 @@
-"""The engine against Eq. 1 written by hand, twice: for one candidate and for many (tests/speed)."""
+"""The engine against Eq. 1 written by hand, twice: for one candidate and for many
+(tests/speed).
+"""
 
 import numpy as np
 import pytest
 
-from stringcast.stages.model.simulate import simulate
-from stringcast.stages.model.stability import steps_per_tick
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.engine.stability import steps_per_tick
 from stringcast.stages.model.string import String
 from tests.speed import fused, scalar
 from tests.speed.trial import TIMES, hand
 
 STRING = String(0.3)
-B = {"axial_stiffness": 8e5, "axial_damping": 30.0, "bending_stiffness": 20.0, "bending_damping": 1e-2}
-SOFT = {"axial_stiffness": 2e4, "axial_damping": 5.0, "bending_stiffness": 0.3, "bending_damping": 1e-3}
-AIR = {"linear_drag": 0.5, "quadratic_drag": 0.2, "grasp_stiffness": 2.0, "grasp_damping": 5e-3}
-WIDE = np.array([p.high for p in STRING.parameters]) ** 0.5 * np.array([p.low for p in STRING.parameters]) ** 0.5
+B = {
+    "axial_stiffness": 8e5,
+    "axial_damping": 30.0,
+    "bending_stiffness": 20.0,
+    "bending_damping": 1e-2,
+}
+SOFT = {
+    "axial_stiffness": 2e4,
+    "axial_damping": 5.0,
+    "bending_stiffness": 0.3,
+    "bending_damping": 1e-3,
+}
+AIR = {
+    "linear_drag": 0.5,
+    "quadratic_drag": 0.2,
+    "grasp_stiffness": 2.0,
+    "grasp_damping": 5e-3,
+}
+WIDE = (
+    np.array([p.high for p in STRING.parameters]) ** 0.5
+    * np.array([p.low for p in STRING.parameters]) ** 0.5
+)
 
 
 def simulated(values):
-    """Positions at the ticks (K, n, 2) by the engine, and the path of the hand at its steps."""
+    """Positions at the ticks (K, n, 2) by the engine, and the path of the hand at its
+    steps.
+    """
     steps, _ = steps_per_tick(STRING, STRING.material(values[None]), hand().tick)
     points = simulate(STRING, hand(), values[None], TIMES).points[0, :-1]
     assert np.isfinite(points).all()
     return points, scalar.path(hand(), int(steps[0]))
 
 
-@pytest.mark.parametrize("values", [STRING.values(B | AIR), STRING.values(SOFT | AIR), WIDE], ids=["B", "soft", "wide"])
+@pytest.mark.parametrize(
+    "values",
+    [STRING.values(B | AIR), STRING.values(SOFT | AIR), WIDE],
+    ids=["B", "soft", "wide"],
+)
 def test_the_engine_is_equation_1_to_rounding(values):
     """At every tick of a trial of 1.5 s; 9e-13 m measured."""
     engine, path = simulated(values)
-    by_hand = scalar.cast(engine[0], values, STRING.segment, path, hand().tick)
+    by_hand = scalar.cast(engine[0], values, STRING.segment_length, path, hand().tick)
     np.testing.assert_allclose(by_hand, engine, rtol=0, atol=1e-11)
 
 
@@ -37,5 +63,15 @@ def test_the_hand_fused_loop_is_equation_1_too():
     engine, path = simulated(values)
     seen = np.empty((2, len(path), 2, STRING.points, fused.W))
     parameters = np.tile(np.repeat(values, fused.W), (2, 1))
-    fused.cast(fused.state(engine[0], 2), parameters, STRING.points, STRING.segment, path, hand().tick, seen)
-    np.testing.assert_allclose(seen[1, ..., 7].transpose(0, 2, 1), engine, rtol=0, atol=1e-11)
+    fused.cast(
+        fused.state(engine[0], 2),
+        parameters,
+        STRING.points,
+        STRING.segment_length,
+        path,
+        hand().tick,
+        seen,
+    )
+    np.testing.assert_allclose(
+        seen[1, ..., 7].transpose(0, 2, 1), engine, rtol=0, atol=1e-11
+    )

@@ -1,4 +1,6 @@
-"""A stiff rod between jaws that hold it by dry friction: it hangs freely, and swings down evenly."""
+"""A stiff rod between jaws that hold it by dry friction: it hangs freely, and swings
+down evenly.
+"""
 
 import numpy as np
 
@@ -8,22 +10,30 @@ from stringcast.stages.model.effects.grasp_spring import GraspSpring
 from stringcast.stages.model.effects.gravity import Gravity
 from stringcast.stages.model.effects.hinge_damper import HingeDamper
 from stringcast.stages.model.effects.hinge_spring import HingeSpring
-from stringcast.stages.model.hand import hand_motion_from_grasp
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.library import named
-from stringcast.stages.model.simulate import simulate
-from stringcast.stages.model.state import State
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import resample_hand_motion
+from stringcast.stages.model.library import find_effects
+from stringcast.stages.model.state import StringState
 from stringcast.stages.model.string import String
 
 LENGTH = 0.3
 WEIGHT = 9.81 * LENGTH**2 / 2  # [m3/s2] the moment that holds it level
 ROD = {
-    **{"axial_stiffness": 9e6, "axial_damping": 100.0, "bending_stiffness": 4e5, "bending_damping": 0.05},
+    **{
+        "axial_stiffness": 9e6,
+        "axial_damping": 100.0,
+        "bending_stiffness": 4e5,
+        "bending_damping": 0.05,
+    },
     "grasp_stiffness": 1e-12,
 }
-# With the laws of `laws/test_memory_in_motion.py`, absent by their values: there is one loop to compile for both.
+# With the laws of `laws/test_memory_in_motion.py`, absent by their values: there is one
+# loop to compile for both.
 FORCES = (Gravity, AxialSpring, AxialDamper, HingeSpring, HingeDamper, GraspSpring)
-MEMORY = named(["maxwell_slip", "dahl_friction", "standard_linear_solid", "grasp_play"])
+MEMORY = find_effects(
+    ["maxwell_slip", "dahl_friction", "standard_linear_solid", "grasp_play"]
+)
 HELD = String(
     LENGTH,
     8,
@@ -38,7 +48,7 @@ HELD = String(
 def still(theta):
     """A hand that rests in this direction for 3 s, and when it is looked at."""
     t = np.arange(0, 3.0, 0.005)
-    return hand_motion_from_grasp(t, np.stack([0 * t, 0 * t, 0 * t + theta], axis=-1)), t
+    return resample_hand_motion(t, np.stack([0 * t, 0 * t, 0 * t + theta], axis=-1)), t
 
 
 def test_it_hangs_at_rest_as_if_nothing_held_it():
@@ -49,10 +59,14 @@ def test_it_hangs_at_rest_as_if_nothing_held_it():
 
 
 def test_it_swings_down_by_as_much_from_swing_to_swing():
-    """W (cos b - cos a) = cap (a + b - 2 slip) from one end a of a swing to the next, b: nearly a straight line."""
+    """W (cos b - cos a) = cap (a + b - 2 slip) from one end a of a swing to the next,
+    b: nearly a straight line.
+    """
     cap, slip, start = 0.02 * WEIGHT, 1e-3, 0.35
     hand, t = still(-np.pi / 2)
-    begun = State(0.0, np.array([0.0, LENGTH]), np.full(2, start - np.pi / 2), np.zeros(2))
+    begun = StringState(
+        0.0, np.array([0.0, LENGTH]), np.full(2, start - np.pi / 2), np.zeros(2)
+    )
     values = HELD.values(ROD | {"grasp_play.cap": cap, "grasp_play.slip": slip})[None]
     tip = simulate(HELD, hand, values, t, begun).tip[0]
     angle = np.abs(np.arctan2(tip[:, 0], -tip[:, 1]))

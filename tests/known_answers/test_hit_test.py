@@ -25,7 +25,8 @@ def test_a_tip_that_flies_through_between_two_frames_hits():
 
 
 @pytest.mark.parametrize(
-    ("dx", "dy", "hit"), [(0.0095, 0, True), (0.0105, 0, False), (0, 0.0195, True), (0, 0.021, False)]
+    ("dx", "dy", "hit"),
+    [(0.0095, 0, True), (0.0105, 0, False), (0, 0.0195, True), (0, 0.021, False)],
 )
 def test_the_box_is_0_02_by_0_04(dx, dy, hit):
     t = np.arange(0, 0.1, 0.005)
@@ -63,23 +64,43 @@ def test_a_slow_camera_can_see_a_hit():
 
 
 def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
-    """A straight string of three points sweeps to the right; a wall stands where it passes at t = 0.05."""
+    """A straight string of three points sweeps to the right; a wall stands where it
+    passes at t = 0.05.
+    """
     t = np.arange(0, 0.1, 0.005)
     x = 0.5 + 4 * (t - 0.08)
-    rows = [{"t": a, "s": s, "x": b, "y": 0.5 - s} for a, b in zip(t, x, strict=True) for s in (0.0, 0.1, 0.2)]
+    rows = [
+        {"t": a, "s": s, "x": b, "y": 0.5 - s}
+        for a, b in zip(t, x, strict=True)
+        for s in (0.0, 0.1, 0.2)
+    ]
     wall = Box(0.38, 0.35, 0.021, 0.02)  # between two of the points
     struck = hit_test(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (wall,), 0.1)
     assert (struck.hit, struck.touched) == (False, 1)
-    behind = hit_test(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (Box(0.57, 0.35, 0.021, 0.02),), 0.1)
+    behind = hit_test(
+        seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)),
+        BOX,
+        (Box(0.57, 0.35, 0.021, 0.02),),
+        0.1,
+    )
     assert (behind.hit, behind.touched) == (True, 1)  # only after it had hit
     assert hit_test(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (), 0.1).hit
 
 
 def crossing(moment):
-    """A tip that enters the box between the fine times 94 and 95, and a string that touches an obstacle at a moment."""
+    """A tip that enters the box between the fine times 94 and 95, and a string that
+    touches an obstacle at a moment.
+    """
     t = np.arange(201) * 0.0005
-    rows = pd.DataFrame([{"t": moment(t), "s": s, "x": 0.2 + s, "y": 0.0} for s in (0.0, 0.1)])
-    return hit_test(seen(t, 0.301 + 4 * t, 0.5 + 0 * t, rows), BOX, (Box(0.25, 0.0, 0.02, 0.02),), 0.1)
+    rows = pd.DataFrame(
+        [{"t": moment(t), "s": s, "x": 0.2 + s, "y": 0.0} for s in (0.0, 0.1)]
+    )
+    return hit_test(
+        seen(t, 0.301 + 4 * t, 0.5 + 0 * t, rows),
+        BOX,
+        (Box(0.25, 0.0, 0.02, 0.02),),
+        0.1,
+    )
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from stringcast.stages.model.effects.contact import Contact
-from stringcast.stages.model.equilibrium import hanging
-from stringcast.stages.model.hand import hand_motion_from_grasp
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.integrator import SemiImplicitEuler
-from stringcast.stages.model.simulate import simulate
-from stringcast.stages.model.string import BASE, String
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.integrators import SemiImplicitEuler
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import resample_hand_motion
+from stringcast.stages.model.statics.equilibrium import hanging_shape
+from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 SECOND_ORDER = {"tip_cell": 0.5, "grasp_cell": 0.5}
 STIFF = {
@@ -26,7 +26,7 @@ STIFF = {
 
 def at_rest(string: String, named: dict, theta: float):
     values = string.material(string.values(named)[None])
-    angles, lengths = hanging(string, values, np.array([[0.0, 0.0, theta]]))
+    angles, lengths = hanging_shape(string, values, np.array([[0.0, 0.0, theta]]))
     return angles[0], lengths[0]
 
 
@@ -36,7 +36,9 @@ def test_a_hanging_string_stretches_by_the_weight_below():
     soft = STIFF | {"axial_stiffness": 9e3}
     _, lengths = at_rest(string, soft, -np.pi / 2)
     stiffness = 9e3 * (0.3 / 9) ** 2
-    assert lengths.sum() - 0.3 == pytest.approx(9.81 * 0.3**2 / (2 * stiffness), rel=1e-3)
+    assert lengths.sum() - 0.3 == pytest.approx(
+        9.81 * 0.3**2 / (2 * stiffness), rel=1e-3
+    )
 
 
 def test_the_papers_mass_points_carry_what_hangs_below_them():
@@ -50,7 +52,11 @@ def test_the_papers_mass_points_carry_what_hangs_below_them():
 def test_a_stiff_string_sags_like_a_cantilever():
     """Small deflection of a clamped rod: mu g L^4 / (8 EI)."""
     string = String(0.3, points=81, **SECOND_ORDER)
-    named = STIFF | {"bending_stiffness": 4e4, "grasp_stiffness": 1e9, "axial_stiffness": 1e9}
+    named = STIFF | {
+        "bending_stiffness": 4e4,
+        "grasp_stiffness": 1e9,
+        "axial_stiffness": 1e9,
+    }
     angles, lengths = at_rest(string, named, 0.0)
     sag = -(lengths * np.sin(angles)).sum()
     bending = 4e4 * (0.3 / 9) ** 2
@@ -59,11 +65,19 @@ def test_a_stiff_string_sags_like_a_cantilever():
 
 @pytest.mark.parametrize("lean", [0.0, 0.2])
 def test_from_a_hand_that_points_up_a_string_hangs_on_the_side_it_turns_to(lean):
-    """On either, though one is the longer way: of a hand as far off to the other side it is the mirror image."""
-    string, named = String(0.3, points=31, **SECOND_ORDER), STIFF | {"bending_stiffness": 30.0}
+    """On either, though one is the longer way: of a hand as far off to the other side
+    it is the mirror image.
+    """
+    string, named = (
+        String(0.3, points=31, **SECOND_ORDER),
+        STIFF | {"bending_stiffness": 30.0},
+    )
     values = string.material(string.values(named)[None])
     poses = (np.array([[0.0, 0.0, np.pi / 2 + side * lean]]) for side in (1, -1))
-    right, left = (hanging(string, values, pose, -2.0 * side) for side, pose in zip((1, -1), poses, strict=True))
+    right, left = (
+        hanging_shape(string, values, pose, -2.0 * side)
+        for side, pose in zip((1, -1), poses, strict=True)
+    )
     np.testing.assert_allclose(right[0] - np.pi / 2, np.pi / 2 - left[0], atol=1e-9)
     assert (right[1] * np.cos(right[0])).sum() > 0.05
     assert right[0][0, -1] < -0.8
@@ -71,8 +85,16 @@ def test_from_a_hand_that_points_up_a_string_hangs_on_the_side_it_turns_to(lean)
 
 @pytest.mark.parametrize("turn", [-8.3, 8.3])
 def test_a_limp_string_is_not_wound_about_its_hand(turn):
-    string, named = String(0.3, points=31, **SECOND_ORDER), STIFF | {"bending_stiffness": 0.05}
-    angles, _ = hanging(string, string.material(string.values(named)[None]), np.array([[0.0, 0.0, np.pi / 2]]), turn)
+    string, named = (
+        String(0.3, points=31, **SECOND_ORDER),
+        STIFF | {"bending_stiffness": 0.05},
+    )
+    angles, _ = hanging_shape(
+        string,
+        string.material(string.values(named)[None]),
+        np.array([[0.0, 0.0, np.pi / 2]]),
+        turn,
+    )
     assert angles[0, -1] - np.pi / 2 == pytest.approx(np.sign(turn) * np.pi, abs=0.1)
 
 
@@ -89,11 +111,15 @@ def test_a_limp_string_hangs_straight_down_whatever_the_grasp():
 @pytest.mark.parametrize("points", [10, 25, 60])
 @pytest.mark.parametrize("theta", [-np.pi / 2, 0.4, 1.5, 3.0])
 def test_the_engine_leaves_the_equilibrium_alone(points, theta, integrator):
-    """Statics and dynamics are written apart: neither may know a force the other does not."""
+    """Statics and dynamics are written apart: neither may know a force the other does
+    not.
+    """
     string = String(0.3, points=points, integrator=integrator)
     t = np.linspace(0, 0.3, 61)
     pose = np.tile([0.1, 0.2, theta], (61, 1))
-    moved = simulate(string, hand_motion_from_grasp(t, pose), string.values(STIFF)[None], t)
+    moved = simulate(
+        string, resample_hand_motion(t, pose), string.values(STIFF)[None], t
+    )
     assert np.abs(moved.points[0] - moved.points[0, :1]).max() < 1e-9
 
 
@@ -104,24 +130,49 @@ SLOPE = {"contact.height": -0.1, "contact.tilt": 0.3}
 
 def against(plane: dict, hardness: float, bending: float = 4.0) -> dict:
     """A string that leaves the hand to the right, and a plane in its way."""
-    return STIFF | {"bending_stiffness": bending, "grasp_stiffness": 2.0, "contact.stiffness": hardness} | plane
+    return (
+        STIFF
+        | {
+            "bending_stiffness": bending,
+            "grasp_stiffness": 2.0,
+            "contact.stiffness": hardness,
+        }
+        | plane
+    )
 
 
 @pytest.mark.parametrize("hardness", [1e4, 1e6, 1e7])
 @pytest.mark.parametrize("plane", [FLOOR, WALL, SLOPE], ids=["floor", "wall", "slope"])
 @pytest.mark.parametrize("points", [10, 40])
-def test_the_engine_leaves_a_string_alone_that_leans_on_something(points, plane, hardness):
-    """Something as hard as a table gives way by less than a string stretches: the rest was not found, and it fell."""
-    string = String(0.3, points=points, effects=(*BASE, Contact), integrator=ImplicitLeapfrog(), **SECOND_ORDER)
+def test_the_engine_leaves_a_string_alone_that_leans_on_something(
+    points, plane, hardness
+):
+    """Something as hard as a table gives way by less than a string stretches: the rest
+    was not found, and it fell.
+    """
+    string = String(
+        0.3,
+        points=points,
+        effects=(*PAPER_EFFECTS, Contact),
+        integrator=ImplicitLeapfrog(),
+        **SECOND_ORDER,
+    )
     t = np.linspace(0, 0.1, 21)
     pose = np.tile([0.0, 0.0, 0.3], (21, 1))
-    moved = simulate(string, hand_motion_from_grasp(t, pose), string.values(against(plane, hardness))[None], t)
+    moved = simulate(
+        string,
+        resample_hand_motion(t, pose),
+        string.values(against(plane, hardness))[None],
+        t,
+    )
     assert np.abs(moved.points[0] - moved.points[0, :1]).max() < 1e-9
 
 
 def test_a_floor_carries_what_the_hand_does_not():
-    """A limp string under a hand 0.2 m above the floor: what lies on it presses with its weight, and hardly sinks in."""
-    string = String(0.3, points=61, effects=(*BASE, Contact), **SECOND_ORDER)
+    """A limp string under a hand 0.2 m above the floor: what lies on it presses with
+    its weight, and hardly sinks in.
+    """
+    string = String(0.3, points=61, effects=(*PAPER_EFFECTS, Contact), **SECOND_ORDER)
     named = against(FLOOR | {"contact.height": -0.2}, 1e7, bending=0.05)
     angles, lengths = at_rest(string, named, -np.pi / 2 + 0.1)
     y = np.cumsum(lengths * np.sin(angles))
@@ -132,10 +183,14 @@ def test_a_floor_carries_what_the_hand_does_not():
 
 
 def test_what_one_string_leans_on_does_not_depend_on_its_company():
-    string = String(0.3, points=25, effects=(*BASE, Contact), **SECOND_ORDER)
-    values = np.stack([string.values(against(p, h)) for p in (FLOOR, WALL, SLOPE) for h in (1e5, 8e6)])
+    string = String(0.3, points=25, effects=(*PAPER_EFFECTS, Contact), **SECOND_ORDER)
+    values = np.stack(
+        [string.values(against(p, h)) for p in (FLOOR, WALL, SLOPE) for h in (1e5, 8e6)]
+    )
     pose = np.array([[0.0, 0.0, 0.3]])
-    together = hanging(string, string.material(values), pose)
-    alone = [hanging(string, string.material(row[None]), pose) for row in values]
+    together = hanging_shape(string, string.material(values), pose)
+    alone = [hanging_shape(string, string.material(row[None]), pose) for row in values]
     for side in (0, 1):
-        np.testing.assert_array_equal(together[side], np.concatenate([one[side] for one in alone]))
+        np.testing.assert_array_equal(
+            together[side], np.concatenate([one[side] for one in alone])
+        )

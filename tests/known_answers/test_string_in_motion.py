@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 from scipy.special import jn_zeros
 
-from stringcast.stages.model.hand import HandMotion, hand_motion_from_grasp
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.integrator import ExplicitEuler, Integrator, RungeKutta4
-from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.integrators import (
+    ExplicitEuler,
+    Integrator,
+    RungeKutta4,
+)
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import HandMotion, resample_hand_motion
 from stringcast.stages.model.string import String
 
 QUIET = {
@@ -24,7 +28,9 @@ QUIET = {
 
 def nudged(t: np.ndarray, offset: np.ndarray) -> HandMotion:
     """A grasp that points down and moves sideways by `offset`."""
-    return hand_motion_from_grasp(t, np.stack([offset, 0 * t, 0 * t - np.pi / 2], axis=-1))
+    return resample_hand_motion(
+        t, np.stack([offset, 0 * t, 0 * t - np.pi / 2], axis=-1)
+    )
 
 
 def frequency(t: np.ndarray, x: np.ndarray) -> float:
@@ -44,7 +50,9 @@ def test_a_hanging_chain_swings_at_the_zeros_of_bessels_function(mode):
     x = simulate(string, nudged(t, drive), string.values(QUIET)[None], t).tip[0, :, 0]
     free = t > 3 * 2 * np.pi / expected + 0.1
     basis = np.stack([x[free] - x[free].mean()])
-    assert frequency(t[free], basis[0]) == pytest.approx(expected, rel=0.01 if mode == 1 else 0.03)
+    assert frequency(t[free], basis[0]) == pytest.approx(
+        expected, rel=0.01 if mode == 1 else 0.03
+    )
 
 
 def test_a_rigid_string_on_a_free_hinge_is_a_physical_pendulum():
@@ -53,10 +61,17 @@ def test_a_rigid_string_on_a_free_hinge_is_a_physical_pendulum():
     stiff = QUIET | {"bending_stiffness": 400.0, "bending_damping": 0.05}
     t = np.arange(0, 6, 0.005)
     x = (
-        simulate(string, nudged(t, 1e-3 / (1 + np.exp(-(t - 0.3) / 0.05))), string.values(stiff)[None], t).tip[0, :, 0]
+        simulate(
+            string,
+            nudged(t, 1e-3 / (1 + np.exp(-(t - 0.3) / 0.05))),
+            string.values(stiff)[None],
+            t,
+        ).tip[0, :, 0]
         - 1e-3
     )
-    assert frequency(t[200:], x[200:]) == pytest.approx(np.sqrt(1.5 * 9.81 / 0.3), rel=2e-3)
+    assert frequency(t[200:], x[200:]) == pytest.approx(
+        np.sqrt(1.5 * 9.81 / 0.3), rel=2e-3
+    )
 
 
 def test_air_brings_a_falling_string_to_terminal_speed():
@@ -67,22 +82,35 @@ def test_air_brings_a_falling_string_to_terminal_speed():
     named = QUIET | {"linear_drag": c1, "quadratic_drag": c2}
     t = np.arange(0, 3, 0.005)
     fall = np.where(t < 0.5, 0.0, -speed * (t - 0.5))
-    hand = hand_motion_from_grasp(t, np.stack([0 * t, fall, 0 * t - np.pi / 2], axis=-1))
+    hand = resample_hand_motion(t, np.stack([0 * t, fall, 0 * t - np.pi / 2], axis=-1))
     points = simulate(string, hand, string.values(named)[None], t).points[0]
     assert np.ptp((points[-100:, :, 1] - points[-100:, :1, 1]).sum(axis=1)) < 1e-6
-    np.testing.assert_allclose(np.linalg.norm(np.diff(points[-1], axis=0), axis=1), 0.3 / 9, atol=1e-7)
+    np.testing.assert_allclose(
+        np.linalg.norm(np.diff(points[-1], axis=0), axis=1), 0.3 / 9, atol=1e-7
+    )
 
 
 def test_the_hinge_at_the_grasp_stays_continuous_through_full_turns():
-    """A hand that turns three times winds up the hinge no differently at any multiple of pi."""
+    """A hand that turns three times winds up the hinge no differently at any multiple
+    of pi.
+    """
     string = String(0.3, points=10)
-    named = QUIET | {"bending_stiffness": 4.0, "bending_damping": 5e-3, "grasp_stiffness": 5.0, "grasp_damping": 5e-3}
+    named = QUIET | {
+        "bending_stiffness": 4.0,
+        "bending_damping": 5e-3,
+        "grasp_stiffness": 5.0,
+        "grasp_damping": 5e-3,
+    }
     t = np.arange(0, 1.5, 0.005)
     turned = []
     for turns in (0, 1, -2):
         theta = -np.pi / 2 + 2 * np.pi * turns + 4 * np.pi * t
         pose = np.stack([0 * t, 0 * t, theta], axis=-1)
-        turned.append(simulate(string, hand_motion_from_grasp(t, pose), string.values(named)[None], t).points[0])
+        turned.append(
+            simulate(
+                string, resample_hand_motion(t, pose), string.values(named)[None], t
+            ).points[0]
+        )
     np.testing.assert_allclose(turned[1], turned[0], atol=1e-7)
     np.testing.assert_allclose(turned[2], turned[0], atol=1e-7)
     speed = np.linalg.norm(np.diff(turned[0][:, -1], axis=0), axis=-1) / 0.005
@@ -90,38 +118,72 @@ def test_the_hinge_at_the_grasp_stays_continuous_through_full_turns():
 
 
 def energy(string: String, points: np.ndarray, dt: float, named: dict) -> np.ndarray:
-    """Kinetic, elastic, bending and potential energy of all points over the mass of one [J/kg], (F,)."""
+    """Kinetic, elastic, bending and potential energy of all points over the mass of one
+    [J/kg], (F,).
+    """
     velocity = np.gradient(points, dt, axis=0)
     segment = np.diff(points, axis=1)
     size = np.linalg.norm(segment, axis=-1)
     angle = np.unwrap(np.arctan2(segment[..., 1], segment[..., 0]), axis=1)
     kinetic = 0.5 * (velocity[:, 1:] ** 2).sum(axis=(1, 2))
-    stretch = 0.5 * named["axial_stiffness"] * ((size - string.segment) ** 2).sum(axis=1)
+    stretch = (
+        0.5
+        * named["axial_stiffness"]
+        * ((size - string.segment_length) ** 2).sum(axis=1)
+    )
     bend = 0.5 * named["bending_stiffness"] * (np.diff(angle, axis=1) ** 2).sum(axis=1)
     grasp = 0.5 * named["grasp_stiffness"] * (angle[:, 0] + np.pi / 2) ** 2
     return kinetic + stretch + bend + grasp + 9.81 * points[:, 1:, 1].sum(axis=1)
 
 
-@pytest.mark.parametrize(("integrator", "step"), [(RungeKutta4(), 5e-5), (ImplicitLeapfrog(), 1e-4)])
-def test_energy_is_kept_without_damping_and_only_lost_with_it(integrator: Integrator, step: float):
+@pytest.mark.parametrize(
+    ("integrator", "step"), [(RungeKutta4(), 5e-5), (ImplicitLeapfrog(), 1e-4)]
+)
+def test_energy_is_kept_without_damping_and_only_lost_with_it(
+    integrator: Integrator, step: float
+):
     string = String(0.3, points=10, integrator=integrator, largest_step=step)
-    named = QUIET | {"axial_stiffness": 2e4, "axial_damping": 1e-9, "bending_stiffness": 1.0, "grasp_stiffness": 1.0}
+    named = QUIET | {
+        "axial_stiffness": 2e4,
+        "axial_damping": 1e-9,
+        "bending_stiffness": 1.0,
+        "grasp_stiffness": 1.0,
+    }
     t = np.arange(0, 1.0, 0.0005)
-    hand = hand_motion_from_grasp(
-        t, np.stack([0.05 * np.exp(-(((t - 0.1) / 0.03) ** 2)), 0 * t, 0 * t - np.pi / 2], -1), 5e-4
+    hand = resample_hand_motion(
+        t,
+        np.stack(
+            [0.05 * np.exp(-(((t - 0.1) / 0.03) ** 2)), 0 * t, 0 * t - np.pi / 2], -1
+        ),
+        5e-4,
     )
     free = t > 0.3
-    kept = energy(string, simulate(string, hand, string.values(named)[None], t).points[0], 5e-4, named)[free]
+    kept = energy(
+        string,
+        simulate(string, hand, string.values(named)[None], t).points[0],
+        5e-4,
+        named,
+    )[free]
     moved = (
         kept[0]
-        - energy(string, simulate(string, hand, string.values(named)[None], t[:1]).points[0].repeat(2, 0), 5e-4, named)[
-            0
-        ]
+        - energy(
+            string,
+            simulate(string, hand, string.values(named)[None], t[:1])
+            .points[0]
+            .repeat(2, 0),
+            5e-4,
+            named,
+        )[0]
     )
     assert moved > 0.1
     assert np.ptp(kept[5:-5]) < 0.01 * moved
     lossy = named | {"linear_drag": 1.0, "bending_damping": 1e-2, "axial_damping": 10.0}
-    lost = energy(string, simulate(string, hand, string.values(lossy)[None], t).points[0], 5e-4, lossy)[free]
+    lost = energy(
+        string,
+        simulate(string, hand, string.values(lossy)[None], t).points[0],
+        5e-4,
+        lossy,
+    )[free]
     assert np.all(np.diff(lost[5:-5]) < 1e-4 * moved)
 
 
@@ -138,9 +200,14 @@ def test_explicit_euler_is_the_same_string_and_refuses_what_it_cannot_step():
     paper = String(0.3, integrator=ExplicitEuler(), largest_step=2e-5)
     exact = String(0.3, integrator=RungeKutta4())
     values = paper.values(damped)[None]
-    difference = simulate(paper, hand, values, t).points - simulate(exact, hand, values, t).points
+    difference = (
+        simulate(paper, hand, values, t).points
+        - simulate(exact, hand, values, t).points
+    )
     assert np.abs(difference).max() < 2e-4
-    undamped = paper.values(damped | {"axial_damping": 1e-6, "axial_stiffness": 9e5})[None]
+    undamped = paper.values(damped | {"axial_damping": 1e-6, "axial_stiffness": 9e5})[
+        None
+    ]
     assert not simulate(paper, hand, undamped, t).finite[0]
 
 
@@ -157,12 +224,16 @@ def test_runs_that_do_not_stay_finite_are_rejected_and_leave_the_others_alone():
 
 
 def test_what_is_lost_later_does_not_matter_before():
-    """A candidate is told by its own times alone, however long others beside it are simulated."""
+    """A candidate is told by its own times alone, however long others beside it are
+    simulated.
+    """
     t = np.arange(0, 1.5, 0.005)
     hand, string = nudged(t, np.where(t < 1.0, 0.02 * np.sin(6 * t), 1e5)), String(0.3)
     early, late = np.linspace(0.0, 0.41, 50), np.linspace(0.0, 1.4, 50)
     alone = simulate(string, hand, string.values(QUIET)[None], early)
-    both = simulate(string, hand, np.tile(string.values(QUIET), (2, 1)), np.stack([early, late]))
+    both = simulate(
+        string, hand, np.tile(string.values(QUIET), (2, 1)), np.stack([early, late])
+    )
     assert alone.finite.all()
     assert list(both.finite) == [True, False]
     np.testing.assert_array_equal(both.points[0], alone.points[0])

@@ -1,4 +1,6 @@
-"""Strings that begin displaced and in motion, against mechanics and against a motion they are taken from."""
+"""Strings that begin displaced and in motion, against mechanics and against a motion
+they are taken from.
+"""
 
 from dataclasses import replace
 
@@ -6,88 +8,139 @@ import numpy as np
 import pytest
 
 from stringcast.stages.model.effects.time_offset import TimeOffset
-from stringcast.stages.model.hand import hand_motion_from_grasp
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.integrators import RungeKutta4, SemiImplicitEuler
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.simulate import simulate
-from stringcast.stages.model.state import State
+from stringcast.stages.model.state import StringState
 from stringcast.stages.model.string import String
 
-FINE = String(0.3, points=15, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=5e-4)
+FINE = String(
+    0.3,
+    points=15,
+    tip_cell=0.5,
+    grasp_cell=0.5,
+    integrator=ImplicitLeapfrog(),
+    largest_step=5e-4,
+)
 SOFT = {
-    **{"axial_stiffness": 9e5, "axial_damping": 1300.0, "bending_stiffness": 4.0, "bending_damping": 0.02},
+    **{
+        "axial_stiffness": 9e5,
+        "axial_damping": 1300.0,
+        "bending_stiffness": 4.0,
+        "bending_damping": 0.02,
+    },
     **{"linear_drag": 1.0, "grasp_stiffness": 0.05},
 }
 ROD = {
-    **{"axial_stiffness": 9e5, "axial_damping": 100.0, "bending_stiffness": 400.0, "bending_damping": 0.05},
-    **{"linear_drag": 1e-12, "quadratic_drag": 1e-12, "grasp_stiffness": 1e-12, "grasp_damping": 1e-12},
+    **{
+        "axial_stiffness": 9e5,
+        "axial_damping": 100.0,
+        "bending_stiffness": 400.0,
+        "bending_damping": 0.05,
+    },
+    **{
+        "linear_drag": 1e-12,
+        "quadratic_drag": 1e-12,
+        "grasp_stiffness": 1e-12,
+        "grasp_damping": 1e-12,
+    },
 }
 T = np.arange(0, 1.2, 0.005)
 HELD = np.stack([0 * T, 0 * T, 0 * T - np.pi / 2], axis=-1)
-SWUNG = HELD + np.stack([0.1 * np.sin(9 * T), 0.05 * np.cos(7 * T), 0.6 * np.sin(8 * T)], axis=-1)
+SWUNG = HELD + np.stack(
+    [0.1 * np.sin(9 * T), 0.05 * np.cos(7 * T), 0.6 * np.sin(8 * T)], axis=-1
+)
 
 
 def state_of(points, number, tick=T[1]):
     """State at a frame of points (F, n, 2), by central differences of fourth order."""
     vector = np.diff(points, axis=1)
-    angle = np.unwrap(np.unwrap(np.arctan2(vector[..., 1], vector[..., 0]), axis=0), axis=1)
+    angle = np.unwrap(
+        np.unwrap(np.arctan2(vector[..., 1], vector[..., 0]), axis=0), axis=1
+    )
     near = angle[number + np.array([-2, -1, 1, 2])]
     rate = np.array([1, -8, 8, -1]) @ near / (12 * tick)
     s = np.linspace(0, 0.3, points.shape[1])
-    return State(float(number * tick), (s[1:] + s[:-1]) / 2, angle[number], rate)
+    return StringState(float(number * tick), (s[1:] + s[:-1]) / 2, angle[number], rate)
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.15])
-@pytest.mark.parametrize("integrator", [SemiImplicitEuler(), RungeKutta4(), ImplicitLeapfrog()])
+@pytest.mark.parametrize(
+    "integrator", [SemiImplicitEuler(), RungeKutta4(), ImplicitLeapfrog()]
+)
 def test_a_rod_let_go_swings_as_a_pendulum(integrator, speed):
-    """phi = a cos(w t) + b / w sin(w t), w^2 = (3 / 2) g / L, for a thin rod; 0.7 % off at most, as its frequency is."""
+    """phi = a cos(w t) + b / w sin(w t), w^2 = (3 / 2) g / L, for a thin rod; 0.7 % off
+    at most, as its frequency is.
+    """
     string = replace(FINE, points=20, integrator=integrator)
-    start = State(0.0, np.array([0.0, 0.3]), np.full(2, 0.01 - np.pi / 2), np.full(2, speed))
+    start = StringState(
+        0.0, np.array([0.0, 0.3]), np.full(2, 0.01 - np.pi / 2), np.full(2, speed)
+    )
     t = T[:100]
-    x = simulate(string, hand_motion_from_grasp(T, HELD), string.values(ROD)[None], t, start).tip[0, :, 0]
+    x = simulate(
+        string, resample_hand_motion(T, HELD), string.values(ROD)[None], t, start
+    ).tip[0, :, 0]
     w = np.sqrt(1.5 * 9.81 / 0.3)
     expected = 0.3 * (0.01 * np.cos(w * t) + speed / w * np.sin(w * t))
     assert np.abs(x - expected).max() < 0.01 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("integrator", [SemiImplicitEuler(), RungeKutta4(), ImplicitLeapfrog()])
+@pytest.mark.parametrize(
+    "integrator", [SemiImplicitEuler(), RungeKutta4(), ImplicitLeapfrog()]
+)
 def test_a_motion_goes_on_from_any_of_its_states(integrator):
     """Midway through a swing at 3 m/s; 0.15 mm are the strain that a state has not.
 
     Begun at rest it would be 363 mm off.
     """
     string = replace(FINE, integrator=integrator)
-    hand, values = hand_motion_from_grasp(T, SWUNG), string.values(SOFT)[None]
+    hand, values = resample_hand_motion(T, SWUNG), string.values(SOFT)[None]
     whole = simulate(string, hand, values, T).points[0]
     start = state_of(whole, 100)
-    rest = simulate(string, hand.since(start.t), values, T[100:], start).points[0]
+    rest = simulate(string, hand.starting_at(start.t), values, T[100:], start).points[0]
     assert np.abs(rest - whole[100:]).max() < 3e-4
 
 
 def test_a_step_begins_where_its_velocities_are():
-    """Steps of 0.5 ms and twice that: second order, 2.8 and 8.6 um off; 295 and 540 without the half step back."""
-    hand, values = hand_motion_from_grasp(T, HELD), FINE.values(SOFT)[None]
-    start = State(0.0, np.array([0.0, 0.3]), np.array([-1.5, -0.2]), np.array([0.0, 4.0]))
+    """Steps of 0.5 ms and twice that: second order, 2.8 and 8.6 um off; 295 and 540
+    without the half step back.
+    """
+    hand, values = resample_hand_motion(T, HELD), FINE.values(SOFT)[None]
+    start = StringState(
+        0.0, np.array([0.0, 0.3]), np.array([-1.5, -0.2]), np.array([0.0, 4.0])
+    )
     exact, fine, coarse = (
-        simulate(replace(FINE, largest_step=step), hand, values, T[:40], start).tip for step in (2.5e-5, 5e-4, 1e-3)
+        simulate(replace(FINE, largest_step=step), hand, values, T[:40], start).tip
+        for step in (2.5e-5, 5e-4, 1e-3)
     )
     assert np.abs(fine - exact).max() < 5e-6
     assert np.abs(coarse - exact).max() < 1.5e-5
 
 
 def test_the_state_is_of_the_cameras_clock():
-    """A camera whose clock is off sees the same release, at the same times of its own; the hand moves at others."""
+    """A camera whose clock is off sees the same release, at the same times of its own;
+    the hand moves at others.
+    """
     model = Model(FINE, None, None).with_effects(TimeOffset)
-    start = State(0.3, np.array([0.0, 0.3]), np.array([-1.5, -0.8]), np.zeros(2))
+    start = StringState(0.3, np.array([0.0, 0.3]), np.array([-1.5, -0.8]), np.zeros(2))
     values = model.values(SOFT)[None].repeat(3, axis=0)
     values[:, -1] = (0.0, 0.02, -0.013)
     t = T[60:160]
-    still = model.seen(hand_motion_from_grasp(T, HELD), values, t, start).points
+    still = model.simulate_observation(
+        resample_hand_motion(T, HELD), values, t, start
+    ).points
     np.testing.assert_allclose(still[1:], still[:1].repeat(2, 0), atol=1e-9)
-    swung = model.seen(hand_motion_from_grasp(T, SWUNG), values, t, start).points
+    swung = model.simulate_observation(
+        resample_hand_motion(T, SWUNG), values, t, start
+    ).points
     np.testing.assert_allclose(
-        swung[1, :, 0], hand_motion_from_grasp(T, SWUNG).since(0.32).pose[0, :100, :2], atol=1e-9
+        swung[1, :, 0],
+        resample_hand_motion(T, SWUNG).starting_at(0.32).pose[0, :100, :2],
+        atol=1e-9,
     )
-    alone = model.seen(hand_motion_from_grasp(T, SWUNG), values[1:2], t, start).points[0]
+    alone = model.simulate_observation(
+        resample_hand_motion(T, SWUNG), values[1:2], t, start
+    ).points[0]
     np.testing.assert_allclose(swung[1], alone, atol=1e-9)

@@ -1,4 +1,6 @@
-"""Every effect of the library through what it declares: invariants, zero, units, gradient, words, picture."""
+"""Every effect of the library through what it declares: invariants, zero, units,
+gradient, words, picture.
+"""
 
 import re
 from dataclasses import replace
@@ -14,15 +16,15 @@ from stringcast.data.artifacts import JOINTS
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.effect import StringEffect
-from stringcast.stages.model.hand import joint_motion
-from stringcast.stages.model.library import library
+from stringcast.stages.model.engine.law_slots import SLOTS, law_arguments
+from stringcast.stages.model.engine.stability import steps_per_tick
+from stringcast.stages.model.hand import resample_joint_motion
+from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.slots import SLOTS, arguments
-from stringcast.stages.model.stability import steps_per_tick
-from stringcast.stages.model.string import BASE, String
+from stringcast.stages.model.string import PAPER_EFFECTS, String
 
-LIBRARY = library()
+LIBRARY = effects_by_name()
 NAMES = [
     "wind",
     "tip_mass",
@@ -54,8 +56,8 @@ NAMES = [
     "lens_distortion",
     "rolling_shutter",
 ]
-ADDED = [e for e in LIBRARY.values() if e not in BASE and e.parameters]
-PAPER = {p.name: p for e in BASE for p in e.parameters}
+ADDED = [e for e in LIBRARY.values() if e not in PAPER_EFFECTS and e.parameters]
+PAPER = {p.name: p for e in PAPER_EFFECTS for p in e.parameters}
 NAMED = {
     "axial_stiffness": 2e5,
     "axial_damping": 30.0,
@@ -66,24 +68,60 @@ NAMED = {
     "grasp_stiffness": 3.0,
     "grasp_damping": 5e-3,
 }
-# Where an effect acts only if its other parameters let it: a slip that begins, a floor below the resting
-# string, a wall to bounce from, and a box's corner in the string's way.
-FLOOR = {"contact.stiffness": 3e3, "contact.height": -0.3, "contact.friction": 0.2, "contact.loss": 0.1}
+# Where an effect acts only if its other parameters let it: a slip that begins, a floor
+# below the resting string, a wall to bounce from, and a box's corner in the string's
+# way.
+FLOOR = {
+    "contact.stiffness": 3e3,
+    "contact.height": -0.3,
+    "contact.friction": 0.2,
+    "contact.loss": 0.1,
+}
 ACTING = {"grasp_slip.onset": {"grasp_slip.speed": 0.05}}
-ACTING |= {"grasp_slip.duration": {"grasp_slip.speed": 0.05, "grasp_slip.onset": 0.1, "grasp_slip.duration": 0.2}}
-ACTING |= {"rolling_shutter.stamped": {"rolling_shutter.readout": 5e-3, "rolling_shutter.stamped": 0.5}}
-ACTING |= {f"contact.{name}": FLOOR for name in ("stiffness", "height", "tilt", "friction")}
+ACTING |= {
+    "grasp_slip.duration": {
+        "grasp_slip.speed": 0.05,
+        "grasp_slip.onset": 0.1,
+        "grasp_slip.duration": 0.2,
+    }
+}
+ACTING |= {
+    "rolling_shutter.stamped": {
+        "rolling_shutter.readout": 5e-3,
+        "rolling_shutter.stamped": 0.5,
+    }
+}
+ACTING |= {
+    f"contact.{name}": FLOOR for name in ("stiffness", "height", "tilt", "friction")
+}
 ACTING |= {"contact.loss": FLOOR | {"contact.tilt": np.pi / 2, "contact.height": -0.75}}
 CORNER = {
-    **{"box_contact.centre_x": 0.0, "box_contact.centre_y": 0.85, "box_contact.width": 0.2, "box_contact.height": 0.2},
-    **{"box_contact.stiffness": 3e3, "box_contact.friction": 0.2, "box_contact.loss": 0.1},
+    **{
+        "box_contact.centre_x": 0.0,
+        "box_contact.centre_y": 0.85,
+        "box_contact.width": 0.2,
+        "box_contact.height": 0.2,
+    },
+    **{
+        "box_contact.stiffness": 3e3,
+        "box_contact.friction": 0.2,
+        "box_contact.loss": 0.1,
+    },
 }
 ACTING |= dict.fromkeys(CORNER, CORNER)
-ACTING |= {f"{name}.slip": {f"{name}.cap": 2e-3} for name in ("maxwell_slip", "dahl_friction")}
+ACTING |= {
+    f"{name}.slip": {f"{name}.cap": 2e-3} for name in ("maxwell_slip", "dahl_friction")
+}
 ACTING |= {"grasp_play.slip": {"grasp_play.cap": 0.02}}
-ACTING |= {"standard_linear_solid.relaxation": {"standard_linear_solid.stiffness": 1e-3}}
+ACTING |= {
+    "standard_linear_solid.relaxation": {"standard_linear_solid.stiffness": 1e-3}
+}
 LAWS = [(effect, law) for effect in LIBRARY.values() for law in effect.laws()]
-INVARIANTS = [(effect, invariant) for effect in LIBRARY.values() for invariant in effect.invariants]
+INVARIANTS = [
+    (effect, invariant)
+    for effect in LIBRARY.values()
+    for invariant in effect.invariants
+]
 SAMPLES = 40
 CAMERA = Camera(640, 480, 300.0, (200.0, 300.0), 200.0)
 
@@ -93,16 +131,28 @@ def drawn(parameter: Parameter, rng: np.random.Generator, size: int) -> np.ndarr
 
 
 def arguments_of_string(effect, rng):
-    """Samples of all a law can take: its slot's arguments, the paper's parameters, its own."""
-    sizes = {"curvature": 30.0, "rate": 300.0, "x": 1.0, "y": 1.0, "s": 0.1, "t": 1.0, "dt": 1e-3}
-    known = {
-        name: sizes.get(name, 3.0) * rng.normal(size=SAMPLES) for slot in SLOTS.values() for name in slot.arguments
+    """Samples of all a law can take: its slot's arguments, the paper's parameters, its
+    own.
+    """
+    sizes = {
+        "curvature": 30.0,
+        "rate": 300.0,
+        "x": 1.0,
+        "y": 1.0,
+        "s": 0.1,
+        "t": 1.0,
+        "dt": 1e-3,
     }
-    turn = rng.uniform(0, 2 * np.pi, SAMPLES)
+    known = {
+        name: sizes.get(name, 3.0) * rng.normal(size=SAMPLES)
+        for slot in SLOTS.values()
+        for name in slot.arguments
+    }
+    turn = rng.uniform_indices(0, 2 * np.pi, SAMPLES)
     known |= {"tx": np.cos(turn), "ty": np.sin(turn), "length": np.full(SAMPLES, 0.3)}
     own = {p.name: drawn(p, rng, SAMPLES) for p in effect.parameters}
     known |= {name: drawn(p, rng, SAMPLES) for name, p in PAPER.items()} | own
-    return known | effect.derived(**own)
+    return known | effect.derive_parameters(**own)
 
 
 def arguments_elsewhere(effect, rng):
@@ -110,21 +160,30 @@ def arguments_elsewhere(effect, rng):
     t = np.arange(60) * 0.005
     wave = np.cumsum(np.cumsum(rng.normal(size=(1, 60, 3)), axis=1), axis=1) * 0.02
     known = {"t": t, "angles": wave, "pose": wave, "times": t[:4], "camera": CAMERA}
-    known |= {"points": rng.uniform(-0.5, 1, (SAMPLES, 4, 5, 2)), "velocity": 5 * rng.normal(size=(SAMPLES, 4, 5, 2))}
-    dimensions = {"joints": 3, "grasp": 3, "times": 2, "seen": 4}[next(iter(effect.laws()))]
+    known |= {
+        "points": rng.uniform_indices(-0.5, 1, (SAMPLES, 4, 5, 2)),
+        "velocity": 5 * rng.normal(size=(SAMPLES, 4, 5, 2)),
+    }
+    dimensions = {"joints": 3, "grasp": 3, "times": 2, "seen": 4}[
+        next(iter(effect.laws()))
+    ]
     shape = (SAMPLES, *[1] * (dimensions - 1))
-    return known | {p.name: drawn(p, rng, SAMPLES).reshape(shape) for p in effect.parameters}
+    return known | {
+        p.name: drawn(p, rng, SAMPLES).reshape(shape) for p in effect.parameters
+    }
 
 
 def samples(effect, seed):
     rng = np.random.default_rng(seed)
-    return (arguments_of_string if issubclass(effect, StringEffect) else arguments_elsewhere)(effect, rng)
+    return (
+        arguments_of_string if issubclass(effect, StringEffect) else arguments_elsewhere
+    )(effect, rng)
 
 
 def law_of(effect, name):
     """The law as a function of all samples, its value an array."""
     law = effect.laws()[name]
-    return lambda known: np.asarray(law(**{a: known[a] for a in arguments(law)}))
+    return lambda known: np.asarray(law(**{a: known[a] for a in law_arguments(law)}))
 
 
 def test_the_library_holds_every_name_and_no_file_needs_an_entry():
@@ -132,7 +191,9 @@ def test_the_library_holds_every_name_and_no_file_needs_an_entry():
 
 
 @pytest.mark.parametrize(
-    ("effect", "invariant"), INVARIANTS, ids=lambda each: getattr(each, "name", None) or each.sentence
+    ("effect", "invariant"),
+    INVARIANTS,
+    ids=lambda each: getattr(each, "name", None) or each.sentence,
 )
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
@@ -146,19 +207,23 @@ def test_at_their_start_laws_add_nothing(effect):
     still = {p.name: 0 * known[p.name] + p.start for p in effect.parameters}
     known |= still
     if issubclass(effect, StringEffect):
-        known |= effect.derived(**still)
+        known |= effect.derive_parameters(**still)
     absent = {"joints": "angles", "grasp": "pose", "times": "t", "seen": "points"}
     for name in effect.laws().keys() - {
         "held",
         "grasp_held",
     }:  # what a hinge holds is nothing to the string: its moment is
         value = law_of(effect, name)(known)
-        np.testing.assert_allclose(value - known.get(absent.get(name), 0.0), 0.0, atol=1e-15, err_msg=name)
+        np.testing.assert_allclose(
+            value - known.get(absent.get(name), 0.0), 0.0, atol=1e-15, err_msg=name
+        )
 
 
-# --- units: measured in other metres and seconds, a law gives the same, in those -----------------------
+# --- units: measured in other metres and seconds, a law gives the same, in those
+# -----------------------
 
-# Laws with a constant of nature or of smoothing inside: only units in which that keeps its number.
+# Laws with a constant of nature or of smoothing inside: only units in which that keeps
+# its number.
 CONSTANTS = {
     "contact": "m/s",
     "box_contact": "m/s",
@@ -168,14 +233,30 @@ CONSTANTS = {
     "grasp_slip": "s",
 }
 ELSEWHERE = {
-    **{"joints": "rad", "times": "s", "seen": "m", "t": "s", "angles": "rad", "points": "m", "velocity": "m/s"},
+    **{
+        "joints": "rad",
+        "times": "s",
+        "seen": "m",
+        "t": "s",
+        "angles": "rad",
+        "points": "m",
+        "velocity": "m/s",
+    },
     **dict.fromkeys(["x", "y", "s", "length"], "m"),
 }
 
 
 def exponents(unit: str) -> np.ndarray:
-    """Powers of metre and second in a unit like 'N s2/(m kg)'; mass cancels in all of ours."""
-    known = {"m": (1, 0, 0), "s": (0, 1, 0), "kg": (0, 0, 1), "N": (1, -2, 1), "rad": (0, 0, 0)}
+    """Powers of metre and second in a unit like 'N s2/(m kg)'; mass cancels in all of
+    ours.
+    """
+    known = {
+        "m": (1, 0, 0),
+        "s": (0, 1, 0),
+        "kg": (0, 0, 1),
+        "N": (1, -2, 1),
+        "rad": (0, 0, 0),
+    }
     total = np.zeros(3)
     for sign, part in zip((1, -1), f"{unit}/1".split("/"), strict=False):
         for name, power in re.findall(r"([a-zA-Z]+)(\d?)", part):
@@ -192,34 +273,61 @@ def scales(effect) -> list[tuple[float, float]]:
     return [(1 / 3.0**second, 3.0**metre)]
 
 
-@pytest.mark.parametrize(("effect", "law"), LAWS, ids=lambda each: getattr(each, "name", each))
+@pytest.mark.parametrize(
+    ("effect", "law"), LAWS, ids=lambda each: getattr(each, "name", each)
+)
 def test_laws_do_not_depend_on_the_units_they_are_measured_in(effect, law):
     known = samples(effect, 1)
     slot = SLOTS.get(law)
-    units = ELSEWHERE | (dict(slot.arguments) | {"value": slot.unit} if slot else {"value": ELSEWHERE.get(law, "")})
+    units = ELSEWHERE | (
+        dict(slot.arguments) | {"value": slot.unit}
+        if slot
+        else {"value": ELSEWHERE.get(law, "")}
+    )
     powers = {name: exponents(unit) for name, unit in units.items() if unit}
-    powers |= {p.name: exponents(p.unit) + [p.per_length, 0] for p in (*PAPER.values(), *effect.parameters)}
+    powers |= {
+        p.name: exponents(p.unit) + [p.length_power, 0]
+        for p in (*PAPER.values(), *effect.parameters)
+    }
     pose = np.stack([[1, 0], [1, 0], [0, 0]]).astype(float)
     powers |= {"pose": pose} | ({"value": pose} if law == "grasp" else {})
     for metre, second in scales(effect):
-        size = {name: np.prod(np.array([metre, second]) ** power, axis=-1) for name, power in powers.items()}
-        other = {name: value / size[name] if name in size else value for name, value in known.items()}
+        size = {
+            name: np.prod(np.array([metre, second]) ** power, axis=-1)
+            for name, power in powers.items()
+        }
+        other = {
+            name: value / size[name] if name in size else value
+            for name, value in known.items()
+        }
         other["camera"] = replace(CAMERA, px_per_m=CAMERA.px_per_m * metre)
         if issubclass(effect, StringEffect):
-            other |= effect.derived(**{p.name: other[p.name] for p in effect.parameters})
+            other |= effect.derive_parameters(
+                **{p.name: other[p.name] for p in effect.parameters}
+            )
         expected = law_of(effect, law)(known) / size["value"]
-        np.testing.assert_allclose(law_of(effect, law)(other), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_allclose(
+            law_of(effect, law)(other),
+            expected,
+            rtol=1e-9,
+            atol=1e-9 * np.abs(expected).max(),
+        )
 
 
-# --- in the whole model --------------------------------------------------------------------------------
+# --- in the whole model
+# --------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def swung(arm, camera):
-    """A swing seen by the plain model and by one with every effect; both at the base values."""
+    """A swing seen by the plain model and by one with every effect; both at the base
+    values.
+    """
     plain = Model(String(0.3), arm, camera)
     motion = swing()
-    moved = joint_motion(motion.commands["t"].to_numpy(), motion.commands[list(JOINTS)].to_numpy())
+    moved = resample_joint_motion(
+        motion.commands["t"].to_numpy(), motion.commands[list(JOINTS)].to_numpy()
+    )
     return plain, plain.with_effects(*ADDED), moved, np.linspace(-0.05, 0.6, 66)
 
 
@@ -230,9 +338,13 @@ def test_absent_is_present_with_zero(swung):
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("parameter", [e.qualified(p) for e in ADDED for p in e.parameters])
+@pytest.mark.parametrize(
+    "parameter", [e.qualified_name(p) for e in ADDED for p in e.parameters]
+)
 def test_every_parameter_moves_the_string_smoothly(swung, parameter):
-    """Central differences in exponents at a tenth of the range agree with those of half the step, and are not zero."""
+    """Central differences in exponents at a tenth of the range agree with those of half
+    the step, and are not zero.
+    """
     _, full, motion, t = swung
     place = full.names.index(parameter)
     known = full.parameters[place]
@@ -253,7 +365,9 @@ def test_every_parameter_moves_the_string_smoothly(swung, parameter):
 
 
 def test_strings_with_every_effect_at_once_stay_finite(swung):
-    """Anywhere in all ranges, on a floor and a box below the hand: the step's bound covers every force at work."""
+    """Anywhere in all ranges, on a floor and a box below the hand: the step's bound
+    covers every force at work.
+    """
     _, full, motion, t = swung
     rng = np.random.default_rng(0)
     values = np.array([drawn(p, rng, 32) for p in full.parameters]).T
@@ -268,25 +382,36 @@ def test_strings_with_every_effect_at_once_stay_finite(swung):
 def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swung):
     """It may lie behind a plane that takes from what strikes it, or inside a box."""
     _, full, _, _ = swung
-    behind, before = {"contact.height": 0.4, "box_contact.centre_x": 0.0}, {"contact.height": -0.4}
+    behind, before = (
+        {"contact.height": 0.4, "box_contact.centre_x": 0.0},
+        {"contact.height": -0.4},
+    )
     some = {
         "contact.stiffness": 4e6,
         "contact.loss": 0.03,
         "box_contact.stiffness": 5e4,
         "box_contact.loss": 0.03,
     }
-    material = full.string.material(np.stack([full.string.values(NAMED | some | place) for place in (behind, before)]))
+    material = full.string.material(
+        np.stack(
+            [full.string.values(NAMED | some | place) for place in (behind, before)]
+        )
+    )
     steps, possible = steps_per_tick(*full.string.active(material), 5e-3)
     assert possible.all()
     assert steps[0] == steps[1]
 
 
-# --- for people --------------------------------------------------------------------------------------------
+# --- for people
+# --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("effect", LIBRARY.values(), ids=lambda e: e.name)
 def test_effects_speak_and_draw(effect):
-    small, large = ({p.name: float(p.value(np.asarray(chi))) for p in effect.parameters} for chi in (0.6, 0.9))
+    small, large = (
+        {p.name: float(p.value(np.asarray(chi))) for p in effect.parameters}
+        for chi in (0.6, 0.9)
+    )
     sentence = effect.describe(small)
     assert len(sentence) > 10
     assert not sentence.endswith(".")
@@ -298,7 +423,9 @@ def test_effects_speak_and_draw(effect):
     assert axes.get_xlabel()
 
 
-@pytest.mark.parametrize(("stiffness", "said"), [(140.0, "sinks 70 mm into it"), (1e5, "turned 0 degrees")])
+@pytest.mark.parametrize(
+    ("stiffness", "said"), [(140.0, "sinks 70 mm into it"), (1e5, "turned 0 degrees")]
+)
 def test_a_plane_that_nobody_would_call_one_is_said_to_be_soft(stiffness, said):
     """m g = k d."""
     known = {"stiffness": stiffness, "height": -0.2, "tilt": 0.0}
@@ -309,7 +436,8 @@ def test_a_plane_that_nobody_would_call_one_is_said_to_be_soft(stiffness, said):
 def test_parameters_have_bounds_around_their_absence(effect):
     for p in effect.parameters:
         assert p.low <= p.start <= p.high
-        assert p.low in (0.0, -p.high) or (p.low > 0 and p != effect.parameters[0])  # how large it is may be nothing
+        # how large it is may be nothing
+        assert p.low in (0.0, -p.high) or (p.low > 0 and p != effect.parameters[0])
         assert p.meaning
         chi = np.linspace(0, 1, 11)
         np.testing.assert_allclose(p.chi(p.value(chi)), chi, atol=1e-9)
@@ -317,20 +445,25 @@ def test_parameters_have_bounds_around_their_absence(effect):
         assert p.chi(p.low - 1.0) == 0.0
 
 
-# --- one file and nothing else -----------------------------------------------------------------------------
+# --- one file and nothing else
+# -----------------------------------------------------------------------------
 
 
 def test_arguments_of_laws_are_known():
-    """A law may take its slot's arguments, the paper's parameters, its own, and what it derives."""
+    """A law may take its slot's arguments, the paper's parameters, its own, and what it
+    derives.
+    """
     for effect, law in LAWS:
         if law in SLOTS:
             own = {p.name: p.start for p in effect.parameters}
             known = {*SLOTS[law].arguments, *PAPER, *own, *effect.derived(**own)}
-            assert set(arguments(effect.laws()[law])) <= known, effect.name
+            assert set(law_arguments(effect.laws()[law])) <= known, effect.name
 
 
 def test_effects_act_as_they_stand_in_the_world_whatever_is_named_first(swung):
-    """Gears play behind the motor: where that turns 10 % too far, a joint is half its gap behind the end, not 0.55."""
+    """Gears play behind the motor: where that turns 10 % too far, a joint is half its
+    gap behind the end, not 0.55.
+    """
     plain, _, motion, _ = swung
     gain, play = LIBRARY["joint_gain"], LIBRARY["backlash"]
     ends = []
@@ -339,7 +472,9 @@ def test_effects_act_as_they_stand_in_the_world_whatever_is_named_first(swung):
         known = NAMED | {"joint_gain.gain": 0.1, "backlash.gap_1": 0.1}
         ends.append(model.joints(motion, model.values(known)[None]).angles[0, -1, 0])
     turned = np.ptp(motion.angles[0, :, 0])
-    np.testing.assert_allclose(ends, motion.angles[0, 0, 0] + 1.1 * turned - 0.05, atol=1e-12)
+    np.testing.assert_allclose(
+        ends, motion.angles[0, 0, 0] + 1.1 * turned - 0.05, atol=1e-12
+    )
 
 
 def test_an_effect_is_at_work_once(arm: Arm, camera: Camera):

@@ -1,4 +1,6 @@
-"""The step loop that is compiled for the paper's string, as one can read it; and which loops there are beside it."""
+"""The step loop that is compiled for the paper's string, as one can read it; and which
+loops there are beside it.
+"""
 
 import ast
 from itertools import combinations
@@ -6,47 +8,93 @@ from pathlib import Path
 
 import numpy as np
 
-from stringcast.stages.model import kernel
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
-from stringcast.stages.model.hand import hand_motion_from_grasp
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.simulate import simulate
-from stringcast.stages.model.string import BASE, TOGETHER, String
+from stringcast.stages.model.engine import kernel_codegen
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import resample_hand_motion
+from stringcast.stages.model.string import (
+    JOINTLY_COMPILED_EFFECTS,
+    PAPER_EFFECTS,
+    String,
+)
 
 SHOWN = Path(__file__).with_name("loop_of_paper.py")
 
 
 def test_the_loop_shown_is_the_loop_that_runs():
-    """Write it anew after a change of the loop: SHOWN.write_text(kernel.source(...)), then `ruff format`."""
+    """Write it anew after a change of the loop: SHOWN.write_text(kernel.source(...)),
+    then `ruff format`.
+    """
     string = String(0.3)
-    written = kernel.source(string.effects, string.rows, string.integrator)
+    written = kernel_codegen.generate_source(
+        string.effects, string.row_names, string.integrator
+    )
     assert ast.dump(ast.parse(SHOWN.read_text())) == ast.dump(ast.parse(written))
 
 
 def test_effects_without_a_memory_share_a_loop_and_those_with_one_have_their_own():
     def loops(*more):
-        strings = [String(0.3, effects=(*BASE, *some, *more)) for some in combinations(TOGETHER, 2)]
-        looped = [string.in_loop(string.material(string.start()[None]))[0] for string in strings]
-        return {kernel.source(each.effects, each.rows, each.integrator) for each in looped}
+        strings = [
+            String(0.3, effects=(*PAPER_EFFECTS, *some, *more))
+            for some in combinations(JOINTLY_COMPILED_EFFECTS, 2)
+        ]
+        looped = [
+            string.with_compiled_effects(string.material(string.start_values()[None]))[
+                0
+            ]
+            for string in strings
+        ]
+        return {
+            kernel_codegen.generate_source(
+                each.effects, each.row_names, each.integrator
+            )
+            for each in looped
+        }
 
     plain, slipping = loops(), loops(MaxwellSlip)
     assert len(plain) == len(slipping) == 1
     assert plain != slipping
     string = String(0.3)
-    assert string.in_loop(string.material(string.start()[None]))[0] == string
+    assert (
+        string.with_compiled_effects(string.material(string.start_values()[None]))[0]
+        == string
+    )
 
 
 def test_what_is_compiled_together_changes_nothing_where_it_is_absent(monkeypatch):
-    """Four effects of a size each, and the other four: in the loop of all, and in loops of their own."""
+    """Four effects of a size each, and the other four: in the loop of all, and in loops
+    of their own.
+    """
     times = np.arange(0, 0.5, 0.005)
     wave = 0.3 * np.sin(2 * np.pi * times / 0.5) ** 2
-    hand = hand_motion_from_grasp(times, np.stack([wave, wave / 2, wave - np.pi / 2], axis=-1))
-    mesh = {"points": 13, "integrator": ImplicitLeapfrog(), "tip_cell": 0.5, "grasp_cell": 0.5}
-    strings = [String(0.3, effects=(*BASE, *some), **mesh) for some in (TOGETHER[:4], TOGETHER[4:])]
-    values = [np.array([[p.value(0.55) for p in string.parameters]]) for string in strings]
-    together = [simulate(string, hand, own, times).points for string, own in zip(strings, values, strict=True)]
-    monkeypatch.setattr(String, "in_loop", lambda self, material: (self, material))
-    apart = [simulate(string, hand, own, times).points for string, own in zip(strings, values, strict=True)]
+    hand = resample_hand_motion(
+        times, np.stack([wave, wave / 2, wave - np.pi / 2], axis=-1)
+    )
+    mesh = {
+        "points": 13,
+        "integrator": ImplicitLeapfrog(),
+        "tip_cell": 0.5,
+        "grasp_cell": 0.5,
+    }
+    strings = [
+        String(0.3, effects=(*PAPER_EFFECTS, *some), **mesh)
+        for some in (JOINTLY_COMPILED_EFFECTS[:4], JOINTLY_COMPILED_EFFECTS[4:])
+    ]
+    values = [
+        np.array([[p.value(0.55) for p in string.parameters]]) for string in strings
+    ]
+    together = [
+        simulate(string, hand, own, times).points
+        for string, own in zip(strings, values, strict=True)
+    ]
+    monkeypatch.setattr(
+        String, "with_compiled_effects", lambda self, material: (self, material)
+    )
+    apart = [
+        simulate(string, hand, own, times).points
+        for string, own in zip(strings, values, strict=True)
+    ]
     for one, other in zip(together, apart, strict=True):
         assert np.isfinite(one).all()
         np.testing.assert_allclose(one, other, atol=1e-7)

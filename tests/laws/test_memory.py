@@ -1,4 +1,6 @@
-"""Laws with memory: what a hinge holds by hand, on any path, and in the string whoever integrates it."""
+"""Laws with memory: what a hinge holds by hand, on any path, and in the string whoever
+integrates it.
+"""
 
 from dataclasses import replace
 
@@ -10,15 +12,19 @@ from hypothesis import strategies as st
 
 from stringcast.data.artifacts import JOINTS
 from stringcast.stages.model.effect import StringEffect
-from stringcast.stages.model.equilibrium import hanging
-from stringcast.stages.model.hand import HandMotion, joint_motion
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
-from stringcast.stages.model.library import library, named
-from stringcast.stages.model.simulate import simulate
-from stringcast.stages.model.slots import HELD, arguments, taken
-from stringcast.stages.model.stability import turning_back
-from stringcast.stages.model.state import State
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.integrators import RungeKutta4, SemiImplicitEuler
+from stringcast.stages.model.engine.law_slots import (
+    MEMORY_SLOTS,
+    law_arguments,
+    select_arguments,
+)
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.engine.stability import memory_stiffness_bounds
+from stringcast.stages.model.hand import HandMotion, resample_joint_motion
+from stringcast.stages.model.library import effects_by_name, find_effects
+from stringcast.stages.model.state import StringState
+from stringcast.stages.model.statics.equilibrium import hanging_shape
 
 CAP, SLIP = 0.05, 0.04  # [m3/s2], [1/m]: of a cable
 KNOWN = {
@@ -27,20 +33,40 @@ KNOWN = {
     "standard_linear_solid": {"stiffness": CAP / SLIP, "relaxation": 0.1},
     "grasp_play": {"cap": CAP, "slip": SLIP},
 }
-STATES = {state: moment for state, moment, _ in HELD.values()}
-HOLDING = [e for e in library().values() if issubclass(e, StringEffect) and STATES.keys() & e.laws().keys()]
-FINE = np.concatenate([np.linspace(0, 1, 2001), np.linspace(1, -1, 4001)[1:], np.linspace(-1, 1, 4001)[1:]])
+STATES = {state: moment for state, moment, _ in MEMORY_SLOTS.values()}
+HOLDING = [
+    e
+    for e in effects_by_name().values()
+    if issubclass(e, StringEffect) and STATES.keys() & e.laws().keys()
+]
+FINE = np.concatenate(
+    [
+        np.linspace(0, 1, 2001),
+        np.linspace(1, -1, 4001)[1:],
+        np.linspace(-1, 1, 4001)[1:],
+    ]
+)
 
 
 def moments(name, path, lapse=1e-3, **values):
-    """Moment along a path of curvatures or angles that begins straight, a step of time `lapse` each."""
-    laws, held, found = library()[name].laws(), 0.0, []
-    state, moment = next((state, moment) for state, moment in STATES.items() if state in laws)
+    """Moment along a path of curvatures or angles that begins straight, a step of time
+    `lapse` each.
+    """
+    laws, held, found = effects_by_name()[name].laws(), 0.0, []
+    state, moment = next(
+        (state, moment) for state, moment in STATES.items() if state in laws
+    )
     own = {**KNOWN[name], **values}
-    own |= library()[name].derived(**own)
+    own |= effects_by_name()[name].derived(**own)
     for change in np.diff(path, prepend=0.0):
-        held = laws[state](**taken(laws[state], {"held": held, "change": change, "dt": lapse, **own}))
-        found.append(laws[moment](**taken(laws[moment], {"held": held, **own})))
+        held = laws[state](
+            **select_arguments(
+                laws[state], {"held": held, "change": change, "dt": lapse, **own}
+            )
+        )
+        found.append(
+            laws[moment](**select_arguments(laws[moment], {"held": held, **own}))
+        )
     return np.array(found)
 
 
@@ -70,33 +96,46 @@ def test_a_loop_of_a_slip_has_the_area_of_its_parallelogram(wide, name):
     path = wide * SLIP * FINE
     done = work(path, moments(name, path))
     there = len(FINE) - 8000  # the virgin curve is no part of the loop
-    assert done[-1] - done[there - 1] == pytest.approx(4 * CAP * (wide - 1) * SLIP, rel=2e-3)
+    assert done[-1] - done[there - 1] == pytest.approx(
+        4 * CAP * (wide - 1) * SLIP, rel=2e-3
+    )
 
 
 def test_a_slip_turns_back_on_its_virgin_curve_twice_as_large():
     """Masing's rule."""
     x = SLIP * np.linspace(0, 1.5, 301)
     virgin = moments("maxwell_slip", x)
-    back = moments("maxwell_slip", np.concatenate([SLIP * np.linspace(0, 3, 301), SLIP * 3 - 2 * x[1:]]))[300:]
+    back = moments(
+        "maxwell_slip",
+        np.concatenate([SLIP * np.linspace(0, 3, 301), SLIP * 3 - 2 * x[1:]]),
+    )[300:]
     np.testing.assert_allclose(back[0] - back, 2 * virgin, atol=1e-12)
 
 
 def test_within_its_slip_nothing_is_lost():
     path = 0.9 * SLIP * FINE
-    np.testing.assert_allclose(moments("maxwell_slip", path), CAP / SLIP * path, atol=1e-12)
+    np.testing.assert_allclose(
+        moments("maxwell_slip", path), CAP / SLIP * path, atol=1e-12
+    )
 
 
 def test_dahls_friction_comes_near_its_cap_as_an_exponential():
     path = SLIP * np.linspace(0, 5, 501)
     expected = CAP * (1 - np.exp(-path / SLIP))
-    np.testing.assert_allclose(moments("dahl_friction", path), expected, atol=1e-6 * CAP)
-    np.testing.assert_allclose(moments("dahl_friction", path[::100]), expected[::100], atol=3e-3 * CAP)
+    np.testing.assert_allclose(
+        moments("dahl_friction", path), expected, atol=1e-6 * CAP
+    )
+    np.testing.assert_allclose(
+        moments("dahl_friction", path[::100]), expected[::100], atol=3e-3 * CAP
+    )
 
 
 def test_it_does_not_matter_how_fast_dry_friction_is_bent():
     path = 2 * SLIP * np.sin(np.linspace(0, 7, 200))
     for name in ("maxwell_slip", "dahl_friction", "grasp_play"):
-        np.testing.assert_array_equal(moments(name, path, 1e-3), moments(name, path, 1.0))
+        np.testing.assert_array_equal(
+            moments(name, path, 1e-3), moments(name, path, 1.0)
+        )
 
 
 @pytest.mark.parametrize("steps", [50, 100])
@@ -108,20 +147,25 @@ def test_what_relaxes_fades_as_an_exponential_to_second_order(steps):
     assert abs(faded - expected) < 2 * expected / 12 * (2.0 / steps) ** 2
 
 
-# --- in the string -------------------------------------------------------------------------------------------------
+# --- in the string
+# -------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def motion():
     commands = swing(0.4).commands
-    return joint_motion(commands["t"].to_numpy(), commands[list(JOINTS)].to_numpy())
+    return resample_joint_motion(
+        commands["t"].to_numpy(), commands[list(JOINTS)].to_numpy()
+    )
 
 
 def tip(model, motion, values, integrator, step):
     string = replace(model.string, integrator=integrator, largest_step=step)
     model = replace(model, string=string)
     times = motion.start + motion.tick * np.arange(80)
-    return model.true(motion, model.values(TRUTH | values)[None], times).points[0, :, -1]
+    return model.simulate_string(
+        motion, model.values(TRUTH | values)[None], times
+    ).points[0, :, -1]
 
 
 MILD = {
@@ -134,42 +178,77 @@ MILD = {
 
 @pytest.mark.parametrize(
     "name",
-    ["maxwell_slip", *(pytest.param(name, marks=pytest.mark.long) for name in MILD if name != "maxwell_slip")],
+    [
+        "maxwell_slip",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in MILD
+            if name != "maxwell_slip"
+        ),
+    ],
 )
 def test_a_string_moves_the_same_whoever_integrates_it(name, arm, motion):
     """And at a twentieth of the step. What it holds moves its tip by more than 5 mm."""
-    model = ordinary(arm).with_effects(library()[name])
+    model = ordinary(arm).with_effects(effects_by_name()[name])
     values = {f"{name}.{key}": value for key, value in MILD[name].items()}
     exact = tip(model, motion, values, RungeKutta4(), 5e-5)
-    for integrator, step, close in ((SemiImplicitEuler(), 1e-5, 1e-4), (ImplicitLeapfrog(), 5e-5, 3e-4)):
-        assert np.abs(tip(model, motion, values, integrator, step) - exact).max() < close
+    for integrator, step, close in (
+        (SemiImplicitEuler(), 1e-5, 1e-4),
+        (ImplicitLeapfrog(), 5e-5, 3e-4),
+    ):
+        assert (
+            np.abs(tip(model, motion, values, integrator, step) - exact).max() < close
+        )
     assert np.abs(tip(model, motion, {}, RungeKutta4(), 5e-5) - exact).max() > 0.005
     plain = tip(ordinary(arm), motion, {}, RungeKutta4(), 5e-5)
-    np.testing.assert_allclose(tip(model, motion, {}, RungeKutta4(), 5e-5), plain, atol=1e-12)
+    np.testing.assert_allclose(
+        tip(model, motion, {}, RungeKutta4(), 5e-5), plain, atol=1e-12
+    )
 
 
 def test_a_string_that_hangs_at_rest_holds_nothing(arm):
-    """It hangs as without friction, and stays there: begun in equilibrium, or let go where that is."""
-    model = ordinary(arm).with_effects(library()["maxwell_slip"])
-    still = joint_motion(np.arange(0, 0.3, 0.005), np.tile([0.4, 0.2, 0.1], (60, 1)))
+    """It hangs as without friction, and stays there: begun in equilibrium, or let go
+    where that is.
+    """
+    model = ordinary(arm).with_effects(effects_by_name()["maxwell_slip"])
+    still = resample_joint_motion(
+        np.arange(0, 0.3, 0.005), np.tile([0.4, 0.2, 0.1], (60, 1))
+    )
     values = {"maxwell_slip.cap": 5e-3, "maxwell_slip.slip": 0.5}
-    held, free = (tip(model, still, own, SemiImplicitEuler(), 1e-4) for own in (values, {}))
+    held, free = (
+        tip(model, still, own, SemiImplicitEuler(), 1e-4) for own in (values, {})
+    )
     np.testing.assert_allclose(held, np.tile(free[0], (80, 1)), atol=1e-9)
-    hand, times = still.grasp(arm), still.tick * np.arange(60)
+    hand, times = still.hand_motion(arm), still.tick * np.arange(60)
     given = model.string.material(model.values(TRUTH | values)[None])
-    angles, _ = hanging(model.string, given, hand.pose[:, 0])
-    let_go = State(0.0, model.string.middles(), angles[0], np.zeros_like(angles[0]))
-    points = simulate(model.string, hand, model.values(TRUTH | values)[None], times, let_go).points
+    angles, _ = hanging_shape(model.string, given, hand.pose[:, 0])
+    let_go = StringState(
+        0.0, model.string.segment_middles(), angles[0], np.zeros_like(angles[0])
+    )
+    points = simulate(
+        model.string, hand, model.values(TRUTH | values)[None], times, let_go
+    ).points
     np.testing.assert_allclose(points[0, :, -1], np.tile(free[0], (60, 1)), atol=1e-6)
 
 
 def test_pulled_aside_within_its_slip_a_string_is_only_stiffer(arm):
-    """A string that begins elsewhere was pulled there slowly: while it sticks, a stop adds cap / slip to the stiffness."""
-    string = ordinary(arm).with_effects(library()["maxwell_slip"]).string
-    down = HandMotion(0.0, 0.005, np.tile([0.0, 0.0, -np.pi / 2], (1, 61, 1)), np.zeros((1, 61, 3)))
-    pulled = State(0.0, string.middles(), -np.pi / 2 + 0.5 * string.middles(), np.zeros(string.points - 1))
+    """A string that begins elsewhere was pulled there slowly: while it sticks, a stop
+    adds cap / slip to the stiffness.
+    """
+    string = ordinary(arm).with_effects(effects_by_name()["maxwell_slip"]).string
+    down = HandMotion(
+        0.0, 0.005, np.tile([0.0, 0.0, -np.pi / 2], (1, 61, 1)), np.zeros((1, 61, 3))
+    )
+    pulled = StringState(
+        0.0,
+        string.segment_middles(),
+        -np.pi / 2 + 0.5 * string.segment_middles(),
+        np.zeros(string.points - 1),
+    )
     bent = TRUTH | {"bending_stiffness": 30 * TRUTH["bending_stiffness"]}
-    stiffness = string.material(string.values(bent))[string.names.index("bending_stiffness")]
+    stiffness = string.material(string.values(bent))[
+        string.names.index("bending_stiffness")
+    ]
     sticks = bent | {"maxwell_slip.cap": 4.0 * stiffness, "maxwell_slip.slip": 4.0}
     stiffer = bent | {"bending_stiffness": 2 * bent["bending_stiffness"]}
     values = np.stack([string.values(each) for each in (sticks, stiffer, bent)])
@@ -180,35 +259,61 @@ def test_pulled_aside_within_its_slip_a_string_is_only_stiffer(arm):
 
 @pytest.mark.parametrize(
     ("name", "times", "where"),
-    [("maxwell_slip", 1.0, 1), ("dahl_friction", 2.0, 1), ("standard_linear_solid", 1.0, 1), ("grasp_play", 1.0, 2)],
+    [
+        ("maxwell_slip", 1.0, 1),
+        ("dahl_friction", 2.0, 1),
+        ("standard_linear_solid", 1.0, 1),
+        ("grasp_play", 1.0, 2),
+    ],
 )
-def test_the_step_knows_how_stiff_a_hinge_is_where_it_turns_back(name, times, where, arm):
-    string = ordinary(arm).with_effects(library()[name]).string
+def test_the_step_knows_how_stiff_a_hinge_is_where_it_turns_back(
+    name, times, where, arm
+):
+    string = ordinary(arm).with_effects(effects_by_name()[name]).string
     values = {f"{name}.{key}": value for key, value in KNOWN[name].items()}
-    steepest = turning_back(string, string.material(string.values(TRUTH | values)[None]))[:, 0]
-    np.testing.assert_allclose(steepest, times * CAP / SLIP * np.eye(3)[where], rtol=1e-3)
+    steepest = memory_stiffness_bounds(
+        string, string.material(string.values(TRUTH | values)[None])
+    )[:, 0]
+    np.testing.assert_allclose(
+        steepest, times * CAP / SLIP * np.eye(3)[where], rtol=1e-3
+    )
 
 
 def test_laws_take_what_their_slots_give():
     for effect in HOLDING:
-        own = {*KNOWN[effect.name], *effect.derived(**KNOWN[effect.name])}
+        own = {*KNOWN[effect.name], *effect.derive_parameters(**KNOWN[effect.name])}
         for state in STATES.keys() & effect.laws().keys():
-            assert set(arguments(effect.laws()[state])) - own <= {"held", "change", "dt"}
+            assert set(law_arguments(effect.laws()[state])) - own <= {
+                "held",
+                "change",
+                "dt",
+            }
 
 
 def test_several_of_a_kind_are_named_by_numbers(arm):
-    """Two slips side by side are one of their sum where they slip at the same curvature."""
-    both = ordinary(arm).with_effects(*named(["maxwell_slip", "maxwell_slip_2"]))
+    """Two slips side by side are one of their sum where they slip at the same
+    curvature.
+    """
+    both = ordinary(arm).with_effects(*find_effects(["maxwell_slip", "maxwell_slip_2"]))
     assert {"maxwell_slip.cap", "maxwell_slip_2.cap"} <= set(both.names)
-    string, one = both.string, ordinary(arm).with_effects(*named(["maxwell_slip"])).string
+    string, one = (
+        both.string,
+        ordinary(arm).with_effects(*find_effects(["maxwell_slip"])).string,
+    )
     values = {
         "maxwell_slip.slip": SLIP,
         "maxwell_slip_2.slip": SLIP,
         "maxwell_slip.cap": CAP,
         "maxwell_slip_2.cap": CAP,
     }
-    twice = turning_back(string, string.material(string.values(TRUTH | values)[None]))[1]
-    single = one.values(TRUTH | {"maxwell_slip.slip": SLIP, "maxwell_slip.cap": 2 * CAP})
-    assert twice == pytest.approx(turning_back(one, one.material(single[None]))[1], rel=1e-6)
+    twice = memory_stiffness_bounds(
+        string, string.material(string.values(TRUTH | values)[None])
+    )[1]
+    single = one.values(
+        TRUTH | {"maxwell_slip.slip": SLIP, "maxwell_slip.cap": 2 * CAP}
+    )
+    assert twice == pytest.approx(
+        memory_stiffness_bounds(one, one.material(single[None]))[1], rel=1e-6
+    )
     with pytest.raises(ValueError, match="no effect 'maxwell_slip_1'"):
-        named(["maxwell_slip_1"])
+        find_effects(["maxwell_slip_1"])

@@ -1,4 +1,6 @@
-"""Laws with memory in motion: against mechanics, against a rod that somebody else integrates, and at smaller steps."""
+"""Laws with memory in motion: against mechanics, against a rod that somebody else
+integrates, and at smaller steps.
+"""
 
 from dataclasses import replace
 
@@ -13,32 +15,53 @@ from stringcast.stages.model.effects.grasp_spring import GraspSpring
 from stringcast.stages.model.effects.gravity import Gravity
 from stringcast.stages.model.effects.hinge_damper import HingeDamper
 from stringcast.stages.model.effects.hinge_spring import HingeSpring
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.integrators import SemiImplicitEuler
+from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import HandMotion
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.integrator import SemiImplicitEuler
-from stringcast.stages.model.library import library
-from stringcast.stages.model.simulate import simulate
-from stringcast.stages.model.state import State
+from stringcast.stages.model.library import effects_by_name
+from stringcast.stages.model.state import StringState
 from stringcast.stages.model.string import String
 
 LENGTH = 0.3
 FORCES = (AxialSpring, AxialDamper, HingeSpring, HingeDamper, GraspSpring)
 MEMORY = ("maxwell_slip", "dahl_friction", "standard_linear_solid", "grasp_play")
-LAWS = tuple(library()[name] for name in MEMORY)
-FIRM = {"axial_stiffness": 2e4, "axial_damping": 2.0, "bending_damping": 0.0, "grasp_stiffness": 1e4}
-# One hinge that moves: two segments, of which the first is held firmly. Its end has the mass of a segment.
-HINGE = String(LENGTH, 3, (*FORCES, *LAWS), integrator=ImplicitLeapfrog(), largest_step=2e-4)
+LAWS = tuple(effects_by_name()[name] for name in MEMORY)
+FIRM = {
+    "axial_stiffness": 2e4,
+    "axial_damping": 2.0,
+    "bending_damping": 0.0,
+    "grasp_stiffness": 1e4,
+}
+# One hinge that moves: two segments, of which the first is held firmly. Its end has the
+# mass of a segment.
+HINGE = String(
+    LENGTH, 3, (*FORCES, *LAWS), integrator=ImplicitLeapfrog(), largest_step=2e-4
+)
 SEGMENT = LENGTH / 2
 STIFFNESS = 0.05  # [m4/s2]
-FREQUENCY = np.sqrt(STIFFNESS / SEGMENT**4)  # [rad/s] mass and inertia are those of a point, SEGMENT**3
+# [rad/s] mass and inertia are those of a point, SEGMENT**3
+FREQUENCY = np.sqrt(STIFFNESS / SEGMENT**4)
 
 
 def let_go(string, material, shape, t, theta=0.0):
-    """Points (F, n, 2) of a string that is let go from the angles of its segments, before a hand at rest at 0."""
-    hand = HandMotion(0.0, 0.005, np.tile([0.0, 0.0, theta], (1, len(t), 1)), np.zeros((1, len(t), 3)))
+    """Points (F, n, 2) of a string that is let go from the angles of its segments,
+    before a hand at rest at 0.
+    """
+    hand = HandMotion(
+        0.0, 0.005, np.tile([0.0, 0.0, theta], (1, len(t), 1)), np.zeros((1, len(t), 3))
+    )
     reference = string.length / (string.reference_points - 1)
-    per_point = {p.name: material.get(p.name, p.start) / reference**p.per_length for p in string.parameters}
-    start = State(0.0, string.middles(), np.asarray(shape, dtype=float), np.zeros(string.points - 1))
+    per_point = {
+        p.name: material.get(p.name, p.start) / reference**p.length_power
+        for p in string.parameters
+    }
+    start = StringState(
+        0.0,
+        string.segment_middles(),
+        np.asarray(shape, dtype=float),
+        np.zeros(string.points - 1),
+    )
     return simulate(string, hand, string.values(per_point)[None], t, start).points[0]
 
 
@@ -48,7 +71,10 @@ def bent(named, curvature, seconds=2.0, string=HINGE):
     material = FIRM | {"bending_stiffness": STIFFNESS} | named
     points = let_go(string, material, [0.0, curvature * SEGMENT], t)
     first, second = np.moveaxis(np.diff(points, axis=1), 1, 0)
-    turn = np.arctan2(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0], np.sum(first * second, axis=1))
+    turn = np.arctan2(
+        first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0],
+        np.sum(first * second, axis=1),
+    )
     return t, turn / SEGMENT
 
 
@@ -62,57 +88,95 @@ def turns(t, x):
 
 @pytest.mark.parametrize("name", ["maxwell_slip", "dahl_friction"])
 def test_under_a_cap_swings_become_smaller_by_as_much_each_time(name):
-    """By 2 cap / stiffness, less what the slip curvature gives back: energy from one end of a swing to the next."""
+    """By 2 cap / stiffness, less what the slip curvature gives back: energy from one
+    end of a swing to the next.
+    """
     start, cap, slip = 6.0, 0.25 * STIFFNESS, 0.02
     t, curvature = bent({f"{name}.cap": cap, f"{name}.slip": slip}, start, 4.0)
     _, ends = turns(t, curvature)
     ends = ends[ends > 1.0]
     assert len(ends) >= 8
     lost = -np.diff(np.concatenate([[start], ends]))
-    back = 2 * slip * (1.0 if name == "maxwell_slip" else np.log(2))  # of work not done after a reversal, over cap
+    # of work not done after a reversal, over cap
+    back = 2 * slip * (1.0 if name == "maxwell_slip" else np.log(2))
     pairs = np.concatenate([[start], ends])
-    np.testing.assert_allclose(lost, 2 * cap / STIFFNESS * (1 - back / (pairs[1:] + pairs[:-1])), rtol=0.02)
+    np.testing.assert_allclose(
+        lost, 2 * cap / STIFFNESS * (1 - back / (pairs[1:] + pairs[:-1])), rtol=0.02
+    )
 
 
 def test_a_hinge_that_sticks_swings_faster_than_one_that_slips():
-    """With K = 3 B twice as fast; a swing of a hundred times the slip curvature is as slow as without."""
+    """With K = 3 B twice as fast; a swing of a hundred times the slip curvature is as
+    slow as without.
+    """
     slip = 0.05
     named = {"maxwell_slip.cap": 3 * STIFFNESS * slip, "maxwell_slip.slip": slip}
     periods = []
     for start in (0.5 * slip, 120 * slip):
         at, _ = turns(*bent(named, start))
         periods.append(2 * np.diff(at)[:4].mean())
-    np.testing.assert_allclose(np.array(periods) * FREQUENCY / (2 * np.pi), [0.5, 1.0], rtol=5e-3)
+    np.testing.assert_allclose(
+        np.array(periods) * FREQUENCY / (2 * np.pi), [0.5, 1.0], rtol=5e-3
+    )
 
 
 @pytest.mark.parametrize(
-    ("integrator", "step"),  # a loop more to compile, and steps that the stiff grasp bears
-    [(ImplicitLeapfrog(), 1e-3), pytest.param(SemiImplicitEuler(), 1e-4, marks=pytest.mark.long)],
+    # a loop more to compile, and steps that the stiff grasp bears
+    ("integrator", "step"),
+    [
+        (ImplicitLeapfrog(), 1e-3),
+        pytest.param(SemiImplicitEuler(), 1e-4, marks=pytest.mark.long),
+    ],
 )
-@pytest.mark.parametrize("name", ["maxwell_slip", "dahl_friction", "standard_linear_solid"])
+@pytest.mark.parametrize(
+    "name", ["maxwell_slip", "dahl_friction", "standard_linear_solid"]
+)
 def test_half_the_step_is_half_as_far_off_and_a_tenth_a_tenth(name, integrator, step):
     """First order at least."""
-    values = {"stiffness": STIFFNESS, "relaxation": 0.1} if "solid" in name else {"cap": 0.02, "slip": 0.4}
+    values = (
+        {"stiffness": STIFFNESS, "relaxation": 0.1}
+        if "solid" in name
+        else {"cap": 0.02, "slip": 0.4}
+    )
     named = {f"{name}.{key}": value for key, value in values.items()}
     steps = (0.01 * step, step, 0.5 * step, 0.1 * step)
     exact, *found = (
-        bent(named, 6.0, 0.5, replace(HINGE, integrator=integrator, largest_step=each))[1] for each in steps
+        bent(named, 6.0, 0.5, replace(HINGE, integrator=integrator, largest_step=each))[
+            1
+        ]
+        for each in steps
     )
     whole, half, tenth = (np.abs(each - exact).max() for each in found)
     assert whole > 0.1 * step
-    assert half < 0.51 * whole  # of the finest step's error, too, which is 1 % of the first at first order
+    # of the finest step's error, too, which is 1 % of the first at first order
+    assert half < 0.51 * whole
     assert tenth < 0.1 * whole
 
 
-# --- a rod of somebody else: absolute angles, no stretch, scipy ---------------------------------------------------
+# --- a rod of somebody else: absolute angles, no stretch, scipy
+# ---------------------------------------------------
 
 
-ROD = String(LENGTH, 4, (Gravity, *FORCES, *LAWS), integrator=ImplicitLeapfrog(), largest_step=2e-5)
+ROD = String(
+    LENGTH,
+    4,
+    (Gravity, *FORCES, *LAWS),
+    integrator=ImplicitLeapfrog(),
+    largest_step=2e-5,
+)
 STIFF = {"axial_stiffness": 4e5, "axial_damping": 20.0}
 KNOWN = {"bending_stiffness": 0.02, "bending_damping": 2e-4, "grasp_stiffness": 0.2}
 HELD = {
-    **{"maxwell_slip.cap": 0.02, "maxwell_slip.slip": 0.5, "dahl_friction.cap": 0.015, "dahl_friction.slip": 0.8},
-    **{"standard_linear_solid.stiffness": 0.01, "standard_linear_solid.relaxation": 0.05},
+    **{
+        "maxwell_slip.cap": 0.02,
+        "maxwell_slip.slip": 0.5,
+        "dahl_friction.cap": 0.015,
+        "dahl_friction.slip": 0.8,
+    },
+    **{
+        "standard_linear_solid.stiffness": 0.01,
+        "standard_linear_solid.relaxation": 0.05,
+    },
     **{"grasp_play.cap": 0.05, "grasp_play.slip": 0.1},
 }
 
@@ -122,12 +186,18 @@ def stop(rate, held, limit):
 
 
 def rates(theta, named):
-    """Of angles of three massless links with points at their ends (3), their rates (3), and what two hinges (2, 2, 2) and
-    the grasp hold (1): Lagrange's equations in the links' angles."""
+    """Of angles of three massless links with points at their ends (3), their rates (3),
+    and what two hinges (2, 2, 2) and the grasp hold (1): Lagrange's equations in the
+    links' angles.
+    """
     length = LENGTH / 3
     carried = length * np.arange(3, 0, -1)  # [m] mass at and beyond each link's end
     shared = length**2 * carried[np.maximum.outer(np.arange(3), np.arange(3))]
-    slipping = (named["maxwell_slip.slip"], named["dahl_friction.slip"], named["grasp_play.slip"])
+    slipping = (
+        named["maxwell_slip.slip"],
+        named["dahl_friction.slip"],
+        named["grasp_play.slip"],
+    )
     dry = ("maxwell_slip", "dahl_friction", "grasp_play")
     stiff, rubs, plays = (named[f"{name}.cap"] / named[f"{name}.slip"] for name in dry)
 
@@ -135,11 +205,19 @@ def rates(theta, named):
         angle, rate, slip, dahl, solid, grasp = np.split(y, [3, 6, 8, 10, 12])
         bend, turning = np.diff(angle) / length, np.diff(rate) / length
         hinge = named["bending_stiffness"] * bend + named["bending_damping"] * turning
-        hinge += stiff * slip + rubs * dahl + named["standard_linear_solid.stiffness"] * solid
+        hinge += (
+            stiff * slip
+            + rubs * dahl
+            + named["standard_linear_solid.stiffness"] * solid
+        )
         base = named["grasp_stiffness"] * (angle[:1] - theta) + plays * grasp
         turned = angle[:, None] - angle
         weight = 9.81 * length * carried * np.cos(angle)
-        force = np.diff(np.concatenate([base, hinge, [0.0]])) - weight - (shared * np.sin(turned)) @ rate**2
+        force = (
+            np.diff(np.concatenate([base, hinge, [0.0]]))
+            - weight
+            - (shared * np.sin(turned)) @ rate**2
+        )
         return np.concatenate(
             [
                 rate,
@@ -155,23 +233,48 @@ def rates(theta, named):
 
 
 def independent(shape, t, theta, named):
-    """Tip (F, 2) of the rod, pulled slowly from rest to these angles of its links and let go."""
+    """Tip (F, 2) of the rod, pulled slowly from rest to these angles of its links and
+    let go.
+    """
     change = rates(theta, named)
-    rest = fsolve(lambda angle: change(0, np.concatenate([angle, np.zeros(10)]))[3:6], np.full(3, theta))
+    rest = fsolve(
+        lambda angle: change(0, np.concatenate([angle, np.zeros(10)]))[3:6],
+        np.full(3, theta),
+    )
     pulled = 3 / LENGTH * np.diff(shape - rest)
     slip, dahl = named["maxwell_slip.slip"], named["dahl_friction.slip"]
-    held = [np.clip(pulled, -slip, slip), np.sign(pulled) * dahl * (1 - np.exp(-np.abs(pulled) / dahl)), np.zeros(2)]
-    held += [np.clip((shape - rest)[:1], -named["grasp_play.slip"], named["grasp_play.slip"])]
+    held = [
+        np.clip(pulled, -slip, slip),
+        np.sign(pulled) * dahl * (1 - np.exp(-np.abs(pulled) / dahl)),
+        np.zeros(2),
+    ]
+    held += [
+        np.clip((shape - rest)[:1], -named["grasp_play.slip"], named["grasp_play.slip"])
+    ]
     start = np.concatenate([shape, np.zeros(3), *held])
-    found = solve_ivp(change, (0, t[-1]), start, "BDF", t, rtol=1e-7, atol=1e-9, max_step=2e-3)
-    return LENGTH / 3 * np.stack([np.cos(found.y[:3]), np.sin(found.y[:3])]).sum(axis=1).T
+    found = solve_ivp(
+        change, (0, t[-1]), start, "BDF", t, rtol=1e-7, atol=1e-9, max_step=2e-3
+    )
+    return (
+        LENGTH / 3 * np.stack([np.cos(found.y[:3]), np.sin(found.y[:3])]).sum(axis=1).T
+    )
 
 
 @pytest.mark.parametrize("law", [*MEMORY, "all"])
 def test_a_rod_that_somebody_else_integrates_moves_the_same(law):
-    """Within 0.05 mm, of which most is the stretch that it lacks; what is held moves the tip by more than 5 mm."""
-    absent = HELD | {name: 0.0 for name in HELD if name.endswith(("cap", "stiffness"))} | KNOWN
-    named = absent | {name: value for name, value in HELD.items() if law in ("all", name.split(".")[0])}
+    """Within 0.05 mm, of which most is the stretch that it lacks; what is held moves
+    the tip by more than 5 mm.
+    """
+    absent = (
+        HELD
+        | {name: 0.0 for name in HELD if name.endswith(("cap", "stiffness"))}
+        | KNOWN
+    )
+    named = absent | {
+        name: value
+        for name, value in HELD.items()
+        if law in ("all", name.split(".")[0])
+    }
     t, theta, shape = np.arange(0, 0.4, 0.005), -0.6, np.array([-0.4, -0.1, 0.5])
     tip = let_go(ROD, STIFF | named, shape, t, theta)[:, -1]
     expected, without = (independent(shape, t, theta, each) for each in (named, absent))
@@ -179,7 +282,8 @@ def test_a_rod_that_somebody_else_integrates_moves_the_same(law):
     assert np.abs(without - expected).max() > 5e-3
 
 
-# --- a law that nobody had, in one file ------------------------------------------------------------------------------
+# --- a law that nobody had, in one file
+# ------------------------------------------------------------------------------
 
 
 LAW = """
@@ -215,12 +319,16 @@ class CreepingSlip(StringEffect):
 {LAW}'''
 
 
-def test_a_law_with_memory_is_one_file_of_which_twelve_lines_are_the_law(tmp_path, monkeypatch):
-    """Nothing else is edited: it is found, runs, is absent at zero, and takes from a swing."""
+def test_a_law_with_memory_is_one_file_of_which_twelve_lines_are_the_law(
+    tmp_path, monkeypatch
+):
+    """Nothing else is edited: it is found, runs, is absent at zero, and takes from a
+    swing.
+    """
     assert len([line for line in LAW.splitlines() if line.strip()]) <= 12
     (tmp_path / "creeping_slip.py").write_text(FILE)
     monkeypatch.setenv("STRINGCAST_EFFECTS", str(tmp_path))
-    string = replace(HINGE, effects=(*FORCES, library()["creeping_slip"]))
+    string = replace(HINGE, effects=(*FORCES, effects_by_name()["creeping_slip"]))
     known = {"creeping_slip.slip": 0.1, "creeping_slip.creep": 0.2}
     _, with_it = bent(known | {"creeping_slip.cap": 0.2 * STIFFNESS}, 6.0, 1.0, string)
     _, absent = bent(known, 6.0, 1.0, string)

@@ -5,17 +5,24 @@ import numpy as np
 import pytest
 from conftest import threads
 
-from stringcast.stages.model import kernel
 from stringcast.stages.model.effects.gravity import Gravity
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
-from stringcast.stages.model.hand import hand_motion_from_grasp
-from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
-from stringcast.stages.model.simulate import simulate
-from stringcast.stages.model.string import BASE, String
+from stringcast.stages.model.engine import kernel_codegen
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.integrators import RungeKutta4, SemiImplicitEuler
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import resample_hand_motion
+from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 T = np.arange(0, 0.4, 0.005)
-POSE = np.stack([0.1 * np.sin(9 * T) ** 2, 0.1 * np.sin(5 * T) ** 2, 0.3 + 1.5 * np.sin(7 * T) ** 2], axis=-1)
+POSE = np.stack(
+    [
+        0.1 * np.sin(9 * T) ** 2,
+        0.1 * np.sin(5 * T) ** 2,
+        0.3 + 1.5 * np.sin(7 * T) ** 2,
+    ],
+    axis=-1,
+)
 NAMED = {
     "axial_stiffness": 2e5,
     "axial_damping": 30.0,
@@ -26,17 +33,21 @@ NAMED = {
     "grasp_stiffness": 3.0,
     "grasp_damping": 5e-3,
 }
-WEIGHTLESS = tuple(effect for effect in BASE if effect is not Gravity)
+WEIGHTLESS = tuple(effect for effect in PAPER_EFFECTS if effect is not Gravity)
 AIRLESS = {"linear_drag": 0.0, "quadratic_drag": 0.0}
 
 
-def moved(pose: np.ndarray, effects=BASE) -> np.ndarray:
+def moved(pose: np.ndarray, effects=PAPER_EFFECTS) -> np.ndarray:
     string = String(0.3, effects=effects)
-    return simulate(string, hand_motion_from_grasp(T, pose), string.values(NAMED)[None], T).points[0]
+    return simulate(
+        string, resample_hand_motion(T, pose), string.values(NAMED)[None], T
+    ).points[0]
 
 
 def test_moving_the_whole_experiment_moves_the_string_with_it():
-    np.testing.assert_allclose(moved(POSE + [0.3, -0.2, 0.0]) - [0.3, -0.2], moved(POSE), atol=1e-9)
+    np.testing.assert_allclose(
+        moved(POSE + [0.3, -0.2, 0.0]) - [0.3, -0.2], moved(POSE), atol=1e-9
+    )
 
 
 def test_a_mirrored_motion_makes_a_mirrored_string():
@@ -55,27 +66,46 @@ def test_without_weight_no_direction_is_special(turn):
 
 
 def test_inner_forces_do_not_push_the_string_as_a_whole():
-    """Weightless and airless, drawn along behind the hand, it ends straight and follows at the hand's speed."""
+    """Weightless and airless, drawn along behind the hand, it ends straight and follows
+    at the hand's speed.
+    """
     string = String(0.3, effects=WEIGHTLESS)
     t = np.arange(0, 0.8, 0.005)
     x = np.cumsum(np.clip((t - 0.05) / 0.1, 0, 1)) * 0.005
     pose = np.stack([x, 0 * t, 0 * t + np.pi], axis=-1)
-    named = NAMED | AIRLESS | {"axial_damping": 3000.0, "bending_damping": 0.3, "grasp_damping": 0.3}
-    points = simulate(string, hand_motion_from_grasp(t, pose), string.values(named)[None], t).points[0]
-    straight = np.stack([x[:, None] - string.arc_lengths(), np.zeros((len(t), 10))], axis=-1)
+    named = (
+        NAMED
+        | AIRLESS
+        | {"axial_damping": 3000.0, "bending_damping": 0.3, "grasp_damping": 0.3}
+    )
+    points = simulate(
+        string, resample_hand_motion(t, pose), string.values(named)[None], t
+    ).points[0]
+    straight = np.stack(
+        [x[:, None] - string.arc_lengths(), np.zeros((len(t), 10))], axis=-1
+    )
     assert np.abs(points - straight).max() > 1e-4  # the pull at the start stretched it
     np.testing.assert_allclose(points[-20:], straight[-20:], atol=1e-7)
 
 
 def test_a_string_that_turns_with_the_hand_is_not_bent_by_the_grasp():
-    """Weightless and airless, spun about the grasp at an even rate, it points where the grasp does."""
+    """Weightless and airless, spun about the grasp at an even rate, it points where the
+    grasp does.
+    """
     string = String(0.3, effects=WEIGHTLESS)
     t = np.arange(0, 1.5, 0.005)
     theta = np.cumsum(np.clip(t / 0.2, 0, 1)) * 0.005 * 8
     pose = np.stack([0 * t, 0 * t, theta], axis=-1)
-    firm = {"bending_stiffness": 400.0, "grasp_stiffness": 900.0, "bending_damping": 10.0, "grasp_damping": 20.0}
+    firm = {
+        "bending_stiffness": 400.0,
+        "grasp_stiffness": 900.0,
+        "bending_damping": 10.0,
+        "grasp_damping": 20.0,
+    }
     named = NAMED | AIRLESS | firm
-    points = simulate(string, hand_motion_from_grasp(t, pose), string.values(named)[None], t).points[0, -1]
+    points = simulate(
+        string, resample_hand_motion(t, pose), string.values(named)[None], t
+    ).points[0, -1]
     along = points @ [np.cos(theta[-1]), np.sin(theta[-1])]
     across = points @ [-np.sin(theta[-1]), np.cos(theta[-1])]
     assert along[-1] > 0.3
@@ -87,11 +117,13 @@ def test_candidates_do_not_notice_each_other_nor_the_threads(integrator):
     string = String(0.3, integrator=integrator)
     rng = np.random.default_rng(1)
     values = np.array([p.value(rng.random(40)) for p in string.parameters]).T
-    hand = hand_motion_from_grasp(T, POSE)
+    hand = resample_hand_motion(T, POSE)
     with threads(numba.config.NUMBA_NUM_THREADS):
         together = simulate(string, hand, values, T).points
     with threads(1):
-        alone = np.concatenate([simulate(string, hand, values[i : i + 1], T).points for i in range(40)])
+        alone = np.concatenate(
+            [simulate(string, hand, values[i : i + 1], T).points for i in range(40)]
+        )
     np.testing.assert_array_equal(together, alone)
 
 
@@ -99,17 +131,22 @@ def test_candidates_do_not_notice_each_other_nor_the_threads(integrator):
     "integrator",
     [
         ImplicitLeapfrog(),
-        *(pytest.param(each, marks=pytest.mark.long) for each in (SemiImplicitEuler(), RungeKutta4())),
+        *(
+            pytest.param(each, marks=pytest.mark.long)
+            for each in (SemiImplicitEuler(), RungeKutta4())
+        ),
     ],
 )
 def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, integrator):
-    """It is compiled after a thousand runs: a result must not tell how many there were before."""
+    """It is compiled after a thousand runs: a result must not tell how many there were
+    before.
+    """
     string = String(0.3, points=15, integrator=integrator)
     rng = np.random.default_rng(1)
     each = [p.value(rng.uniform(0.3, 0.6, 3)) for p in string.parameters]
-    hand, values = hand_motion_from_grasp(T, POSE), np.array(each).T
+    hand, values = resample_hand_motion(T, POSE), np.array(each).T
     together = simulate(string, hand, values, T).points
-    monkeypatch.setattr(kernel, "ALONE", 0)
+    monkeypatch.setattr(kernel_codegen, "RUNS_BEFORE_SINGLE_LANE", 0)
     alone = [simulate(string, hand, row[None], T).points[0] for row in values]
     assert np.isfinite(together).all()
     np.testing.assert_array_equal(together, alone)
@@ -117,6 +154,11 @@ def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, inte
 
 def test_only_the_paper_s_forces_are_ever_alone(monkeypatch):
     """With others the compiler rounds some sums otherwise in one lane."""
-    monkeypatch.setattr(kernel, "ALONE", 0)
-    string = String(0.3, effects=(*BASE, MaxwellSlip))
-    assert kernel.lanes(1, string.effects, string.rows, string.integrator) == kernel.WIDTH
+    monkeypatch.setattr(kernel_codegen, "RUNS_BEFORE_SINGLE_LANE", 0)
+    string = String(0.3, effects=(*PAPER_EFFECTS, MaxwellSlip))
+    assert (
+        kernel_codegen.lane_count(
+            1, string.effects, string.row_names, string.integrator
+        )
+        == kernel_codegen.LANES
+    )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import threads
 
-from stringcast.stages.model.threads import _pool, side_by_side
+from stringcast.stages.model.engine.threads import _thread_pool, parallel_for
 
 TWO = pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="needs two threads")
 
@@ -22,16 +22,16 @@ def test_each_thing_is_done_once(count, piece):
         done[first:last] += 1
 
     with threads(2):
-        side_by_side(work, count, piece)
+        parallel_for(work, count, piece)
     assert (done == 1).all()
 
 
 @TWO
 def test_a_thread_that_does_not_come_is_not_waited_for():
     free, done = threading.Event(), []
-    busy = _pool(os.getpid(), 1).submit(free.wait, 30)
+    busy = _thread_pool(os.getpid(), 1).submit(free.wait, 30)
     with threads(2):
-        side_by_side(lambda first, last: done.append(first), 8)
+        parallel_for(lambda first, last: done.append(first), 8)
     assert done == [*range(8)]
     assert not busy.done()
     free.set()
@@ -50,4 +50,4 @@ def test_what_goes_wrong_in_a_thread_is_told():
         raise ValueError("in a helper")
 
     with threads(2), pytest.raises(ValueError, match="in a helper"):
-        side_by_side(work, 4)
+        parallel_for(work, 4)

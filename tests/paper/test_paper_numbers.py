@@ -1,17 +1,19 @@
-"""The paper's numbers: whole, with their places, and those that the configuration is said to take from the paper."""
+"""The paper's numbers: whole, with their places, and those that the configuration is
+said to take from the paper.
+"""
 
 import pandas as pd
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import get_object
 
-from stringcast.pipeline.settings import CONF, composed
+from stringcast.pipeline.settings.typed_settings import CONF_FOLDER, compose_settings
 from stringcast.pipeline.studies.paper.finish import finish
 from stringcast.pipeline.studies.paper.scores import numbers, of
 from stringcast.stages.model.string import String
-from stringcast.stages.report.records import LABELS
+from stringcast.stages.report.records import EXPERIMENT_LABELS
 
-EXPERIMENTS = [name for name in LABELS if name != "nine"]
+EXPERIMENTS = [name for name in EXPERIMENT_LABELS if name != "nine"]
 SYMBOLS = {p.name: p.symbol for p in String(0.3, points=10).parameters}
 
 
@@ -24,35 +26,59 @@ def test_every_number_stands_once_with_a_place():
 
 
 def test_table_3_is_what_is_searched():
-    ranges = composed(["string=paper"])["string"]["ranges"]
-    assert of("minimum") == {SYMBOLS[name]: block["low"] for name, block in ranges.items()}
-    assert of("maximum") == {SYMBOLS[name]: block["high"] for name, block in ranges.items()}
+    ranges = compose_settings(["string=paper"])["string"]["ranges"]
+    assert of("minimum") == {
+        SYMBOLS[name]: block["low"] for name, block in ranges.items()
+    }
+    assert of("maximum") == {
+        SYMBOLS[name]: block["high"] for name, block in ranges.items()
+    }
     assert all(block["start"] == block["low"] for block in ranges.values())
 
 
 def test_table_4_contradicts_table_3_where_the_page_says_so_and_nowhere_else():
     low, high = of("minimum"), of("maximum")
     columns = ("initial", "string A", "string B", "string C")
-    outside = {(what, name) for what in columns for name, v in of(what).items() if not low[name] <= v <= high[name]}
+    outside = {
+        (what, name)
+        for what in columns
+        for name, v in of(what).items()
+        if not low[name] <= v <= high[name]
+    }
     assert outside == {("initial", "c_h"), ("initial", "c_ph"), ("string A", "k_ph")}
 
 
 def test_the_ranges_of_table_4_hold_it_and_begin_with_its_initial_values():
-    ranges = {SYMBOLS[name]: block for name, block in composed(["string=table_4"])["string"]["ranges"].items()}
+    ranges = {
+        SYMBOLS[name]: block
+        for name, block in compose_settings(["string=table_4"])["string"][
+            "ranges"
+        ].items()
+    }
     for name, start in of("initial").items():
         assert ranges[name]["start"] == start
-        assert all(ranges[name]["low"] <= of(f"string {s}")[name] <= ranges[name]["high"] for s in "ABC")
+        assert all(
+            ranges[name]["low"] <= of(f"string {s}")[name] <= ranges[name]["high"]
+            for s in "ABC"
+        )
 
 
 def test_units_are_the_same_in_both_tables():
     table = numbers()
-    units = table[table["place"].isin(["Table 3", "Table 4"])].groupby("of")["unit"].nunique()
+    units = (
+        table[table["place"].isin(["Table 3", "Table 4"])]
+        .groupby("of")["unit"]
+        .nunique()
+    )
     assert (units == 1).all()
     assert len(units) == 8
 
 
 def test_settings_are_those_of_the_paper():
-    table, config = numbers().set_index(["what", "of"])["value"], composed(["+experiment=stringB"])
+    table, config = (
+        numbers().set_index(["what", "of"])["value"],
+        compose_settings(["+experiment=stringB"]),
+    )
     pairs = {
         ("beta", "estimation"): config["estimate"]["beta"],
         ("chi_0", "estimation"): config["estimate"]["chi_0"],
@@ -73,20 +99,31 @@ def test_settings_are_those_of_the_paper():
 
 
 def test_every_experiment_is_swept_shown_and_what_its_name_says():
-    with initialize_config_dir(str(CONF), version_base="1.3"):
+    with initialize_config_dir(str(CONF_FOLDER), version_base="1.3"):
         hydra = compose("config", ["+experiment=paper"], return_hydra_config=True).hydra
     swept = hydra.sweeper.params
     assert get_object(f"stringcast.{hydra.launcher.finish}") is finish
     assert swept["+experiment/paper"].replace(" ", "").split(",") == EXPERIMENTS
-    assert {file.stem for file in (CONF / "experiment" / "paper").glob("*.yaml")} == set(EXPERIMENTS)
+    assert {
+        file.stem for file in (CONF_FOLDER / "experiment" / "paper").glob("*.yaml")
+    } == set(EXPERIMENTS)
     for name in EXPERIMENTS:
-        config = composed([f"+experiment/paper={name}"])
+        config = compose_settings([f"+experiment/paper={name}"])
         assert config["name"] == name
         assert config["string"]["integrator"]["_target_"].endswith(".SemiImplicitEuler")
         if name[1:2] == "_":
             letter, x, y = name.split("_")
-            assert (config["target"]["x"], config["target"]["y"]) == (int(x) / 1000, int(y) / 1000)
-            assert config["specimen"] == composed([f"specimen={letter}"])["specimen"]
-    assert composed(["+experiment/paper=D_500_500"])["string"]["points"] == of("points")["string D"]
-    assert len(composed(["+experiment/paper=wall"])["obstacles"]["boxes"]) == 1
+            assert (config["target"]["x"], config["target"]["y"]) == (
+                int(x) / 1000,
+                int(y) / 1000,
+            )
+            assert (
+                config["specimen"]
+                == compose_settings([f"specimen={letter}"])["specimen"]
+            )
+    assert (
+        compose_settings(["+experiment/paper=D_500_500"])["string"]["points"]
+        == of("points")["string D"]
+    )
+    assert len(compose_settings(["+experiment/paper=wall"])["obstacles"]["boxes"]) == 1
     assert pd.Series(of("hit_at")).index.isin(EXPERIMENTS).all()

@@ -1,5 +1,7 @@
-"""The study of the paper's experiments on runs made up by hand: what counts as a hit, and when; that it grows and goes
-on; and that tables, figures and page are made of what runs leave."""
+"""The study of the paper's experiments on runs made up by hand: what counts as a hit,
+and when; that it grows and goes on; and that tables, figures and page are made of what
+runs leave.
+"""
 
 import json
 import re
@@ -11,22 +13,35 @@ import pytest
 
 from stringcast.data import store
 from stringcast.data.artifacts import ARM, Estimate, Motion, Points
-from stringcast.pipeline.settings import composed
+from stringcast.pipeline.settings.typed_settings import compose_settings
 from stringcast.pipeline.studies.paper import scores, shown
 from stringcast.pipeline.studies.paper.finish import TABLES, finish
 from stringcast.pipeline.sweep.attempt import Attempt
-from stringcast.pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
-from stringcast.stages.report.pages.paper import figures
+from stringcast.pipeline.sweep.ledger import DONE_STATE, FAILED_STATE, Job, Ledger
+from stringcast.stages.report.pages.paper import paper_figures
 from stringcast.stages.report.records import PaperRecord
 
 INF = np.inf
 
 
 def runs(**hits):
-    """Table RUNS: for each experiment the manipulations in which its runs hit, in the order of their seeds."""
+    """Table RUNS: for each experiment the manipulations in which its runs hit, in the
+    order of their seeds.
+    """
     rows = [
-        {"condition": condition, "seed": seed, "state": "done", "error": "", "hit_at": hit_at, "budget": 5}
-        | {"manipulations": min(hit_at, 5), "seconds": 1.0, "folder": f"{condition}{seed}"}
+        {
+            "condition": condition,
+            "seed": seed,
+            "state": "done",
+            "error": "",
+            "hit_at": hit_at,
+            "budget": 5,
+        }
+        | {
+            "manipulations": min(hit_at, 5),
+            "seconds": 1.0,
+            "folder": f"{condition}{seed}",
+        }
         for condition, each in hits.items()
         for seed, hit_at in enumerate(each)
     ]
@@ -38,20 +53,36 @@ def test_hit_rates_and_their_intervals_are_those_of_the_books():
     table = scores.rates(runs(wall=[1, 2, 2, 5])).set_index("within")
     assert table["right"].to_dict() == {1: 1, 2: 3, 3: 3, 4: 3, 5: 4}
     assert (table["count"] == 4).all()
-    assert table.loc[1, ["share", "low", "high"]].tolist() == pytest.approx([0.25, 0.0063, 0.8059], abs=1e-4)
-    assert table.loc[3, ["share", "low", "high"]].tolist() == pytest.approx([0.75, 0.1941, 0.9937], abs=1e-4)
-    assert table.loc[5, ["share", "low", "high"]].tolist() == pytest.approx([1.0, 0.3976, 1.0], abs=1e-4)
+    assert table.loc[1, ["share", "low", "high"]].tolist() == pytest.approx(
+        [0.25, 0.0063, 0.8059], abs=1e-4
+    )
+    assert table.loc[3, ["share", "low", "high"]].tolist() == pytest.approx(
+        [0.75, 0.1941, 0.9937], abs=1e-4
+    )
+    assert table.loc[5, ["share", "low", "high"]].tolist() == pytest.approx(
+        [1.0, 0.3976, 1.0], abs=1e-4
+    )
 
 
 def test_experiments_are_counted_apart():
-    table = scores.rates(runs(wall=[1, INF], D_500_500=[2])).set_index(["condition", "within"])
+    table = scores.rates(runs(wall=[1, INF], D_500_500=[2])).set_index(
+        ["condition", "within"]
+    )
     assert table.loc[("wall", 5), ["right", "count"]].tolist() == [1, 2]
     assert table.loc[("D_500_500", 1), ["right", "count"]].tolist() == [0, 1]
 
 
 def test_the_nine_are_counted_together_and_nothing_else_with_them():
     table = scores.rates(
-        scores.pooled(runs(A_300_900=[1, 3], C_500_900=[2], A_900_500=[1], one_motion_A=[1], wall=[1]))
+        scores.pooled(
+            runs(
+                A_300_900=[1, 3],
+                C_500_900=[2],
+                A_900_500=[1],
+                one_motion_A=[1],
+                wall=[1],
+            )
+        )
     )
     together = table[table["condition"] == "nine"].set_index("within")
     assert together["right"].tolist() == [1, 2, 3, 3, 3]
@@ -59,7 +90,9 @@ def test_the_nine_are_counted_together_and_nothing_else_with_them():
 
 
 def test_the_median_bears_runs_that_never_hit():
-    """Of six values the least and the largest hold the median with 1 - 2 / 64 = 97 %, of five with 94 %: no interval."""
+    """Of six values the least and the largest hold the median with 1 - 2 / 64 = 97 %,
+    of five with 94 %: no interval.
+    """
     six = scores.median(np.array([INF, 1, 2, 2, 3, INF]))
     assert (six["median"], six["low"], six["high"]) == (2, 1, INF)
     assert scores.median(np.array([INF, INF, 1]))["median"] == INF
@@ -73,11 +106,14 @@ def test_needed_stands_beside_the_paper():
 
 
 def test_the_run_that_is_drawn_is_no_lucky_one():
-    chosen = shown.typical(runs(wall=[1, INF, 3, 5, 3], D_500_500=[INF, 2, INF])).set_index("condition")["seed"]
+    chosen = shown.typical(
+        runs(wall=[1, INF, 3, 5, 3], D_500_500=[INF, 2, INF])
+    ).set_index("condition")["seed"]
     assert chosen.to_dict() == {"wall": 2, "D_500_500": 0}
 
 
-# --- a study end to end -----------------------------------------------------------------------------------------------
+# --- a study end to end
+# -----------------------------------------------------------------------------------------------
 T = np.arange(0, 0.31, 0.005)
 S = np.linspace(0, 0.3, 10)
 
@@ -90,14 +126,17 @@ def strings(lift):
 
 def leave_run(place, hits):
     """What a run leaves whose casts hit or not."""
-    config = composed(["+experiment/paper=wall"])
+    config = compose_settings(["+experiment/paper=wall"])
     place.mkdir(parents=True)
     (place / "config.json").write_text(json.dumps(config))
     casts = [
-        {"number": n, "hit": hit, "miss_m": 0.05 / n, "t_closest": 0.2, "touched": 0} for n, hit in enumerate(hits, 1)
+        {"number": n, "hit": hit, "miss_m": 0.05 / n, "t_closest": 0.2, "touched": 0}
+        for n, hit in enumerate(hits, 1)
     ]
     rates = {"E_before": 0.5, "E_after": None}
-    (place / "run.json").write_text(json.dumps({"hit": any(hits), "iterations": [cast | rates for cast in casts]}))
+    (place / "run.json").write_text(
+        json.dumps({"hit": any(hits), "iterations": [cast | rates for cast in casts]})
+    )
     for cast in casts:
         leave_cast(place / "iterations" / f"{cast['number']:02d}")
 
@@ -105,14 +144,18 @@ def leave_run(place, hits):
 def leave_cast(place):
     nothing = {name: table.empty() for name, table in Motion.TABLES.items()}
     outcome = {column.name: [0.25] for column in Motion.TABLES["outcome"].columns}
-    motion = Motion(**nothing | {"string": strings(1.0), "outcome": pd.DataFrame(outcome)})
+    motion = Motion(
+        **nothing | {"string": strings(1.0), "outcome": pd.DataFrame(outcome)}
+    )
     store.save(motion, place / "motion", {})
     seen = {name: table.empty() for name, table in Points.TABLES.items()}
     store.save(Points(**seen | {"points": strings(0.9)}), place / "points", {})
     arm = pd.DataFrame({"t": T, "q1": T, "q2": 0.5 + T, "q3": 0.1})
     store.write_table(ARM, arm, place / "trial" / "arm.parquet", {})
     rates = pd.DataFrame({"trial": "t", "t": T, "before": 0.4, "after": 0.8})
-    store.write_table(Estimate.TABLES["matching"], rates, place / "estimate" / "matching.parquet", {})
+    store.write_table(
+        Estimate.TABLES["matching"], rates, place / "estimate" / "matching.parquet", {}
+    )
 
 
 STAND_IN = """
@@ -128,7 +171,9 @@ shutil.copytree(template, place)
 
 @pytest.fixture
 def study(tmp_path):
-    """Three runs asked for: the first hits in its second cast, the second not in five, the third fails."""
+    """Three runs asked for: the first hits in its second cast, the second not in five,
+    the third fails.
+    """
     leave_run(tmp_path / "0", [False, True])
     leave_run(tmp_path / "1", [False] * 5)
     (tmp_path / "stand_in.py").write_text(STAND_IN)
@@ -147,13 +192,19 @@ def test_a_study_goes_on_and_scores_what_has_ended(study):
     assert "1 of 3 runs have ended" in page_of(ledger)
     for key in ledger.waiting(keys, ()):
         Attempt(ledger.folder, key, command)(1)
-    assert [job.state for job in finish(ledger.folder)] == [DONE, DONE, FAILED]
+    assert [job.state for job in finish(ledger.folder)] == [
+        DONE_STATE,
+        DONE_STATE,
+        FAILED_STATE,
+    ]
     ended = store.read_table(scores.RUNS, ledger.folder / "runs.parquet")
     assert ended["hit_at"].tolist() == [2, INF, INF]
     assert ended["manipulations"].tolist() == [2, 5, 0]
     casts = store.read_table(scores.CASTS, ledger.folder / "casts.parquet")
     assert casts[casts["hit"]][["seed", "manipulation"]].to_numpy().tolist() == [[0, 2]]
-    within = store.read_table(scores.RATES, ledger.folder / "rates.parquet").set_index("within")
+    within = store.read_table(scores.RATES, ledger.folder / "rates.parquet").set_index(
+        "within"
+    )
     assert within["right"].tolist() == [0, 1, 1, 1, 1]
     assert (within["count"] == 3).all()
     assert "no motion hits the target" in page_of(ledger)
@@ -172,8 +223,11 @@ def test_figures_show_what_the_runs_stored(study):
     for job in ledger.jobs()[:2]:
         Attempt(ledger.folder, job.key, command)(1)
     finish(ledger.folder)
-    tables = {table.name: store.read_table(table, ledger.folder / f"{table.name}.parquet") for table in TABLES}
-    drawn = figures(PaperRecord(tables, 2, {}, {}))
+    tables = {
+        table.name: store.read_table(table, ledger.folder / f"{table.name}.parquet")
+        for table in TABLES
+    }
+    drawn = paper_figures(PaperRecord(tables, 2, {}, {}))
     assert set(drawn) == {"hit_rates", "fig_13", "fig_14"}
     assert all((ledger.folder / f"{name}.png").stat().st_size > 5000 for name in drawn)
     first, last = drawn["fig_13"].figure.axes
@@ -184,6 +238,13 @@ def test_figures_show_what_the_runs_stored(study):
         assert len(axes.patches) == 2  # target and wall
     measured = first.lines[-1]
     assert measured.get_ydata() == pytest.approx((0.8 - S + 0.9 * 0.2) * 1e3)
-    assert "E is 0.400 in manipulation 1, 0.400 in manipulation 2: not higher" in drawn["fig_14"].alt
-    curves = [line for line in drawn["fig_14"].figure.axes[0].lines if len(line.get_xdata()) == len(T)]
+    assert (
+        "E is 0.400 in manipulation 1, 0.400 in manipulation 2: not higher"
+        in drawn["fig_14"].alt
+    )
+    curves = [
+        line
+        for line in drawn["fig_14"].figure.axes[0].lines
+        if len(line.get_xdata()) == len(T)
+    ]
     assert len(curves) == 2

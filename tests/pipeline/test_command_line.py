@@ -1,4 +1,6 @@
-"""The command as a user gives it: runs, resumes, estimates again, sweeps, and refuses clearly."""
+"""The command as a user gives it: runs, resumes, estimates again, sweeps, and refuses
+clearly.
+"""
 
 import json
 import re
@@ -15,10 +17,11 @@ from omegaconf import OmegaConf
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from stringcast.data import store
-from stringcast.pipeline import inherited, settings
+from stringcast.pipeline.settings import settings_from_runs, typed_settings
 
 BARE = "keep=[frames]"  # no report, where nobody asks for it
-MISSED = ("target.w=0.02", "target.h=0.04")  # [m], as small as the paper's: two casts do not hit
+# [m], as small as the paper's: two casts do not hit
+MISSED = ("target.w=0.02", "target.h=0.04")
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
 
@@ -26,14 +29,19 @@ EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml
 def quick(tmp_path_factory):
     """A finished smoke run."""
     folder = tmp_path_factory.mktemp("runs") / "quick"
-    done = pipeline("-v", "+experiment=quick", "manipulations=2", *MISSED, f"hydra.run.dir={folder}")
+    done = pipeline(
+        "-v", "+experiment=quick", "manipulations=2", *MISSED, f"hydra.run.dir={folder}"
+    )
     assert done.returncode == 0, done.stderr
-    assert "pipeline.run_folder: iterations/02/motion made in" in done.stderr
+    assert "pipeline.run.run_folder: iterations/02/motion made in" in done.stderr
     return folder
 
 
 def tables(folder):
-    return {str(p.relative_to(folder)): pd.read_parquet(p) for p in sorted(folder.rglob("*.parquet"))}
+    return {
+        str(p.relative_to(folder)): pd.read_parquet(p)
+        for p in sorted(folder.rglob("*.parquet"))
+    }
 
 
 def same(a, b):
@@ -42,23 +50,36 @@ def same(a, b):
         pd.testing.assert_frame_equal(a[name], b[name], check_exact=True, obj=name)
 
 
-def test_what_is_found_does_not_depend_on_how_many_cores_there_are(monkeypatch, called, tmp_path):
-    """Sums of long columns by several threads differ in their last digit, and a fit that stops a step later by more."""
+def test_what_is_found_does_not_depend_on_how_many_cores_there_are(
+    monkeypatch, called, tmp_path
+):
+    """Sums of long columns by several threads differ in their last digit, and a fit
+    that stops a step later by more.
+    """
     for words, place in (
-        (["seed=1"], "stringcast.pipeline.run.main"),
+        (["seed=1"], "stringcast.pipeline.run.single_run.main"),
         (["index"], "stringcast.pipeline.commands.index.main"),
     ):
         seen = []
-        monkeypatch.setattr(place, lambda given, seen=seen: seen.extend(threadpool_info()) or 0)
+        monkeypatch.setattr(
+            place, lambda given, seen=seen: seen.extend(threadpool_info()) or 0
+        )
         with threadpool_limits(2, "blas"):
             called(*words, f"hydra.run.dir={tmp_path}")
-        assert {pool["num_threads"] for pool in seen if pool["user_api"] == "blas"} == {1}
+        assert {pool["num_threads"] for pool in seen if pool["user_api"] == "blas"} == {
+            1
+        }
 
 
 def test_a_run_leaves_everything_on_disk(quick):
     ended = json.loads((quick / "run.json").read_text())
     assert ended["sentence"]
-    assert {p.name for p in (quick / "iterations" / "01").iterdir()} == {"motion", "trial", "points", "estimate"}
+    assert {p.name for p in (quick / "iterations" / "01").iterdir()} == {
+        "motion",
+        "trial",
+        "points",
+        "estimate",
+    }
     assert (quick / "dataset.yaml").exists()
     page = (quick / "report.html").read_text()
     assert 'src="http' not in page
@@ -66,7 +87,9 @@ def test_a_run_leaves_everything_on_disk(quick):
     assert ended["sentence"] in page
     log = (quick / "run.log").read_text()
     assert re.search(
-        r"^20\d\d-\d\d-\d\d \S+ INFO +stringcast.pipeline.run_folder: iterations/01/estimate made in", log, re.M
+        r"^20\d\d-\d\d-\d\d \S+ INFO +stringcast.pipeline.run.run_folder: iterations/01/estimate made in",
+        log,
+        re.M,
     )
     assert re.search(r"pipeline.modes.cast: estimate 1: E 0\.\d+ to 0\.\d+, rms", log)
     assert "cast 1: the tip came within" in log
@@ -74,30 +97,46 @@ def test_a_run_leaves_everything_on_disk(quick):
 
 def test_the_second_motion_is_the_first_slightly_changed(quick):
     """III: the same start, and control points near the last ones."""
-    first, second = (pd.read_parquet(quick / f"iterations/{n}/motion/commands.parquet") for n in ("01", "02"))
+    first, second = (
+        pd.read_parquet(quick / f"iterations/{n}/motion/commands.parquet")
+        for n in ("01", "02")
+    )
     joints = ["q1", "q2", "q3"]
     pd.testing.assert_series_equal(first[joints].iloc[0], second[joints].iloc[0])
-    last, now = (pd.read_parquet(quick / f"iterations/{n}/motion/control_points.parquet") for n in ("01", "02"))
+    last, now = (
+        pd.read_parquet(quick / f"iterations/{n}/motion/control_points.parquet")
+        for n in ("01", "02")
+    )
     duration = second["t"].iloc[-1]
-    assert (now["velocity"] - last["velocity"]).abs().max() <= 0.25 * min(150 * duration / 5, 20.66) + 1e-9
+    assert (now["velocity"] - last["velocity"]).abs().max() <= 0.25 * min(
+        150 * duration / 5, 20.66
+    ) + 1e-9
 
 
 def test_every_number_has_its_unit_and_every_file_its_origin(quick):
     for file in sorted(quick.rglob("*.parquet")):
         for column in pq.read_schema(file):
-            assert column.metadata, f"{file}: {column.name} has neither unit nor meaning"
+            assert column.metadata, (
+                f"{file}: {column.name} has neither unit nor meaning"
+            )
             assert {b"unit", b"meaning"} <= column.metadata.keys()
-        made = store.origin_of(file)
+        made = store.read_origin(file)
         assert len(made["code"]["source"]) == 64
         for path, digest in made["inputs"].items():
             assert store.content_hash(quick / path) == digest
-    seen = store.origin_of(quick / "iterations/02/estimate/fit.parquet")["inputs"]
-    assert {"iterations/02/points", "iterations/02/trial", "iterations/01/estimate"} <= seen.keys()
-    assert store.origin_of(quick / "points.parquet")["inputs"]
+    seen = store.read_origin(quick / "iterations/02/estimate/fit.parquet")["inputs"]
+    assert {
+        "iterations/02/points",
+        "iterations/02/trial",
+        "iterations/01/estimate",
+    } <= seen.keys()
+    assert store.read_origin(quick / "points.parquet")["inputs"]
 
 
 def test_an_interrupted_run_goes_on_to_the_same_result(quick, called, tmp_path):
-    """As if killed in the middle: later artifacts gone, one half-written aside. On another number of threads, too."""
+    """As if killed in the middle: later artifacts gone, one half-written aside. On
+    another number of threads, too.
+    """
     part = tmp_path / "part"
     shutil.copytree(quick, part)
     shutil.rmtree(part / "iterations" / "01" / "estimate")
@@ -109,7 +148,13 @@ def test_an_interrupted_run_goes_on_to_the_same_result(quick, called, tmp_path):
     same(tables(part), tables(quick))
     for name in ("run.json", "report.html", "dataset.yaml"):
         assert (part / name).read_bytes() == (quick / name).read_bytes(), name
-    other = called("+experiment=quick", "manipulations=2", *MISSED, "seed=9", f"hydra.run.dir={part}")
+    other = called(
+        "+experiment=quick",
+        "manipulations=2",
+        *MISSED,
+        "seed=9",
+        f"hydra.run.dir={part}",
+    )
     assert other.returncode == 1
     assert "other settings" in other.stderr
 
@@ -118,20 +163,35 @@ def test_a_run_comes_out_the_same_when_it_is_computed_again(quick, called):
     done = called("verify", quick)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "iterations/01/trial: the same to the bit" in done.stdout
-    assert done.stdout.count("the same to the bit") == 4 * len(list((quick / "iterations").iterdir())) + 2
+    assert (
+        done.stdout.count("the same to the bit")
+        == 4 * len(list((quick / "iterations").iterdir())) + 2
+    )
 
 
 def test_estimation_again_from_stored_trials_is_bit_identical(quick, called, tmp_path):
-    again = called("+experiment=estimate", f"trials={quick}", BARE, f"hydra.run.dir={tmp_path / 'again'}")
+    again = called(
+        "+experiment=estimate",
+        f"trials={quick}",
+        BARE,
+        f"hydra.run.dir={tmp_path / 'again'}",
+    )
     assert again.returncode == 0, again.stderr
     for number in ("01", "02"):
         first = quick / "iterations" / number / "estimate"
         if first.exists():
-            same(tables(first), tables(tmp_path / "again" / "iterations" / number / "estimate"))
+            same(
+                tables(first),
+                tables(tmp_path / "again" / "iterations" / number / "estimate"),
+            )
 
 
-def test_points_are_made_of_frames_where_only_frames_were_stored(quick, called, tmp_path):
-    """Somebody's dataset of pictures and joint angles: the same pictures give the same points."""
+def test_points_are_made_of_frames_where_only_frames_were_stored(
+    quick, called, tmp_path
+):
+    """Somebody's dataset of pictures and joint angles: the same pictures give the same
+    points.
+    """
     theirs = tmp_path / "theirs"
     for file in ("arm.parquet", "frames.parquet", "dataset.yaml"):
         theirs.mkdir(exist_ok=True)
@@ -140,7 +200,10 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(quick, called, 
     asked = ("+experiment=estimate", f"trials={theirs}", "estimate.candidates=40", BARE)
     done = called(*asked, f"hydra.run.dir={tmp_path / 'run'}")
     assert done.returncode == 0, done.stderr
-    same(tables(quick / "iterations/01/points"), tables(tmp_path / "run/iterations/01/points"))
+    same(
+        tables(quick / "iterations/01/points"),
+        tables(tmp_path / "run/iterations/01/points"),
+    )
     about = theirs / "dataset.yaml"
     about.write_text(about.read_text().replace("px_per_m", "per_m"))
     refused = called(*asked, f"hydra.run.dir={tmp_path / 'other'}")
@@ -153,34 +216,64 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(quick, called, 
     [
         (["method=paper", "estimate.bta=1"], "Did you mean 'estimate.beta'"),
         (["method=paper", "+estimate.bta=1"], "Did you mean 'beta'"),
-        (["method=paper", "estimate.beta=1.5"], "estimate.beta = 1.5 .*random_search.yaml"),
+        (
+            ["method=paper", "estimate.beta=1.5"],
+            "estimate.beta = 1.5 .*random_search.yaml",
+        ),
         (["method=paper", "estimate.beta=abc"], "valid number"),
-        (["+experiment=diagnose", "trials=data/sample", "diagnose.without=[wnd]"], "Did you mean 'wind'"),
+        (
+            ["+experiment=diagnose", "trials=data/sample", "diagnose.without=[wnd]"],
+            "Did you mean 'wind'",
+        ),
         (["camera.fps=-3"], "camera.fps"),
         (["target.x=2"], "out of reach"),
         (["string.points=2"], "at least 3"),
         (["arm.links=[0.3,0.2]"], "arm.*lowest has 3 values, links has 2"),
         (["generate.shortest=2"], "generate.shortest = 2.0 is above generate.longest"),
         (["seed=true"], "seed = True .*whole number"),
-        (["mode.stages=[generat]"], "there is no stage 'generat'. Known are: .*generate"),
-        (["mode=estimate"], "trials = null: this mode looks at stored trials. Give trials=<folder>"),
+        (
+            ["mode.stages=[generat]"],
+            "there is no stage 'generat'. Known are: .*generate",
+        ),
+        (
+            ["mode=estimate"],
+            "trials = null: this mode looks at stored trials. Give trials=<folder>",
+        ),
         (["trials=data/sample"], "trials=data/sample: this mode makes its own trials"),
-        (["mode=batch", "trials=data/sample"], r"mode.stage = None \(conf/mode\): .* valid string"),
+        (
+            ["mode=batch", "trials=data/sample"],
+            r"mode.stage = None \(conf/mode\): .* valid string",
+        ),
         (
             ["mode=batch", "mode.stage=execute", "trials=data/sample"],
             "does not look at trials alone. Choose align or diagnose",
         ),
-        (["+experiment=estimate"], "looks at stored trials, and none are named. Try: .*trials=data/sample"),
+        (
+            ["+experiment=estimate"],
+            "looks at stored trials, and none are named. Try: .*trials=data/sample",
+        ),
         (["string.ranges.axial_stiffness.low=1e9"], "must be below"),
         (["string.tolerance=-1"], "metres above 0"),
-        (["string=fine", "string.tolerance=1e-6"], "string.tolerance = 1e-06 .* best measured"),
+        (
+            ["string=fine", "string.tolerance=1e-6"],
+            "string.tolerance = 1e-06 .* best measured",
+        ),
         (["+experiment=estimate", "trials=/nonexistent"], "no such folder"),
         (["+experiment=strinB"], "stringB"),
-        (["effects=[tip_mass"], r"effects=\[tip_mass: it cannot be read. Close brackets"),
-        (["estimate.beta=0.9"], "there is no such setting. It is one of estimate=random_search[.]"),
+        (
+            ["effects=[tip_mass"],
+            r"effects=\[tip_mass: it cannot be read. Close brackets",
+        ),
+        (
+            ["estimate.beta=0.9"],
+            "there is no such setting. It is one of estimate=random_search[.]",
+        ),
         (["hardwear=virtual"], "Try: .* hardware=virtual"),
         (["hydra.run.dir=/proc/nope"], "cannot be written"),
-        (["hardware=serial", "hardware.port=/dev/nowhere", "generate.longest=0.4"], "source.number"),
+        (
+            ["hardware=serial", "hardware.port=/dev/nowhere", "generate.longest=0.4"],
+            "source.number",
+        ),
         (
             ["source=video", "source.path=film.mp4"],
             r"source.path = film.mp4 \(command line\): .* virtual lab .*Leave it out",
@@ -190,17 +283,31 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(quick, called, 
             "source = .*this films nothing. Leave it out",
         ),
         (
-            ["hardware=serial", "hardware.port=/dev/nowhere", "source=video", "source.path=film.mp4"],
+            [
+                "hardware=serial",
+                "hardware.port=/dev/nowhere",
+                "source=video",
+                "source.path=film.mp4",
+            ],
             r"Error: source.path = film.mp4 \(.*\): there is no such film. Name one that is there",
         ),
         (
-            ["+experiment=calibrate", "source=images", "source.folder=data", "plane.folder=flat"],
+            [
+                "+experiment=calibrate",
+                "source=images",
+                "source.folder=data",
+                "plane.folder=flat",
+            ],
             r"plane.folder = flat \(.*\): there is no such folder of images. Name one",
         ),
     ],
 )
 def test_bad_input_is_one_clear_error(overrides, words, called, tmp_path):
-    place = [] if any("run.dir" in o for o in overrides) else [f"hydra.run.dir={tmp_path / 'run'}"]
+    place = (
+        []
+        if any("run.dir" in o for o in overrides)
+        else [f"hydra.run.dir={tmp_path / 'run'}"]
+    )
     refused = called(*overrides, *place)
     assert refused.returncode == 1
     assert "Traceback" not in refused.stderr
@@ -209,7 +316,9 @@ def test_bad_input_is_one_clear_error(overrides, words, called, tmp_path):
         assert not (tmp_path / "run").exists() or not any((tmp_path / "run").iterdir())
 
 
-@pytest.mark.parametrize("overrides", [["method=paper", "estimate.beta=1.5"], ["hardwear=virtual"]])
+@pytest.mark.parametrize(
+    "overrides", [["method=paper", "estimate.beta=1.5"], ["hardwear=virtual"]]
+)
 def test_a_refused_command_ends_with_its_error_and_a_status(overrides, tmp_path):
     refused = pipeline(*overrides, f"hydra.run.dir={tmp_path / 'run'}")
     assert refused.returncode == 1
@@ -217,15 +326,29 @@ def test_a_refused_command_ends_with_its_error_and_a_status(overrides, tmp_path)
     assert refused.stderr.startswith("Error: ")
 
 
-def test_stored_trials_keep_their_settings_but_for_what_is_given(quick, called, tmp_path):
-    """A part of a block given on the command line must not bring back the rest of its defaults."""
+def test_stored_trials_keep_their_settings_but_for_what_is_given(
+    quick, called, tmp_path
+):
+    """A part of a block given on the command line must not bring back the rest of its
+    defaults.
+    """
     about = tmp_path / "trials"
     shutil.copytree(quick, about)
     known = json.loads((about / "config.json").read_text())
-    cma = {"_target_": "stages.estimate.cma_es.estimate", "candidates": 40, "sigma": 0.3, "population": 8}
+    cma = {
+        "_target_": "stages.estimate.cma_es.estimate",
+        "candidates": 40,
+        "sigma": 0.3,
+        "population": 8,
+    }
     known["estimate"] = cma | {"matching": known["estimate"]["matching"]}
     (about / "config.json").write_text(json.dumps(known))
-    asked = ("+experiment=estimate", f"trials={about}", "estimate.matching.delta_w=0.5", BARE)
+    asked = (
+        "+experiment=estimate",
+        f"trials={about}",
+        "estimate.matching.delta_w=0.5",
+        BARE,
+    )
     done = called(*asked, f"hydra.run.dir={tmp_path / 'run'}")
     assert done.returncode == 0, done.stderr
     used = json.loads((tmp_path / "run" / "config.json").read_text())["estimate"]
@@ -241,23 +364,47 @@ def test_a_measured_string_is_as_long_as_it_is_however_it_is_simulated(quick, tm
     (tmp_path / "dataset.yaml").write_text("format: 1\nstring: {length: 0.45}\n")
 
     def used(folder, *more):
-        config = OmegaConf.create(settings.composed([f"trials={folder}", "mode=estimate", *more]))
-        return inherited.with_inherited_settings(config, settings.names_given([f"trials={folder}", *more]))["string"]
+        config = OmegaConf.create(
+            typed_settings.compose_settings(
+                [f"trials={folder}", "mode=estimate", *more]
+            )
+        )
+        return settings_from_runs.inherit_settings(
+            config, typed_settings.given_names([f"trials={folder}", *more])
+        )["string"]
 
     assert (used(tmp_path)["length"], used(tmp_path)["points"]) == (0.45, 20)
-    assert (used(tmp_path, "string=paper")["length"], used(tmp_path, "string=paper")["points"]) == (0.45, 10)
+    assert (
+        used(tmp_path, "string=paper")["length"],
+        used(tmp_path, "string=paper")["points"],
+    ) == (0.45, 10)
     assert used(tmp_path, "string=fine", "string.length=0.4")["length"] == 0.4
     known = json.loads((quick / "config.json").read_text())
-    (tmp_path / "config.json").write_text(json.dumps(known | {"string": known["string"] | {"length": 0.35}}))
-    assert (used(tmp_path)["length"], used(tmp_path)["points"]) == (0.35, known["string"]["points"])
-    assert (used(tmp_path, "string=fine")["length"], used(tmp_path, "string=fine")["points"]) == (0.35, 57)
+    (tmp_path / "config.json").write_text(
+        json.dumps(known | {"string": known["string"] | {"length": 0.35}})
+    )
+    assert (used(tmp_path)["length"], used(tmp_path)["points"]) == (
+        0.35,
+        known["string"]["points"],
+    )
+    assert (
+        used(tmp_path, "string=fine")["length"],
+        used(tmp_path, "string=fine")["points"],
+    ) == (0.35, 57)
 
 
 def test_ctrl_c_says_how_to_go_on(tmp_path):
     import signal
 
-    command = [sys.executable, "-m", "pipeline", "+experiment=quick", f"hydra.run.dir={tmp_path / 'run'}"]
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # what is begun by tests in the background would be deaf
+    command = [
+        sys.executable,
+        "-m",
+        "pipeline",
+        "+experiment=quick",
+        f"hydra.run.dir={tmp_path / 'run'}",
+    ]
+    # what is begun by tests in the background would be deaf
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     running = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
     while not (tmp_path / "run" / "iterations").exists():
         time.sleep(0.05)
@@ -273,7 +420,9 @@ def test_a_damaged_trial_is_named(quick, called, tmp_path):
     shutil.copytree(quick, broken)
     file = broken / "points.parquet"
     file.write_bytes(file.read_bytes()[:-20])
-    refused = called("+experiment=estimate", f"trials={broken}", f"hydra.run.dir={tmp_path / 'run'}")
+    refused = called(
+        "+experiment=estimate", f"trials={broken}", f"hydra.run.dir={tmp_path / 'run'}"
+    )
     assert refused.returncode == 1
     assert "points.parquet" in refused.stderr.replace("\n", "")
 
@@ -283,26 +432,37 @@ def composed(*overrides):
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 
-    from stringcast.pipeline.experiment import prepare
+    from stringcast.pipeline.run.experiment import prepare_experiment
 
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         config = compose("config", list(overrides))
-    return prepare(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
+    return prepare_experiment(
+        OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}"
+    )
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_every_experiment_composes_and_is_valid(name):
-    stored = ["trials=outputs/some-run"] if name in ("estimate", "diagnose", "decide", "measured_study") else []
+    stored = (
+        ["trials=outputs/some-run"]
+        if name in ("estimate", "diagnose", "decide", "measured_study")
+        else []
+    )
     points = {"stringD": 25, "long": 30}
     points |= dict.fromkeys(("window", "gap", "several", "gain_study", "estimate"), 20)
     points |= dict.fromkeys(("diagnose", "decide"), 57)
-    own = ("align", "calibrate", "extraction_study", "measured_study", "paper")  # simulate none, or say which by part
+    # simulate none, or say which by part
+    own = ("align", "calibrate", "extraction_study", "measured_study", "paper")
     points |= dict.fromkeys(own, 57)
-    assert composed(f"+experiment={name}", *stored).string.points == points.get(name, 10)
+    assert composed(f"+experiment={name}", *stored).string.points == points.get(
+        name, 10
+    )
 
 
 def test_a_tolerance_finds_points_and_step_and_a_tighter_one_more():
-    loose, tight = (composed("string=fine", f"string.tolerance={t}").string for t in (0.03, 0.003))
+    loose, tight = (
+        composed("string=fine", f"string.tolerance={t}").string for t in (0.03, 0.003)
+    )
     assert loose.points < tight.points
     assert loose.largest_step >= tight.largest_step
     assert composed("string=fine").string.points == 57
@@ -314,4 +474,7 @@ def test_help_helps(called):
     assert "+experiment=stringB" in shown.stdout
     assert "trials=" in shown.stdout
     assert "experiment/paper: A_300_900, " in shown.stdout
-    assert re.search(r"\nname: stringB +# names the run", pipeline("+experiment=stringB", "--help").stdout)
+    assert re.search(
+        r"\nname: stringB +# names the run",
+        pipeline("+experiment=stringB", "--help").stdout,
+    )

@@ -1,4 +1,6 @@
-"""verify, why, diff, lineage, index and resume: what they say of whole, changed, damaged and unfinished runs."""
+"""verify, why, diff, lineage, index and resume: what they say of whole, changed,
+damaged and unfinished runs.
+"""
 
 import json
 import os
@@ -15,13 +17,14 @@ import pytest
 from stringcast.data import store
 from stringcast.data.alignment import Alignment
 from stringcast.data.artifacts import Points
-from stringcast.data.compare import differences
+from stringcast.data.compare import file_differences
 from stringcast.pipeline import __main__ as shell
-from stringcast.pipeline import commands, provenance
-from stringcast.pipeline.commands.provenance import verified as computed_again
-from stringcast.pipeline.commands.stored import walk
+from stringcast.pipeline import commands
+from stringcast.pipeline.commands.provenance import verify_run as computed_again
+from stringcast.pipeline.commands.stored_runs import walk_steps
 from stringcast.pipeline.modes import Batch, Calibrate
-from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.run import provenance
+from stringcast.pipeline.settings.typed_settings import UserError
 from stringcast.pipeline.studies.hitting.study import HitStudy
 from tests.faults.toy import contents, rows, toy_experiment, toy_run
 
@@ -48,7 +51,7 @@ def run(finished, tmp_path):
 
 def asked(capsys, *command):
     """The exit status of a command, and what it said, on one line."""
-    status = shell.asked(command[0], [str(word) for word in command[1:]])
+    status = shell.run_command(command[0], [str(word) for word in command[1:]])
     said = capsys.readouterr()
     return status, re.sub(r"\s+", " ", said.out + said.err)
 
@@ -67,47 +70,67 @@ def change(run, step, table, column, row, value):
     file = run / "iterations" / step / f"{table.name}.parquet"
     frame = store.read_table(table, file)
     frame.loc[row, column] = value(frame.loc[row, column])
-    store.write_table(table, frame, file, store.origin_of(file))
+    store.write_table(table, frame, file, store.read_origin(file))
 
 
 def test_a_whole_run_is_verified_and_not_touched(run, tmp_path):
     before = {p: (p.stat().st_mtime_ns, p.stat().st_size) for p in run.rglob("*")}
     outcome = verified(run, tmp_path, toy_experiment())
-    assert outcome.same
+    assert outcome.is_same
     assert len(outcome.lines) == 10
     assert all(line.endswith("the same to the bit") for line in outcome.lines)
-    assert {p: (p.stat().st_mtime_ns, p.stat().st_size) for p in run.rglob("*")} == before
+    assert {
+        p: (p.stat().st_mtime_ns, p.stat().st_size) for p in run.rglob("*")
+    } == before
 
 
 def test_verify_says_where_a_value_differs_and_by_how_much(run, tmp_path):
-    change(run, "02/points", Points.TABLES["points"], "x", 1, lambda x: np.nextafter(x, 1e9))
+    change(
+        run,
+        "02/points",
+        Points.TABLES["points"],
+        "x",
+        1,
+        lambda x: np.nextafter(x, 1e9),
+    )
     outcome = verified(run, tmp_path, toy_experiment())
-    assert not outcome.same
+    assert not outcome.is_same
     at = outcome.lines.index("iterations/02/points: DIFFERS")
     assert re.search(
-        r"points\.parquet: column x: 1 of 2 rows differ, first row 1: .* at most .*e-1\d apart", outcome.lines[at + 1]
+        r"points\.parquet: column x: 1 of 2 rows differ, first row 1: .* at most .*e-1\d apart",
+        outcome.lines[at + 1],
     )
     assert "iterations/01/points: the same to the bit" in outcome.lines
-    assert "iterations/02/estimate: DIFFERS" in outcome.lines  # made from points that are not there any more
-    assert any("input iterations/02/points has changed" in line for line in outcome.lines)
+    # made from points that are not there any more
+    assert "iterations/02/estimate: DIFFERS" in outcome.lines
+    assert any(
+        "input iterations/02/points has changed" in line for line in outcome.lines
+    )
 
 
 def test_verify_notices_images_run_json_and_what_is_missing(run, tmp_path):
     image = run / "iterations/01/trial/images/0.png"
     shutil.copy(image.with_name("1.png"), image)
-    (run / "run.json").write_text((run / "run.json").read_text().replace('"hit": false', '"hit": true', 1))
+    (run / "run.json").write_text(
+        (run / "run.json").read_text().replace('"hit": false', '"hit": true', 1)
+    )
     lines = "\n".join(verified(run, tmp_path, toy_experiment()).lines)
     assert "images/0.png: 256 pixels differ, at most by 1 grey levels" in lines
     assert "it says something else than the steps" in lines
     shutil.rmtree(run / "iterations/02/points")
     shutil.rmtree(tmp_path / "aside")
     outcome = verified(run, tmp_path, toy_experiment())
-    assert not outcome.same
-    assert outcome.lines[-2:] == ["iterations/02/points: DIFFERS", "    it has not been made yet"]
+    assert not outcome.is_same
+    assert outcome.lines[-2:] == [
+        "iterations/02/points: DIFFERS",
+        "    it has not been made yet",
+    ]
 
 
 def aligned(model, observations, films, *, progress):
-    return Alignment(**{name: rows(table, 1) for name, table in Alignment.TABLES.items()})
+    return Alignment(
+        **{name: rows(table, 1) for name, table in Alignment.TABLES.items()}
+    )
 
 
 def test_a_run_without_points_is_verified_too(tmp_path):
@@ -118,7 +141,7 @@ def test_a_run_without_points_is_verified_too(tmp_path):
     toy_run(tmp_path / "run", here)
     assert (tmp_path / "run" / "extended.yaml").exists()
     outcome = verified(tmp_path / "run", tmp_path, here)
-    assert outcome.same
+    assert outcome.is_same
     assert [line.partition(":")[0] for line in outcome.lines] == [
         *(f"iterations/01/{name}" for name in ("motion", "trial", "alignment")),
         "run.json",
@@ -132,14 +155,23 @@ def real_arm():
     return toy_experiment(hardware=hardware)
 
 
-def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, monkeypatch):
+def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(
+    tmp_path, monkeypatch
+):
     toy_run(tmp_path / "run", real_arm())
     outcome = verified(tmp_path / "run", tmp_path, real_arm())
-    assert outcome.same
-    assert outcome.lines[1] == "iterations/01/trial: measured with a real arm and camera, cannot be computed again"
+    assert outcome.is_same
+    assert (
+        outcome.lines[1]
+        == "iterations/01/trial: measured with a real arm and camera, cannot be computed again"
+    )
     before = contents(tmp_path / "run")
     with monkeypatch.context() as patch:
-        patch.setattr(provenance, "sources", lambda *given: {"stages/generate/generate.py": "changed"})
+        patch.setattr(
+            provenance,
+            "source_digests",
+            lambda *given: {"stages/generate/generate.py": "changed"},
+        )
         made, said = toy_run(tmp_path / "run", real_arm())
     assert made == ["extract", "estimate"]  # the last, after which no arm has moved
     assert "keeping iterations/01/motion, by which the arm has moved: " in said
@@ -155,17 +187,22 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, mo
     [
         ("stages/estimate/random_search.py", {"estimate"}),
         ("stages/estimate/cma_es.py", set()),
-        ("stages/model/string.py", {"generate", "execute", "extract", "estimate"}),  # through what was measured
+        # through what was measured
+        ("stages/model/string.py", {"generate", "execute", "extract", "estimate"}),
         ("hardware/virtual/render.py", {"execute"}),
         ("stages/spec.py", {"generate", "execute", "extract", "estimate"}),
-        ("pipeline/report.py", set()),
+        ("pipeline/run/report.py", set()),
     ],
 )
 def test_only_steps_that_use_a_source_are_made_again(run, monkeypatch, what, steps):
     """And what comes out the same makes nothing after it stale."""
-    real = provenance.sources
+    real = provenance.source_digests
     changed = {what: "changed"}
-    monkeypatch.setattr(provenance, "sources", lambda *given: {k: changed.get(k, v) for k, v in real(*given).items()})
+    monkeypatch.setattr(
+        provenance,
+        "source_digests",
+        lambda *given: {k: changed.get(k, v) for k, v in real(*given).items()},
+    )
     made, said = toy_run(run, toy_experiment())
     assert set(made) == steps
     assert (f"source {what} has changed" in said) == bool(steps)
@@ -181,14 +218,20 @@ def test_comments_and_docstrings_make_nothing_stale(tmp_path):
     }
     for name, code in codes.items():
         (tmp_path / f"{name}.py").write_text(code)
-    plain, told, other, text = (provenance.read_code(tmp_path / f"{name}.py")[1] for name in codes)
+    plain, told, other, text = (
+        provenance.parse_source(tmp_path / f"{name}.py")[1] for name in codes
+    )
     assert plain == told == text != other
 
 
 def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatch):
     assert asked(capsys, "why", run) == (
         0,
-        " ".join(f"iterations/{n}/{s}: fresh" for n in ("01", "02") for s in ("motion", "trial", "points", "estimate"))
+        " ".join(
+            f"iterations/{n}/{s}: fresh"
+            for n in ("01", "02")
+            for s in ("motion", "trial", "points", "estimate")
+        )
         + " ",
     )
     config = json.loads((run / "config.json").read_text())
@@ -198,28 +241,46 @@ def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatc
     assert status == 1
     assert "iterations/01/points: fresh" in said
     assert "iterations/01/estimate: stale estimate.beta 0.995 -> 0.9" in said
-    assert "iterations/02/motion: stale iterations/01/estimate, an input, is stale" in said
+    assert (
+        "iterations/02/motion: stale iterations/01/estimate, an input, is stale" in said
+    )
     change(run, "01/points", Points.TABLES["points"], "x", 0, lambda x: x + 1)
     status, said = asked(capsys, "why", run / "iterations/01/estimate")
     assert "input iterations/01/points has changed" in said
     assert "motion" not in said
-    real = provenance.origin
+    real = provenance.step_origin
     monkeypatch.setattr(
-        provenance, "origin", lambda *given: real(*given) | {"packages": {**real(*given)["packages"], "numpy": "9.9"}}
+        provenance,
+        "step_origin",
+        lambda *given: (
+            real(*given) | {"packages": {**real(*given)["packages"], "numpy": "9.9"}}
+        ),
     )
     assert re.search(r"package numpy [\d.]+ -> 9\.9", asked(capsys, "why", run)[1])
 
 
 def test_diff_says_what_differs(finished, run, capsys):
     same = asked(capsys, "diff", finished / "day/a", run)
-    assert same == (0, "settings: the same data: the same code: the same packages: the same results: the same ")
+    assert same == (
+        0,
+        "settings: the same data: the same code: the same packages: the same results: the same ",
+    )
     status, said = asked(capsys, "diff", finished / "day/a", finished / "day/b")
     assert status == 1
     assert "settings: differ seed: 0 and 3" in said
-    assert "code: the same packages: the same results: differ run.json: iterations.1.E_after:" in said
-    assert re.search(r"iterations/01/motion/commands.parquet: column q1: 2 of 2 rows differ, first row 0: ", said)
+    assert (
+        "code: the same packages: the same results: differ run.json: iterations.1.E_after:"
+        in said
+    )
+    assert re.search(
+        r"iterations/01/motion/commands.parquet: column q1: 2 of 2 rows differ, first row 0: ",
+        said,
+    )
     (run / "points.parquet").unlink()
-    assert "points.parquet: it is only in the first" in asked(capsys, "diff", finished / "day/a", run)[1]
+    assert (
+        "points.parquet: it is only in the first"
+        in asked(capsys, "diff", finished / "day/a", run)[1]
+    )
 
 
 @pytest.mark.parametrize(
@@ -238,7 +299,7 @@ def test_diff_says_what_differs(finished, run, capsys):
 def test_tables_are_compared_by_columns_types_rows_and_bits(tmp_path, a, b, words):
     for name, table in (("a", a), ("b", b)):
         pd.DataFrame(table).to_parquet(tmp_path / f"{name}.parquet")
-    assert differences(tmp_path / "a.parquet", tmp_path / "b.parquet") == words
+    assert file_differences(tmp_path / "a.parquet", tmp_path / "b.parquet") == words
 
 
 def test_lineage_goes_back_to_the_first_motion_and_notices_what_changed(run, capsys):
@@ -259,12 +320,17 @@ def test_lineage_goes_back_to_the_first_motion_and_notices_what_changed(run, cap
     assert status == 1
     assert "iterations/01/points HAS CHANGED SINCE" in said
     shutil.rmtree(run / "iterations/01/motion")
-    assert "iterations/01/motion IS GONE" in asked(capsys, "lineage", run / "iterations/01/trial/images/0.png")[1]
+    assert (
+        "iterations/01/motion IS GONE"
+        in asked(capsys, "lineage", run / "iterations/01/trial/images/0.png")[1]
+    )
 
 
 @pytest.fixture
 def many(finished, tmp_path):
-    """Runs that ended, failed, were interrupted, are damaged, stale, and of a version without a setting."""
+    """Runs that ended, failed, were interrupted, are damaged, stale, and of a version
+    without a setting.
+    """
     outputs = shutil.copytree(finished, tmp_path / "outputs")
     for name in ("failed", "interrupted", "damaged", "stale", "old"):
         shutil.copytree(outputs / "day/a", outputs / "day" / name)
@@ -297,16 +363,25 @@ def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
     }
     assert runs.loc["day/a", "outcome"] == "missed"
     assert runs.loc["day/failed", "said"] == "the camera is not there"
-    assert runs.loc["day/stale", "stale"] == "iterations/01/points: extract.points 31 -> 30"
-    assert "method._target_" in runs.loc["day/old", "stale"]  # a setting of another name
+    assert (
+        runs.loc["day/stale", "stale"]
+        == "iterations/01/points: extract.points 31 -> 30"
+    )
+    # a setting of another name
+    assert "method._target_" in runs.loc["day/old", "stale"]
     assert (runs.drop(["day/stale", "day/old"])["stale"] == "").all()
-    fits = [pd.read_parquet(many / f"day/a/iterations/{n}/estimate/fit.parquet")["after"][0] for n in ("01", "02")]
+    fits = [
+        pd.read_parquet(many / f"day/a/iterations/{n}/estimate/fit.parquet")["after"][0]
+        for n in ("01", "02")
+    ]
     assert runs.loc["day/a", "best_E"] == max(fits)
     assert runs.loc["day/a", "iterations"] == 2
     assert 0 < runs.loc["day/a", "seconds"] < 60
     assert runs.loc["day/a", "date"].startswith("20")
     listed = pd.read_csv(
-        tmp_path / "runs.csv", keep_default_na=False, converters={"best_E": lambda E: float(E or "nan")}
+        tmp_path / "runs.csv",
+        keep_default_na=False,
+        converters={"best_E": lambda E: float(E or "nan")},
     )
     pd.testing.assert_frame_equal(listed, runs.reset_index(), check_dtype=False)
     page = (tmp_path / "runs.html").read_text()
@@ -334,11 +409,13 @@ def test_a_run_refused_or_unknown_is_one_clear_error(run, tmp_path, capsys):
 
 
 def test_every_command_has_a_help_and_is_listed(capsys):
-    listed = dict(line.split(maxsplit=1) for line in commands.listed().splitlines())
-    assert {*listed} == {*commands.NAMES}
+    listed = dict(
+        line.split(maxsplit=1) for line in commands.command_list().splitlines()
+    )
+    assert {*listed} == {*commands.COMMAND_NAMES}
     for name, words in listed.items():
         with pytest.raises(SystemExit) as stopped:
-            commands.command(name)(["--help"])
+            commands.load_command(name)(["--help"])
         assert stopped.value.code == 0
         said = re.sub(r"\s+", " ", capsys.readouterr().out)
         assert re.sub(r"\s+", " ", words) in said
@@ -350,7 +427,9 @@ def blocks(language):
     return re.findall(rf"```{language}\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 
-def test_the_examples_of_the_page_run_in_pandas(finished, tmp_path, monkeypatch, capsys):
+def test_the_examples_of_the_page_run_in_pandas(
+    finished, tmp_path, monkeypatch, capsys
+):
     outputs = shutil.copytree(finished, tmp_path / "outputs")
     monkeypatch.chdir(outputs.parent)
     asked(capsys, "index", "outputs", "--to", "runs.parquet")
@@ -361,7 +440,9 @@ def test_the_examples_of_the_page_run_in_pandas(finished, tmp_path, monkeypatch,
         assert len(known["answer"])
 
 
-def test_the_examples_of_the_page_run_in_duckdb(finished, tmp_path, monkeypatch, capsys):
+def test_the_examples_of_the_page_run_in_duckdb(
+    finished, tmp_path, monkeypatch, capsys
+):
     duckdb = pytest.importorskip("duckdb")
     outputs = shutil.copytree(finished, tmp_path / "outputs")
     monkeypatch.chdir(outputs.parent)
@@ -375,16 +456,26 @@ def test_the_examples_of_the_page_run_in_duckdb(finished, tmp_path, monkeypatch,
 def test_a_study_has_no_steps_to_ask_for(mode, tmp_path):
     """Its trials, where it has any, are not read as a dataset."""
     study = toy_experiment(mode=mode, trials=str(tmp_path))
-    with pytest.raises(UserError, match="this run, of a study or a calibration, has no steps of its own"):
-        walk(study, tmp_path, lambda step: None)
+    with pytest.raises(
+        UserError,
+        match="this run, of a study or a calibration, has no steps of its own",
+    ):
+        walk_steps(study, tmp_path, lambda step: None)
 
 
 def test_stored_trials_are_looked_for_where_they_were_named(tmp_path, monkeypatch):
-    """A run lies elsewhere than its `trials`, which may be named from the folder where the command was given."""
+    """A run lies elsewhere than its `trials`, which may be named from the folder where
+    the command was given.
+    """
     monkeypatch.chdir(tmp_path)
     for name in ("data/arm.csv", "run/iterations/01/points/points.csv", "secret"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(b"t")
-    asked_for = {"data/arm.csv": "", "iterations/01/points": "", "secret": "", "data/gone.csv": ""}
-    found = provenance.inputs_there(tmp_path / "run", asked_for, "data")
+    asked_for = {
+        "data/arm.csv": "",
+        "iterations/01/points": "",
+        "secret": "",
+        "data/gone.csv": "",
+    }
+    found = provenance.input_hashes(tmp_path / "run", asked_for, "data")
     assert set(found) == {"data/arm.csv", "iterations/01/points"}

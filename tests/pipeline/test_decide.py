@@ -1,6 +1,8 @@
-"""Deciding with a bench attached: what a diagnosis proposes is performed, filmed and diagnosed with all the rest.
+"""Deciding with a bench attached: what a diagnosis proposes is performed, filmed and
+diagnosed with all the rest.
 
-The diagnosis itself is replaced by one that proposes a swing until it has seen it: here only the shell is asked.
+The diagnosis itself is replaced by one that proposes a swing until it has seen it: here
+only the shell is asked.
 """
 
 import json
@@ -11,8 +13,8 @@ import pandas as pd
 import pytest
 
 from stringcast.data.artifacts import Diagnosis, Motion
-from stringcast.data.store import content_hash, load, origin_of
-from stringcast.pipeline import run_folder
+from stringcast.data.store import content_hash, load, read_origin
+from stringcast.pipeline.run import run_folder
 from tests.conftest import swing
 from tests.pipeline.small import about
 
@@ -23,12 +25,33 @@ def proposing(model, observations, rejected, held_out, obstacles, *, seed, progr
     """A diagnosis that wants a swing until it has seen one performed."""
     SEEN.append([o.trial for o in observations])
     wanted = not any(o.trial.startswith("performed") for o in observations)
-    text = {"verdict": "ambiguous" if wanted else "effect", "trials": {"rejected": {**rejected, "t99": "no light"}}}
-    text["next_experiment"] = {"sentence": "Swing.", "between": ["a", "b"]} if wanted else None
-    row = {"verdict": text["verdict"], "sentence": "So.", "diagnosis": json.dumps(text), "extended": "effects: []"}
-    tables = {name: table.empty() for name, table in Diagnosis.TABLES.items()} | {"finding": pd.DataFrame([row])}
+    text = {
+        "verdict": "ambiguous" if wanted else "effect",
+        "trials": {"rejected": {**rejected, "t99": "no light"}},
+    }
+    text["next_experiment"] = (
+        {"sentence": "Swing.", "between": ["a", "b"]} if wanted else None
+    )
+    row = {
+        "verdict": text["verdict"],
+        "sentence": "So.",
+        "diagnosis": json.dumps(text),
+        "extended": "effects: []",
+    }
+    tables = {name: table.empty() for name, table in Diagnosis.TABLES.items()} | {
+        "finding": pd.DataFrame([row])
+    }
     if wanted:
-        string = pd.DataFrame({"hypothesis": ["a"], "t": [0.0], "s": [0.1], "x": [0.0], "y": [0.0], "sigma": [1e-3]})
+        string = pd.DataFrame(
+            {
+                "hypothesis": ["a"],
+                "t": [0.0],
+                "s": [0.1],
+                "x": [0.0],
+                "y": [0.0],
+                "sigma": [1e-3],
+            }
+        )
         tables |= {"commands": swing(duration=0.2).commands, "predicted": string}
     return Diagnosis(**tables)
 
@@ -42,21 +65,32 @@ def decide(trials, folder, experiment="decide"):
     here = about(trials, f"+experiment={experiment}")
     SEEN.clear()
     here = replace(here, stages={**here.stages, "diagnose": proposing})
-    result = here.mode.work(here, folder, run_folder.RunFolder(here, folder, silent, print))
-    run_folder.leave(result)
+    result = here.mode.work(
+        here, folder, run_folder.RunFolder(here, folder, silent, print)
+    )
+    run_folder.write_stage_files(result)
     return result
 
 
-def test_the_motion_proposed_is_performed_and_seen_with_the_others(null_trials, tmp_path):
+def test_the_motion_proposed_is_performed_and_seen_with_the_others(
+    null_trials, tmp_path
+):
     result = decide(null_trials, tmp_path)
     first, second = SEEN
     assert second == [*first, f"performed-{len(first) + 1:02d}"]
     place = tmp_path / "iterations" / f"{len(first) + 1:02d}"
-    assert {p.name for p in place.iterdir()} == {"motion", "trial", "points", "diagnosis"}
-    assert result.answer.verdict == "effect"
-    assert json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"] is None
+    assert {p.name for p in place.iterdir()} == {
+        "motion",
+        "trial",
+        "points",
+        "diagnosis",
+    }
+    assert result.final_artifact.verdict == "effect"
+    assert (
+        json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"] is None
+    )
     assert set(pd.read_parquet(tmp_path / "points.parquet")["trial"]) == {second[-1]}
-    sources = origin_of(place / "diagnosis" / "finding.parquet")["inputs"]
+    sources = read_origin(place / "diagnosis" / "finding.parquet")["inputs"]
     trial = place.relative_to(tmp_path) / "points"
     assert sources[trial.as_posix()] == content_hash(tmp_path / trial)
 

@@ -1,34 +1,58 @@
-"""Every setting that the help lists says what it means, or belongs to a block that does; numbers in a unit say it."""
+"""Every setting that the help lists says what it means, or belongs to a block that
+does; numbers in a unit say it.
+"""
 
 import re
 
-from stringcast.pipeline import reference
-from stringcast.pipeline.help import page
-from stringcast.pipeline.meanings import meanings
-from stringcast.pipeline.settings import composed, leaves
+from stringcast.pipeline.cli.help_page import help_text
+from stringcast.pipeline.settings import reference
+from stringcast.pipeline.settings.setting_comments import setting_comments
+from stringcast.pipeline.settings.typed_settings import (
+    compose_settings,
+    flatten_settings,
+)
 
 
 def explained(name):
     parts = name.split(".")
-    return any(".".join(parts[:end]) in meanings() for end in range(len(parts), 0, -1))
+    return any(
+        ".".join(parts[:end]) in setting_comments() for end in range(len(parts), 0, -1)
+    )
 
 
 def test_every_setting_is_explained_in_the_help():
-    settings = leaves(composed())
+    settings = flatten_settings(compose_settings())
     assert len(settings) > 130
-    bare = [name for name in settings if not name.endswith("_target_") and not explained(name)]
+    bare = [
+        name
+        for name in settings
+        if not name.endswith("_target_") and not explained(name)
+    ]
     assert bare == []
 
 
 def test_lengths_times_and_angles_have_units():
-    wanted = ("arm.links", "arm.base", "arm.speed", "camera.px_per_m", "camera.fps", "string.length", "target.x")
-    wanted += ("generate.shortest", "generate.longest", "execute.before", "string.largest_step")
+    wanted = (
+        "arm.links",
+        "arm.base",
+        "arm.speed",
+        "camera.px_per_m",
+        "camera.fps",
+        "string.length",
+        "target.x",
+    )
+    wanted += (
+        "generate.shortest",
+        "generate.longest",
+        "execute.before",
+        "string.largest_step",
+    )
     for name in wanted:
-        assert re.search(r"\[(m|s|px/m|1/s|rad/s)\]", meanings()[name]), name
+        assert re.search(r"\[(m|s|px/m|1/s|rad/s)\]", setting_comments()[name]), name
 
 
 def test_the_reference_is_what_it_would_be_made_now():
-    """Else: python -m pipeline.reference."""
+    """Else: python -m pipeline.settings.reference."""
     assert reference.page() == reference.PAGE.read_text(encoding="utf-8")
 
 
@@ -41,13 +65,15 @@ def test_the_reference_says_values_limits_and_meaning():
     assert "| `camera.width` | `640` | whole, at least 16 | of a picture [px] |" in page
     assert "| `wind.along_x` | -5 to 5 | m/s |" in page
     bare = [
-        line for line in page.splitlines() if line.startswith("| `") and line.endswith("|  |") and "|  |  |" not in line
+        line
+        for line in page.splitlines()
+        if line.startswith("| `") and line.endswith("|  |") and "|  |  |" not in line
     ]
     assert bare == []
 
 
 def test_what_stands_behind_a_setting_is_its_own_meaning():
-    shown = page(["+experiment=stringB", "estimate=least_squares"])
+    shown = help_text(["+experiment=stringB", "estimate=least_squares"])
     assert re.search(r"\n  iterations: 20 +# of each start at most", shown)
     assert re.search(r"\n  largest_step: 0.0002 +# of the simulation \[s\]", shown)
     assert re.search(r"\n  x: 0.4 +# of its centre \[m\]", shown)

@@ -1,4 +1,6 @@
-"""Ctrl-C while a stage works: what it knows then is kept and shown, and made again by who goes on."""
+"""Ctrl-C while a stage works: what it knows then is kept and shown, and made again by
+who goes on.
+"""
 
 import json
 import os
@@ -10,9 +12,9 @@ import pandas as pd
 import pytest
 
 from stringcast.data.artifacts import Diagnosis
-from stringcast.pipeline.layout import ENDED
-from stringcast.pipeline.stopping import stoppable
-from stringcast.pipeline.terminal import Terminal
+from stringcast.pipeline.cli.terminal import Terminal
+from stringcast.pipeline.run.file_names import SUMMARY_FILE
+from stringcast.pipeline.run.stopping import stop_stage_on_interrupt
 from stringcast.stages.common import Enough
 from tests.pipeline.small import about
 
@@ -38,8 +40,16 @@ def performed(trials, folder, diagnose):
 
 def said(**more):
     text = {"trials": {"rejected": {}}, "next_experiment": None, **more}
-    row = {"verdict": "insufficient", "sentence": "So.", "diagnosis": json.dumps(text), "extended": "effects: []"}
-    return Diagnosis(**{n: table.empty() for n, table in Diagnosis.TABLES.items()} | {"finding": pd.DataFrame([row])})
+    row = {
+        "verdict": "insufficient",
+        "sentence": "So.",
+        "diagnosis": json.dumps(text),
+        "extended": "effects: []",
+    }
+    return Diagnosis(
+        **{n: table.empty() for n, table in Diagnosis.TABLES.items()}
+        | {"finding": pd.DataFrame([row])}
+    )
 
 
 def whole(*given, **more) -> Diagnosis:
@@ -65,11 +75,11 @@ def hasty(*given, **more) -> Diagnosis:
 def test_what_a_step_knew_is_kept_and_made_again(null_trials, tmp_path):
     assert performed(null_trials, tmp_path, patient).startswith("interrupted")
     assert (tmp_path / "diagnosis.json").exists()
-    assert not (tmp_path / ENDED).exists()
+    assert not (tmp_path / SUMMARY_FILE).exists()
     shown = performed(null_trials, tmp_path, whole)
     assert "recomputing" in shown
     assert "it was interrupted" in shown
-    assert (tmp_path / ENDED).exists()
+    assert (tmp_path / SUMMARY_FILE).exists()
     assert "recomputing" not in performed(null_trials, tmp_path, whole)
 
 
@@ -81,7 +91,7 @@ def test_a_stage_that_knows_nothing_leaves_nothing(null_trials, tmp_path):
 
 def test_only_the_first_asks_for_an_end_and_only_meanwhile():
     before = signal.getsignal(signal.SIGINT)
-    with stoppable():
+    with stop_stage_on_interrupt():
         with pytest.raises(Enough):
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt) as raised:
@@ -93,7 +103,7 @@ def test_only_the_first_asks_for_an_end_and_only_meanwhile():
 def test_where_signals_are_ignored_they_stay_so():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with stoppable():
+        with stop_stage_on_interrupt():
             signal.raise_signal(signal.SIGINT)
         assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
     finally:
@@ -104,7 +114,7 @@ def test_in_another_thread_it_does_nothing():
     seen = []
 
     def work():
-        with stoppable():
+        with stop_stage_on_interrupt():
             seen.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=work)

@@ -5,58 +5,72 @@ import re
 
 import pytest
 
-from stringcast.pipeline.console import show
-from stringcast.pipeline.result import Result
-from stringcast.pipeline.settings import composed
-from stringcast.pipeline.terminal import Terminal, as_called
+from stringcast.pipeline.cli.console import print_summary
+from stringcast.pipeline.cli.terminal import Terminal, with_program_name
+from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.settings.typed_settings import compose_settings
 
 PAPERS = ("stringA", "stringB", "stringC", "stringD", "obstacle")
 
 
 def parts(settings):
-    return [settings[stage]["_target_"].split(".")[-2] for stage in ("generate", "estimate")] + [
-        settings["trials_used"]
-    ]
+    return [
+        settings[stage]["_target_"].split(".")[-2] for stage in ("generate", "estimate")
+    ] + [settings["trials_used"]]
 
 
 @pytest.mark.parametrize("name", PAPERS)
 def test_an_experiment_of_the_paper_takes_either_method(name):
-    plain, robust = (composed([f"+experiment={name}", *method]) for method in ([], ["method=robust"]))
-    assert composed([f"+experiment={name}", "method=paper"]) == plain
+    plain, robust = (
+        compose_settings([f"+experiment={name}", *method])
+        for method in ([], ["method=robust"])
+    )
+    assert compose_settings([f"+experiment={name}", "method=paper"]) == plain
     assert parts(plain) == ["generate", "random_search", 1]
     assert (plain["string"]["integrator"]["_target_"], plain["string"]["points"]) == (
-        "stages.model.integrator.SemiImplicitEuler",
+        "stages.model.engine.integrators.SemiImplicitEuler",
         25 if name == "stringD" else 10,
     )
     assert parts(robust) == ["robust", "least_squares", 5]
-    assert robust["string"]["integrator"]["_target_"] == "stages.model.implicit.ImplicitLeapfrog"
+    assert (
+        robust["string"]["integrator"]["_target_"]
+        == "stages.model.engine.implicit_leapfrog.ImplicitLeapfrog"
+    )
     assert {key: robust[key] for key in ("specimen", "target", "obstacles")} == {
         key: plain[key] for key in ("specimen", "target", "obstacles")
     }
 
 
-@pytest.mark.parametrize("words", [[], ["target.x=0.45", "seed=3"], ["effects=[tip_mass]"], ["specimen=D"]])
+@pytest.mark.parametrize(
+    "words", [[], ["target.x=0.45", "seed=3"], ["effects=[tip_mass]"], ["specimen=D"]]
+)
 def test_a_plain_cast_is_the_robust_one(words):
-    plain = composed(words)
+    plain = compose_settings(words)
     assert parts(plain) == ["robust", "least_squares", 5]
-    assert plain == composed([*words, "method=robust"])
+    assert plain == compose_settings([*words, "method=robust"])
 
 
 def test_what_can_be_pasted_is_on_one_line_of_any_terminal(tmp_path):
     """A path that is broken by the terminal's width is none."""
     folder = tmp_path / ("a-long-name-of-a-folder-" * 4)
     out = Terminal(file=io.StringIO(), width=80)
-    show(Result(folder, (), "The tip reached the target."), out)
+    print_summary(RunResult(folder, (), "The tip reached the target."), out)
     *_, page = out.file.getvalue().splitlines()
     assert page == str(folder)
 
 
 @pytest.mark.parametrize(
-    "said", ["The tip reached the target.", "Dry run: " + "a sentence that is longer than a line " * 3]
+    "said",
+    [
+        "The tip reached the target.",
+        "Dry run: " + "a sentence that is longer than a line " * 3,
+    ],
 )
 def test_what_a_run_says_is_not_cut(tmp_path, said):
     out = Terminal(file=io.StringIO(), width=80)
-    show(Result(tmp_path, (), f"{said.strip()}. Nothing is learned from it."), out)
+    print_summary(
+        RunResult(tmp_path, (), f"{said.strip()}. Nothing is learned from it."), out
+    )
     shown = " ".join(re.sub("[│╭╮╰╯─]", " ", out.file.getvalue()).split())
     assert f"{said.strip()}" in shown
     assert "Nothing is learned from it." in shown
@@ -65,6 +79,6 @@ def test_what_a_run_says_is_not_cut(tmp_path, said):
 
 def test_packages_are_installed_for_the_interpreter_that_lacks_them():
     """`pip` alone may be another's."""
-    said = as_called("h5py is needed: pip install h5py")
+    said = with_program_name("h5py is needed: pip install h5py")
     assert re.fullmatch(r"h5py is needed: \S*python\S* -m pip install h5py", said)
-    assert as_called(said) == said
+    assert with_program_name(said) == said

@@ -1,13 +1,15 @@
-"""What people type when they mean something else is answered by one line, with the command to paste."""
+"""What people type when they mean something else is answered by one line, with the
+command to paste.
+"""
 
 import re
 import shlex
 
 import pytest
 
-from stringcast.pipeline.commands import NAMES
-from stringcast.pipeline.mistakes import refuse_mistakes
-from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.cli.command_line_hints import refuse_mistakes
+from stringcast.pipeline.commands import COMMAND_NAMES
+from stringcast.pipeline.settings.typed_settings import UserError
 from tests.pipeline.test_readme_commands import CALLS, PLACEHOLDER
 
 MEANT = {
@@ -51,7 +53,9 @@ MEANT = {
 
 @pytest.mark.parametrize(("typed", "meant"), MEANT.items(), ids=MEANT)
 def test_a_mistake_is_answered_by_what_was_meant(typed, meant):
-    with pytest.raises(UserError, match=f"Try: \\S*python\\S* -m pipeline {re.escape(meant)}$") as refused:
+    with pytest.raises(
+        UserError, match=f"Try: \\S*python\\S* -m pipeline {re.escape(meant)}$"
+    ) as refused:
         refuse_mistakes(typed.split())
     assert "\n" not in str(refused.value)
 
@@ -64,29 +68,45 @@ def test_a_colon_is_not_said_twice():
 def test_what_nothing_is_like_says_what_there_is():
     with pytest.raises(UserError, match=r"neither a command .*check.* nor a setting"):
         refuse_mistakes(["xyzzy"])
-    with pytest.raises(UserError, match=r"\+nosuch=x: there is no setting 'nosuch'. All of them: .* --help"):
+    with pytest.raises(
+        UserError,
+        match=r"\+nosuch=x: there is no setting 'nosuch'. All of them: .* --help",
+    ):
         refuse_mistakes(["+nosuch=x"])  # which Hydra would take
     with pytest.raises(UserError, match="-x: there is no such option"):
         refuse_mistakes(["-x"])
     with pytest.raises(UserError, match=r"python3 tasks.py test"):
         refuse_mistakes(["test"])
-    with pytest.raises(UserError, match="specimen=7: there is no such option; there are A, B, C, D, long"):
+    with pytest.raises(
+        UserError,
+        match="specimen=7: there is no such option; there are A, B, C, D, long",
+    ):
         refuse_mistakes(["specimen=7"])
     with pytest.raises(
-        UserError, match=r"arm=ours: .*; there is paper; .*python.* -m pipeline new arm ours writes one"
+        UserError,
+        match=r"arm=ours: .*; there is paper; .*python.* -m pipeline new arm ours writes one",
     ):
         refuse_mistakes(["arm=ours"])
 
 
 @pytest.mark.parametrize("given", sorted({given for _, given in CALLS}))
 def test_what_pages_show_is_no_mistake(given):
-    if given.partition(" ")[0] not in NAMES and not given.startswith("+sway"):  # a group that the page has made
+    # a group that the page has made
+    if given.partition(" ")[0] not in COMMAND_NAMES and not given.startswith("+sway"):
         refuse_mistakes(shlex.split(PLACEHOLDER.sub("place", given)))
 
 
 @pytest.mark.parametrize(
     "word",
-    ["target.x=0.4", "~obstacles", "seed=1,2", "estimate=random_search,cma_es", "obstacles=none", "-v", "name=stringB"]
+    [
+        "target.x=0.4",
+        "~obstacles",
+        "seed=1,2",
+        "estimate=random_search,cma_es",
+        "obstacles=none",
+        "-v",
+        "name=stringB",
+    ]
     + [
         "plane.folder=flat",
         "source@plane=video",
@@ -102,12 +122,16 @@ def test_what_is_right_is_left_alone(word):
 def test_letters_beyond_ascii_are_answered_by_the_word_in_quotes(called):
     done = called("+experiment=quick", "name=Jörg")
     assert done.returncode == 1
-    assert re.search(r"""^Error: name=Jörg: .*Try: \S+ -m \w+ \+experiment=quick 'name="Jörg"'$""", done.stderr.strip())
+    assert re.search(
+        r"""^Error: name=Jörg: .*Try: \S+ -m \w+ \+experiment=quick 'name="Jörg"'$""",
+        done.stderr.strip(),
+    )
 
 
 def test_several_values_are_answered_by_a_sweep_of_them(called):
     done = called("method=paper,robust", "seed=1")
     assert done.returncode == 1
     assert re.search(
-        r"method=paper,robust: .*Try: \S+ -m \w+ --multirun method=paper,robust seed=1$", done.stderr.strip()
+        r"method=paper,robust: .*Try: \S+ -m \w+ --multirun method=paper,robust seed=1$",
+        done.stderr.strip(),
     )

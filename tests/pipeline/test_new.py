@@ -1,4 +1,6 @@
-"""What `new` and `template` write works as it is: settings compose, an effect keeps its own laws, a dataset is read."""
+"""What `new` and `template` write works as it is: settings compose, an effect keeps its
+own laws, a dataset is read.
+"""
 
 import numpy as np
 import pandas as pd
@@ -7,37 +9,53 @@ import yaml
 from matplotlib.figure import Figure
 
 from stringcast.data import dataset
-from stringcast.data.metadata import metadata
+from stringcast.data.metadata import read_metadata
 from stringcast.pipeline.commands import check, new, template
-from stringcast.pipeline.settings import CONF, UserError, build
+from stringcast.pipeline.settings.typed_settings import (
+    CONF_FOLDER,
+    UserError,
+    build_dataclass,
+)
 from stringcast.stages.check.check import findings
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.model.library import library
+from stringcast.stages.model.library import effects_by_name
 from tests.laws.test_effects import law_of, samples
 
 
-@pytest.mark.parametrize(("kind", "made", "like"), [("arm", Arm, "paper"), ("camera", Camera, "highspeed")])
-def test_an_arm_and_a_camera_of_ones_own_are_settings_with_what_they_mean(kind, made, like):
-    ((path, text),) = new.KINDS[kind]("mine")[0].items()
-    assert path == CONF / kind / "mine.yaml"
-    assert yaml.safe_load(text) == yaml.safe_load((CONF / kind / f"{like}.yaml").read_text())
-    assert isinstance(build(made, yaml.safe_load(text), kind, str(path)), made)
+@pytest.mark.parametrize(
+    ("kind", "made", "like"), [("arm", Arm, "paper"), ("camera", Camera, "highspeed")]
+)
+def test_an_arm_and_a_camera_of_ones_own_are_settings_with_what_they_mean(
+    kind, made, like
+):
+    ((path, text),) = new.FILES_OF_KIND[kind]("mine")[0].items()
+    assert path == CONF_FOLDER / kind / "mine.yaml"
+    assert yaml.safe_load(text) == yaml.safe_load(
+        (CONF_FOLDER / kind / f"{like}.yaml").read_text()
+    )
+    assert isinstance(
+        build_dataclass(made, yaml.safe_load(text), kind, str(path)), made
+    )
     assert text.count("[m]") + text.count("[px]") >= 2
 
 
 def test_an_effect_of_ones_own_is_found_and_keeps_its_laws(tmp_path, monkeypatch):
     monkeypatch.setenv("STRINGCAST_EFFECTS", str(tmp_path))
     assert new.main(["effect", "my_pull"]) == 0
-    effect = library()["my_pull"]
+    effect = effects_by_name()["my_pull"]
     assert effect.__name__ == "MyPull"
     for invariant in effect.invariants:
         assert invariant.error(law_of(effect, invariant.law), samples(effect, 0)) < 1e-9
-    assert effect.describe({"strength": 0.25}) == "the string is pulled to the right with 0.250 m/s2"
+    assert (
+        effect.describe({"strength": 0.25})
+        == "the string is pulled to the right with 0.250 m/s2"
+    )
     np.testing.assert_allclose(effect.acceleration(0.5), (0.5, 0.0))
     axes = Figure().add_subplot()
     effect.plot(axes, {"strength": 0.25})
-    assert [drawn.get_ydata()[0] for drawn in axes.lines[::2]] == [0.25, 0.0]  # each beside a line at zero
+    # each beside a line at zero
+    assert [drawn.get_ydata()[0] for drawn in axes.lines[::2]] == [0.25, 0.0]
     with pytest.raises(UserError, match="it is there already"):
         new.main(["effect", "my_pull"])
 
@@ -49,17 +67,24 @@ def test_what_is_no_name_is_answered_by_one(name):
 
 
 @pytest.mark.parametrize(("words", "hand"), [([], "arm"), (["--poses"], "grasp")])
-def test_a_template_is_a_dataset_as_soon_as_it_is_filled_in(tmp_path, words, hand, capsys):
+def test_a_template_is_a_dataset_as_soon_as_it_is_filled_in(
+    tmp_path, words, hand, capsys
+):
     folder = tmp_path / "mine"
     assert template.main([str(folder), *words]) == 0
     assert "check" in capsys.readouterr().out
-    assert metadata(folder)["string"] == {"length": 0.3}
+    assert read_metadata(folder)["string"] == {"length": 0.3}
     assert all(
-        f"{column} (" in (folder / "dataset.yaml").read_text() for column in ("trial", "theta" if words else "q3", "s")
+        f"{column} (" in (folder / "dataset.yaml").read_text()
+        for column in ("trial", "theta" if words else "q3", "s")
     )
-    assert [f.said for f in findings(check.measured(folder, []))] == ["it holds no rows"] * 2
+    assert [f.said for f in findings(check.read_measurements(folder, []))] == [
+        "it holds no rows"
+    ] * 2
     t = np.arange(20) / 100
     for name in (hand, "points"):
         columns = pd.read_csv(folder / f"{name}.csv").columns
-        pd.DataFrame({c: "t00" if c == "trial" else t for c in columns}).to_csv(folder / f"{name}.csv", index=False)
-    assert len(dataset.read(folder).trials["t00"].points) == 20
+        pd.DataFrame({c: "t00" if c == "trial" else t for c in columns}).to_csv(
+            folder / f"{name}.csv", index=False
+        )
+    assert len(dataset.read_dataset(folder).trials["t00"].points) == 20

@@ -1,5 +1,6 @@
-"""A stage is one folder and one group of settings: as `new stage` writes it, put into a copy of the package, it is found,
-run, kept and shown."""
+"""A stage is one folder and one group of settings: as `new stage` writes it, put into a
+copy of the package, it is found, run, kept and shown.
+"""
 
 import inspect
 import json
@@ -14,12 +15,17 @@ import pytest
 from hydra.utils import get_object
 
 from stringcast.pipeline.commands import new
-from stringcast.pipeline.registry import stages
-from stringcast.pipeline.settings import composed
+from stringcast.pipeline.settings.stage_registry import stages
+from stringcast.pipeline.settings.typed_settings import compose_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("conf", "data", "hardware", "pipeline", "stages")
-ASKED = ("+sway=plain", "mode=batch", "mode.stage=sway", f"trials={ROOT / 'data/sample'}")
+ASKED = (
+    "+sway=plain",
+    "mode=batch",
+    "mode.stage=sway",
+    f"trials={ROOT / 'data/sample'}",
+)
 
 
 @pytest.fixture(scope="module")
@@ -30,9 +36,11 @@ def package(tmp_path_factory):
     shutil.copytree(ROOT / "hydra_plugins", site / "hydra_plugins")
     for room in ROOMS:
         shutil.copytree(
-            ROOT / room, site / "stringcast" / room, ignore=shutil.ignore_patterns("results", "__pycache__")
+            ROOT / room,
+            site / "stringcast" / room,
+            ignore=shutil.ignore_patterns("results", "__pycache__"),
         )
-    for path, text in new.stage("sway")[0].items():
+    for path, text in new.stage_files("sway")[0].items():
         place = site / "stringcast" / path.relative_to(ROOT)
         place.parent.mkdir(exist_ok=True)
         place.write_text(text)
@@ -43,7 +51,9 @@ def said(package, *words):
     """Exit status and output of a command of the copy."""
     around = os.environ | {"PYTHONPATH": str(package)}
     call = [sys.executable, "-m", "stringcast", *map(str, words)]
-    done = subprocess.run(call, cwd=package, env=around, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        call, cwd=package, env=around, capture_output=True, text=True, check=False
+    )
     return done.returncode, done.stdout + done.stderr
 
 
@@ -61,23 +71,31 @@ def test_a_new_stage_is_a_folder_and_a_group_of_settings(package, tmp_path):
     assert made["trial"].iloc[0] in (run / "report.html").read_text()
     assert said(package, "verify", run)[0] == 0
     config = json.loads((run / "config.json").read_text())
-    (run / "config.json").write_text(json.dumps(config | {"sway": config["sway"] | {"least": 0.001}}))
+    (run / "config.json").write_text(
+        json.dumps(config | {"sway": config["sway"] | {"least": 0.001}})
+    )
     assert "sway.least 0.0 -> 0.001" in said(package, "why", run)[1]
 
 
 def test_every_stage_says_what_is_so():
-    """Names that are text name functions; a stage takes what it asks for, and uses settings that there are."""
-    settings, folders = composed(), {}
+    """Names that are text name functions; a stage takes what it asks for, and uses
+    settings that there are.
+    """
+    settings, folders = compose_settings(), {}
     for name, stage in stages().items():
         run = get_object(f"stringcast.{stage.run}")
         assert [*inspect.signature(run).parameters] == ["call", *stage.inputs]
         assert callable(get_object(f"stringcast.{stage.page}"))
         assert {*stage.uses} <= settings.keys(), name
         assert bool(stage.by) == (name in settings)
-        assert folders.setdefault(stage.folder, stage.makes) is stage.makes, "a name is of one kind of artifact"
+        assert folders.setdefault(stage.folder, stage.makes) is stage.makes, (
+            "a name is of one kind of artifact"
+        )
 
 
 def test_its_settings_are_checked_like_any_other(package, tmp_path):
-    status, words = said(package, *ASKED, "sway.least=-1", f"hydra.run.dir={tmp_path / 'run'}")
+    status, words = said(
+        package, *ASKED, "sway.least=-1", f"hydra.run.dir={tmp_path / 'run'}"
+    )
     assert status == 1
     assert "sway.least = -1 (conf/sway/plain.yaml or the command line)" in words

@@ -1,4 +1,6 @@
-"""The folders of a clone are one package: a wheel holds all of it, nothing of its own name beside it, and runs anywhere."""
+"""The folders of a clone are one package: a wheel holds all of it, nothing of its own
+name beside it, and runs anywhere.
+"""
 
 import ast
 import os
@@ -45,12 +47,18 @@ def site(tmp_path_factory):
 
 
 def test_all_that_a_clone_holds_is_in_the_one_package(site):
-    assert {path.name for path in site.iterdir() if not path.name.endswith(".dist-info")} == {
+    assert {
+        path.name for path in site.iterdir() if not path.name.endswith(".dist-info")
+    } == {
         "stringcast",
         "hydra_plugins",
     }
     tracked = subprocess.run(
-        ["git", "ls-tree", "-r", "--name-only", "HEAD", *ROOMS], cwd=ROOT, capture_output=True, text=True, check=True
+        ["git", "ls-tree", "-r", "--name-only", "HEAD", *ROOMS],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout
     wanted = [name for name in tracked.splitlines() if not name.startswith(LEFT_OUT)]
     assert len(wanted) > 400
@@ -58,15 +66,37 @@ def test_all_that_a_clone_holds_is_in_the_one_package(site):
 
 
 def test_what_is_installed_runs_in_any_folder(site, tmp_path):
-    """Ahead of this clone on the path: settings composed from the package, a command's answer, no folder of ours needed."""
-    where = os.environ | {"PYTHONPATH": str(site), "STRINGCAST_CACHE": str(tmp_path / "kernels")}
+    """Ahead of this clone on the path: settings composed from the package, a command's
+    answer, no folder of ours needed.
+    """
+    where = os.environ | {
+        "PYTHONPATH": str(site),
+        "STRINGCAST_CACHE": str(tmp_path / "kernels"),
+    }
     code = "import stringcast; print(stringcast.__version__, stringcast.__file__, len(stringcast.sample()))"
     said = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env=where, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=where,
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    assert said.stdout.split() == [stringcast.__version__, str(site / "stringcast" / "__init__.py"), "5"]
-    call = [sys.executable, "-m", "stringcast", "target.x=2", f"hydra.run.dir={tmp_path / 'run'}"]
-    refused = subprocess.run(call, cwd=tmp_path, env=where, capture_output=True, text=True, check=False)
+    assert said.stdout.split() == [
+        stringcast.__version__,
+        str(site / "stringcast" / "__init__.py"),
+        "5",
+    ]
+    call = [
+        sys.executable,
+        "-m",
+        "stringcast",
+        "target.x=2",
+        f"hydra.run.dir={tmp_path / 'run'}",
+    ]
+    refused = subprocess.run(
+        call, cwd=tmp_path, env=where, capture_output=True, text=True, check=False
+    )
     assert refused.returncode == 1
     assert "target.x" in refused.stderr
     assert "Traceback" not in refused.stderr
@@ -77,15 +107,26 @@ def test_the_clone_runs_as_itself_and_not_as_another(tmp_path):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes((ROOT / name).read_bytes())
     call = [sys.executable, "-m", "pipeline", "--help"]
-    refused = subprocess.run(call, cwd=tmp_path, capture_output=True, text=True, check=False)
+    refused = subprocess.run(
+        call, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert refused.returncode == 1
-    assert f"its stringcast is that of {ROOT}. Run python3 tasks.py setup here" in refused.stderr
+    assert (
+        f"its stringcast is that of {ROOT}. Run python3 tasks.py setup here"
+        in refused.stderr
+    )
 
 
 def test_rooms_are_imported_by_the_name_of_the_package_alone():
     """`stages.model` beside `stringcast.stages.model` would be two modules of one file."""
-    for file in [path for room in (*ROOMS, "tests") for path in (ROOT / room).rglob("*.py")]:
+    for file in [
+        path for room in (*ROOMS, "tests") for path in (ROOT / room).rglob("*.py")
+    ]:
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             named = [node.module] if isinstance(node, ast.ImportFrom) else []
-            named = [alias.name for alias in node.names] if isinstance(node, ast.Import) else named
+            named = (
+                [alias.name for alias in node.names]
+                if isinstance(node, ast.Import)
+                else named
+            )
             assert not {str(name).split(".")[0] for name in named} & set(ROOMS), file

@@ -1,7 +1,8 @@
-"""Every command of every page is run and does what the page says: those of a second or two that no other test runs by default, all others by
-`test --all`. Where the page's own command takes over ten minutes it is run at a smaller size, as `less` says. What is
-run by another test, or needs a device, a person or another machine, stands in one list with its reason: `pytest -rs`
-prints it.
+"""Every command of every page is run and does what the page says: those of a second or
+two that no other test runs by default, all others by `test --all`. Where the page's own
+command takes over ten minutes it is run at a smaller size, as `less` says. What is run
+by another test, or needs a device, a person or another machine, stands in one list with
+its reason: `pytest -rs` prints it.
 """
 
 import os
@@ -25,14 +26,23 @@ COMMAND = re.compile(
 )
 ROOMS = ("conf", "data", "hardware", "pipeline", "stages")
 STUDIED = ("casts.parquet", "rates.parquet", "needed.parquet", "hits.png")
-PAPER = ("report.html", "runs.parquet", "casts.parquet", "rates.parquet", "needed.parquet", "numbers.parquet", "*.png")
+PAPER = (
+    "report.html",
+    "runs.parquet",
+    "casts.parquet",
+    "rates.parquet",
+    "needed.parquet",
+    "numbers.parquet",
+    "*.png",
+)
 
 
 @dataclass(frozen=True)
 class Run:
-    """How a command of a page is run. says: a pattern of what it prints. leaves: files of its folder. rows: of a table
-    there. less: words that make it smaller. of: what is put in for outputs/... long: over 20 s, or run by default
-    elsewhere."""
+    """How a command of a page is run. says: a pattern of what it prints. leaves: files
+    of its folder. rows: of a table there. less: words that make it smaller. of: what is
+    put in for outputs/... long: over 20 s, or run by default elsewhere.
+    """
 
     says: str = ""
     leaves: tuple[str, ...] = ()
@@ -42,7 +52,10 @@ class Run:
     long: bool = True
 
 
-CAST = {"says": r"report\.html$", "leaves": ("report.html", "run.json", "dataset.yaml", "iterations/01/estimate")}
+CAST = {
+    "says": r"report\.html$",
+    "leaves": ("report.html", "run.json", "dataset.yaml", "iterations/01/estimate"),
+}
 DIAGNOSED = {"leaves": ("report.html", "diagnosis.json", "extended.yaml")}
 ONE_CASE = "hits.seeds=1 hits.casts=2"
 RUN = {
@@ -54,14 +67,20 @@ RUN = {
     "pipeline 'effects=[tip_mass,arm_lag]'": Run(**CAST),
     "pipeline +experiment=stringB seed=0 hydra.run.dir=outputs/gallery": Run(**CAST),
     "pipeline extended=outputs/...": Run(**CAST, of="diagnosed"),
-    "pipeline +experiment=stringB extended=outputs/...-align-...": Run(**CAST, of="aligned"),
+    "pipeline +experiment=stringB extended=outputs/...-align-...": Run(
+        **CAST, of="aligned"
+    ),
     "pipeline +experiment/paper=wall seed=7": Run(**CAST),
-    "pipeline +experiment=diagnose trials=data/sample": Run(r"report\.html$", **DIAGNOSED),
+    "pipeline +experiment=diagnose trials=data/sample": Run(
+        r"report\.html$", **DIAGNOSED
+    ),
     "pipeline +experiment=diagnose trials=<folder>": Run(**DIAGNOSED, of="mine"),
     "pipeline +experiment=diagnose trials=mine": Run(**DIAGNOSED, of="mine"),
     "pipeline +experiment=diagnose trials=outputs/...": Run(**DIAGNOSED),
     "pipeline +experiment=decide trials=outputs/...": Run(**DIAGNOSED),
-    "pipeline +experiment=estimate trials=outputs/...": Run(leaves=("report.html", "run.json")),
+    "pipeline +experiment=estimate trials=outputs/...": Run(
+        leaves=("report.html", "run.json")
+    ),
     "pipeline +experiment=estimate estimate=least_squares 'effects=[rest_curvature,maxwell_slip]' "
     "trials=outputs/...": Run(leaves=("report.html", "run.json")),
     **{
@@ -76,7 +95,9 @@ RUN = {
         )
     },
     "pipeline +experiment=align": Run(leaves=("report.html", "extended.yaml")),
-    "pipeline +experiment=align trials=outputs/...": Run(leaves=("report.html", "extended.yaml")),
+    "pipeline +experiment=align trials=outputs/...": Run(
+        leaves=("report.html", "extended.yaml")
+    ),
     "pipeline +experiment=calibrate source=images source.folder=tilted plane.folder=flat": Run(
         leaves=("report.html", "camera.yaml", "calibration"), of="pictures"
     ),
@@ -90,9 +111,14 @@ RUN = {
     "pipeline --multirun +experiment=stringB estimate.beta=0.99,0.995 seed=0,1,2": Run(
         leaves=("report.html", "ledger"), rows=("sweep.parquet", 6)
     ),
-    "pipeline +experiment=sweep": Run(leaves=("report.html",), rows=("sweep.parquet", 9), less="seed=0"),  # of 45 jobs
+    # of 45 jobs
+    "pipeline +experiment=sweep": Run(
+        leaves=("report.html",), rows=("sweep.parquet", 9), less="seed=0"
+    ),
     "pipeline +experiment=paper": Run(
-        leaves=PAPER, rows=("runs.parquet", 2), less="seed=0 +experiment/paper=A_300_900,wall"
+        leaves=PAPER,
+        rows=("runs.parquet", 2),
+        less="seed=0 +experiment/paper=A_300_900,wall",
     ),  # of 450
     "pipeline +experiment=paper 'seed=range(2)'": Run(
         leaves=PAPER, rows=("runs.parquet", 2), less="+experiment/paper=A_300_900"
@@ -102,30 +128,48 @@ RUN = {
     ),  # of 45
     # Studies, each of hours.
     "pipeline +experiment=blind_study study.first=2830": Run(
-        "cause found", ("benches.parquet", "rates.parquet", "overview.png"), ("benches.parquet", 2), "study.benches=2"
+        "cause found",
+        ("benches.parquet", "rates.parquet", "overview.png"),
+        ("benches.parquet", 2),
+        "study.benches=2",
     ),
     **{
         f"pipeline +experiment=blind_study laboratory=nodal {words}": Run(
-            "cause found", ("benches.parquet", "rates.parquet"), ("benches.parquet", 1), "study.benches=1"
+            "cause found",
+            ("benches.parquet", "rates.parquet"),
+            ("benches.parquet", 1),
+            "study.benches=1",
         )
         for words in ("seed=100 study.benches=10", "study.kind=none study.benches=100")
     },
     "pipeline +experiment=hit_study": Run(
-        "Hit: paper", STUDIED, less=f"{ONE_CASE} ~hits.cases.B ~hits.cases.C ~hits.cases.D ~hits.cases.wall"
+        "Hit: paper",
+        STUDIED,
+        less=f"{ONE_CASE} ~hits.cases.B ~hits.cases.C ~hits.cases.D ~hits.cases.wall",
     ),
-    "pipeline +experiment=learn_study": Run("Hit: paper", STUDIED, less=f"{ONE_CASE} ~hits.cases.D"),
+    "pipeline +experiment=learn_study": Run(
+        "Hit: paper", STUDIED, less=f"{ONE_CASE} ~hits.cases.D"
+    ),
     "pipeline +experiment=gain_study": Run(
         r"Hit: .*base: \d+ %",
         STUDIED,
         less="hits.seeds=1 hits.casts=1 hits.lessons.casts=3 "
         + " ".join(
             f"~hits.cases.{case}"
-            for case in ("nothing", "wind", "gravity_direction", "rest_curvature", "grasp_angle", "arm_lag")
+            for case in (
+                "nothing",
+                "wind",
+                "gravity_direction",
+                "rest_curvature",
+                "grasp_angle",
+                "arm_lag",
+            )
             + ("joint_gain", "time_offset", "camera_rotation")
         ),
     ),
     "pipeline +experiment=extraction_study extraction_study.frames=24": Run(
-        r"2064 frames: 7\d\.\d% read, 0\.\d+% wrong", ("shares.parquet", "frames.parquet")
+        r"2064 frames: 7\d\.\d% read, 0\.\d+% wrong",
+        ("shares.parquet", "frames.parquet"),
     ),
     # In a copy of the project: they rewrite what was recorded.
     "tests.alignment": Run(less="--seeds 1 --filmed 0"),
@@ -149,7 +193,7 @@ ELSEWHERE = {  # which test runs it, or why none can
     "pipeline check data/sample": SHORT,
     "pipeline board board.pdf": SHORT,
     "pipeline --help": SHORT,
-    "pipeline.reference": "would write over the page: tests/pipeline/test_help.py::test_the_reference_is_what_it_would_be_made_now",
+    "pipeline.settings.reference": "would write over the page: tests/pipeline/test_help.py::test_the_reference_is_what_it_would_be_made_now",
     "pipeline +experiment=paper hydra.sweep.dir=outputs/sweeps/...": "goes on with a sweep, as does "
     "tests/sweep/test_sweep_command.py::test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request",
     "pipeline +experiment=measured_study trials=../shared/measured": "needs recordings of others, which are not ours to "
@@ -183,7 +227,9 @@ def shown():
     found = set()
     for page in pages():
         for line in (ROOT / page).read_text(encoding="utf-8").splitlines():
-            pieces = [line] if line.startswith("    ") else re.findall(r"`([^`]+)`", line)
+            pieces = (
+                [line] if line.startswith("    ") else re.findall(r"`([^`]+)`", line)
+            )
             for match in filter(None, map(COMMAND.search, pieces)):
                 found.add(f"{match[1]} {match[2].partition(' #')[0].strip()}".strip())
     return found
@@ -214,27 +260,41 @@ def asked(words, cwd=ROOT):
     """The command's exit status and words, in one line."""
     around = os.environ | {"PYTHONPATH": str(cwd / ".package")}
     command = [sys.executable, "-m", *words]
-    done = subprocess.run(command, cwd=cwd, env=around, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=cwd, env=around, capture_output=True, text=True, check=False
+    )
     return done.returncode, " ".join((done.stdout + done.stderr).split())
 
 
 def copied(folder):
-    """The last commit of the project in a folder, for commands that rewrite what was recorded."""
+    """The last commit of the project in a folder, for commands that rewrite what was
+    recorded.
+    """
     subprocess.run(["git", "clone", "-q", ROOT, folder], check=True)
     package = folder / ".package" / "stringcast"
     package.mkdir(parents=True)
-    for part in [*(folder / "pipeline" / "api").glob("*.py"), *map(folder.joinpath, ROOMS)]:
+    for part in [
+        *(folder / "pipeline" / "api").glob("*.py"),
+        *map(folder.joinpath, ROOMS),
+    ]:
         (package / part.name).symlink_to(part)
     return folder
 
 
 def made(place, name):
-    """What a reader has before a page's command is given: a cast, a diagnosis, an alignment, measurements, pictures."""
+    """What a reader has before a page's command is given: a cast, a diagnosis, an
+    alignment, measurements, pictures.
+    """
     folder = place / name
     if folder.exists():
         return folder
     words = {
-        "cast": ["+experiment=quick", "manipulations=2", "target.w=0.02", "target.h=0.04"],
+        "cast": [
+            "+experiment=quick",
+            "manipulations=2",
+            "target.w=0.02",
+            "target.h=0.04",
+        ],
         "diagnosed": ["+experiment=diagnose", "trials=data/sample"],
         "aligned": ["+experiment=align"],
     }
@@ -255,13 +315,21 @@ def photographed(folder):
     (folder / "flat").mkdir()
     images = tilted(rng)
     rows, columns = images[0].shape
-    film = cv2.VideoWriter(str(folder / "tilted.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 2.0, (columns, rows))
+    film = cv2.VideoWriter(
+        str(folder / "tilted.mp4"),
+        cv2.VideoWriter.fourcc(*"mp4v"),
+        2.0,
+        (columns, rows),
+    )
     for number, image in enumerate(images):
         cv2.imwrite(str(folder / "tilted" / f"{number:02d}.png"), image)
         for _ in range(15):  # every so many frames there is a picture: source.every
             film.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
     film.release()
-    cv2.imwrite(str(folder / "flat" / "0.png"), picture(*pose(0.0, 0.0, 0.0, 0.0, 0.05, 0.42), rng))
+    cv2.imwrite(
+        str(folder / "flat" / "0.png"),
+        picture(*pose(0.0, 0.0, 0.0, 0.0, 0.05, 0.42), rng),
+    )
 
 
 def filled(command, run, place, out):
@@ -270,22 +338,41 @@ def filled(command, run, place, out):
     needed = re.search(r"outputs/\.\.\.|<|tilted|outputs/gallery/|trials=mine", command)
     folder = made(place, run.of) if needed else place
     words = [
-        re.sub(r"outputs/\.\.\.[\w.-]*|<[^>]*>|outputs/gallery(?=/)|(?<==)mine$", str(folder), word) for word in words
+        re.sub(
+            r"outputs/\.\.\.[\w.-]*|<[^>]*>|outputs/gallery(?=/)|(?<==)mine$",
+            str(folder),
+            word,
+        )
+        for word in words
     ]
-    words = [re.sub(r"(?<==)(tilted\.mp4|tilted|flat)$", rf"{folder}/\1", word) for word in words]
+    words = [
+        re.sub(r"(?<==)(tilted\.mp4|tilted|flat)$", rf"{folder}/\1", word)
+        for word in words
+    ]
     if words[0] == "tasks.py":
         words = ["pipeline", "+experiment=stringB"]
     if any(re.match(r"[+~\w./@]+=", word) for word in words) and words[0] == "pipeline":
-        several = "--multirun" in words or re.search(r"=(paper|sweep)$", " ".join(words[:2]))
+        several = "--multirun" in words or re.search(
+            r"=(paper|sweep)$", " ".join(words[:2])
+        )
         words = [word for word in words if not word.startswith("hydra.run.dir=")]
         return [*words, f"hydra.{'sweep' if several else 'run'}.dir={out}"]
     return [
-        re.sub(r"^(board\.pdf|riddle|riddle\.json|runs\.parquet|string\.xml)$", rf"{out}-\1", word) for word in words
+        re.sub(
+            r"^(board\.pdf|riddle|riddle\.json|runs\.parquet|string\.xml)$",
+            rf"{out}-\1",
+            word,
+        )
+        for word in words
     ]
 
 
 @pytest.mark.parametrize(
-    "command", [pytest.param(command, marks=[pytest.mark.long] * run.long) for command, run in RUN.items()]
+    "command",
+    [
+        pytest.param(command, marks=[pytest.mark.long] * run.long)
+        for command, run in RUN.items()
+    ],
 )
 def test_a_command_does_what_its_page_says(command, place, tmp_path):
     run, out = RUN[command], tmp_path / "out"

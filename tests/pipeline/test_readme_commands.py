@@ -1,5 +1,7 @@
-"""Every call of the pipeline that a page shows is one: its settings compose, or it is a command that there is. Those
-that need no run to be there, and take a second or two, are run, and say what the page says."""
+"""Every call of the pipeline that a page shows is one: its settings compose, or it is a
+command that there is. Those that need no run to be there, and take a second or two, are
+run, and say what the page says.
+"""
 
 import re
 import shlex
@@ -10,24 +12,35 @@ from pathlib import Path
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from stringcast.pipeline.commands import NAMES
-from stringcast.pipeline.settings import composed
+from stringcast.pipeline.commands import COMMAND_NAMES
+from stringcast.pipeline.settings.typed_settings import compose_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 CALL = re.compile(r"python3? (?:-m pipeline|tasks\.py run)(?![.\w])(.*)")
-PLACEHOLDER = re.compile(r"<[^>]*>|[\w/.-]*\.\.\.[\w/.-]*")  # what a reader puts there: <folder>, outputs/...
+# what a reader puts there: <folder>, outputs/...
+PLACEHOLDER = re.compile(r"<[^>]*>|[\w/.-]*\.\.\.[\w/.-]*")
 
 
 def pages():
-    listed = subprocess.run(["git", "ls-files", "*.md"], cwd=ROOT, capture_output=True, text=True, check=True)
+    listed = subprocess.run(
+        ["git", "ls-files", "*.md"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return listed.stdout.split()
 
 
 def calls():
-    """Page and arguments of every call in a code line or between backquotes, less what is said behind a #."""
+    """Page and arguments of every call in a code line or between backquotes, less what
+    is said behind a #.
+    """
     for page in pages():
         for line in (ROOT / page).read_text(encoding="utf-8").splitlines():
-            pieces = [line] if line.startswith("    ") else re.findall(r"`([^`]+)`", line)
+            pieces = (
+                [line] if line.startswith("    ") else re.findall(r"`([^`]+)`", line)
+            )
             for found in filter(None, map(CALL.search, pieces)):
                 yield page, found[1].partition(" #")[0].strip()
 
@@ -37,7 +50,9 @@ def first_of(override):
     parsed = OverridesParser.create().parse_override(override)
     if not parsed.is_sweep_override():
         return override
-    return f"{parsed.input_line.partition('=')[0]}={next(parsed.sweep_string_iterator())}"
+    return (
+        f"{parsed.input_line.partition('=')[0]}={next(parsed.sweep_string_iterator())}"
+    )
 
 
 CALLS = sorted(set(calls()))
@@ -47,18 +62,29 @@ def test_pages_show_calls():
     assert len(CALLS) > 40
 
 
-@pytest.mark.parametrize(("page", "given"), CALLS, ids=[f"{page}: {given}"[:90] for page, given in CALLS])
+@pytest.mark.parametrize(
+    ("page", "given"), CALLS, ids=[f"{page}: {given}"[:90] for page, given in CALLS]
+)
 def test_what_a_page_calls_can_be_called(page, given):
-    if given.partition(" ")[0] in NAMES:
+    if given.partition(" ")[0] in COMMAND_NAMES:
         return
-    words = [word for word in shlex.split(PLACEHOLDER.sub("place", given)) if word not in ("--multirun", "--help")]
-    assert composed([first_of(word) for word in words if not word.endswith("=")])["mode"]
+    words = [
+        word
+        for word in shlex.split(PLACEHOLDER.sub("place", given))
+        if word not in ("--multirun", "--help")
+    ]
+    assert compose_settings(
+        [first_of(word) for word in words if not word.endswith("=")]
+    )["mode"]
 
 
 def code(page):
     """Lines of code of a page, each with the Python and the package of these tests."""
     lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
-    calls = ((".venv/bin/python -m pipeline", ".venv/bin/python -m stringcast"), (".venv/bin/python", sys.executable))
+    calls = (
+        (".venv/bin/python -m pipeline", ".venv/bin/python -m stringcast"),
+        (".venv/bin/python", sys.executable),
+    )
     for old, new in calls:
         lines = [line.replace(old, new) for line in lines]
     return [line.strip() for line in lines if line.startswith("    ")]
@@ -69,10 +95,17 @@ def test_the_first_ten_minutes_go_as_the_page_says(tmp_path):
     (tmp_path / "data").symlink_to(ROOT / "data")
     lines = code("data/README.md")
     first, last = (
-        lines.index(next(line for line in lines if line.endswith(end))) for end in ("-p mine", "check wrong")
+        lines.index(next(line for line in lines if line.endswith(end)))
+        for end in ("-p mine", "check wrong")
     )
     script = "\n".join(lines[first : last + 1])
-    done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["bash", "-c", script],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert "trial,t,q1,q2,q3" in done.stdout
     usable, _, wrong = done.stdout.partition("Usable: 5 trials")
     assert "Not usable" not in usable

@@ -1,4 +1,6 @@
-"""The engine of studies: what one job that fails costs, and what a study that goes on makes."""
+"""The engine of studies: what one job that fails costs, and what a study that goes on
+makes.
+"""
 
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -12,7 +14,11 @@ from stringcast.pipeline.studies import engine
 from stringcast.pipeline.studies.engine import Study, StudyJob
 from tests.faults.toy import toy_experiment
 
-DOUBLED = Table("doubled", "a row a job", (Column("x", "1", "what was doubled", "int"), Column("y", "1", "", "int")))
+DOUBLED = Table(
+    "doubled",
+    "a row a job",
+    (Column("x", "1", "what was doubled", "int"), Column("y", "1", "", "int")),
+)
 MADE = []
 
 
@@ -70,13 +76,20 @@ def run(tmp_path, monkeypatch):
     monkeypatch.setattr(engine, "workers", here)
     MADE.clear()
     return lambda *numbers: Doubling().run(
-        toy_experiment(doubling={"numbers": numbers, "processes": 1}), tmp_path, lambda share: None
+        toy_experiment(doubling={"numbers": numbers, "processes": 1}),
+        tmp_path,
+        lambda share: None,
     )
 
 
-def test_a_job_that_fails_is_told_and_asked_again_and_costs_the_others_nothing(run, tmp_path):
+def test_a_job_that_fails_is_told_and_asked_again_and_costs_the_others_nothing(
+    run, tmp_path
+):
     assert run(3, -1, 1) == "2 doubled. Not made: -1: ValueError: it is negative."
-    assert pd.read_parquet(tmp_path / "doubled.parquet").to_dict("list") == {"x": [3, 1], "y": [6, 2]}
+    assert pd.read_parquet(tmp_path / "doubled.parquet").to_dict("list") == {
+        "x": [3, 1],
+        "y": [6, 2],
+    }
     assert (tmp_path / "drawn").exists()
     assert run(3, -1, 1, 2) == "3 doubled. Not made: -1: ValueError: it is negative."
     assert MADE == [3, -1, 1, -1, 2]

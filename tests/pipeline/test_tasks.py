@@ -10,7 +10,9 @@ import tasks
 @pytest.mark.parametrize("rest", [[], ["--all"], ["tests/laws"]])
 def test_any_command_that_does_not_end_with_0_fails(monkeypatch, code, command, rest):
     """A negative code is a signal's; pytest ends with 5 where it ran no test."""
-    monkeypatch.setattr(tasks, "call", lambda name, *_, **__: code if name == command else 0)
+    monkeypatch.setattr(
+        tasks, "call", lambda name, *_, **__: code if name == command else 0
+    )
     assert tasks.test(rest) == 1
     monkeypatch.setattr(tasks, "call", lambda *_, **__: 0)
     assert tasks.test(rest) == 0
@@ -18,7 +20,9 @@ def test_any_command_that_does_not_end_with_0_fails(monkeypatch, code, command, 
 
 def test_all_selects_the_long_ones_too(monkeypatch):
     called = []
-    monkeypatch.setattr(tasks, "call", lambda *command, **_: called.append(command) or 0)
+    monkeypatch.setattr(
+        tasks, "call", lambda *command, **_: called.append(command) or 0
+    )
     tasks.test([])
     short = [command for command in called if command[0] == "pytest"]
     called.clear()
@@ -46,6 +50,8 @@ def test_a_run_of_which_every_test_was_skipped_fails():
         ("check data/sample", "check data/sample"),
     ],
 )
-def test_run_is_the_main_job_with_other_settings_unless_another_is_named(monkeypatch, given, called):
+def test_run_is_the_main_job_with_other_settings_unless_another_is_named(
+    monkeypatch, given, called
+):
     monkeypatch.setattr(tasks, "call", lambda *words: " ".join(words))
     assert tasks.run(given.split()) == f"pipeline {called}"

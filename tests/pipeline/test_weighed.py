@@ -1,21 +1,30 @@
-"""What dataset.yaml says was weighed is known: it hangs at the tip of the model, and is not fitted."""
+"""What dataset.yaml says was weighed is known: it hangs at the tip of the model, and is
+not fitted.
+"""
 
 import pytest
 from omegaconf import OmegaConf
 
-from stringcast.data.metadata import metadata
+from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
-from stringcast.pipeline import inherited, settings
+from stringcast.pipeline.settings import settings_from_runs, typed_settings
 
 
 def composed(folder, string, *more):
     (folder / "dataset.yaml").write_text(f"format: 1\nstring: {string}\n")
     given = [f"trials={folder}", "mode=estimate", *more]
-    return inherited.with_inherited_settings(OmegaConf.create(settings.composed(given)), settings.names_given(given))
+    return settings_from_runs.inherit_settings(
+        OmegaConf.create(typed_settings.compose_settings(given)),
+        typed_settings.given_names(given),
+    )
 
 
 def test_what_hangs_at_the_tip_is_known(tmp_path):
-    found = composed(tmp_path, "{length: 0.4, mass: 0.42, tip_mass: 0.03}", "effects=[rest_curvature]")
+    found = composed(
+        tmp_path,
+        "{length: 0.4, mass: 0.42, tip_mass: 0.03}",
+        "effects=[rest_curvature]",
+    )
     assert found["effects"] == ["rest_curvature", "tip_mass"]
     known = found["known"]["tip_mass.ratio"]
     assert known["value"] == pytest.approx(0.03 / 0.42)
@@ -23,7 +32,9 @@ def test_what_hangs_at_the_tip_is_known(tmp_path):
     assert known["high"] - known["low"] < 0.01 * known["value"]
 
 
-@pytest.mark.parametrize("string", ["{length: 0.4, mass: 0.42}", "{length: 0.4, mass: 0.42, tip_mass: 0.0}"])
+@pytest.mark.parametrize(
+    "string", ["{length: 0.4, mass: 0.42}", "{length: 0.4, mass: 0.42, tip_mass: 0.0}"]
+)
 def test_where_nothing_hangs_there_nothing_is_said(tmp_path, string):
     found = composed(tmp_path, string)
     assert (found["effects"], found["known"]) == ([], {})
@@ -33,10 +44,13 @@ def test_where_nothing_hangs_there_nothing_is_said(tmp_path, string):
     ("string", "words"),
     [
         ("{length: 0.4, tip_mass: 0.03}", "without the string's own mass"),
-        ("{length: 0.4, mass: 0.4, tip_mass: -1}", "string.tip_mass is -1; it must be 0"),
+        (
+            "{length: 0.4, mass: 0.4, tip_mass: -1}",
+            "string.tip_mass is -1; it must be 0",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, string, words):
     (tmp_path / "dataset.yaml").write_text(f"format: 1\nstring: {string}\n")
     with pytest.raises(DataError, match=words):
-        metadata(tmp_path)
+        read_metadata(tmp_path)

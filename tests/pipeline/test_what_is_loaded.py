@@ -1,4 +1,6 @@
-"""Who asks does not wait for what only a run needs: by the names of modules, for times differ from machine to machine."""
+"""Who asks does not wait for what only a run needs: by the names of modules, for times
+differ from machine to machine.
+"""
 
 import inspect
 import subprocess
@@ -8,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from stringcast.pipeline.provenance import closure, home
-from stringcast.pipeline.targets import roles
+from stringcast.pipeline.run.provenance import file_of_target, imported_files
+from stringcast.pipeline.settings.allowed_callables import allowed_names_by_role
 from tests.faults.toy import toy_experiment, toy_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,11 +30,16 @@ print("loaded:", *sorted({name.partition(".")[0] for name in sys.modules}))
 def loaded(*words):
     """Packages that a command has loaded when it ends."""
     command = [sys.executable, "-c", SHOWN, *map(str, words)]
-    asked = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    asked = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, check=True
+    )
     return {*asked.stdout.splitlines()[-1].split()[1:]}
 
 
-@pytest.mark.parametrize(("words", "light"), [(["--help"], {"pandas", "pyarrow"}), (["check", "data/sample"], set())])
+@pytest.mark.parametrize(
+    ("words", "light"),
+    [(["--help"], {"pandas", "pyarrow"}), (["check", "data/sample"], set())],
+)
 def test_a_question_loads_little(words, light):
     packages = loaded(*words)
     assert "hydra" in packages
@@ -45,9 +52,13 @@ def test_what_a_run_was_made_of_is_found_without_loading_it(tmp_path):
 
 
 def test_the_file_behind_a_name_is_the_one_that_loading_it_finds():
-    """A package that only passes a name on is taken for its home: it imports the file in which it is."""
-    for role, names in roles().items():
+    """A package that only passes a name on is taken for its home: it imports the file
+    in which it is.
+    """
+    for role, names in allowed_names_by_role().items():
         for name in names:
             package, _, member = name.rpartition(".")
             real = getattr(import_module(package), member)
-            assert Path(inspect.getfile(real)) in closure({home(name)}), (role, name)
+            assert Path(inspect.getfile(real)) in imported_files(
+                {file_of_target(name)}
+            ), (role, name)

@@ -1,4 +1,6 @@
-"""Chromium without a window, asked through a pipe: no driver, no network, nothing to install but the browser."""
+"""Chromium without a window, asked through a pipe: no driver, no network, nothing to
+install but the browser.
+"""
 
 import json
 import os
@@ -20,18 +22,24 @@ def found():
 
 
 class Browser:
-    """One page at a time. faults: what its console and its policy complained of, as text."""
+    """One page at a time. faults: what its console and its policy complained of, as
+    text.
+    """
 
     def __init__(self, to, said):
         self.to, self.said, self.number, self.faults, self.buffer = to, said, 0, [], b""
         target = self.send("Target.createTarget", url="about:blank")["targetId"]
-        self.session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self.session = self.send(
+            "Target.attachToTarget", targetId=target, flatten=True
+        )["sessionId"]
         for domain in ("Page", "Runtime", "Log"):
             self.call(f"{domain}.enable")
 
     def send(self, method, session=None, **given):
         self.number += 1
-        message = {"id": self.number, "method": method, "params": given} | ({"sessionId": session} if session else {})
+        message = {"id": self.number, "method": method, "params": given} | (
+            {"sessionId": session} if session else {}
+        )
         os.write(self.to, json.dumps(message).encode() + b"\0")
         while (answer := self.heard()).get("id") != self.number:
             self.note(answer)
@@ -54,13 +62,24 @@ class Browser:
         """Errors and warnings of scripts, of the policy and of the network."""
         kind, given = event.get("method"), event.get("params", {})
         if kind == "Runtime.exceptionThrown":
-            self.faults.append(given["exceptionDetails"].get("exception", {}).get("description", str(given)))
-        elif kind == "Log.entryAdded" or (kind == "Runtime.consoleAPICalled" and given["type"] in ("error", "warning")):
+            self.faults.append(
+                given["exceptionDetails"]
+                .get("exception", {})
+                .get("description", str(given))
+            )
+        elif kind == "Log.entryAdded" or (
+            kind == "Runtime.consoleAPICalled" and given["type"] in ("error", "warning")
+        ):
             self.faults.append(json.dumps(given))
 
     def ask(self, expression):
         """The value of an expression in the page."""
-        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        answer = self.call(
+            "Runtime.evaluate",
+            expression=expression,
+            returnByValue=True,
+            awaitPromise=True,
+        )
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
@@ -74,22 +93,46 @@ class Browser:
     def open(self, path, width=1060, height=900, dark=False):
         """A page in a window of a size [px]."""
         self.faults = []
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
         self.call("Page.navigate", url=f"file://{path}")
         self.wait("document.readyState === 'complete'")
 
     def mouse(self, kind, x, y, pressed=False):
-        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=int(pressed), clickCount=1)
+        self.call(
+            "Input.dispatchMouseEvent",
+            type=kind,
+            x=x,
+            y=y,
+            button="left",
+            buttons=int(pressed),
+            clickCount=1,
+        )
 
 
 @contextmanager
 def browser(folder):
     """Started once, and gone at the end. folder: for its own files."""
     ours, theirs = os.pipe(), os.pipe()
-    shell = f'exec "$0" "$@" 3<&{ours[0]} 4>&{theirs[1]}'  # where Chromium looks for its pipe
-    command = ["bash", "-c", shell, found(), *QUIET.split(), OFFLINE, f"--user-data-dir={folder}", "about:blank"]
+    # where Chromium looks for its pipe
+    shell = f'exec "$0" "$@" 3<&{ours[0]} 4>&{theirs[1]}'
+    command = [
+        "bash",
+        "-c",
+        shell,
+        found(),
+        *QUIET.split(),
+        OFFLINE,
+        f"--user-data-dir={folder}",
+        "about:blank",
+    ]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     process = subprocess.Popen(command, pass_fds=(ours[0], theirs[1]), **quiet)
     os.close(ours[0])

@@ -1,4 +1,6 @@
-"""The page of a diagnosis: every verdict, whole in itself, numbers as they are in the artifact."""
+"""The page of a diagnosis: every verdict, whole in itself, numbers as they are in the
+artifact.
+"""
 
 import base64
 import itertools
@@ -16,22 +18,43 @@ from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
 from stringcast.data.artifacts import Diagnosis
-from stringcast.stages.model.library import library
+from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.report.charts.residual import ABOVE, BELOW, maps, parts
 from stringcast.stages.report.charts.string import last, worst
+from stringcast.stages.report.formatting import gain, headline, percent, quantity
 from stringcast.stages.report.pages.diagnosis import diagnosis_page
 from stringcast.stages.report.records import TRIALS, DiagnosisRecord, away, rms
-from stringcast.stages.report.theme import STYLE
-from stringcast.stages.report.words import gain, headline, percent, quantity
+from stringcast.stages.report.theme import STYLE_SHEET
 
 SIGMA = 7e-4
 S = np.linspace(0.05, 0.3, 6)
 NAMED = {
-    "tip_mass": ("a mass of 5.1 % of the string's sits at the tip", "ratio", "1", 0.051, 0.046, 0.057),
-    "arm_lag": ("the joints lag 12.0 ms behind", "time_constant", "s", 0.012, 0.0113, 0.0127),
-    "time_offset": ("the arm's clock is 12.0 ms ahead", "offset", "s", -0.012, -0.0127, -0.0113),
+    "tip_mass": (
+        "a mass of 5.1 % of the string's sits at the tip",
+        "ratio",
+        "1",
+        0.051,
+        0.046,
+        0.057,
+    ),
+    "arm_lag": (
+        "the joints lag 12.0 ms behind",
+        "time_constant",
+        "s",
+        0.012,
+        0.0113,
+        0.0127,
+    ),
+    "time_offset": (
+        "the arm's clock is 12.0 ms ahead",
+        "offset",
+        "s",
+        -0.012,
+        -0.0127,
+        -0.0113,
+    ),
     "box_contact_2": ("it touches a box", "stiffness", "1/s2", 4321.0, 4000.0, 4700.0),
 }
 GAIN = {
@@ -43,23 +66,45 @@ GAIN = {
 }
 
 
-# --- a plausible diagnosis, without one being made ------------------------------------------
+# --- a plausible diagnosis, without one being made
+# ------------------------------------------
 def measured(off=0.004, trials=2, frames=30):
-    """A straight string that swings; the base model is off to its right by `off` s/L, growing with time and trial."""
+    """A straight string that swings; the base model is off to its right by `off` s/L,
+    growing with time and trial.
+    """
     rng = np.random.default_rng(1)
     t, s = (a.ravel() for a in np.meshgrid(np.arange(frames) * 0.01, S, indexing="ij"))
     tables = []
     for number in range(trials):
         angle = 3 * t - 1
-        along, left = np.stack([np.cos(angle), np.sin(angle)]), np.stack([-np.sin(angle), np.cos(angle)])
+        along, left = (
+            np.stack([np.cos(angle), np.sin(angle)]),
+            np.stack([-np.sin(angle), np.cos(angle)]),
+        )
         noise = rng.normal(0, SIGMA, (2, len(t)))
         extended = s * along
         base = extended - (1 + number) * off * t / t.max() * s / S[-1] * left
         x, y = extended + noise
-        table = {"trial": f"t{number:02d}", "t": t, "s": s, "x": x, "y": y, "sigma": SIGMA, "doubt": 1.2 * SIGMA}
-        table |= {"base_x": base[0], "base_y": base[1], "extended_x": extended[0], "extended_y": extended[1]}
+        table = {
+            "trial": f"t{number:02d}",
+            "t": t,
+            "s": s,
+            "x": x,
+            "y": y,
+            "sigma": SIGMA,
+            "doubt": 1.2 * SIGMA,
+        }
+        table |= {
+            "base_x": base[0],
+            "base_y": base[1],
+            "extended_x": extended[0],
+            "extended_y": extended[1],
+        }
         residual = np.array([x, y]) - base
-        table |= {"base_normal": (residual * left).sum(axis=0), "base_tangential": (residual * along).sum(axis=0)}
+        table |= {
+            "base_normal": (residual * left).sum(axis=0),
+            "base_tangential": (residual * along).sum(axis=0),
+        }
         tables.append(pd.DataFrame(table))
     return pd.concat(tables, ignore_index=True)
 
@@ -70,8 +115,17 @@ def unextended(table):
 
 def caused(names, probability=0.97):
     rows = [
-        {"effect": name, "probability": probability / len(names), "sentence": NAMED[name][0]}
-        | {"parameter": f"{name}.{NAMED[name][1]}", "meaning": "what it is", "unit": NAMED[name][2], "at_least": False}
+        {
+            "effect": name,
+            "probability": probability / len(names),
+            "sentence": NAMED[name][0],
+        }
+        | {
+            "parameter": f"{name}.{NAMED[name][1]}",
+            "meaning": "what it is",
+            "unit": NAMED[name][2],
+            "at_least": False,
+        }
         | dict(zip(("value", "low", "high"), NAMED[name][3:], strict=True))
         for name in names
     ]
@@ -81,7 +135,9 @@ def caused(names, probability=0.97):
 def held_out():
     rows = [("t00", 0.003, 0.0009, 0.001, 0.005, 0.0012, 0.7, 0.93, 80000.0, 0.0009)]
     rows += [("t01", 0.004, 0.0010, 0.001, 0.007, 0.0014, 0.72, 0.93, 82468.0, 0.0010)]
-    return pd.DataFrame(rows, columns=[c.name for c in Diagnosis.TABLES["held_out"].columns])
+    return pd.DataFrame(
+        rows, columns=[c.name for c in Diagnosis.TABLES["held_out"].columns]
+    )
 
 
 def theories(count=3):
@@ -89,44 +145,92 @@ def theories(count=3):
         ("tip_mass", 9, 0.9, 56716.0, 65432.0, 0.0238, 0.004, 0.98),
         ("", 8, 9.0, 0.0, 0.0, 0.0, 1.0, 0.0),
     ]
-    rows += [(f"wind + other{n}", 11, 3.0, 100.0 + n, np.nan, 0.004, 0.5, 0.01) for n in range(count - 2)]
-    return pd.DataFrame(rows, columns=[c.name for c in Diagnosis.TABLES["hypotheses"].columns])
+    rows += [
+        (f"wind + other{n}", 11, 3.0, 100.0 + n, np.nan, 0.004, 0.5, 0.01)
+        for n in range(count - 2)
+    ]
+    return pd.DataFrame(
+        rows, columns=[c.name for c in Diagnosis.TABLES["hypotheses"].columns]
+    )
 
 
 def displaced():
-    rows = [("t01", t, s, 0.002 * t, -0.0034 if t == 0.1 else 0.0) for t in (0.0, 0.1, 0.2) for s in (0.1, 0.2)]
-    return pd.DataFrame(rows, columns=[c.name for c in Diagnosis.TABLES["missing"].columns])
+    rows = [
+        ("t01", t, s, 0.002 * t, -0.0034 if t == 0.1 else 0.0)
+        for t in (0.0, 0.1, 0.2)
+        for s in (0.1, 0.2)
+    ]
+    return pd.DataFrame(
+        rows, columns=[c.name for c in Diagnosis.TABLES["missing"].columns]
+    )
 
 
 def diagnosed(verdict, names=(), sentence="So it is.", **tables):
-    """A diagnosis with everything that its verdict comes with; tables take the place of its own."""
+    """A diagnosis with everything that its verdict comes with; tables take the place of
+    its own.
+    """
     causes = caused(names)
-    document = {"format": 1, "verdict": verdict, "alternatives": [{"effect": "unknown", "probability": 0.03}]}
-    document["causes"] = causes.drop_duplicates("effect")[["effect", "probability", "sentence"]].to_dict("records")
+    document = {
+        "format": 1,
+        "verdict": verdict,
+        "alternatives": [{"effect": "unknown", "probability": 0.03}],
+    }
+    document["causes"] = causes.drop_duplicates("effect")[
+        ["effect", "probability", "sentence"]
+    ].to_dict("records")
     document["indistinguishable"] = [list(names)] if verdict == "ambiguous" else []
     document |= {"base": {"parameters": {}}, "gain": tables.pop("gain", GAIN)}
     document |= {"next_experiment": tables.pop("following", None)}
-    document |= {"unexplained": {"fraction": 0.03, "where": "", "sentence": tables.pop("left", "")}}
-    document |= {"trials": {"used": ["t00", "t01"], "rejected": tables.pop("rejected", {})}}
+    document |= {
+        "unexplained": {
+            "fraction": 0.03,
+            "where": "",
+            "sentence": tables.pop("left", ""),
+        }
+    }
+    document |= {
+        "trials": {"used": ["t00", "t01"], "rejected": tables.pop("rejected", {})}
+    }
     extended = f"effects: [{', '.join(names)}]\nstring: {{points: 17}}\nknown: {{linear_drag: 0.37}}\n"
-    row = {"verdict": verdict, "sentence": sentence, "diagnosis": json.dumps(document), "extended": extended}
+    row = {
+        "verdict": verdict,
+        "sentence": sentence,
+        "diagnosis": json.dumps(document),
+        "extended": extended,
+    }
     own = {name: table.empty() for name, table in Diagnosis.TABLES.items()}
-    own |= {"finding": pd.DataFrame([row]), "causes": causes, "held_out": held_out(), "hypotheses": theories()}
+    own |= {
+        "finding": pd.DataFrame([row]),
+        "causes": causes,
+        "held_out": held_out(),
+        "hypotheses": theories(),
+    }
     own["residuals"] = measured() if names else unextended(measured())
     bars = [("", "tip_mass", 45088.0), ("", "wind", 12.0), ("tip_mass", "wind", 9.0)]
-    own["screening"] = pd.DataFrame(bars, columns=["context", "effect", "predicted_gain"])
-    own["likeness"] = pd.DataFrame([("wind", "tip_mass", 0.42)], columns=["effect", "other", "cosine"])
+    own["screening"] = pd.DataFrame(
+        bars, columns=["context", "effect", "predicted_gain"]
+    )
+    own["likeness"] = pd.DataFrame(
+        [("wind", "tip_mass", 0.42)], columns=["effect", "other", "cosine"]
+    )
     return Diagnosis(**own | tables)
 
 
 def entered():
     rows = [(1, "tip_mass", 56716.0, "t00", 9000.0, 0.1, 0.1, 0.004, 0.001)]
-    rows += [(1, "tip_mass", 56716.0, "t01", 48000.0, t, 0.29, off, 0.001) for t, off in ((0.2, 0.003), (0.3, 0.0123))]
-    return pd.DataFrame(rows, columns=[c.name for c in Diagnosis.TABLES["entries"].columns])
+    rows += [
+        (1, "tip_mass", 56716.0, "t01", 48000.0, t, 0.29, off, 0.001)
+        for t, off in ((0.2, 0.003), (0.3, 0.0123))
+    ]
+    return pd.DataFrame(
+        rows, columns=[c.name for c in Diagnosis.TABLES["entries"].columns]
+    )
 
 
 def nothing_tried():
-    nothing = {name: Diagnosis.TABLES[name].empty() for name in ("screening", "likeness")}
+    nothing = {
+        name: Diagnosis.TABLES[name].empty() for name in ("screening", "likeness")
+    }
     return nothing | {"hypotheses": theories()[1:2]}
 
 
@@ -135,7 +239,9 @@ VERDICTS = {
     "effect": lambda: diagnosed("effect", ["tip_mass"], entries=entered()),
     "pair": lambda: diagnosed("effect", ["tip_mass", "arm_lag"]),
     "ambiguous": lambda: diagnosed("ambiguous", ["arm_lag", "time_offset"]),
-    "unknown": lambda: diagnosed("unknown", missing=displaced(), left="What is left looks like a force."),
+    "unknown": lambda: diagnosed(
+        "unknown", missing=displaced(), left="What is left looks like a force."
+    ),
     "insufficient": lambda: diagnosed(
         "insufficient",
         left="there is one trial only",
@@ -149,11 +255,24 @@ VERDICTS = {
 @pytest.fixture(scope="module")
 def record(arm, camera):
     """What the page of a diagnosis is made of."""
-    origin = {"seed": 7, "code": {"commit": "0123456789abcdef"}, "packages": {"numpy": "2"}}
+    origin = {
+        "seed": 7,
+        "code": {"commit": "0123456789abcdef"},
+        "packages": {"numpy": "2"},
+    }
 
     def recorded(diagnosis, **other):
-        facts = {"name": "bench-7", "settings": {"diagnose": {"starts": 4}}, "origin": origin} | other
-        return DiagnosisRecord(diagnosis=diagnosis, model=Model(String(0.3), arm, camera), library=library(), **facts)
+        facts = {
+            "name": "bench-7",
+            "settings": {"diagnose": {"starts": 4}},
+            "origin": origin,
+        } | other
+        return DiagnosisRecord(
+            diagnosis=diagnosis,
+            model=Model(String(0.3), arm, camera),
+            library=effects_by_name(),
+            **facts,
+        )
 
     return recorded
 
@@ -206,8 +325,14 @@ class Page(HTMLParser):
 
     def explored(self):
         """Films and charts, as strict as JSON.parse, which refuses NaN."""
-        data = [json.loads(text, parse_constant=pytest.fail) for text in self.scripts if text.startswith("{")]
-        return [one for one in data if "strings" in one], [one for one in data if "lines" in one]
+        data = [
+            json.loads(text, parse_constant=pytest.fail)
+            for text in self.scripts
+            if text.startswith("{")
+        ]
+        return [one for one in data if "strings" in one], [
+            one for one in data if "lines" in one
+        ]
 
     def pictures(self):
         return [attributes for tag, attributes in self.elements if tag == "img"]
@@ -217,23 +342,61 @@ def drawing(picture):
     return base64.b64decode(picture["src"].partition("base64,")[2]).decode()
 
 
-# --- every verdict ----------------------------------------------------------------------------
+# --- every verdict
+# ----------------------------------------------------------------------------
 SAID = {
-    "none": ["The simulation agrees with what was measured", "No cause is named", "less than is tolerated"],
+    "none": [
+        "The simulation agrees with what was measured",
+        "No cause is named",
+        "less than is tolerated",
+    ],
     "effect": [
-        *("The cause: tip mass", "A mass of 5.1 % of the string's sits at the tip.", "97 %"),
-        *("0.051", "0.046 to 0.057", "The extended model adds tip mass", "81 234 ± 90", "0.710 to 0.930"),
-        *("3.4 mm → 0.9 mm", "6.1 mm → 1.3 mm", "noise alone leaves 1.0 mm", "56 716", "65 432", "base model alone"),
-        *("Path of entry", "t01 48 000, t00 9 000", "t01, 0.30 s, 290 mm along the string", "12.3 mm → 1.0 mm"),
-        *("Newton's second law", "leaves 3 % of what the base model lacks at the tip", "0.37", "seed 7"),
+        *(
+            "The cause: tip mass",
+            "A mass of 5.1 % of the string's sits at the tip.",
+            "97 %",
+        ),
+        *(
+            "0.051",
+            "0.046 to 0.057",
+            "The extended model adds tip mass",
+            "81 234 ± 90",
+            "0.710 to 0.930",
+        ),
+        *(
+            "3.4 mm → 0.9 mm",
+            "6.1 mm → 1.3 mm",
+            "noise alone leaves 1.0 mm",
+            "56 716",
+            "65 432",
+            "base model alone",
+        ),
+        *(
+            "Path of entry",
+            "t01 48 000, t00 9 000",
+            "t01, 0.30 s, 290 mm along the string",
+            "12.3 mm → 1.0 mm",
+        ),
+        *(
+            "Newton's second law",
+            "leaves 3 % of what the base model lacks at the tip",
+            "0.37",
+            "seed 7",
+        ),
     ],
     "pair": ["The causes: tip mass and arm lag", "48 %", "12.0 ms", "11.3 to 12.7 ms"],
     "ambiguous": [
-        *("Arm lag or time offset: this data cannot tell them apart", "look alike here: arm lag and time offset"),
+        *(
+            "Arm lag or time offset: this data cannot tell them apart",
+            "look alike here: arm lag and time offset",
+        ),
         *("−12.0 ms", "−12.7 to −11.3 ms"),
     ],
     "unknown": [
-        *("Something is missing, and it is not in the library", "What is left looks like a force."),
+        *(
+            "Something is missing, and it is not in the library",
+            "What is left looks like a force.",
+        ),
         *(
             "The longest is 3.4 mm",
             "There is no extended model to compare",
@@ -241,7 +404,11 @@ SAID = {
         ),
     ],
     "insufficient": [
-        *("This data cannot answer", "there is one trial only", "arm and camera overlap for 0.02 s only"),
+        *(
+            "This data cannot answer",
+            "there is one trial only",
+            "arm and camera overlap for 0.02 s only",
+        ),
         *("No trial was left out of the fit", "not known"),
     ],
 }
@@ -263,12 +430,18 @@ def test_the_page_needs_nothing_else(pages, verdict):
         assert tag not in {"link", "iframe"}
         assert tag != "script" or set(attributes) <= {"type"}
         for name in ("src", "href", "srcset", "data"):
-            assert (attributes.get(name) or "#").startswith(("data:image/", "#")), f"<{tag} {name}>"
-    policy = next(a["content"] for tag, a in page.elements if tag == "meta" and "http-equiv" in a)
+            assert (attributes.get(name) or "#").startswith(("data:image/", "#")), (
+                f"<{tag} {name}>"
+            )
+    policy = next(
+        a["content"] for tag, a in page.elements if tag == "meta" and "http-equiv" in a
+    )
     own = r"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src( 'sha256-[\w+/=]+'){2}"
     assert re.fullmatch(own, policy)
     for picture in page.pictures():
-        assert not re.search(r'href="(?!#|data:)|url\((?!#)|<!DOCTYPE|<script', drawing(picture))
+        assert not re.search(
+            r'href="(?!#|data:)|url\((?!#)|<!DOCTYPE|<script', drawing(picture)
+        )
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
@@ -277,15 +450,28 @@ def test_every_picture_has_words_and_follows_the_theme(pages, verdict):
         assert len(picture["alt"]) > 30
         assert "nan" not in picture["alt"]
         # the ends of the colour scale stand out on light and dark
-        drawn = re.sub(r":root{.*?}|<image[^>]*>|<defs>.*?</defs>", "", drawing(picture), flags=re.DOTALL)
+        drawn = re.sub(
+            r":root{.*?}|<image[^>]*>|<defs>.*?</defs>",
+            "",
+            drawing(picture),
+            flags=re.DOTALL,
+        )
         left = set(re.findall(r"(?:fill|stroke): ?(#[0-9a-f]{6})", drawn))
-        assert left <= {"#ffffff", to_hex(ABOVE), to_hex(BELOW)}, f"{picture['alt']}: {left} does not follow the theme"
+        assert left <= {"#ffffff", to_hex(ABOVE), to_hex(BELOW)}, (
+            f"{picture['alt']}: {left} does not follow the theme"
+        )
 
 
-@pytest.mark.parametrize(("verdict", "count"), [("none", 3), ("effect", 8), ("pair", 10), ("unknown", 6)])
+@pytest.mark.parametrize(
+    ("verdict", "count"), [("none", 3), ("effect", 8), ("pair", 10), ("unknown", 6)]
+)
 def test_what_is_drawn(pages, verdict, count):
-    """Maps, sizes, predictions; and with causes more maps, laws, likelihoods and promises."""
-    assert len(pages[verdict].pictures()) == count, [p["alt"] for p in pages[verdict].pictures()]
+    """Maps, sizes, predictions; and with causes more maps, laws, likelihoods and
+    promises.
+    """
+    assert len(pages[verdict].pictures()) == count, [
+        p["alt"] for p in pages[verdict].pictures()
+    ]
 
 
 def test_the_same_record_gives_the_same_page(write, written):
@@ -295,7 +481,11 @@ def test_the_same_record_gives_the_same_page(write, written):
 def test_what_data_say_cannot_become_code(worded):
     evil = "</p><img src=x onerror=alert(1)>"
     page = Page(
-        worded(diagnosed("none", sentence=evil, left=evil, rejected={evil: evil}), name=evil, settings={evil: evil})
+        worded(
+            diagnosed("none", sentence=evil, left=evil, rejected={evil: evil}),
+            name=evil,
+            settings={evil: evil},
+        )
     )
     assert not [a for _, a in page.elements if "onerror" in a]
     assert page.text.count(evil) >= 6
@@ -304,25 +494,52 @@ def test_what_data_say_cannot_become_code(worded):
 def test_the_budget_is_shown_where_there_is_one(worded):
     made = diagnosed("effect", ["tip_mass"])
     document = json.loads(made.finding["diagnosis"].iloc[0])
-    document["budget"] = [{"source": "tip_mass", "tip_rms_m": 0.00207, "log_evidence": 1570.9}]
+    document["budget"] = [
+        {"source": "tip_mass", "tip_rms_m": 0.00207, "log_evidence": 1570.9}
+    ]
     document["budget"] += [{"source": "noise", "tip_rms_m": 0.0009}]
-    document["unexplained"] |= {"tip_rms_m": {"value": 0.0, "low": 0.0, "high": 1.1e-4}, "tolerance_m": 0.002}
-    page = Page(worded(replace(made, finding=made.finding.assign(diagnosis=json.dumps(document)))))
-    assert "What nothing explains is 0.0 mm (0.0 mm to 0.1 mm, 95 %); up to 2.0 mm are tolerated." in page.text
+    document["unexplained"] |= {
+        "tip_rms_m": {"value": 0.0, "low": 0.0, "high": 1.1e-4},
+        "tolerance_m": 0.002,
+    }
+    page = Page(
+        worded(
+            replace(made, finding=made.finding.assign(diagnosis=json.dumps(document)))
+        )
+    )
+    assert (
+        "What nothing explains is 0.0 mm (0.0 mm to 0.1 mm, 95 %); up to 2.0 mm are tolerated."
+        in page.text
+    )
     for words in ("tip mass 2.07 mm 1 571", "noise 0.90 mm"):
         assert words in re.sub(r"\s+", " ", page.text)
     assert "Error budget" not in Page(worded(diagnosed("effect", ["tip_mass"]))).text
 
 
 def test_parameters_have_their_intervals_and_look_alikes_their_correlation(worded):
-    alike = pd.DataFrame([("arm_lag", "time_offset", 0.9964)], columns=["effect", "other", "cosine"])
+    alike = pd.DataFrame(
+        [("arm_lag", "time_offset", 0.9964)], columns=["effect", "other", "cosine"]
+    )
     made = diagnosed("ambiguous", ["arm_lag", "time_offset"], likeness=alike)
     document = json.loads(made.finding["diagnosis"].iloc[0])
-    document["base"] = {"parameters": {"linear_drag": 0.3}, "intervals": {"linear_drag": [0.28, 0.33]}}
+    document["base"] = {
+        "parameters": {"linear_drag": 0.3},
+        "intervals": {"linear_drag": [0.28, 0.33]},
+    }
     together = [{"parameters": ["linear_drag", "quadratic_drag"], "value": -0.854}]
-    document["extended"] = {"intervals": {"linear_drag": [0.36, 0.38]}, "correlations": together}
-    page = Page(worded(replace(made, finding=made.finding.assign(diagnosis=json.dumps(document)))))
-    assert "These look alike here: arm lag and time offset (correlation 0.996)." in page.text
+    document["extended"] = {
+        "intervals": {"linear_drag": [0.36, 0.38]},
+        "correlations": together,
+    }
+    page = Page(
+        worded(
+            replace(made, finding=made.finding.assign(diagnosis=json.dumps(document)))
+        )
+    )
+    assert (
+        "These look alike here: arm lag and time offset (correlation 0.996)."
+        in page.text
+    )
     assert "0.300 0.280 to 0.330 0.370 0.360 to 0.380 +23 %" in page.text
     assert (
         "Known better together than each alone, by their correlation: linear drag and quadratic drag (−0.85)."
@@ -337,22 +554,42 @@ def test_an_effect_that_the_library_no_longer_has_is_still_named(worded):
 
 
 def test_too_few_mass_points_have_no_parameter(worded):
-    causes = caused(["tip_mass"]).assign(effect="resolution", parameter="", value=np.nan, low=np.nan, high=np.nan)
-    page = Page(worded(diagnosed("effect", causes=causes, sentence="It has too few mass points.")))
+    causes = caused(["tip_mass"]).assign(
+        effect="resolution", parameter="", value=np.nan, low=np.nan, high=np.nan
+    )
+    page = Page(
+        worded(
+            diagnosed("effect", causes=causes, sentence="It has too few mass points.")
+        )
+    )
     assert "The maps are those of 17 mass points in place of 10" in page.text
     assert not re.search(r"\bnan\b", page.text)
 
 
 def test_nothing_measured_has_a_page(worded):
-    empty = {name: Diagnosis.TABLES[name].empty() for name in ("residuals", "hypotheses", "held_out")}
-    page = Page(worded(diagnosed("insufficient", gain={"held_out_trials": []}, **nothing_tried() | empty)))
+    empty = {
+        name: Diagnosis.TABLES[name].empty()
+        for name in ("residuals", "hypotheses", "held_out")
+    }
+    page = Page(
+        worded(
+            diagnosed(
+                "insufficient", gain={"held_out_trials": []}, **nothing_tried() | empty
+            )
+        )
+    )
     assert "Nothing was measured that could be compared." in page.text
     assert page.pictures() == []
 
 
 def test_an_interrupted_search_is_said_to_be(worded):
-    made = diagnosed("insufficient", left="The search for causes was interrupted, when it had come to none.")
-    text = json.dumps(json.loads(made.finding["diagnosis"].iloc[0]) | {"interrupted": True})
+    made = diagnosed(
+        "insufficient",
+        left="The search for causes was interrupted, when it had come to none.",
+    )
+    text = json.dumps(
+        json.loads(made.finding["diagnosis"].iloc[0]) | {"interrupted": True}
+    )
     said = Page(worded(replace(made, finding=made.finding.assign(diagnosis=text)))).text
     assert "Nothing is named before all was asked." in said
     assert "cannot answer" not in said
@@ -360,7 +597,9 @@ def test_an_interrupted_search_is_said_to_be(worded):
 
 
 def test_a_search_is_described_where_there_was_one(worded):
-    said = Page(worded(diagnosed("unknown", left="What is left looks like a force."))).text
+    said = Page(
+        worded(diagnosed("unknown", left="What is left looks like a force."))
+    ).text
     assert "nothing that was worth a search" not in said
     assert "the one with most evidence enters" in said
     assert "without the strongest trial" in said
@@ -368,15 +607,26 @@ def test_a_search_is_described_where_there_was_one(worded):
 
 def test_no_two_words_on_a_map_lie_on_one_another(record, monkeypatch):
     """Names of trials may be longer than a row is high."""
-    monkeypatch.setattr(sys.modules[maps.__module__], "vector", lambda figure, alt: figure)
-    names = {"t00": "drive_black_short_unweighted", "t01": "release_black_short_unweighted"}
+    monkeypatch.setattr(
+        sys.modules[maps.__module__], "vector", lambda figure, alt: figure
+    )
+    names = {
+        "t00": "drive_black_short_unweighted",
+        "t01": "release_black_short_unweighted",
+    }
     table = measured().replace({"trial": names})
-    with style.context(STYLE):
-        figure = maps(record(diagnosed("effect", ["tip_mass"], residuals=table)), "base")
+    with style.context(STYLE_SHEET):
+        figure = maps(
+            record(diagnosed("effect", ["tip_mass"], residuals=table)), "base"
+        )
         figure.draw_without_rendering()
-    words = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    words = [
+        text for text in figure.findobj(Text) if text.get_text() and text.get_visible()
+    ]
     boxes = {
-        text.get_text(): text.get_window_extent() for text in words if not re.fullmatch(r"[−\d.]+", text.get_text())
+        text.get_text(): text.get_window_extent()
+        for text in words
+        if not re.fullmatch(r"[−\d.]+", text.get_text())
     }
     assert set(names.values()) < set(boxes)
     for one, other in itertools.combinations(boxes.values(), 2):
@@ -385,20 +635,33 @@ def test_no_two_words_on_a_map_lie_on_one_another(record, monkeypatch):
 
 def test_of_many_trials_the_worst_are_drawn_and_of_many_theories_the_best(worded):
     many = measured(trials=TRIALS + 4)
-    page = Page(worded(diagnosed("effect", ["tip_mass"], residuals=many, hypotheses=theories(40))))
+    page = Page(
+        worded(
+            diagnosed("effect", ["tip_mass"], residuals=many, hypotheses=theories(40))
+        )
+    )
     drawn = {a["aria-label"].split()[4] for tag, a in page.elements if tag == "canvas"}
     assert drawn == {f"t{number:02d}" for number in range(4, TRIALS + 4)}
-    assert page.text.index("base model alone") < page.text.index("28 more") < page.text.index("wind + other5 ")
+    assert (
+        page.text.index("base model alone")
+        < page.text.index("28 more")
+        < page.text.index("wind + other5 ")
+    )
 
 
-# --- what the pictures show is so ---------------------------------------------------------------
+# --- what the pictures show is so
+# ---------------------------------------------------------------
 def test_parts_of_the_residual_are_those_of_the_table_and_keep_its_size():
     table = measured()
     base, extended = parts(table, "base"), parts(table, "extended")
     np.testing.assert_allclose(base["normal"], table["base_normal"] / SIGMA)
     np.testing.assert_allclose(base["tangential"], table["base_tangential"] / SIGMA)
-    np.testing.assert_allclose(np.hypot(*extended.values()), away(table, "extended") / SIGMA)
-    assert base["normal"].mean() > 1, "the base model lies to the right, so the measured string is to its left"
+    np.testing.assert_allclose(
+        np.hypot(*extended.values()), away(table, "extended") / SIGMA
+    )
+    assert base["normal"].mean() > 1, (
+        "the base model lies to the right, so the measured string is to its left"
+    )
     assert np.abs(extended["normal"]).max() < 5
 
 
@@ -426,23 +689,60 @@ def test_frames_without_a_tip_say_nothing_of_it():
 
 def test_rms_of_noise_alone_is_the_noise_floor():
     """Of both coordinates; 360 of them scatter by 4 %."""
-    assert rms(measured(), "extended").to_numpy() == pytest.approx(np.sqrt(2) * SIGMA, rel=0.15)
+    assert rms(measured(), "extended").to_numpy() == pytest.approx(
+        np.sqrt(2) * SIGMA, rel=0.15
+    )
 
 
-# --- words ----------------------------------------------------------------------------------------
+# --- words
+# ----------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("unit", "value", "low", "high", "at_least", "words", "between"),
     [
-        ("s", -0.00058, -0.000592, -0.000569, False, "−0.580 ms", "−0.592 to −0.569 ms"),
+        (
+            "s",
+            -0.00058,
+            -0.000592,
+            -0.000569,
+            False,
+            "−0.580 ms",
+            "−0.592 to −0.569 ms",
+        ),
         ("m", 0.0123, 0.0119, 0.0127, False, "12.30 mm", "11.90 to 12.70 mm"),
-        ("rad", np.radians(2.5), np.radians(1.9), np.radians(3.1), False, "2.5 °", "1.9 to 3.1 °"),
+        (
+            "rad",
+            np.radians(2.5),
+            np.radians(1.9),
+            np.radians(3.1),
+            False,
+            "2.5 °",
+            "1.9 to 3.1 °",
+        ),
         ("1", 0.051, 0.046, 0.057, False, "0.051", "0.046 to 0.057"),
         ("1/m", 12.0, 2.0, 22.0, False, "12 1/m", "2 to 22 1/m"),
-        ("1/s2", 5.5e5, np.nan, np.nan, False, "5.5 × 10⁵ 1/s<sup>2</sup>", "not known"),
-        ("1/s2", 5.5e5, 2.1e5, 1e7, True, "5.5 × 10⁵ 1/s<sup>2</sup>", "at least 2.1 × 10⁵ 1/s<sup>2</sup>"),
+        (
+            "1/s2",
+            5.5e5,
+            np.nan,
+            np.nan,
+            False,
+            "5.5 × 10⁵ 1/s<sup>2</sup>",
+            "not known",
+        ),
+        (
+            "1/s2",
+            5.5e5,
+            2.1e5,
+            1e7,
+            True,
+            "5.5 × 10⁵ 1/s<sup>2</sup>",
+            "at least 2.1 × 10⁵ 1/s<sup>2</sup>",
+        ),
     ],
 )
-def test_values_have_the_figures_that_their_interval_is_worth(unit, value, low, high, at_least, words, between):
+def test_values_have_the_figures_that_their_interval_is_worth(
+    unit, value, low, high, at_least, words, between
+):
     row = {"unit": unit, "value": value, "low": low, "high": high, "at_least": at_least}
     assert quantity(row) == (words, between)
 
@@ -455,17 +755,30 @@ def test_shares_and_gains():
         "over 99 %",
         "100 %",
     ]
-    assert [gain(v) for v in (719887.3, -12.0, np.nan)] == ["719\u202f887", "−12", "not known"]
+    assert [gain(v) for v in (719887.3, -12.0, np.nan)] == [
+        "719\u202f887",
+        "−12",
+        "not known",
+    ]
 
 
 def test_a_certain_cause_beside_look_alikes():
     causes = [{"effect": name} for name in ("wind", "arm_lag", "time_offset")]
-    document = {"verdict": "ambiguous", "causes": causes, "indistinguishable": [["arm_lag", "time_offset"]]}
-    assert headline(document) == "Wind and arm lag or time offset: this data cannot tell them apart"
+    document = {
+        "verdict": "ambiguous",
+        "causes": causes,
+        "indistinguishable": [["arm_lag", "time_offset"]],
+    }
+    assert (
+        headline(document)
+        == "Wind and arm lag or time offset: this data cannot tell them apart"
+    )
 
 
 def foretold(off=0.005):
-    """A straight string on two theories, which are `off` apart at its tip at 0.2 s and nowhere else."""
+    """A straight string on two theories, which are `off` apart at its tip at 0.2 s and
+    nowhere else.
+    """
     t, s = (a.ravel() for a in np.meshgrid([0.0, 0.1, 0.2], S, indexing="ij"))
     away = np.where((t == 0.2) & (s == S[-1]), off, 0.0)
     common = {"t": t, "s": s, "x": s, "sigma": SIGMA}
@@ -477,27 +790,46 @@ def foretold(off=0.005):
 
 def test_the_motion_proposed_is_shown_where_the_theories_are_farthest_apart(worded):
     following = {"sentence": "One of 300 motions tells them apart."}
-    page = worded(diagnosed("ambiguous", ["arm_lag", "time_offset"], following=following, predicted=foretold()))
+    page = worded(
+        diagnosed(
+            "ambiguous",
+            ["arm_lag", "time_offset"],
+            following=following,
+            predicted=foretold(),
+        )
+    )
     assert following["sentence"] in page
     assert "The proposed motion at 200" in page
     assert "time offset 5.0" in page
-    hopeless = worded(diagnosed("ambiguous", ["arm_lag", "time_offset"], following={"sentence": "No motion."}))
+    hopeless = worded(
+        diagnosed(
+            "ambiguous",
+            ["arm_lag", "time_offset"],
+            following={"sentence": "No motion."},
+        )
+    )
     assert "No motion." in hopeless
     assert "The proposed motion" not in hopeless
     assert "What to try next" not in worded(VERDICTS["effect"]())
 
 
 def test_a_trial_that_is_predicted_worse_is_said_to_be(worded):
-    """A plane that one trial alone reaches is no use elsewhere; nor is a false cause. Both explain what they are
-    fitted to, so nothing more is claimed."""
+    """A plane that one trial alone reaches is no use elsewhere; nor is a false cause.
+    Both explain what they are fitted to, so nothing more is claimed.
+    """
     table = held_out()
 
     def text(**columns):
-        return Page(worded(diagnosed("effect", ["tip_mass"], held_out=table.assign(**columns)))).text
+        return Page(
+            worded(diagnosed("effect", ["tip_mass"], held_out=table.assign(**columns)))
+        ).text
 
     worse = {"rms_extended": [0.0537, 0.0010]}
     said = text(**worse)
-    assert "t00 is predicted worse with the causes than without, 53.7 mm against 3.0 mm. Fitted to it as well" in said
+    assert (
+        "t00 is predicted worse with the causes than without, 53.7 mm against 3.0 mm. Fitted to it as well"
+        in said
+    )
     assert "or they are not right" in said
     assert "(worse for t00: see below)" in said
     unexplained = text(**worse, rms_known=[0.0029, 0.0010])
@@ -509,18 +841,27 @@ def test_a_trial_that_is_predicted_worse_is_said_to_be(worded):
 
 def test_a_diagnosis_of_an_older_version_has_a_page(worded):
     """Columns that came later are not there."""
-    old = {"held_out": held_out().drop(columns="rms_known"), "causes": caused(["tip_mass"]).drop(columns="at_least")}
+    old = {
+        "held_out": held_out().drop(columns="rms_known"),
+        "causes": caused(["tip_mass"]).drop(columns="at_least"),
+    }
     assert "tip mass" in Page(worded(diagnosed("effect", ["tip_mass"], **old))).text
 
 
 def test_it_says_which_trials_the_gain_is_of(worded):
     """Set aside, or left out of the fit in turn; and what is not known is no number."""
     turn = Page(worded(diagnosed("effect", ["tip_mass"]))).text
-    assert "Each trial was predicted by both models after they were fitted to the others." in turn
+    assert (
+        "Each trial was predicted by both models after they were fitted to the others."
+        in turn
+    )
     assert "chosen from all of them" in turn
     unknown = {"matching_rate": {"base": None, "extended": None}}
     told = GAIN | {"held_out_trials": ["t07"]} | unknown
     aside = Page(worded(diagnosed("effect", ["tip_mass"], gain=told))).text
-    assert "These trials were set aside, and predicted by both models after they were fitted to the others." in aside
+    assert (
+        "These trials were set aside, and predicted by both models after they were fitted to the others."
+        in aside
+    )
     assert "chosen from all of them" not in aside
     assert "E goes from not known to not known" in aside

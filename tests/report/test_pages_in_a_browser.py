@@ -1,4 +1,6 @@
-"""Every page in a real Chromium without a network: nothing is complained of, and what can be touched answers."""
+"""Every page in a real Chromium without a network: nothing is complained of, and what
+can be touched answers.
+"""
 
 import json
 from dataclasses import replace
@@ -11,9 +13,9 @@ from conftest import ROOT
 
 from stringcast.data.alignment import Alignment
 from stringcast.data.artifacts import Prediction
-from stringcast.pipeline.commands.check import measured
+from stringcast.pipeline.commands.check import read_measurements
 from stringcast.stages.check.overview import overview
-from stringcast.stages.model.library import library
+from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.report.pages.alignment import alignment_page
@@ -24,27 +26,58 @@ from stringcast.stages.report.pages.index import index_page
 from stringcast.stages.report.pages.paper import paper_page
 from stringcast.stages.report.pages.sweep import sweep_page
 from stringcast.stages.report.pages.tables import tables_page
-from stringcast.stages.report.records import DiagnosisRecord, Facts, PaperRecord
+from stringcast.stages.report.records import DiagnosisRecord, PaperRecord, StageRecord
 from tests.report.browser import browser, found
 from tests.report.test_diagnosis_page import diagnosed, displaced
 from tests.report.test_report import manipulation, record_of
 from tests.report.test_sweep_page import record as sweep_record
 from tests.report.test_sweep_page import swept
 
-pytestmark = pytest.mark.skipif(found() is None, reason="NO CHROMIUM HERE: NO PAGE WAS OPENED. Install chromium.")
+pytestmark = pytest.mark.skipif(
+    found() is None, reason="NO CHROMIUM HERE: NO PAGE WAS OPENED. Install chromium."
+)
 ORIGIN = {"seed": 7, "code": {"commit": "0123456789abcdef"}}
-MEASURED = measured(ROOT / "data" / "sample", [])
+MEASURED = read_measurements(ROOT / "data" / "sample", [])
 PHONE = 360  # [px]
 READY = "document.documentElement.dataset.ready === 'yes' || !document.querySelector('.explore')"
 
 
 def alignment():
-    row = {"sentence": "So.", "rms_before": 1e-3, "rms_after": 1e-4, "noise": 1e-4, "speed": 2.0}
-    seen = pd.DataFrame({"trial": "t", "t": [0.0, 0.1], "link": 1, "share": [0.5, 1.0], "x": 0.1, "y": [0.2, 0.3]})
-    seen = seen.assign(along_x=1.0, along_y=0.0, sigma=1e-4, before=[1e-3, 2e-3], after=1e-4)
-    likelihood = pd.DataFrame({"offset": [-1e-3, 0.0, 1e-3], "alone": [5.0, 0.0, 5.0], "with_lag": 1.0, "lag": 0.0})
-    measured = pd.DataFrame([("camera.x", "m", "shift", 1e-3, 0.0, 2e-3, True)], columns=list(_names(Alignment)))
-    return Alignment(measured=measured, seen=seen, likelihood=likelihood, aligned=pd.DataFrame([row]))
+    row = {
+        "sentence": "So.",
+        "rms_before": 1e-3,
+        "rms_after": 1e-4,
+        "noise": 1e-4,
+        "speed": 2.0,
+    }
+    seen = pd.DataFrame(
+        {
+            "trial": "t",
+            "t": [0.0, 0.1],
+            "link": 1,
+            "share": [0.5, 1.0],
+            "x": 0.1,
+            "y": [0.2, 0.3],
+        }
+    )
+    seen = seen.assign(
+        along_x=1.0, along_y=0.0, sigma=1e-4, before=[1e-3, 2e-3], after=1e-4
+    )
+    likelihood = pd.DataFrame(
+        {
+            "offset": [-1e-3, 0.0, 1e-3],
+            "alone": [5.0, 0.0, 5.0],
+            "with_lag": 1.0,
+            "lag": 0.0,
+        }
+    )
+    measured = pd.DataFrame(
+        [("camera.x", "m", "shift", 1e-3, 0.0, 2e-3, True)],
+        columns=list(_names(Alignment)),
+    )
+    return Alignment(
+        measured=measured, seen=seen, likelihood=likelihood, aligned=pd.DataFrame([row])
+    )
 
 
 def _names(kind):
@@ -53,15 +86,41 @@ def _names(kind):
 
 def texts(arm, camera):
     """Every kind of page, of little."""
-    camera = replace(camera, width=320, height=320, px_per_m=170.0, origin_px=(125.5, 193.5))
+    camera = replace(
+        camera, width=320, height=320, px_per_m=170.0, origin_px=(125.5, 193.5)
+    )
     coarse = Model(String(0.3), arm, camera)
     told = diagnosed("effect", ["tip_mass"], missing=displaced())
-    prediction = Prediction(**{name: table.empty() for name, table in Prediction.TABLES.items()})
-    tables = {"runs": pd.DataFrame({"seed": [], "state": []}), "rates": pd.DataFrame({"condition": []})}
-    tables |= {"numbers": pd.DataFrame([("a", "k_h", 1.0, "1", "p")], columns=["what", "of", "value", "unit", "place"])}
+    prediction = Prediction(
+        **{name: table.empty() for name, table in Prediction.TABLES.items()}
+    )
+    tables = {
+        "runs": pd.DataFrame({"seed": [], "state": []}),
+        "rates": pd.DataFrame({"condition": []}),
+    }
+    tables |= {
+        "numbers": pd.DataFrame(
+            [("a", "k_h", 1.0, "1", "p")],
+            columns=["what", "of", "value", "unit", "place"],
+        )
+    }
     casts = [manipulation(arm, camera, 1), manipulation(arm, camera, 2, hit=True)]
     runs = pd.DataFrame(
-        [("a/b", "x", "2026-11-25T03:38:00", "ended", "hit", 2, np.nan, 3.0, "s", "So.", "a/b/report.html")]
+        [
+            (
+                "a/b",
+                "x",
+                "2026-11-25T03:38:00",
+                "ended",
+                "hit",
+                2,
+                np.nan,
+                3.0,
+                "s",
+                "So.",
+                "a/b/report.html",
+            )
+        ]
     )
     runs.columns = [
         "run",
@@ -77,14 +136,27 @@ def texts(arm, camera):
         "page",
     ]
     return {
-        "cast": cast_page(record_of(arm, camera, casts, following=[("Again", "pipeline verify {here} <&>")])),
-        "diagnosis": diagnosis_page(DiagnosisRecord("bench-7", told, coarse, library(), {}, ORIGIN)),
+        "cast": cast_page(
+            record_of(
+                arm, camera, casts, following=[("Again", "pipeline verify {here} <&>")]
+            )
+        ),
+        "diagnosis": diagnosis_page(
+            DiagnosisRecord("bench-7", told, coarse, effects_by_name(), {}, ORIGIN)
+        ),
         "sweep": sweep_page(sweep_record(swept())),
-        "alignment": alignment_page(Facts("a", "So.", alignment(), coarse, {}, ORIGIN)),
-        "tables": tables_page(Facts("t", "So.", prediction, coarse, {}, ORIGIN)),
+        "alignment": alignment_page(
+            StageRecord("a", "So.", alignment(), coarse, {}, ORIGIN)
+        ),
+        "tables": tables_page(StageRecord("t", "So.", prediction, coarse, {}, ORIGIN)),
         "index": index_page(runs, "outputs", ORIGIN),
         "paper": paper_page(PaperRecord(tables, 3, {}, ORIGIN), {}),
-        "check": check_page(MEASURED, overview(MEASURED), ORIGIN, [("Diagnose", "pipeline +experiment=diagnose")]),
+        "check": check_page(
+            MEASURED,
+            overview(MEASURED),
+            ORIGIN,
+            [("Diagnose", "pipeline +experiment=diagnose")],
+        ),
     }
 
 
@@ -94,7 +166,9 @@ def pages(arm, camera, tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages")
     empty = SimpleNamespace(print_svg=lambda data, metadata: data.write("<svg></svg>"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stringcast.stages.report.theme.FigureCanvasSVG", lambda figure: empty)
+        patch.setattr(
+            "stringcast.stages.report.theme.FigureCanvasSVG", lambda figure: empty
+        )
         made = texts(arm, camera)
     for name, text in made.items():
         (folder / f"{name}.html").write_text(text, encoding="utf-8")
@@ -119,11 +193,20 @@ def place(chromium, selector):
     return chromium.ask(f"(b => [b.x, b.y, b.width, b.height])({ask})")
 
 
-@pytest.mark.parametrize("name", ["cast", "diagnosis", "sweep", "alignment", "tables", "index", "paper", "check"])
-def test_a_page_opens_on_a_phone_in_the_dark_and_nothing_is_complained_of(chromium, pages, name):
+@pytest.mark.parametrize(
+    "name",
+    ["cast", "diagnosis", "sweep", "alignment", "tables", "index", "paper", "check"],
+)
+def test_a_page_opens_on_a_phone_in_the_dark_and_nothing_is_complained_of(
+    chromium, pages, name
+):
     page = opened(chromium, pages[name], width=PHONE, height=740, dark=True)
-    assert page.ask("document.documentElement.scrollWidth") == PHONE, "it can be pushed sideways"
-    assert page.ask("getComputedStyle(document.body).backgroundColor") == "rgb(18, 22, 28)"
+    assert page.ask("document.documentElement.scrollWidth") == PHONE, (
+        "it can be pushed sideways"
+    )
+    assert (
+        page.ask("getComputedStyle(document.body).backgroundColor") == "rgb(18, 22, 28)"
+    )
     assert pages[name].stat().st_size < 1.5e6
     assert page.faults == []
 
@@ -132,22 +215,31 @@ def test_a_list_of_runs_says_on_a_phone_which_ended_how(chromium, pages):
     page = opened(chromium, pages["index"], width=PHONE, height=740)
     cells = "[...document.querySelectorAll('tbody tr:first-child td')].slice(0, 2)"
     assert page.ask(f"{cells}.map(cell => cell.textContent)") == ["hit", "a/b"]
-    assert page.ask(f"{cells}.every(cell => cell.getBoundingClientRect().right < innerWidth)")
+    assert page.ask(
+        f"{cells}.every(cell => cell.getBoundingClientRect().right < innerWidth)"
+    )
 
 
 def test_what_is_pointed_at_in_one_curve_is_shown_in_all(chromium, pages):
-    """The string in the film, every curve of the cast and the clock; not those of the other cast."""
+    """The string in the film, every curve of the cast and the clock; not those of the
+    other cast.
+    """
     page = opened(chromium, pages["cast"])
     before = page.ask("groups.map(g => g.members[0].index)")
     left, top, width, height = place(page, ".u-over")
     page.mouse("mouseMoved", left + 0.25 * width, top + height / 2)
     page.wait("groups[0].t !== null")
-    times = page.ask("groups[0].members.map(m => m.plot ? m.plot.data[0][m.plot.cursor.idx] : m.data.t[m.index])")
+    times = page.ask(
+        "groups[0].members.map(m => m.plot ? m.plot.data[0][m.plot.cursor.idx] : m.data.t[m.index])"
+    )
     assert np.ptp(times) < 20, times
     low, high = page.ask("groups[0].members[1].range()")
     assert times[0] == pytest.approx(low + 0.25 * (high - low), abs=20)
     assert page.ask("groups.map(g => g.members[0].index)")[1] == before[1]
-    assert page.ask("document.querySelector('.controls output').textContent") == f"{page.ask('groups[0].t'):.0f} ms"
+    assert (
+        page.ask("document.querySelector('.controls output').textContent")
+        == f"{page.ask('groups[0].t'):.0f} ms"
+    )
     assert page.faults == []
 
 
@@ -159,12 +251,19 @@ def test_a_stretch_that_is_dragged_over_is_zoomed_to_in_all(chromium, pages):
     page.mouse("mouseMoved", left + 0.6 * width, top + height / 2, pressed=True)
     page.mouse("mouseReleased", left + 0.6 * width, top + height / 2)
     page.wait(f"groups[0].members.find(m => m.plot).range()[0] > {0.1 * whole[0][1]}")
-    zoomed = np.array(page.ask("groups[0].members.filter(m => m.plot).map(m => m.range())"))
+    zoomed = np.array(
+        page.ask("groups[0].members.filter(m => m.plot).map(m => m.range())")
+    )
     assert np.ptp(zoomed, axis=0) == pytest.approx(0, abs=1e-6)
     assert np.ptp(zoomed[0]) == pytest.approx(0.4 * np.ptp(whole[0]), rel=0.05)
     page.ask("document.querySelector('.plot').focus()")
     for kind in ("keyDown", "keyUp"):
-        page.call("Input.dispatchKeyEvent", type=kind, key="0", text="0" if kind == "keyDown" else "")
+        page.call(
+            "Input.dispatchKeyEvent",
+            type=kind,
+            key="0",
+            text="0" if kind == "keyDown" else "",
+        )
     page.wait("groups[0].members.find(m => m.plot).range()[0] <= 0")
     assert page.faults == []
 
@@ -175,11 +274,15 @@ def test_a_film_plays_and_its_differences_can_be_enlarged(chromium, pages):
     still = page.ask(drawn)
     page.ask("(s => (s.value = '20', s.onchange()))(document.querySelector('.times'))")
     assert page.ask(drawn) != still
-    page.ask("document.querySelector('.controls select').value = '1'; document.querySelector('.play').click()")
+    page.ask(
+        "document.querySelector('.controls select').value = '1'; document.querySelector('.play').click()"
+    )
     begun = page.ask("groups[0].t")
     page.wait(f"groups[0].t > {begun or 0}")
     page.wait("document.querySelector('.play').textContent === 'Play'")
-    assert page.ask("groups[0].members.filter(m => m.images).every(m => m.index === m.data.t.length - 1)")
+    assert page.ask(
+        "groups[0].members.filter(m => m.images).every(m => m.index === m.data.t.length - 1)"
+    )
     assert page.faults == []
 
 
@@ -192,10 +295,16 @@ def test_what_is_next_names_the_folder_in_which_the_page_lies(chromium, pages):
 def test_curves_follow_the_theme_and_are_on_paper(chromium, pages):
     page = opened(chromium, pages["cast"])
     light = page.ask("groups[0].members[1].plot.series[1].stroke()")
-    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
+    page.call(
+        "Emulation.setEmulatedMedia",
+        features=[{"name": "prefers-color-scheme", "value": "dark"}],
+    )
     page.wait(f"groups[0].members[1].plot.series[1].stroke() !== {json.dumps(light)}")
     page.call("Emulation.setEmulatedMedia", media="print")
-    assert page.ask("getComputedStyle(document.querySelector('.controls')).display") == "none"
+    assert (
+        page.ask("getComputedStyle(document.querySelector('.controls')).display")
+        == "none"
+    )
     narrow = "[...document.querySelectorAll('canvas, img')].every(e => e.getBoundingClientRect().right <= innerWidth)"
     assert page.ask(narrow)
     wide = "[...document.querySelectorAll('.plot')].map(e => e.querySelector('canvas').clientWidth / e.clientWidth)"

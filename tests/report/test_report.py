@@ -1,4 +1,6 @@
-"""The page: whole in itself, drawn where things really are, and honest about what is missing."""
+"""The page: whole in itself, drawn where things really are, and honest about what is
+missing.
+"""
 
 import base64
 import hashlib
@@ -35,8 +37,8 @@ from stringcast.stages.report.charts.residual import residual_map, residuals
 from stringcast.stages.report.charts.string import path, paths
 from stringcast.stages.report.charts.time import progress
 from stringcast.stages.report.pages.cast import cast_page
-from stringcast.stages.report.records import Cast, Record
-from stringcast.stages.report.theme import STYLE, THEME
+from stringcast.stages.report.records import Cast, RunRecord
+from stringcast.stages.report.theme import STYLE_SHEET, THEME
 
 VOID = {"meta", "img", "input", "br", "link"}
 STRING = String(0.3)
@@ -44,23 +46,47 @@ DURATION = 0.4
 TARGET = Box(0.5, 0.75, 0.02, 0.04)
 
 
-# --- a plausible run, without an engine ---------------------------------------------------
+# --- a plausible run, without an engine
+# ---------------------------------------------------
 def swing(t, lag):
-    """(F, n, 2) a string trailing the hand by an angle that grows with s, (F, 3) the joint angles."""
-    q = np.array([0.9, 0.5, 0.3]) + np.outer(np.sin(np.clip(t, 0, DURATION) * 5), [0.5, 0.4, -0.6])
-    return q, q.sum(axis=1)[:, None] - np.pi / 2 - lag * STRING.arc_lengths() / STRING.length
+    """(F, n, 2) a string trailing the hand by an angle that grows with s, (F, 3) the
+    joint angles.
+    """
+    q = np.array([0.9, 0.5, 0.3]) + np.outer(
+        np.sin(np.clip(t, 0, DURATION) * 5), [0.5, 0.4, -0.6]
+    )
+    return q, q.sum(axis=1)[
+        :, None
+    ] - np.pi / 2 - lag * STRING.arc_lengths() / STRING.length
 
 
 def strings(arm, t, lag):
     q, angle = swing(t, lag)
-    steps = STRING.segment * np.stack([np.cos(angle), np.sin(angle)], axis=-1)[:, :-1]
-    return arm.joints(q)[:, -1:] + np.concatenate([np.zeros((len(t), 1, 2)), np.cumsum(steps, axis=1)], axis=1)
+    steps = (
+        STRING.segment_length
+        * np.stack([np.cos(angle), np.sin(angle)], axis=-1)[:, :-1]
+    )
+    return arm.joints(q)[:, -1:] + np.concatenate(
+        [np.zeros((len(t), 1, 2)), np.cumsum(steps, axis=1)], axis=1
+    )
 
 
 def film(camera, lines, rng, noise=6.0):
-    images = rng.normal(40, noise, (len(lines), camera.height, camera.width)).clip(0, 90).astype(np.uint8)
+    images = (
+        rng.normal(40, noise, (len(lines), camera.height, camera.width))
+        .clip(0, 90)
+        .astype(np.uint8)
+    )
     for image, line in zip(images, lines, strict=True):
-        cv2.polylines(image, [np.round(camera.pixels(line) * 16).astype(np.int32)], False, 255, 2, cv2.LINE_AA, 4)
+        cv2.polylines(
+            image,
+            [np.round(camera.pixels(line) * 16).astype(np.int32)],
+            False,
+            255,
+            2,
+            cv2.LINE_AA,
+            4,
+        )
     return list(images)
 
 
@@ -83,11 +109,27 @@ def estimated(rng, t, symbols=STRING.parameters):
         for i, p in enumerate(symbols)
     ]
     columns = [c.name for c in Estimate.TABLES["parameters"].columns]
-    fit = {"method": "test", "before": 0.4, "after": 0.9, "rms_before": 0.0456, "rms_after": 0.0123, "rejected": 3}
-    matching = pd.DataFrame({"trial": "t01", "t": t, "before": 0.4 + 0 * t, "after": 0.9 + rng.normal(0, 0.02, len(t))})
+    fit = {
+        "method": "test",
+        "before": 0.4,
+        "after": 0.9,
+        "rms_before": 0.0456,
+        "rms_after": 0.0123,
+        "rejected": 3,
+    }
+    matching = pd.DataFrame(
+        {
+            "trial": "t01",
+            "t": t,
+            "before": 0.4 + 0 * t,
+            "after": 0.9 + rng.normal(0, 0.02, len(t)),
+        }
+    )
     sentence = "This data cannot determine k_h: other values fit as well."
     table = pd.DataFrame(rows, columns=columns)
-    return Estimate(table, pd.DataFrame(), matching, pd.DataFrame([fit | {"sentence": sentence}]))
+    return Estimate(
+        table, pd.DataFrame(), matching, pd.DataFrame([fit | {"sentence": sentence}])
+    )
 
 
 def manipulation(arm, camera, number=1, hit=False, noise=6.0):
@@ -99,32 +141,74 @@ def manipulation(arm, camera, number=1, hit=False, noise=6.0):
     joints = dict(zip(JOINTS, swing(ticks, 0)[0].T, strict=True))
     read = np.arange(len(t)) % 17 != 5
     s = np.linspace(0, STRING.length, 24)
-    along = [np.stack([np.interp(s, STRING.arc_lengths(), line[:, i]) for i in (0, 1)], axis=-1) for line in true]
+    along = [
+        np.stack(
+            [np.interp(s, STRING.arc_lengths(), line[:, i]) for i in (0, 1)], axis=-1
+        )
+        for line in true
+    ]
     points = pd.concat(
-        pd.DataFrame({"t": t[f], "s": s, "x": along[f][:, 0], "y": along[f][:, 1], "sigma": 1e-3, "valid": True})
+        pd.DataFrame(
+            {
+                "t": t[f],
+                "s": s,
+                "x": along[f][:, 0],
+                "y": along[f][:, 1],
+                "sigma": 1e-3,
+                "valid": True,
+            }
+        )
         for f in np.flatnonzero(read)
     )
     tips = np.where(read[:, None], true[:, -1], np.nan)
-    readings = pd.DataFrame({"frame": range(len(t)), "t": t, "valid": read, "tip_x": tips[:, 0], "tip_y": tips[:, 1]})
+    readings = pd.DataFrame(
+        {
+            "frame": range(len(t)),
+            "t": t,
+            "valid": read,
+            "tip_x": tips[:, 0],
+            "tip_y": tips[:, 1],
+        }
+    )
     readings["reason"] = np.where(read, "", "the string is hidden behind the arm")
     plan = {"duration": DURATION, "t_hit": 0.25, "tried": 4321}
-    attempts = pd.DataFrame({"outcome": ["a joint leaves its range", "hit"], "count": [4320, 1]})
+    attempts = pd.DataFrame(
+        {"outcome": ["a joint leaves its range", "hit"], "count": [4320, 1]}
+    )
     moving = pd.DataFrame({"t": ticks, **joints}).query("0 <= t <= @DURATION")
     empty = pd.DataFrame()
     link = {"valid": True, "reason": "", "ticks": len(ticks), "missed": 2}
     link |= {"jitter_p50": 2e-5, "jitter_p99": 9e-5, "jitter_max": 1e-3}
     images = film(camera, true, rng, noise)
-    trial = Trial(pd.DataFrame({"t": ticks, **joints}), empty, readings[["frame", "t"]], pd.DataFrame([link]), images)
+    trial = Trial(
+        pd.DataFrame({"t": ticks, **joints}),
+        empty,
+        readings[["frame", "t"]],
+        pd.DataFrame([link]),
+        images,
+    )
     verdict = Verdict(hit, 0.252, 0.0042 if hit else 0.0237 / number)
     motion = Motion(moving, empty, empty, attempts, pd.DataFrame([plan]))
-    return Cast(motion, trial, Points(points, readings, empty), estimated(rng, t), verdict, before, true)
+    return Cast(
+        motion,
+        trial,
+        Points(points, readings, empty),
+        estimated(rng, t),
+        verdict,
+        before,
+        true,
+    )
 
 
 @pytest.fixture(scope="module")
 def small(camera):
     """The default camera at a quarter of its size, with a lens that bends."""
     u, v = camera.origin_px
-    sizes = {"width": camera.width // 4, "height": camera.height // 4, "px_per_m": camera.px_per_m / 4}
+    sizes = {
+        "width": camera.width // 4,
+        "height": camera.height // 4,
+        "px_per_m": camera.px_per_m / 4,
+    }
     return replace(camera, **sizes, origin_px=(u / 4, v / 4), distortion=-0.06)
 
 
@@ -137,23 +221,41 @@ def record_of(arm, camera, casts, **other):
         "obstacles": (Box(0.9, 0.3, 0.05, 0.3),),
         "estimates": tuple(c.estimate for c in casts if c.estimate is not None),
         "config": {"estimate": {"beta": 0.995}, "trials": None},
-        "made_by": {"seed": 7, "code": {"commit": "0123456789abcdef", "source": "ff"}, "packages": {"numpy": "2"}},
+        "made_by": {
+            "seed": 7,
+            "code": {"commit": "0123456789abcdef", "source": "ff"},
+            "packages": {"numpy": "2"},
+        },
     }
-    return Record(model=Model(STRING, arm, camera), target=TARGET, casts=tuple(casts), **facts | other)
+    return RunRecord(
+        model=Model(STRING, arm, camera),
+        target=TARGET,
+        casts=tuple(casts),
+        **facts | other,
+    )
 
 
 @pytest.fixture(scope="module")
 def record(arm, small):
-    return record_of(arm, small, [manipulation(arm, small, 1), manipulation(arm, small, 2, hit=True)])
+    return record_of(
+        arm, small, [manipulation(arm, small, 1), manipulation(arm, small, 2, hit=True)]
+    )
 
 
-# --- reading the page ---------------------------------------------------------------------
+# --- reading the page
+# ---------------------------------------------------------------------
 class Page(HTMLParser):
     """Elements, text a person sees, scripts; raises where tags do not nest."""
 
     def __init__(self, text):
         super().__init__()
-        self.open, self.elements, self.words, self.scripts, self.styles = [], [], [], [], []
+        self.open, self.elements, self.words, self.scripts, self.styles = (
+            [],
+            [],
+            [],
+            [],
+            [],
+        )
         self.feed(text)
         assert self.open == [], f"never closed: {self.open}"
         self.text = re.sub(r"\s+", " ", " ".join(self.words))
@@ -169,15 +271,23 @@ class Page(HTMLParser):
 
     def handle_data(self, data):
         inside = self.open[-1] if self.open else ""
-        {"script": self.scripts, "style": self.styles}.get(inside, self.words).append(data)
+        {"script": self.scripts, "style": self.styles}.get(inside, self.words).append(
+            data
+        )
 
     def all(self, tag):
         return [attributes for name, attributes in self.elements if name == tag]
 
     def explored(self):
         """Films and charts, as strict as JSON.parse, which refuses NaN."""
-        data = [json.loads(text, parse_constant=pytest.fail) for text in self.scripts if text.startswith("{")]
-        return [one for one in data if "frames" in one], [one for one in data if "lines" in one]
+        data = [
+            json.loads(text, parse_constant=pytest.fail)
+            for text in self.scripts
+            if text.startswith("{")
+        ]
+        return [one for one in data if "frames" in one], [
+            one for one in data if "lines" in one
+        ]
 
 
 def decoded(source):
@@ -189,23 +299,32 @@ def page(record):
     return Page(cast_page(record))
 
 
-# --- whole in itself ----------------------------------------------------------------------
+# --- whole in itself
+# ----------------------------------------------------------------------
 def test_nothing_is_loaded_from_elsewhere(page):
     for tag, attributes in page.elements:
         for name in ("src", "href", "srcset", "poster", "action", "data"):
             where = attributes.get(name) or "#"
-            assert where.startswith(("data:image/", "#")), f"<{tag} {name}={where[:60]}>"
+            assert where.startswith(("data:image/", "#")), (
+                f"<{tag} {name}={where[:60]}>"
+            )
     assert not re.search(r"url\(|@import", " ".join(page.styles))
     assert not re.search(r"fetch|import|XMLHttp|https?:", page.scripts[-1])
     for image in page.all("img"):
         if "svg+xml" in image["src"]:
-            assert not re.search(r'href="(?!#|data:)|url\((?!#)|<!DOCTYPE|<script', decoded(image["src"]).decode())
+            assert not re.search(
+                r'href="(?!#|data:)|url\((?!#)|<!DOCTYPE|<script',
+                decoded(image["src"]).decode(),
+            )
 
 
 def test_the_policy_admits_two_scripts_and_no_other(page):
     """A wrong hash would silently leave films and curves dead."""
     policy = next(m["content"] for m in page.all("meta") if "http-equiv" in m)
-    digests = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in page.scripts[-2:]]
+    digests = [
+        base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+        for script in page.scripts[-2:]
+    ]
     assert policy.endswith(f"script-src 'sha256-{digests[0]}' 'sha256-{digests[1]}'")
     assert "default-src 'none'" in policy
 
@@ -220,16 +339,28 @@ def test_every_picture_has_words_and_a_size(page, record):
         assert int(image["width"]) > 0
         assert int(image["height"]) > 0
         if "webp" in image["src"]:
-            assert cv2.imdecode(np.frombuffer(decoded(image["src"]), np.uint8), cv2.IMREAD_COLOR) is not None
+            assert (
+                cv2.imdecode(
+                    np.frombuffer(decoded(image["src"]), np.uint8), cv2.IMREAD_COLOR
+                )
+                is not None
+            )
 
 
 def test_every_colour_of_a_figure_has_a_dark_side(page):
     for image in page.all("img"):
         if "svg+xml" in image["src"]:
-            drawn = re.sub(r":root{.*?}|<image[^>]*>", "", decoded(image["src"]).decode(), flags=re.DOTALL)
+            drawn = re.sub(
+                r":root{.*?}|<image[^>]*>",
+                "",
+                decoded(image["src"]).decode(),
+                flags=re.DOTALL,
+            )
             assert "var(--ink)" in drawn or "var(--soft)" in drawn
             left = set(re.findall(r"(?:fill|stroke): ?(#[0-9a-f]{6})", drawn))
-            assert left <= {"#ffffff"}, f"{image['alt']}: {left} does not follow the theme"
+            assert left <= {"#ffffff"}, (
+                f"{image['alt']}: {left} does not follow the theme"
+            )
     assert len({light for light, _ in THEME.values()}) == len(THEME)
 
 
@@ -237,12 +368,23 @@ def test_no_label_is_cut_off(record, monkeypatch):
     """Margins are given, not measured: here they are."""
     figures, drawn = [], FigureCanvasSVG.print_svg
     monkeypatch.setattr(
-        FigureCanvasSVG, "print_svg", lambda canvas, *a, **k: (figures.append(canvas.figure), drawn(canvas, *a, **k))
+        FigureCanvasSVG,
+        "print_svg",
+        lambda canvas, *a, **k: (figures.append(canvas.figure), drawn(canvas, *a, **k)),
     )
     cast, other = record.casts
-    many = replace(record, casts=(cast, replace(other, verdict=replace(other.verdict, distance=1.2345))) * 4)
-    with style.context(STYLE):
-        shown = paths(many), progress(many), path(record, cast), residual_map(record, cast, 0.02)
+    many = replace(
+        record,
+        casts=(cast, replace(other, verdict=replace(other.verdict, distance=1.2345)))
+        * 4,
+    )
+    with style.context(STYLE_SHEET):
+        shown = (
+            paths(many),
+            progress(many),
+            path(record, cast),
+            residual_map(record, cast, 0.02),
+        )
         shown += (history(STRING.parameters[0], record.estimates),)
     assert len(figures) == len(shown)
     for figure in tuple(figures):  # to measure one prints it again
@@ -250,7 +392,11 @@ def test_no_label_is_cut_off(record, monkeypatch):
         assert (inside.min >= -0.01).all(), figure.axes[0].get_ylabel()
         assert (inside.max <= whole + 0.01).all(), figure.axes[0].get_ylabel()
         legends = [legend.get_window_extent() for legend in figure.legends]
-        assert not any(legend.overlaps(axes.get_window_extent()) for legend in legends for axes in figure.axes)
+        assert not any(
+            legend.overlaps(axes.get_window_extent())
+            for legend in legends
+            for axes in figure.axes
+        )
 
 
 def test_the_same_record_gives_the_same_page(record):
@@ -262,29 +408,50 @@ def test_what_data_say_cannot_become_code(arm, small):
     evil = "</script><img src=x onerror=alert(1)>"
     cast = manipulation(arm, small)
     cast.points.readings.loc[5, "reason"] = evil
-    text = cast_page(record_of(arm, small, [cast], name=evil, sentence=evil, config={evil: evil}))
+    text = cast_page(
+        record_of(arm, small, [cast], name=evil, sentence=evil, config={evil: evil})
+    )
     assert not [a for _, a in Page(text).elements if "onerror" in a]
     assert evil in Page(text).text
 
 
-# --- things are where they really are -------------------------------------------------------
+# --- things are where they really are
+# -------------------------------------------------------
 def shown(data):
     """The player's frames as a browser shows them."""
     for source in data["frames"]:
-        image = cv2.imdecode(np.frombuffer(decoded(source), np.uint8), cv2.IMREAD_GRAYSCALE)
-        yield cv2.resize(image, (data["width"], data["height"]), interpolation=cv2.INTER_LINEAR)
+        image = cv2.imdecode(
+            np.frombuffer(decoded(source), np.uint8), cv2.IMREAD_GRAYSCALE
+        )
+        yield cv2.resize(
+            image, (data["width"], data["height"]), interpolation=cv2.INTER_LINEAR
+        )
 
 
 def brightness(images, lines, shift=0.0):
     """Mean along the strings of the player, moved by `shift` of its pixels."""
-    places = [(np.array(line)[None, 1:] + shift - 0.5).astype(np.float32) for line in lines]
-    return np.mean([cv2.remap(i, p, None, cv2.INTER_LINEAR).mean() for i, p in zip(images, places, strict=True)])
+    places = [
+        (np.array(line)[None, 1:] + shift - 0.5).astype(np.float32) for line in lines
+    ]
+    return np.mean(
+        [
+            cv2.remap(i, p, None, cv2.INTER_LINEAR).mean()
+            for i, p in zip(images, places, strict=True)
+        ]
+    )
 
 
 def test_the_player_draws_the_simulation_on_the_filmed_string(record):
-    """The strings after estimation are the filmed ones: moved to any side, the film under them is darker."""
+    """The strings after estimation are the filmed ones: moved to any side, the film
+    under them is darker.
+    """
     data = animation(record, record.casts[0], whole_view(record))
-    assert len(data["frames"]) == len(data["t"]) == len(data["strings"]["after"]) == len(data["strings"]["measured"])
+    assert (
+        len(data["frames"])
+        == len(data["t"])
+        == len(data["strings"]["after"])
+        == len(data["strings"]["measured"])
+    )
     assert np.all(np.diff(data["t"]) > 0)
     assert abs(data["t"][data["start"]] - 252) <= 5
     images, after = list(shown(data)), data["strings"]["after"]
@@ -292,8 +459,12 @@ def test_the_player_draws_the_simulation_on_the_filmed_string(record):
     bright = np.array([brightness(images, after, shift) for shift in shifts])
     beside = shifts[bright > 0.95 * bright.max()].mean(axis=0)
     camera_pixel = data["width"] / whole_view(record).size[0]
-    assert np.abs(beside).max() < camera_pixel / 4, f"the strings lie {beside / camera_pixel} pixels beside the film"
-    assert brightness(images, data["strings"]["before"]) < 0.8 * brightness(images, after)
+    assert np.abs(beside).max() < camera_pixel / 4, (
+        f"the strings lie {beside / camera_pixel} pixels beside the film"
+    )
+    assert brightness(images, data["strings"]["before"]) < 0.8 * brightness(
+        images, after
+    )
 
 
 def test_pictures_draw_world_points_where_the_camera_sees_them(record, small):
@@ -303,7 +474,12 @@ def test_pictures_draw_world_points_where_the_camera_sees_them(record, small):
     u, v = np.round(small.pixels(place)).astype(int)
     image[v, u] = 255
     blank = np.full_like(cast.after, np.nan)
-    there = replace(cast, trial=replace(cast.trial, images=[image] * len(cast.t)), before=blank, after=blank)
+    there = replace(
+        cast,
+        trial=replace(cast.trial, images=[image] * len(cast.t)),
+        before=blank,
+        after=blank,
+    )
     nothing = replace(record, obstacles=(), target=Box(-5, -5, 1, 1))
     figure, axes = frame_figure(part, 5.0)
     draw(axes, nothing, there, 20, part)
@@ -313,7 +489,9 @@ def test_pictures_draw_world_points_where_the_camera_sees_them(record, small):
     rows, columns = np.nonzero(bright > bright.max() / 2)
     seen = np.array([columns.mean(), bright.shape[0] - 1 - rows.mean()])
     drawn = axes.transData.transform([u, v])
-    assert np.abs(seen - drawn).max() < 1.0, "the frame and the lines over it do not share their pixels"
+    assert np.abs(seen - drawn).max() < 1.0, (
+        "the frame and the lines over it do not share their pixels"
+    )
 
 
 def test_residuals_are_distances_at_equal_arc_length(record):
@@ -333,37 +511,71 @@ def test_the_tips_way_is_not_guessed_across_long_gaps(record):
     readings.loc[gap, "valid"] = False
     holed = replace(cast, points=replace(cast.points, readings=readings))
     assert np.isnan(holed.tip(np.array([0.1 + LONGEST_GAP]))).all()
-    np.testing.assert_allclose(holed.tip(np.array([0.2])), cast.after[cast.frame(0.2), -1][None], atol=1e-9)
+    np.testing.assert_allclose(
+        holed.tip(np.array([0.2])), cast.after[cast.frame(0.2), -1][None], atol=1e-9
+    )
 
 
 def test_numbers_are_those_of_the_run(page):
     for words in (
-        *("24 mm", "4 mm from the target", "0.400 → 0.900", "45.6 mm → 12.3 mm", "252.0 ms"),
-        *("a joint leaves its range", "4320", "the string is hidden behind the arm", "300 mm", "20 × 40 mm"),
-        *("cannot determine k h", "estimate.beta", "0.995", "seed 7", "0123456789", "1.00 ms", "(500, 750) mm"),
+        *(
+            "24 mm",
+            "4 mm from the target",
+            "0.400 → 0.900",
+            "45.6 mm → 12.3 mm",
+            "252.0 ms",
+        ),
+        *(
+            "a joint leaves its range",
+            "4320",
+            "the string is hidden behind the arm",
+            "300 mm",
+            "20 × 40 mm",
+        ),
+        *(
+            "cannot determine k h",
+            "estimate.beta",
+            "0.995",
+            "seed 7",
+            "0123456789",
+            "1.00 ms",
+            "(500, 750) mm",
+        ),
     ):
         assert re.sub(r"\s+", " ", words) in page.text
     assert page.text.count("✓ hit") == 3
     assert page.text.count("✗ missed") == 3
 
 
-# --- what is missing --------------------------------------------------------------------------
+# --- what is missing
+# --------------------------------------------------------------------------
 def nothing_read(cast):
-    readings = cast.points.readings.assign(valid=False, tip_x=np.nan, tip_y=np.nan, reason="too dark")
+    readings = cast.points.readings.assign(
+        valid=False, tip_x=np.nan, tip_y=np.nan, reason="too dark"
+    )
     points = Points(cast.points.points.iloc[:0], readings, cast.points.masks)
-    return replace(cast, points=points, estimate=None, verdict=Verdict(False, np.nan, np.nan))
+    return replace(
+        cast, points=points, estimate=None, verdict=Verdict(False, np.nan, np.nan)
+    )
 
 
 def nothing_filmed(cast):
     bare = nothing_read(cast)
     trial = replace(cast.trial, images=[], frames=cast.trial.frames.iloc[:0])
     points = replace(bare.points, readings=bare.points.readings.iloc[:0])
-    return replace(bare, trial=trial, points=points, before=cast.before[:0], after=cast.after[:0])
+    return replace(
+        bare, trial=trial, points=points, before=cast.before[:0], after=cast.after[:0]
+    )
 
 
 def no_masks(cast):
     fit = cast.estimate.fit.assign(before=np.nan, after=np.nan)
-    return replace(cast, estimate=replace(cast.estimate, matching=cast.estimate.matching.iloc[:0], fit=fit))
+    return replace(
+        cast,
+        estimate=replace(
+            cast.estimate, matching=cast.estimate.matching.iloc[:0], fit=fit
+        ),
+    )
 
 
 def rejected(cast):
@@ -372,8 +584,17 @@ def rejected(cast):
 
 def unreported(cast):
     motion = replace(cast.motion, attempts=cast.motion.attempts.iloc[:0])
-    link = cast.trial.link.assign(valid=False, reason="12 commands were lost", jitter_p50=np.nan, jitter_max=np.nan)
-    return replace(cast, motion=motion, trial=replace(cast.trial, link=link, arm=cast.trial.arm.iloc[:0]))
+    link = cast.trial.link.assign(
+        valid=False,
+        reason="12 commands were lost",
+        jitter_p50=np.nan,
+        jitter_max=np.nan,
+    )
+    return replace(
+        cast,
+        motion=motion,
+        trial=replace(cast.trial, link=link, arm=cast.trial.arm.iloc[:0]),
+    )
 
 
 @pytest.mark.parametrize(
@@ -381,12 +602,33 @@ def unreported(cast):
     [
         (
             nothing_read,
-            ["The tip was not read in this cast", "No tip was read in any frame", "too dark", "not estimated"],
+            [
+                "The tip was not read in this cast",
+                "No tip was read in any frame",
+                "too dark",
+                "not estimated",
+            ],
         ),
-        (nothing_filmed, ["This cast has no camera frames", "there are no frames", "0 of 0"]),
-        (no_masks, ["There is no matching rate: no masks were compared", "not known → not known"]),
+        (
+            nothing_filmed,
+            ["This cast has no camera frames", "there are no frames", "0 of 0"],
+        ),
+        (
+            no_masks,
+            [
+                "There is no matching rate: no masks were compared",
+                "not known → not known",
+            ],
+        ),
         (rejected, ["before estimation did not stay finite; it is not drawn"]),
-        (unreported, ["not valid: 12 commands were lost", "It was not recorded how many", "reported no joint angles"]),
+        (
+            unreported,
+            [
+                "not valid: 12 commands were lost",
+                "It was not recorded how many",
+                "reported no joint angles",
+            ],
+        ),
     ],
 )
 def test_what_is_missing_is_said(arm, small, spoil, words):
@@ -400,26 +642,49 @@ def test_what_is_missing_is_said(arm, small, spoil, words):
 
 def test_estimation_alone_has_a_page(arm, small):
     cast = manipulation(arm, small)
-    page = Page(cast_page(record_of(arm, small, [], estimates=(cast.estimate,), sentence="Estimated from 1 trial.")))
+    page = Page(
+        cast_page(
+            record_of(
+                arm,
+                small,
+                [],
+                estimates=(cast.estimate,),
+                sentence="Estimated from 1 trial.",
+            )
+        )
+    )
     assert "Estimated from 1 trial." in page.text
     assert page.all("img") == [], "a single estimation has no history"
-    twice = record_of(arm, small, [], estimates=(cast.estimate,) * 2, sentence="Estimated from 2 trials.")
+    twice = record_of(
+        arm,
+        small,
+        [],
+        estimates=(cast.estimate,) * 2,
+        sentence="Estimated from 2 trials.",
+    )
     assert len(Page(cast_page(twice)).all("img")) == len(STRING.parameters)
     assert [chart["axis"] for chart in page.explored()[1]] == ["E_f [1]"]
     assert "Cast 1" not in page.text
 
 
-# --- from one cast to ten ---------------------------------------------------------------------
+# --- from one cast to ten
+# ---------------------------------------------------------------------
 def test_ten_casts_share_the_frames_of_the_animation(arm, small, undrawn):
     """One and two casts are those of the tests above."""
-    page = Page(cast_page(record_of(arm, small, [manipulation(arm, small, i + 1) for i in range(10)])))
+    page = Page(
+        cast_page(
+            record_of(arm, small, [manipulation(arm, small, i + 1) for i in range(10)])
+        )
+    )
     films, _ = page.explored()
     assert len(films) == len(page.all("canvas")) == 10
     assert sum(len(data["frames"]) for data in films) <= max(FRAMES, 10 * FEWEST)
 
 
 def test_a_page_of_five_noisy_casts_stays_small(arm, camera):
-    """1.5 MB: scripts, words and drawings are up to 0.65, the rest is what noise makes large, here at its worst."""
+    """1.5 MB: scripts, words and drawings are up to 0.65, the rest is what noise makes
+    large, here at its worst.
+    """
     cast = manipulation(arm, camera, noise=25.0)
     record = record_of(arm, camera, [cast] * 5)
     film = json.dumps(animation(record, cast, whole_view(record)))
@@ -449,7 +714,9 @@ def test_what_was_not_learnt_is_folded_away_behind_what_was(page):
 
 
 def test_curves_are_those_of_the_run(page, record):
-    """Gaps are gaps, times are those of the frames, and the curves of a cast are of that cast."""
+    """Gaps are gaps, times are those of the frames, and the curves of a cast are of
+    that cast.
+    """
     _, charts = page.explored()
     titles = ("E_f [1]", "RMS [mm]", "angle [°]", "difference [°]")
     assert [chart["axis"] for chart in charts] == [*titles] * len(record.casts)
@@ -459,6 +726,8 @@ def test_curves_are_those_of_the_run(page, record):
     assert [value is not None for value in rms["lines"][0]["values"]] == read.tolist()
     away = residuals(record, cast, cast.before).groupby("frame")["away"]
     whole = [value for value in rms["lines"][0]["values"] if value is not None]
-    assert whole == pytest.approx(away.apply(lambda some: 1e3 * np.sqrt(np.mean(some**2))).to_numpy(), rel=1e-3)
+    assert whole == pytest.approx(
+        away.apply(lambda some: 1e3 * np.sqrt(np.mean(some**2))).to_numpy(), rel=1e-3
+    )
     assert rms["mark"] == pytest.approx(252)
     assert rms["moving"] == [0, 400]

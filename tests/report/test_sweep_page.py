@@ -1,4 +1,6 @@
-"""The page of a sweep: means and intervals as worked out by hand, every factor and failure shown, nothing from elsewhere."""
+"""The page of a sweep: means and intervals as worked out by hand, every factor and
+failure shown, nothing from elsewhere.
+"""
 
 import base64
 import re
@@ -8,9 +10,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stringcast.pipeline.meanings import units
+from stringcast.pipeline.settings.setting_comments import setting_units
 from stringcast.stages.report.charts.map import curve
-from stringcast.stages.report.outcomes import OUTCOMES, average, magnitude, parameter, response, share
+from stringcast.stages.report.outcomes import (
+    OUTCOMES,
+    average,
+    magnitude,
+    parameter,
+    response,
+    share,
+)
 from stringcast.stages.report.pages.sweep import sweep_page
 from stringcast.stages.report.records import SweepRecord
 
@@ -20,16 +29,39 @@ STIFFNESS = ("bending_stiffness", "N m/(rad kg)", "spring between segments")
 
 
 def swept(betas=(0.99, 0.995), targets=("near", "far"), seeds=(0, 1, 2, 3)):
-    """A table as the pipeline makes it; E grows with beta by 20 a unit, and far is never hit."""
+    """A table as the pipeline makes it; E grows with beta by 20 a unit, and far is
+    never hit.
+    """
     rng = np.random.default_rng(0)
     rows = []
     for beta in betas:
         for target in targets:
             for seed in seeds:
-                row = {"job": len(rows), "key": f"k{len(rows):02d}", "folder": f"k{len(rows):02d}", "state": "done"}
-                row |= {"error": "", "attempts": 1, "seconds": 2.0, "host": "here", "hit": float(target == "near")}
-                row |= {"manipulations": 1.0 + seed, "E_before": 0.5, "E_after": 0.7 + 20 * (beta - 0.99)}
-                row |= {"miss_m": 0.01 * rng.random(), "experiment": "x", BETA: beta, "target": target, "seed": seed}
+                row = {
+                    "job": len(rows),
+                    "key": f"k{len(rows):02d}",
+                    "folder": f"k{len(rows):02d}",
+                    "state": "done",
+                }
+                row |= {
+                    "error": "",
+                    "attempts": 1,
+                    "seconds": 2.0,
+                    "host": "here",
+                    "hit": float(target == "near"),
+                }
+                row |= {
+                    "manipulations": 1.0 + seed,
+                    "E_before": 0.5,
+                    "E_after": 0.7 + 20 * (beta - 0.99),
+                }
+                row |= {
+                    "miss_m": 0.01 * rng.random(),
+                    "experiment": "x",
+                    BETA: beta,
+                    "target": target,
+                    "seed": seed,
+                }
                 rows.append(row | {STIFFNESS[0]: 10.0 ** rng.normal()})
     return pd.DataFrame(rows)
 
@@ -37,13 +69,21 @@ def swept(betas=(0.99, 0.995), targets=("near", "far"), seeds=(0, 1, 2, 3)):
 def record(table, given=("experiment", BETA, "target", "seed")):
     origin = {"seed": "of each job", "code": {"commit": "0123456789abcdef"}}
     estimated = {STIFFNESS[0]: STIFFNESS[1:]}
-    return SweepRecord("demo", "all done", table, given, estimated, {"manipulations": "5"}, origin)
+    return SweepRecord(
+        "demo", "all done", table, given, estimated, {"manipulations": "5"}, origin
+    )
 
 
 def test_intervals_are_those_of_the_books():
-    """Student's t for 1, 2, 3: 2 -+ 4.303 / sqrt 3. Wilson for 8 of 10: 0.490 to 0.943 (Newcombe 1998)."""
-    assert average(np.array([1.0, 2.0, 3.0])) == pytest.approx((2.0, 2 - 2.4843, 2 + 2.4843), abs=1e-3)
-    assert share(np.array([1.0] * 8 + [0.0] * 2)) == pytest.approx((0.8, 0.490, 0.943), abs=1e-3)
+    """Student's t for 1, 2, 3: 2 -+ 4.303 / sqrt 3. Wilson for 8 of 10: 0.490 to 0.943
+    (Newcombe 1998).
+    """
+    assert average(np.array([1.0, 2.0, 3.0])) == pytest.approx(
+        (2.0, 2 - 2.4843, 2 + 2.4843), abs=1e-3
+    )
+    assert share(np.array([1.0] * 8 + [0.0] * 2)) == pytest.approx(
+        (0.8, 0.490, 0.943), abs=1e-3
+    )
     assert magnitude(np.array([0.1, 1.0, 10.0]))[0] == pytest.approx(1.0)
     assert np.isnan(average(np.array([1.0]))[1:]).all()
 
@@ -59,17 +99,24 @@ def test_seeds_are_what_is_repeated_not_jobs():
     whole = response(table, CASTS, ["target"]).iloc[0]
     assert (whole["seeds"], whole["jobs"]) == (2, 20)
     assert whole["mean"] == pytest.approx(1.5)
-    assert whole["high"] - whole["mean"] == pytest.approx(12.706 * 0.5, rel=1e-3)  # t of one degree of freedom
+    # t of one degree of freedom
+    assert whole["high"] - whole["mean"] == pytest.approx(12.706 * 0.5, rel=1e-3)
 
 
 def test_a_response_is_the_mean_over_the_other_settings():
     table = swept()
     at = response(table, HIT, [BETA]).set_index(BETA)["mean"]
     assert at.to_dict() == pytest.approx({0.99: 50.0, 0.995: 50.0})
-    assert response(table, HIT, ["target"]).set_index("target")["mean"].to_dict() == {"far": 0.0, "near": 100.0}
+    assert response(table, HIT, ["target"]).set_index("target")["mean"].to_dict() == {
+        "far": 0.0,
+        "near": 100.0,
+    }
     assert response(table, E, [BETA])["mean"].diff().iloc[1] == pytest.approx(0.1)
-    table[STIFFNESS[0]] = np.where(table["seed"] == 0, 0.0, 10.0)  # zero has no logarithm
-    assert response(table, parameter(*STIFFNESS), [BETA])["mean"].to_list() == pytest.approx([10.0, 10.0])
+    # zero has no logarithm
+    table[STIFFNESS[0]] = np.where(table["seed"] == 0, 0.0, 10.0)
+    assert response(table, parameter(*STIFFNESS), [BETA])[
+        "mean"
+    ].to_list() == pytest.approx([10.0, 10.0])
 
 
 def test_the_page_shows_each_factor_and_each_pair():
@@ -78,14 +125,22 @@ def test_the_page_shows_each_factor_and_each_pair():
         assert f"<h2>Response to {factor}</h2>" in page
     assert "Response to experiment" not in page
     assert "Response to seed" not in page
-    assert page.count("<img alt=") == 2 * 5 + 3  # hit, manipulations, E, miss, stiffness; and three maps
+    # hit, manipulations, E, miss, stiffness; and three maps
+    assert page.count("<img alt=") == 2 * 5 + 3
     assert "16 of 16" in page
-    assert re.search(r"hit rate % over target: 0 \(.*\) at far, 100 \(.*\) at near", page.replace("[%]", "%"))
+    assert re.search(
+        r"hit rate % over target: 0 \(.*\) at far, 100 \(.*\) at near",
+        page.replace("[%]", "%"),
+    )
     for forbidden in ("http://", "https://", "<script", "nan"):
         assert forbidden not in page.replace("http://www.w3.org", "")
     assert page == sweep_page(record(swept()))
-    drawn = base64.b64decode(re.search(r'alt="hit rate [^"]*estimate.beta[^"]*" src="[^,]*,([^"]*)', page)[1]).decode()
-    assert {">0.99</text>", ">0.995</text>"} <= set(re.findall(r">[\d.]+</text>", drawn))
+    drawn = base64.b64decode(
+        re.search(r'alt="hit rate [^"]*estimate.beta[^"]*" src="[^,]*,([^"]*)', page)[1]
+    ).decode()
+    assert {">0.99</text>", ">0.995</text>"} <= set(
+        re.findall(r">[\d.]+</text>", drawn)
+    )
 
 
 def heading(page):
@@ -93,10 +148,18 @@ def heading(page):
 
 
 def test_the_heading_is_what_was_found(undrawn):
-    """Near is always hit and far never; beta changes nothing of it. Of four seeds, by Wilson: 0.51 to 1 and 0 to 0.49."""
-    assert heading(sweep_page(record(swept()))) == "The hit rate is 100 % with target=near, 0 % with far"
+    """Near is always hit and far never; beta changes nothing of it. Of four seeds, by
+    Wilson: 0.51 to 1 and 0 to 0.49.
+    """
+    assert (
+        heading(sweep_page(record(swept())))
+        == "The hit rate is 100 % with target=near, 0 % with far"
+    )
     same = swept(targets=("near",))
-    assert heading(sweep_page(record(same))) == "The matching rate E is 0.8 with estimate.beta=0.995, 0.7 with 0.99"
+    assert (
+        heading(sweep_page(record(same)))
+        == "The matching rate E is 0.8 with estimate.beta=0.995, 0.7 with 0.99"
+    )
     nothing = "No setting varied changes the hit rate by more than chance"
     assert heading(sweep_page(record(same.assign(E_after=0.7)))) == nothing
     assert heading(sweep_page(record(swept().assign(state="pending")))) == "all done"
@@ -104,7 +167,12 @@ def test_the_heading_is_what_was_found(undrawn):
 
 def test_failed_jobs_are_listed_and_left_out_of_the_means():
     table = swept()
-    table.loc[0, ["state", "error", "hit", "E_after"]] = ["failed", "the <string> is too short", np.nan, np.nan]
+    table.loc[0, ["state", "error", "hit", "E_after"]] = [
+        "failed",
+        "the <string> is too short",
+        np.nan,
+        np.nan,
+    ]
     shown = record(table)
     assert len(shown.done) == 15
     page = sweep_page(shown)
@@ -120,21 +188,29 @@ def test_a_sweep_of_which_nothing_is_done_has_a_page_too(state):
 
 
 def test_one_setting_one_seed_and_no_casts():
-    table = swept(targets=("near",), seeds=(0,)).drop(columns="seed").assign(hit=np.nan, miss_m=np.nan)
+    table = (
+        swept(targets=("near",), seeds=(0,))
+        .drop(columns="seed")
+        .assign(hit=np.nan, miss_m=np.nan)
+    )
     page = sweep_page(record(table, ("experiment", BETA)))
     assert "With one seed nobody can say" in page
     assert "hit rate" not in page.split("<section", 1)[1]
 
 
 def test_what_all_jobs_found_alike_is_drawn_without_a_warning():
-    """Where the mean of equal values differs from them by rounding, too: no axis of powers of ten has such ends."""
+    """Where the mean of equal values differs from them by rounding, too: no axis of
+    powers of ten has such ends.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         sweep_page(record(swept().assign(**{STIFFNESS[0]: 1e-3})))
 
 
 def reached():
-    """Three targets, two seeds each: hit in casts 1 and 3, hit by neither, and one whose jobs failed."""
+    """Three targets, two seeds each: hit in casts 1 and 3, hit by neither, and one
+    whose jobs failed.
+    """
     rows = [
         (0.1, 0, "done", 1.0, 1.0),
         (0.1, 1, "done", 1.0, 3.0),
@@ -143,15 +219,26 @@ def reached():
         (0.7, 0, "failed", np.nan, np.nan),
         (0.7, 1, "failed", np.nan, np.nan),
     ]
-    named = pd.DataFrame(rows, columns=["target.x", "seed", "state", "hit", "manipulations"])
-    return swept(betas=(0.99,), targets=("near",), seeds=range(6)).drop(columns=["target", "seed"]).assign(**named)
+    named = pd.DataFrame(
+        rows, columns=["target.x", "seed", "state", "hit", "manipulations"]
+    )
+    return (
+        swept(betas=(0.99,), targets=("near",), seeds=range(6))
+        .drop(columns=["target", "seed"])
+        .assign(**named)
+    )
 
 
 def test_the_map_of_the_workspace_says_what_became_of_each_target():
-    table = pd.concat([reached().assign(**{"target.y": y}) for y in (0.2, 0.5)], ignore_index=True)
+    table = pd.concat(
+        [reached().assign(**{"target.y": y}) for y in (0.2, 0.5)], ignore_index=True
+    )
     page = sweep_page(record(table, ("target.x", "target.y", "seed")))
     assert "Where it hits" in page
-    assert "Of 6 targets 2 were hit, 2 in the first cast; 2 were not, 2 did not run." in page
+    assert (
+        "Of 6 targets 2 were hit, 2 in the first cast; 2 were not, 2 did not run."
+        in page
+    )
     twice = pd.concat([table.assign(specimen=name) for name in "AB"], ignore_index=True)
     page = sweep_page(record(twice, ("specimen", "target.x", "target.y", "seed")))
     assert page.count("Of 6 targets") == 2 * 2  # alt and caption of either string's map
@@ -161,4 +248,6 @@ def test_the_map_of_the_workspace_says_what_became_of_each_target():
 def test_axes_name_the_units_of_settings():
     made = curve(swept(), E, BETA, {BETA: "m/s"})
     assert f"{BETA} [m/s]" in base64.b64decode(made.source.partition(",")[2]).decode()
-    assert units(["target.x", "string.points", "name", BETA]) == {"target.x": "m"}
+    assert setting_units(["target.x", "string.points", "name", BETA]) == {
+        "target.x": "m"
+    }

@@ -1,7 +1,8 @@
-"""`python3 tasks.py bench`: measure, print the table, and keep it as Parquet and as a picture.
+"""`python3 tasks.py bench`: measure, print the table, and keep it as Parquet and as a
+picture.
 
-`python3 tasks.py bench waits` measures what the user waits for, alone, and keeps nothing; `bench estimates` measures
-estimation alone, and keeps it.
+`python3 tasks.py bench waits` measures what the user waits for, alone, and keeps
+nothing; `bench estimates` measures estimation alone, and keeps it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from rich.table import Table as Printed
 
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table
-from stringcast.pipeline.provenance import code, software
+from stringcast.pipeline.run.provenance import code_state, software_versions
 from tests.speed.estimates import ESTIMATES, estimates, summary
 from tests.speed.measures import Row, framed, measured
 from tests.speed.picture import picture
@@ -47,7 +48,10 @@ NUMBERS = {field.name for field in fields(Row)} - {"measure", "subject", "unit"}
 SPEED = Table(
     "speed",
     "How fast strings are simulated, and beside what",
-    tuple(Column(name, "", meaning, "float" if name in NUMBERS else "text") for name, meaning in MEANING.items()),
+    tuple(
+        Column(name, "", meaning, "float" if name in NUMBERS else "text")
+        for name, meaning in MEANING.items()
+    ),
 )
 
 
@@ -61,7 +65,9 @@ def main(parts: list[str]) -> None:
     made = origin(() if alone else PEERS)
     estimated = estimates()
     write_table(ESTIMATES, estimated, FOLDER / "estimates.parquet", made)
-    rows = framed(summary(estimated) if alone else [*waits(), *measured(), *summary(estimated)])
+    rows = framed(
+        summary(estimated) if alone else [*waits(), *measured(), *summary(estimated)]
+    )
     Console(width=150).print(printed(rows))
     if not alone:
         write_table(SPEED, rows, FOLDER / "speed.parquet", made)
@@ -73,17 +79,24 @@ def printed(rows: pd.DataFrame) -> Printed:
     """The table for people: a measure's name once, goals marked as met or not."""
     out = Printed(title=f"Speed of the string engine on {processor()}")
     for name in ("measure", "subject", "n", "threads", "batch"):
-        out.add_column(name, justify="left" if name in ("measure", "subject") else "right")
+        out.add_column(
+            name, justify="left" if name in ("measure", "subject") else "right"
+        )
     for name in ("median", "range", "unit", "goal"):
         out.add_column(name, justify="right" if name != "unit" else "left")
     last = ""
     for row in rows.itertuples():
         if row.measure != last and last:
             out.add_section()
-        counts = ["" if np.isnan(count) else f"{count:.0f}" for count in (row.points, row.threads, row.batch)]
+        counts = [
+            "" if np.isnan(count) else f"{count:.0f}"
+            for count in (row.points, row.threads, row.batch)
+        ]
         spread = "" if np.isnan(row.low) else f"{row.low:.3g} to {row.high:.3g}"
         name = "" if row.measure == last else row.measure
-        out.add_row(name, row.subject, *counts, f"{row.value:.3g}", spread, row.unit, goal(row))
+        out.add_row(
+            name, row.subject, *counts, f"{row.value:.3g}", spread, row.unit, goal(row)
+        )
         last = row.measure
     return out
 
@@ -91,9 +104,13 @@ def printed(rows: pd.DataFrame) -> Printed:
 def goal(row) -> str:  # type: ignore[no-untyped-def]
     """The goal in words, and whether it is met."""
     if not np.isnan(row.at_least):
-        return f"≥ {row.at_least:g}: " + ("[green]met" if row.value >= row.at_least else "[red]missed")
+        return f"≥ {row.at_least:g}: " + (
+            "[green]met" if row.value >= row.at_least else "[red]missed"
+        )
     if not np.isnan(row.at_most):
-        return f"≤ {row.at_most:g}: " + ("[green]met" if row.value <= row.at_most else "[red]missed")
+        return f"≤ {row.at_most:g}: " + (
+            "[green]met" if row.value <= row.at_most else "[red]missed"
+        )
     return ""
 
 
@@ -101,11 +118,16 @@ def origin(peers: Sequence[str]) -> dict[str, object]:
     """What makes a table. peers: packages that it compares with."""
     return {
         "command": COMMAND,
-        "machine": {"processor": processor(), "cores": os.cpu_count(), "load": os.getloadavg()[0]},
+        "machine": {
+            "processor": processor(),
+            "cores": os.cpu_count(),
+            "load": os.getloadavg()[0],
+        },
         "system": platform.platform(),
         "python": platform.python_version(),
-        "packages": software()["packages"] | {name: version(name) for name in ("llvmlite", *peers)},
-        "code": code(),
+        "packages": software_versions()["packages"]
+        | {name: version(name) for name in ("llvmlite", *peers)},
+        "code": code_state(),
     }
 
 
@@ -113,7 +135,11 @@ def processor() -> str:
     """The processor's name, and what LLVM takes it for."""
     import llvmlite.binding
 
-    names = [line.split(":")[1].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")]
+    names = [
+        line.split(":")[1].strip()
+        for line in _lines("/proc/cpuinfo")
+        if line.startswith("model name")
+    ]
     return f"{names[0] if names else platform.processor()} ({llvmlite.binding.get_host_cpu_name()})"
 
 

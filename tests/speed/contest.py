@@ -1,4 +1,6 @@
-"""The same cord at equal accuracy: each contender at the cheapest resolution that shows the tip within a pixel."""
+"""The same cord at equal accuracy: each contender at the cheapest resolution that shows
+the tip within a pixel.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +10,8 @@ from itertools import product
 
 import numpy as np
 
-from stringcast.stages.model.accuracy import extrapolated
-from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.engine.accuracy import richardson_limit
+from stringcast.stages.model.engine.simulate import simulate
 from tests.speed.mujoco_chain import Chain
 from tests.speed.pyelastica_rod import Rods
 from tests.speed.trial import TIMES, cord_string, engine_tip, hand, tip_error
@@ -21,9 +23,9 @@ Resolution = tuple[int, float]  # points, links or elements; step [s]
 class Contender:
     """One way to simulate the cord.
 
-    tip: at a resolution, (F, 2) [m]. converged: two resolutions for its limit. choices: to
-    choose from. work: simulate so many cords at a resolution on so many threads. counts: how
-    many at once.
+    tip: at a resolution, (F, 2) [m]. converged: two resolutions for its limit. choices:
+    to choose from. work: simulate so many cords at a resolution on so many threads.
+    counts: how many at once.
     """
 
     name: str
@@ -35,12 +37,16 @@ class Contender:
 
     def limit(self) -> np.ndarray:
         """(F, 2) the tip that it converges to [m]."""
-        return extrapolated(*(self.tip(*resolution) for resolution in self.converged))
+        return richardson_limit(
+            *(self.tip(*resolution) for resolution in self.converged)
+        )
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A contender at its chosen resolution. error: of the tip [m]; apart: of its limit from the engine's [m]."""
+    """A contender at its chosen resolution. error: of the tip [m]; apart: of its limit
+    from the engine's [m].
+    """
 
     contender: Contender
     resolution: Resolution
@@ -86,9 +92,13 @@ PYELASTICA = Contender(
 
 
 def entries(most: float) -> list[Entry]:
-    """Engine, MuJoCo and PyElastica, each at its cheapest resolution with a tip error of at most `most` [m]."""
+    """Engine, MuJoCo and PyElastica, each at its cheapest resolution with a tip error
+    of at most `most` [m].
+    """
     common = ENGINE.limit()
-    return [_entered(contender, common, most) for contender in (ENGINE, MUJOCO, PYELASTICA)]
+    return [
+        _entered(contender, common, most) for contender in (ENGINE, MUJOCO, PYELASTICA)
+    ]
 
 
 def _entered(contender: Contender, common: np.ndarray, most: float) -> Entry:
@@ -98,4 +108,6 @@ def _entered(contender: Contender, common: np.ndarray, most: float) -> Entry:
         error = tip_error(contender.tip(*resolution), own)
         if error <= most:
             return Entry(contender, resolution, error, tip_error(own, common))
-    raise RuntimeError(f"{contender.name}: no resolution shows the tip within {most * 1e3:.0f} mm; offer finer ones")
+    raise RuntimeError(
+        f"{contender.name}: no resolution shows the tip within {most * 1e3:.0f} mm; offer finer ones"
+    )

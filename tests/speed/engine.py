@@ -1,4 +1,6 @@
-"""The engine's step loop by itself: the very call that `simulate` makes, to be made again and timed."""
+"""The engine's step loop by itself: the very call that `simulate` makes, to be made
+again and timed.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +10,18 @@ from unittest.mock import patch
 
 import numpy as np
 
-from stringcast.stages.model import kernel
+from stringcast.stages.model.engine import kernel_codegen
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.engine.stability import steps_per_tick
 from stringcast.stages.model.hand import HandMotion
-from stringcast.stages.model.simulate import simulate
-from stringcast.stages.model.stability import steps_per_tick
 from stringcast.stages.model.string import String
 
 
 @dataclass(frozen=True)
 class StepLoop:
-    """A compiled step loop, the state it began from and what else it was called with. point_steps: how many mass
-    points it moves one step."""
+    """A compiled step loop, the state it began from and what else it was called with.
+    point_steps: how many mass points it moves one step.
+    """
 
     run: Callable[..., None]
     start: np.ndarray
@@ -30,10 +33,14 @@ class StepLoop:
         self.run(_copied(self.start), **self.arguments)
 
 
-def step_loop(string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray) -> StepLoop:
-    """The step loop of `simulate` with these arguments; the candidates must share a step."""
+def step_loop(
+    string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray
+) -> StepLoop:
+    """The step loop of `simulate` with these arguments; the candidates must share a
+    step.
+    """
     calls = []
-    compiled = kernel.kernel_for
+    compiled = kernel_codegen.compile_step_loop
 
     def caught(*key: object) -> Callable[..., None]:
         run = compiled(*key)
@@ -44,20 +51,22 @@ def step_loop(string: String, hand: HandMotion, values: np.ndarray, times: np.nd
 
         return noted
 
-    with patch.object(kernel, "kernel_for", caught):
+    with patch.object(kernel_codegen, "kernel_for", caught):
         simulate(string, hand, values, times)
     ((run, start, arguments),) = calls
     return StepLoop(run, start, arguments, point_steps(string, hand, values, times))
 
 
-def point_steps(string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray) -> int:
+def point_steps(
+    string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray
+) -> int:
     """Steps of all mass points of all candidates."""
     steps, _ = steps_per_tick(string, string.material(values), hand.tick)
     ticks = int(np.ceil((times[-1] - hand.start) / hand.tick - 1e-9))
-    return int(steps.sum()) * ticks * string.points * len(string.integrator.nodes)
+    return int(steps.sum()) * ticks * string.points * len(string.integrator.stage_times)
 
 
 def _copied(buffers: np.ndarray) -> np.ndarray:
-    copy = kernel.aligned(buffers.shape)
+    copy = kernel_codegen.aligned_zeros(buffers.shape)
     copy[:] = buffers
     return copy

@@ -1,10 +1,12 @@
-"""Sets of casts from which a string's eight parameters are estimated, each drawn from its seed.
+"""Sets of casts from which a string's eight parameters are estimated, each drawn from
+its seed.
 
-Four casts of a second and one that is held out. Even seeds are the virtual lab's strings A to D in turn, odd ones are
-drawn from the whole of the paper's ranges (Table 3), limp and stiff, with next to no drag and with much. Places that
-are measured are the mass points of the fitted chain, with noise. Seeds below MATCHED come from a chain like the one
-that is fitted, so that nothing but noise keeps a fit from the truth; those above from a finer one, whose difference no
-fit can explain.
+Four casts of a second and one that is held out. Even seeds are the virtual lab's
+strings A to D in turn, odd ones are drawn from the whole of the paper's ranges (Table
+3), limp and stiff, with next to no drag and with much. Places that are measured are the
+mass points of the fitted chain, with noise. Seeds below MATCHED come from a chain like
+the one that is fitted, so that nothing but noise keeps a fit from the truth; those
+above from a finer one, whose difference no fit can explain.
 """
 
 from __future__ import annotations
@@ -20,30 +22,35 @@ from stringcast.data.artifacts import JOINTS, MASKS, READINGS, Observation
 from stringcast.stages.generate.curves import Curves, first_curves
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.model.hand import joint_motion
-from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.sampling import interpolate_along_string
+from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.sampling import between
 from stringcast.stages.model.string import String
 from tests.speed.trial import ROOT
 
 CASTS = 4
 DURATION = (0.5, 0.8)  # [s] of the movement; the string swings on until END
 END = 1.0  # [s]
-SPEEDS = (2.0, 10.0)  # [m/s] of the hand at its fastest, as in tests/benchmarks/simulators/blind
+# [m/s] of the hand at its fastest, as in tests/benchmarks/simulators/blind
+SPEEDS = (2.0, 10.0)
 ALPHA = 150.0  # [rad/s2], as conf/generate/bezier.yaml
 FRAMES = np.arange(201) / 200  # [s], at the rate of conf/camera/highspeed.yaml
 NOISE = 7e-4  # [m], of a point that the extract stage reads
 PLACES = np.linspace(0.3 / 19, 0.3, 19)  # [m] of arc length
 MATCHED = 24
 FITTED, FINER, FINEST = (20, 1e-3), (28, 5e-4), (57, 5e-4)  # points and step [s]
-KNOWN = 0.02  # [m] by which FINER may move the tip: of a cast more chaotic than that no chain knows the end
+# [m] by which FINER may move the tip: of a cast more chaotic than that no chain knows
+# the end
+KNOWN = 0.02
 LAB = ("A", "B", "C", "D")
 
 
 @dataclass(frozen=True)
 class CastSet:
-    """name: of the string. truth: (P,) its parameters. trials: with noise. held_out: without."""
+    """name: of the string. truth: (P,) its parameters. trials: with noise. held_out:
+    without.
+    """
 
     name: str
     truth: np.ndarray
@@ -54,15 +61,27 @@ class CastSet:
 @cache
 def model(points: int = FITTED[0], step: float = FITTED[1]) -> Model:
     """The model that is fitted: as string=swift, with the paper's arm."""
-    arm, camera = Arm(**configured("arm/paper.yaml")), Camera(**configured("camera/highspeed.yaml"))
-    second_order = {"tip_cell": 0.5, "grasp_cell": 0.5, "integrator": ImplicitLeapfrog(), "largest_step": step}
+    arm, camera = (
+        Arm(**configured("arm/paper.yaml")),
+        Camera(**configured("camera/highspeed.yaml")),
+    )
+    second_order = {
+        "tip_cell": 0.5,
+        "grasp_cell": 0.5,
+        "integrator": ImplicitLeapfrog(),
+        "largest_step": step,
+    }
     return Model(String(0.3, points=points, **second_order), arm, camera)
 
 
 def configured(path: str) -> dict:  # type: ignore[type-arg]
     """A block of conf/, lists as tuples."""
     block = yaml.safe_load((ROOT / "conf" / path).read_text())
-    return {k: tuple(v) if isinstance(v, list) else v for k, v in block.items() if k != "_target_"}
+    return {
+        k: tuple(v) if isinstance(v, list) else v
+        for k, v in block.items()
+        if k != "_target_"
+    }
 
 
 def drawn(seed: int) -> CastSet:
@@ -75,7 +94,10 @@ def drawn(seed: int) -> CastSet:
         truth = string.values(configured(f"specimen/{name}.yaml")["parameters"])
     chain = model(*FITTED) if seed < MATCHED else model(*FINEST)
     casts = [_known_cast(truth, rng) for _ in range(CASTS + 1)]
-    seen = [_seen(f"t{k}", chain, truth, log, rng, NOISE * (k < CASTS)) for k, log in enumerate(casts)]
+    seen = [
+        _seen(f"t{k}", chain, truth, log, rng, NOISE * (k < CASTS))
+        for k, log in enumerate(casts)
+    ]
     return CastSet(name, truth, tuple(seen[:CASTS]), seen[CASTS])
 
 
@@ -84,7 +106,9 @@ def _known_cast(truth: np.ndarray, rng: np.random.Generator) -> pd.DataFrame:
     arm = model().arm
     while True:
         log = _log(arm, _movement(arm, rng))
-        rough, finer = (_simulated(model(*chain), truth, log) for chain in (FITTED, FINER))
+        rough, finer = (
+            _simulated(model(*chain), truth, log) for chain in (FITTED, FINER)
+        )
         if np.linalg.norm(rough[:, -1] - finer[:, -1], axis=-1).max() < KNOWN:
             return log
 
@@ -92,7 +116,10 @@ def _known_cast(truth: np.ndarray, rng: np.random.Generator) -> pd.DataFrame:
 def _log(arm: Arm, curves: Curves) -> pd.DataFrame:
     """What the arm reports of a movement, and of the rest after it."""
     angles, _ = curves.sampled(arm.tick, END)
-    return pd.DataFrame({"t": arm.tick * np.arange(angles.shape[1])} | dict(zip(JOINTS, angles[0].T, strict=True)))
+    return pd.DataFrame(
+        {"t": arm.tick * np.arange(angles.shape[1])}
+        | dict(zip(JOINTS, angles[0].T, strict=True))
+    )
 
 
 def _movement(arm: Arm, rng: np.random.Generator) -> Curves:
@@ -100,7 +127,9 @@ def _movement(arm: Arm, rng: np.random.Generator) -> Curves:
     while True:
         curves = first_curves(arm, rng, 1, DURATION, ALPHA * rng.uniform())
         angles, speeds = curves.sampled(arm.tick, END)
-        hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1).max()
+        hand = np.linalg.norm(
+            arm.grasp_velocity(angles, speeds)[..., :2], axis=-1
+        ).max()
         inside = (angles > arm.lowest).all() and (angles < arm.highest).all()
         if inside and SPEEDS[0] <= hand <= SPEEDS[1]:
             return curves
@@ -108,17 +137,35 @@ def _movement(arm: Arm, rng: np.random.Generator) -> Curves:
 
 def _simulated(chain: Model, truth: np.ndarray, log: pd.DataFrame) -> np.ndarray:
     """The string in each frame, (F, n, 2) [m]."""
-    motion = joint_motion(log["t"].to_numpy(), log[list(JOINTS)].to_numpy())
-    return chain.true(motion, truth[None], FRAMES).points[0]
+    motion = resample_joint_motion(log["t"].to_numpy(), log[list(JOINTS)].to_numpy())
+    return chain.simulate_string(motion, truth[None], FRAMES).points[0]
 
 
 def _seen(
-    name: str, chain: Model, truth: np.ndarray, log: pd.DataFrame, rng: np.random.Generator, noise: float
+    name: str,
+    chain: Model,
+    truth: np.ndarray,
+    log: pd.DataFrame,
+    rng: np.random.Generator,
+    noise: float,
 ) -> Observation:
     """A cast with the measured places of the string in each frame. noise: [m]."""
     points = _simulated(chain, truth, log)
-    place = PLACES / chain.string.segment
-    line = between(points[None], place[None])[0]
+    place = PLACES / chain.string.segment_length
+    line = interpolate_along_string(points[None], place[None])[0]
     x, y = (line + noise * rng.standard_normal(line.shape)).reshape(-1, 2).T
-    seen = pd.DataFrame({"t": np.repeat(FRAMES, len(PLACES)), "s": np.tile(PLACES, len(FRAMES)), "x": x, "y": y})
-    return Observation(name, seen.assign(sigma=NOISE, valid=True), READINGS.empty(), MASKS.empty(), arm=log)
+    seen = pd.DataFrame(
+        {
+            "t": np.repeat(FRAMES, len(PLACES)),
+            "s": np.tile(PLACES, len(FRAMES)),
+            "x": x,
+            "y": y,
+        }
+    )
+    return Observation(
+        name,
+        seen.assign(sigma=NOISE, valid=True),
+        READINGS.empty(),
+        MASKS.empty(),
+        arm=log,
+    )

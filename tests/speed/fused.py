@@ -1,8 +1,9 @@
-"""Eq. 1 by hand, for many candidates side by side: what the engine's generated loop is measured against.
+"""Eq. 1 by hand, for many candidates side by side: what the engine's generated loop is
+measured against.
 
-Written for these eight forces and nothing else: masses are all alike, the hand's poses are
-looked up. A point's quantities lie together (rows of W candidates), so that the distance of
-any two is known at compile time and LLVM fills the vector units.
+Written for these eight forces and nothing else: masses are all alike, the hand's poses
+are looked up. A point's quantities lie together (rows of W candidates), so that the
+distance of any two is known at compile time and LLVM fills the vector units.
 """
 
 from __future__ import annotations
@@ -10,30 +11,44 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from stringcast.stages.model.rotation import UP_TO_HALF
+from stringcast.stages.model.engine.rotation import ATAN_COEFFICIENTS_TO_HALF
 from tests.speed.scalar import GRAVITY
 
 W = 16
 KINDS = 15
-X, Y, VX, VY, ANGLE, EX, EY, TX, TY, INVERSE, PULL, OMEGA, MOMENT, FX, FY = (np.uintp(W * i) for i in range(KINDS))
-NEXT = np.uintp(W * KINDS)  # from a point's row to the next point's, a segment's to the next's
+X, Y, VX, VY, ANGLE, EX, EY, TX, TY, INVERSE, PULL, OMEGA, MOMENT, FX, FY = (
+    np.uintp(W * i) for i in range(KINDS)
+)
+# from a point's row to the next point's, a segment's to the next's
+NEXT = np.uintp(W * KINDS)
 WIDTH = np.uintp(W)
 ONE, TWO = np.uintp(1), np.uintp(2)
-A0, A1, A2, A3, A4, A5, A6, A7 = UP_TO_HALF
+A0, A1, A2, A3, A4, A5, A6, A7 = ATAN_COEFFICIENTS_TO_HALF
 K_S, C_S, K_H, C_H, C_C1, C_C2, K_PH, C_PH = (np.uintp(W * i) for i in range(8))
-LANE = {"error_model": "numpy", "fastmath": {"contract"}, "boundscheck": False, "forceinline": True}
+LANE = {
+    "error_model": "numpy",
+    "fastmath": {"contract"},
+    "boundscheck": False,
+    "forceinline": True,
+}
 
 
 @njit(**LANE)
 def segment(B, P, k, j, length):  # type: ignore[no-untyped-def]
-    """Measure the segment that starts at row k: its angle and turning rate; what else is needed later stays in B."""
+    """Measure the segment that starts at row k: its angle and turning rate; what else
+    is needed later stays in B.
+    """
     ex, ey = B[NEXT + X + k] - B[X + k], B[NEXT + Y + k] - B[Y + k]
     rx, ry = B[NEXT + VX + k] - B[VX + k], B[NEXT + VY + k] - B[VY + k]
     cross, dot = B[EX + k] * ey - B[EY + k] * ex, B[EX + k] * ex + B[EY + k] * ey
     size = np.sqrt(ex * ex + ey * ey)
     inverse, d = 1.0 / size, cross / dot
     d2 = d * d
-    turn = d * (A0 + d2 * (A1 + d2 * (A2 + d2 * (A3 + d2 * (A4 + d2 * (A5 + d2 * (A6 + d2 * A7)))))))
+    turn = d * (
+        A0
+        + d2
+        * (A1 + d2 * (A2 + d2 * (A3 + d2 * (A4 + d2 * (A5 + d2 * (A6 + d2 * A7))))))
+    )
     angle = B[ANGLE + k] + turn
     tx, ty = ex * inverse, ey * inverse
     omega = (tx * ry - ty * rx) * inverse
@@ -74,7 +89,9 @@ def step(B, P, n, length, dt, theta, turn):  # type: ignore[no-untyped-def]
     for j in range(WIDTH):
         k = NEXT + j
         angle, omega = segment(B, P, k, j, length)
-        couple = P[K_H + j] * (angle - B[ANGLE + j]) + P[C_H + j] * (omega - B[OMEGA + j])
+        couple = P[K_H + j] * (angle - B[ANGLE + j]) + P[C_H + j] * (
+            omega - B[OMEGA + j]
+        )
         B[MOMENT + k] = couple
         force(B, j, couple)
     for i in range(TWO, n - ONE):
@@ -82,7 +99,9 @@ def step(B, P, n, length, dt, theta, turn):  # type: ignore[no-untyped-def]
             k = i * NEXT + j
             p = k - NEXT
             angle, omega = segment(B, P, k, j, length)
-            couple = P[K_H + j] * (angle - B[ANGLE + p]) + P[C_H + j] * (omega - B[OMEGA + p])
+            couple = P[K_H + j] * (angle - B[ANGLE + p]) + P[C_H + j] * (
+                omega - B[OMEGA + p]
+            )
             B[MOMENT + k] = couple
             fx, fy = force(B, p, couple)
             move(B, P, p, j, fx, fy, dt)
@@ -99,7 +118,8 @@ def cast(rows, parameters, points, length, hand, tick, seen):  # type: ignore[no
     """Positions at the beginning of each tick in `seen` (blocks, ticks, 2, n, W) [m].
 
     rows: (blocks, n * KINDS * W) initial state, overwritten, see `state`. parameters:
-    (blocks, 8 * W), in the order of Eq. 1. length: of a segment [m]. hand: see `scalar.path`.
+    (blocks, 8 * W), in the order of Eq. 1. length: of a segment [m]. hand: see
+    `scalar.path`.
     """
     for b in prange(rows.shape[0]):
         B, P, n = rows[b], parameters[b], np.uintp(points)
@@ -126,7 +146,12 @@ def state(start: np.ndarray, blocks: int) -> np.ndarray:
     edges = np.diff(start, axis=0, append=start[-1:])
     rows = np.zeros((blocks, len(start), KINDS, W))
     angle = np.unwrap(np.arctan2(edges[:-1, 1], edges[:-1, 0]))
-    for kind, values in ((X, start[:, 0]), (Y, start[:, 1]), (EX, edges[:, 0]), (EY, edges[:, 1])):
+    for kind, values in (
+        (X, start[:, 0]),
+        (Y, start[:, 1]),
+        (EX, edges[:, 0]),
+        (EY, edges[:, 1]),
+    ):
         rows[:, :, kind // WIDTH] = values[None, :, None]
     rows[:, :-1, ANGLE // WIDTH] = angle[None, :, None]
     return rows.reshape(blocks, -1)

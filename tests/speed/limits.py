@@ -29,7 +29,9 @@ square_root = "x = np.sqrt(x + 1.0)"
 
 @dataclass(frozen=True)
 class Limits:
-    """Seconds on one core for each: `small` addition or multiplication, division, square root."""
+    """Seconds on one core for each: `small` addition or multiplication, division,
+    square root.
+    """
 
     small: float
     division: float
@@ -55,19 +57,26 @@ def _each(operation: str) -> float:
     run = njit(error_model="numpy", fastmath={"contract"})(made["run"])
     numbers = np.linspace(1.0, 2.0, CHAINS)
     run(numbers, 1)
-    return min(seconds(lambda: run(numbers, REPEATS)) for _ in range(5)) / (CHAINS * LINKS * REPEATS)
+    return min(seconds(lambda: run(numbers, REPEATS)) for _ in range(5)) / (
+        CHAINS * LINKS * REPEATS
+    )
 
 
 def work(module: str) -> Counter[str]:
     """Arithmetic of one mass-point-step in the text of a generated module.
 
     Counted as written in the loop over the inner points, laws included: additions,
-    subtractions and multiplications as `small`, divisions, square roots. Indices are not
-    arithmetic, nor are multiplications by 1 and sums with 0, which the compiler drops.
+    subtractions and multiplications as `small`, divisions, square roots. Indices are
+    not arithmetic, nor are multiplications by 1 and sums with 0, which the compiler
+    drops.
     """
-    functions = {f.name: f for f in ast.parse(module).body if isinstance(f, ast.FunctionDef)}
+    functions = {
+        f.name: f for f in ast.parse(module).body if isinstance(f, ast.FunctionDef)
+    }
     loops = (node for node in ast.walk(functions["run"]) if isinstance(node, ast.For))
-    points = next(loop for loop in loops if ast.unparse(loop.iter) == "range(TWO, n - ONE)")
+    points = next(
+        loop for loop in loops if ast.unparse(loop.iter) == "range(TWO, n - ONE)"
+    )
     lanes = next(n for n in points.body if isinstance(n, ast.For))
     count: Counter[str] = Counter()
     for statement in lanes.body[2:]:  # the first two are the row's indices
@@ -75,7 +84,9 @@ def work(module: str) -> Counter[str]:
     return count
 
 
-def _count(node: ast.AST, functions: dict[str, ast.FunctionDef], count: Counter[str]) -> None:
+def _count(
+    node: ast.AST, functions: dict[str, ast.FunctionDef], count: Counter[str]
+) -> None:
     """Add the arithmetic under a node."""
     if isinstance(node, ast.Subscript):
         return

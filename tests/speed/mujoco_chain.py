@@ -1,8 +1,10 @@
-"""The cord in MuJoCo: a planar chain of rigid links on hinges with stiffness and damping, rolled out on its threads.
+"""The cord in MuJoCo: a planar chain of rigid links on hinges with stiffness and
+damping, rolled out on its threads.
 
-The hand is a carriage on two slides and a hinge, a million times as heavy as the cord, so
-that the cord does not move it; at each step it is pushed so that it lands on the next pose.
-That costs less than a weld to a moving frame, and is exact. Contacts and constraints are off.
+The hand is a carriage on two slides and a hinge, a million times as heavy as the cord,
+so that the cord does not move it; at each step it is pushed so that it lands on the
+next pose. That costs less than a weld to a moving frame, and is exact. Contacts and
+constraints are off.
 """
 
 from __future__ import annotations
@@ -50,16 +52,24 @@ class Chain:
 
     links: int
     step: float
-    integrator: str = "Euler"  # as exact here as implicitfast and 5 % faster; implicit takes four times as long
+    # as exact here as implicitfast and 5 % faster; implicit takes four times as long
+    integrator: str = "Euler"
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """The compiled model; its positions are the carriage's pose and the hinges' angles."""
+        """The compiled model; its positions are the carriage's pose and the hinges'
+        angles.
+        """
         length = CORD.length / self.links
         chain = "".join(self._link(i, length) for i in range(self.links))
         chain += f'<site name="tip" pos="{length} 0 0"/>' + "</body>" * self.links
         return mujoco.MjModel.from_xml_string(
-            MODEL.format(step=self.step, integrator=self.integrator, carriage=CARRIAGE, chain=chain)
+            MODEL.format(
+                step=self.step,
+                integrator=self.integrator,
+                carriage=CARRIAGE,
+                chain=chain,
+            )
         )
 
     def _link(self, i: int, length: float) -> str:
@@ -76,9 +86,11 @@ class Chain:
 
     @cached_property
     def pushes(self) -> np.ndarray:
-        """(1, steps + 1, 3) forces that land the carriage on its poses: M (p_+1 - 2 p + p_-1) / dt^2.
+        """(1, steps + 1, 3) forces that land the carriage on its poses: M (p_+1 - 2 p +
+        p_-1) / dt^2.
 
-        One step more than the time takes, for a sensor tells of the moment at which a step begins.
+        One step more than the time takes, for a sensor tells of the moment at which a
+        step begins.
         """
         steps = round(TIMES[-1] / self.step)
         poses = pose(np.arange(-1, steps + 2) * self.step)
@@ -95,7 +107,9 @@ class Chain:
         return state
 
     def rollout(self, count: int, threads: int) -> np.ndarray:
-        """Simulate `count` cords on so many threads. (count, F, 2) their tips at TIMES [m]."""
+        """Simulate `count` cords on so many threads. (count, F, 2) their tips at TIMES
+        [m].
+        """
         data = [mujoco.MjData(self.model) for _ in range(threads)]
         with Rollout(nthread=threads if threads > 1 else 0) as pool:
             start = np.tile(self.start, (count, 1))

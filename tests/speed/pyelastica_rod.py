@@ -1,7 +1,9 @@
-"""The cord in PyElastica: Cosserat rods, several in one simulator so that its kernels work on all at once.
+"""The cord in PyElastica: Cosserat rods, several in one simulator so that its kernels
+work on all at once.
 
-The first element is centred on the clamp, so that the rod is clamped where the cord is, and
-not half an element further. Bending damping, which PyElastica has not, is a couple of ours.
+The first element is centred on the clamp, so that the rod is clamped where the cord is,
+and not half an element further. Bending damping, which PyElastica has not, is a couple
+of ours.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ import numpy as np
 
 from tests.speed.trial import CORD, TIMES, pose, stretched
 
-NORMAL = np.array([0.0, 0.0, 1.0])  # out of the plane of motion: the first director of every element
+# out of the plane of motion: the first director of every element
+NORMAL = np.array([0.0, 0.0, 1.0])
 
 
 class Simulator(
@@ -28,8 +31,17 @@ class Simulator(
 class Hand(elastica.ConstraintBase):
     """Holds the middle of the first element at the pose of each step."""
 
-    def __init__(self, poses: np.ndarray, rates: np.ndarray, step: float, half: float, **given: Any) -> None:
-        """poses, rates: (2 steps + 1, 3) at half steps; half: of an element's length [m]."""
+    def __init__(
+        self,
+        poses: np.ndarray,
+        rates: np.ndarray,
+        step: float,
+        half: float,
+        **given: Any,
+    ) -> None:
+        """poses, rates: (2 steps + 1, 3) at half steps; half: of an element's length
+        [m].
+        """
         super().__init__(**given)
         self.poses, self.rates, self.every, self.half = poses, rates, step / 2, half
 
@@ -38,14 +50,22 @@ class Hand(elastica.ConstraintBase):
         x, y, theta = self.poses[min(round(time / self.every), len(self.poses) - 1)]
         c, s = np.cos(theta), np.sin(theta)
         system.position_collection[:, 0] = (x - self.half * c, y - self.half * s, 0.0)
-        system.director_collection[:, :, 0] = ((0.0, 0.0, 1.0), (s, -c, 0.0), (c, s, 0.0))
+        system.director_collection[:, :, 0] = (
+            (0.0, 0.0, 1.0),
+            (s, -c, 0.0),
+            (c, s, 0.0),
+        )
 
     def constrain_rates(self, system: Any, time: float) -> None:
         """Their velocities."""
         x, y, theta = self.rates[min(round(time / self.every), len(self.rates) - 1)]
         now = self.poses[min(round(time / self.every), len(self.poses) - 1), 2]
         c, s = np.cos(now), np.sin(now)
-        system.velocity_collection[:, 0] = (x + self.half * s * theta, y - self.half * c * theta, 0.0)
+        system.velocity_collection[:, 0] = (
+            x + self.half * s * theta,
+            y - self.half * c * theta,
+            0.0,
+        )
         system.omega_collection[:, 0] = (theta, 0.0, 0.0)
 
 
@@ -59,23 +79,34 @@ class BendingDamping(elastica.NoForces):
 
     def apply_torques(self, system: Any, time: float = 0.0) -> None:
         """Add it to both elements that meet at a node."""
-        couple = self.damping * np.diff(system.omega_collection[0]) / system.rest_voronoi_lengths
+        couple = (
+            self.damping
+            * np.diff(system.omega_collection[0])
+            / system.rest_voronoi_lengths
+        )
         system.external_torques[0, :-1] += couple
         system.external_torques[0, 1:] -= couple
 
 
 @dataclass(frozen=True)
 class Rods:
-    """elements: between grasp and tip, and a half. step: [s], a whole part of a camera frame."""
+    """elements: between grasp and tip, and a half. step: [s], a whole part of a camera
+    frame.
+    """
 
     elements: int
     step: float
 
     def rollout(self, count: int, duration: float = float(TIMES[-1])) -> np.ndarray:
-        """Simulate `count` cords at once. (count, F, 2) their tips at TIMES, up to `duration` [m]."""
+        """Simulate `count` cords at once. (count, F, 2) their tips at TIMES, up to
+        `duration` [m].
+        """
         simulator, rods = self._assembled(count)
         stepper = elastica.PositionVerlet()
-        every, frames = round((TIMES[1] - TIMES[0]) / self.step), round(duration / TIMES[1])
+        every, frames = (
+            round((TIMES[1] - TIMES[0]) / self.step),
+            round(duration / TIMES[1]),
+        )
         tips = np.empty((count, frames + 1, 2))
         time = np.float64(0.0)
         for frame in range(frames + 1):
@@ -94,8 +125,12 @@ class Rods:
         for rod in rods:
             simulator.append(rod)
             simulator.constrain(rod).using(Hand, halves, rates, self.step, length / 2)
-            simulator.add_forcing_to(rod).using(elastica.GravityForces, acc_gravity=np.array([0.0, -9.81, 0.0]))
-            simulator.add_forcing_to(rod).using(BendingDamping, CORD.bending_damping * CORD.mass)
+            simulator.add_forcing_to(rod).using(
+                elastica.GravityForces, acc_gravity=np.array([0.0, -9.81, 0.0])
+            )
+            simulator.add_forcing_to(rod).using(
+                BendingDamping, CORD.bending_damping * CORD.mass
+            )
         simulator.finalize()
         return simulator, rods
 

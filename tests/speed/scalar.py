@@ -1,7 +1,8 @@
 """Eq. 1 by hand, for one candidate: a plain Numba loop, in the paper's own parameters.
 
 It shares no line with the engine, and so is a test of it too (tests/known_answers). One
-pass a step goes along the string; what the next point needs of this one stays in registers.
+pass a step goes along the string; what the next point needs of this one stays in
+registers.
 """
 
 from __future__ import annotations
@@ -15,20 +16,33 @@ GRAVITY = 9.81
 
 
 def path(hand: HandMotion, steps: int) -> np.ndarray:
-    """The grasp at every step of a tick, (ticks, steps, 6): x, y, theta and their rates; Hermite's cubic."""
+    """The grasp at every step of a tick, (ticks, steps, 6): x, y, theta and their
+    rates; Hermite's cubic.
+    """
     u = (np.arange(steps) / steps)[:, None]
     (p0, p1), tick = (hand.pose[0, :-1, None], hand.pose[0, 1:, None]), hand.tick
     v0, v1 = hand.rate[0, :-1, None] * tick, hand.rate[0, 1:, None] * tick
     a2, a3 = 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1
-    return np.concatenate([p0 + u * (v0 + u * (a2 + u * a3)), (v0 + u * (2 * a2 + 3 * u * a3)) / tick], axis=-1)
+    return np.concatenate(
+        [p0 + u * (v0 + u * (a2 + u * a3)), (v0 + u * (2 * a2 + 3 * u * a3)) / tick],
+        axis=-1,
+    )
 
 
 @njit(error_model="numpy", fastmath={"contract"})
-def cast(start: np.ndarray, parameters: np.ndarray, length: float, hand: np.ndarray, tick: float) -> np.ndarray:
-    """Positions of the mass points at the ticks, (ticks, n, 2) [m], at the beginning of each.
+def cast(
+    start: np.ndarray,
+    parameters: np.ndarray,
+    length: float,
+    hand: np.ndarray,
+    tick: float,
+) -> np.ndarray:
+    """Positions of the mass points at the ticks, (ticks, n, 2) [m], at the beginning of
+    each.
 
-    start: (n, 2) at rest [m]. parameters: k_s, c_s, k_h, c_h, C_c1, C_c2, k_ph, c_ph, per unit
-    mass of one mass point. length: of a segment [m]. hand: see `path`. Semi-implicit Euler.
+    start: (n, 2) at rest [m]. parameters: k_s, c_s, k_h, c_h, C_c1, C_c2, k_ph, c_ph,
+    per unit mass of one mass point. length: of a segment [m]. hand: see `path`.
+    Semi-implicit Euler.
     """
     k_s, c_s, k_h, c_h, C_c1, C_c2, k_ph, c_ph = parameters
     n, (ticks, steps, _) = len(start), hand.shape
@@ -44,7 +58,8 @@ def cast(start: np.ndarray, parameters: np.ndarray, length: float, hand: np.ndar
             # The hand is the segment before the first: its direction, its turning.
             ux, uy, w = np.cos(theta), np.sin(theta), turn
             stiff, damp = k_ph, c_ph
-            px, py, pull, inverse, moment = 0.0, 0.0, 0.0, 0.0, 0.0  # of the segment before
+            # of the segment before
+            px, py, pull, inverse, moment = 0.0, 0.0, 0.0, 0.0, 0.0
             fx, fy = 0.0, 0.0  # its force on the point at its end
             for i in range(n):
                 before, gx, gy = moment, fx, fy
@@ -55,11 +70,14 @@ def cast(start: np.ndarray, parameters: np.ndarray, length: float, hand: np.ndar
                     tx, ty = ex / size, ey / size
                     omega = (tx * ry - ty * rx) / size
                     angle = np.arctan2(ux * ty - uy * tx, ux * tx + uy * ty)
-                    moment = stiff * angle + damp * (omega - w)  # F_h, F_b; at the hand F_ph, F_phc
-                    tension = k_s * (size - length) + c_s * (tx * rx + ty * ry)  # F_s, F_d
+                    # F_h, F_b; at the hand F_ph, F_phc
+                    moment = stiff * angle + damp * (omega - w)
+                    # F_s, F_d
+                    tension = k_s * (size - length) + c_s * (tx * rx + ty * ry)
                 else:
                     moment, size, tx, ty, omega, tension = 0.0, 1.0, 0.0, 0.0, 0.0, 0.0
-                # The moments at both ends of the segment before are known now, and so its force.
+                # The moments at both ends of the segment before are known now, and so
+                # its force.
                 fx = -pull * px - (moment - before) * inverse * py
                 fy = -pull * py + (moment - before) * inverse * px
                 if i > 1:

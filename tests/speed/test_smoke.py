@@ -1,4 +1,6 @@
-"""The benchmark runs: a smoke size of it, without its peers unless they are installed. Nothing is timed here."""
+"""The benchmark runs: a smoke size of it, without its peers unless they are installed.
+Nothing is timed here.
+"""
 
 import subprocess
 
@@ -7,7 +9,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.engine.simulate import simulate
 from tests.speed import estimates, measures
 from tests.speed.__main__ import printed
 from tests.speed.engine import step_loop
@@ -34,12 +36,16 @@ def test_a_table_of_the_smallest_size_is_printed(monkeypatch, capsys):
 
 
 def test_an_estimate_is_judged_by_what_it_predicts():
-    """String B from four casts, by the estimate stage; and one of another string is told from it."""
+    """String B from four casts, by the estimate stage; and one of another string is
+    told from it.
+    """
     found = estimates.row("least_squares", 2)
     assert found["held_out"] < 2e-4
     assert abs(found["above"]) < estimates.NEAR
     assert found["simulations"] < 10_000
-    other = estimates.Contender(estimates.model(), lambda fitted, given: given.truth * 1.2)
+    other = estimates.Contender(
+        estimates.model(), lambda fitted, given: given.truth * 1.2
+    )
     with pytest.MonkeyPatch.context() as patched:
         patched.setitem(estimates.CONTENDERS, "other", other)
         wrong = estimates.row("other", 2)
@@ -50,8 +56,12 @@ def test_an_estimate_is_judged_by_what_it_predicts():
 
 
 def test_mujoco_is_read_at_the_frames_time():
-    """How far ahead of the engine's its tip is does not hang on the step: read one early, it would be by 0.5 ms."""
-    pytest.importorskip("mujoco", reason="MuJoCo is installed by `python3 tasks.py bench`")
+    """How far ahead of the engine's its tip is does not hang on the step: read one
+    early, it would be by 0.5 ms.
+    """
+    pytest.importorskip(
+        "mujoco", reason="MuJoCo is installed by `python3 tasks.py bench`"
+    )
     from tests.speed.mujoco_chain import Chain
 
     engine = engine_tip(25, 2e-4)

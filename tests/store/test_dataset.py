@@ -10,7 +10,13 @@ from stringcast.data import dataset
 from stringcast.data.schema import DataError
 
 T = np.arange(50) * 0.01
-CAMERA = {"fps": 100, "width": 48, "height": 32, "px_per_m": 100.0, "origin_px": [24, 16]}
+CAMERA = {
+    "fps": 100,
+    "width": 48,
+    "height": 32,
+    "px_per_m": 100.0,
+    "origin_px": [24, 16],
+}
 
 
 def given(folder, about, **tables):
@@ -41,7 +47,7 @@ def test_frames_are_those_of_the_list_in_the_order_of_time(tmp_path):
         if number != 1:
             cv2.imwrite(str(tmp_path / file), shade(number))
     given(tmp_path, {"camera": CAMERA}, grasp=grasp(), frames=pd.DataFrame(rows))
-    read = dataset.read(tmp_path)
+    read = dataset.read_dataset(tmp_path)
     film = read.films["a"]
     np.testing.assert_allclose(film.t, [0.0, 0.2, 0.3])  # the lost frame is passed over
     assert [int(image[0, 0]) for image in film.images] == [40, 48, 52]
@@ -52,47 +58,69 @@ def test_a_video_has_the_times_at_which_it_was_filmed(tmp_path):
     given(tmp_path, {"camera": CAMERA}, grasp=grasp())
     (tmp_path / "videos").mkdir()
     file = str(tmp_path / "videos" / "a.avi")
-    video = cv2.VideoWriter(file, cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (48, 32))  # to be played four times slower
+    # to be played four times slower
+    video = cv2.VideoWriter(file, cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (48, 32))
     for number in range(50):
         video.write(cv2.cvtColor(shade(number), cv2.COLOR_GRAY2BGR))
     video.release()
-    film = dataset.read(tmp_path).films["a"]
+    film = dataset.read_dataset(tmp_path).films["a"]
     np.testing.assert_allclose(film.t, T)
     assert abs(int(film.images[30][5, 5]) - (40 + 120)) <= 3
     assert abs(int(film.images[7][5, 5]) - (40 + 28)) <= 3  # backwards too
     given(tmp_path, {"camera": {k: v for k, v in CAMERA.items() if k != "fps"}})
     with pytest.raises(DataError, match=r"camera\.fps must be there"):
-        dataset.read(tmp_path)
+        dataset.read_dataset(tmp_path)
 
 
 def test_dirt_is_left_out_and_trials_that_cannot_be_used_are_named(tmp_path):
-    dirty = pd.concat([points(), points().iloc[:5], points("b", T + 10), points("c")]).sample(frac=1, random_state=1)
+    dirty = pd.concat(
+        [points(), points().iloc[:5], points("b", T + 10), points("c")]
+    ).sample(frac=1, random_state=1)
     dirty.iloc[0, dirty.columns.get_loc("x")] = np.nan
-    given(tmp_path, {}, grasp=pd.concat([grasp(), grasp("b"), grasp("d")]), points=dirty)
-    read = dataset.read(tmp_path)
+    given(
+        tmp_path, {}, grasp=pd.concat([grasp(), grasp("b"), grasp("d")]), points=dirty
+    )
+    read = dataset.read_dataset(tmp_path)
     assert set(read.trials) == {"a"}
     seen = read.trials["a"].points
     assert seen["t"].is_monotonic_increasing
     assert 48 <= len(seen) <= 50
     assert np.isfinite(seen["x"]).all()
-    assert "overlap" in read.rejected["b"]
-    assert "no motion" in read.rejected["c"]
-    assert "no measured point" in read.rejected["d"]
+    assert "overlap" in read.rejection_reasons["b"]
+    assert "no motion" in read.rejection_reasons["c"]
+    assert "no measured point" in read.rejection_reasons["d"]
 
 
 def test_a_trial_begins_at_rest_unless_dataset_yaml_says_otherwise(tmp_path):
-    both = {"grasp": pd.concat([grasp(), grasp("b")]), "points": pd.concat([points(), points("b")])}
+    both = {
+        "grasp": pd.concat([grasp(), grasp("b")]),
+        "points": pd.concat([points(), points("b")]),
+    }
 
     def moving(about):
         given(tmp_path, about, **both)
-        return [trial.moving for trial in dataset.read(tmp_path).trials.values()]
+        return [
+            trial.starts_moving
+            for trial in dataset.read_dataset(tmp_path).trials.values()
+        ]
 
     assert moving({}) == [False, False]
     assert moving({"initial": "moving"}) == [True, True]
-    assert moving({"trials": {"b": {"initial": "moving", "role": "held_out"}}}) == [False, True]
-    assert moving({"initial": "moving", "trials": {"a": {"initial": "rest"}, "b": None}}) == [False, True]
+    assert moving({"trials": {"b": {"initial": "moving", "role": "held_out"}}}) == [
+        False,
+        True,
+    ]
+    assert moving(
+        {"initial": "moving", "trials": {"a": {"initial": "rest"}, "b": None}}
+    ) == [False, True]
     for wrong in ({"initial": True}, {"trials": {"b": {"initial": "flying"}}}):
-        with pytest.raises(DataError, match=r"dataset\.yaml: .*initial is .* it must be 'rest' or 'moving'"):
+        with pytest.raises(
+            DataError,
+            match=r"dataset\.yaml: .*initial is .* it must be 'rest' or 'moving'",
+        ):
             moving(wrong)
-    with pytest.raises(DataError, match=r"dataset\.yaml: trials\.b is 'moving'; it must hold names and values"):
+    with pytest.raises(
+        DataError,
+        match=r"dataset\.yaml: trials\.b is 'moving'; it must hold names and values",
+    ):
         moving({"trials": {"b": "moving"}})

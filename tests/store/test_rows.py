@@ -1,4 +1,6 @@
-"""Rows of measured tables: what cannot be used is left out and counted, CSV says the same as Parquet."""
+"""Rows of measured tables: what cannot be used is left out and counted, CSV says the
+same as Parquet.
+"""
 
 import numpy as np
 import pandas as pd
@@ -8,7 +10,7 @@ import yaml
 from stringcast.data import dataset
 from stringcast.data.artifacts import ARM, POINTS
 from stringcast.data.dataset import with_trial
-from stringcast.data.metadata import metadata
+from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
 from stringcast.data.store import write_table
 
@@ -17,13 +19,23 @@ NOISE = np.random.default_rng(1).standard_normal((120, 2)) / 30
 
 
 def arm():
-    return pd.DataFrame({"trial": "a", "t": T, "q1": np.sin(T), "q2": 0.1 * T, "q3": -T})
+    return pd.DataFrame(
+        {"trial": "a", "t": T, "q1": np.sin(T), "q2": 0.1 * T, "q3": -T}
+    )
 
 
 def points():
     t, s = np.repeat(T, 3), np.tile([0.1, 0.2, 0.3], len(T))
     return pd.DataFrame(
-        {"trial": "a", "t": t, "s": s, "x": NOISE[:, 0], "y": NOISE[:, 1] - s, "sigma": 1e-3, "held": False}
+        {
+            "trial": "a",
+            "t": t,
+            "s": s,
+            "x": NOISE[:, 0],
+            "y": NOISE[:, 1] - s,
+            "sigma": 1e-3,
+            "held": False,
+        }
     )
 
 
@@ -36,7 +48,7 @@ def given(tmp_path):
         written = text((points() if seen is None else seen).to_csv(index=False))
         content = written if isinstance(written, bytes) else written.encode()
         (tmp_path / "points.csv").write_bytes(content)
-        return dataset.read(tmp_path)
+        return dataset.read_dataset(tmp_path)
 
     return read
 
@@ -60,7 +72,9 @@ def spoilt(column, value, rows=(3, 7)):
         ("sigma", np.nan, "sigma is not a number above 0"),
     ],
 )
-def test_rows_that_cannot_be_used_are_left_out_and_counted(given, column, value, reason):
+def test_rows_that_cannot_be_used_are_left_out_and_counted(
+    given, column, value, reason
+):
     read = given(spoilt(column, value))
     assert read.rows["points.csv"].dropped == {reason: 2}
     expected = points().drop(index=[3, 7]).drop(columns="trial").reset_index(drop=True)
@@ -71,7 +85,9 @@ def test_clean_rows_are_all_kept_with_columns_that_nobody_knows(given):
     read = given()
     assert read.rows["points.csv"].dropped == {}
     assert read.rows["points.csv"].unordered == 0
-    pd.testing.assert_frame_equal(read.trials["a"].points, points().drop(columns="trial"))
+    pd.testing.assert_frame_equal(
+        read.trials["a"].points, points().drop(columns="trial")
+    )
 
 
 def test_duplicates_are_told_from_contradictions_and_order_does_not_matter(given):
@@ -93,8 +109,13 @@ def test_csv_says_the_same_as_parquet(given, tmp_path):
     given()
     (tmp_path / "parquet").mkdir()
     for table, frame in ((ARM, arm()), (POINTS, points())):
-        write_table(with_trial(table), frame, tmp_path / "parquet" / f"{table.name}.parquet", {})
-    one, other = (dataset.read(folder).trials["a"] for folder in (tmp_path, tmp_path / "parquet"))
+        write_table(
+            with_trial(table), frame, tmp_path / "parquet" / f"{table.name}.parquet", {}
+        )
+    one, other = (
+        dataset.read_dataset(folder).trials["a"]
+        for folder in (tmp_path, tmp_path / "parquet")
+    )
     pd.testing.assert_frame_equal(one.points, other.points, check_exact=True)
     pd.testing.assert_frame_equal(one.arm, other.arm, check_exact=True)
 
@@ -109,7 +130,10 @@ def test_a_missing_valid_is_false(given):
     seen["valid"] = seen["valid"].astype(object)
     seen.loc[[1, 2], "valid"] = None
     assert (~given(seen).trials["a"].points["valid"]).sum() == 2
-    with pytest.raises(DataError, match=r"points\.csv: column 'valid' must be bool .*give true or false"):
+    with pytest.raises(
+        DataError,
+        match=r"points\.csv: column 'valid' must be bool .*give true or false",
+    ):
         given(points().assign(valid="yes"))
 
 
@@ -117,14 +141,27 @@ def test_a_missing_valid_is_false(given):
     ("text", "words"),
     [
         (lambda text: "", r"points\.csv: cannot be read as CSV \(No columns"),
-        (lambda text: text.replace(",", ";"), r"points\.csv: it has one column, .*Separate columns by commas"),
-        (lambda text: text.encode("utf-16"), r"points\.csv: cannot be read as CSV"),
-        (lambda text: text + "a,b,c,d,e,f,g,h,i,j\n", r"points\.csv: cannot be read as CSV"),
         (
-            lambda text: text.replace("0.1,", "'0.1',").replace("0.2,", "x,").replace("0.3,", "x,"),
+            lambda text: text.replace(",", ";"),
+            r"points\.csv: it has one column, .*Separate columns by commas",
+        ),
+        (lambda text: text.encode("utf-16"), r"points\.csv: cannot be read as CSV"),
+        (
+            lambda text: text + "a,b,c,d,e,f,g,h,i,j\n",
+            r"points\.csv: cannot be read as CSV",
+        ),
+        (
+            lambda text: (
+                text.replace("0.1,", "'0.1',")
+                .replace("0.2,", "x,")
+                .replace("0.3,", "x,")
+            ),
             "column 's' must be float",
         ),
-        (lambda text: text.replace(",y,", ",why,"), r"points\.csv: table 'points' has no column 'y'; it has trial"),
+        (
+            lambda text: text.replace(",y,", ",why,"),
+            r"points\.csv: table 'points' has no column 'y'; it has trial",
+        ),
     ],
 )
 def test_a_file_that_cannot_be_read_is_named_with_a_remedy(given, text, words):
@@ -134,34 +171,52 @@ def test_a_file_that_cannot_be_read_is_named_with_a_remedy(given, text, words):
 
 def test_spaces_and_a_byte_order_mark_do_no_harm(given):
     spaced = given(text=lambda text: b"\xef\xbb\xbf" + text.replace(",", ", ").encode())
-    pd.testing.assert_frame_equal(spaced.trials["a"].points, points().drop(columns="trial"))
+    pd.testing.assert_frame_equal(
+        spaced.trials["a"].points, points().drop(columns="trial")
+    )
 
 
 @pytest.mark.parametrize(
     ("said", "words"),
     [
-        ({"string": {"length": "300 mm"}}, "string.length is '300 mm'; it must be a number, without a unit"),
+        (
+            {"string": {"length": "300 mm"}},
+            "string.length is '300 mm'; it must be a number, without a unit",
+        ),
         ({"string": {"length": -1}}, "string.length is -1; it must be above 0"),
         ({"string": {"length": None}}, "string.length is None; it must be a number"),
         ({"noise": {"point_sigma": "small"}}, "noise.point_sigma is 'small'"),
         ({"camera": {"fps": 0}}, "camera.fps is 0; it must be above 0"),
-        ({"camera": {"origin_px": [1]}}, "camera.origin_px is .1.*it must hold 2 values"),
+        (
+            {"camera": {"origin_px": [1]}},
+            "camera.origin_px is .1.*it must hold 2 values",
+        ),
         ({"arm": {"links": [0.3, 0.2]}}, "arm.links is .*it must hold 3 values"),
         ({"arm": [1]}, "arm is .1.; it must hold names and values"),
-        ({"trials": {"a": "held_out"}}, "trials.a is 'held_out'; it must hold names and values"),
+        (
+            {"trials": {"a": "held_out"}},
+            "trials.a is 'held_out'; it must hold names and values",
+        ),
         ({"format": 2}, "format is 2; this version reads 1"),
     ],
 )
 def test_dataset_yaml_names_what_is_wrong(tmp_path, said, words):
     (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(said))
     with pytest.raises(DataError, match=rf"dataset\.yaml: {words}"):
-        metadata(tmp_path)
+        read_metadata(tmp_path)
 
 
 def test_keys_that_nobody_knows_are_kept(tmp_path):
-    said = {"format": 1, "string": {"length": 0.3, "colour": "red"}, "trials": {1: {"note": "x"}}, "lab": "ours"}
+    said = {
+        "format": 1,
+        "string": {"length": 0.3, "colour": "red"},
+        "trials": {1: {"note": "x"}},
+        "lab": "ours",
+    }
     (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(said))
-    assert metadata(tmp_path) == said | {"trials": {"1": {"note": "x"}}}
+    assert read_metadata(tmp_path) == said | {"trials": {"1": {"note": "x"}}}
     (tmp_path / "dataset.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DataError, match=r"dataset\.yaml: it is not text in UTF-8 .*Save it as UTF-8"):
-        metadata(tmp_path)
+    with pytest.raises(
+        DataError, match=r"dataset\.yaml: it is not text in UTF-8 .*Save it as UTF-8"
+    ):
+        read_metadata(tmp_path)

@@ -12,7 +12,7 @@ import pytest
 
 from stringcast.data import disk, store
 from stringcast.data.artifacts import Points, Trial
-from stringcast.data.images import Fresh, Held, Images
+from stringcast.data.images import CachedImages, Images, RecentImages
 from stringcast.data.schema import DataError
 
 AWKWARD = [0.1, -0.0, np.inf, -np.inf, np.nan, 5e-324, 1 / 3, np.nextafter(1.0, 2.0)]
@@ -21,9 +21,25 @@ AWKWARD = [0.1, -0.0, np.inf, -np.inf, np.nan, 5e-324, 1 / 3, np.nextafter(1.0, 
 @pytest.fixture
 def points():
     return Points(
-        pd.DataFrame({"t": AWKWARD, "s": 0.1, "x": AWKWARD[::-1], "y": 0.0, "valid": [True, False] * 4, "held": 3}),
         pd.DataFrame(
-            {"frame": [2**53 + 1], "t": 0.0, "valid": False, "reason": "Δ, 'quoted'", "tip_x": np.nan, "tip_y": 0.0}
+            {
+                "t": AWKWARD,
+                "s": 0.1,
+                "x": AWKWARD[::-1],
+                "y": 0.0,
+                "valid": [True, False] * 4,
+                "held": 3,
+            }
+        ),
+        pd.DataFrame(
+            {
+                "frame": [2**53 + 1],
+                "t": 0.0,
+                "valid": False,
+                "reason": "Δ, 'quoted'",
+                "tip_x": np.nan,
+                "tip_y": 0.0,
+            }
             | {"tip_sigma": 1e-3, "length": 0.3}
         ),
         pd.DataFrame({"frame": [0], "t": [0.0], "png": [b"\x89PNG\0\xff"]}),
@@ -34,7 +50,9 @@ def test_every_bit_comes_back(points, tmp_path):
     store.save(points, tmp_path / "p", {})
     back = store.load(Points, tmp_path / "p")
     for name in Points.TABLES:
-        pd.testing.assert_frame_equal(getattr(back, name), Points.TABLES[name].check(getattr(points, name)))
+        pd.testing.assert_frame_equal(
+            getattr(back, name), Points.TABLES[name].check(getattr(points, name))
+        )
     assert np.array_equal(np.signbit(back.points["t"]), np.signbit(points.points["t"]))
     assert back.readings["frame"][0] == 2**53 + 1  # no detour through floating point
     assert list(back.points["held"]) == [3] * 8  # columns we do not know stay
@@ -43,22 +61,30 @@ def test_every_bit_comes_back(points, tmp_path):
 def test_unit_meaning_and_origin_are_in_the_file(points, tmp_path):
     made = {"seed": 3, "config": {"a": [1.5, None]}}
     store.save(points, tmp_path / "p", made)
-    assert store.origin_of(tmp_path / "p" / "points.parquet") == made
+    assert store.read_origin(tmp_path / "p" / "points.parquet") == made
     for name, table in Points.TABLES.items():
         schema = pq.read_schema(tmp_path / "p" / f"{name}.parquet")
         for column in table.columns:
             if column.name in schema.names:
-                assert schema.field(column.name).metadata[b"unit"].decode() == column.unit
+                assert (
+                    schema.field(column.name).metadata[b"unit"].decode() == column.unit
+                )
                 assert schema.field(column.name).metadata[b"meaning"]
 
 
-def test_the_same_content_has_the_same_bytes_and_hash_whenever_and_wherever(points, tmp_path):
+def test_the_same_content_has_the_same_bytes_and_hash_whenever_and_wherever(
+    points, tmp_path
+):
     for name in "ab":
         store.save(points, tmp_path / name, {"seed": 1})
-    assert (tmp_path / "a/points.parquet").read_bytes() == (tmp_path / "b/points.parquet").read_bytes()
+    assert (tmp_path / "a/points.parquet").read_bytes() == (
+        tmp_path / "b/points.parquet"
+    ).read_bytes()
     store.save(points, tmp_path / "c", {"seed": 2})
     hashes = {name: store.content_hash(tmp_path / name) for name in "abc"}
-    assert len(set(hashes.values())) == 1, "a hash of the content must not depend on who made it"
+    assert len(set(hashes.values())) == 1, (
+        "a hash of the content must not depend on who made it"
+    )
     points.points.loc[6, "x"] = np.nextafter(points.points["x"][6], 1)
     store.save(points, tmp_path / "a", {"seed": 1})
     assert store.content_hash(tmp_path / "a") != hashes["b"]
@@ -67,8 +93,12 @@ def test_the_same_content_has_the_same_bytes_and_hash_whenever_and_wherever(poin
     assert store.content_hash(tmp_path / "c") != store.content_hash(tmp_path / "a")
 
 
-def test_a_file_is_hashed_piece_by_piece_as_it_was_hashed_whole(points, tmp_path, monkeypatch):
-    """Origins on people's disks hold hashes of whole files: pieces of any size must give the same."""
+def test_a_file_is_hashed_piece_by_piece_as_it_was_hashed_whole(
+    points, tmp_path, monkeypatch
+):
+    """Origins on people's disks hold hashes of whole files: pieces of any size must
+    give the same.
+    """
     store.save(points, tmp_path / "a", {"seed": 1})
     (tmp_path / "a" / "film.mp4").write_bytes(bytes(range(256)) * 9)
     whole = hashlib.sha256()
@@ -76,25 +106,44 @@ def test_a_file_is_hashed_piece_by_piece_as_it_was_hashed_whole(points, tmp_path
         content = file.read_bytes()
         if file.suffix == ".parquet":
             pages = content[: -int.from_bytes(content[-8:-4], "little") - 8]
-            content = pq.read_schema(file).remove_metadata().serialize().to_pybytes() + pages
+            content = (
+                pq.read_schema(file).remove_metadata().serialize().to_pybytes() + pages
+            )
         whole.update(f"{file.name}\0{len(content)}\0".encode() + content)
-    monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} was read whole"))
+    monkeypatch.setattr(
+        Path, "read_bytes", lambda path: pytest.fail(f"{path} was read whole")
+    )
     for size in (7, 256, 2**20):
-        monkeypatch.setattr(store, "PIECE", size)
+        monkeypatch.setattr(store, "CHUNK_BYTES", size)
         assert store.content_hash(tmp_path / "a") == whole.hexdigest()
 
 
-def test_everything_is_on_the_disk_before_it_has_its_name(points, tmp_path, monkeypatch):
-    """A power cut after the name appears must find the content: files and folders are synced before the rename."""
+def test_everything_is_on_the_disk_before_it_has_its_name(
+    points, tmp_path, monkeypatch
+):
+    """A power cut after the name appears must find the content: files and folders are
+    synced before the rename.
+    """
     done = []
     true_sync, true_rename = os.fsync, os.replace
     monkeypatch.setattr(
-        os, "fsync", lambda handle: (done.append(os.readlink(f"/proc/self/fd/{handle}")), true_sync(handle))[1]
+        os,
+        "fsync",
+        lambda handle: (
+            done.append(os.readlink(f"/proc/self/fd/{handle}")),
+            true_sync(handle),
+        )[1],
     )
-    monkeypatch.setattr(os, "replace", lambda a, b: (done.append("rename"), true_rename(a, b))[1])
+    monkeypatch.setattr(
+        os, "replace", lambda a, b: (done.append("rename"), true_rename(a, b))[1]
+    )
     store.save(points, tmp_path / "p", {})
     before = done[: done.index("rename")]
-    assert {Path(name).name for name in before} >= {"masks.parquet", "points.parquet", "readings.parquet"}
+    assert {Path(name).name for name in before} >= {
+        "masks.parquet",
+        "points.parquet",
+        "readings.parquet",
+    }
     aside = str(Path(before[0]).parent)
     assert aside in before
     assert str(tmp_path) in done[done.index("rename") :]
@@ -104,14 +153,26 @@ def test_saving_again_replaces_the_whole_folder(points, tmp_path):
     store.save(points, tmp_path / "p", {})
     (tmp_path / "p" / "stray.txt").write_text("of the old one")
     store.save(points, tmp_path / "p", {})
-    assert sorted(f.name for f in (tmp_path / "p").iterdir()) == ["masks.parquet", "points.parquet", "readings.parquet"]
+    assert sorted(f.name for f in (tmp_path / "p").iterdir()) == [
+        "masks.parquet",
+        "points.parquet",
+        "readings.parquet",
+    ]
 
 
 def test_images_are_read_one_by_one_in_the_order_of_their_table(tmp_path):
     images = [np.full((4, 5), level, np.uint8) for level in (10, 20, 30)]
-    frames = pd.DataFrame({"frame": [0, 1, 2], "t": [0.0, 0.1, 0.2], "file": ["i/b.png", "i/a.png", "i/c.png"]})
+    frames = pd.DataFrame(
+        {
+            "frame": [0, 1, 2],
+            "t": [0.0, 0.1, 0.2],
+            "file": ["i/b.png", "i/a.png", "i/c.png"],
+        }
+    )
     empty = {name: table.empty() for name, table in Trial.TABLES.items()}
-    store.save(Trial(**(empty | {"frames": frames, "images": images})), tmp_path / "t", {})
+    store.save(
+        Trial(**(empty | {"frames": frames, "images": images})), tmp_path / "t", {}
+    )
     back = store.load(Trial, tmp_path / "t").images
     assert [int(image[0, 0]) for image in back] == [10, 20, 30]
     assert int(back[-1][0, 0]) == 30
@@ -133,14 +194,14 @@ def test_what_is_looked_at_often_is_read_once_while_there_is_room(monkeypatch):
             read.append(index)
             return pictures[index]
 
-    held = Held(Files())
+    held = CachedImages(Files())
     assert [int(image[0, 0]) for _ in range(3) for image in held] == [0, 1, 2] * 3
     assert held[-1] is pictures[2]
     assert sorted(read) == [0, 0, 1, 2]  # the first once more, for its size
 
-    monkeypatch.setattr("stringcast.data.images.ROOM", 2 * pictures[0].nbytes)
+    monkeypatch.setattr("stringcast.data.images.CACHE_BYTES", 2 * pictures[0].nbytes)
     read.clear()
-    held = Held(Files())
+    held = CachedImages(Files())
     for index in (0, 1, 0, 1, 2, 1, 0):
         assert held[index] is pictures[index]
     assert read == [0, 0, 1, 2, 0]
@@ -154,13 +215,15 @@ def test_images_just_written_are_given_from_memory_once_and_then_read():
         def read(self, index):
             return np.full((2, 2), 10 + index)
 
-    fresh = Fresh(Files(), [np.full((2, 2), i) for i in range(3)])
+    fresh = RecentImages(Files(), [np.full((2, 2), i) for i in range(3)])
     assert [int(image[0, 0]) for image in fresh] == [0, 1, 2]
     assert [int(image[0, 0]) for image in fresh[1:]] == [11, 12]
 
 
 def test_the_only_whole_copy_is_never_tidied_away(tmp_path, monkeypatch):
-    """A kill between the two renames of a replacement leaves the old one under its other name alone."""
+    """A kill between the two renames of a replacement leaves the old one under its
+    other name alone.
+    """
     path, kept = tmp_path / "a.txt", tmp_path / ".a.txt.0123abcd.replaced"
     kept.write_text("the only one")
 
@@ -179,7 +242,11 @@ def test_the_only_whole_copy_is_never_tidied_away(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["arm.csv", "dataset.yaml"])
 def test_of_a_file_that_is_no_table_every_byte_counts(tmp_path, name):
     hashes = []
-    for folder, content in (("a", b"t,q1\n0,1\n"), ("b", b"t,q1\n0,1\n"), ("c", b"t,q1\n0,2\n")):
+    for folder, content in (
+        ("a", b"t,q1\n0,1\n"),
+        ("b", b"t,q1\n0,1\n"),
+        ("c", b"t,q1\n0,2\n"),
+    ):
         disk.make_folder(tmp_path / folder)
         disk.write(tmp_path / folder / name, content)
         hashes.append(store.content_hash(tmp_path / folder / name))
@@ -190,7 +257,7 @@ def test_of_a_file_that_is_no_table_every_byte_counts(tmp_path, name):
 def test_a_pipe_in_place_of_a_table_is_refused_and_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "fit.parquet")
     with pytest.raises(DataError, match=r"fit\.parquet"):
-        store.origin_of(tmp_path / "fit.parquet")
+        store.read_origin(tmp_path / "fit.parquet")
 
 
 def test_folders_are_made_with_those_above_them_and_removed_with_all_in_them(tmp_path):
@@ -203,9 +270,13 @@ def test_folders_are_made_with_those_above_them_and_removed_with_all_in_them(tmp
 
 
 def test_a_lock_is_held_by_one(tmp_path):
-    with disk.locked(tmp_path / "lock"), pytest.raises(BlockingIOError), disk.locked(tmp_path / "lock"):
+    with (
+        disk.hold_lock(tmp_path / "lock"),
+        pytest.raises(BlockingIOError),
+        disk.hold_lock(tmp_path / "lock"),
+    ):
         pass
-    with disk.locked(tmp_path / "lock"):
+    with disk.hold_lock(tmp_path / "lock"):
         pass
 
 
@@ -220,5 +291,5 @@ def test_a_lock_whose_file_was_removed_meanwhile_is_none(tmp_path, monkeypatch, 
             path.write_bytes(b"")
 
     monkeypatch.setattr(disk, "_lock", late)
-    with pytest.raises(BlockingIOError, match="removed"), disk.locked(path):
+    with pytest.raises(BlockingIOError, match="removed"), disk.hold_lock(path):
         pass

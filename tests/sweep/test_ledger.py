@@ -1,5 +1,7 @@
-"""The ledger and its launchers with a stand-in for the pipeline, so that a job takes a blink: what is killed, claimed
-twice, failed, or left is told apart and loses nothing. Measured: a stand-in takes 0.05 s, and each test a second or two."""
+"""The ledger and its launchers with a stand-in for the pipeline, so that a job takes a
+blink: what is killed, claimed twice, failed, or left is told apart and loses nothing.
+Measured: a stand-in takes 0.05 s, and each test a second or two.
+"""
 
 import json
 import os
@@ -16,10 +18,18 @@ import pytest
 
 from stringcast.data.schema import DataError
 from stringcast.pipeline.sweep import launchers
-from stringcast.pipeline.sweep.attempt import Attempt, complaint, ended
+from stringcast.pipeline.sweep.attempt import Attempt, error_message, job_ending
 from stringcast.pipeline.sweep.finish import finish
 from stringcast.pipeline.sweep.launcher import LedgerLauncher
-from stringcast.pipeline.sweep.ledger import DONE, FAILED, LOST, PENDING, RUNNING, Job, Ledger
+from stringcast.pipeline.sweep.ledger import (
+    DONE_STATE,
+    FAILED_STATE,
+    LOST_WORKER_ERROR,
+    PENDING_STATE,
+    RUNNING_STATE,
+    Job,
+    Ledger,
+)
 
 STAND_IN = '''
 """What a job does, by its seed: 2 fails, 3 is killed, 4 waits to be told; the others leave a file."""
@@ -51,7 +61,10 @@ def stand_in(tmp_path):
 def entered(folder, *seeds):
     """A ledger of a job for each seed, and their keys."""
     ledger = Ledger(folder)
-    jobs = [Job(seed, (f"seed={seed}",), {"seed": seed, "name": "stand_in"}) for seed in seeds]
+    jobs = [
+        Job(seed, (f"seed={seed}",), {"seed": seed, "name": "stand_in"})
+        for seed in seeds
+    ]
     for job in jobs:
         ledger.add(job)
     return ledger, [job.key for job in jobs]
@@ -80,50 +93,77 @@ def cluster():
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 
-    machines = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
+    machines = Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False}
+    )
     machines.add_node(num_cpus=2)
     yield machines.address
     machines.shutdown()
 
 
 @pytest.mark.parametrize("name", LAUNCHERS)
-def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(name, tmp_path, stand_in, request):
+def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(
+    name, tmp_path, stand_in, request
+):
     package, settings = LAUNCHERS[name]
     pytest.importorskip(package)
     if name == "ray":
         settings = settings | {"address": request.getfixturevalue("cluster")}
     ledger, keys = entered(tmp_path / "sweep", 0, 1, 2, 3, 5)
     launch = getattr(launchers, name)
-    ended_keys = list(launch([Attempt(ledger.folder, key, stand_in) for key in keys], threads=2, **settings))
+    ended_keys = list(
+        launch(
+            [Attempt(ledger.folder, key, stand_in) for key in keys],
+            threads=2,
+            **settings,
+        )
+    )
     assert sorted(ended_keys) == sorted(keys)
-    assert states(ledger) == {0: DONE, 1: DONE, 2: FAILED, 3: FAILED, 5: DONE}
-    failed = {job.number: job.error for job in ledger.jobs() if job.state == FAILED}
+    assert states(ledger) == {
+        0: DONE_STATE,
+        1: DONE_STATE,
+        2: FAILED_STATE,
+        3: FAILED_STATE,
+        5: DONE_STATE,
+    }
+    failed = {
+        job.number: job.error for job in ledger.jobs() if job.state == FAILED_STATE
+    }
     assert failed[2] == "the string is\ntoo short"
     assert "SIGKILL" in failed[3]
-    assert {(ledger.place(key) / "out").read_text() for key in keys if (ledger.place(key) / "out").exists()} == {"2"}
-    assert all(job.attempts == 1 and job.seconds > 0 and job.host for job in ledger.jobs())
+    assert {
+        (ledger.place(key) / "out").read_text()
+        for key in keys
+        if (ledger.place(key) / "out").exists()
+    } == {"2"}
+    assert all(
+        job.attempts == 1 and job.seconds > 0 and job.host for job in ledger.jobs()
+    )
 
 
 def test_only_what_is_missing_runs_again_and_the_failed_on_request(tmp_path, stand_in):
     ledger, keys = entered(tmp_path / "sweep", 0, 1, 2)
     for key in keys[1:]:
         Attempt(ledger.folder, key, stand_in)(1)
-    assert states(ledger) == {0: PENDING, 1: DONE, 2: FAILED}
+    assert states(ledger) == {0: PENDING_STATE, 1: DONE_STATE, 2: FAILED_STATE}
     entered(tmp_path / "sweep", 0, 1, 2)  # asked for again: nothing is forgotten
     assert ledger.waiting(keys, ()) == [keys[0]]
     for key in keys:
         Attempt(ledger.folder, key, stand_in)(1)
     assert [begun(ledger, key) for key in keys] == [1, 1, 1]
     (ledger.folder / "mended").touch()
-    assert ledger.waiting(keys, (FAILED,)) == [keys[2]]
+    assert ledger.waiting(keys, (FAILED_STATE,)) == [keys[2]]
     Attempt(ledger.folder, keys[2], stand_in)(1)
     mended = ledger.read(keys[2])
-    assert (mended.state, mended.error, mended.attempts) == (DONE, "", 2)
+    assert (mended.state, mended.error, mended.attempts) == (DONE_STATE, "", 2)
 
 
 def test_a_job_is_its_settings_however_they_are_spelled():
     one = Job(0, ("a=1", "b=2"), {"a": 1, "b": 2})
-    assert one.key == Job(7, ("b=2", "a=1"), {"b": 2, "a": 1}, state=FAILED, attempts=3).key
+    assert (
+        one.key
+        == Job(7, ("b=2", "a=1"), {"b": 2, "a": 1}, state=FAILED_STATE, attempts=3).key
+    )
     assert one.key != Job(0, ("a=1", "b=2"), {"a": 1, "b": 3}).key
 
 
@@ -141,7 +181,9 @@ def until(true, limit=20.0):
 
 def begin(ledger, key, command):
     """An attempt in a process of its own, once its job is at work."""
-    process = get_context("fork").Process(target=attempt, args=(ledger.folder, key, command))
+    process = get_context("fork").Process(
+        target=attempt, args=(ledger.folder, key, command)
+    )
     process.start()
     until(lambda: begun(ledger, key))
     return process
@@ -149,11 +191,15 @@ def begin(ledger, key, command):
 
 def working(script):
     """Process ids of the stand-ins."""
-    found = subprocess.run(["pgrep", "-f", str(script)], capture_output=True, text=True, check=False).stdout
+    found = subprocess.run(
+        ["pgrep", "-f", str(script)], capture_output=True, text=True, check=False
+    ).stdout
     return [int(number) for number in found.split()]
 
 
-def test_a_killed_worker_leaves_its_job_claimed_until_the_job_has_ended_too(tmp_path, stand_in):
+def test_a_killed_worker_leaves_its_job_claimed_until_the_job_has_ended_too(
+    tmp_path, stand_in
+):
     """Else a second attempt would write into the folder of the first."""
     ledger, (key,) = entered(tmp_path / "sweep", 4)
     worker = begin(ledger, key, stand_in)
@@ -162,7 +208,7 @@ def test_a_killed_worker_leaves_its_job_claimed_until_the_job_has_ended_too(tmp_
     assert ledger.waiting([key], ()) == []
     Attempt(ledger.folder, key, stand_in)(1)
     ledger.settle([key])
-    assert (states(ledger), begun(ledger, key)) == ({4: RUNNING}, 1)
+    assert (states(ledger), begun(ledger, key)) == ({4: RUNNING_STATE}, 1)
     for number in working(stand_in[-1]):
         os.kill(number, signal.SIGKILL)
     until(lambda: ledger.waiting([key], ()) == [key])
@@ -170,19 +216,30 @@ def test_a_killed_worker_leaves_its_job_claimed_until_the_job_has_ended_too(tmp_
 
 def test_a_worker_that_was_lost_is_a_failure(tmp_path, stand_in):
     ledger, (key,) = entered(tmp_path / "sweep", 0)
-    with ledger.claimed(key) as log:
+    with ledger.claim(key) as log:
         assert log is not None
-        ledger.write(replace(ledger.read(key), state=RUNNING, attempts=1))
+        ledger.write(replace(ledger.read(key), state=RUNNING_STATE, attempts=1))
         ledger.settle([key])
-        assert states(ledger) == {0: RUNNING}
+        assert states(ledger) == {0: RUNNING_STATE}
     ledger.settle([key])
-    assert (ledger.read(key).state, ledger.read(key).error) == (FAILED, LOST)
+    assert (ledger.read(key).state, ledger.read(key).error) == (
+        FAILED_STATE,
+        LOST_WORKER_ERROR,
+    )
 
 
-def test_a_setting_that_is_called_like_an_outcome_has_a_column_of_its_own(tmp_path, stand_in):
+def test_a_setting_that_is_called_like_an_outcome_has_a_column_of_its_own(
+    tmp_path, stand_in
+):
     ledger = Ledger(tmp_path)
     for many in (1, 2):
-        ledger.add(Job(many, (f"manipulations={many}",), {"manipulations": many, "name": "x", "seed": 0}))
+        ledger.add(
+            Job(
+                many,
+                (f"manipulations={many}",),
+                {"manipulations": many, "name": "x", "seed": 0},
+            )
+        )
     finish(tmp_path)
     table = pd.read_parquet(tmp_path / "sweep.parquet")
     assert list(table["setting.manipulations"]) == [1, 2]
@@ -192,35 +249,44 @@ def test_a_setting_that_is_called_like_an_outcome_has_a_column_of_its_own(tmp_pa
 def test_two_sweeps_in_one_folder_run_each_job_once(tmp_path, stand_in):
     ledger, keys = entered(tmp_path / "sweep", *range(5, 25))
     context = get_context("fork")
-    sides = [context.Process(target=every, args=(ledger.folder, order, stand_in)) for order in (keys, keys[::-1], keys)]
+    sides = [
+        context.Process(target=every, args=(ledger.folder, order, stand_in))
+        for order in (keys, keys[::-1], keys)
+    ]
     for side in sides:
         side.start()
     for side in sides:
         side.join()
-    assert set(states(ledger).values()) == {DONE}
+    assert set(states(ledger).values()) == {DONE_STATE}
     assert {begun(ledger, key) for key in keys} == {1}
 
 
 def every(folder, keys, command):
     """What a sweep does: all that waits."""
-    for key in Ledger(folder).waiting(keys, ()):
+    for key in Ledger(folder).reset_unfinished(keys, ()):
         attempt(folder, key, command)
 
 
 def whole_sweep(folder, keys, command, said):
-    """All that waits, then table and page, and how the command would end. said: a file for its words."""
+    """All that waits, then table and page, and how the command would end. said: a file
+    for its words.
+    """
     every(folder, keys, command)
     sweep = LedgerLauncher("", "", retry=False, ahead=0)
     sweep.launched = folder, finish
     with said.open("w") as sys.stderr:
-        os._exit(sweep.ended())
+        os._exit(sweep.finish_sweep())
 
 
-def test_two_sweeps_in_one_folder_both_end_with_a_clear_sentence_and_a_whole_table(tmp_path, stand_in):
+def test_two_sweeps_in_one_folder_both_end_with_a_clear_sentence_and_a_whole_table(
+    tmp_path, stand_in
+):
     """The first is at a job when the second comes, which ends before it."""
     ledger, keys = entered(tmp_path / "sweep", 4, 5, 6)
     first, second = (
-        get_context("fork").Process(target=whole_sweep, args=(ledger.folder, order, stand_in, tmp_path / name))
+        get_context("fork").Process(
+            target=whole_sweep, args=(ledger.folder, order, stand_in, tmp_path / name)
+        )
         for name, order in (("first", keys), ("second", keys[::-1]))
     )
     first.start()
@@ -229,22 +295,38 @@ def test_two_sweeps_in_one_folder_both_end_with_a_clear_sentence_and_a_whole_tab
     second.join()
     assert second.exitcode == 1
     said = (tmp_path / "second").read_text()
-    assert "2 of 3 job(s) of the sweep are done.\n1 are run by another process, which completes the table" in said
+    assert (
+        "2 of 3 job(s) of the sweep are done.\n1 are run by another process, which completes the table"
+        in said
+    )
     assert "did not end" not in said
     (ledger.folder / "told").touch()
     first.join()
     assert first.exitcode == 0
-    assert (tmp_path / "first").read_text().startswith("3 of 3 job(s) of the sweep are done.")
+    assert (
+        (tmp_path / "first")
+        .read_text()
+        .startswith("3 of 3 job(s) of the sweep are done.")
+    )
     assert [begun(ledger, key) for key in keys] == [1, 1, 1]
-    assert list(pd.read_parquet(ledger.folder / "sweep.parquet")["state"]) == [DONE] * 3
+    assert (
+        list(pd.read_parquet(ledger.folder / "sweep.parquet")["state"])
+        == [DONE_STATE] * 3
+    )
 
 
-def test_killed_at_random_moments_nothing_is_lost_and_the_ledger_is_whole(tmp_path, stand_in):
-    """A sweep of 24 jobs is killed with -9 up to 25 times, within 0.02 to 0.06 s, and always goes on."""
+def test_killed_at_random_moments_nothing_is_lost_and_the_ledger_is_whole(
+    tmp_path, stand_in
+):
+    """A sweep of 24 jobs is killed with -9 up to 25 times, within 0.02 to 0.06 s, and
+    always goes on.
+    """
     ledger, keys = entered(tmp_path / "sweep", *range(5, 29))
     kills = 0
-    while kills < 25 and set(states(ledger).values()) != {DONE}:
-        side = get_context("fork").Process(target=every, args=(ledger.folder, keys, stand_in))
+    while kills < 25 and set(states(ledger).values()) != {DONE_STATE}:
+        side = get_context("fork").Process(
+            target=every, args=(ledger.folder, keys, stand_in)
+        )
         side.start()
         side.join(0.02 + 0.02 * (kills % 3))
         kills += side.is_alive()
@@ -252,7 +334,12 @@ def test_killed_at_random_moments_nothing_is_lost_and_the_ledger_is_whole(tmp_pa
         side.join()
         assert len(ledger.jobs()) == 24  # each entry is there and whole
     assert kills > 3
-    until(lambda: every(ledger.folder, keys, stand_in) or set(states(ledger).values()) == {DONE})
+    until(
+        lambda: (
+            every(ledger.folder, keys, stand_in)
+            or set(states(ledger).values()) == {DONE_STATE}
+        )
+    )
     assert all(1 <= begun(ledger, key) <= ledger.read(key).attempts for key in keys)
 
 
@@ -271,18 +358,21 @@ def test_a_damaged_entry_is_named(tmp_path):
             "step ----- 0:01\nError: target.x = 3: too far\n  choose another\n\n",
             "target.x = 3: too far\n  choose another",
         ),
-        ("Traceback (most recent call last):\n  File ...\nValueError: Error: no\n", "ValueError: Error: no"),
+        (
+            "Traceback (most recent call last):\n  File ...\nValueError: Error: no\n",
+            "ValueError: Error: no",
+        ),
         ("", ""),
     ],
 )
 def test_the_error_is_what_the_job_said_last(said, error):
-    assert complaint(said) == error
+    assert error_message(said) == error
 
 
 def test_an_interrupted_job_has_not_failed():
-    assert ended(130, "Interrupted.") == (PENDING, "")
-    assert ended(-signal.SIGINT, "") == (PENDING, "")
-    assert ended(1, "") == (FAILED, "It ended with exit status 1.")
+    assert job_ending(130, "Interrupted.") == (PENDING_STATE, "")
+    assert job_ending(-signal.SIGINT, "") == (PENDING_STATE, "")
+    assert job_ending(1, "") == (FAILED_STATE, "It ended with exit status 1.")
 
 
 def test_a_folder_that_cannot_be_written_is_one_clear_error():

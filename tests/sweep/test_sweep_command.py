@@ -1,5 +1,6 @@
-"""A sweep as a user gives it, with the real pipeline on a small measured trial: the same numbers whoever runs the
-jobs, only what is missing run again, failures kept. Jobs leave no page of their own: it would be most of their time.
+"""A sweep as a user gives it, with the real pipeline on a small measured trial: the
+same numbers whoever runs the jobs, only what is missing run again, failures kept. Jobs
+leave no page of their own: it would be most of their time.
 """
 
 import importlib.util
@@ -19,22 +20,33 @@ HERE = {"joblib": "workers=2", "ray": "address=null", "slurm": "cluster=local"}
 
 
 def sweep(folder, trials, threads, *overrides, betas="0.9,0.99", call=pipeline):
-    asked = ["+experiment=estimate", f"trials={trials}", "estimate.candidates=32", f"estimate.beta={betas}", "keep=[]"]
+    asked = [
+        "+experiment=estimate",
+        f"trials={trials}",
+        "estimate.candidates=32",
+        f"estimate.beta={betas}",
+        "keep=[]",
+    ]
     how = [f"hydra.sweep.dir={folder}", f"hydra.launcher.threads={threads}"]
     return call("--multirun", *asked, *how, *overrides)
 
 
 @pytest.fixture(scope="module")
 def trials(tmp_path_factory, arm):
-    """One trial of somebody's: the arm at rest, the string swinging below it like a stick."""
+    """One trial of somebody's: the arm at rest, the string swinging below it like a
+    stick.
+    """
     folder = tmp_path_factory.mktemp("trials")
     t, s = np.arange(0, 0.3, 0.01), np.linspace(0.03, 0.3, 10)
     q = np.tile([1.5, 0.4, 0.8], (len(t), 1))
-    pd.DataFrame({"trial": "t00", "t": t, "q1": q[:, 0], "q2": q[:, 1], "q3": q[:, 2]}).to_parquet(
-        folder / "arm.parquet"
-    )
+    pd.DataFrame(
+        {"trial": "t00", "t": t, "q1": q[:, 0], "q2": q[:, 1], "q3": q[:, 2]}
+    ).to_parquet(folder / "arm.parquet")
     hand, angle = arm.joints(q)[:, -1], 0.3 * np.cos(6 * t)
-    at = hand[:, None] + s[None, :, None] * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)[:, None]
+    at = (
+        hand[:, None]
+        + s[None, :, None] * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)[:, None]
+    )
     points = {"trial": "t00", "t": np.repeat(t, len(s)), "s": np.tile(s, len(t))}
     points |= {"x": at[..., 0].ravel(), "y": at[..., 1].ravel()}
     pd.DataFrame(points).to_parquet(folder / "points.parquet")
@@ -46,19 +58,29 @@ def trials(tmp_path_factory, arm):
 
 @pytest.fixture(scope="module")
 def swept(trials, tmp_path_factory):
-    """A sweep of three jobs on one thread, one of which is refused: (its folder, how the command ended)."""
+    """A sweep of three jobs on one thread, one of which is refused: (its folder, how
+    the command ended).
+    """
     folder = tmp_path_factory.mktemp("sweep")
     return folder, sweep(folder, trials, 1, betas="0.9,1.5,0.99")
 
 
 def numbers(folder):
     """Content of all that the steps of each job have made, by the job's key."""
-    return {place.parent.name: store.content_hash(place) for place in folder.glob("*/iterations")}
+    return {
+        place.parent.name: store.content_hash(place)
+        for place in folder.glob("*/iterations")
+    }
 
 
 def attempts(folder):
-    entries = [json.loads(file.read_text()) for file in (folder / "ledger").glob("*.json")]
-    return {entry["settings"]["estimate"]["beta"]: (entry["state"], entry["attempts"]) for entry in entries}
+    entries = [
+        json.loads(file.read_text()) for file in (folder / "ledger").glob("*.json")
+    ]
+    return {
+        entry["settings"]["estimate"]["beta"]: (entry["state"], entry["attempts"])
+        for entry in entries
+    }
 
 
 def test_a_failed_job_is_kept_and_takes_none_with_it(swept):
@@ -80,20 +102,35 @@ def test_the_table_is_that_of_the_runs_and_each_column_has_its_unit(swept):
     folder, _ = swept
     table = pd.read_parquet(folder / "sweep.parquet").set_index("estimate.beta")
     for beta in (0.9, 0.99):
-        made = pd.read_parquet(folder / table.loc[beta, "folder"] / "iterations/01/estimate/parameters.parquet")
+        made = pd.read_parquet(
+            folder
+            / table.loc[beta, "folder"]
+            / "iterations/01/estimate/parameters.parquet"
+        )
         for row in made.itertuples():
             assert table.loc[beta, row.name] == row.value
     for column in pq.read_schema(folder / "sweep.parquet"):
         assert {b"unit", b"meaning"} <= (column.metadata or {}).keys(), column.name
-    assert store.origin_of(folder / "sweep.parquet")["code"]
+    assert store.read_origin(folder / "sweep.parquet")["code"]
 
 
-def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(swept, trials, called):
+def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(
+    swept, trials, called
+):
     folder, _ = swept
     before = numbers(folder)
     table = folder / "sweep.parquet"
-    table.write_bytes(table.read_bytes()[:100] + b"damaged" + table.read_bytes()[107:-30])
-    grown = sweep(folder, trials, 1, "hydra.launcher.retry=true", betas="0.90,0.99,1.5", call=called)
+    table.write_bytes(
+        table.read_bytes()[:100] + b"damaged" + table.read_bytes()[107:-30]
+    )
+    grown = sweep(
+        folder,
+        trials,
+        1,
+        "hydra.launcher.retry=true",
+        betas="0.90,0.99,1.5",
+        call=called,
+    )
     assert grown.returncode == 1
     assert attempts(folder) == {0.9: ("done", 1), 0.99: ("done", 1), 1.5: ("failed", 2)}
     assert numbers(folder) == before
@@ -102,12 +139,20 @@ def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(sw
 
 @pytest.mark.long
 @pytest.mark.parametrize("launcher", PACKAGES)
-def test_the_numbers_are_the_same_to_the_bit_whoever_runs_the_jobs(launcher, swept, trials, tmp_path):
+def test_the_numbers_are_the_same_to_the_bit_whoever_runs_the_jobs(
+    launcher, swept, trials, tmp_path
+):
     """Here they have two threads each, there one."""
     if importlib.util.find_spec(PACKAGES[launcher]) is None:
         pytest.skip(f"needs {PACKAGES[launcher]}")
     alone, _ = swept
-    said = sweep(tmp_path, trials, 2, f"hydra/launcher={launcher}", f"hydra.launcher.{HERE[launcher]}")
+    said = sweep(
+        tmp_path,
+        trials,
+        2,
+        f"hydra/launcher={launcher}",
+        f"hydra.launcher.{HERE[launcher]}",
+    )
     assert said.returncode == 0, said.stderr
     assert len(numbers(tmp_path)) == 2
     assert numbers(tmp_path) == numbers(alone)

@@ -7,19 +7,19 @@ import pytest
 
 from stringcast.data import dataset
 from stringcast.data.artifacts import ARM, FRAMES, POINTS
-from stringcast.data.images import png
+from stringcast.data.images import encode_png
 from stringcast.data.store import write_table, write_text
-from stringcast.pipeline import run_folder
-from stringcast.pipeline.experiment import LEFT, _check_run
-from stringcast.pipeline.iterations import Iteration
-from stringcast.pipeline.result import Result
-from stringcast.pipeline.settings import UserError, composed
-from stringcast.pipeline.sweep.launcher import left
+from stringcast.pipeline.run import run_folder
+from stringcast.pipeline.run.experiment import SAVEABLE_OUTPUTS, check_run_settings
+from stringcast.pipeline.run.iterations import Iteration
+from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.settings.typed_settings import UserError, compose_settings
+from stringcast.pipeline.sweep.launcher import remaining_time
 
 
 def test_the_time_left_is_at_the_pace_so_far():
-    assert left(60.0, waiting=9, of=12) == "(9 left, about 0:03:00)"
-    assert left(60.0, waiting=0, of=12) == ""
+    assert remaining_time(60.0, waiting=9, of=12) == "(9 left, about 0:03:00)"
+    assert remaining_time(60.0, waiting=0, of=12) == ""
 
 
 def on(lab):
@@ -32,7 +32,9 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
     t = [0.0, 0.1, 0.2]
     files = [f"iterations/01/trial/images/{i}.png" for i in range(3)]
     for file in files:
-        (tmp_path / file).write_bytes(png(pd.DataFrame([[0, 1], [2, 3]]).to_numpy("uint8")))
+        (tmp_path / file).write_bytes(
+            encode_png(pd.DataFrame([[0, 1], [2, 3]]).to_numpy("uint8"))
+        )
     tables = {
         ARM: {"t": t, "q1": t, "q2": t, "q3": t},
         FRAMES: {"frame": [0, 1, 2], "t": t, "file": files},
@@ -40,22 +42,28 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
     }
     for table, columns in tables.items():
         frame = pd.DataFrame(columns).assign(trial="t01")
-        write_table(dataset.with_trial(table), frame, tmp_path / f"{table.name}.parquet", {})
+        write_table(
+            dataset.with_trial(table), frame, tmp_path / f"{table.name}.parquet", {}
+        )
     write_text(tmp_path / "dataset.yaml", "format: 1\nstring: {length: 0.3}\n")
-    assert dataset.read(tmp_path).films
-    ended = Result(tmp_path, (Iteration(1, {"trial": SimpleNamespace()}),), "")
-    run_folder.without_frames(on("hardware.serial.lab.open_lab"), ended)
+    assert dataset.read_dataset(tmp_path).films
+    ended = RunResult(tmp_path, (Iteration(1, {"trial": SimpleNamespace()}),), "")
+    run_folder.remove_frames(on("hardware.serial.lab.open_lab"), ended)
     assert place.exists()  # nobody can film them again
-    run_folder.without_frames(on("hardware.virtual.open_lab"), ended)
+    run_folder.remove_frames(on("hardware.virtual.open_lab"), ended)
     assert not place.exists()
-    again = dataset.read(tmp_path)
+    again = dataset.read_dataset(tmp_path)
     assert not again.films
     assert len(again.trials["t01"].points) == 3
 
 
 def test_what_a_run_may_leave_is_named():
-    config = composed()
-    assert config["keep"] == list(LEFT)
+    config = compose_settings()
+    assert config["keep"] == list(SAVEABLE_OUTPUTS)
     for wrong in (["pictures"], "frames"):
-        with pytest.raises(UserError, match=r"keep = .*\[?.*frames, report\. Change it"):
-            _check_run(config | {"keep": wrong}, lambda block: "conf/config.yaml")
+        with pytest.raises(
+            UserError, match=r"keep = .*\[?.*frames, report\. Change it"
+        ):
+            check_run_settings(
+                config | {"keep": wrong}, lambda block: "conf/config.yaml"
+            )

@@ -4,20 +4,20 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, Trial
-from stringcast.hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
+from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench, VirtualCamera
 from stringcast.hardware.virtual.obstacles import Box, Obstacles
-from stringcast.hardware.virtual.render import Look, render, scenery
-from stringcast.hardware.virtual.servo import Servo
+from stringcast.hardware.virtual.render import Look, render_background, render_frame
+from stringcast.hardware.virtual.servo import VirtualServo
 from stringcast.stages.execute.execute import execute
 
 
 def test_the_velocity_loop_has_the_bandwidth_it_states():
-    servo = Servo(bandwidth=40.0, repeatability=0.0, step=0.0001)
+    servo = VirtualServo(bandwidth=40.0, repeatability=0.0, step=0.0001)
     t = np.arange(0, 2, 0.0001)
     gains = []
     for frequency in (1.0, 40.0):
         wave = np.sin(2 * np.pi * frequency * t)[:, None]
-        fine, turned = servo.follow(t, wave, np.random.default_rng(0))
+        fine, turned = servo.follow_commands(t, wave, np.random.default_rng(0))
         speed = np.gradient(turned[:, 0], fine)
         gains.append(np.ptp(speed[len(speed) // 2 :]) / 2)
     assert abs(gains[0] - 1) < 0.01
@@ -28,8 +28,10 @@ def test_the_string_is_drawn_where_it_is(camera):
     """The centroid of brightness along rows, for a slanted still string."""
     look = Look(noise=0.0, texture=0.0, unevenness=0.0)
     string = np.stack([np.linspace(0.1, 0.15, 30), np.linspace(0.5, 0.2, 30)], axis=-1)
-    wall = scenery(camera, look, 0)
-    frame = render(camera, look, np.full((1, 4, 2), 5.0), string[None], wall) - wall
+    wall = render_background(camera, look, 0)
+    frame = (
+        render_frame(camera, look, np.full((1, 4, 2), 5.0), string[None], wall) - wall
+    )
     pixels = camera.pixels(string)
     for v in range(int(pixels[0, 1]) + 5, int(pixels[-1, 1]) - 5, 7):
         u = (frame[v] * np.arange(camera.width)).sum() / frame[v].sum()
@@ -40,12 +42,20 @@ def test_trials_repeat_bit_for_bit_and_differ_by_their_number(arm, camera):
     from conftest import specimen, swing
 
     def film(trial):
-        bench = Bench(arm, camera, specimen("A"), seed=1, count=trial)
-        return execute(swing(duration=0.1), VirtualArm(bench), VirtualCamera(bench), before=0.02, after=0.02)
+        bench = VirtualBench(arm, camera, specimen("A"), seed=1, trial_number=trial)
+        return execute(
+            swing(duration=0.1),
+            VirtualArm(bench),
+            VirtualCamera(bench),
+            before=0.02,
+            after=0.02,
+        )
 
     one, same, other = film(1), film(1), film(2)
     pd.testing.assert_frame_equal(one.arm, same.arm, check_exact=True)
-    assert all(np.array_equal(a, b) for a, b in zip(one.images, same.images, strict=True))
+    assert all(
+        np.array_equal(a, b) for a, b in zip(one.images, same.images, strict=True)
+    )
     assert not one.arm.equals(other.arm)
     for name, table in Trial.TABLES.items():
         table.check(getattr(one, name))
@@ -56,7 +66,10 @@ def test_execute_films_rest_around_the_movement(filmed):
     t = trial.frames["t"].to_numpy()
     assert t[0] == -0.1
     assert abs(t[-1] - 0.4) < 1e-9
-    assert np.ptp(trial.arm[list(JOINTS)].to_numpy()[trial.arm["t"] < 0], axis=0).max() < 1e-3
+    assert (
+        np.ptp(trial.arm[list(JOINTS)].to_numpy()[trial.arm["t"] < 0], axis=0).max()
+        < 1e-3
+    )
     assert np.isfinite(true).all()
 
 
@@ -75,7 +88,9 @@ def test_what_is_hidden_happens_and_what_is_reported_does_not_tell(arm, camera):
     from conftest import specimen, swing
 
     def performed(hidden):
-        bench = Bench(arm, camera, replace(specimen("A"), points=12, hidden=hidden), seed=1)
+        bench = VirtualBench(
+            arm, camera, replace(specimen("A"), points=12, hidden=hidden), seed=1
+        )
         device = VirtualArm(bench)
         commands = swing(duration=0.2).commands
         device.move_to(commands[list(JOINTS)].iloc[0].tolist())
@@ -86,12 +101,21 @@ def test_what_is_hidden_happens_and_what_is_reported_does_not_tell(arm, camera):
     for name, size in HIDDEN.items():
         bench, also_told = performed({name: size})
         pd.testing.assert_frame_equal(told.arm, also_told.arm, check_exact=True)
-        moved = np.abs(bench.in_view(bench.string_at, times) - plain.in_view(plain.string_at, times)).max()
+        moved = np.abs(
+            bench.camera_view(bench.string_at, times)
+            - plain.camera_view(plain.string_at, times)
+        ).max()
         assert moved > 1e-3, name
     late, _ = performed({"time_offset": {"offset": 0.006}})
-    np.testing.assert_allclose(late.in_view(late.joints_at, times), plain.joints_at(times + 0.006), atol=1e-12)
+    np.testing.assert_allclose(
+        late.camera_view(late.joints_at, times),
+        plain.joints_at(times + 0.006),
+        atol=1e-12,
+    )
     lagging, _ = performed({"arm_lag": {"time_constant": 0.02}})
-    np.testing.assert_allclose(lagging.string_at(times)[:, 0], lagging.joints_at(times)[:, -1], atol=2e-5)
+    np.testing.assert_allclose(
+        lagging.string_at(times)[:, 0], lagging.joints_at(times)[:, -1], atol=2e-5
+    )
 
 
 def test_hiding_what_is_not_known_is_refused():
@@ -107,19 +131,24 @@ def test_hiding_what_is_not_known_is_refused():
 
 
 def test_the_string_bounces_off_the_obstacles(arm, camera):
-    """Two boxes in its way: at 4 to 6 m/s it goes 3 mm deep, where without them it went through by 47 and 52."""
+    """Two boxes in its way: at 4 to 6 m/s it goes 3 mm deep, where without them it went
+    through by 47 and 52.
+    """
     from conftest import specimen, swing
 
     boxes = (Box(0.0, 0.85, 0.2, 0.2), Box(0.85, 0.4, 0.2, 0.2))
 
     def deepest(obstacles):
-        bench = Bench(arm, camera, specimen("A"), seed=1, obstacles=obstacles)
+        bench = VirtualBench(arm, camera, specimen("A"), seed=1, obstacles=obstacles)
         device = VirtualArm(bench)
         commands = swing(duration=0.5).commands
         device.move_to(commands[list(JOINTS)].iloc[0].tolist())
         device.perform(commands)
         x, y = bench.string_at(np.linspace(0, 0.6, 601)).T
-        return [np.minimum(b.w / 2 - np.abs(x - b.x), b.h / 2 - np.abs(y - b.y)).max() for b in boxes]
+        return [
+            np.minimum(b.w / 2 - np.abs(x - b.x), b.h / 2 - np.abs(y - b.y)).max()
+            for b in boxes
+        ]
 
     free, stopped = deepest(Obstacles()), deepest(Obstacles(boxes))
     assert min(free) > 0.04

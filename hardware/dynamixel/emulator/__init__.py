@@ -1,1 +1,3 @@
-"""A bus of servos on a pseudo-terminal, which answers the packets of the maker's own library."""
+"""A bus of servos on a pseudo-terminal, which answers the packets of the maker's own
+library.
+"""

@@ -1,4 +1,6 @@
-"""Packets of protocol 2.0 (e-manual, ROBOTIS): header FF FF FD 00, byte stuffing, CRC-16."""
+"""Packets of protocol 2.0 (e-manual, ROBOTIS): header FF FF FD 00, byte stuffing,
+CRC-16.
+"""
 
 from __future__ import annotations
 
@@ -26,14 +28,20 @@ def crc16(data: bytes) -> int:
     return crc
 
 
-def status(identity: int, error: int, parameters: bytes = b"") -> bytes:
-    """The bytes of a status packet, Protocol 2.0: of a servo, with its error and what was asked for."""
-    content = (bytes([STATUS, error]) + parameters).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
-    body = HEADER + bytes([identity]) + (len(content) + 2).to_bytes(2, "little") + content
+def status_packet(identity: int, error: int, parameters: bytes = b"") -> bytes:
+    """The bytes of a status packet, Protocol 2.0: of a servo, with its error and what
+    was asked for.
+    """
+    content = (bytes([STATUS, error]) + parameters).replace(
+        b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
+    )
+    body = (
+        HEADER + bytes([identity]) + (len(content) + 2).to_bytes(2, "little") + content
+    )
     return body + crc16(body).to_bytes(2, "little")
 
 
-class Splitter:
+class PacketSplitter:
     """Cuts a stream of bytes into packets; damaged ones are left out."""
 
     def __init__(self) -> None:
@@ -51,7 +59,9 @@ class Splitter:
             if len(self.rest) < 7 or len(self.rest) < end:
                 break
             packet, self.rest = self.rest[:end], self.rest[end:]
-            if len(packet) >= 10 and crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little"):
+            if len(packet) >= 10 and crc16(packet[:-2]) == int.from_bytes(
+                packet[-2:], "little"
+            ):
                 content = packet[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
                 found.append(Packet(packet[4], content[0], content[1:]))
         return found

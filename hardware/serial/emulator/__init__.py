@@ -1,1 +1,3 @@
-"""A device on a pseudo-terminal: reference firmware, arm dynamics, and faults on request."""
+"""A device on a pseudo-terminal: reference firmware, arm dynamics, and faults on
+request.
+"""

@@ -1,4 +1,5 @@
-"""`python -m stringcast.hardware.serial.emulator`: serve a device on a pseudo-terminal, whose name is printed first.
+"""`python -m stringcast.hardware.serial.emulator`: serve a device on a pseudo-terminal,
+whose name is printed first.
 
 It ends with whoever started it.
 """
@@ -7,29 +8,49 @@ from __future__ import annotations
 
 import json
 
-from stringcast.hardware.emulated.terminal import parser, serve
-from stringcast.hardware.serial.emulator.device import KINDS, Device
+from stringcast.hardware.emulated.terminal import command_parser, serve
+from stringcast.hardware.serial.emulator.device import FAULT_KINDS, EmulatedArm
 from stringcast.hardware.serial.firmware import Firmware
 
-AFTER = 0.5  # [s] for which an unplugged device goes on
+UNPLUGGED_S = 0.5  # [s] for which an unplugged device goes on
 
 
 def main() -> None:
-    """Serve until --until seconds are over; an unplugged device goes on alone until its arm stands."""
-    asked = parser("python -m stringcast.hardware.serial.emulator", __doc__, KINDS)
+    """Serve until --until seconds are over; an unplugged device goes on alone until its
+    arm stands.
+    """
+    asked = command_parser(
+        "python -m stringcast.hardware.serial.emulator", __doc__, FAULT_KINDS
+    )
     asked.add_argument("--watchdog", type=int, default=25, help="[ms]")
-    asked.add_argument("--since", type=int, default=0, help="the device's clock at the start [us]")
+    asked.add_argument(
+        "--since", type=int, default=0, help="the device's clock at the start [us]"
+    )
     options = asked.parse_args()
     with options.log.open("w", buffering=1) as log:
         firmware, faults = Firmware(options.watchdog), dict(options.fault)
-        device = Device(faults, lambda event, device: log.write(line(event, device)), firmware, options.since)
-        serve(device, options.until, AFTER)
+        device = EmulatedArm(
+            faults,
+            lambda event, device: log.write(log_line(event, device)),
+            firmware,
+            options.since,
+        )
+        serve(device, options.until, UNPLUGGED_S)
 
 
-def line(event: str, device: Device) -> str:
-    """An event with what the device is about, as JSON: time [s], angles [rad], speeds [rad/s]."""
-    row = {"event": event, "t": device.clock, "state": device.firmware.state.name.lower()}
-    row |= {"angles": [joint.angle for joint in device.joints], "speeds": [joint.speed for joint in device.joints]}
+def log_line(event: str, device: EmulatedArm) -> str:
+    """An event with what the device is about, as JSON: time [s], angles [rad], speeds
+    [rad/s].
+    """
+    row = {
+        "event": event,
+        "t": device.clock,
+        "state": device.firmware.state.name.lower(),
+    }
+    row |= {
+        "angles": [joint.angle for joint in device.joints],
+        "speeds": [joint.speed for joint in device.joints],
+    }
     return json.dumps(row) + "\n"
 
 

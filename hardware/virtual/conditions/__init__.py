@@ -1,14 +1,35 @@
-"""Real conditions, rendered: each makes a film harder to read in one way, at two or three severities."""
+"""Real conditions, rendered: each makes a film harder to read in one way, at two or
+three severities.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from stringcast.hardware.virtual.conditions.camera import Closer, Exposure, HotPixels, Jpeg, Noise, Shake, Video
+from stringcast.hardware.virtual.conditions.camera import (
+    CameraShake,
+    CroppedView,
+    HotPixels,
+    JpegCoding,
+    LongExposure,
+    SensorNoise,
+    VideoCoding,
+)
 from stringcast.hardware.virtual.conditions.clutter import ArmCable, Cables
-from stringcast.hardware.virtual.conditions.condition import Condition, Shot, film, shot_of
-from stringcast.hardware.virtual.conditions.light import Blobs, Contrast, Flicker, Gradient, Shadow
-from stringcast.hardware.virtual.conditions.pose import Across, Behind, Loop
+from stringcast.hardware.virtual.conditions.condition import (
+    Condition,
+    Shot,
+    film_shot,
+    prepare_shot,
+)
+from stringcast.hardware.virtual.conditions.light import (
+    Blobs,
+    Contrast,
+    Flicker,
+    Gradient,
+    Shadow,
+)
+from stringcast.hardware.virtual.conditions.pose import BeforeArm, BehindArm, StringLoop
 
 Severities = tuple[tuple[Condition, ...], ...]
 CONDITIONS: Mapping[str, Severities] = {
@@ -20,20 +41,29 @@ CONDITIONS: Mapping[str, Severities] = {
     "moving cable": ((ArmCable(110),), (ArmCable(205),)),
     "low contrast": ((Contrast(80),), (Contrast(40),), (Contrast(20),)),
     "drifting dust": ((Blobs(3, 20),), (Blobs(10, 60),)),
-    "before the arm": ((Across(0.5),), (Across(0.1),)),
-    "behind the arm": ((Behind(0.5),), (Behind(0.1),)),
-    "loop": ((Loop(0.20),), (Loop(0.12),), (Loop(0.06),)),
-    "tip out of view": ((Closer(0.25),), (Closer(0.6),)),
-    "motion blur": ((Exposure(0.25),), (Exposure(0.5),), (Exposure(1.0),)),
-    "sensor noise": ((Noise(5),), (Noise(10),), (Noise(20),)),
-    "camera shake": ((Shake(0.5),), (Shake(1.0),), (Shake(3.0),)),
+    "before the arm": ((BeforeArm(0.5),), (BeforeArm(0.1),)),
+    "behind the arm": ((BehindArm(0.5),), (BehindArm(0.1),)),
+    "loop": ((StringLoop(0.20),), (StringLoop(0.12),), (StringLoop(0.06),)),
+    "tip out of view": ((CroppedView(0.25),), (CroppedView(0.6),)),
+    "motion blur": ((LongExposure(0.25),), (LongExposure(0.5),), (LongExposure(1.0),)),
+    "sensor noise": ((SensorNoise(5),), (SensorNoise(10),), (SensorNoise(20),)),
+    "camera shake": ((CameraShake(0.5),), (CameraShake(1.0),), (CameraShake(3.0),)),
     "hot pixels": ((HotPixels(100),), (HotPixels(2000),)),
-    "JPEG": ((Jpeg(90),), (Jpeg(60),), (Jpeg(30),)),
-    "video": ((Video(),),),
+    "JPEG": ((JpegCoding(90),), (JpegCoding(60),), (JpegCoding(30),)),
+    "video": ((VideoCoding(),),),
     "several": (
-        (Gradient(0.4), Shadow(0.3), Cables(40), Exposure(0.25), Jpeg(90)),
-        (Gradient(0.6), Flicker(0.1), Shadow(0.5), Cables(80), Exposure(0.5), Noise(4), Shake(0.5), Jpeg(60)),
+        (Gradient(0.4), Shadow(0.3), Cables(40), LongExposure(0.25), JpegCoding(90)),
+        (
+            Gradient(0.6),
+            Flicker(0.1),
+            Shadow(0.5),
+            Cables(80),
+            LongExposure(0.5),
+            SensorNoise(4),
+            CameraShake(0.5),
+            JpegCoding(60),
+        ),
     ),
 }
 
-__all__ = ["CONDITIONS", "Condition", "Severities", "Shot", "film", "shot_of"]
+__all__ = ["CONDITIONS", "Condition", "Severities", "Shot", "film_shot", "prepare_shot"]

@@ -7,12 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stringcast.hardware.virtual.bench import EXPOSURES, Bench
-from stringcast.hardware.virtual.render import Look, noisy, render, scenery
+from stringcast.hardware.virtual.bench import EXPOSURE_MOMENTS, VirtualBench
+from stringcast.hardware.virtual.render import (
+    Look,
+    add_sensor_noise,
+    render_background,
+    render_frame,
+)
 from stringcast.stages.model.camera import Camera
 
-FINE = 2.5e-4  # [s] between the moments a shot is kept at
-MOST = 32  # moments drawn in one exposure at most
+SHOT_STEP_S = 2.5e-4  # [s] between the moments a shot is kept at
+MAX_EXPOSURE_MOMENTS = 32  # moments drawn in one exposure at most
 
 
 @dataclass(frozen=True)
@@ -22,7 +27,7 @@ class Shot:
     camera: Camera
     look: Look
     wall: np.ndarray
-    t: np.ndarray
+    frame_times: np.ndarray
     times: np.ndarray
     joints: np.ndarray
     strings: np.ndarray
@@ -30,12 +35,14 @@ class Shot:
     @property
     def truth(self) -> np.ndarray:
         """The string in the middle of each exposure, (F, n, 2) [m]."""
-        return at(self.t, self.times, self.strings)
+        return interpolate(self.frame_times, self.times, self.strings)
 
 
 @dataclass(frozen=True)
-class Moment:
-    """One exposure. joints: (K, J + 1, 2), strings: (K, n, 2) while the shutter is open [m]; rng: its chance."""
+class ExposureMoment:
+    """One exposure. joints: (K, J + 1, 2), strings: (K, n, 2) while the shutter is open
+    [m]; rng: its chance.
+    """
 
     shot: Shot
     number: int
@@ -46,62 +53,92 @@ class Moment:
 
 
 class Condition:
-    """One thing that makes a film harder to read. Each member is frozen data and changes what it needs to."""
+    """One thing that makes a film harder to read. Each member is frozen data and
+    changes what it needs to.
+    """
 
-    def stage(self, shot: Shot) -> Shot:
+    def change_scene(self, shot: Shot) -> Shot:
         """Change what is filmed, before anything is drawn."""
         return shot
 
-    def behind(self, wall: np.ndarray, moment: Moment) -> np.ndarray:
+    def change_background(self, wall: np.ndarray, moment: ExposureMoment) -> np.ndarray:
         """Change the background of one frame. wall: (height, width) float32."""
         return wall
 
-    def seen(self, frame: np.ndarray, moment: Moment) -> np.ndarray:
+    def change_light(self, frame: np.ndarray, moment: ExposureMoment) -> np.ndarray:
         """Change the light that falls on the sensor. frame: (height, width) float32."""
         return frame
 
-    def stored(self, images: Sequence[np.ndarray], fps: float) -> Sequence[np.ndarray]:
-        """Change what is left of the film when it is read again. images: F of (height, width) uint8."""
+    def change_stored_images(
+        self, images: Sequence[np.ndarray], fps: float
+    ) -> Sequence[np.ndarray]:
+        """Change what is left of the film when it is read again. images: F of (height,
+        width) uint8.
+        """
         return images
 
 
-def shot_of(bench: Bench, t: np.ndarray) -> Shot:
+def prepare_shot(bench: VirtualBench, t: np.ndarray) -> Shot:
     """The shot of the last performed motion on a bench, at times t (F,) [s]."""
-    margin = 0.6 / bench.camera.fps  # an exposure reaches half of an interval beyond its frame's time at most
-    times = np.arange(t[0] - margin, t[-1] + margin, FINE)
-    wall = scenery(bench.camera, bench.look, bench.seed)
-    return Shot(bench.camera, bench.look, wall, t, times, bench.joints_at(times), bench.string_at(times))
+    # an exposure reaches half of an interval beyond its frame's time at most
+    margin = 0.6 / bench.camera.fps
+    times = np.arange(t[0] - margin, t[-1] + margin, SHOT_STEP_S)
+    wall = render_background(bench.camera, bench.look, bench.seed)
+    return Shot(
+        bench.camera,
+        bench.look,
+        wall,
+        t,
+        times,
+        bench.joints_at(times),
+        bench.string_at(times),
+    )
 
 
-def film(shot: Shot, conditions: Sequence[Condition], seed: int) -> Sequence[np.ndarray]:
-    """Frames of a staged shot, F uint8 images (height, width). seed: of all chance in them."""
+def film_shot(
+    shot: Shot, conditions: Sequence[Condition], seed: int
+) -> Sequence[np.ndarray]:
+    """Frames of a staged shot, F uint8 images (height, width). seed: of all chance in
+    them.
+    """
     images = []
-    for number in range(len(shot.t)):
-        moment = exposed(shot, number, seed)
+    for number in range(len(shot.frame_times)):
+        moment = open_shutter(shot, number, seed)
         wall = shot.wall
         for condition in conditions:
-            wall = condition.behind(wall, moment)
-        light = render(shot.camera, shot.look, moment.joints, moment.strings, wall)
+            wall = condition.change_background(wall, moment)
+        light = render_frame(
+            shot.camera, shot.look, moment.joints, moment.strings, wall
+        )
         for condition in conditions:
-            light = condition.seen(light, moment)
-        images.append(noisy(light, shot.look, moment.rng))
+            light = condition.change_light(light, moment)
+        images.append(add_sensor_noise(light, shot.look, moment.rng))
     for condition in conditions:
-        images = list(condition.stored(images, shot.camera.fps))
+        images = list(condition.change_stored_images(images, shot.camera.fps))
     return images
 
 
-def exposed(shot: Shot, number: int, seed: int) -> Moment:
+def open_shutter(shot: Shot, number: int, seed: int) -> ExposureMoment:
     """Arm and string while the shutter is open, at moments about a pixel apart."""
-    t, half = shot.t[number], shot.camera.exposure / 2
-    ends = at(np.array([t - half, t + half]), shot.times, shot.strings)
+    t, half = shot.frame_times[number], shot.camera.exposure / 2
+    ends = interpolate(np.array([t - half, t + half]), shot.times, shot.strings)
     blur = np.linalg.norm(ends[1] - ends[0], axis=-1).max() * shot.camera.px_per_m
-    open_shutter = np.linspace(t - half, t + half, int(np.clip(blur, EXPOSURES, MOST)))
-    joints, strings = (at(open_shutter, shot.times, which) for which in (shot.joints, shot.strings))
-    return Moment(shot, number, float(t), joints, strings, np.random.default_rng([seed, number]))
+    open_shutter = np.linspace(
+        t - half, t + half, int(np.clip(blur, EXPOSURE_MOMENTS, MAX_EXPOSURE_MOMENTS))
+    )
+    joints, strings = (
+        interpolate(open_shutter, shot.times, which)
+        for which in (shot.joints, shot.strings)
+    )
+    return ExposureMoment(
+        shot, number, float(t), joints, strings, np.random.default_rng([seed, number])
+    )
 
 
-def at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values at other times, linear between. t: (F,), times: (M,), values: (M, ...). Returns (F, ...)."""
+def interpolate(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values at other times, linear between. t: (F,), times: (M,), values: (M, ...).
+    Returns (F, ...).
+    """
     after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
     share = np.clip((t - times[after - 1]) / (times[after] - times[after - 1]), 0, 1)
     share = share.reshape(-1, *[1] * (values.ndim - 1))

@@ -1,1 +1,3 @@
-"""The blind study: benches that hide a cause, diagnosed, and only then their envelopes opened and scores made."""
+"""The blind study: benches that hide a cause, diagnosed, and only then their envelopes
+opened and scores made.
+"""

@@ -1,4 +1,6 @@
-"""Pictures of a blind study's scores: the confusion matrix, and an overview beside the goals."""
+"""Pictures of a blind study's scores: the confusion matrix, and an overview beside the
+goals.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +13,23 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from stringcast.pipeline.studies.counts import bars
-from stringcast.stages.report.theme import LIGHT, STYLE
+from stringcast.stages.report.theme import LIGHT_COLOURS, STYLE_SHEET
 
 COLOURS = {"effect": "after", "outside": "measured", "pair": "before", "triple": "wall"}
-LAST = ("none", "unknown", "ambiguous", "insufficient", "failed")  # answers that are no effect
+# answers that are no effect
+LAST = ("none", "unknown", "ambiguous", "insufficient", "failed")
 KINDS = ("effect", "resolution", "none", "outside")
 
 
 def pictures(tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:
-    """Write `confusion.png` and `overview.png`. tables: of `scores`. Returns their paths."""
+    """Write `confusion.png` and `overview.png`. tables: of `scores`. Returns their
+    paths.
+    """
     drawn = {"confusion": _confusion, "overview": _overview}
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, draw in drawn.items():
-        with plt.style.context(STYLE):
+        with plt.style.context(STYLE_SHEET):
             figure = draw(tables)
             paths.append(folder / f"{name}.png")
             figure.savefig(paths[-1], dpi=150, facecolor="white")
@@ -35,23 +40,45 @@ def pictures(tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:
 def _confusion(tables: Mapping[str, pd.DataFrame]) -> plt.Figure:
     """Rows: what was hidden. Columns: what was said."""
     counts = tables["confusion"]
-    rows = [(k, t) for k in KINDS for t in sorted(counts.loc[counts["kind"] == k, "truth"].unique())]
+    rows = [
+        (k, t)
+        for k in KINDS
+        for t in sorted(counts.loc[counts["kind"] == k, "truth"].unique())
+    ]
     said = set(counts["answer"])
     right = [t for k, t in rows if k in KINDS[:2]]
-    columns = [*right, *sorted(said - {*right, *LAST}), *(a for a in LAST if a in said | {"none", "unknown"})]
-    matrix = counts.pivot_table(index=["kind", "truth"], columns="answer", values="count", aggfunc="sum")
+    columns = [
+        *right,
+        *sorted(said - {*right, *LAST}),
+        *(a for a in LAST if a in said | {"none", "unknown"}),
+    ]
+    matrix = counts.pivot_table(
+        index=["kind", "truth"], columns="answer", values="count", aggfunc="sum"
+    )
     shown = matrix.reindex(index=rows, columns=columns).fillna(0).to_numpy()
-    figure, axes = plt.subplots(figsize=(2.6 + 0.28 * len(columns), 1.8 + 0.26 * len(rows)))
-    axes.imshow(shown / shown.sum(axis=1, keepdims=True), cmap="Blues", vmin=0, vmax=1.4, aspect="auto")
+    figure, axes = plt.subplots(
+        figsize=(2.6 + 0.28 * len(columns), 1.8 + 0.26 * len(rows))
+    )
+    axes.imshow(
+        shown / shown.sum(axis=1, keepdims=True),
+        cmap="Blues",
+        vmin=0,
+        vmax=1.4,
+        aspect="auto",
+    )
     for i, j in zip(*np.nonzero(shown), strict=True):
         axes.text(j, i, f"{shown[i, j]:.0f}", ha="center", va="center", fontsize=7)
-    axes.set_xticks(range(len(columns)), columns, rotation=60, ha="right", rotation_mode="anchor")
-    axes.set_yticks(range(len(rows)), [t if k != "outside" else f"outside: {t}" for k, t in rows])
+    axes.set_xticks(
+        range(len(columns)), columns, rotation=60, ha="right", rotation_mode="anchor"
+    )
+    axes.set_yticks(
+        range(len(rows)), [t if k != "outside" else f"outside: {t}" for k, t in rows]
+    )
     axes.set(xlabel="said", ylabel="hidden")
     axes.set_xticks(np.arange(len(columns)) - 0.5, minor=True)
     axes.set_yticks(np.arange(len(rows)) - 0.5, minor=True)
     axes.grid(False)
-    axes.grid(which="minor", color=LIGHT["grid"], linewidth=0.6)
+    axes.grid(which="minor", color=LIGHT_COLOURS["grid"], linewidth=0.6)
     axes.tick_params(which="both", length=0)
     return figure
 
@@ -67,44 +94,108 @@ def _overview(tables: Mapping[str, pd.DataFrame]) -> plt.Figure:
     _reliability(right, tables["calibration"], tables["calibration_error"].iloc[0])
     _goals(wide, tables["rates"])
     seconds = tables["runtime"].iloc[0]
-    narrow.hist(tables["benches"]["runtime"], bins=30, color=LIGHT["after"])
-    narrow.axvline(seconds["at_most"], color=LIGHT["wall"], ls="--", lw=1)
+    narrow.hist(tables["benches"]["runtime"], bins=30, color=LIGHT_COLOURS["after"])
+    narrow.axvline(seconds["at_most"], color=LIGHT_COLOURS["wall"], ls="--", lw=1)
     narrow.set(xlabel="runtime of a diagnosis / s", ylabel="benches", xlim=(0, None))
-    narrow.set_title(f"median {seconds['median']:.0f} s, 95 % below {seconds['p95']:.0f} s")
+    narrow.set_title(
+        f"median {seconds['median']:.0f} s, 95 % below {seconds['p95']:.0f} s"
+    )
     return figure
 
 
 def _sizes(axes: Axes, table: pd.DataFrame) -> None:
     for number, (kind, some) in enumerate(table.groupby("kind")):
-        across = some["size"] * 1.02 ** (number - 1)  # side by side, so that bars can be told apart
-        axes.errorbar(across, some["share"], bars(some), fmt="o-", ms=4, color=LIGHT[COLOURS[kind]], label=kind)
-    axes.axhline(0.95, color=LIGHT["wall"], ls="--", lw=1, label="goal for effects")
+        # side by side, so that bars can be told apart
+        across = some["size"] * 1.02 ** (number - 1)
+        axes.errorbar(
+            across,
+            some["share"],
+            bars(some),
+            fmt="o-",
+            ms=4,
+            color=LIGHT_COLOURS[COLOURS[kind]],
+            label=kind,
+        )
+    axes.axhline(
+        0.95, color=LIGHT_COLOURS["wall"], ls="--", lw=1, label="goal for effects"
+    )
     axes.set_xscale("log")
     axes.set_xticks([5, 10, 20, 40], ["5", "10", "20", "40"])
     axes.minorticks_off()
-    axes.set(xlabel="largest displacement of the tip / noise sigma", ylabel="share that is right", ylim=(0, 1.05))
+    axes.set(
+        xlabel="largest displacement of the tip / noise sigma",
+        ylabel="share that is right",
+        ylim=(0, 1.05),
+    )
     axes.set_title("right answers, by size")
     axes.legend(loc="lower right")
 
 
 def _reliability(axes: Axes, table: pd.DataFrame, error: pd.Series) -> None:
-    axes.plot([0, 1], [0, 1], color=LIGHT["wall"], ls="--", lw=1)
-    axes.errorbar(table["confidence"], table["share"], bars(table), fmt="o", ms=4, color=LIGHT["after"])
+    axes.plot([0, 1], [0, 1], color=LIGHT_COLOURS["wall"], ls="--", lw=1)
+    axes.errorbar(
+        table["confidence"],
+        table["share"],
+        bars(table),
+        fmt="o",
+        ms=4,
+        color=LIGHT_COLOURS["after"],
+    )
     for x, low, count in table[["confidence", "low", "count"]].to_numpy():
         below = (0, -3)  # points
-        axes.annotate(f"{count:.0f}", (x, low), below, textcoords="offset points", va="top", ha="center", fontsize=7)
-    axes.set(xlabel="probability stated", ylabel="share that is right", xlim=(0, 1.03), ylim=(-0.08, 1.05))
-    axes.set_title(f"calibration error {error['error']:.3f}, chance alone {error['chance']:.3f}")
+        axes.annotate(
+            f"{count:.0f}",
+            (x, low),
+            below,
+            textcoords="offset points",
+            va="top",
+            ha="center",
+            fontsize=7,
+        )
+    axes.set(
+        xlabel="probability stated",
+        ylabel="share that is right",
+        xlim=(0, 1.03),
+        ylim=(-0.08, 1.05),
+    )
+    axes.set_title(
+        f"calibration error {error['error']:.3f}, chance alone {error['chance']:.3f}"
+    )
 
 
 def _goals(axes: Axes, table: pd.DataFrame) -> None:
     shown = table[table["count"] > 0].iloc[::-1].reset_index(drop=True)
-    axes.errorbar(shown["share"], shown.index, xerr=bars(shown), fmt="o", ms=4, color=LIGHT["after"])
+    axes.errorbar(
+        shown["share"],
+        shown.index,
+        xerr=bars(shown),
+        fmt="o",
+        ms=4,
+        color=LIGHT_COLOURS["after"],
+    )
     for place, row in shown.iterrows():
         for goal, mark in ((row["at_least"], ">"), (row["at_most"], "<")):
             if np.isfinite(goal):
-                axes.plot(goal, place, marker=mark, color=LIGHT["before"], ms=6, ls="none", clip_on=False)
+                axes.plot(
+                    goal,
+                    place,
+                    marker=mark,
+                    color=LIGHT_COLOURS["before"],
+                    ms=6,
+                    ls="none",
+                    clip_on=False,
+                )
     axes.set_yticks(
-        shown.index, shown["name"] + " (" + shown["right"].astype(str) + "/" + shown["count"].astype(str) + ")"
+        shown.index,
+        shown["name"]
+        + " ("
+        + shown["right"].astype(str)
+        + "/"
+        + shown["count"].astype(str)
+        + ")",
     )
-    axes.set(xlim=(-0.03, 1.03), ylim=(-0.6, len(shown) - 0.4), xlabel="share, with 95 % interval; triangles: goals")
+    axes.set(
+        xlim=(-0.03, 1.03),
+        ylim=(-0.6, len(shown) - 0.4),
+        xlabel="share, with 95 % interval; triangles: goals",
+    )

@@ -1,4 +1,6 @@
-"""Scores of a blind study, as tables: what was said of each bench, and how often it was right."""
+"""Scores of a blind study, as tables: what was said of each bench, and how often it was
+right.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ from stringcast.pipeline.studies.blind.verdicts import (
     named_above,
 )
 from stringcast.pipeline.studies.counts import COUNTS, UNKNOWN_CODE, counted
-from stringcast.stages.model.library import library
+from stringcast.stages.model.library import effects_by_name
 
 BINS = np.linspace(0.0, 1.0, 11)  # of confidence
 SIZES = np.array([5.0, 8.0, 12.0, 20.0, 30.0, np.inf])  # [sigma]
@@ -37,31 +39,75 @@ BENCHES = Table(
         Column("seed", "1", "of the bench", "int"),
         Column("kind", "", "effect, none, outside, pair, triple or resolution", "text"),
         Column("truth", "", "what was hidden, joined by +", "text"),
-        Column("size", "1", "how far it moves the tip, in noise sigmas, base parameters refitted; least of several"),
+        Column(
+            "size",
+            "1",
+            "how far it moves the tip, in noise sigmas, base parameters refitted; least of several",
+        ),
         Column("verdict", "", "of the diagnosis", "text"),
-        Column("answer", "", "first named, the true one if it is among the look-alikes named first", "text"),
+        Column(
+            "answer",
+            "",
+            "first named, the true one if it is among the look-alikes named first",
+            "text",
+        ),
         Column("named", "", "all that was named, look-alikes joined by |", "text"),
         Column("correct", "", "the answer is right", "bool"),
         Column("confidence", "1", "probability of the answer; NaN if not stated"),
-        Column("group", "1", "how many look-alikes the answer has, itself included; 0 if nothing is named", "int"),
+        Column(
+            "group",
+            "1",
+            "how many look-alikes the answer has, itself included; 0 if nothing is named",
+            "int",
+        ),
         Column("extra", "1", "named beyond what is hidden", "int"),
         Column("found", "1", "how many of what is hidden are named", "int"),
-        Column("named_above_half", "", "a library effect was given a probability above 0.5", "bool"),
+        Column(
+            "named_above_half",
+            "",
+            "a library effect was given a probability above 0.5",
+            "bool",
+        ),
         Column("rms_base", "m", "on held-out trials"),
         Column("rms_extended", "m", "on held-out trials"),
         Column("noise_floor", "m", "as estimated"),
         Column("runtime", "s", "of the diagnosis"),
-        Column("laboratory", "", "who drew the bench; where nothing says, the virtual lab", "text", optional=True),
-        Column("version", "1", "of the benches; see version.py of the laboratory", "int"),
+        Column(
+            "laboratory",
+            "",
+            "who drew the bench; where nothing says, the virtual lab",
+            "text",
+            optional=True,
+        ),
+        Column(
+            "version", "1", "of the benches; see version.py of the laboratory", "int"
+        ),
         Column(
             "code",
             "",
             "commit of the code that was asked, + if it was changed since; 'unknown' where nothing says",
             "text",
         ),
-        Column("half", "", "all that half of its trials named; empty if they were not asked", "text", optional=True),
-        Column("lost", "1", "how much of that is not named with all of them", "int", optional=True),
-        Column("values", "", "of true causes that were named, JSON: name, true, value, low, high, inside", "text"),
+        Column(
+            "half",
+            "",
+            "all that half of its trials named; empty if they were not asked",
+            "text",
+            optional=True,
+        ),
+        Column(
+            "lost",
+            "1",
+            "how much of that is not named with all of them",
+            "int",
+            optional=True,
+        ),
+        Column(
+            "values",
+            "",
+            "of true causes that were named, JSON: name, true, value, low, high, inside",
+            "text",
+        ),
     ),
 )
 PARAMETERS = Table(
@@ -122,8 +168,16 @@ ERROR = Table(
     "calibration_error",
     "one row: expected calibration error",
     (
-        Column("error", "1", "mean distance of share and confidence over the bins, weighted by count"),
-        Column("chance", "1", "its mean if every answer were right with exactly the probability stated"),
+        Column(
+            "error",
+            "1",
+            "mean distance of share and confidence over the bins, weighted by count",
+        ),
+        Column(
+            "chance",
+            "1",
+            "its mean if every answer were right with exactly the probability stated",
+        ),
         Column("chance_high", "1", "95th percentile of the same"),
         Column("at_most", "1", "goal"),
         Column("count", "1", "answers with a probability", "int"),
@@ -139,20 +193,46 @@ RUNTIME = Table(
         Column("at_most", "s", "goal"),
     ),
 )
-TABLES = {t.name: t for t in (BENCHES, PARAMETERS, CONFUSION, BY_SIZE, CALIBRATION, RATES, ERROR, RUNTIME)}
+TABLES = {
+    t.name: t
+    for t in (
+        BENCHES,
+        PARAMETERS,
+        CONFUSION,
+        BY_SIZE,
+        CALIBRATION,
+        RATES,
+        ERROR,
+        RUNTIME,
+    )
+}
 
 
 def scores(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
     """Every table of TABLES, by name. rows: of `one_bench`, at least one."""
-    two_sided = frozenset(e.qualified(p) for e in library().values() for p in e.parameters if not p.at_least)
+    two_sided = frozenset(
+        e.qualified_name(p)
+        for e in effects_by_name().values()
+        for p in e.parameters
+        if not p.is_lower_bound
+    )
     benches = BENCHES.check(pd.DataFrame([_bench(row, two_sided) for row in rows]))
     parameters = [
-        {"seed": seed, **one} for seed, kept in benches[["seed", "values"]].to_numpy() for one in json.loads(kept)
+        {"seed": seed, **one}
+        for seed, kept in benches[["seed", "values"]].to_numpy()
+        for one in json.loads(kept)
     ]
     single = benches[~benches["kind"].isin(SEVERAL)]
-    confusion = single.groupby(["kind", "truth", "answer"]).size().rename("count").reset_index()
+    confusion = (
+        single.groupby(["kind", "truth", "answer"]).size().rename("count").reset_index()
+    )
     median, p95 = np.percentile(benches["runtime"], [50, 95])
-    runtime = {"median": median, "p95": p95, "longest": benches["runtime"].max(), "at_most": 120.0}
+    runtime = {
+        "median": median,
+        "p95": p95,
+        "longest": benches["runtime"].max(),
+        "at_most": 120.0,
+    }
     calibration, error = _calibration(benches)
     made = {
         "benches": benches,
@@ -166,9 +246,23 @@ def scores(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
     rates = []
     for name, kinds, chosen, at_least, at_most in COUNTED:
         some = benches[benches["kind"].isin(kinds)]
-        rates.append({"name": name, **counted(chosen(some)), "at_least": at_least, "at_most": at_most})
+        rates.append(
+            {
+                "name": name,
+                **counted(chosen(some)),
+                "at_least": at_least,
+                "at_most": at_most,
+            }
+        )
     inside = counted(made["parameters"]["inside"])
-    rates.append({"name": "parameter in its interval", **inside, "at_least": 0.93, "at_most": 0.97})
+    rates.append(
+        {
+            "name": "parameter in its interval",
+            **inside,
+            "at_least": 0.93,
+            "at_most": 0.97,
+        }
+    )
     made["rates"] = pd.DataFrame(rates)
     return {name: TABLES[name].check(frame) for name, frame in made.items()}
 
@@ -210,15 +304,27 @@ def _written(said: Sequence[Answer]) -> str:
 
 
 def _parameters(row: Row, two_sided: Set[str]) -> list[dict[str, object]]:
-    """Rows of PARAMETERS: those of true causes that were named with an interval. two_sided: names of those whose
-    interval has two ends."""
+    """Rows of PARAMETERS: those of true causes that were named with an interval.
+    two_sided: names of those whose interval has two ends.
+    """
     true = row["truth"]["parameters"]
-    stated = {n: p for cause in row["diagnosis"].get("causes") or [] for n, p in cause.get("parameters", {}).items()}
+    stated = {
+        n: p
+        for cause in row["diagnosis"].get("causes") or []
+        for n, p in cause.get("parameters", {}).items()
+    }
     return [
-        {"name": name, "true": true[name], **{k: p[k] for k in ("value", "low", "high")}}
+        {
+            "name": name,
+            "true": true[name],
+            **{k: p[k] for k in ("value", "low", "high")},
+        }
         | {"inside": bool(p["low"] <= true[name] <= p["high"])}
         for name, p in stated.items()
-        if name in true and name in two_sided and p.get("low") is not None and p.get("high") is not None
+        if name in true
+        and name in two_sided
+        and p.get("low") is not None
+        and p.get("high") is not None
     ]
 
 
@@ -227,7 +333,13 @@ def _by_size(benches: pd.DataFrame) -> pd.DataFrame:
     sized = kinds[kinds["size"].notna()]
     parts = sized.groupby(["kind", np.digitize(sized["size"], SIZES) - 1])
     rows = [
-        {"kind": kind, "from": SIZES[i], "to": SIZES[i + 1], "size": some["size"].mean(), **counted(some["correct"])}
+        {
+            "kind": kind,
+            "from": SIZES[i],
+            "to": SIZES[i + 1],
+            "size": some["size"].mean(),
+            **counted(some["correct"]),
+        }
         for (kind, i), some in parts
         if 0 <= i < len(SIZES) - 1
     ]
@@ -235,22 +347,34 @@ def _by_size(benches: pd.DataFrame) -> pd.DataFrame:
 
 
 def _calibration(benches: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Tables CALIBRATION and ERROR: of answers with a probability, how many are right, and how far off that is."""
+    """Tables CALIBRATION and ERROR: of answers with a probability, how many are right,
+    and how far off that is.
+    """
     stated = benches[benches["confidence"].notna()]
     p, right = stated["confidence"].to_numpy(), stated["correct"].to_numpy()
     rows = [
-        {"from": BINS[i], "to": BINS[i + 1], "confidence": some["confidence"].mean(), **counted(some["correct"])}
+        {
+            "from": BINS[i],
+            "to": BINS[i + 1],
+            "confidence": some["confidence"].mean(),
+            **counted(some["correct"]),
+        }
         for i, some in stated.groupby(_bin(p))
     ]
     by_chance = np.random.default_rng(0).uniform(size=(CHANCE, len(p))) < p
     chance = [calibration_error(p, one) for one in by_chance] if len(p) else [np.nan]
-    error = {"error": calibration_error(p, right), "chance": np.mean(chance), "chance_high": np.percentile(chance, 95)}
+    error = {
+        "error": calibration_error(p, right),
+        "chance": np.mean(chance),
+        "chance_high": np.percentile(chance, 95),
+    }
     table = pd.DataFrame(rows) if rows else CALIBRATION.empty()
     return table, pd.DataFrame([error | {"at_most": 0.05, "count": len(p)}])
 
 
 def calibration_error(p: np.ndarray, right: np.ndarray) -> float:
-    """Expected calibration error of probabilities p (N,) of answers that were right or not (N,), in BINS.
+    """Expected calibration error of probabilities p (N,) of answers that were right or
+    not (N,), in BINS.
 
     Naeini, Cooper and Hauskrecht (2015). NaN for none.
     """
@@ -268,16 +392,46 @@ def _bin(p: np.ndarray) -> np.ndarray:
 Chosen = Callable[[pd.DataFrame], pd.Series]
 # What is counted, of which benches, what of them, and the goal: at least, at most.
 COUNTED: tuple[tuple[str, tuple[str, ...], Chosen, float, float], ...] = (
-    ("cause found", ("effect", "resolution", *SEVERAL), lambda b: b["correct"], 0.95, np.nan),
-    ("single effect found", ("effect", "resolution"), lambda b: b["correct"], 0.95, np.nan),
+    (
+        "cause found",
+        ("effect", "resolution", *SEVERAL),
+        lambda b: b["correct"],
+        0.95,
+        np.nan,
+    ),
+    (
+        "single effect found",
+        ("effect", "resolution"),
+        lambda b: b["correct"],
+        0.95,
+        np.nan,
+    ),
     ("pair found", ("pair",), lambda b: b["correct"], 0.95, np.nan),
     ("one of a pair found", ("pair",), lambda b: b["found"] >= 1, np.nan, np.nan),
     ("triple found", ("triple",), lambda b: b["correct"], 0.75, np.nan),
-    ("found without look-alikes", ("effect", "resolution"), lambda b: b["correct"] & (b["group"] == 1), np.nan, np.nan),
-    ("more named than there is", ("effect", "resolution", *SEVERAL), lambda b: b["extra"] > 0, np.nan, np.nan),
+    (
+        "found without look-alikes",
+        ("effect", "resolution"),
+        lambda b: b["correct"] & (b["group"] == 1),
+        np.nan,
+        np.nan,
+    ),
+    (
+        "more named than there is",
+        ("effect", "resolution", *SEVERAL),
+        lambda b: b["extra"] > 0,
+        np.nan,
+        np.nan,
+    ),
     ("false alarm", ("none",), lambda b: ~b["correct"], np.nan, 0.02),
     ("outside called unknown", ("outside",), lambda b: b["correct"], 0.90, np.nan),
-    ("outside named above 0.5", ("outside",), lambda b: b["named_above_half"], np.nan, 0.0),
+    (
+        "outside named above 0.5",
+        ("outside",),
+        lambda b: b["named_above_half"],
+        np.nan,
+        0.0,
+    ),
     (
         "named with half, lost with all",
         ("effect", "resolution", *SEVERAL, "none", "outside"),

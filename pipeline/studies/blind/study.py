@@ -18,10 +18,10 @@ from pydantic import Field
 from stringcast.data import dataset
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.schema import DataError
-from stringcast.pipeline.experiment import Experiment, prepare
-from stringcast.pipeline.inherited import with_inherited_settings
-from stringcast.pipeline.provenance import code
-from stringcast.pipeline.settings import build
+from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
+from stringcast.pipeline.run.provenance import code_state
+from stringcast.pipeline.settings.settings_from_runs import inherit_settings
+from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.pipeline.studies.blind.pictures import pictures
 from stringcast.pipeline.studies.blind.scores import OWN, TABLES, scores
 from stringcast.pipeline.studies.engine import Study, StudyJob
@@ -34,9 +34,12 @@ HALF = 0.5  # of the trials: what they name, all should name
 
 @dataclass(frozen=True)
 class BlindSettings:
-    """benches: how many, from seed `first`. processes: 0 is one for each core. laboratory: who draws them, the virtual
-    lab itself or one of `tests.benchmarks.simulators.laboratory`. kind: of all of a laboratory's, instead of each seed's own.
-    replicated: each bench is diagnosed with half of its trials as well."""
+    """benches: how many, from seed `first`. processes: 0 is one for each core.
+    laboratory: who draws them, the virtual lab itself or one of
+    `tests.benchmarks.simulators.laboratory`. kind: of all of a laboratory's, instead of
+    each seed's own. replicated: each bench is diagnosed with half of its trials as
+    well.
+    """
 
     benches: Annotated[int, Field(ge=1)]
     first: Annotated[int, Field(ge=0)]
@@ -47,7 +50,9 @@ class BlindSettings:
 
 
 class Bench(Protocol):
-    """A bench with an envelope; see `tests.benchmarks.simulators.blind` and `tests.benchmarks.simulators.laboratory`."""
+    """A bench with an envelope; see `tests.benchmarks.simulators.blind` and
+    `tests.benchmarks.simulators.laboratory`.
+    """
 
     def write(self, folder: Path) -> None:
         """Write what was measured."""
@@ -71,18 +76,31 @@ class OneBench(StudyJob):
         return f"{self.seed:05d}"
 
     def __call__(self) -> dict[str, Any]:
-        """The row: one bench must not stop the others, and counts as wrong where the diagnosis raises."""
-        dataset, envelope = self.folder / "datasets" / self.name, self.folder / "envelopes" / f"{self.name}.json"
+        """The row: one bench must not stop the others, and counts as wrong where the
+        diagnosis raises.
+        """
+        dataset, envelope = (
+            self.folder / "datasets" / self.name,
+            self.folder / "envelopes" / f"{self.name}.json",
+        )
         bench = self.draw(self.seed)
         bench.write(dataset)
         bench.envelope(envelope)
         begun = time.perf_counter()
         said = self._said(dataset, 1.0)
-        row = {"seed": self.seed, "runtime": time.perf_counter() - begun, "diagnosis": said}
+        row = {
+            "seed": self.seed,
+            "runtime": time.perf_counter() - begun,
+            "diagnosis": said,
+        }
         if self.replicated:
             row["half"] = self._said(dataset, HALF)
         truth = json.loads(envelope.read_text(encoding="utf-8"))
-        return row | {"truth": truth, "version": truth.get("version", LATEST), "code": code()["commit"]}
+        return row | {
+            "truth": truth,
+            "version": truth.get("version", LATEST),
+            "code": code_state()["commit"],
+        }
 
     def _said(self, dataset: Path, share: float) -> Mapping[str, Any]:
         try:
@@ -93,7 +111,9 @@ class OneBench(StudyJob):
 
 @dataclass(frozen=True)
 class BlindStudy(Study):
-    """Benches that hide a cause: drawn, diagnosed, and only then their envelopes opened."""
+    """Benches that hide a cause: drawn, diagnosed, and only then their envelopes
+    opened.
+    """
 
     KIND = "study"
     TABLES = TABLES
@@ -101,15 +121,21 @@ class BlindStudy(Study):
 
     def jobs(self, experiment: Experiment, folder: Path) -> list[OneBench]:
         """A bench for each seed."""
-        asked = build(BlindSettings, experiment.config[self.BLOCK], self.BLOCK, "conf/config.yaml")
-        drawn: Callable[[int], Bench] = partial(draw, arm=experiment.arm, camera=experiment.camera)
+        asked = build_dataclass(
+            BlindSettings, experiment.config[self.BLOCK], self.BLOCK, "conf/config.yaml"
+        )
+        drawn: Callable[[int], Bench] = partial(
+            draw, arm=experiment.arm, camera=experiment.camera
+        )
         if asked.laboratory != OWN:
             drawn = partial(laboratory.drawn, asked.laboratory, kind=asked.kind)
         asks = partial(diagnosed, config=experiment.config)
         seeds = range(asked.first, asked.first + asked.benches)
         return [OneBench(seed, folder, drawn, asks, asked.replicated) for seed in seeds]
 
-    def tables(self, experiment: Experiment, made: Sequence[tuple[Any, Any]]) -> Mapping[str, pd.DataFrame]:
+    def tables(
+        self, experiment: Experiment, made: Sequence[tuple[Any, Any]]
+    ) -> Mapping[str, pd.DataFrame]:
         return scores([row for _, row in made])
 
     def draw(self, tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
@@ -128,22 +154,41 @@ class BlindStudy(Study):
         )
 
 
-def diagnosed(folder: Path, config: Mapping[str, Any], share: float = 1.0) -> Mapping[str, Any]:
-    """The diagnosis.json of the first trials of a dataset, such a share of them. config: settings of the run, to which
-    the dataset adds its own."""
-    said: Mapping[str, Any] = json.loads(diagnosis(folder, config, share).finding["diagnosis"].iloc[0])
+def diagnosed(
+    folder: Path, config: Mapping[str, Any], share: float = 1.0
+) -> Mapping[str, Any]:
+    """The diagnosis.json of the first trials of a dataset, such a share of them.
+    config: settings of the run, to which the dataset adds its own.
+    """
+    said: Mapping[str, Any] = json.loads(
+        diagnosis(folder, config, share).finding["diagnosis"].iloc[0]
+    )
     return said
 
 
 def diagnosis(folder: Path, config: Mapping[str, Any], share: float = 1.0) -> Diagnosis:
-    """The diagnosis of the first trials of a dataset, such a share of them, with all its tables."""
-    mode = {"_target_": "pipeline.modes.Diagnose", "stage": "diagnose", "read": True, "again": False, "first": []}
-    asked = OmegaConf.create({**config, "trials": str(folder), "mode": mode | {"motions": 0}})
-    settings = with_inherited_settings(asked, set())
-    here = prepare(settings, lambda block: f"conf/{block}")
-    data = dataset.fits(dataset.read(folder), here.string.length)
+    """The diagnosis of the first trials of a dataset, such a share of them, with all
+    its tables.
+    """
+    mode = {
+        "_target_": "pipeline.modes.Diagnose",
+        "stage": "diagnose",
+        "read": True,
+        "again": False,
+        "first": [],
+    }
+    asked = OmegaConf.create(
+        {**config, "trials": str(folder), "mode": mode | {"motions": 0}}
+    )
+    settings = inherit_settings(asked, set())
+    here = prepare_experiment(settings, lambda block: f"conf/{block}")
+    data = dataset.exclude_stray_points(
+        dataset.read_dataset(folder), here.string.length
+    )
     if not data.trials:
         raise DataError(f"{folder}: no trial can be used.")
     trials = list(data.trials.values())[: math.ceil(share * len(data.trials))]
-    made: Diagnosis = here.stages["diagnose"](here.model, trials, data.rejected, (), (), seed=here.seed)
+    made: Diagnosis = here.stages["diagnose"](
+        here.model, trials, data.rejection_reasons, (), (), seed=here.seed
+    )
     return made

@@ -13,9 +13,14 @@ Answer = frozenset[str]
 
 
 def answers(row: Row) -> list[Answer]:
-    """Causes in the order named, each as the group of those it cannot be told from; without what is true anyway."""
+    """Causes in the order named, each as the group of those it cannot be told from;
+    without what is true anyway.
+    """
     diagnosis, alike = row["diagnosis"], row["truth"].get("alike", {})
-    groups = [frozenset(alike.get(n, n) for n in group) for group in diagnosis.get("indistinguishable") or []]
+    groups = [
+        frozenset(alike.get(n, n) for n in group)
+        for group in diagnosis.get("indistinguishable") or []
+    ]
     found: list[Answer] = []
     for cause in diagnosis.get("causes") or []:
         name = alike.get(cause["effect"], cause["effect"])
@@ -27,7 +32,10 @@ def answers(row: Row) -> list[Answer]:
 
 def _true_anyway(row: Row) -> bool:
     """Too few points, on a bench that hides something else or nothing."""
-    return row["truth"]["kind"] != RESOLUTION and row["truth"].get("paper", RESOLVED) >= RESOLVED
+    return (
+        row["truth"]["kind"] != RESOLUTION
+        and row["truth"].get("paper", RESOLVED) >= RESOLVED
+    )
 
 
 def correct(row: Row) -> bool:
@@ -48,12 +56,19 @@ def correct(row: Row) -> bool:
 def found_of_several(row: Row) -> int:
     """The number of hidden causes that are named, each in a group of its own."""
     names, said = row["truth"]["names"], answers(row)
-    places = {name: [i for i, group in enumerate(said) if name in group] for name in names}
-    return min(sum(bool(place) for place in places.values()), len({i for place in places.values() for i in place}))
+    places = {
+        name: [i for i, group in enumerate(said) if name in group] for name in names
+    }
+    return min(
+        sum(bool(place) for place in places.values()),
+        len({i for place in places.values() for i in place}),
+    )
 
 
 def answered(row: Row) -> str:
-    """The answer in a word: the true cause if it is in the first group, else the first named, else the verdict."""
+    """The answer in a word: the true cause if it is in the first group, else the first
+    named, else the verdict.
+    """
     said, verdict = answers(row), str(row["diagnosis"]["verdict"])
     if not said:
         return NONE if verdict == "effect" else verdict
@@ -63,10 +78,15 @@ def answered(row: Row) -> str:
 
 
 def beliefs(row: Row) -> dict[str, float]:
-    """Probabilities by name; what is missing to one goes to `none` or `unknown` if that is the verdict."""
+    """Probabilities by name; what is missing to one goes to `none` or `unknown` if that
+    is the verdict.
+    """
     diagnosis, alike = row["diagnosis"], row["truth"].get("alike", {})
     stated = [*(diagnosis.get("causes") or []), *(diagnosis.get("alternatives") or [])]
-    known = {alike.get(one["effect"], one["effect"]): float(one["probability"]) for one in reversed(stated)}
+    known = {
+        alike.get(one["effect"], one["effect"]): float(one["probability"])
+        for one in reversed(stated)
+    }
     verdict = diagnosis["verdict"]
     if verdict in (NONE, UNKNOWN):
         known.setdefault(verdict, max(1.0 - sum(known.values()), 0.0))
@@ -74,8 +94,9 @@ def beliefs(row: Row) -> dict[str, float]:
 
 
 def confidence(row: Row) -> float:
-    """Probability of the answer: all that is named together, for causes that are needed together share what their set
-    has; or that of the verdict. NaN if there is none."""
+    """Probability of the answer: all that is named together, for causes that are needed
+    together share what their set has; or that of the verdict. NaN if there is none.
+    """
     known, said = beliefs(row), answers(row)
     if said:
         return min(sum(known.get(name, 0.0) for name in frozenset().union(*said)), 1.0)
@@ -86,4 +107,6 @@ def confidence(row: Row) -> float:
 def named_above(row: Row, probability: float) -> bool:
     """A library effect has more than this probability."""
     besides = {NONE, UNKNOWN} | ({RESOLUTION} if _true_anyway(row) else set())
-    return any(p > probability for name, p in beliefs(row).items() if name not in besides)
+    return any(
+        p > probability for name, p in beliefs(row).items() if name not in besides
+    )

@@ -1,1 +1,3 @@
-"""The extraction study: casts rendered under every condition, read, and compared with what was really so."""
+"""The extraction study: casts rendered under every condition, read, and compared with
+what was really so.
+"""

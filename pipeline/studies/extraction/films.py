@@ -9,8 +9,13 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, Film, Points
-from stringcast.hardware.virtual import Bench, Specimen
-from stringcast.hardware.virtual.conditions import Condition, Shot, film, shot_of
+from stringcast.hardware.virtual import Specimen, VirtualBench
+from stringcast.hardware.virtual.conditions import (
+    Condition,
+    Shot,
+    film_shot,
+    prepare_shot,
+)
 from stringcast.stages.extract.footage import Footage, footage_of
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
@@ -40,24 +45,30 @@ class Cell:
     parts: tuple[Condition, ...]
 
 
-def take(string: str, specimen: Specimen, arm: Arm, camera: Camera, frames: int, seed: int) -> Take:
+def take(
+    string: str, specimen: Specimen, arm: Arm, camera: Camera, frames: int, seed: int
+) -> Take:
     """A random cast, performed; `frames` of it spread evenly."""
     cast = random_cast(arm, np.random.default_rng([seed, 7]), camera.fps, SPEEDS)
     happened = cast.happened
     times = happened.start + happened.tick * np.arange(happened.angles.shape[1])
-    bench = Bench(arm, camera, specimen, seed, performed=(times, happened.angles[0]))
+    bench = VirtualBench(
+        arm, camera, specimen, seed, performed_motion=(times, happened.angles[0])
+    )
     chosen = np.unique(np.linspace(0, len(cast.frames) - 1, frames).astype(int))
-    reported = pd.DataFrame({"t": cast.t} | dict(zip(JOINTS, cast.reported.T, strict=True)))
-    return Take(string, seed, shot_of(bench, cast.frames[chosen]), reported, arm)
+    reported = pd.DataFrame(
+        {"t": cast.t} | dict(zip(JOINTS, cast.reported.T, strict=True))
+    )
+    return Take(string, seed, prepare_shot(bench, cast.frames[chosen]), reported, arm)
 
 
 def filmed(one: Take, cell: Cell) -> tuple[Footage, Shot]:
     """The film of a cast under a condition, and the true string."""
     shot = one.shot
     for condition in cell.parts:
-        shot = condition.stage(shot)
-    images = film(shot, cell.parts, one.seed)
-    return footage_of(Film(shot.t, images, arm=one.reported), one.arm), shot
+        shot = condition.change_scene(shot)
+    images = film_shot(shot, cell.parts, one.seed)
+    return footage_of(Film(shot.frame_times, images, arm=one.reported), one.arm), shot
 
 
 def read(one: Take, cell: Cell, extract: Extract) -> tuple[Points, Shot]:

@@ -1,7 +1,8 @@
 """How far what was read is from what was so: a row a frame, and shares by condition.
 
-A frame is wrong when it was accepted and its line, a place on it or its tip is off by more than WRONG_PX, or its line
-or tip by more than WRONG_SIGMAS of what was stated. A wrong frame does harm; a refused one only costs.
+A frame is wrong when it was accepted and its line, a place on it or its tip is off by
+more than WRONG_PX, or its line or tip by more than WRONG_SIGMAS of what was stated. A
+wrong frame does harm; a refused one only costs.
 """
 
 from __future__ import annotations
@@ -31,7 +32,11 @@ FRAMES = Table(
         Column("reason", "", "why it was not", "text"),
         Column("line_px", "px", "RMS distance of the points from the true curve"),
         Column("line_mm", "mm", "the same"),
-        Column("place_px", "px", "RMS distance of the points from where they are on the true string"),
+        Column(
+            "place_px",
+            "px",
+            "RMS distance of the points from where they are on the true string",
+        ),
         Column("tip_px", "px", "distance of the tips"),
         Column("line_stated_px", "px", "RMS sigma stated for the points"),
         Column("tip_stated_px", "px", "sigma stated for the tip"),
@@ -49,13 +54,19 @@ SHARES = Table(
         Column("frames", "1", "how many", "int"),
         Column("read", "1", "share that was accepted"),
         Column("wrong", "1", "share of all that was accepted and is wrong"),
-        Column("wrong_high", "1", "upper end of its 95 % interval (Clopper and Pearson)"),
+        Column(
+            "wrong_high", "1", "upper end of its 95 % interval (Clopper and Pearson)"
+        ),
         Column("line_px", "px", "median of what was accepted"),
         Column("line_mm", "mm", "the same"),
         Column("line_px_95", "px", "95 % of what was accepted is below"),
         Column("tip_px", "px", "median of what was accepted"),
         Column("tip_px_95", "px", "95 % of what was accepted is below"),
-        Column("line_sigmas", "1", "RMS of what was accepted, across alone; sigma is of a coordinate, along too"),
+        Column(
+            "line_sigmas",
+            "1",
+            "RMS of what was accepted, across alone; sigma is of a coordinate, along too",
+        ),
         Column("tip_sigmas", "1", "the same; 1.4 if u and v are each off by a sigma"),
         Column("reasons", "", "of refusals, the most frequent first", "text"),
     ),
@@ -65,13 +76,28 @@ SHARES = Table(
 def compared(one: Take, cell: Cell, points: Points, shot: Shot) -> pd.DataFrame:
     """Table FRAMES of one film."""
     seen = points.points.groupby("t")
-    truth = dict(zip(np.round(shot.t, 6), shot.truth, strict=True))
+    truth = dict(zip(np.round(shot.frame_times, 6), shot.truth, strict=True))
     scale = shot.camera.px_per_m
-    off = {round(float(t), 6): _off(rows, truth[round(float(t), 6)], scale) for t, rows in seen}
+    off = {
+        round(float(t), 6): _off(rows, truth[round(float(t), 6)], scale)
+        for t, rows in seen
+    }
     readings = points.readings
-    named = {"condition": cell.condition, "severity": cell.severity, "string": one.string, "cast": one.seed}
-    found = pd.DataFrame([off.get(round(float(t), 6), {}) for t in readings["t"]], columns=list(_MEASURES))
-    frame = readings[["frame", "reason"]].assign(**named, read=readings["valid"]).join(found)
+    named = {
+        "condition": cell.condition,
+        "severity": cell.severity,
+        "string": one.string,
+        "cast": one.seed,
+    }
+    found = pd.DataFrame(
+        [off.get(round(float(t), 6), {}) for t in readings["t"]],
+        columns=list(_MEASURES),
+    )
+    frame = (
+        readings[["frame", "reason"]]
+        .assign(**named, read=readings["valid"])
+        .join(found)
+    )
     far = (frame[["line_px", "place_px", "tip_px"]] > WRONG_PX).any(axis=1)
     overconfident = (frame[["line_sigmas", "tip_sigmas"]] > WRONG_SIGMAS).any(axis=1)
     return FRAMES.check(frame.assign(wrong=frame["read"] & (far | overconfident)))
@@ -84,9 +110,14 @@ def _off(rows: pd.DataFrame, true: np.ndarray, px_per_m: float) -> dict[str, flo
     """How far one line is off. true: (n, 2) [m]."""
     points, sigma = rows[["x", "y"]].to_numpy(), rows["sigma"].to_numpy() * px_per_m
     share = rows["s"].to_numpy() / rows["s"].iloc[-1]
-    along = np.concatenate([[0.0], np.linalg.norm(np.diff(true, axis=0), axis=-1).cumsum()])
+    along = np.concatenate(
+        [[0.0], np.linalg.norm(np.diff(true, axis=0), axis=-1).cumsum()]
+    )
     known, fine = along / along[-1], np.linspace(0, 1, 801)
-    curve, places = (np.stack([np.interp(s, known, true[:, i]) for i in (0, 1)], axis=-1) for s in (fine, share))
+    curve, places = (
+        np.stack([np.interp(s, known, true[:, i]) for i in (0, 1)], axis=-1)
+        for s in (fine, share)
+    )
     line = np.linalg.norm(points[:, None] - curve[None], axis=-1).min(axis=1) * px_per_m
     place = np.linalg.norm(points - places, axis=-1) * px_per_m
     return {
@@ -104,19 +135,33 @@ def _off(rows: pd.DataFrame, true: np.ndarray, px_per_m: float) -> dict[str, flo
 def shares(frames: pd.DataFrame) -> pd.DataFrame:
     """Table SHARES of table FRAMES."""
     rows = []
-    for (condition, severity), some in frames.groupby(["condition", "severity"], sort=False):
+    for (condition, severity), some in frames.groupby(
+        ["condition", "severity"], sort=False
+    ):
         good, wrong = some[some["read"]], int(some["wrong"].sum())
-        row = {"condition": condition, "severity": severity, "frames": len(some), "read": some["read"].mean()}
+        row = {
+            "condition": condition,
+            "severity": severity,
+            "frames": len(some),
+            "read": some["read"].mean(),
+        }
         most = binomtest(wrong, len(some)).proportion_ci(0.95, method="exact").high
         row |= {"wrong": wrong / len(some), "wrong_high": most, "reasons": why(some)}
         row |= {name: good[name].median() for name in ("line_px", "line_mm", "tip_px")}
-        row |= {f"{name}_95": good[name].quantile(0.95) for name in ("line_px", "tip_px")}
-        row |= {name: np.sqrt((good[name] ** 2).mean()) for name in ("line_sigmas", "tip_sigmas")}
+        row |= {
+            f"{name}_95": good[name].quantile(0.95) for name in ("line_px", "tip_px")
+        }
+        row |= {
+            name: np.sqrt((good[name] ** 2).mean())
+            for name in ("line_sigmas", "tip_sigmas")
+        }
         rows.append(row)
     return SHARES.check(pd.DataFrame(rows))
 
 
 def why(some: pd.DataFrame) -> str:
-    """Reasons of refusals and how often. some: with a column `reason`, empty where the frame was read."""
+    """Reasons of refusals and how often. some: with a column `reason`, empty where the
+    frame was read.
+    """
     counts = some.loc[some["reason"] != "", "reason"].value_counts()
     return "; ".join(f"{reason} ({count})" for reason, count in counts.items())

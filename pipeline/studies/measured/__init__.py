@@ -1,1 +1,3 @@
-"""Strings that others measured, fitted with stated sets of effects: how near does each set come?"""
+"""Strings that others measured, fitted with stated sets of effects: how near does each
+set come?
+"""

@@ -1,7 +1,9 @@
-"""Families of strings that others measured, and each string of them as a dataset in our format.
+"""Families of strings that others measured, and each string of them as a dataset in our
+format.
 
-A family's folder holds many strings side by side. What its tables do not say the settings do: which trials are of one
-string, which begin moving, a marker's noise, the camera. The outermost marker is the tip.
+A family's folder holds many strings side by side. What its tables do not say the
+settings do: which trials are of one string, which begin moving, a marker's noise, the
+camera. The outermost marker is the tip.
 """
 
 from __future__ import annotations
@@ -28,12 +30,13 @@ WEIGHED = "cables.json"  # what was weighed of each string, where it was
 class Family:
     """Strings that were measured in one way, and how they are modelled.
 
-    folder: of their tables, in that of all families. trials: pattern of their trials' names, whose group `string` is
-    the name of the string; moving, held_out: patterns of those that begin moving, and to which nothing is fitted.
-    every: of so many frames one is used. beyond: arc length from the grasp [m] up to which no point is used. about:
-    what else dataset.yaml says. settings: of every run. sets: what each set has for itself, by its name: effects, and
-    what is known of them. authors: root mean square of the tip in the model of those who measured a string, in sample
-    [m].
+    folder: of their tables, in that of all families. trials: pattern of their trials'
+    names, whose group `string` is the name of the string; moving, held_out: patterns of
+    those that begin moving, and to which nothing is fitted. every: of so many frames
+    one is used. beyond: arc length from the grasp [m] up to which no point is used.
+    about: what else dataset.yaml says. settings: of every run. sets: what each set has
+    for itself, by its name: effects, and what is known of them. authors: root mean
+    square of the tip in the model of those who measured a string, in sample [m].
     """
 
     folder: str
@@ -48,17 +51,28 @@ class Family:
     authors: dict[str, float]
 
     def strings(self, folder: Path) -> dict[str, list[str]]:
-        """Names of the trials of each string, by the string's name. folder: of all families."""
+        """Names of the trials of each string, by the string's name. folder: of all
+        families.
+        """
         path = folder / self.folder / "points.parquet"
         if not path.is_file():
-            raise DataError(f"{path}: there is no such file. Name the folder that holds {self.folder}, as trials=...")
+            raise DataError(
+                f"{path}: there is no such file. Name the folder that holds {self.folder}, as trials=..."
+            )
         found: dict[str, list[str]] = {}
         for trial in sorted(pd.read_parquet(path, columns=["trial"])["trial"].unique()):
             if match := re.fullmatch(self.trials, trial):
                 found.setdefault(match["string"], []).append(trial)
         return found
 
-    def write(self, folder: Path, string: str, trials: list[str], to: Path, origin: Mapping[str, Any]) -> None:
+    def write(
+        self,
+        folder: Path,
+        string: str,
+        trials: list[str],
+        to: Path,
+        origin: Mapping[str, Any],
+    ) -> None:
         """The dataset of one string; dataset.yaml comes last. folder: of all families."""
         for table in (GRASP, POINTS):
             rows = pd.read_parquet(folder / self.folder / f"{table.name}.parquet")
@@ -66,12 +80,24 @@ class Family:
             if table is POINTS:
                 frame = rows.groupby("trial")["t"].rank("dense").astype(int) - 1
                 rows = rows[(frame % self.every == 0) & (rows["s"] > self.beyond)]
-                rows = rows.assign(valid=~rows["held"]) if "held" in rows else rows  # a tracker only repeated itself
-            store.write_table(with_trial(table), rows, to / f"{table.name}.parquet", origin)
+                # a tracker only repeated itself
+                rows = rows.assign(valid=~rows["held"]) if "held" in rows else rows
+            store.write_table(
+                with_trial(table), rows, to / f"{table.name}.parquet", origin
+            )
         known = {"length": round(float(rows["s"].max()), 4)}
         path = folder / self.folder / WEIGHED
-        stated = json.loads(path.read_text(encoding="utf-8")).get(string) if path.is_file() else None
-        known |= {} if stated is None else {"mass": stated["m_cable_kg"], "tip_mass": stated["m_tip_kg"]}  # [kg]
+        stated = (
+            json.loads(path.read_text(encoding="utf-8")).get(string)
+            if path.is_file()
+            else None
+        )
+        # [kg]
+        known |= (
+            {}
+            if stated is None
+            else {"mass": stated["m_cable_kg"], "tip_mass": stated["m_tip_kg"]}
+        )
         about = {"format": 1, "name": string, "string": known, **self.about}
         about["trials"] = {
             trial: {"initial": "moving" if re.fullmatch(self.moving, trial) else "rest"}

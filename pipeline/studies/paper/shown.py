@@ -1,5 +1,6 @@
-"""The data of the figures, as tables: of each experiment one run, neither lucky nor unlucky, and results of all
-runs."""
+"""The data of the figures, as tables: of each experiment one run, neither lucky nor
+unlucky, and results of all runs.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +11,10 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import ARM, JOINTS, Estimate, Motion, Points
-from stringcast.data.foreign import json_block
+from stringcast.data.file_checks import read_json
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import load, read_table
-from stringcast.pipeline.settings import build
+from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.pipeline.studies.paper.scores import median
 from stringcast.stages.model.arm import Arm
 
@@ -31,12 +32,21 @@ LINES = Table(
     (
         *CAST,
         Column("moment", "1", "from 0", "int"),
-        Column("kind", "", "arm, measured, or foretold: as simulated when the motion was chosen", "text"),
+        Column(
+            "kind",
+            "",
+            "arm, measured, or foretold: as simulated when the motion was chosen",
+            "text",
+        ),
         _T,
         *_XY,
     ),
 )
-HANDS = Table("hands", "the hand's way in the casts that are shown, by the joint angles measured", (*CAST, _T, *_XY))
+HANDS = Table(
+    "hands",
+    "the hand's way in the casts that are shown, by the joint angles measured",
+    (*CAST, _T, *_XY),
+)
 MATCHING = Table(
     "matching",
     "E_f over time in the casts that are shown",
@@ -76,29 +86,47 @@ TABLES = (LINES, HANDS, MATCHING, BOXES)
 
 
 def typical(of_runs: pd.DataFrame) -> pd.DataFrame:
-    """The typical run of each experiment: of those done, the one of the lowest seed that needed the median number of
-    manipulations."""
+    """The typical run of each experiment: of those done, the one of the lowest seed
+    that needed the median number of manipulations.
+    """
     done = of_runs[of_runs["state"] == "done"].sort_values("seed")
-    middle = done.groupby("condition")["hit_at"].transform(lambda hit_at: median(hit_at.to_numpy())["median"])
+    middle = done.groupby("condition")["hit_at"].transform(
+        lambda hit_at: median(hit_at.to_numpy())["median"]
+    )
     return done[done["hit_at"] == middle].groupby("condition", sort=False).head(1)
 
 
-def shown(folder: Path, chosen: pd.DataFrame, of_casts: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """Every table of TABLES by name. folder: the study's. chosen: `typical`. of_casts: table CASTS of `scores`."""
+def shown(
+    folder: Path, chosen: pd.DataFrame, of_casts: pd.DataFrame
+) -> dict[str, pd.DataFrame]:
+    """Every table of TABLES by name. folder: the study's. chosen: `typical`. of_casts:
+    table CASTS of `scores`.
+    """
     parts: dict[str, list[pd.DataFrame]] = {table.name: [] for table in TABLES}
     for run in chosen.itertuples():
-        settings = json_block(folder / run.folder / "config.json")
-        arm = build(Arm, settings["arm"], "arm", "config.json")
-        obstacles = [{"kind": "obstacle", **box} for box in settings["obstacles"]["boxes"]]
+        settings = read_json(folder / run.folder / "config.json")
+        arm = build_dataclass(Arm, settings["arm"], "arm", "config.json")
+        obstacles = [
+            {"kind": "obstacle", **box} for box in settings["obstacles"]["boxes"]
+        ]
         boxes = pd.DataFrame([{"kind": "target", **settings["target"]}, *obstacles])
         parts[BOXES.name].append(boxes.assign(condition=run.condition))
-        mine = of_casts[(of_casts["condition"] == run.condition) & (of_casts["seed"] == run.seed)]
+        mine = of_casts[
+            (of_casts["condition"] == run.condition) & (of_casts["seed"] == run.seed)
+        ]
         for cast in mine.itertuples():
             place = folder / run.folder / "iterations" / f"{cast.manipulation:02d}"
-            key = {"condition": run.condition, "seed": run.seed, "manipulation": cast.manipulation}
+            key = {
+                "condition": run.condition,
+                "seed": run.seed,
+                "manipulation": cast.manipulation,
+            }
             for name, frame in _cast(place, arm, cast.t_closest).items():
                 parts[name].append(frame.assign(**key))
-    return {t.name: t.check(pd.concat(parts[t.name])) if parts[t.name] else t.empty() for t in TABLES}
+    return {
+        t.name: t.check(pd.concat(parts[t.name])) if parts[t.name] else t.empty()
+        for t in TABLES
+    }
 
 
 def parameters(folder: Path, of_runs: pd.DataFrame) -> pd.DataFrame:
@@ -108,7 +136,11 @@ def parameters(folder: Path, of_runs: pd.DataFrame) -> pd.DataFrame:
             condition=run.condition, seed=run.seed, manipulation=int(made[-1].parts[-3])
         )
         for run in of_runs.itertuples()
-        if (made := sorted((folder / run.folder).glob("iterations/*/estimate/parameters.parquet")))
+        if (
+            made := sorted(
+                (folder / run.folder).glob("iterations/*/estimate/parameters.parquet")
+            )
+        )
     ]
     names = [column.name for column in PARAMETERS.columns]
     return PARAMETERS.check(pd.concat(found)[names]) if found else PARAMETERS.empty()
@@ -119,19 +151,25 @@ def _cast(place: Path, arm: Arm, closest: float) -> dict[str, pd.DataFrame]:
     motion, seen = load(Motion, place / "motion"), load(Points, place / "points")
     measured = read_table(ARM, place / "trial" / "arm.parquet")
     until = closest if np.isfinite(closest) else motion.duration
-    joints = arm.joints(measured[list(JOINTS)].to_numpy())
+    joints = arm.joint_positions(measured[list(JOINTS)].to_numpy())
     t = measured["t"].to_numpy()
     moving = (t >= 0) & (t <= motion.duration)
-    hand = pd.DataFrame({"t": t[moving], "x": joints[moving, -1, 0], "y": joints[moving, -1, 1]})
+    hand = pd.DataFrame(
+        {"t": t[moving], "x": joints[moving, -1, 0], "y": joints[moving, -1, 1]}
+    )
     made = {"lines": pd.concat(_lines(motion, seen, t, joints, until)), "hands": hand}
     rates = place / "estimate" / "matching.parquet"
     if rates.exists():
         table = read_table(Estimate.TABLES["matching"], rates)
-        made["matching"] = table[table["trial"] == table["trial"].iloc[-1]].drop(columns="trial")
+        made["matching"] = table[table["trial"] == table["trial"].iloc[-1]].drop(
+            columns="trial"
+        )
     return made
 
 
-def _lines(motion: Motion, seen: Points, t: np.ndarray, joints: np.ndarray, until: float) -> Iterator[pd.DataFrame]:
+def _lines(
+    motion: Motion, seen: Points, t: np.ndarray, joints: np.ndarray, until: float
+) -> Iterator[pd.DataFrame]:
     """The lines drawn at each moment, each at its nearest time."""
     for moment, at in enumerate(np.linspace(0, until, MOMENTS)):
         arm = joints[np.argmin(np.abs(t - at))]

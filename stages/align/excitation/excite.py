@@ -1,9 +1,11 @@
-"""Excite: a motion from whose film camera and clock are measured, slow enough to be safe.
+"""Excite: a motion from whose film camera and clock are measured, slow enough to be
+safe.
 
-Each joint swings by a sum of sines that begins and ends at rest; of many drawn that the arm may do, the one is taken
-that tells the most about all parameters together (D-optimality; Swevers et al., Optimal robot excitation and
-identification, 1997), and of these the clocks count more. Changes of direction at several frequencies are what tells a
-lag, which swallows the quick ones, from a clock that is off.
+Each joint swings by a sum of sines that begins and ends at rest; of many drawn that the
+arm may do, the one is taken that tells the most about all parameters together
+(D-optimality; Swevers et al., Optimal robot excitation and identification, 1997), and
+of these the clocks count more. Changes of direction at several frequencies are what
+tells a lag, which swallows the quick ones, from a clock that is off.
 """
 
 from __future__ import annotations
@@ -41,14 +43,19 @@ from stringcast.stages.spec import Call
 
 RAMP = 0.2  # share of the time in which the swing grows, and in which it fades
 MARGIN = 0.03  # of the picture's width that stays free around the arm
-CLOCKS = 2  # more times that the clocks count: what nobody sees, such as a faint rolling shutter, must not move them
-TYPICAL = {LAG: 0.005}  # where the design is judged: at no lag it would look like an offset
+# more times that the clocks count: what nobody sees, such as a faint rolling shutter,
+# must not move them
+CLOCKS = 2
+# where the design is judged: at no lag it would look like an offset
+TYPICAL = {LAG: 0.005}
 SIGHTED = 0.01  # [s] between the sightings for which it is judged
 
 
 def run(call: Call) -> Motion:
     """The motion, as a stage."""
-    made: Motion = call.by(call.setup.model, call.setup.obstacles, seed=call.seed, progress=call.progress)
+    made: Motion = call.by(
+        call.setup.model, call.setup.obstacles, seed=call.seed, progress=call.progress
+    )
     return made
 
 
@@ -64,11 +71,12 @@ def excite(
     motions: Annotated[int, Field(ge=1)],
     progress: Progress = lambda share: None,
 ) -> Motion:
-    """The motion. duration: [s]. speed: of the hand at most [m/s]. highest: frequency of a sine [Hz]. sines: of each
-    joint. motions: drawn, of which the best is taken.
+    """The motion. duration: [s]. speed: of the hand at most [m/s]. highest: frequency
+    of a sine [Hz]. sines: of each joint. motions: drawn, of which the best is taken.
 
-    The hand stays a string's length away from obstacles, so that no string in it can touch one however it swings.
-    Raises DataError where no motion drawn is allowed, or no sine of `highest` fits into `duration`.
+    The hand stays a string's length away from obstacles, so that no string in it can
+    touch one however it swings. Raises DataError where no motion drawn is allowed, or
+    no sine of `highest` fits into `duration`.
     """
     if highest * duration < 1:
         raise DataError(
@@ -87,29 +95,50 @@ def excite(
             best, most = angles, content
         progress((number + 1) / motions)
     if best is None:
-        reasons = "; ".join(f"{reason}: {times}" for reason, times in count.most_common())
+        reasons = "; ".join(
+            f"{reason}: {times}" for reason, times in count.most_common()
+        )
         remedy = "Lower excite.speed, draw more of them, or make room."
-        raise DataError(f"no motion of excite.motions={motions} is allowed ({reasons}). {remedy}")
+        raise DataError(
+            f"no motion of excite.motions={motions} is allowed ({reasons}). {remedy}"
+        )
     return motion_of(model.arm, best, count)
 
 
 def drawn(
-    arm: Arm, rng: np.random.Generator, duration: float, speed: float, highest: float, sines: int
+    arm: Arm,
+    rng: np.random.Generator,
+    duration: float,
+    speed: float,
+    highest: float,
+    sines: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Angles and speeds (K, J) on the arm's tick of random swings about a random pose, the hand as fast as `speed`."""
+    """Angles and speeds (K, J) on the arm's tick of random swings about a random pose,
+    the hand as fast as `speed`.
+    """
     t = np.arange(round(duration / arm.tick) + 1) * arm.tick
     lowest, top = np.asarray(arm.lowest), np.asarray(arm.highest)
     middle = (lowest + top) / 2 + rng.uniform(-0.3, 0.3, len(lowest)) * (top - lowest)
     frequency = rng.uniform(1 / duration, highest, (sines, len(lowest)))
-    phase, size = rng.uniform(0, 2 * np.pi, frequency.shape), rng.uniform(0.3, 1, frequency.shape) / frequency
-    swing = np.sum(size * np.sin(2 * np.pi * frequency * t[:, None, None] + phase), axis=1)
+    phase, size = (
+        rng.uniform(0, 2 * np.pi, frequency.shape),
+        rng.uniform(0.3, 1, frequency.shape) / frequency,
+    )
+    swing = np.sum(
+        size * np.sin(2 * np.pi * frequency * t[:, None, None] + phase), axis=1
+    )
     ends = np.minimum(t / t[-1], 1 - t / t[-1])
     x = np.clip(ends / RAMP, 0, 1)
-    swing *= (x**3 * (10 - 15 * x + 6 * x**2))[:, None]  # from 0 to 1 and back, with no jump of the second derivative
+    # from 0 to 1 and back, with no jump of the second derivative
+    swing *= (x**3 * (10 - 15 * x + 6 * x**2))[:, None]
     rate = np.gradient(swing, arm.tick, axis=0)
 
     def fastest(share: float) -> float:
-        return float(np.linalg.norm(arm.grasp_velocity(middle + share * swing, share * rate)[:, :2], axis=-1).max())
+        return float(
+            np.linalg.norm(
+                arm.grasp_velocity(middle + share * swing, share * rate)[:, :2], axis=-1
+            ).max()
+        )
 
     # as large a swing as lets the hand reach `speed`, and never exceed it
     share = 1.0
@@ -120,46 +149,74 @@ def drawn(
     return middle + share * swing, share * rate
 
 
-def fault(model: Model, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray) -> str:
+def fault(
+    model: Model, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray
+) -> str:
     """The limit that a motion (K, J) violates, in words; empty if none."""
     arm, camera = model.arm, model.camera
     reason = str(arm_faults(arm, obstacles, angles[None], speeds[None])[0])
-    joints = arm.joints(angles)
-    if any(box.gap(x, y) < model.string.length for box in obstacles for x, y in joints[::4, -1]):
+    joints = arm.joint_positions(angles)
+    if any(
+        box.distance_to(x, y) < model.string.length
+        for box in obstacles
+        for x, y in joints[::4, -1]
+    ):
         return reason or "the string could touch an obstacle"
     edge = MARGIN * camera.width
     pixels = camera.pixels(joints[:, 1:])
-    inside = (pixels >= edge) & (pixels <= np.array([camera.width, camera.height]) - 1 - edge)
+    inside = (pixels >= edge) & (
+        pixels <= np.array([camera.width, camera.height]) - 1 - edge
+    )
     return reason or ("" if inside.all() else "the arm leaves the picture")
 
 
 def information(model: Model, angles: np.ndarray, speeds: np.ndarray) -> float:
-    """The information of a motion about the alignment. angles, speeds: (K, J) [rad], [rad/s].
+    """The information of a motion about the alignment. angles, speeds: (K, J) [rad],
+    [rad/s].
 
-    Logarithm of the determinant of the Fisher information of all parameters, and CLOCKS times that of the clocks, the
-    others but for a lag being unknown: with a lag, only the sum of the two is measured.
+    Logarithm of the determinant of the Fisher information of all parameters, and CLOCKS
+    times that of the clocks, the others but for a lag being unknown: with a lag, only
+    the sum of the two is measured.
     """
     motion = JointMotion(0.0, model.arm.tick, angles[None], speeds[None])
     times = np.arange(0, (len(angles) - 1) * model.arm.tick, SIGHTED)
-    hand = at_hand(times, np.zeros((len(times), 2)), np.ones(len(times)), len(model.arm.links))  # wherever it is seen
+    # wherever it is seen
+    hand = at_hand(
+        times, np.zeros((len(times), 2)), np.ones(len(times)), len(model.arm.links)
+    )
     problem = Problem(measuring(model), (Sighted("", motion, hand),))
     names = problem.parameters((*ALWAYS, *SOUGHT))
     low, high = problem.ranges(names)
-    slope = problem.slopes(names, np.array([TYPICAL.get(name, 0.0) for name in names])) * (high - low)
-    clocks = np.linalg.pinv(np.delete(slope, names.index(LAG), axis=1))[names.index(OFFSET)]
-    return float(np.linalg.slogdet(slope.T @ slope)[1] - CLOCKS * np.log(np.sum(clocks**2)))
+    slope = problem.slopes(
+        names, np.array([TYPICAL.get(name, 0.0) for name in names])
+    ) * (high - low)
+    clocks = np.linalg.pinv(np.delete(slope, names.index(LAG), axis=1))[
+        names.index(OFFSET)
+    ]
+    return float(
+        np.linalg.slogdet(slope.T @ slope)[1] - CLOCKS * np.log(np.sum(clocks**2))
+    )
 
 
 def motion_of(arm: Arm, angles: np.ndarray, count: Counter[str]) -> Motion:
-    """The artifact. angles: (K, J). There is no target, and the string's own motion is not predicted."""
+    """The artifact. angles: (K, J). There is no target, and the string's own motion is
+    not predicted.
+    """
     columns = {"t": np.arange(len(angles)) * arm.tick}
-    columns |= dict(zip(JOINTS, angles.T, strict=True)) | dict(zip(SPEEDS, arm.commanded(angles).T, strict=True))
+    columns |= dict(zip(JOINTS, angles.T, strict=True)) | dict(
+        zip(SPEEDS, arm.commanded_velocities(angles).T, strict=True)
+    )
     outcome = {c.name: [np.nan] for c in MOTION_OUTCOME.columns}
-    outcome |= {"duration": [(len(angles) - 1) * arm.tick], "tried": [sum(count.values())]}
+    outcome |= {
+        "duration": [(len(angles) - 1) * arm.tick],
+        "tried": [sum(count.values())],
+    }
     return Motion(
         COMMANDS.check(pd.DataFrame(columns)),
         CONTROL_POINTS.empty(),
         PREDICTED_STRING.empty(),
-        ATTEMPTS.check(pd.DataFrame(sorted(count.items()), columns=["outcome", "count"])),
+        ATTEMPTS.check(
+            pd.DataFrame(sorted(count.items()), columns=["outcome", "count"])
+        ),
         MOTION_OUTCOME.check(pd.DataFrame(outcome)),
     )

@@ -1,1 +1,3 @@
-"""Physical effects on the string, one file each. See `stages.model.effect` for what a file holds."""
+"""Physical effects on the string, one file each. See `stages.model.effect` for what a
+file holds.
+"""

@@ -9,10 +9,10 @@ from stringcast.stages.model.effect import (
     StringEffect,
     Values,
     brakes,
-    line,
-    nothing_at_zero,
+    draw_line,
     odd,
-    turns,
+    rotates_with,
+    vanishes_at_zero,
 )
 
 
@@ -21,14 +21,30 @@ class AirDrag(StringEffect):
 
     name = "air_drag"
     parameters = (
-        Parameter("linear_drag", "N s/(m kg)", "air resistance, proportional", 1.0e-4, 10.0, 1.0e-4, "C_c1"),
-        Parameter("quadratic_drag", "N s2/(m2 kg)", "air resistance, squared", 1.0e-4, 10.0, 1.0e-4, "C_c2"),
+        Parameter(
+            "linear_drag",
+            "N s/(m kg)",
+            "air resistance, proportional",
+            1.0e-4,
+            10.0,
+            1.0e-4,
+            "C_c1",
+        ),
+        Parameter(
+            "quadratic_drag",
+            "N s2/(m2 kg)",
+            "air resistance, squared",
+            1.0e-4,
+            10.0,
+            1.0e-4,
+            "C_c2",
+        ),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_c"
     invariants = (
         odd("load", "ux", "uy"),
-        turns("load", "u"),
-        nothing_at_zero("load", "ux", "uy"),
+        rotates_with("load", "u"),
+        vanishes_at_zero("load", "ux", "uy"),
         brakes("load", "ux", "uy"),
     )
 
@@ -40,10 +56,14 @@ class AirDrag(StringEffect):
     def plot(cls, axes: Axes, values: Values) -> None:
         """Draw the force over speed."""
         speed = np.linspace(0.0, 20.0, 101)
-        force = -cls.load(speed, 0.0, values["linear_drag"], values["quadratic_drag"])[0]
-        line(axes, speed, force, "speed / (m/s)", "air resistance / (m/s2)")
+        force = -cls.load(speed, 0.0, values["linear_drag"], values["quadratic_drag"])[
+            0
+        ]
+        draw_line(axes, speed, force, "speed / (m/s)", "air resistance / (m/s2)")
 
     @staticmethod
-    def load(ux: Quantity, uy: Quantity, linear_drag: Quantity, quadratic_drag: Quantity) -> tuple[Quantity, Quantity]:
+    def load(
+        ux: Quantity, uy: Quantity, linear_drag: Quantity, quadratic_drag: Quantity
+    ) -> tuple[Quantity, Quantity]:
         drag = linear_drag + quadratic_drag * np.sqrt(ux * ux + uy * uy)
         return -drag * ux, -drag * uy

@@ -9,23 +9,34 @@ from stringcast.stages.model.effect import (
     StringEffect,
     Values,
     brakes,
-    line,
-    nothing_at_zero,
+    draw_line,
     odd,
-    turns,
+    rotates_with,
+    vanishes_at_zero,
 )
 
 
 class AnisotropicDrag(StringEffect):
-    """The paper's air resistance, a multiple of it once more for the velocity across the string."""
+    """The paper's air resistance, a multiple of it once more for the velocity across
+    the string.
+    """
 
     name = "anisotropic_drag"
-    parameters = (Parameter("excess", "1", "resistance across the string over that along it, less 1", 0.0, 10.0, 0.0),)
+    parameters = (
+        Parameter(
+            "excess",
+            "1",
+            "resistance across the string over that along it, less 1",
+            0.0,
+            10.0,
+            0.0,
+        ),
+    )
     reference = "Taylor, Analysis of the swimming of long and narrow animals (1952): drag along and across a cylinder"
     invariants = (
         odd("load", "ux", "uy"),
-        turns("load", "u", "t"),
-        nothing_at_zero("load", "ux", "uy"),
+        rotates_with("load", "u", "t"),
+        vanishes_at_zero("load", "ux", "uy"),
         brakes("load", "ux", "uy"),
     )
 
@@ -37,9 +48,17 @@ class AnisotropicDrag(StringEffect):
     def plot(cls, axes: Axes, values: Values) -> None:
         """Over the angle between velocity and string."""
         angle = np.linspace(0.0, np.pi, 181)
-        fx, fy = cls.load(1.0, 0.0, np.cos(angle), np.sin(angle), 1.0, 0.0, values["excess"])
+        fx, fy = cls.load(
+            1.0, 0.0, np.cos(angle), np.sin(angle), 1.0, 0.0, values["excess"]
+        )
         resistance = np.hypot(fx - 1.0, fy)
-        line(axes, np.degrees(angle), resistance, "between velocity and string / degrees", "resistance / along")
+        draw_line(
+            axes,
+            np.degrees(angle),
+            resistance,
+            "between velocity and string / degrees",
+            "resistance / along",
+        )
 
     @staticmethod
     def load(

@@ -3,36 +3,63 @@
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from stringcast.stages.model.effect import HandEffect, Parameter, Quantity, Values, follows, odd
+from stringcast.stages.model.effect import (
+    HandEffect,
+    Parameter,
+    Quantity,
+    Values,
+    odd,
+    shifts_with,
+)
 
 
 class ArmLag(HandEffect):
-    """tau y' = u - y: each joint, or where only the grasp is known its pose, follows what is reported.
+    """tau y' = u - y: each joint, or where only the grasp is known its pose, follows
+    what is reported.
 
-    Solved exactly for the cubic spline through the samples; the arm is at rest at the beginning.
+    Solved exactly for the cubic spline through the samples; the arm is at rest at the
+    beginning.
     """
 
     name = "arm_lag"
-    parameters = (Parameter("time_constant", "s", "time by which joints lag behind", 0.0, 0.1, 0.0),)
+    parameters = (
+        Parameter(
+            "time_constant", "s", "time by which joints lag behind", 0.0, 0.1, 0.0
+        ),
+    )
     reference = "Response of a first-order system to a polynomial"
-    invariants = (odd("joints", "angles"), follows("joints", "angles"), odd("grasp", "pose"), follows("grasp", "pose"))
+    invariants = (
+        odd("joints", "angles"),
+        shifts_with("joints", "angles"),
+        odd("grasp", "pose"),
+        shifts_with("grasp", "pose"),
+    )
 
     @staticmethod
     def describe(values: Values) -> str:
         return f"the joints lag {1e3 * values['time_constant']:.1f} ms behind what the arm reports"
 
     @staticmethod
-    def joints(t: np.ndarray, angles: np.ndarray, time_constant: Quantity) -> np.ndarray:
-        """y = u - e; in each interval e is a polynomial in the spline's derivatives and a decay from what it was."""
+    def joints(
+        t: np.ndarray, angles: np.ndarray, time_constant: Quantity
+    ) -> np.ndarray:
+        """y = u - e; in each interval e is a polynomial in the spline's derivatives and
+        a decay from what it was.
+        """
         spline = CubicSpline(t, angles, axis=1, bc_type="natural")
         third = np.diff(spline(t, 2), axis=1) / np.diff(t)[:, None]
         tau = time_constant
         # the part of e that does not decay: tau u' - tau^2 u'' + tau^3 u'''
-        at_start, at_end = (tau * (spline(u, 1) - tau * (spline(u, 2) - tau * third)) for u in (t[:-1], t[1:]))
+        at_start, at_end = (
+            tau * (spline(u, 1) - tau * (spline(u, 2) - tau * third))
+            for u in (t[:-1], t[1:])
+        )
         decay = np.exp(-np.diff(t)[:, None] / np.maximum(time_constant, 1e-12))
         behind = np.zeros(np.broadcast_shapes(angles.shape, np.shape(time_constant)))
         for k in range(len(t) - 1):
-            behind[:, k + 1] = decay[..., k, :] * (behind[:, k] - at_start[:, k]) + at_end[:, k]
+            behind[:, k + 1] = (
+                decay[..., k, :] * (behind[:, k] - at_start[:, k]) + at_end[:, k]
+            )
         return angles - behind
 
     @staticmethod

@@ -1,6 +1,14 @@
 """Damping along the string, F_d of Table 1."""
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero, odd, resists
+from stringcast.stages.model.effect import (
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    odd,
+    resists,
+    vanishes_at_zero,
+)
 
 
 class AxialDamper(StringEffect):
@@ -8,10 +16,23 @@ class AxialDamper(StringEffect):
 
     name = "axial_damper"
     parameters = (
-        Parameter("axial_damping", "N s/(m kg)", "damping force between mass points", 0.13, 1.3e3, 0.13, "c_s", 2),
+        Parameter(
+            "axial_damping",
+            "N s/(m kg)",
+            "damping force between mass points",
+            0.13,
+            1.3e3,
+            0.13,
+            "c_s",
+            2,
+        ),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_d"
-    invariants = (odd("tension", "rate"), nothing_at_zero("tension", "rate"), resists("tension"))
+    invariants = (
+        odd("tension", "rate"),
+        vanishes_at_zero("tension", "rate"),
+        resists("tension"),
+    )
 
     @staticmethod
     def describe(values: Values) -> str:

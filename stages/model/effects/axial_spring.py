@@ -1,6 +1,13 @@
 """Elastic force along the string, F_s of Table 1."""
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero, odd
+from stringcast.stages.model.effect import (
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    odd,
+    vanishes_at_zero,
+)
 
 
 class AxialSpring(StringEffect):
@@ -8,10 +15,19 @@ class AxialSpring(StringEffect):
 
     name = "axial_spring"
     parameters = (
-        Parameter("axial_stiffness", "N/(m kg)", "elastic force between mass points", 9.0e3, 9.0e5, 9.0e3, "k_s", 2),
+        Parameter(
+            "axial_stiffness",
+            "N/(m kg)",
+            "elastic force between mass points",
+            9.0e3,
+            9.0e5,
+            9.0e3,
+            "k_s",
+            2,
+        ),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_s"
-    invariants = (odd("tension", "stretch"), nothing_at_zero("tension", "stretch"))
+    invariants = (odd("tension", "stretch"), vanishes_at_zero("tension", "stretch"))
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -2,22 +2,34 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import HandEffect, Parameter, Quantity, Values, follows, odd
+from stringcast.stages.model.effect import (
+    HandEffect,
+    Parameter,
+    Quantity,
+    Values,
+    odd,
+    shifts_with,
+)
 
 
 class Backlash(HandEffect):
-    """The play operator: a joint stays where it is until its gap is taken up, then is pushed along.
+    """The play operator: a joint stays where it is until its gap is taken up, then is
+    pushed along.
 
-    It begins in the middle of the gap. Gears wear one by one: each joint has a gap of its own.
+    It begins in the middle of the gap. Gears wear one by one: each joint has a gap of
+    its own.
     """
 
     name = "backlash"
-    turn = 1  # gears play behind the motor, whose lag and gain come first
+    order = 1  # gears play behind the motor, whose lag and gain come first
     parameters = tuple(
-        Parameter(f"gap_{joint}", "rad", f"play of joint q{joint}, end to end", 0.0, 0.1, 0.0) for joint in (1, 2, 3)
+        Parameter(
+            f"gap_{joint}", "rad", f"play of joint q{joint}, end to end", 0.0, 0.1, 0.0
+        )
+        for joint in (1, 2, 3)
     )
     reference = "Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989): the play operator"
-    invariants = (odd("joints", "angles"), follows("joints", "angles"))
+    invariants = (odd("joints", "angles"), shifts_with("joints", "angles"))
 
     @staticmethod
     def describe(values: Values) -> str:
@@ -25,8 +37,16 @@ class Backlash(HandEffect):
         return f"joints have play at their reversals: q1, q2 and q3 of {gaps} degrees"
 
     @staticmethod
-    def joints(t: np.ndarray, angles: np.ndarray, gap_1: Quantity, gap_2: Quantity, gap_3: Quantity) -> np.ndarray:
-        """Sample by sample: within half a gap of what is reported, and otherwise where it was."""
+    def joints(
+        t: np.ndarray,
+        angles: np.ndarray,
+        gap_1: Quantity,
+        gap_2: Quantity,
+        gap_3: Quantity,
+    ) -> np.ndarray:
+        """Sample by sample: within half a gap of what is reported, and otherwise where
+        it was.
+        """
         half = np.concatenate([gap_1, gap_2, gap_3], axis=-1) / 2
         low, high = angles - half, angles + half
         real = np.empty(low.shape)

@@ -2,39 +2,60 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line, nothing_at_zero, odd
+from stringcast.stages.model.effect import (
+    Axes,
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    draw_line,
+    odd,
+    vanishes_at_zero,
+)
 from stringcast.stages.model.effects.contact import Contact
 
 
 class BoxContact(StringEffect):
-    """A box pushes out what is inside it, with loss and friction as a plane's (`contact`), never pulling.
+    """A box pushes out what is inside it, with loss and friction as a plane's
+    (`contact`), never pulling.
 
-    It pushes with k d along the slope of the depth d, 1/d^2 = 1/a^2 + 1/b^2, for depths a and b
-    behind the nearer upright and the nearer level side; the potential is k d^2 / 2. Behind a side
-    d is the distance from it, behind an edge the push turns smoothly from one side to the other.
-    With the true distance, the smaller of a and b, it would jump across the diagonals: there a
-    step of 0.1 ms gained up to 3 % of a point's energy, so it gains 0.2 %. A point at speed v goes
-    v / sqrt(k) deep; what gets past the middle leaves on the other side. Mass points touch, not
-    the segments between them.
+    It pushes with k d along the slope of the depth d, 1/d^2 = 1/a^2 + 1/b^2, for depths
+    a and b behind the nearer upright and the nearer level side; the potential is k d^2
+    / 2. Behind a side d is the distance from it, behind an edge the push turns smoothly
+    from one side to the other. With the true distance, the smaller of a and b, it would
+    jump across the diagonals: there a step of 0.1 ms gained up to 3 % of a point's
+    energy, so it gains 0.2 %. A point at speed v goes v / sqrt(k) deep; what gets past
+    the middle leaves on the other side. Mass points touch, not the segments between
+    them.
     """
 
     name = "box_contact"
-    excluded = True
+    excluded_from_search = True
     parameters = (
-        Parameter("stiffness", "1/s2", "push over mass per depth behind a side", 0.0, 1.0e5, 0.0),
+        Parameter(
+            "stiffness",
+            "1/s2",
+            "push over mass per depth behind a side",
+            0.0,
+            1.0e5,
+            0.0,
+        ),
         Parameter("centre_x", "m", "place of the box's centre", -1.5, 1.5, 0.0),
         Parameter("centre_y", "m", "place of the box's centre", -1.5, 1.5, 0.0),
         Parameter("width", "m", "full width of the box", 0.0, 1.0, 0.1),
         Parameter("height", "m", "full height of the box", 0.0, 1.0, 0.1),
         Parameter("friction", "1", "friction coefficient", 0.0, 1.0, 0.0),
-        Parameter("loss", "s/m", "share of the push lost per speed of impact", 0.0, 0.5, 0.0),
+        Parameter(
+            "loss", "s/m", "share of the push lost per speed of impact", 0.0, 0.5, 0.0
+        ),
     )
     reference = Contact.reference
     invariants = (
-        nothing_at_zero("load", "stiffness"),
+        vanishes_at_zero("load", "stiffness"),
         odd("load", "x", "y", "vx", "vy", "centre_x", "centre_y"),
     )
-    bound = staticmethod(Contact.bound)  # no curvature of the potential is above that behind a side, k
+    # no curvature of the potential is above that behind a side, k
+    bound = staticmethod(Contact.bound)
 
     @staticmethod
     def describe(values: Values) -> str:
@@ -45,12 +66,18 @@ class BoxContact(StringEffect):
     def plot(cls, axes: Axes, values: Values) -> None:
         """The push at rest along a level line through the centre."""
         place = np.linspace(-0.7, 0.7, 281) * values["width"]
-        given = {"friction": 0.0, "loss": 0.0} | cls.derived(values["width"], values["height"])
-        push = cls.load(place, 0.0, 0.0, 0.0, 0.0, values["stiffness"], 0.0, 0.0, **given)[0]
-        line(axes, values["centre_x"] + place, push, "x / m", "push / (m/s2)")
+        given = {"friction": 0.0, "loss": 0.0} | cls.derive_parameters(
+            values["width"], values["height"]
+        )
+        push = cls.load(
+            place, 0.0, 0.0, 0.0, 0.0, values["stiffness"], 0.0, 0.0, **given
+        )[0]
+        draw_line(axes, values["centre_x"] + place, push, "x / m", "push / (m/s2)")
 
     @staticmethod
-    def derived(width: Quantity, height: Quantity, **others: Quantity) -> dict[str, Quantity]:
+    def derive_parameters(
+        width: Quantity, height: Quantity, **others: Quantity
+    ) -> dict[str, Quantity]:
         """Distances from the centre to the sides [m]."""
         return {"half_width": 0.5 * width, "half_height": 0.5 * height}
 
@@ -72,10 +99,17 @@ class BoxContact(StringEffect):
         right, up = x - centre_x, y - centre_y
         a = np.maximum(half_width - np.abs(right), 0.0)
         b = np.maximum(half_height - np.abs(up), 0.0)
-        over = 1.0 / np.sqrt(a * a + b * b + 1e-30)  # the last term only keeps 0 / 0 away
+        # the last term only keeps 0 / 0 away
+        over = 1.0 / np.sqrt(a * a + b * b + 1e-30)
         out_x = np.sign(right) * (b * over) ** 3
         out_y = np.sign(up) * (a * over) ** 3
-        push = stiffness * a * b * over * np.maximum(1.0 - loss * (out_x * vx + out_y * vy), 0.0)
+        push = (
+            stiffness
+            * a
+            * b
+            * over
+            * np.maximum(1.0 - loss * (out_x * vx + out_y * vy), 0.0)
+        )
         slide = out_y * vx - out_x * vy
         rub = friction * push
         slow = np.maximum(2.0 * rub * dt, 0.1)  # [m/s], as a plane's

@@ -2,11 +2,20 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Camera, CameraEffect, Parameter, Quantity, Values, follows
+from stringcast.stages.model.effect import (
+    Camera,
+    CameraEffect,
+    Parameter,
+    Quantity,
+    Values,
+    shifts_with,
+)
 
 
 class CameraOffset(CameraEffect):
-    """Everything is seen shifted: the pixel taken for the arm's origin is another. `align` measures it beforehand."""
+    """Everything is seen shifted: the pixel taken for the arm's origin is another.
+    `align` measures it beforehand.
+    """
 
     name = "camera_offset"
     parameters = (
@@ -14,7 +23,7 @@ class CameraOffset(CameraEffect):
         Parameter("y", "m", "how far up everything is seen", -0.1, 0.1, 0.0),
     )
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
-    invariants = (follows("seen", "points"),)
+    invariants = (shifts_with("seen", "points"),)
 
     @staticmethod
     def describe(values: Values) -> str:
@@ -23,8 +32,13 @@ class CameraOffset(CameraEffect):
         return f"the picture's origin is off: everything is seen {across} and {up}"
 
     @staticmethod
-    def seen(
-        points: np.ndarray, velocity: np.ndarray, times: np.ndarray, camera: Camera, x: Quantity, y: Quantity
+    def observe(
+        points: np.ndarray,
+        velocity: np.ndarray,
+        times: np.ndarray,
+        camera: Camera,
+        x: Quantity,
+        y: Quantity,
     ) -> np.ndarray:
         """The points shifted."""
         return points + np.concatenate([x, y], axis=-1)

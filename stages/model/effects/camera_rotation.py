@@ -2,16 +2,29 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Camera, CameraEffect, Parameter, Quantity, Values, turns_about_centre
+from stringcast.stages.model.effect import (
+    Camera,
+    CameraEffect,
+    Parameter,
+    Quantity,
+    Values,
+    rotates_about_centre,
+)
 
 
 class CameraRotation(CameraEffect):
-    """A rotation of the reported points about the middle of the image, counter-clockwise."""
+    """A rotation of the reported points about the middle of the image,
+    counter-clockwise.
+    """
 
     name = "camera_rotation"
-    parameters = (Parameter("angle", "rad", "angle by which what is seen is turned", -0.2, 0.2, 0.0),)
+    parameters = (
+        Parameter(
+            "angle", "rad", "angle by which what is seen is turned", -0.2, 0.2, 0.0
+        ),
+    )
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
-    invariants = (turns_about_centre("seen"),)
+    invariants = (rotates_about_centre("seen"),)
 
     @staticmethod
     def describe(values: Values) -> str:
@@ -19,8 +32,12 @@ class CameraRotation(CameraEffect):
         return f"the camera is rolled: what it sees is turned {np.degrees(abs(values['angle'])):.2f} degrees {way}"
 
     @staticmethod
-    def seen(
-        points: np.ndarray, velocity: np.ndarray, times: np.ndarray, camera: Camera, angle: Quantity
+    def observe(
+        points: np.ndarray,
+        velocity: np.ndarray,
+        times: np.ndarray,
+        camera: Camera,
+        angle: Quantity,
     ) -> np.ndarray:
         """The points turned about the centre of the picture."""
         x, y = np.moveaxis(points - camera.centre, -1, 0)

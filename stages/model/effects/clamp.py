@@ -2,29 +2,51 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line
+from stringcast.stages.model.effect import (
+    Axes,
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    draw_line,
+)
 
 
 class Clamp(StringEffect):
-    """The free string begins `hidden` before the stated grasp, where nobody sees it, and beside it by an offset.
+    """The free string begins `hidden` before the stated grasp, where nobody sees it,
+    and beside it by an offset.
 
-    With no offset it passes straight through the stated grasp. Measured points keep their arc length from there. A
-    negative length is held: it lies straight on as the free string begins. An offset is in the frame of the grasp, with
-    its angle, if it has one. A camera that is off looks like the offset.
+    With no offset it passes straight through the stated grasp. Measured points keep
+    their arc length from there. A negative length is held: it lies straight on as the
+    free string begins. An offset is in the frame of the grasp, with its angle, if it
+    has one. A camera that is off looks like the offset.
     """
 
     name = "clamp"
     parameters = (
-        Parameter("hidden", "m", "free string before the stated grasp", -0.03, 0.03, 0.0),
-        Parameter("along", "m", "offset of the string in the grasp's direction", -0.01, 0.01, 0.0),
-        Parameter("across", "m", "offset of the string to the left of it", -0.01, 0.01, 0.0),
+        Parameter(
+            "hidden", "m", "free string before the stated grasp", -0.03, 0.03, 0.0
+        ),
+        Parameter(
+            "along",
+            "m",
+            "offset of the string in the grasp's direction",
+            -0.01,
+            0.01,
+            0.0,
+        ),
+        Parameter(
+            "across", "m", "offset of the string to the left of it", -0.01, 0.01, 0.0
+        ),
     )
     reference = "Geometry; strips of silicone measured on film hide 9 to 10 mm in their clamp (L4DC set)"
 
     @staticmethod
     def describe(values: Values) -> str:
         way = "before" if values["hidden"] > 0 else "beyond"
-        hidden, along, across = (1e3 * values[name] for name in ("hidden", "along", "across"))
+        hidden, along, across = (
+            1e3 * values[name] for name in ("hidden", "along", "across")
+        )
         return (
             f"the free string begins {abs(hidden):.1f} mm {way} the stated grasp, "
             f"moved by {along:+.1f} mm along and {across:+.1f} mm across its direction"
@@ -35,12 +57,20 @@ class Clamp(StringEffect):
         """The stated grasp, and the string from where it begins."""
         axes.plot(0.0, 0.0, "+", markersize=12)
         along, across = cls.grasp_offset(**values)
-        line(axes, np.array([along, along + 0.05]), np.array([across, across]), "along the grasp / m", "across / m")
+        draw_line(
+            axes,
+            np.array([along, along + 0.05]),
+            np.array([across, across]),
+            "along the grasp / m",
+            "across / m",
+        )
 
     @staticmethod
     def hidden_length(hidden: Quantity) -> Quantity:
         return hidden
 
     @staticmethod
-    def grasp_offset(hidden: Quantity, along: Quantity, across: Quantity) -> tuple[Quantity, Quantity]:
+    def grasp_offset(
+        hidden: Quantity, along: Quantity, across: Quantity
+    ) -> tuple[Quantity, Quantity]:
         return along - hidden, across

@@ -6,10 +6,21 @@ from stringcast.stages.model.effect import ClockEffect, Parameter, Quantity, Val
 
 
 class ClockDrift(ClockEffect):
-    """The arm's clock gains on the camera's from t = 0, the start of the movement, where both agree."""
+    """The arm's clock gains on the camera's from t = 0, the start of the movement,
+    where both agree.
+    """
 
     name = "clock_drift"
-    parameters = (Parameter("rate", "1", "what the arm's clock gains on the camera's, as a share", -0.05, 0.05, 0.0),)
+    parameters = (
+        Parameter(
+            "rate",
+            "1",
+            "what the arm's clock gains on the camera's, as a share",
+            -0.05,
+            0.05,
+            0.0,
+        ),
+    )
     reference = "Change of the unit of time"
     invariants = (odd("times", "t"),)
 

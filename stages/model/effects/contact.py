@@ -2,54 +2,110 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line, nothing_at_zero
+from stringcast.stages.model.effect import (
+    Axes,
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    draw_line,
+    vanishes_at_zero,
+)
 
 
 class Contact(StringEffect):
-    """A plane pushes back what is behind it: k d (1 - a v_n), never pulling, and rubs with Coulomb's friction.
+    """A plane pushes back what is behind it: k d (1 - a v_n), never pulling, and rubs
+    with Coulomb's friction.
 
-    d is the depth and v_n the velocity out of the plane. Without loss a the push has a potential,
-    so that a bounce gives back what it took; loss only takes (Hunt and Crossley). Mass points
-    touch, not the segments between them. Friction is smooth below 0.1 m/s, and in a step dt below twice the speed
-    that it could take in it: as a step cannot see it turn round, friction must not be what turns a slide round.
-    What is met at a speed v goes v / sqrt(k) deep (5 m/s: 16 mm at 1e5, 2.5 mm at 4e6), so k is sought evenly in its
-    root. What is between mass points goes deeper than they, so that a plane looks softer than it is.
+    d is the depth and v_n the velocity out of the plane. Without loss a the push has a
+    potential, so that a bounce gives back what it took; loss only takes (Hunt and
+    Crossley). Mass points touch, not the segments between them. Friction is smooth
+    below 0.1 m/s, and in a step dt below twice the speed that it could take in it: as a
+    step cannot see it turn round, friction must not be what turns a slide round. What
+    is met at a speed v goes v / sqrt(k) deep (5 m/s: 16 mm at 1e5, 2.5 mm at 4e6), so k
+    is sought evenly in its root. What is between mass points goes deeper than they, so
+    that a plane looks softer than it is.
     """
 
     name = "contact"
     parameters = (
-        Parameter("stiffness", "1/s2", "push over mass per depth", 0.0, 1.0e7, 0.0, root=2, at_least=True),
-        Parameter("height", "m", "distance of the plane from the world's origin, along its normal", -1.0, 1.0, 0.0),
-        Parameter("tilt", "rad", "angle of its normal from straight up: 0 is a floor, +-pi/2 a wall", -3.1, 3.1, 0.0),
+        Parameter(
+            "stiffness",
+            "1/s2",
+            "push over mass per depth",
+            0.0,
+            1.0e7,
+            0.0,
+            root=2,
+            is_lower_bound=True,
+        ),
+        Parameter(
+            "height",
+            "m",
+            "distance of the plane from the world's origin, along its normal",
+            -1.0,
+            1.0,
+            0.0,
+        ),
+        Parameter(
+            "tilt",
+            "rad",
+            "angle of its normal from straight up: 0 is a floor, +-pi/2 a wall",
+            -3.1,
+            3.1,
+            0.0,
+        ),
         Parameter("friction", "1", "friction coefficient", 0.0, 1.0, 0.0),
-        Parameter("loss", "s/m", "share of the push lost per speed of impact", 0.0, 0.5, 0.0),
+        Parameter(
+            "loss", "s/m", "share of the push lost per speed of impact", 0.0, 0.5, 0.0
+        ),
     )
     reference = "Hunt and Crossley, Coefficient of restitution interpreted as damping in vibroimpact (1975)"
-    invariants = (nothing_at_zero("load", "stiffness"),)
+    invariants = (vanishes_at_zero("load", "stiffness"),)
 
     @staticmethod
     def describe(values: Values) -> str:
         turned = np.degrees(values["tilt"])
-        sinks = 1e3 * 9.81 / max(values["stiffness"], 1e-3)  # [mm] of a string that lies on it as on a floor
-        soft = f", so soft that a string at rest sinks {sinks:.0f} mm into it" if round(sinks) >= 1 else ""
+        # [mm] of a string that lies on it as on a floor
+        sinks = 1e3 * 9.81 / max(values["stiffness"], 1e-3)
+        soft = (
+            f", so soft that a string at rest sinks {sinks:.0f} mm into it"
+            if round(sinks) >= 1
+            else ""
+        )
         return f"the string touches a plane {values['height']:.3f} m from the origin, turned {turned:.0f} degrees{soft}"
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
         """The push at rest over the place along the normal."""
         place = values["height"] + np.linspace(-0.01, 0.01, 101)
-        push = cls.load(0.0, place, 0.0, 0.0, 0.0, values["stiffness"], values["height"], 0.0, 0.0, 0.0, 1.0)[1]
-        line(axes, place, push, "along the normal / m", "push / (m/s2)")
+        push = cls.load(
+            0.0,
+            place,
+            0.0,
+            0.0,
+            0.0,
+            values["stiffness"],
+            values["height"],
+            0.0,
+            0.0,
+            0.0,
+            1.0,
+        )[1]
+        draw_line(axes, place, push, "along the normal / m", "push / (m/s2)")
 
     @staticmethod
-    def derived(tilt: Quantity, **others: Quantity) -> dict[str, Quantity]:
+    def derive_parameters(tilt: Quantity, **others: Quantity) -> dict[str, Quantity]:
         """The plane's normal."""
         return {"normal_x": -np.sin(tilt), "normal_y": np.cos(tilt)}
 
     @staticmethod
-    def bound(stiffness: Quantity, loss: Quantity, **others: Quantity) -> tuple[Quantity, Quantity]:
-        """A bound for impacts up to 10 m/s, which go as deep as speed over frequency. Friction is bounded by its
-        law."""
+    def bound(
+        stiffness: Quantity, loss: Quantity, **others: Quantity
+    ) -> tuple[Quantity, Quantity]:
+        """A bound for impacts up to 10 m/s, which go as deep as speed over frequency.
+        Friction is bounded by its law.
+        """
         speed = 10.0
         return stiffness * (1 + loss * speed), loss * speed * np.sqrt(stiffness)
 
@@ -68,7 +124,11 @@ class Contact(StringEffect):
         normal_y: Quantity,
     ) -> tuple[Quantity, Quantity]:
         depth = np.maximum(height - normal_x * x - normal_y * y, 0.0)
-        push = stiffness * depth * np.maximum(1.0 - loss * (normal_x * vx + normal_y * vy), 0.0)
+        push = (
+            stiffness
+            * depth
+            * np.maximum(1.0 - loss * (normal_x * vx + normal_y * vy), 0.0)
+        )
         slide = normal_y * vx - normal_x * vy
         rub = friction * push
         slow = np.maximum(2.0 * rub * dt, 0.1)  # [m/s]

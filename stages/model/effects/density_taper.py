@@ -1,13 +1,30 @@
 """Mass per length that changes linearly along the string."""
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, odd
+from stringcast.stages.model.effect import (
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    odd,
+)
 
 
 class DensityTaper(StringEffect):
-    """Density from 1 - taper / 2 at the grasp to 1 + taper / 2 at the tip; the whole mass stays what it is."""
+    """Density from 1 - taper / 2 at the grasp to 1 + taper / 2 at the tip; the whole
+    mass stays what it is.
+    """
 
     name = "density_taper"
-    parameters = (Parameter("taper", "1", "rise of mass per length from grasp to tip over its mean", -1.6, 1.6, 0.0),)
+    parameters = (
+        Parameter(
+            "taper",
+            "1",
+            "rise of mass per length from grasp to tip over its mean",
+            -1.6,
+            1.6,
+            0.0,
+        ),
+    )
     reference = "Newton's second law for a string of uneven density"
     invariants = (odd("density", "taper"),)
 
@@ -15,9 +32,7 @@ class DensityTaper(StringEffect):
     def describe(values: Values) -> str:
         heavier = "tip" if values["taper"] > 0 else "grasp"
         share = 100 * abs(values["taper"])
-        return (
-            f"the string grows heavier towards the {heavier}: its mass per length changes by {share:.0f} % of the mean"
-        )
+        return f"the string grows heavier towards the {heavier}: its mass per length changes by {share:.0f} % of the mean"
 
     @staticmethod
     def density(s: Quantity, length: Quantity, taper: Quantity) -> Quantity:

@@ -2,19 +2,38 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line, nothing_at_zero
+from stringcast.stages.model.effect import (
+    Axes,
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    draw_line,
+    vanishes_at_zero,
+)
 
 
 class EqualPoints(StringEffect):
-    """The last of n equal points stands for half a segment that is not there: mass and drag at the tip.
+    """The last of n equal points stands for half a segment that is not there: mass and
+    drag at the tip.
 
-    No string of a camera is like that; trials made by another simulation are, as Eq. 1 is with its ten points.
+    No string of a camera is like that; trials made by another simulation are, as Eq. 1
+    is with its ten points.
     """
 
     name = "equal_points"
-    parameters = (Parameter("excess", "1", "string at the tip beyond its length, as a share of it", 0.0, 0.06, 0.0),)
+    parameters = (
+        Parameter(
+            "excess",
+            "1",
+            "string at the tip beyond its length, as a share of it",
+            0.0,
+            0.06,
+            0.0,
+        ),
+    )
     reference = "Tabata et al., IROS 2021, Eq. 1: every mass point has the same mass"
-    invariants = (nothing_at_zero("tip_length", "excess"),)
+    invariants = (vanishes_at_zero("tip_length", "excess"),)
 
     @staticmethod
     def describe(values: Values) -> str:
@@ -24,7 +43,13 @@ class EqualPoints(StringEffect):
     def plot(cls, axes: Axes, values: Values) -> None:
         """The excess of a chain over its number of points, and the one found."""
         points = np.arange(9, 101)
-        line(axes, points, 0.5 / (points - 1), "equal mass points", "excess at the tip / length")
+        draw_line(
+            axes,
+            points,
+            0.5 / (points - 1),
+            "equal mass points",
+            "excess at the tip / length",
+        )
         axes.axhline(values["excess"], linestyle=":", color="0.5")
 
     @staticmethod

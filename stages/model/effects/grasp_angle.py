@@ -2,17 +2,34 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, HandEffect, Parameter, Quantity, Values, carried, line
+from stringcast.stages.model.effect import (
+    Axes,
+    HandEffect,
+    Parameter,
+    Quantity,
+    Values,
+    draw_line,
+    moves_with_pose,
+)
 
 
 class GraspAngle(HandEffect):
     """The grasp's direction is turned against the last link, counter-clockwise."""
 
     name = "grasp_angle"
-    parameters = (Parameter("angle", "rad", "direction of the string against the last link", -0.8, 0.8, 0.0),)
-    each_time = True
+    parameters = (
+        Parameter(
+            "angle",
+            "rad",
+            "direction of the string against the last link",
+            -0.8,
+            0.8,
+            0.0,
+        ),
+    )
+    varies_between_trials = True
     reference = "Rotation of the grasp"
-    invariants = (carried("grasp", "pose"),)
+    invariants = (moves_with_pose("grasp", "pose"),)
 
     @staticmethod
     def describe(values: Values) -> str:
@@ -24,7 +41,13 @@ class GraspAngle(HandEffect):
         """Draw the last link and the beginning of the string."""
         axes.plot([-1.0, 0.0], [0.0, 0.0], linestyle="--")
         way = np.linspace(0.0, 1.0, 2)
-        line(axes, way * np.cos(values["angle"]), way * np.sin(values["angle"]), "along the last link", "across")
+        draw_line(
+            axes,
+            way * np.cos(values["angle"]),
+            way * np.sin(values["angle"]),
+            "along the last link",
+            "across",
+        )
 
     @staticmethod
     def grasp(t: np.ndarray, pose: np.ndarray, angle: Quantity) -> np.ndarray:

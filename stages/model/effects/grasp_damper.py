@@ -1,6 +1,14 @@
 """Damping moment between hand and string, F_phc of Table 1."""
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero, odd, resists
+from stringcast.stages.model.effect import (
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    odd,
+    resists,
+    vanishes_at_zero,
+)
 
 
 class GraspDamper(StringEffect):
@@ -8,10 +16,23 @@ class GraspDamper(StringEffect):
 
     name = "grasp_damper"
     parameters = (
-        Parameter("grasp_damping", "N m s/(rad kg)", "damper moment at the grasp", 1.1e-6, 0.37, 1.1e-6, "c_ph", 1),
+        Parameter(
+            "grasp_damping",
+            "N m s/(rad kg)",
+            "damper moment at the grasp",
+            1.1e-6,
+            0.37,
+            1.1e-6,
+            "c_ph",
+            1,
+        ),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_phc"
-    invariants = (odd("grasp_moment", "rate"), nothing_at_zero("grasp_moment", "rate"), resists("grasp_moment"))
+    invariants = (
+        odd("grasp_moment", "rate"),
+        vanishes_at_zero("grasp_moment", "rate"),
+        resists("grasp_moment"),
+    )
 
     @staticmethod
     def describe(values: Values) -> str:

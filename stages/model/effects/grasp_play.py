@@ -2,28 +2,45 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, beside_weight, odd
+from stringcast.stages.model.effect import (
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    moment_percent_of_weight,
+    odd,
+)
 
 
 class GraspPlay(StringEffect):
-    """The jaws hold the string's direction by dry friction, up to the moment `cap`, beside the grasp's spring.
+    """The jaws hold the string's direction by dry friction, up to the moment `cap`,
+    beside the grasp's spring.
 
-    Below it they give by `slip` at most and spring back; beyond it the string turns between them, and stays turned as
-    far as the spring lets it: play, whose ends are where it last slipped to. While it sticks it looks like a firmer
-    grasp.
+    Below it they give by `slip` at most and spring back; beyond it the string turns
+    between them, and stays turned as far as the spring lets it: play, whose ends are
+    where it last slipped to. While it sticks it looks like a firmer grasp.
     """
 
     name = "grasp_play"
     parameters = (
-        Parameter("cap", "m3/s2", "moment over mass per length at which it turns in the jaws", 0.0, 0.3, 0.0),
-        Parameter("slip", "rad", "angle by which the jaws give before", 5e-3, 0.5, 0.05),
+        Parameter(
+            "cap",
+            "m3/s2",
+            "moment over mass per length at which it turns in the jaws",
+            0.0,
+            0.3,
+            0.0,
+        ),
+        Parameter(
+            "slip", "rad", "angle by which the jaws give before", 5e-3, 0.5, 0.05
+        ),
     )
     reference = "Iwan, A distributed-element model for hysteresis and its steady-state dynamic response (1966)"
     invariants = (odd("grasp_held", "held", "change"), odd("grasp_held_moment", "held"))
 
     @staticmethod
     def describe(values: Values) -> str:
-        share = beside_weight(values["cap"])
+        share = moment_percent_of_weight(values["cap"])
         return f"the string turns in the gripper, beyond {share:.1f} % of the moment that holds 100 mm of it out level"
 
     @staticmethod

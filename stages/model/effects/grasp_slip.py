@@ -2,25 +2,36 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, HandEffect, Parameter, Quantity, Values, carried, line
+from stringcast.stages.model.effect import (
+    Axes,
+    HandEffect,
+    Parameter,
+    Quantity,
+    Values,
+    draw_line,
+    moves_with_pose,
+)
 
 
 class GraspSlip(HandEffect):
-    """A grasp from which the string slides for some time, out of the gripper, along the grasp's direction, at a
-    constant speed.
+    """A grasp from which the string slides for some time, out of the gripper, along the
+    grasp's direction, at a constant speed.
 
-    The part that has come out is taken to go on straight, and the free string keeps its length: right for a slip that
-    is short against the string. Onset and end are smooth over some 20 ms.
+    The part that has come out is taken to go on straight, and the free string keeps its
+    length: right for a slip that is short against the string. Onset and end are smooth
+    over some 20 ms.
     """
 
     name = "grasp_slip"
     parameters = (
-        Parameter("speed", "m/s", "speed at which the string slides out", -0.3, 0.3, 0.0),
+        Parameter(
+            "speed", "m/s", "speed at which the string slides out", -0.3, 0.3, 0.0
+        ),
         Parameter("onset", "s", "when it begins to slide", 0.0, 2.0, 0.2),
         Parameter("duration", "s", "for how long it slides", 0.0, 4.0, 1.0, root=2),
     )
     reference = "Kinematics of a string that is paid out"
-    invariants = (carried("grasp", "pose"),)
+    invariants = (moves_with_pose("grasp", "pose"),)
 
     @staticmethod
     def describe(values: Values) -> str:
@@ -33,13 +44,27 @@ class GraspSlip(HandEffect):
         """Draw the distance slid over time."""
         t = np.linspace(0.0, 2.0, 201)
         still = np.zeros((1, len(t), 3))
-        line(axes, t, cls.grasp(t, still, **values)[0, :, 0], "time / s", "slid out / m")
+        draw_line(
+            axes, t, cls.grasp(t, still, **values)[0, :, 0], "time / s", "slid out / m"
+        )
 
     @staticmethod
-    def grasp(t: np.ndarray, pose: np.ndarray, speed: Quantity, onset: Quantity, duration: Quantity) -> np.ndarray:
-        """The distance is the integral of a logistic rise of the speed, and of its fall."""
+    def grasp(
+        t: np.ndarray,
+        pose: np.ndarray,
+        speed: Quantity,
+        onset: Quantity,
+        duration: Quantity,
+    ) -> np.ndarray:
+        """The distance is the integral of a logistic rise of the speed, and of its
+        fall.
+        """
         rise, since = 0.005, t[:, None] - onset  # [s]
-        begun, ended = (np.logaddexp(0.0, each / rise) for each in (since, since - duration))
+        begun, ended = (
+            np.logaddexp(0.0, each / rise) for each in (since, since - duration)
+        )
         distance = speed * rise * (begun - ended)
         theta = pose[..., 2:]
-        return pose + distance * np.concatenate([np.cos(theta), np.sin(theta), 0 * theta], axis=-1)
+        return pose + distance * np.concatenate(
+            [np.cos(theta), np.sin(theta), 0 * theta], axis=-1
+        )

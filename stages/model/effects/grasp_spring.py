@@ -1,17 +1,38 @@
 """Elastic moment between hand and string, F_ph of Table 1."""
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero, odd
+from stringcast.stages.model.effect import (
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    odd,
+    vanishes_at_zero,
+)
 
 
 class GraspSpring(StringEffect):
-    """Moment proportional to the angle between the grasp's direction and the string. k_ph in the paper."""
+    """Moment proportional to the angle between the grasp's direction and the string.
+    k_ph in the paper.
+    """
 
     name = "grasp_spring"
     parameters = (
-        Parameter("grasp_stiffness", "N m/(rad kg)", "spring moment at the grasp", 1.0e-3, 5.0, 1.0e-3, "k_ph", 1),
+        Parameter(
+            "grasp_stiffness",
+            "N m/(rad kg)",
+            "spring moment at the grasp",
+            1.0e-3,
+            5.0,
+            1.0e-3,
+            "k_ph",
+            1,
+        ),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_ph"
-    invariants = (odd("grasp_moment", "angle"), nothing_at_zero("grasp_moment", "angle"))
+    invariants = (
+        odd("grasp_moment", "angle"),
+        vanishes_at_zero("grasp_moment", "angle"),
+    )
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -2,16 +2,27 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, nothing_at_zero
+from stringcast.stages.model.effect import (
+    Axes,
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    vanishes_at_zero,
+)
 
 
 class GravityDirection(StringEffect):
-    """A rotation of gravity, counter-clockwise, as the force to be added to the paper's weight."""
+    """A rotation of gravity, counter-clockwise, as the force to be added to the paper's
+    weight.
+    """
 
     name = "gravity_direction"
-    parameters = (Parameter("tilt", "rad", "angle of gravity from straight down", -0.3, 0.3, 0.0),)
+    parameters = (
+        Parameter("tilt", "rad", "angle of gravity from straight down", -0.3, 0.3, 0.0),
+    )
     reference = "Rotation of a vector"
-    invariants = (nothing_at_zero("acceleration", "sine", "versine"),)
+    invariants = (vanishes_at_zero("acceleration", "sine", "versine"),)
 
     @staticmethod
     def describe(values: Values) -> str:
@@ -21,12 +32,18 @@ class GravityDirection(StringEffect):
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
         """Draw an arrow beside the vertical."""
-        axes.quiver([0, 0], [0, 0], [0, np.sin(values["tilt"])], [-1, -np.cos(values["tilt"])], scale=2)
+        axes.quiver(
+            [0, 0],
+            [0, 0],
+            [0, np.sin(values["tilt"])],
+            [-1, -np.cos(values["tilt"])],
+            scale=2,
+        )
         axes.set_xlabel("x")
         axes.set_ylabel("y")
 
     @staticmethod
-    def derived(tilt: Quantity) -> dict[str, Quantity]:
+    def derive_parameters(tilt: Quantity) -> dict[str, Quantity]:
         """Once for each candidate, so that no sine runs in the loop."""
         return {"sine": np.sin(tilt), "versine": 2 * np.sin(tilt / 2) ** 2}
 

@@ -1,6 +1,14 @@
 """Damping in bending, F_h of Table 1."""
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero, odd, resists
+from stringcast.stages.model.effect import (
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    odd,
+    resists,
+    vanishes_at_zero,
+)
 
 
 class HingeDamper(StringEffect):
@@ -8,10 +16,23 @@ class HingeDamper(StringEffect):
 
     name = "hinge_damper"
     parameters = (
-        Parameter("bending_damping", "N m s/(rad kg)", "damper between segments", 3.0e-7, 0.67, 3.0e-7, "c_h", 2),
+        Parameter(
+            "bending_damping",
+            "N m s/(rad kg)",
+            "damper between segments",
+            3.0e-7,
+            0.67,
+            3.0e-7,
+            "c_h",
+            2,
+        ),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_h"
-    invariants = (odd("moment", "rate"), nothing_at_zero("moment", "rate"), resists("moment"))
+    invariants = (
+        odd("moment", "rate"),
+        vanishes_at_zero("moment", "rate"),
+        resists("moment"),
+    )
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -1,17 +1,35 @@
 """Elastic bending moment, F_b of Table 1."""
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero, odd
+from stringcast.stages.model.effect import (
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    odd,
+    vanishes_at_zero,
+)
 
 
 class HingeSpring(StringEffect):
-    """Moment proportional to curvature (Euler-Bernoulli). k_h, per mass point, is EI / (mu l^2)."""
+    """Moment proportional to curvature (Euler-Bernoulli). k_h, per mass point, is EI /
+    (mu l^2).
+    """
 
     name = "hinge_spring"
     parameters = (
-        Parameter("bending_stiffness", "N m/(rad kg)", "spring between segments", 8.0e-3, 4.0e2, 8.0e-3, "k_h", 2),
+        Parameter(
+            "bending_stiffness",
+            "N m/(rad kg)",
+            "spring between segments",
+            8.0e-3,
+            4.0e2,
+            8.0e-3,
+            "k_h",
+            2,
+        ),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_b"
-    invariants = (odd("moment", "curvature"), nothing_at_zero("moment", "curvature"))
+    invariants = (odd("moment", "curvature"), vanishes_at_zero("moment", "curvature"))
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -7,30 +7,45 @@ from stringcast.stages.model.effect import (
     Quantity,
     StringEffect,
     Values,
-    beside_weight,
     even,
+    moment_percent_of_weight,
     never_negative,
-    nothing_at_zero,
+    vanishes_at_zero,
 )
 
 
 class InternalFriction(StringEffect):
-    """A moment of constant size against the rate of curvature, smooth through rest. Retired for `maxwell_slip`.
+    """A moment of constant size against the rate of curvature, smooth through rest.
+    Retired for `maxwell_slip`.
 
-    It keeps no memory: below 100/(m s) it is viscous, and the string creeps home where a dry one would stick. Runs that
-    are stored and benches that are recorded mean it by its name; no diagnosis asks for it. Told as a drag, moment over
-    rate, that falls as it bends faster.
+    It keeps no memory: below 100/(m s) it is viscous, and the string creeps home where
+    a dry one would stick. Runs that are stored and benches that are recorded mean it by
+    its name; no diagnosis asks for it. Told as a drag, moment over rate, that falls as
+    it bends faster.
     """
 
     name = "internal_friction"
-    excluded = True
-    parameters = (Parameter("friction", "m3/s2", "dry friction moment over mass per length", 0.0, 0.05, 0.0),)
+    excluded_from_search = True
+    parameters = (
+        Parameter(
+            "friction",
+            "m3/s2",
+            "dry friction moment over mass per length",
+            0.0,
+            0.05,
+            0.0,
+        ),
+    )
     reference = "Coulomb friction, regularised; Dahl, Solid friction damping of mechanical vibrations (1976)"
-    invariants = (even("hinge_drag", "rate"), nothing_at_zero("hinge_drag", "friction"), never_negative("hinge_drag"))
+    invariants = (
+        even("hinge_drag", "rate"),
+        vanishes_at_zero("hinge_drag", "friction"),
+        never_negative("hinge_drag"),
+    )
 
     @staticmethod
     def describe(values: Values) -> str:
-        share = beside_weight(values["friction"])
+        share = moment_percent_of_weight(values["friction"])
         return f"bending has dry friction: {share:.1f} % of the moment that holds 100 mm of it out level"
 
     @staticmethod

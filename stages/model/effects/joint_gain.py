@@ -2,16 +2,32 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import HandEffect, Parameter, Quantity, Values, follows, odd
+from stringcast.stages.model.effect import (
+    HandEffect,
+    Parameter,
+    Quantity,
+    Values,
+    odd,
+    shifts_with,
+)
 
 
 class JointGain(HandEffect):
     """Every joint turns 1 + gain times as far from its first angle as the arm reports."""
 
     name = "joint_gain"
-    parameters = (Parameter("gain", "1", "what joints turn more than reported, as a share", -0.2, 0.2, 0.0),)
+    parameters = (
+        Parameter(
+            "gain",
+            "1",
+            "what joints turn more than reported, as a share",
+            -0.2,
+            0.2,
+            0.0,
+        ),
+    )
     reference = "Scale error of an encoder or a gear"
-    invariants = (odd("joints", "angles"), follows("joints", "angles"))
+    invariants = (odd("joints", "angles"), shifts_with("joints", "angles"))
 
     @staticmethod
     def describe(values: Values) -> str:

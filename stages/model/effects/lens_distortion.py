@@ -2,20 +2,36 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Camera, CameraEffect, Parameter, Quantity, Values, turns_about_centre
+from stringcast.stages.model.effect import (
+    Camera,
+    CameraEffect,
+    Parameter,
+    Quantity,
+    Values,
+    rotates_about_centre,
+)
 
 
 class LensDistortion(CameraEffect):
-    """r' = r (1 + k r^2), r from the middle of the image in half-widths, beyond what the camera corrects."""
+    """r' = r (1 + k r^2), r from the middle of the image in half-widths, beyond what
+    the camera corrects.
+    """
 
     name = "lens_distortion"
-    turn = 1  # it bends what a camera sees from where it stands
-    of_lens = True
+    order = 1  # it bends what a camera sees from where it stands
+    corrected_by_calibration = True
     parameters = (
-        Parameter("radial", "1", "outward shift at the image's left and right edge, as a share", -0.2, 0.2, 0.0),
+        Parameter(
+            "radial",
+            "1",
+            "outward shift at the image's left and right edge, as a share",
+            -0.2,
+            0.2,
+            0.0,
+        ),
     )
     reference = "Brown, Close-range camera calibration (1971): first radial term"
-    invariants = (turns_about_centre("seen"),)
+    invariants = (rotates_about_centre("seen"),)
 
     @staticmethod
     def describe(values: Values) -> str:
@@ -24,10 +40,16 @@ class LensDistortion(CameraEffect):
         return f"the lens distorts ({kind}): points at the image's edge are seen {share:.1f} % off their distance"
 
     @staticmethod
-    def seen(
-        points: np.ndarray, velocity: np.ndarray, times: np.ndarray, camera: Camera, radial: Quantity
+    def observe(
+        points: np.ndarray,
+        velocity: np.ndarray,
+        times: np.ndarray,
+        camera: Camera,
+        radial: Quantity,
     ) -> np.ndarray:
         """The points moved away from the centre by the cube of their distance."""
         offset = points - camera.centre
         half = camera.width / 2 / camera.px_per_m
-        return points + radial * offset * np.sum((offset / half) ** 2, axis=-1, keepdims=True)
+        return points + radial * offset * np.sum(
+            (offset / half) ** 2, axis=-1, keepdims=True
+        )

@@ -2,20 +2,43 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, even, line, nothing_at_zero
+from stringcast.stages.model.effect import (
+    Axes,
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    draw_line,
+    even,
+    vanishes_at_zero,
+)
 
 
 class NonlinearBending(StringEffect):
-    """M = B k sqrt(q + sqrt(1 + q^2)) with q = 2 h k^2 for curvature k: B k (1 + h k^2) where h k^2 is small.
+    """M = B k sqrt(q + sqrt(1 + q^2)) with q = 2 h k^2 for curvature k: B k (1 + h k^2)
+    where h k^2 is small.
 
-    Where it is large, a stiffening string (h > 0) has M ~ k^2 and a softening one yields: M rises
-    towards a limit. M never falls with curvature, so that the string stays stable in bending.
+    Where it is large, a stiffening string (h > 0) has M ~ k^2 and a softening one
+    yields: M rises towards a limit. M never falls with curvature, so that the string
+    stays stable in bending.
     """
 
     name = "nonlinear_bending"
-    parameters = (Parameter("hardening", "m2", "relative rise of stiffness with squared curvature", -5e-3, 5e-3, 0.0),)
+    parameters = (
+        Parameter(
+            "hardening",
+            "m2",
+            "relative rise of stiffness with squared curvature",
+            -5e-3,
+            5e-3,
+            0.0,
+        ),
+    )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), V-D: large bending has nonlinear properties"
-    invariants = (even("hinge_stiffness", "curvature"), nothing_at_zero("hinge_stiffness", "curvature"))
+    invariants = (
+        even("hinge_stiffness", "curvature"),
+        vanishes_at_zero("hinge_stiffness", "curvature"),
+    )
 
     @staticmethod
     def describe(values: Values) -> str:
@@ -27,10 +50,16 @@ class NonlinearBending(StringEffect):
     def plot(cls, axes: Axes, values: Values) -> None:
         """Over the curvature, in units of the stiffness."""
         curvature = np.linspace(-40.0, 40.0, 201)
-        moment = curvature * (1 + cls.hinge_stiffness(curvature, 1.0, values["hardening"]))
-        line(axes, curvature, moment, "curvature / (1/m)", "moment / stiffness / (1/m)")
+        moment = curvature * (
+            1 + cls.hinge_stiffness(curvature, 1.0, values["hardening"])
+        )
+        draw_line(
+            axes, curvature, moment, "curvature / (1/m)", "moment / stiffness / (1/m)"
+        )
 
     @staticmethod
-    def hinge_stiffness(curvature: Quantity, bending_stiffness: Quantity, hardening: Quantity) -> Quantity:
+    def hinge_stiffness(
+        curvature: Quantity, bending_stiffness: Quantity, hardening: Quantity
+    ) -> Quantity:
         q = 2.0 * hardening * curvature * curvature
         return bending_stiffness * (np.sqrt(q + np.sqrt(1.0 + q * q)) - 1.0)

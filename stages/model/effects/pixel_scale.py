@@ -2,15 +2,26 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Camera, CameraEffect, Parameter, Quantity, Values, odd
+from stringcast.stages.model.effect import (
+    Camera,
+    CameraEffect,
+    Parameter,
+    Quantity,
+    Values,
+    odd,
+)
 
 
 class PixelScale(CameraEffect):
-    """Everything is seen larger by a share, as far from the world's origin as that makes it."""
+    """Everything is seen larger by a share, as far from the world's origin as that
+    makes it.
+    """
 
     name = "pixel_scale"
-    turn = 2  # the last: pixels become metres
-    parameters = (Parameter("excess", "1", "reported over true size, less 1", -0.1, 0.1, 0.0),)
+    order = 2  # the last: pixels become metres
+    parameters = (
+        Parameter("excess", "1", "reported over true size, less 1", -0.1, 0.1, 0.0),
+    )
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
     invariants = (odd("seen", "points"),)
 
@@ -20,8 +31,12 @@ class PixelScale(CameraEffect):
         return f"the camera's scale is off: everything is reported {100 * abs(values['excess']):.2f} % too {size}"
 
     @staticmethod
-    def seen(
-        points: np.ndarray, velocity: np.ndarray, times: np.ndarray, camera: Camera, excess: Quantity
+    def observe(
+        points: np.ndarray,
+        velocity: np.ndarray,
+        times: np.ndarray,
+        camera: Camera,
+        excess: Quantity,
     ) -> np.ndarray:
         """The points scaled about the world's origin, whose pixel is known."""
         return points * (1 + excess)

@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, ModelChange, Values, line
+from stringcast.stages.model.effect import Axes, ModelChange, Values, draw_line
 
 
 class Resolution(ModelChange):
-    """No law of the string but of our making: segments half as long. May be joined again, to halve once more.
+    """No law of the string but of our making: segments half as long. May be joined
+    again, to halve once more.
 
     Parameters keep their meaning, for they are given at `reference_points`.
     """
@@ -22,7 +23,7 @@ class Resolution(ModelChange):
     def plot(cls, axes: Axes, values: Values) -> None:
         """An error of first order over the number of mass points."""
         points = np.array([10, 19, 37, 73])
-        line(axes, points, 9 / (points - 1), "mass points", "error / error at 10")
+        draw_line(axes, points, 9 / (points - 1), "mass points", "error / error at 10")
 
     @staticmethod
     def points(points: int) -> int:

@@ -2,19 +2,37 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line, odd
+from stringcast.stages.model.effect import (
+    Axes,
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    draw_line,
+    odd,
+)
 
 
 class RestCurvature(StringEffect):
-    """Without any moment the string has this curvature, positive to the left of its way to the tip: in its middle, and
-    changing evenly along it."""
+    """Without any moment the string has this curvature, positive to the left of its way
+    to the tip: in its middle, and changing evenly along it.
+    """
 
     name = "rest_curvature"
     parameters = (
-        Parameter("curvature", "1/m", "curvature at rest in the middle", -20.0, 20.0, 0.0),
-        Parameter("slope", "1/m2", "rise of the curvature at rest along the string", -100.0, 100.0, 0.0),
+        Parameter(
+            "curvature", "1/m", "curvature at rest in the middle", -20.0, 20.0, 0.0
+        ),
+        Parameter(
+            "slope",
+            "1/m2",
+            "rise of the curvature at rest along the string",
+            -100.0,
+            100.0,
+            0.0,
+        ),
     )
-    each_time = True
+    varies_between_trials = True
     reference = "Antman, Nonlinear Problems of Elasticity (2005), 4.1: intrinsic curvature of a rod"
     invariants = (odd("rest_curvature", "curvature", "slope"),)
 
@@ -22,7 +40,11 @@ class RestCurvature(StringEffect):
     def describe(values: Values) -> str:
         side = "left" if values["curvature"] > 0 else "right"
         radius = 1e3 / max(abs(values["curvature"]), 1e-9)
-        along = f", and {values['slope'] / 10:+.2g}/m more every 100 mm" if values["slope"] else ""
+        along = (
+            f", and {values['slope'] / 10:+.2g}/m more every 100 mm"
+            if values["slope"]
+            else ""
+        )
         return f"the string has a set: it rests curved to the {side} with a radius of {radius:.0f} mm{along}"
 
     @classmethod
@@ -32,8 +54,10 @@ class RestCurvature(StringEffect):
         turned = (values["curvature"] + values["slope"] * (s - s[-1]) / 2) * s
         steps = 0.003 * np.stack([np.cos(turned), np.sin(turned)])
         x, y = np.cumsum(steps, axis=1)
-        line(axes, x, y, "along the grasp / m", "across / m")
+        draw_line(axes, x, y, "along the grasp / m", "across / m")
 
     @staticmethod
-    def rest_curvature(curvature: Quantity, slope: Quantity, s: Quantity, length: Quantity) -> Quantity:
+    def rest_curvature(
+        curvature: Quantity, slope: Quantity, s: Quantity, length: Quantity
+    ) -> Quantity:
         return curvature + slope * (s - 0.5 * length)

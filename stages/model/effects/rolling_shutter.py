@@ -2,21 +2,48 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, Camera, CameraEffect, Parameter, Quantity, Values, line, reduces_to
+from stringcast.stages.model.effect import (
+    Axes,
+    Camera,
+    CameraEffect,
+    Parameter,
+    Quantity,
+    Values,
+    draw_line,
+    reduces_to,
+)
 
 
 class RollingShutter(CameraEffect):
-    """A row v of H, counted from the top, is exposed (v / H - stamped) `readout` after the frame's time; points go on
-    evenly meanwhile. Cameras state the time of their first row, of the middle one, or of the last.
+    """A row v of H, counted from the top, is exposed (v / H - stamped) `readout` after
+    the frame's time; points go on evenly meanwhile. Cameras state the time of their
+    first row, of the middle one, or of the last.
     """
 
     name = "rolling_shutter"
-    turn = -1  # the first: it takes velocities as they are, before anything is turned or scaled
+    # the first: it takes velocities as they are, before anything is turned or scaled
+    order = -1
     parameters = (
-        Parameter("readout", "s", "time from the exposure of the top row to the bottom row", -0.02, 0.02, 0.0),
-        Parameter("stamped", "1", "row exposed at the frame's time, from the top, over the height", 0.0, 1.0, 0.5),
+        Parameter(
+            "readout",
+            "s",
+            "time from the exposure of the top row to the bottom row",
+            -0.02,
+            0.02,
+            0.0,
+        ),
+        Parameter(
+            "stamped",
+            "1",
+            "row exposed at the frame's time, from the top, over the height",
+            0.0,
+            1.0,
+            0.5,
+        ),
     )
-    reference = "Meingast, Geyer and Sastry, Geometric models of rolling-shutter cameras (2005)"
+    reference = (
+        "Meingast, Geyer and Sastry, Geometric models of rolling-shutter cameras (2005)"
+    )
     invariants = (reduces_to("seen", "points", "velocity"),)
 
     @staticmethod
@@ -29,10 +56,10 @@ class RollingShutter(CameraEffect):
         """The time at which each row is exposed."""
         row = np.linspace(0.0, 1.0, 2)
         late = values["readout"] * (row - values["stamped"])
-        line(axes, row, late, "row / height", "exposed after the frame's time / s")
+        draw_line(axes, row, late, "row / height", "exposed after the frame's time / s")
 
     @staticmethod
-    def seen(
+    def observe(
         points: np.ndarray,
         velocity: np.ndarray,
         times: np.ndarray,
@@ -40,8 +67,9 @@ class RollingShutter(CameraEffect):
         readout: Quantity,
         stamped: Quantity,
     ) -> np.ndarray:
-        """Positions of points when their rows are exposed: delay = readout (row + rowspeed delay), solved for the
-        delay."""
+        """Positions of points when their rows are exposed: delay = readout (row +
+        rowspeed delay), solved for the delay.
+        """
         row = camera.pixels(points)[..., 1:] / camera.height - stamped
         speed = -velocity[..., 1:] * camera.px_per_m / camera.height
         return points + velocity * readout * row / (1 - readout * speed)

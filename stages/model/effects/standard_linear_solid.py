@@ -1,22 +1,34 @@
 """A string that yields: part of its stiffness relaxes."""
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, odd
+from stringcast.stages.model.effect import (
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    odd,
+)
 
 
 class StandardLinearSolid(StringEffect):
-    """A spring in series with a damper beside the bending stiffness (Zener): stiff at once, soft in the long run.
+    """A spring in series with a damper beside the bending stiffness (Zener): stiff at
+    once, soft in the long run.
 
     Several side by side are a Prony series. Within one cast it looks much like damping.
     """
 
     name = "standard_linear_solid"
     parameters = (
-        Parameter("stiffness", "m4/s2", "bending stiffness over mass per length that relaxes", 0.0, 3.0, 0.0),
+        Parameter(
+            "stiffness",
+            "m4/s2",
+            "bending stiffness over mass per length that relaxes",
+            0.0,
+            3.0,
+            0.0,
+        ),
         Parameter("relaxation", "s", "time in which it relaxes", 3e-3, 3.0, 0.1),
     )
-    reference = (
-        "Zener, Elasticity and Anelasticity of Metals (1948); Christensen, Theory of Viscoelasticity (1982), 1.6"
-    )
+    reference = "Zener, Elasticity and Anelasticity of Metals (1948); Christensen, Theory of Viscoelasticity (1982), 1.6"
     invariants = (odd("held", "held", "change"), odd("held_moment", "held"))
 
     @staticmethod
@@ -24,7 +36,9 @@ class StandardLinearSolid(StringEffect):
         return f"bending relaxes: {values['stiffness']:.2g} m4/s2 of its stiffness within {values['relaxation']:.2g} s"
 
     @staticmethod
-    def held(held: Quantity, change: Quantity, dt: Quantity, relaxation: Quantity) -> Quantity:
+    def held(
+        held: Quantity, change: Quantity, dt: Quantity, relaxation: Quantity
+    ) -> Quantity:
         lost = 1.0 / (relaxation / dt + 0.5)  # by the trapezoidal rule
         return held * (1.0 - lost) + change * (1.0 - 0.5 * lost)
 

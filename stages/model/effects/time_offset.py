@@ -2,16 +2,26 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import ClockEffect, Parameter, Quantity, Values, follows
+from stringcast.stages.model.effect import (
+    ClockEffect,
+    Parameter,
+    Quantity,
+    Values,
+    shifts_with,
+)
 
 
 class TimeOffset(ClockEffect):
-    """The arm's clock shows `offset` more than the camera's; a delay of the pictures' stamps looks the same."""
+    """The arm's clock shows `offset` more than the camera's; a delay of the pictures'
+    stamps looks the same.
+    """
 
     name = "time_offset"
-    parameters = (Parameter("offset", "s", "arm's clock less the camera's", -0.05, 0.05, 0.0),)
+    parameters = (
+        Parameter("offset", "s", "arm's clock less the camera's", -0.05, 0.05, 0.0),
+    )
     reference = "Change of the origin of time"
-    invariants = (follows("times", "t"),)
+    invariants = (shifts_with("times", "t"),)
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -2,16 +2,24 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values
+from stringcast.stages.model.effect import (
+    Axes,
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+)
 
-WAYS = (
+COMPASS_DIRECTIONS = (
     *("to the right", "up to the right", "up", "up to the left"),
     *("to the left", "down to the left", "down", "down to the right"),
 )
 
 
 class Wind(StringEffect):
-    """The air moves: whatever resists motion through it feels the velocity relative to the wind."""
+    """The air moves: whatever resists motion through it feels the velocity relative to
+    the wind.
+    """
 
     name = "wind"
     parameters = (
@@ -23,14 +31,24 @@ class Wind(StringEffect):
     @staticmethod
     def describe(values: Values) -> str:
         speed = np.hypot(values["along_x"], values["along_y"])
-        eighth = round(np.arctan2(values["along_y"], values["along_x"]) / (np.pi / 4)) % 8
-        return f"air flows through the workspace at {speed:.2f} m/s, {WAYS[eighth]}"
+        eighth = (
+            round(np.arctan2(values["along_y"], values["along_x"]) / (np.pi / 4)) % 8
+        )
+        return f"air flows through the workspace at {speed:.2f} m/s, {COMPASS_DIRECTIONS[eighth]}"
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
         """An arrow in the direction of the flow."""
         reach = 1.3 * max(np.hypot(values["along_x"], values["along_y"]), 0.01)
-        axes.quiver(0, 0, values["along_x"], values["along_y"], angles="xy", scale_units="xy", scale=1)
+        axes.quiver(
+            0,
+            0,
+            values["along_x"],
+            values["along_y"],
+            angles="xy",
+            scale_units="xy",
+            scale=1,
+        )
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
         axes.set_xlabel("air to the right / (m/s)")
         axes.set_ylabel("air upwards / (m/s)")

@@ -1,1 +1,3 @@
-"""Pages, a module each: a section is a function from the record to a `Section` of parts."""
+"""Pages, a module each: a section is a function from the record to a `Section` of
+parts.
+"""

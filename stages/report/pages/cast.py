@@ -1,4 +1,6 @@
-"""The page of casts, and of estimation alone: what came of each, and what was learnt of the string."""
+"""The page of casts, and of estimation alone: what came of each, and what was learnt of
+the string.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +11,27 @@ from markupsafe import Markup
 from matplotlib import style
 
 from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.report import words
+from stringcast.stages.report import formatting
 from stringcast.stages.report.charts.camera import View, animation, overlay, whole_view
 from stringcast.stages.report.charts.parameters import history
-from stringcast.stages.report.charts.residual import furthest, residual_curves, residual_map
+from stringcast.stages.report.charts.residual import (
+    furthest,
+    residual_curves,
+    residual_map,
+)
 from stringcast.stages.report.charts.string import path, paths
 from stringcast.stages.report.charts.time import joints, matching, progress
+from stringcast.stages.report.formatting import (
+    UNKNOWN,
+    mm,
+    ms,
+    rate,
+    sentence,
+    significant,
+    symbol,
+    unit,
+    within,
+)
 from stringcast.stages.report.page import (
     Card,
     Cell,
@@ -41,9 +58,8 @@ from stringcast.stages.report.page import (
     link,
     number,
 )
-from stringcast.stages.report.records import Cast, Record
-from stringcast.stages.report.theme import MM, ON_FRAMES, STYLE
-from stringcast.stages.report.words import UNKNOWN, mm, ms, rate, sentence, significant, symbol, unit, within
+from stringcast.stages.report.records import Cast, RunRecord
+from stringcast.stages.report.theme import MM_PER_M, ON_FRAMES, STYLE_SHEET
 
 UNREAD = "No frame of this cast could be read, so there is nothing to compare the simulation with."
 SILENT = "The arm reported no joint angles."
@@ -56,12 +72,16 @@ COLOURS = {
 }
 
 
-def cast_page(record: Record) -> str:
+def cast_page(record: RunRecord) -> str:
     """The page as text; the same record gives the same page."""
-    with style.context(STYLE):
+    with style.context(STYLE_SHEET):
         sections = [*summary(record), learnt(record), together(record)]
         part, far = whole_view(record) if record.casts else None, furthest(record)
-        sections += [casting(record, n, cast, part, far) for n, cast in enumerate(record.casts, start=1) if part]
+        sections += [
+            casting(record, n, cast, part, far)
+            for n, cast in enumerate(record.casts, start=1)
+            if part
+        ]
     many = enumerate(record.casts, start=1) if len(record.casts) > 1 else ()
     judged = any(cast.valid for cast in record.casts)
     return str(
@@ -71,36 +91,46 @@ def cast_page(record: Record) -> str:
             heading=record.sentence,
             lead=_aim(record),
             sections=sections,
-            origin=record.made_by,
-            settings=record.config,
+            origin=record.provenance,
+            settings=record.settings,
             tone=("good" if record.hit else "bad") if judged else "",
             marked=judged,
             nav=[(f"cast-{n}", joined([f"Cast {n}", ended(cast)])) for n, cast in many],
-            following=record.following,
+            following=record.next_commands,
             explored=True,
         )
     )
 
 
-def _aim(record: Record) -> str:
+def _aim(record: RunRecord) -> str:
     """String and target in a sentence."""
     string, target = f"A string of {mm(record.model.string.length)}", record.target
     if not record.casts:
         return f"{string}."
-    size = f"{round(target.w * MM, 1):g} × {round(target.h * MM, 1):g} mm"
-    place = f"({target.x * MM:.0f}, {target.y * MM:.0f}) mm"
+    size = f"{round(target.w * MM_PER_M, 1):g} × {round(target.h * MM_PER_M, 1):g} mm"
+    place = f"({target.x * MM_PER_M:.0f}, {target.y * MM_PER_M:.0f}) mm"
     return (
         f"{string}, and a target box of {size} around {place}, where x is to the right and y up from the world's "
         "origin."
     )
 
 
-# --- all casts ------------------------------------------------------------------------------
-def summary(record: Record) -> list[Part]:
-    """The summary: closest approach, agreement of the simulation, and a row for each cast."""
+# --- all casts
+# ------------------------------------------------------------------------------
+def summary(record: RunRecord) -> list[Part]:
+    """The summary: closest approach, agreement of the simulation, and a row for each
+    cast.
+    """
     if not record.casts:
         return []
-    columns = ["cast", "tip in the box", "closest to centre", "at", "E before", "E after"]
+    columns = [
+        "cast",
+        "tip in the box",
+        "closest to centre",
+        "at",
+        "E before",
+        "E after",
+    ]
     columns += ["residual before", "residual after", "frames read"]
     rows = []
     for n, cast in enumerate(record.casts, start=1):
@@ -109,17 +139,24 @@ def summary(record: Record) -> list[Part]:
         if cast.estimate is not None:
             fit = cast.estimate.fit.iloc[0]
             rates = [rate(fit["before"]), rate(fit["after"])]
-            fitted = [number(one) for one in (*rates, mm(fit["rms_before"], 1), mm(fit["rms_after"], 1))]
+            fitted = [
+                number(one)
+                for one in (*rates, mm(fit["rms_before"], 1), mm(fit["rms_after"], 1))
+            ]
         frames = len(cast.points.readings)
-        unread = sum(row["count"] for row in words.unread(cast.points.readings))
+        unread = sum(row["count"] for row in formatting.unread(cast.points.readings))
         read = number(f"{frames - unread} of {frames}")
         rows.append([link(f"#cast-{n}", n), ended(cast), *closest, *fitted, read])
     return [_tiles(record), Card("", [Table(columns, rows)])]
 
 
-def _tiles(record: Record) -> Tiles:
+def _tiles(record: RunRecord) -> Tiles:
     known = [cast for cast in record.casts if np.isfinite(cast.verdict.distance)]
-    best = min(known, key=lambda cast: (not cast.verdict.hit, cast.verdict.distance), default=None)
+    best = min(
+        known,
+        key=lambda cast: (not cast.verdict.hit, cast.verdict.distance),
+        default=None,
+    )
     closest = "from the target's centre to the tip, at its closest"
     closest += " in the best cast" if len(record.casts) > 1 else ""
     unread = "No tip was read in any frame, so nobody can say how close it came."
@@ -131,39 +168,57 @@ def _tiles(record: Record) -> Tiles:
     return Tiles(
         [
             Tile(mm(best.verdict.distance), closest) if best else Tile(UNKNOWN, unread),
-            Tile(rates, "matching rate E of the last cast, before and after estimation (1 is perfect)"),
-            Tile(rms, "from the simulated to the measured centre-line, root mean square, before and after"),
+            Tile(
+                rates,
+                "matching rate E of the last cast, before and after estimation (1 is perfect)",
+            ),
+            Tile(
+                rms,
+                "from the simulated to the measured centre-line, root mean square, before and after",
+            ),
         ]
     )
 
 
 def ended(cast: Cast) -> Markup:
     """Hit or missed; neither where the trial is not valid."""
-    return badge(cast.verdict.hit) if cast.valid else Markup('<span class="badge">not valid</span>')
+    return (
+        badge(cast.verdict.hit)
+        if cast.valid
+        else Markup('<span class="badge">not valid</span>')
+    )
 
 
-def together(record: Record) -> Section | None:
+def together(record: RunRecord) -> Section | None:
     """Charts over the casts."""
     way = paths(record)
     if way is None:
         return None
     hands = "As the arm measured it; the last cast is the most marked. The square is the arm's base."
-    rates = (
-        "Above, how close the tip came to the target's centre. Below, the matching rate E; before estimation it says "
-    )
+    rates = "Above, how close the tip came to the target's centre. Below, the matching rate E; before estimation it says "
     rates += "how well the simulation predicted the cast."
-    parts = [Figure("Way of the hand", way, hands), Figure("Progress", progress(record), rates)]
+    parts = [
+        Figure("Way of the hand", way, hands),
+        Figure("Progress", progress(record), rates),
+    ]
     return Section("From cast to cast", [Grid(parts)])
 
 
-# --- what was learnt --------------------------------------------------------------------------
-def learnt(record: Record) -> Section:
-    """Each parameter of the last estimate with its history; E over time where no cast shows it."""
+# --- what was learnt
+# --------------------------------------------------------------------------
+def learnt(record: RunRecord) -> Section:
+    """Each parameter of the last estimate with its history; E over time where no cast
+    shows it.
+    """
     title = "What was learnt of the string"
     known: Known = []
     if record.estimates:
         rows = record.estimates[-1].parameters.set_index("name", drop=False)
-        known = [(p, rows.loc[p.name]) for p in record.model.parameters if p.name in rows.index]
+        known = [
+            (p, rows.loc[p.name])
+            for p in record.model.parameters
+            if p.name in rows.index
+        ]
     if not known:
         return Section(title, [Text("Nothing was estimated in this run.", "missing")])
 
@@ -173,15 +228,37 @@ def learnt(record: Record) -> Section:
     what = "which this data does not determine, or of which this method cannot say how sure they are"
     hidden = f"{len(rest)} {'other ' * bool(certain)}parameter{'s' * (len(rest) != 1)}, {what}"
     parts: list[Part] = [Text(sentence(record.estimates[-1].fit["sentence"].iloc[0]))]
-    parts += [Card("", [*_histories(record, certain), _learnt_table(certain)])] if certain else []
-    parts += [Details(hidden, [*_histories(record, rest), _learnt_table(rest)])] if rest else []
+    parts += (
+        [Card("", [*_histories(record, certain), _learnt_table(certain)])]
+        if certain
+        else []
+    )
+    parts += (
+        [Details(hidden, [*_histories(record, rest), _learnt_table(rest)])]
+        if rest
+        else []
+    )
 
     # with casts, each shows the matching rate of its own estimation
     if not record.casts:
         none = "This estimation compared no masks, so there is no matching rate."
-        titles = [f"Matching rate over time, estimation {n}" for n in range(1, len(record.estimates) + 1)]
+        titles = [
+            f"Matching rate over time, estimation {n}"
+            for n in range(1, len(record.estimates) + 1)
+        ]
         given = zip(titles, record.estimates, strict=True)
-        parts.append(Explore([Grid([either(title, matching(one, title=title), none) for title, one in given])]))
+        parts.append(
+            Explore(
+                [
+                    Grid(
+                        [
+                            either(title, matching(one, title=title), none)
+                            for title, one in given
+                        ]
+                    )
+                ]
+            )
+        )
     return Section(title, parts)
 
 
@@ -192,16 +269,24 @@ HISTORY = (  # what is drawn of a parameter, and how
     ("range searched", "band"),
     ("95 % interval, where the method gives one", "bar"),
 )
-Known = list[tuple[Parameter, Any]]  # parameters, each with its row of the last estimate
+# parameters, each with its row of the last estimate
+Known = list[tuple[Parameter, Any]]
 
 
-def _histories(record: Record, known: Known) -> list[Part]:
-    """Estimation by estimation; nothing after a single one, of which the table says all."""
+def _histories(record: RunRecord, known: Known) -> list[Part]:
+    """Estimation by estimation; nothing after a single one, of which the table says
+    all.
+    """
     if len(record.estimates) == 1:
         return []
     drawn = []
     for parameter, row in known:
-        named = joined([symbol(row["symbol"]) if row["symbol"] else "", bold(row["name"].replace("_", " "))])
+        named = joined(
+            [
+                symbol(row["symbol"]) if row["symbol"] else "",
+                bold(row["name"].replace("_", " ")),
+            ]
+        )
         caption = Markup("{} <span>[{}]</span>").format(named, unit(row["unit"]))
         drawn.append((caption, history(parameter, record.estimates)))
     return [Key(HISTORY), Small(drawn)]
@@ -209,12 +294,22 @@ def _histories(record: Record, known: Known) -> list[Part]:
 
 def _learnt_table(known: Known) -> Table:
     """A row for each parameter."""
-    columns = ("parameter", "", "value", "95 % interval", "range searched", "unit", "determined by this data")
+    columns = (
+        "parameter",
+        "",
+        "value",
+        "95 % interval",
+        "range searched",
+        "unit",
+        "determined by this data",
+    )
     rows = []
     for parameter, row in known:
         bounded = np.isfinite(row["low"]) and np.isfinite(row["high"])
         value, low, high = within(row["value"], row["low"], row["high"])
-        determined = "yes" if row["determined"] else "no" if np.isfinite(row["low"]) else UNKNOWN
+        determined = (
+            "yes" if row["determined"] else "no" if np.isfinite(row["low"]) else UNKNOWN
+        )
         cells = [
             Cell(row["name"].replace("_", " "), title=parameter.meaning),
             symbol(row["symbol"]),
@@ -228,33 +323,55 @@ def _learnt_table(known: Known) -> Table:
     return Table(columns, rows)
 
 
-# --- one cast -----------------------------------------------------------------------------------
-def casting(record: Record, n: int, cast: Cast, part: View, far: float) -> Section:
+# --- one cast
+# -----------------------------------------------------------------------------------
+def casting(record: RunRecord, n: int, cast: Cast, part: View, far: float) -> Section:
     """Everything of one cast. far: end of the colour scale of all casts [m]."""
-    unstable = [name for name, line in (("before", cast.before), ("after", cast.after)) if not np.isfinite(line).all()]
+    unstable = [
+        name
+        for name, line in (("before", cast.before), ("after", cast.after))
+        if not np.isfinite(line).all()
+    ]
     undrawn = "The simulation with the parameters {} estimation did not stay finite; it is not drawn."
-    layers = [Layer(name, ON_FRAMES[name], shown=name != "measured") for name in ("before", "after", "measured")]
-    own = None if cast.estimate is None or cast.estimate is record.estimates[-1] else cast.estimate.fit.iloc[0]
+    layers = [
+        Layer(name, ON_FRAMES[name], shown=name != "measured")
+        for name in ("before", "after", "measured")
+    ]
+    own = (
+        None
+        if cast.estimate is None or cast.estimate is record.estimates[-1]
+        else cast.estimate.fit.iloc[0]
+    )
 
     # how many motions were tried is known from the record of the search alone
     tried: Part = Text("It was not recorded how many motions were tried.", "missing")
     if not cast.motion.attempts.empty:
         ranked = cast.motion.attempts.sort_values("count", ascending=False)
-        rows = [(row["outcome"], number(row["count"])) for row in ranked.to_dict("records")]
+        rows = [
+            (row["outcome"], number(row["count"])) for row in ranked.to_dict("records")
+        ]
         tried = Table(("what became of them", "motions"), rows)
 
     parts = [
         Text(_told(cast)),
-        None if own is None else Text(sentence(own["sentence"])),  # that of the last stands above all casts
+        # that of the last stands above all casts
+        None if own is None else Text(sentence(own["sentence"])),
         *(Text(undrawn.format(name), "missing") for name in unstable),
         Explore(_compared(record, cast, part, far), layers),
-        Grid([Card("Motions tried until one was chosen", [tried]), _link_and_frames(cast)]),
+        Grid(
+            [
+                Card("Motions tried until one was chosen", [tried]),
+                _link_and_frames(cast),
+            ]
+        ),
     ]
     return Section(f"Cast {n}", parts, f"cast-{n}", ended(cast), "cast")
 
 
-def _compared(record: Record, cast: Cast, part: View, far: float) -> list[Part]:
-    """Simulation and film side by side: where they were closest to the target, moving, over time, and their paths."""
+def _compared(record: RunRecord, cast: Cast, part: View, far: float) -> list[Part]:
+    """Simulation and film side by side: where they were closest to the target, moving,
+    over time, and their paths.
+    """
     near: Part = Card("At the closest approach", [NOT_FILMED])
     if drawn := overlay(record, cast):
         caption = "The camera frame nearest in time. Dashed: the tip's way 30 ms before and after, ring: its closest "
@@ -263,13 +380,26 @@ def _compared(record: Record, cast: Cast, part: View, far: float) -> list[Part]:
         near = Figure("At the closest approach", drawn, caption, beside=key)
     moving: Part = NOT_FILMED
     if film := animation(record, cast, part):
-        span = f"{len(film['t'])} camera frames from {film['t'][0]} to {film['t'][-1]} ms"
-        moving = Film(film, f"Animation of {span} with the measured and simulated strings")
+        span = (
+            f"{len(film['t'])} camera frames from {film['t'][0]} to {film['t'][-1]} ms"
+        )
+        moving = Film(
+            film, f"Animation of {span} with the measured and simulated strings"
+        )
     where = "Where along the string and when, after estimation; gaps are frames that could not be read. The colours "
     where += "mean the same in all casts."
-    away = Figure("Distance of simulated and measured string", residual_map(record, cast, far), where, UNREAD)
+    away = Figure(
+        "Distance of simulated and measured string",
+        residual_map(record, cast, far),
+        where,
+        UNREAD,
+    )
 
-    unmatched = "no masks were compared in this estimation" if cast.estimate else "nothing was estimated from this cast"
+    unmatched = (
+        "no masks were compared in this estimation"
+        if cast.estimate
+        else "nothing was estimated from this cast"
+    )
     none = f"There is no matching rate: {unmatched}."
     agreed = [either("Matching rate over time", matching(cast.estimate, cast), none)]
     agreed += [either("Distance over time", residual_curves(record, cast), UNREAD)]
@@ -277,8 +407,16 @@ def _compared(record: Record, cast: Cast, part: View, far: float) -> list[Part]:
     # the joints together are as high as the hand's path beside them
     about = "As measured during the movement. Grey: the arm at the start (faint) and at the closest approach."
     paths = Figure("Paths of hand and tip", path(record, cast), about, SILENT)
-    angles = Column(joints(cast)) if len(cast.trial.arm) else either("Joint angles", None, SILENT)
-    return [Grid([Column([near, away]), Card("Animation", [moving])]), Grid(agreed), Grid([paths, angles])]
+    angles = (
+        Column(joints(cast))
+        if len(cast.trial.arm)
+        else either("Joint angles", None, SILENT)
+    )
+    return [
+        Grid([Column([near, away]), Card("Animation", [moving])]),
+        Grid(agreed),
+        Grid([paths, angles]),
+    ]
 
 
 def _told(cast: Cast) -> Markup:
@@ -290,10 +428,16 @@ def _told(cast: Cast) -> Markup:
             f"of {ms(plan['duration'])}. The simulation expected it at {ms(plan['t_hit'])}."
         ]
         if np.isfinite(plan.get("chance", np.nan)):
-            chances = "{:.2f} ({:.2f} to {:.2f})".format(*plan[["chance", "chance_low", "chance_high"]])
+            chances = "{:.2f} ({:.2f} to {:.2f})".format(
+                *plan[["chance", "chance_low", "chance_high"]]
+            )
             said.append(f"The predicted chance of hitting was {chances}.")
     else:
-        why = "no frame shows the string clearly enough" if len(cast.points.readings) else "there are no frames"
+        why = (
+            "no frame shows the string clearly enough"
+            if len(cast.points.readings)
+            else "there are no frames"
+        )
         said = [f"The tip was not read in this cast: {why}."]
     if verdict.touched:
         said.append(
@@ -304,16 +448,29 @@ def _told(cast: Cast) -> Markup:
 
 
 def _link_and_frames(cast: Cast) -> Card:
-    """Whether arm and camera kept their budgets: how many commands and frames, how late, and what was not read."""
-    how, unread = cast.trial.link.iloc[0], words.unread(cast.points.readings)
-    invalid = Markup('<b class="bad">This trial is not valid:</b> {}.').format(how["reason"])
+    """Whether arm and camera kept their budgets: how many commands and frames, how
+    late, and what was not read.
+    """
+    how, unread = cast.trial.link.iloc[0], formatting.unread(cast.points.readings)
+    invalid = Markup('<b class="bad">This trial is not valid:</b> {}.').format(
+        how["reason"]
+    )
     kept = Text("Arm and camera kept their budgets." if how["valid"] else invalid, "")
 
-    late = ", ".join(ms(how[name], 2) for name in ("jitter_p50", "jitter_p99", "jitter_max"))
-    rows = {"commands sent": how["ticks"], "late or lost": how["missed"], "lateness: median, 99 %, largest": late}
+    late = ", ".join(
+        ms(how[name], 2) for name in ("jitter_p50", "jitter_p99", "jitter_max")
+    )
+    rows = {
+        "commands sent": how["ticks"],
+        "late or lost": how["missed"],
+        "lateness: median, 99 %, largest": late,
+    }
     rows["frames filmed"] = len(cast.points.readings)
     if "frames_due" in how:  # cameras alone that tell when each frame was due
-        frames_late = ", ".join(ms(how[f"frame_{name}"], 2) for name in ("jitter_p50", "jitter_p99", "jitter_max"))
+        frames_late = ", ".join(
+            ms(how[f"frame_{name}"], 2)
+            for name in ("jitter_p50", "jitter_p99", "jitter_max")
+        )
         rows |= {
             "frames due, and of those dropped": f"{how['frames_due']}, {how['frames_dropped']}",
             "frames given twice, and late": f"{how['frames_repeated']}, {how['frames_late']}",
@@ -321,7 +478,10 @@ def _link_and_frames(cast: Cast) -> Card:
             "lateness of frames: median, 99 %, largest": frames_late,
         }
     rows["frames not read"] = sum(row["count"] for row in unread)
-    parts: list[Part] = [kept, Table((), [(name, number(value)) for name, value in rows.items()], named=True)]
+    parts: list[Part] = [
+        kept,
+        Table((), [(name, number(value)) for name, value in rows.items()], named=True),
+    ]
 
     if how.get("remarks"):
         parts.append(Text(f"Not made sure of: {how['remarks']}.", ""))

@@ -10,6 +10,7 @@ from matplotlib import style
 from stringcast.stages.check.measured import Measured, Seen
 from stringcast.stages.check.overview import EFFECTS, found_from
 from stringcast.stages.report.charts.measured import trial_figures, trial_words
+from stringcast.stages.report.formatting import mm
 from stringcast.stages.report.page import (
     Card,
     Cell,
@@ -24,8 +25,7 @@ from stringcast.stages.report.page import (
     Tiles,
     number,
 )
-from stringcast.stages.report.theme import STYLE, vector
-from stringcast.stages.report.words import mm
+from stringcast.stages.report.theme import STYLE_SHEET, vector
 
 DRAWN = 10  # trials: 130 kB each, so that a page stays below 1.5 MB
 CAPTION = (
@@ -35,21 +35,34 @@ CAPTION = (
 
 
 def check_page(
-    measured: Measured, found: Mapping[str, Any], origin: Mapping[str, Any], following: Sequence[tuple[str, str]]
+    measured: Measured,
+    found: Mapping[str, Any],
+    origin: Mapping[str, Any],
+    following: Sequence[tuple[str, str]],
 ) -> str:
-    """The page as text. found: as `check.overview` says it. following: what can be done next, and the command."""
+    """The page as text. found: as `check.overview` says it. following: what can be done
+    next, and the command.
+    """
     usable = found["usable"]
     errors = sum(finding["severity"] == "error" for finding in found["findings"])
     count = len(found["findings"])
-    heading = "These trials can be used" if usable else "These trials cannot be used as they are"
+    heading = (
+        "These trials can be used"
+        if usable
+        else "These trials cannot be used as they are"
+    )
     trials = list(measured.with_points())
     sections: list[Part] = [
         Tiles(
             [
                 Tile(str(len(found["trials"])), "trials that can be read"),
-                Tile(mm(measured.length), "length of the string, from the grasp to the tip"),
                 Tile(
-                    str(count), f"finding{'s' * (count != 1)}, {errors or 'no'} error{'s' * (errors != 1)} among them"
+                    mm(measured.length),
+                    "length of the string, from the grasp to the tip",
+                ),
+                Tile(
+                    str(count),
+                    f"finding{'s' * (count != 1)}, {errors or 'no'} error{'s' * (errors != 1)} among them",
                 ),
             ]
         ),
@@ -65,19 +78,26 @@ def check_page(
     tone = "good" if usable else "bad"
     title = f"{name}: {heading.lower()}"
     words = (title, f"stringcast check · {name}", heading, lead)
-    return str(Page(*words, sections, origin, {}, tone, marked=True, following=following))
+    return str(
+        Page(*words, sections, origin, {}, tone, marked=True, following=following)
+    )
 
 
 def drawn(trials: Sequence[Seen]) -> list[Part]:
     """Trials as they were measured, each in the plane and over time."""
     clocks = "Each on its own clock; dotted: when it begins to move."
     grids: list[Part] = []
-    with style.context(STYLE):
+    with style.context(STYLE_SHEET):
         for seen in trials:
-            said, title = trial_words(seen), f"Trial {seen.name}: hand and tip over time"
+            said, title = (
+                trial_words(seen),
+                f"Trial {seen.name}: hand and tip over time",
+            )
             plane, times = trial_figures(seen)
             beside = Figure(title, vector(times, title), clocks)
-            grids.append(Grid([Figure(f"Trial {seen.name}", vector(plane, said), said), beside]))
+            grids.append(
+                Grid([Figure(f"Trial {seen.name}", vector(plane, said), said), beside])
+            )
     return grids
 
 
@@ -99,7 +119,14 @@ def findings(found: Sequence[Mapping[str, Any]]) -> Part:
 
 def told(effects: Sequence[Mapping[str, Any]]) -> list[Part]:
     """What trials could tell of each effect; nothing where it was not asked."""
-    columns = ["effect", "what it is", "found from", "then at the tip [mm]", "like the string [%]", "taken for"]
+    columns = [
+        "effect",
+        "what it is",
+        "found from",
+        "then at the tip [mm]",
+        "like the string [%]",
+        "taken for",
+    ]
     rows = [
         [
             Cell(f"{one['effect']}.{one['parameter']}", "code"),
@@ -111,18 +138,45 @@ def told(effects: Sequence[Mapping[str, Any]]) -> list[Part]:
         ]
         for one in effects
     ]
-    return [Section("What these trials can tell", [Text(EFFECTS), Card("", [Table(columns, rows)])])] if rows else []
+    return (
+        [
+            Section(
+                "What these trials can tell",
+                [Text(EFFECTS), Card("", [Table(columns, rows)])],
+            )
+        ]
+        if rows
+        else []
+    )
 
 
 def overview(trials: Sequence[Mapping[str, Any]]) -> Table:
     """A row for each trial that can be read."""
-    columns = ["trial", "seen [s]", "with arm [s]", "frames", "frames [1/s]", "arm [1/s]", "points a frame"]
+    columns = [
+        "trial",
+        "seen [s]",
+        "with arm [s]",
+        "frames",
+        "frames [1/s]",
+        "arm [1/s]",
+        "points a frame",
+    ]
     columns += ["noise [mm]", "way of the hand [m]", "begins"]
     rows = []
     for one in trials:
         noise = "" if one["noise"] is None else f"{1e3 * one['noise']:.2f}"
-        rates = ["" if one[name] is None else f"{one[name]:.0f}" for name in ("fps", "hand_rate")]
+        rates = [
+            "" if one[name] is None else f"{one[name]:.0f}"
+            for name in ("fps", "hand_rate")
+        ]
         times = [f"{one[name]:.2f}" for name in ("duration", "common")]
-        numbers = [*times, one["frames"], *rates, f"{one['points']:.0f}", noise, f"{one['path']:.2f}"]
+        numbers = [
+            *times,
+            one["frames"],
+            *rates,
+            f"{one['points']:.0f}",
+            noise,
+            f"{one['path']:.2f}",
+        ]
         rows.append([one["trial"], *map(number, numbers), one["begins"]])
     return Table(columns, rows)

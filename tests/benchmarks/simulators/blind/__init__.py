@@ -1,4 +1,6 @@
-"""Benches that hide a cause, for tests of the diagnosis: measured points and joint logs, and a sealed envelope."""
+"""Benches that hide a cause, for tests of the diagnosis: measured points and joint
+logs, and a sealed envelope.
+"""
 
 from tests.benchmarks.simulators.blind.bench import BlindBench
 from tests.benchmarks.simulators.blind.drawing import draw

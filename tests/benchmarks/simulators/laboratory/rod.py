@@ -1,4 +1,6 @@
-"""The string that a laboratory hangs in the hand, as a continuum with every property it may have, absent at zero."""
+"""The string that a laboratory hangs in the hand, as a continuum with every property it
+may have, absent at zero.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +10,14 @@ import numpy as np
 
 
 class Rod(NamedTuple):
-    """A planar extensible rod. All but `length` is over its nominal mass per length; SI units.
+    """A planar extensible rod. All but `length` is over its nominal mass per length; SI
+    units.
 
-    It holds N = axial e + axial_damping e' and M = bending k + bending_damping k', with the stretch e and the turn k of
-    its tangent per unstretched length; no shear, no rotary inertia. A spring and a damper hold its first tangent to the
-    grasp's direction. The air takes (linear_drag + quadratic_drag |u|) u of force per unstretched length.
+    It holds N = axial e + axial_damping e' and M = bending k + bending_damping k', with
+    the stretch e and the turn k of its tangent per unstretched length; no shear, no
+    rotary inertia. A spring and a damper hold its first tangent to the grasp's
+    direction. The air takes (linear_drag + quadratic_drag |u|) u of force per
+    unstretched length.
     """
 
     length: float
@@ -26,12 +31,14 @@ class Rod(NamedTuple):
     grasp_damping: float
     gravity_x: float = 0.0
     gravity_y: float = -9.81
-    # mass: of a knot at the tip and of a bead on the way, over the string's; rise of the density over its mean
+    # mass: of a knot at the tip and of a bead on the way, over the string's; rise of
+    # the density over its mean
     tip_mass: float = 0.0
     bead_mass: float = 0.0
     bead_place: float = 0.5  # over the length
     taper: float = 0.0
-    # bending: natural curvature; its own square law; Bouc and Wen's friction; Zener's branch; uneven stiffness
+    # bending: natural curvature; its own square law; Bouc and Wen's friction; Zener's
+    # branch; uneven stiffness
     set_curvature: float = 0.0
     hardening: float = 0.0  # [m2]
     rub: float = 0.0  # [m3/s2]
@@ -44,7 +51,8 @@ class Rod(NamedTuple):
     # the grasp lets go slowly, from a time on
     grasp_loss: float = 0.0  # [1/s]
     grasp_loss_from: float = 0.0
-    # air: wind, a gust, a flutter, an eddy; drag across the string; a flag at the tip; less drag above a speed
+    # air: wind, a gust, a flutter, an eddy; drag across the string; a flag at the tip;
+    # less drag above a speed
     wind_x: float = 0.0
     wind_y: float = 0.0
     gust_x: float = 0.0
@@ -94,23 +102,32 @@ class Rod(NamedTuple):
     @property
     def record(self) -> np.void:
         """The rod as a NumPy record, which compiled code takes."""
-        record: np.void = np.array([tuple(self)], dtype=[(name, float) for name in self._fields])[0]
+        record: np.void = np.array(
+            [tuple(self)], dtype=[(name, float) for name in self._fields]
+        )[0]
         return record
 
     @staticmethod
     def of_points(length: float, **per_point: float) -> Rod:
         """A rod by the paper's parameters, per unit mass of a mass point at n = 10."""
         segment = length / 9
-        named = {FIELDS[name]: value * segment ** POWERS[name] for name, value in per_point.items()}
+        named = {
+            FIELDS[name]: value * segment ** POWERS[name]
+            for name, value in per_point.items()
+        }
         return Rod(length, **named)
 
     def in_points(self) -> dict[str, float]:
         """The inverse of `of_points`."""
         segment = self.length / 9
-        return {name: float(getattr(self, field) / segment ** POWERS[name]) for name, field in FIELDS.items()}
+        return {
+            name: float(getattr(self, field) / segment ** POWERS[name])
+            for name, field in FIELDS.items()
+        }
 
 
-# The paper's names, and by which power of a segment's length they are multiplied to be the material's.
+# The paper's names, and by which power of a segment's length they are multiplied to be
+# the material's.
 FIELDS = {
     "axial_stiffness": "axial",
     "axial_damping": "axial_damping",

@@ -1,4 +1,6 @@
-"""Clocks and camera: their faults, absent at zero, and the points that they then report."""
+"""Clocks and camera: their faults, absent at zero, and the points that they then
+report.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,8 @@ import numpy as np
 
 from stringcast.stages.model.camera import Camera
 
-Where = Callable[[np.ndarray], np.ndarray]  # positions (F, S, 2) [m] at times (F,) of the arm's clock [s]
+# positions (F, S, 2) [m] at times (F,) of the arm's clock [s]
+Where = Callable[[np.ndarray], np.ndarray]
 
 
 class Sight(NamedTuple):
@@ -21,7 +24,8 @@ class Sight(NamedTuple):
     scale: float = 0.0
     lens: float = 0.0
     readout: float = 0.0  # [s] from the top row to the bottom one
-    # outside the library: a clock that jumps, a knock, a camera that shakes or looks askew, unlike axes, wrong lengths
+    # outside the library: a clock that jumps, a knock, a camera that shakes or looks
+    # askew, unlike axes, wrong lengths
     jump: float = 0.0  # [s]
     jump_when: float = 0.0
     bump_x: float = 0.0  # [m]
@@ -38,7 +42,11 @@ class Sight(NamedTuple):
 
 def seen(where: Where, times: np.ndarray, camera: Camera, sight: Sight) -> np.ndarray:
     """Points as reported (F, S, 2) [m] at times (F,) of the camera's clock [s]."""
-    arm = times * (1 + sight.drift) + sight.offset + sight.jump * (times >= sight.jump_when)
+    arm = (
+        times * (1 + sight.drift)
+        + sight.offset
+        + sight.jump * (times >= sight.jump_when)
+    )
     points = rolled(where, arm, camera, sight.readout) if sight.readout else where(arm)
     x, y = np.moveaxis(points - camera.centre, -1, 0)
     x = x * (1 + sight.stretch)
@@ -48,17 +56,32 @@ def seen(where: Where, times: np.ndarray, camera: Camera, sight: Sight) -> np.nd
     x, y = c * x - s * y, s * x + c * y
     half = camera.width / 2 / camera.px_per_m
     straight = 1 - sight.lens * (x * x + y * y) / half**2  # Fitzgibbon's division model
-    points = (np.stack([x / straight, y / straight], axis=-1) + camera.centre) * (1 + sight.scale)
-    shaking = np.sin(2 * np.pi * sight.shake_frequency * times)[:, None, None] * [sight.shake_x, sight.shake_y]
-    knocked = (0.5 + 0.5 * np.tanh((times - sight.bump_when) / 0.005))[:, None, None] * [sight.bump_x, sight.bump_y]
+    points = (np.stack([x / straight, y / straight], axis=-1) + camera.centre) * (
+        1 + sight.scale
+    )
+    shaking = np.sin(2 * np.pi * sight.shake_frequency * times)[:, None, None] * [
+        sight.shake_x,
+        sight.shake_y,
+    ]
+    knocked = (0.5 + 0.5 * np.tanh((times - sight.bump_when) / 0.005))[
+        :, None, None
+    ] * [sight.bump_x, sight.bump_y]
     return np.asarray(points + shaking + knocked)
 
 
-def rolled(where: Where, times: np.ndarray, camera: Camera, readout: float) -> np.ndarray:
-    """Each point where it is when its row is exposed, the middle row at the frame's time: on a parabola in time."""
+def rolled(
+    where: Where, times: np.ndarray, camera: Camera, readout: float
+) -> np.ndarray:
+    """Each point where it is when its row is exposed, the middle row at the frame's
+    time: on a parabola in time.
+    """
     before, now, after = (where(times + share * readout) for share in (-0.5, 0.0, 0.5))
     share = np.zeros(now.shape[:-1])
     for _ in range(4):
-        there = now + share[..., None] * (after - before) + 2 * share[..., None] ** 2 * (after + before - 2 * now)
+        there = (
+            now
+            + share[..., None] * (after - before)
+            + 2 * share[..., None] ** 2 * (after + before - 2 * now)
+        )
         share = camera.pixels(there)[..., 1] / camera.height - 0.5
     return np.asarray(there)

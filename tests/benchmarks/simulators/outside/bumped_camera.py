@@ -31,12 +31,14 @@ class BumpedCamera(CameraEffect, Outside):
         return f"the camera is knocked at {values['when']:.2f} s and sees all shifted by {1e3 * values['shift']:.1f} mm"
 
     @staticmethod
-    def circumstances(rng: np.random.Generator, t: np.ndarray, points: np.ndarray) -> dict[str, float]:
+    def circumstances(
+        rng: np.random.Generator, t: np.ndarray, points: np.ndarray
+    ) -> dict[str, float]:
         """Some time during the motion."""
         return {"towards": direction(rng), "when": moment(rng, t)}
 
     @staticmethod
-    def seen(
+    def observe(
         points: np.ndarray,
         velocity: np.ndarray,
         times: np.ndarray,
@@ -47,4 +49,6 @@ class BumpedCamera(CameraEffect, Outside):
     ) -> np.ndarray:
         """Within some 10 ms."""
         since = 0.5 * (1 + np.tanh((times[:, None, None] - when) / 0.005))
-        return points + shift * since * np.concatenate([np.cos(towards), np.sin(towards)], axis=-1)
+        return points + shift * since * np.concatenate(
+            [np.cos(towards), np.sin(towards)], axis=-1
+        )

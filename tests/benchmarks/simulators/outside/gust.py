@@ -28,18 +28,33 @@ class Gust(StringEffect, Outside):
         return f"a gust of {values['speed']:.1f} m/s blows at {values['when']:.2f} s"
 
     @staticmethod
-    def circumstances(rng: np.random.Generator, t: np.ndarray, points: np.ndarray) -> dict[str, float]:
+    def circumstances(
+        rng: np.random.Generator, t: np.ndarray, points: np.ndarray
+    ) -> dict[str, float]:
         """Some time during the motion, from anywhere."""
-        return {"towards": direction(rng), "when": moment(rng, t), "lasts": float(rng.uniform(0.05, 0.12))}
+        return {
+            "towards": direction(rng),
+            "when": moment(rng, t),
+            "lasts": float(rng.uniform(0.05, 0.12)),
+        }
 
     @staticmethod
-    def derived(speed: Quantity, towards: Quantity, **others: Quantity) -> dict[str, Quantity]:
+    def derive_parameters(
+        speed: Quantity, towards: Quantity, **others: Quantity
+    ) -> dict[str, Quantity]:
         """The largest velocity, in x and y."""
-        return {"largest_x": speed * np.cos(towards), "largest_y": speed * np.sin(towards)}
+        return {
+            "largest_x": speed * np.cos(towards),
+            "largest_y": speed * np.sin(towards),
+        }
 
     @staticmethod
     def flow(
-        t: Quantity, largest_x: Quantity, largest_y: Quantity, when: Quantity, lasts: Quantity
+        t: Quantity,
+        largest_x: Quantity,
+        largest_y: Quantity,
+        when: Quantity,
+        lasts: Quantity,
     ) -> tuple[Quantity, Quantity]:
         z = (t - when) / lasts
         inside = np.maximum(1.0 - z * z, 0.0)

@@ -12,7 +12,9 @@ from tests.benchmarks.simulators.outside import Outside, direction, moment
 
 
 class Pulse(StringEffect, Outside):
-    """A short force in one direction on a short part of the string, as when something hits it."""
+    """A short force in one direction on a short part of the string, as when something
+    hits it.
+    """
 
     name = "pulse"
     once = True
@@ -28,20 +30,32 @@ class Pulse(StringEffect, Outside):
         return f"something hits the string at {values['when']:.2f} s, {values['where']:.2f} m from the grasp"
 
     @staticmethod
-    def circumstances(rng: np.random.Generator, t: np.ndarray, points: np.ndarray) -> dict[str, float]:
+    def circumstances(
+        rng: np.random.Generator, t: np.ndarray, points: np.ndarray
+    ) -> dict[str, float]:
         """Some time during the motion, somewhere on the outer half."""
         length = float(np.linalg.norm(np.diff(points[0], axis=0), axis=1).sum())
         where = float(rng.uniform(0.45, 0.9) * length)
         return {"towards": direction(rng), "when": moment(rng, t), "where": where}
 
     @staticmethod
-    def derived(force: Quantity, towards: Quantity, **others: Quantity) -> dict[str, Quantity]:
+    def derive_parameters(
+        force: Quantity, towards: Quantity, **others: Quantity
+    ) -> dict[str, Quantity]:
         """The largest force, in x and y."""
-        return {"largest_x": force * np.cos(towards), "largest_y": force * np.sin(towards)}
+        return {
+            "largest_x": force * np.cos(towards),
+            "largest_y": force * np.sin(towards),
+        }
 
     @staticmethod
     def load(
-        s: Quantity, t: Quantity, largest_x: Quantity, largest_y: Quantity, when: Quantity, where: Quantity
+        s: Quantity,
+        t: Quantity,
+        largest_x: Quantity,
+        largest_y: Quantity,
+        when: Quantity,
+        where: Quantity,
     ) -> tuple[Quantity, Quantity]:
         z, w = (t - when) / 0.01, (s - where) / 0.04  # [s], [m]
         inside = np.maximum(1.0 - z * z, 0.0) * np.maximum(1.0 - w * w, 0.0)

@@ -12,7 +12,9 @@ from tests.benchmarks.simulators.outside import Outside, moment
 
 
 class Touch(StringEffect, Outside):
-    """A short part of the string is held by a spring and a damper, at the place where it is then, and let go."""
+    """A short part of the string is held by a spring and a damper, at the place where
+    it is then, and let go.
+    """
 
     name = "touch"
     once = True
@@ -30,13 +32,21 @@ class Touch(StringEffect, Outside):
         return f"somebody holds the string {values['where']:.2f} m from the grasp at {values['when']:.2f} s"
 
     @staticmethod
-    def circumstances(rng: np.random.Generator, t: np.ndarray, points: np.ndarray) -> dict[str, float]:
+    def circumstances(
+        rng: np.random.Generator, t: np.ndarray, points: np.ndarray
+    ) -> dict[str, float]:
         """Some time during the motion, on the outer half, where that is when it begins."""
         when, lasts = moment(rng, t), float(rng.uniform(0.025, 0.05))
         point = int(rng.uniform(0.45, 0.95) * points.shape[1])
         along = np.linalg.norm(np.diff(points[0, : point + 1], axis=0), axis=1).sum()
         x, y = (float(np.interp(when - lasts / 2, t, c)) for c in points[:, point].T)
-        return {"where": float(along), "when": when, "lasts": lasts, "place_x": x, "place_y": y}
+        return {
+            "where": float(along),
+            "when": when,
+            "lasts": lasts,
+            "place_x": x,
+            "place_y": y,
+        }
 
     @staticmethod
     def bound(grip: Quantity, **others: Quantity) -> tuple[Quantity, Quantity]:

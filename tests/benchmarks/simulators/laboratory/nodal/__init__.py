@@ -5,13 +5,22 @@ from __future__ import annotations
 from tests.benchmarks.simulators.laboratory.hand import Path
 from tests.benchmarks.simulators.laboratory.nodal.motion import moved
 from tests.benchmarks.simulators.laboratory.rod import Rod
-from tests.benchmarks.simulators.laboratory.scene import CHECK, FINE, LIKELY, ROUGH, Moved
+from tests.benchmarks.simulators.laboratory.scene import (
+    CHECK,
+    FINE,
+    LIKELY,
+    ROUGH,
+    Moved,
+)
 
-LEVELS = {ROUGH: (8, 1e-3), LIKELY: (16, 4e-4), CHECK: (16, 4e-4), FINE: (24, 2.5e-4)}  # elements, step [s]
+# elements, step [s]
+LEVELS = {ROUGH: (8, 1e-3), LIKELY: (16, 4e-4), CHECK: (16, 4e-4), FINE: (24, 2.5e-4)}
 
 
 class Nodal:
-    """The laboratory whose rod is made of the elements of `elements` and moves by `dynamics`."""
+    """The laboratory whose rod is made of the elements of `elements` and moves by
+    `dynamics`.
+    """
 
     likely = 5e-3
 

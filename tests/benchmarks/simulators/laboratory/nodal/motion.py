@@ -8,7 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.benchmarks.simulators.laboratory.hand import Path
-from tests.benchmarks.simulators.laboratory.nodal.dynamics import MOMENTS, State, forces, integrate, tangent
+from tests.benchmarks.simulators.laboratory.nodal.dynamics import (
+    MOMENTS,
+    State,
+    forces,
+    integrate,
+    tangent,
+)
 from tests.benchmarks.simulators.laboratory.nodal.elements import Mesh
 from tests.benchmarks.simulators.laboratory.rod import Rod
 
@@ -20,7 +26,9 @@ LONG_AGO = -1e6  # [s], when nothing that begins in a trial acts
 
 @dataclass(frozen=True)
 class Motion:
-    """States on a uniform grid. t: (K,) [s]. q, v: (K, D, 2) nodal coordinates and their rates, NaN where lost."""
+    """States on a uniform grid. t: (K,) [s]. q, v: (K, D, 2) nodal coordinates and
+    their rates, NaN where lost.
+    """
 
     mesh: Mesh
     t: np.ndarray
@@ -28,12 +36,16 @@ class Motion:
     v: np.ndarray
 
     def points(self, times: np.ndarray, arc: np.ndarray) -> np.ndarray:
-        """Positions (F, S, 2) at times (F,) [s] and arc lengths (S,) [m], cubic between steps."""
+        """Positions (F, S, 2) at times (F,) [s] and arc lengths (S,) [m], cubic between
+        steps.
+        """
         step = self.t[1] - self.t[0]
         before = np.clip(((times - self.t[0]) / step).astype(int), 0, len(self.t) - 2)
         x = ((times - self.t[before]) / step)[:, None, None]
         weights = self.mesh.at(arc)
-        here, there, now, then = (weights @ part[k] for part in (self.q, self.v) for k in (before, before + 1))
+        here, there, now, then = (
+            weights @ part[k] for part in (self.q, self.v) for k in (before, before + 1)
+        )
         rise = there - here
         bend = (now * step - rise) * (1 - x) - (then * step - rise) * x
         return np.asarray(here + x * rise + x * (1 - x) * bend)
@@ -51,8 +63,9 @@ def moved(rod: Rod, path: Path, elements: int, step: float) -> Motion:
 
 
 def rest(mesh: Mesh, hand: np.ndarray) -> np.ndarray:
-    """Nodal coordinates (D, 2) at rest in a hand (8,), by pseudo-transient continuation: implicit steps in time without
-    inertia, ever longer, until they are Newton's. It starts from a rod that turns down on the shorter way.
+    """Nodal coordinates (D, 2) at rest in a hand (8,), by pseudo-transient
+    continuation: implicit steps in time without inertia, ever longer, until they are
+    Newton's. It starts from a rod that turns down on the shorter way.
     """
     q = _turned_down(mesh, hand)
     mass = np.kron(mesh.mass[1:, 1:], np.eye(2))
@@ -69,10 +82,14 @@ def rest(mesh: Mesh, hand: np.ndarray) -> np.ndarray:
 
 
 def _turned_down(mesh: Mesh, hand: np.ndarray) -> np.ndarray:
-    """A rod that turns from the grasp's direction into that of gravity within its first half, (D, 2)."""
+    """A rod that turns from the grasp's direction into that of gravity within its first
+    half, (D, 2).
+    """
     rod = mesh.rod
     arc = np.linspace(0, rod.length, mesh.elements + 1)
-    turn = math.remainder(math.atan2(rod.gravity_y, rod.gravity_x) - hand[6], 2 * math.pi)
+    turn = math.remainder(
+        math.atan2(rod.gravity_y, rod.gravity_x) - hand[6], 2 * math.pi
+    )
     angle = hand[6] + turn * np.minimum(2 * arc / rod.length, 1.0)
     q = np.zeros((2 * len(arc), 2))
     q[1::2] = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -81,7 +98,9 @@ def _turned_down(mesh: Mesh, hand: np.ndarray) -> np.ndarray:
     return q
 
 
-def _balance(mesh: Mesh, q: np.ndarray, hand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _balance(
+    mesh: Mesh, q: np.ndarray, hand: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Forces at rest on the free coordinates (2 D - 2,), and their slopes by these."""
     still, none = np.zeros_like(q), np.zeros((*mesh.places.shape, 2))
     parts, now = (hand, mesh.rod.record, mesh.compiled), State(q, still, none, 0.0, 0.0)

@@ -1,0 +1,72 @@
+"""Stored trials, ours or anybody's, as a run begins with them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from stringcast.data import dataset
+from stringcast.data.artifacts import Observation
+from stringcast.data.schema import DataError
+from stringcast.pipeline.run.experiment import Experiment
+from stringcast.pipeline.run.iterations import Executor, History
+from stringcast.stages.check.check import refuse
+from stringcast.stages.check.measured import Measured
+
+
+def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
+    """Stored trials that fit this string; raises DataError where there are none."""
+    trials = experiment.config["trials"]
+    read = dataset.read_dataset(Path(trials))
+    refuse(Measured(read, experiment.arm, experiment.camera, experiment.string.length))
+    data = dataset.exclude_stray_points(read, experiment.string.length)
+    if not data.trials:
+        reasons = describe_rejected(data.rejection_reasons) or "it holds no trial"
+        raise DataError(
+            f"trials={trials}: no trial can be used ({reasons}). Look at the files it names."
+        )
+    return data
+
+
+def held_out_trials(data: dataset.Dataset) -> tuple[str, ...]:
+    """Trials that dataset.yaml sets aside."""
+    return tuple(
+        name
+        for name, about in data.metadata.get("trials", {}).items()
+        if about.get("role") == "held_out"
+    )
+
+
+def history_of_dataset(data: dataset.Dataset, executor: Executor) -> History:
+    """The history of a run that begins with stored trials; it notes the content of each
+    of their files.
+    """
+    hashes = {
+        (data.folder / name).as_posix(): digest for name, digest in data.hashes.items()
+    }
+    return History(executor, file_hashes=hashes)
+
+
+def read_points(
+    history: History, data: dataset.Dataset, name: str, again: bool
+) -> Observation:
+    """A trial with its points, in an iteration of its own. They are extracted from its
+    frames where none are stored.
+
+    again: also where there are.
+    """
+    stored, film = data.trials[name], data.films.get(name)
+    if film is None or not (stored.points.empty or again):
+        history.begin_iteration()
+        return stored
+    history.begin_iteration(given={"trial": film})
+    points = history.make_artifact("extract")
+    return replace(
+        stored, points=points.points, readings=points.readings, masks=points.masks
+    )
+
+
+def describe_rejected(rejected: Mapping[str, str]) -> str:
+    """Trials that cannot be used, each with its reason."""
+    return "; ".join(f"{name}: {reason}" for name, reason in rejected.items())

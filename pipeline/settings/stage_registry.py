@@ -1,0 +1,35 @@
+"""The stages there are: every folder beneath `stages/` whose `__init__` exports a
+STAGE, with nothing to register.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stringcast import stages as package
+
+if TYPE_CHECKING:
+    from stringcast.stages.spec import StageSpec
+
+STAGES_FOLDER = Path(package.__path__[0])
+
+
+@cache
+def stages() -> dict[str, StageSpec]:
+    """All stages by name. Raises ValueError for two of one name."""
+    found: dict[str, StageSpec] = {}
+    for file in sorted(STAGES_FOLDER.rglob("__init__.py")):
+        if "\nSTAGE = " in file.read_text(encoding="utf-8"):
+            name = ".".join(
+                (package.__name__, *file.parent.relative_to(STAGES_FOLDER).parts)
+            )
+            stage: StageSpec = import_module(name).STAGE
+            if stage.name in found:
+                raise ValueError(
+                    f"{file}: there is a stage {stage.name!r} already. Rename this one."
+                )
+            found[stage.name] = stage
+    return found
