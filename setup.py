@@ -1,6 +1,4 @@
-"""One package over the folders of a clone: `stages/` is `stringcast.stages`, and so on.
-See pyproject.toml.
-"""
+"""Make one package of the folders of a clone: `stages/` is `stringcast.stages`."""
 
 from setuptools import find_packages, setup
 

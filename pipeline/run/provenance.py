@@ -32,7 +32,7 @@ from stringcast.pipeline.settings.typed_settings import (
 from stringcast.stages.model.library import effect_files, split_effect_name
 from stringcast.stages.spec import StageSpec
 
-PROJECT_FOLDER = Path(__file__).resolve().parents[1]
+PROJECT_FOLDER = Path(__file__).resolve().parents[2]
 RECORDED_PACKAGES = (
     "numpy",
     "numba",

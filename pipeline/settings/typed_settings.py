@@ -24,7 +24,7 @@ from stringcast.pipeline.settings.allowed_callables import allowed_names_by_role
 from stringcast.stages.common import SettingsGroup
 
 Built = TypeVar("Built")
-CONF_FOLDER = Path(__file__).resolve().parents[1] / "conf"
+CONF_FOLDER = Path(__file__).resolve().parents[2] / "conf"
 RUN_ARGUMENTS = ("seed", "manipulation", "trial", "progress")
 
 

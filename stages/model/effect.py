@@ -262,7 +262,7 @@ def numbered_effect(effect: type[EffectT], number: int) -> type[EffectT]:
     side.
     """
     return cast(
-        "type[Made]",
+        "type[EffectT]",
         type(
             f"{effect.__name__}{number}", (effect,), {"name": f"{effect.name}_{number}"}
         ),

@@ -49,7 +49,7 @@ def module_path(text: str) -> Path:
     """
     chosen = os.environ.get("STRINGCAST_CACHE")
     folder = (
-        Path(chosen) if chosen else Path(__file__).resolve().parents[2] / ".numba_cache"
+        Path(chosen) if chosen else Path(__file__).resolve().parents[3] / ".numba_cache"
     )
     usable = os.access(folder if folder.exists() else folder.parent, os.W_OK)
     made_by = f"{numba.__version__} {llvmlite.binding.get_host_cpu_name()} {sys.version_info[:2]} {np.__version__}"
