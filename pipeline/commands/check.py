@@ -52,7 +52,7 @@ def main(arguments: Sequence[str]) -> int:
         if asked.effects and found["usable"]:
             # which takes seconds to load
             told = import_module("stringcast.pipeline.commands.check_effects")
-            found["effects"] = told.effects(asked.folder, asked.settings)
+            found["effects"] = told.detectable_effects(asked.folder, asked.settings)
         if asked.report is not None:
             write_text(asked.report, check_report(there, found))
     except (DataError, UserError, HydraException, OmegaConfBaseException) as error:

@@ -70,7 +70,7 @@ class Calibrate(Mode):
                 folder / stage.folder,
                 step_origin(experiment.config, stage.name, experiment.seed, {}),
             )
-            import_module("stringcast.pipeline.run.report").write_page(
+            import_module("stringcast.pipeline.run.report").write_stage_page(
                 experiment, stage, made, sentence, folder
             )
             for name, text in stage.files(made, folder).items():

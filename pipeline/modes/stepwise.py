@@ -46,7 +46,7 @@ class Stepwise(Mode):
             result = self.run_steps(experiment, folder, kept)
             if "report" in experiment.config["keep"]:
                 with bar("report"):  # which draws: it takes a second and more to load
-                    import_module("stringcast.pipeline.run.report").write(
+                    import_module("stringcast.pipeline.run.report").write_report(
                         experiment, result
                     )
             run_folder.write_stage_files(result)

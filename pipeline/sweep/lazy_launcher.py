@@ -47,7 +47,7 @@ def sweep_folder() -> str:
     return (
         "the run's folder"
         if LazyLauncher.current is None
-        else str(LazyLauncher.current.config.hydra.current.dir)
+        else str(LazyLauncher.current.settings.hydra.current.dir)
     )
 
 
@@ -55,4 +55,4 @@ def finish_sweep() -> int:
     """Write table and page of this process' sweep, if it had one, and say how it
     stands: 0 if all its jobs are done.
     """
-    return 0 if LazyLauncher.current is None else int(LazyLauncher.current.ended())
+    return 0 if LazyLauncher.current is None else int(LazyLauncher.current.finish_sweep())
