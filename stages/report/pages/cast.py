@@ -107,7 +107,7 @@ def _aim(record: RunRecord) -> str:
     string, target = f"A string of {mm(record.model.string.length)}", record.target
     if not record.casts:
         return f"{string}."
-    size = f"{round(target.w * MM_PER_M, 1):g} × {round(target.h * MM, 1):g} mm"
+    size = f"{round(target.w * MM_PER_M, 1):g} × {round(target.h * MM_PER_M, 1):g} mm"
     place = f"({target.x * MM_PER_M:.0f}, {target.y * MM_PER_M:.0f}) mm"
     return (
         f"{string}, and a target box of {size} around {place}, where x is to the right and y up from the world's "
