@@ -87,7 +87,9 @@ def cli() -> None:
         overrides = [word for word in words if "=" in word and not word.startswith("-")]
         refuse_repeated_settings(overrides)
         if {"-h", "--help"} & {*words}:
-            print(import_module("stringcast.pipeline.cli.help_page").help_text(overrides))
+            print(
+                import_module("stringcast.pipeline.cli.help_page").help_text(overrides)
+            )
             return
         main()
         sys.exit(sweep_ended())

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 Progress = Callable[[float], object]  # called with the share of a stage that is done
-NORMAL = 1.4826  # standard deviation over median magnitude, of a normal distribution
-PLACE = 1e-3  # [m] points of two frames so near along the string are of one place
-FULL = 0.9  # of the frames have no more points than a full one
+# standard deviation over median magnitude, of a normal distribution
+MAD_TO_SIGMA = 1.4826
+# [m] points of two frames so near along the string are of one place
+PLACE_WIDTH_M = 1e-3
+FULL_TRACK_SHARE = 0.9  # of the frames have no more points than a full one
 # of the steps along a place's way that take as many frames as those before them, where
 # places are fixed
-AGAIN = 0.3
+REPEATED_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -23,13 +25,13 @@ class SettingsGroup:
     """
 
 
-class Enough(KeyboardInterrupt):
+class InterruptRequest(KeyboardInterrupt):
     """Raised in a stage when whoever waits for it interrupts it: it may end with what
     it knows and say so, or let this pass.
     """
 
 
-def part(progress: Progress, number: int, count: int) -> Progress:
+def partial_progress(progress: Progress, number: int, count: int) -> Progress:
     """The progress of one of so many parts that take as long as each other."""
     return lambda share: progress((number + share) / count)
 
@@ -38,7 +40,7 @@ def mad_sigma(values: np.ndarray, axis: int | None = None) -> np.ndarray:
     """Robust standard deviation about zero, of all values (...) or along an axis, from
     their median magnitude.
     """
-    return NORMAL * np.asarray(np.median(np.abs(values), axis=axis), dtype=float)
+    return MAD_TO_SIGMA * np.asarray(np.median(np.abs(values), axis=axis), dtype=float)
 
 
 def rms(values: np.ndarray) -> float:
@@ -48,7 +50,7 @@ def rms(values: np.ndarray) -> float:
     )
 
 
-def tracked(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
+def track_places(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
     """Indices of the points of each place, in the order of time, at most one a frame.
 
     frame: (N,) number of each point's frame, in order. s: (N,) its arc length [m], in
@@ -58,11 +60,13 @@ def tracked(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
     apart = np.diff(s)[np.diff(frame) == 0]  # of neighbours in a frame
     apart = apart[apart > 0]
     # of a place that is the same in all frames
-    width = min(PLACE, float(np.median(apart)) / 2) if apart.size else PLACE
-    fixed = _binned(frame, s, width)
+    width = (
+        min(PLACE_WIDTH_M, float(np.median(apart)) / 2) if apart.size else PLACE_WIDTH_M
+    )
+    fixed = _binned_tracks(frame, s, width)
     # in a full frame
     most = (
-        int(np.quantile(np.unique(frame, return_counts=True)[1], FULL))
+        int(np.quantile(np.unique(frame, return_counts=True)[1], FULL_TRACK_SHARE))
         if len(frame)
         else 0
     )
@@ -75,21 +79,21 @@ def tracked(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
     )
     if (
         most < 2
-        or np.ptp(s) <= PLACE
-        or (same.size > 0 and float(np.mean(same)) > AGAIN)
+        or np.ptp(s) <= PLACE_WIDTH_M
+        or (same.size > 0 and float(np.mean(same)) > REPEATED_SHARE)
     ):
         return fixed
-    return _binned(frame, s, float(np.ptp(s)) / (most - 1))
+    return _binned_tracks(frame, s, float(np.ptp(s)) / (most - 1))
 
 
-def wander(s: np.ndarray, tracks: Sequence[np.ndarray]) -> bool:
+def places_wander(s: np.ndarray, tracks: Sequence[np.ndarray]) -> bool:
     """Whether points are measured at other places in every frame. tracks: as `tracked`
     finds them.
     """
-    return any(np.ptp(s[track]) > PLACE for track in tracks)
+    return any(np.ptp(s[track]) > PLACE_WIDTH_M for track in tracks)
 
 
-def at_places(
+def points_at_arc_lengths(
     frame: np.ndarray, s: np.ndarray, points: np.ndarray, places: np.ndarray
 ) -> np.ndarray:
     """Positions (F, M, 2) [m] of arc lengths (M,) [m] in each frame, between its points
@@ -105,7 +109,7 @@ def at_places(
     return result
 
 
-def _binned(frame: np.ndarray, s: np.ndarray, width: float) -> list[np.ndarray]:
+def _binned_tracks(frame: np.ndarray, s: np.ndarray, width: float) -> list[np.ndarray]:
     """Tracks of places so wide [m]."""
     place = np.round(s / width).astype(int)
     tracks = [np.flatnonzero(place == value) for value in np.unique(place)]

@@ -16,12 +16,12 @@ from stringcast.data.schema import DataError
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 
-FINE = 0.0005  # [s]
-LONGEST_GAP = 0.02  # [s] between readings over which the tip's way is still guessed
+TIME_STEP_S = 0.0005  # [s]
+MAX_GAP_S = 0.02  # [s] between readings over which the tip's way is still guessed
 
 
 @dataclass(frozen=True)
-class Verdict:
+class HitResult:
     """hit: the tip was in the box, and until then the string touched no obstacle. t:
     time of the closest approach to the box's centre [s], and the distance there [m];
     NaN where no tip was read. touched: frames of the movement in which the string lies
@@ -36,7 +36,7 @@ class Verdict:
 
 def hit_test(
     seen: Points, target: Box, obstacles: Sequence[Box], duration: float
-) -> Verdict:
+) -> HitResult:
     """Follow the tip between frames (a cubic through the readings) for 0 <= t <=
     duration [s].
 
@@ -59,19 +59,19 @@ def hit_test(
 
     t = seen.readings.loc[seen.readings["valid"].astype(bool), "t"].to_numpy()
     fine = (
-        np.arange(max(t[0], 0.0), min(t[-1], duration) + FINE / 2, FINE)
+        np.arange(max(t[0], 0.0), min(t[-1], duration) + TIME_STEP_S / 2, TIME_STEP_S)
         if len(t)
         else np.empty(0)
     )
-    way = tip_way(seen.readings, fine)
+    way = tip_path(seen.readings, fine)
     if not np.isfinite(way).any():
-        return Verdict(False, np.nan, np.nan, len(touched))
+        return HitResult(False, np.nan, np.nan, len(touched))
     inside = np.concatenate([[False], target.is_crossed_by(way[:-1], way[1:])])
     entered = fine[np.argmax(inside)] if inside.any() else -np.inf
     away = np.where(np.isfinite(way[:, 0]), target.distance_to_centre(way), np.inf)
     nearest = int(np.argmin(away))
     clear = not (touched <= entered).any()
-    return Verdict(
+    return HitResult(
         bool(inside.any() and clear),
         float(fine[nearest]),
         float(away[nearest]),
@@ -79,7 +79,7 @@ def hit_test(
     )
 
 
-def tip_way(readings: pd.DataFrame, t: np.ndarray) -> np.ndarray:
+def tip_path(readings: pd.DataFrame, t: np.ndarray) -> np.ndarray:
     """The tip at times (K,) [s], (K, 2) [m]: by a cubic through the readings, and
     carried on beyond them; NaN in gaps that are too long to guess, and where fewer than
     two were read. readings: table READINGS.
@@ -94,7 +94,7 @@ def tip_way(readings: pd.DataFrame, t: np.ndarray) -> np.ndarray:
     way = CubicSpline(read, good[["tip_x", "tip_y"]])(t)
     # from frame to frame the way is always guessed; times of frames are rounded
     longest = max(
-        LONGEST_GAP, 1.01 * float(np.median(np.diff(np.sort(readings["t"].to_numpy()))))
+        MAX_GAP_S, 1.01 * float(np.median(np.diff(np.sort(readings["t"].to_numpy()))))
     )
     return np.where((gap <= longest)[:, None], way, np.nan)
 

@@ -32,7 +32,7 @@ class Input(ABC):
     kind: type | UnionType
 
     @abstractmethod
-    def found(
+    def find(
         self, name: str, iterations: Sequence[Mapping[str, Any]]
     ) -> tuple[int, Any] | None:
         """Number of its iteration and the artifact; None where there is none, and none
@@ -43,10 +43,10 @@ class Input(ABC):
         """
 
 
-class This(Input):
+class SameIteration(Input):
     """The artifact of the same iteration. Raises LookupError where there is none."""
 
-    def found(
+    def find(
         self, name: str, iterations: Sequence[Mapping[str, Any]]
     ) -> tuple[int, Any] | None:
         if name not in iterations[-1]:
@@ -54,10 +54,10 @@ class This(Input):
         return len(iterations), iterations[-1][name]
 
 
-class Last(Input):
+class LatestIteration(Input):
     """The latest of an earlier iteration, if there is one."""
 
-    def found(
+    def find(
         self, name: str, iterations: Sequence[Mapping[str, Any]]
     ) -> tuple[int, Any] | None:
         earlier = enumerate(iterations[:-1], start=1)
@@ -71,7 +71,7 @@ class Last(Input):
         )
 
 
-class Setup(Protocol):
+class StageSetup(Protocol):
     """The part of a run that every stage may use beside artifacts. own: effects whose
     values differ from trial to trial.
     """
@@ -90,20 +90,20 @@ class Setup(Protocol):
 
 
 @dataclass(frozen=True)
-class Call:
+class StageCall:
     """One call of a stage. by: the function that its settings name, with these bound;
     of a stage without settings, nothing. number: of the iteration, from 1.
     """
 
     by: Any
-    setup: Setup
+    setup: StageSetup
     seed: int
     number: int
     progress: Progress
 
 
 @dataclass(frozen=True)
-class Summary:
+class StageSummary:
     """The terminal's summary of an artifact: a heading, a sentence, and a table."""
 
     title: str
@@ -111,11 +111,11 @@ class Summary:
     table: pd.DataFrame
 
 
-def _tables(made: Any) -> Summary:
+def _default_summary(made: Any) -> StageSummary:
     """The summary of a stage without one of its own: the number of rows it made."""
     counts = {name: len(getattr(made, name)) for name in made.TABLES}
     rows = pd.DataFrame({"table": counts.keys(), "rows": counts.values()})
-    return Summary(type(made).__name__, f"Made {', '.join(counts)}.", rows)
+    return StageSummary(type(made).__name__, f"Made {', '.join(counts)}.", rows)
 
 
 @dataclass(frozen=True)
@@ -140,6 +140,6 @@ class StageSpec:
     run: str
     inputs: Mapping[str, Input] = field(default_factory=dict)
     by: tuple[str, ...] = ()
-    summary: Callable[[Any], Summary] = _tables
+    summary: Callable[[Any], StageSummary] = _default_summary
     files: Callable[[Any, Path], Mapping[str, str]] = lambda made, ahead: {}
     page: str = "stages.report.pages.tables.tables_page"

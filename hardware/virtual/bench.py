@@ -236,7 +236,9 @@ class VirtualArm:
         link = pd.DataFrame(
             {"valid": [True], "reason": [""], "ticks": [len(t)], "missed": [0]} | jitter
         )
-        return Performance(pd.DataFrame({"t": t} | measured), ticks, link, begun=0.0)
+        return Performance(
+            pd.DataFrame({"t": t} | measured), ticks, link, started_at=0.0
+        )
 
 
 @dataclass

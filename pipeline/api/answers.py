@@ -25,8 +25,8 @@ from stringcast.pipeline.modes.stored_trials import held_out_trials
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.report import page_provenance
 from stringcast.pipeline.run.stopping import stop_stage_on_interrupt
-from stringcast.stages.check.check import refuse
-from stringcast.stages.check.measured import Measured
+from stringcast.stages.check.check import refuse_errors
+from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.common import Progress
 from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.report.pages.diagnosis import diagnosis_page
@@ -246,7 +246,9 @@ def prepare_trials(
 ) -> tuple[Experiment, dataset.Dataset]:
     """All that is asked with, and the trials that fit this string."""
     here = experiment_for_call(settings, string, trials=str(trials.folder))
-    refuse(Measured(trials.data, here.arm, here.camera, here.string.length))
+    refuse_errors(
+        CheckedDataset(trials.data, here.arm, here.camera, here.string.length)
+    )
     return here, dataset.exclude_stray_points(trials.data, here.string.length)
 
 

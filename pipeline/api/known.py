@@ -32,7 +32,7 @@ from stringcast.pipeline.settings.typed_settings import (
     compose_settings,
     given_names,
 )
-from stringcast.stages.export.mjcf import mjcf
+from stringcast.stages.export.mjcf import build_mjcf
 from stringcast.stages.model.model import Model
 
 
@@ -110,7 +110,7 @@ class KnownString:
         Raises StringcastError for an effect that MuJoCo has no law for.
         """
         model = experiment_for_call((), self).model
-        return mjcf(model, model.values({}), mass, step)
+        return build_mjcf(model, model.values({}), mass, step)
 
     def __repr__(self) -> str:
         """The effects, and how many parameters are known."""

@@ -61,7 +61,7 @@ def board_page(board: Board) -> bytes:
         ylim=(-3 * MARGIN_M, board.size[1] + MARGIN_M),
     )
     axes.axis("off")
-    pixels = board.drawn(
+    pixels = board.image(
         round(board.square / board.marker * PIXELS_PER_MARKER_CELLS * 4)
     )
     axes.imshow(

@@ -31,8 +31,12 @@ from stringcast.pipeline.settings.typed_settings import (
     given_names,
 )
 from stringcast.stages.check.finding import full_stop
-from stringcast.stages.check.measured import Measured
-from stringcast.stages.check.overview import EFFECTS, found_from, overview
+from stringcast.stages.check.measured import CheckedDataset
+from stringcast.stages.check.overview import (
+    DETECTION_NOTE,
+    dataset_overview,
+    detection_limit_text,
+)
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
@@ -48,7 +52,7 @@ def main(arguments: Sequence[str]) -> int:
         raise UserError(f"--report {asked.report}: it must end in .html. Change it.")
     try:
         there = read_measurements(asked.folder, asked.settings)
-        found = overview(there)
+        found = dataset_overview(there)
         if asked.effects and found["usable"]:
             # which takes seconds to load
             told = import_module("stringcast.pipeline.commands.check_effects")
@@ -96,18 +100,18 @@ def argument_parser() -> argparse.ArgumentParser:
     return made
 
 
-def read_measurements(folder: Path, overrides: Sequence[str]) -> Measured:
+def read_measurements(folder: Path, overrides: Sequence[str]) -> CheckedDataset:
     """The data in a folder, with the arm, camera and string that a run would have."""
     config = OmegaConf.create({**compose_settings(overrides), "trials": str(folder)})
     blocks = inherit_settings(config, given_names(overrides))
     arm = build_dataclass(Arm, blocks["arm"], "arm", "conf/arm")
     camera = build_dataclass(Camera, blocks["camera"], "camera", "conf/camera")
-    return Measured(
+    return CheckedDataset(
         dataset.read_dataset(folder), arm, camera, float(blocks["string"]["length"])
     )
 
 
-def check_report(there: Measured, found: Mapping[str, Any]) -> str:
+def check_report(there: CheckedDataset, found: Mapping[str, Any]) -> str:
     """The findings as a page with pictures, HTML."""
     # which takes a second to load
     check_page = import_module("stringcast.stages.report.pages.check").check_page
@@ -183,7 +187,7 @@ def print_overview(found: Mapping[str, Any], console: Terminal) -> None:
         words = (
             f"{place}{where}: {finding['said']}."
             if place or where
-            else finding["said"] + "."
+            else finding["statement"] + "."
         )
         colour, severity = SEVERITY_COLOURS[finding["severity"]], finding["severity"]
         console.print(
@@ -192,7 +196,7 @@ def print_overview(found: Mapping[str, Any], console: Terminal) -> None:
             soft_wrap=True,
         )
     if found.get("effects"):
-        console.print(effect_table(found["effects"]), EFFECTS, highlight=False)
+        console.print(effect_table(found["effects"]), DETECTION_NOTE, highlight=False)
     count = {
         s: sum(f["severity"] == s for f in found["findings"]) for s in SEVERITY_COLOURS
     }
@@ -265,7 +269,7 @@ def effect_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         name = f"{each['effect']}.{each['parameter']}"
         table.add_row(
             name,
-            found_from(each),
+            detection_limit_text(each),
             tip,
             f"{each['imitated']:.0%}",
             ", ".join(each["alike"]) or "-",

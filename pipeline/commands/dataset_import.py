@@ -22,9 +22,13 @@ from stringcast.data.importers.gather import ImportedTables
 from stringcast.data.metadata import DATASET_FILE, FORMAT_VERSION
 from stringcast.data.schema import DataError, Table
 from stringcast.data.store import content_hash, write_table
-from stringcast.stages.check.at_rest import arc_lengths, grasp_of, with_arc_lengths
-from stringcast.stages.check.lay import shifts
-from stringcast.stages.check.measured import Seen
+from stringcast.stages.check.at_rest import (
+    attach_arc_lengths,
+    estimate_arc_lengths,
+    grasp_poses,
+)
+from stringcast.stages.check.measured import CheckedTrial
+from stringcast.stages.check.time_shifts import estimate_time_shifts
 from stringcast.stages.model.arm import Arm
 
 # of an arm whose angles our format holds; the pose of the hand stands for any other
@@ -98,7 +102,7 @@ def convert_recordings(what: ImportedTables, bench: BenchHints) -> ImportedDatas
     something must be said.
     """
     notes: list[str] = []
-    grasp = grasp_poses(what, bench)
+    grasp = imported_grasp_poses(what, bench)
     as_joints = len(what.joints) == FORMAT_JOINTS
     motion = what.motion[["trial", "t", *what.joints]] if as_joints else grasp
     points, length = locate_points(what, grasp, bench, notes)
@@ -134,7 +138,7 @@ def convert_recordings(what: ImportedTables, bench: BenchHints) -> ImportedDatas
     )
 
 
-def grasp_poses(what: ImportedTables, bench: BenchHints) -> pd.DataFrame:
+def imported_grasp_poses(what: ImportedTables, bench: BenchHints) -> pd.DataFrame:
     """Poses of the grasp, as measured or by the arm's links."""
     named = what.motion[["trial", "t"]]
     if not what.joints:
@@ -155,7 +159,7 @@ def grasp_poses(what: ImportedTables, bench: BenchHints) -> pd.DataFrame:
             "those that do: --map q1=<column> --map q2=<column>."
         )
     return pd.concat(
-        [named, grasp_of(what.motion, np.array(bench.links), np.array(bench.base))],
+        [named, grasp_poses(what.motion, np.array(bench.links), np.array(bench.base))],
         axis=1,
     )
 
@@ -179,7 +183,7 @@ def locate_points(
         return select_columns(points), bench.length or note_length(
             float(points["s"].max()), "the largest s", notes
         )
-    hanging = {} if bench.starts_moving else arc_lengths(points, grasp)
+    hanging = {} if bench.starts_moving else estimate_arc_lengths(points, grasp)
     middle = {name: float(np.median(values)) for name, values in hanging.items()}
     at = dict(bench.point_arc_lengths) or (
         {names[0]: bench.length} if len(names) == 1 and bench.length else middle
@@ -200,7 +204,7 @@ def locate_points(
         notes.append(
             f"points are taken to lie along the string as it hangs at rest: {places}. Say it with --at"
         )
-    return select_columns(with_arc_lengths(points, at)), length
+    return select_columns(attach_arc_lengths(points, at)), length
 
 
 def require_length(bench: BenchHints) -> float:
@@ -256,7 +260,7 @@ def align_clocks(
     }
     empty = READINGS.empty(), MASKS.empty()
     trials = [
-        Seen(
+        CheckedTrial(
             Observation(str(name), part.dropna(), *empty, grasp=hands[str(name)]),
             UNUSED_ARM,
             length,
@@ -264,7 +268,7 @@ def align_clocks(
         for name, part in points.groupby("trial")
         if str(name) in hands
     ]
-    later = shifts(trials)
+    later = estimate_time_shifts(trials)
     still = [seen.name for seen in trials if seen.name not in later]
     if still:
         raise DataError(

@@ -39,8 +39,12 @@ from stringcast.pipeline.commands.import_options import (
 )
 from stringcast.pipeline.settings.typed_settings import UserError
 from stringcast.stages.check.finding import Severity
-from stringcast.stages.check.measured import Measured
-from stringcast.stages.check.mistakes import Mistake, explanations, impossible
+from stringcast.stages.check.measured import CheckedDataset
+from stringcast.stages.check.mistakes import (
+    Mistake,
+    impossible_views,
+    likeliest_mistakes,
+)
 
 # as many things can be unclear one after another: units of points and hand, degrees,
 # direction, clock
@@ -62,7 +66,7 @@ def main(arguments: Sequence[str]) -> int:
     for note in made.notes:
         console.print(f"[yellow]note[/] {note}.", highlight=False, soft_wrap=True)
     picture = draw_first_trial(measured, folder)
-    found = check.overview(measured)
+    found = check.dataset_overview(measured)
     check.print_overview(found | {"folder": str(folder)}, console)
     if picture is not None:
         console.print(
@@ -94,7 +98,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def interpret_recordings(
     read: Sequence[SourceRecording], asked: argparse.Namespace, console: Terminal
-) -> tuple[ImportedTables, ImportedDataset, Measured]:
+) -> tuple[ImportedTables, ImportedDataset, CheckedDataset]:
     """The recordings with their interpretation. Where a wrong unit, direction or clock
     would explain why data cannot be right, that is asked on a terminal, and else
     assumed where no option says otherwise. `asked` is changed by it.
@@ -110,8 +114,10 @@ def interpret_recordings(
             else:
                 write_dataset(made, folder, asked.files, "")
                 measured = check.read_measurements(folder, [])
-                contradictory = impossible(measured)
-                likely = explanations(measured, contradictory) if contradictory else []
+                contradictory = impossible_views(measured)
+                likely = (
+                    likeliest_mistakes(measured, contradictory) if contradictory else []
+                )
                 undoing = (
                     propose_correction(mistake, what, asked)
                     for mistake in (likely[0] if likely else ())
@@ -158,7 +164,7 @@ def propose_correction(
             one.unit == "rad" and one.how == "name" for one in what.used_columns
         )
         return (
-            (mistake.said, "--deg", lambda: setattr(asked, "deg", True))
+            (mistake.statement, "--deg", lambda: setattr(asked, "deg", True))
             if changes
             else None
         )
@@ -166,14 +172,18 @@ def propose_correction(
         return (
             None
             if asked.y_down or asked.plane
-            else (mistake.said, "--y-down", lambda: setattr(asked, "y_down", True))
+            else (mistake.statement, "--y-down", lambda: setattr(asked, "y_down", True))
         )
     if mistake.option:
         plane = mistake.option.partition("=")[2]
         return (
             None
             if asked.plane
-            else (mistake.said, mistake.option, lambda: setattr(asked, "plane", plane))
+            else (
+                mistake.statement,
+                mistake.option,
+                lambda: setattr(asked, "plane", plane),
+            )
         )
     if not mistake.parts or not {*mistake.parts} <= {"xy", "s", "hand", "length"}:
         return None
@@ -194,7 +204,7 @@ def propose_correction(
     if not files or any(text in asked.unit for text in said):
         return None
     return (
-        mistake.said,
+        mistake.statement,
         " ".join(f"--unit {text}" for text in said),
         lambda: asked.unit.extend(said),
     )
@@ -279,7 +289,7 @@ def shared_file_name(files: Sequence[Path]) -> str:
     )
 
 
-def draw_first_trial(measured: Measured, folder: Path) -> Path | None:
+def draw_first_trial(measured: CheckedDataset, folder: Path) -> Path | None:
     """The path of a picture beside the folder, of the first trial of which points were
     measured.
     """

@@ -16,7 +16,7 @@ from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.settings.allowed_callables import DRY_RUNS
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import UserError, require_allowed
-from stringcast.stages.align.undo import in_arms_frame
+from stringcast.stages.align.correction import transform_to_arm_frame
 from stringcast.stages.hit_test import check_reach, hit_test
 
 log = logging.getLogger(__name__)
@@ -67,7 +67,7 @@ class Cast(Stepwise):
             # whether it hit is asked of the tip as it was measured
             motion: Motion = current.artifacts["motion"]
             points: Points = current.artifacts["points"]
-            there = in_arms_frame(points, experiment.model)
+            there = transform_to_arm_frame(points, experiment.model)
             verdict = hit_test(
                 there, experiment.target, experiment.obstacles, motion.duration
             )

@@ -11,15 +11,19 @@ from stringcast.data.artifacts import Observation
 from stringcast.data.schema import DataError
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History
-from stringcast.stages.check.check import refuse
-from stringcast.stages.check.measured import Measured
+from stringcast.stages.check.check import refuse_errors
+from stringcast.stages.check.measured import CheckedDataset
 
 
 def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
     """Stored trials that fit this string; raises DataError where there are none."""
     trials = experiment.config["trials"]
     read = dataset.read_dataset(Path(trials))
-    refuse(Measured(read, experiment.arm, experiment.camera, experiment.string.length))
+    refuse_errors(
+        CheckedDataset(
+            read, experiment.arm, experiment.camera, experiment.string.length
+        )
+    )
     data = dataset.exclude_stray_points(read, experiment.string.length)
     if not data.trials:
         reasons = describe_rejected(data.rejection_reasons) or "it holds no trial"

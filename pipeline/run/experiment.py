@@ -37,7 +37,7 @@ from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.library import effect_files, find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from stringcast.stages.spec import Call
+from stringcast.stages.spec import StageCall
 
 BlockLocation = Callable[[str], str]
 
@@ -82,7 +82,7 @@ class Mode(ABC):
 @dataclass(frozen=True)
 class Experiment:
     """All that a run works with; `stages` are functions with their settings bound.
-    Fills `stages.spec.Setup`.
+    Fills `stages.spec.StageSetup`.
     """
 
     config: Mapping[str, Any]
@@ -127,7 +127,7 @@ class Experiment:
     def run_step(self, step: Step, progress: Progress) -> Any:
         """The artifact of a step, made now."""
         stage = step.stage
-        call = Call(
+        call = StageCall(
             self.stages.get(stage.name),
             self,
             step.derive_seed(self.seed),
@@ -312,7 +312,7 @@ def refine_string_to_tolerance(
         float(np.sqrt(config["generate"]["shortest"] * config["generate"]["longest"])),
     )
     hand = JointMotion(
-        0.0, arm.tick, *cast.sampled(arm.tick, float(cast.duration[0]))
+        0.0, arm.tick, *cast.sample(arm.tick, float(cast.duration[0]))
     ).hand_motion(arm)
     try:
         return find_converged_string(

@@ -14,7 +14,7 @@ from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.spec import StageSpec
 
 if TYPE_CHECKING:
-    from stringcast.stages.hit_test import Verdict  # which loads SciPy
+    from stringcast.stages.hit_test import HitResult  # which loads SciPy
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Iteration:
 
     number: int
     artifacts: dict[str, Any] = field(repr=False)
-    verdict: Verdict | None = None
+    verdict: HitResult | None = None
     custom_trial_name: str = ""
     given_artifacts: dict[str, Any] = field(default_factory=dict, repr=False)
 
@@ -131,7 +131,7 @@ class History:
         inputs: dict[str, Any] = {}
         places: list[Path] = []
         for key, asked in stage.inputs.items():
-            number, found = asked.found(key, there) or (0, None)
+            number, found = asked.find(key, there) or (0, None)
             if number and not isinstance(found, asked.kind):
                 raise TypeError(
                     f"stage {stage.name}: {key} is a {type(found).__name__}, not {asked.kind}"

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import current_thread, main_thread
 
-from stringcast.stages.common import Enough
+from stringcast.stages.common import InterruptRequest
 
 
 @contextmanager
@@ -21,7 +21,7 @@ def stop_stage_on_interrupt() -> Iterator[None]:
 
     def stop(number: int, frame: object) -> None:
         signal.signal(signal.SIGINT, before)
-        raise Enough
+        raise InterruptRequest
 
     if not callable(before) or current_thread() is not main_thread():
         yield

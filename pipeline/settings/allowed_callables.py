@@ -18,7 +18,7 @@ PICTURE_SOURCES = (
     "hardware.camera.ImageFolder",
     "hardware.camera.VideoFile",
 )
-DRY_RUNS = ("stages.execute.dry_run.dry", "stages.execute.dry_run.slow")
+DRY_RUNS = ("stages.execute.dry_run.dry_run", "stages.execute.dry_run.slow_run")
 # nothing real moves by these
 VIRTUAL_HARDWARE = ("hardware.virtual.open_lab", "hardware.serial.rehearsal.open_lab")
 PIPELINE_ROLES: Mapping[str, tuple[str, ...]] = {

@@ -55,4 +55,6 @@ def finish_sweep() -> int:
     """Write table and page of this process' sweep, if it had one, and say how it
     stands: 0 if all its jobs are done.
     """
-    return 0 if LazyLauncher.current is None else int(LazyLauncher.current.finish_sweep())
+    return (
+        0 if LazyLauncher.current is None else int(LazyLauncher.current.finish_sweep())
+    )

@@ -11,10 +11,16 @@ import pandas as pd
 
 from stringcast.data.alignment import Alignment
 from stringcast.data.artifacts import TrialSet
-from stringcast.stages.spec import EXTENDED, MODEL, StageSpec, Summary, This
+from stringcast.stages.spec import (
+    EXTENDED,
+    MODEL,
+    SameIteration,
+    StageSpec,
+    StageSummary,
+)
 
 
-def summary(made: Alignment) -> Summary:
+def summary(made: Alignment) -> StageSummary:
     """The alignment in a table: pose and clock of the camera relative to the arm's."""
     rows = [
         {
@@ -25,12 +31,12 @@ def summary(made: Alignment) -> Summary:
             "": ""
             if not row.low <= 0 <= row.high
             else "may be 0"
-            if row.found
+            if row.find
             else "not seen",
         }
         for row in made.measured.itertuples()
     ]
-    return Summary(
+    return StageSummary(
         "camera and clock against the arm", made.sentence, pd.DataFrame(rows)
     )
 
@@ -46,7 +52,7 @@ STAGE = StageSpec(
     folder="alignment",
     uses=(*MODEL, "align"),
     run="stages.align.align.run",
-    inputs={"trials": This(TrialSet)},
+    inputs={"trials": SameIteration(TrialSet)},
     by=("stages.align.align.align",),
     summary=summary,
     files=files,

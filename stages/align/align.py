@@ -20,28 +20,33 @@ from stringcast.data.alignment import (
 )
 from stringcast.data.artifacts import Film, Observation, TrialSet
 from stringcast.data.schema import DataError
+from stringcast.stages.align.acceptance import max_hand_speed, refuse_fit, refuse_sight
 from stringcast.stages.align.fit import (
-    ALWAYS,
-    SOUGHT,
-    Fit,
-    Problem,
-    chosen,
-    measuring,
-    more,
+    CANDIDATE_EFFECTS,
+    REQUIRED_EFFECTS,
+    AlignmentFit,
+    AlignmentProblem,
+    add_effects,
+    measurement_model,
+    select_effects,
 )
-from stringcast.stages.align.grasp import from_points
-from stringcast.stages.align.lookalike import LAG, OFFSET, likelihood, most_lag
-from stringcast.stages.align.outline import from_films
-from stringcast.stages.align.refuse import refuse_fit, refuse_sight, speed
+from stringcast.stages.align.grasp import grasp_sightings
+from stringcast.stages.align.lookalike import (
+    LAG,
+    OFFSET,
+    largest_hidden_lag,
+    likelihood_profile,
+)
+from stringcast.stages.align.outline import sightings_from_films
 from stringcast.stages.common import Progress, rms
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
-from stringcast.stages.spec import Call
+from stringcast.stages.spec import StageCall
 
-AIM = 1e-3  # [s] to which the clocks should be known
+TARGET_PRECISION = 1e-3  # [s] to which the clocks should be known
 
 
-def run(call: Call, trials: TrialSet) -> Alignment:
+def run(call: StageCall, trials: TrialSet) -> Alignment:
     """The alignment in all trials, as a stage."""
     made: Alignment = call.by(
         call.setup.model, trials.observations, trials.films, progress=call.progress
@@ -67,41 +72,46 @@ def align(
         raise DataError(
             "there is no trial that can be used. Look at the reasons given for each."
         )
-    full = measuring(model)
+    full = measurement_model(model)
     filmed = {name: film for name, film in films.items() if film.arm is not None}
     seen = (
-        from_films(full, filmed, arm_width, lambda share: progress(0.6 * share))
+        sightings_from_films(
+            full, filmed, arm_width, lambda share: progress(0.6 * share)
+        )
         if filmed
         else ()
     )
     by_points = tuple(
-        from_points(o, model.arm) for o in observations if o.trial not in filmed
+        grasp_sightings(o, model.arm) for o in observations if o.trial not in filmed
     )
-    problem = Problem(
+    problem = AlignmentProblem(
         full,
         tuple(trial for trial in (*seen, *by_points) if len(trial.sightings.frame)),
     )
     refuse_sight(problem)
-    fit = chosen(problem)
+    fit = select_effects(problem)
     progress(0.8)
     refuse_fit(problem, fit)
-    return alignment(model, problem, fit)
+    return build_alignment(model, problem, fit)
 
 
-def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
+def build_alignment(
+    model: Model, problem: AlignmentProblem, fit: AlignmentFit
+) -> Alignment:
     """The artifact of a fit: parameters with their ranges, sightings before and after,
     and the sentence.
     """
-    alike = likelihood(problem, fit)
-    lag = most_lag(alike, fit)
+    alike = likelihood_profile(problem, fit)
+    lag = largest_hidden_lag(alike, fit)
     measured = measured_table(problem, fit, lag)
-    before = problem.off(
-        problem.parameters(ALWAYS), np.zeros((1, len(problem.parameters(ALWAYS))))
+    before = problem.residuals(
+        problem.parameters(REQUIRED_EFFECTS),
+        np.zeros((1, len(problem.parameters(REQUIRED_EFFECTS)))),
     )[0]
     after = fit.residual * problem.sigma
 
     # the model with the alignment, as settings that other experiments take
-    ours = {*ALWAYS, *SOUGHT}
+    ours = {*REQUIRED_EFFECTS, *CANDIDATE_EFFECTS}
     others = [
         e.name
         for e in model.effects
@@ -115,11 +125,11 @@ def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
     effects = sorted({*others, *fit.effects} - {"gravity"} - (ours - {*fit.effects}))
 
     row = {
-        "sentence": sentence(measured, fit, lag),
+        "sentence": alignment_sentence(measured, fit, lag),
         "rms_before": rms(before),
         "rms_after": rms(after),
         "noise": rms(problem.sigma),
-        "speed": max(speed(model.arm, trial) for trial in problem.trials),
+        "speed": max(max_hand_speed(model.arm, trial) for trial in problem.trials),
         "most_lag": lag,
         "extended": yaml.safe_dump(
             {"effects": effects, "known": known}, sort_keys=False
@@ -136,7 +146,11 @@ def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
             "sigma": s.sigma,
         }
         columns |= dict(
-            zip(("x", "y", "along_x", "along_y"), (*s.seen.T, *s.along.T), strict=True)
+            zip(
+                ("x", "y", "along_x", "along_y"),
+                (*s.position.T, *s.direction.T),
+                strict=True,
+            )
         )
         parts.append(pd.DataFrame(columns))
     seen = SIGHTINGS.check(
@@ -147,21 +161,25 @@ def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
     )
 
 
-def measured_table(problem: Problem, fit: Fit, lag: float) -> pd.DataFrame:
+def measured_table(
+    problem: AlignmentProblem, fit: AlignmentFit, lag: float
+) -> pd.DataFrame:
     """Table MEASURED. An interval holds whether what was looked for and not seen is
     there unseen or not, but for a lag.
 
     lag: up to which one would not be seen [s].
     """
-    others = [name for name in SOUGHT if name not in (*fit.effects, "arm_lag")]
-    free = more(problem, fit, *others)
+    others = [
+        name for name in CANDIDATE_EFFECTS if name not in (*fit.effects, "arm_lag")
+    ]
+    free = add_effects(problem, fit, *others)
     ends = {
         name: (x, x - r, x + r)
-        for name, x, r in zip(free.names, free.x, free.reach, strict=True)
+        for name, x, r in zip(free.names, free.x, free.half_widths, strict=True)
     }
     own = {
         name: (x, x - r, x + r)
-        for name, x, r in zip(fit.names, fit.x, fit.reach, strict=True)
+        for name, x, r in zip(fit.names, fit.x, fit.half_widths, strict=True)
     }
     ends |= {
         n: (x, min(low, ends[n][1]), max(high, ends[n][2]))
@@ -189,7 +207,7 @@ def measured_table(problem: Problem, fit: Fit, lag: float) -> pd.DataFrame:
     )
 
 
-def sentence(measured: pd.DataFrame, fit: Fit, lag: float) -> str:
+def alignment_sentence(measured: pd.DataFrame, fit: AlignmentFit, lag: float) -> str:
     """The result of an alignment in sentences: what was measured, and what it cannot be
     told from.
     """
@@ -212,8 +230,8 @@ def sentence(measured: pd.DataFrame, fit: Fit, lag: float) -> str:
     clocks = f"The clocks are compared to +- {1e3 * reach:.2f} ms (95 %)"
     clocks += (
         "."
-        if reach < AIM
-        else f", which is more than the {1e3 * AIM:.0f} ms that are aimed at."
+        if reach < TARGET_PRECISION
+        else f", which is more than the {1e3 * TARGET_PRECISION:.0f} ms that are aimed at."
     )
     alike = (
         f" An arm that lags by up to {1e3 * lag:.1f} ms would look the same in this motion, with clocks that much "

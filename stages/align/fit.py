@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stringcast.stages.align.sightings import Sighted
+from stringcast.stages.align.sightings import SightedTrial
 from stringcast.stages.common import mad_sigma
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.covariance import Covariance, jackknife_covariance
@@ -27,19 +27,20 @@ from stringcast.stages.model.parameter import (
     parameter_values,
 )
 
-ALWAYS = ("time_offset", "camera_rotation", "pixel_scale", "camera_offset")
-SOUGHT = ("arm_lag", "clock_drift", "rolling_shutter", "lens_distortion")
-BLOCKS = 20  # pieces into which the time is cut
-STEP = 1e-4  # of a parameter's range, for the central difference
+REQUIRED_EFFECTS = ("time_offset", "camera_rotation", "pixel_scale", "camera_offset")
+CANDIDATE_EFFECTS = ("arm_lag", "clock_drift", "rolling_shutter", "lens_distortion")
+TIME_BLOCKS = 20  # pieces into which the time is cut
+DIFFERENCE_STEP = 1e-4  # of a parameter's range, for the central difference
 # of the log-likelihood: an improvement that ends them, for deviances are compared
-ENOUGH = 1e-3
-ROUNDS = 3  # in which the robust scale settles
-SURE = 9.0  # deviance that an effect must explain to be seen: by chance 1 in 400
+CONVERGENCE_TOLERANCE = 1e-3
+MAX_ROUNDS = 3  # in which the robust scale settles
+# deviance that an effect must explain to be seen: by chance 1 in 400
+MIN_DEVIANCE_GAIN = 9.0
 # [s] from which a lag is sought: at none it cannot be told from an offset
-LAGGING = 0.004
+START_LAG_S = 0.004
 
 
-def measuring(model: Model) -> Model:
+def measurement_model(model: Model) -> Model:
     """The arm and camera of a model with every effect that alignment looks for, and no
     other.
 
@@ -47,18 +48,18 @@ def measuring(model: Model) -> Model:
     not commute.
     """
     return Model(model.string, model.arm, model.camera).with_effects(
-        *find_effects(sorted((*ALWAYS, *SOUGHT)))
+        *find_effects(sorted((*REQUIRED_EFFECTS, *CANDIDATE_EFFECTS)))
     )
 
 
 @dataclass(frozen=True)
-class Problem:
+class AlignmentProblem:
     """Trials that share one alignment. model: with every effect that is looked for, and
     nothing else.
     """
 
     model: Model
-    trials: tuple[Sighted, ...]
+    trials: tuple[SightedTrial, ...]
 
     @cached_property
     def sigma(self) -> np.ndarray:
@@ -80,7 +81,7 @@ class Problem:
         spans = [
             max(float(np.ptp(trial.sightings.times)), 1e-9) for trial in self.trials
         ]
-        length = sum(spans) / BLOCKS
+        length = sum(spans) / TIME_BLOCKS
         parts, first = [], 0
         for trial, span in zip(self.trials, spans, strict=True):
             count = max(round(span / length), 1)
@@ -110,24 +111,26 @@ class Problem:
             [found[n].high for n in names]
         )
 
-    def off(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
+    def residuals(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
         """Reported less seen positions of candidates x (C, P) of these parameters, the
         others absent, (C, N) [m].
         """
         values = np.tile(self.model.values({}), (len(x), 1))
         values[:, [self.model.names.index(name) for name in names]] = x
         parts = [
-            np.broadcast_to(t.off(self.model, values), (len(x), len(t.sightings.frame)))
+            np.broadcast_to(
+                t.residuals(self.model, values), (len(x), len(t.sightings.frame))
+            )
             for t in self.trials
         ]
         return np.concatenate(parts, axis=1)
 
-    def slopes(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
+    def jacobian(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
         """The Jacobian (N, P) of the residuals over sigma at x (P,)."""
         low, high = self.ranges(names)
-        step = STEP * (high - low)
+        step = DIFFERENCE_STEP * (high - low)
         middle = np.clip(x, low + step, high - step)
-        ends = self.off(
+        ends = self.residuals(
             names, np.concatenate([middle + np.diag(step), middle - np.diag(step)])
         )
         return ((ends[: len(x)] - ends[len(x) :]) / (2 * step[:, None])).T / self.sigma[
@@ -136,14 +139,14 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class Sought:
+class FreeParameters:
     """Some parameters of a problem, as the solver asks for them. held: values of
     others.
     """
 
-    problem: Problem
+    problem: AlignmentProblem
     names: tuple[str, ...]
-    held: Mapping[str, float]
+    fixed_values: Mapping[str, float]
     limit: float
 
     @cached_property
@@ -159,16 +162,19 @@ class Sought:
         """Residuals over sigma (C, N) of candidates chi (C, P)."""
         values = parameter_values(self.parameters, chi)
         others = np.broadcast_to(
-            np.array(list(self.held.values())), (len(chi), len(self.held))
+            np.array(list(self.fixed_values.values())),
+            (len(chi), len(self.fixed_values)),
         )
         return (
-            self.problem.off((*self.names, *self.held), np.hstack([values, others]))
+            self.problem.residuals(
+                (*self.names, *self.fixed_values), np.hstack([values, others])
+            )
             / self.problem.sigma
         )
 
 
 @dataclass(frozen=True)
-class Fit:
+class AlignmentFit:
     """Parameters that fit. effects: those at work. x: (P,) values; width: (P,) of their
     ranges. residual: (N,) over sigma. slope: (N, P). limit: size from which a residual
     counts less. deviance: twice Huber's cost.
@@ -179,7 +185,7 @@ class Fit:
     x: np.ndarray
     width: np.ndarray
     residual: np.ndarray
-    slope: np.ndarray
+    jacobian: np.ndarray
     limit: float
     deviance: float
     blocks: np.ndarray
@@ -195,38 +201,38 @@ class Fit:
         return huber_weights(self.residual, self.limit)
 
     @cached_property
-    def _sure(self) -> Covariance:
+    def _relative_covariance(self) -> Covariance:
         """Covariance of the parameters as shares of their ranges."""
         return jackknife_covariance(
-            (self.slope * self.width).T, self.residual, self.weight, self.blocks
+            (self.jacobian * self.width).T, self.residual, self.weight, self.blocks
         )
 
     @property
     def covariance(self) -> np.ndarray:
         """(P, P)."""
-        return self._sure.matrix * np.outer(self.width, self.width)
+        return self._relative_covariance.matrix * np.outer(self.width, self.width)
 
     @property
-    def reach(self) -> np.ndarray:
+    def half_widths(self) -> np.ndarray:
         """(P,) half widths of the 95 % intervals."""
-        return self._sure.half_width_95 * self.width
+        return self._relative_covariance.half_width_95 * self.width
 
     @cached_property
     def inflation(self) -> float:
         """The variance inflation factor of correlated noise, on average over the
         residuals.
         """
-        plain = np.linalg.pinv((self.weight[:, None] * self.slope).T @ self.slope)
+        plain = np.linalg.pinv((self.weight[:, None] * self.jacobian).T @ self.jacobian)
         return float(np.mean(np.diag(self.covariance) / np.diag(plain)))
 
 
-def fitted(
-    problem: Problem,
+def fit_alignment(
+    problem: AlignmentProblem,
     effects: Sequence[str],
     start: Mapping[str, float] | None = None,
     held: Mapping[str, float] | None = None,
     limit: float | None = None,
-) -> Fit:
+) -> AlignmentFit:
     """The best parameters of these effects.
 
     start: values at which the search begins. held: values of parameters that are not
@@ -235,24 +241,24 @@ def fitted(
     """
     held = held or {}
     names = tuple(name for name in problem.parameters(effects) if name not in held)
-    sought = Sought(problem, names, held, limit or np.inf)
+    sought = FreeParameters(problem, names, held, limit or np.inf)
     chi = parameter_exponents(
         sought.parameters, np.array([(start or {}).get(name, 0.0) for name in names])
     )
-    for _ in range(ROUNDS if limit is None else 1):
-        scale = limit or HUBER_LIMIT * robust(sought.residuals(chi[None]))
+    for _ in range(MAX_ROUNDS if limit is None else 1):
+        scale = limit or HUBER_LIMIT * robust_sigma(sought.residuals(chi[None]))
         chi = solver.fit_least_squares(
-            replace(sought, limit=scale), chi[None], enough=ENOUGH
+            replace(sought, limit=scale), chi[None], enough=CONVERGENCE_TOLERANCE
         ).chi[0]
     residual = sought.residuals(chi[None])[0]
-    scale = limit or HUBER_LIMIT * robust(residual)
+    scale = limit or HUBER_LIMIT * robust_sigma(residual)
     low, high = problem.ranges(names)
     x = parameter_values(sought.parameters, chi)
-    slope = problem.slopes((*names, *held), np.array([*x, *held.values()]))[
+    slope = problem.jacobian((*names, *held), np.array([*x, *held.values()]))[
         :, : len(names)
     ]
     deviance = len(residual) * float(huber_loss(residual, scale))
-    return Fit(
+    return AlignmentFit(
         tuple(effects),
         names,
         x,
@@ -265,7 +271,7 @@ def fitted(
     )
 
 
-def robust(residual: np.ndarray) -> float:
+def robust_sigma(residual: np.ndarray) -> float:
     """Standard deviation about zero of residuals (N,), from their median, in their
     unit.
     """
@@ -273,25 +279,27 @@ def robust(residual: np.ndarray) -> float:
     return float(mad_sigma(residual)) + 1e-12
 
 
-def chosen(problem: Problem) -> Fit:
+def select_effects(problem: AlignmentProblem) -> AlignmentFit:
     """The fit with all that is always measured, and those of the effects sought that
     make a difference.
     """
-    best = fitted(problem, ALWAYS)
+    best = fit_alignment(problem, REQUIRED_EFFECTS)
     while True:
-        others = [name for name in SOUGHT if name not in best.effects]
-        tried = [more(problem, best, name) for name in others]
+        others = [name for name in CANDIDATE_EFFECTS if name not in best.effects]
+        tried = [add_effects(problem, best, name) for name in others]
         gains = [(best.deviance - other.deviance) / best.inflation for other in tried]
-        if not gains or max(gains) < SURE:
+        if not gains or max(gains) < MIN_DEVIANCE_GAIN:
             return best
         further = tried[int(np.argmax(gains))]
-        best = fitted(problem, further.effects, further.values)
+        best = fit_alignment(problem, further.effects, further.values)
 
 
-def more(problem: Problem, fit: Fit, *effects: str) -> Fit:
+def add_effects(
+    problem: AlignmentProblem, fit: AlignmentFit, *effects: str
+) -> AlignmentFit:
     """The fit with further effects at work, judged by the same limit."""
     start = dict(fit.values)
     if "arm_lag" in effects:
-        start |= {"arm_lag.time_constant": LAGGING}
-        start["time_offset.offset"] += LAGGING
-    return fitted(problem, (*fit.effects, *effects), start, limit=fit.limit)
+        start |= {"arm_lag.time_constant": START_LAG_S}
+        start["time_offset.offset"] += START_LAG_S
+    return fit_alignment(problem, (*fit.effects, *effects), start, limit=fit.limit)

@@ -20,31 +20,33 @@ class Sightings:
     frame: np.ndarray
     link: np.ndarray
     share: np.ndarray
-    seen: np.ndarray
-    along: np.ndarray
+    position: np.ndarray
+    direction: np.ndarray
     sigma: np.ndarray
 
 
 @dataclass(frozen=True)
-class Sighted:
+class SightedTrial:
     """One trial: the joints as the arm reports them, and what was seen of it."""
 
     name: str
     motion: JointMotion
     sightings: Sightings
 
-    def off(self, model: Model, values: np.ndarray) -> np.ndarray:
+    def residuals(self, model: Model, values: np.ndarray) -> np.ndarray:
         """Residuals of candidates, (C, N) [m]: each point as simulated less as seen,
         along its direction. values: (C, P).
         """
-        there = on_links(
+        there = points_on_links(
             model.observed_arm(self.motion, values, self.sightings.times),
             self.sightings,
         )
-        return np.sum((there - self.sightings.seen) * self.sightings.along, axis=-1)
+        return np.sum(
+            (there - self.sightings.position) * self.sightings.direction, axis=-1
+        )
 
 
-def on_links(joints: np.ndarray, sightings: Sightings) -> np.ndarray:
+def points_on_links(joints: np.ndarray, sightings: Sightings) -> np.ndarray:
     """The points that were sighted, (C, N, 2) [m]. joints: (C, F, J + 1, 2)."""
     near = joints[:, sightings.frame, sightings.link - 1]
     far = joints[:, sightings.frame, sightings.link]

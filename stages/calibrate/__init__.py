@@ -10,12 +10,12 @@ from pathlib import Path
 import pandas as pd
 
 from stringcast.data.calibration import Calibration
-from stringcast.stages.spec import StageSpec, Summary, This
+from stringcast.stages.spec import SameIteration, StageSpec, StageSummary
 
 CAMERA = "camera.yaml"  # the camera that a calibration measured, for `calibrated=`
 
 
-def summary(made: Calibration) -> Summary:
+def summary(made: Calibration) -> StageSummary:
     """The calibration's result with its errors, for the terminal."""
     outcome = made.outcome.iloc[0]
     sentence = (
@@ -34,7 +34,7 @@ def summary(made: Calibration) -> Summary:
         }
         for row in made.measured.itertuples()
     ]
-    return Summary("the camera", sentence, pd.DataFrame(rows))
+    return StageSummary("the camera", sentence, pd.DataFrame(rows))
 
 
 def files(made: Calibration, ahead: Path) -> Mapping[str, str]:
@@ -48,7 +48,11 @@ STAGE = StageSpec(
     folder="calibration",
     uses=("camera", "board", "source", "plane", "calibrate", "seed"),
     run="stages.calibrate.calibrate.run",
-    inputs={"tilted": This(list), "flat": This(list), "board": This(object)},
+    inputs={
+        "tilted": SameIteration(list),
+        "flat": SameIteration(list),
+        "board": SameIteration(object),
+    },
     by=("stages.calibrate.calibrate.calibrate",),
     summary=summary,
     files=files,

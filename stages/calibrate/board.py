@@ -34,9 +34,9 @@ class Board:
             raise ValueError(
                 f"OpenCV has no dictionary {self.dictionary}; DICT_5X5_100 is one"
             )
-        if self.markers > self.words:
+        if self.markers > self.dictionary_size:
             raise ValueError(
-                f"{self.dictionary} has {self.words} markers, the board needs {self.markers}"
+                f"{self.dictionary} has {self.dictionary_size} markers, the board needs {self.markers}"
             )
 
     @property
@@ -45,7 +45,7 @@ class Board:
         return self.squares[0] * self.squares[1] // 2
 
     @property
-    def words(self) -> int:
+    def dictionary_size(self) -> int:
         """The number of markers in the dictionary."""
         return len(
             cv2.aruco.getPredefinedDictionary(
@@ -85,11 +85,11 @@ class Board:
         return np.array(self.pattern.getChessboardCorners(), dtype=float)
 
     @property
-    def marks(self) -> np.ndarray:
+    def marker_corners(self) -> np.ndarray:
         """(M, 4, 2) corners of each marker [m], x and y as of `points`."""
         return np.array(self.pattern.getObjPoints(), dtype=float)[..., :2]
 
-    def drawn(self, px_per_square: int) -> np.ndarray:
+    def image(self, px_per_square: int) -> np.ndarray:
         """The pattern without a border, uint8."""
         size = (self.squares[0] * px_per_square, self.squares[1] * px_per_square)
         return np.asarray(self.pattern.generateImage(size))

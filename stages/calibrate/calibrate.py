@@ -14,24 +14,31 @@ from pydantic import Field
 
 from stringcast.data.calibration import Calibration
 from stringcast.data.schema import DataError
-from stringcast.stages.calibrate.acceptance import Solution, Thresholds, reason
+from stringcast.stages.calibrate.acceptance import (
+    CalibrationSolution,
+    CalibrationThresholds,
+    rejection_reason,
+)
 from stringcast.stages.calibrate.board import Board
-from stringcast.stages.calibrate.fit import fitted, held_out
-from stringcast.stages.calibrate.plane import BoardPlacement, in_plane
-from stringcast.stages.calibrate.tables import tables
-from stringcast.stages.calibrate.views import View, look
+from stringcast.stages.calibrate.fit import fit_lens, held_out_rms
+from stringcast.stages.calibrate.plane import BoardPlacement, fit_plane
+from stringcast.stages.calibrate.tables import calibration_tables
+from stringcast.stages.calibrate.views import BoardView, detect_board
 from stringcast.stages.common import Progress
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.spec import Call
+from stringcast.stages.spec import StageCall
 
-SOLVABLE = 4  # views below which there is nothing to judge
+MIN_SOLVABLE_VIEWS = 4  # views below which there is nothing to judge
 # of the cross-validation of the lens: each view is predicted by a lens that has not
 # seen it
 FOLDS = 4
 
 
 def run(
-    call: Call, tilted: Sequence[np.ndarray], flat: Sequence[np.ndarray], board: Board
+    call: StageCall,
+    tilted: Sequence[np.ndarray],
+    flat: Sequence[np.ndarray],
+    board: Board,
 ) -> Calibration:
     """The camera, as a stage."""
     made: Calibration = call.by(
@@ -47,7 +54,7 @@ def calibrate(
     camera: Camera,
     *,
     place: BoardPlacement,
-    views: Annotated[int, Field(ge=SOLVABLE)],
+    views: Annotated[int, Field(ge=MIN_SOLVABLE_VIEWS)],
     spread: Annotated[float, Field(gt=0)],
     coverage: Annotated[float, Field(gt=0, le=1)],
     rms: Annotated[float, Field(gt=0)],
@@ -68,11 +75,11 @@ def calibrate(
     """
     seen = []
     for number, picture in enumerate(pictures):
-        seen.append(look(number, picture, board))
+        seen.append(detect_board(number, picture, board))
         # most of the time goes into finding the markers
         progress(0.9 * (number + 1) / len(pictures))
-    used = _readable(seen)
-    held = _held(flat, board)
+    used = _readable_views(seen)
+    held = _plane_view(flat, board)
     sizes = sorted({view.image.shape[::-1] for view in (*seen, held)})
     if len(sizes) > 1:
         several = " and ".join(f"{width}x{height}" for width, height in sizes[:2])
@@ -80,25 +87,27 @@ def calibrate(
             f"pictures are {several} px. Take all with the camera set as for the experiment."
         )
     size = (int(sizes[0][0]), int(sizes[0][1]))
-    lens = fitted(used, board, size)
-    alone = held_out(used, board, size, FOLDS)
-    plane = in_plane(
+    lens = fit_lens(used, board, size)
+    alone = held_out_rms(used, board, size, FOLDS)
+    plane = fit_plane(
         held, board, place, lens, replace(camera, width=size[0], height=size[1])
     )
-    solution = Solution(used, lens, alone, held, plane, size)
-    return tables(
+    solution = CalibrationSolution(used, lens, alone, held, plane, size)
+    return calibration_tables(
         solution,
         seen,
-        reason(solution, Thresholds(views, spread, coverage, rms, astray)),
+        rejection_reason(
+            solution, CalibrationThresholds(views, spread, coverage, rms, astray)
+        ),
     )
 
 
-def _readable(seen: Sequence[View]) -> list[View]:
+def _readable_views(seen: Sequence[BoardView]) -> list[BoardView]:
     """The views in which the board can be read. Raises DataError where there are too
     few.
     """
     used = [view for view in seen if not view.reason]
-    if len(used) < SOLVABLE:
+    if len(used) < MIN_SOLVABLE_VIEWS:
         reasons = Counter(view.reason for view in seen if view.reason)
         why = f"; of most, {reasons.most_common(1)[0][0]}" if reasons else ""
         raise DataError(
@@ -108,9 +117,9 @@ def _readable(seen: Sequence[View]) -> list[View]:
     return used
 
 
-def _held(flat: Sequence[np.ndarray], board: Board) -> View:
+def _plane_view(flat: Sequence[np.ndarray], board: Board) -> BoardView:
     """The view in the plane of motion."""
-    seen = [look(number, picture, board) for number, picture in enumerate(flat)]
+    seen = [detect_board(number, picture, board) for number, picture in enumerate(flat)]
     if not seen:
         raise DataError(
             "the board in the plane of motion: there is no picture of it. Take one."

@@ -12,11 +12,17 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from stringcast.stages.calibrate.board import Board
-from stringcast.stages.calibrate.fit import Fitted, lens_of, pose, rms, values_of
-from stringcast.stages.calibrate.views import View
+from stringcast.stages.calibrate.fit import (
+    LensFit,
+    board_pose,
+    distance_rms,
+    lens_from_values,
+    lens_values,
+)
+from stringcast.stages.calibrate.views import BoardView
 from stringcast.stages.model.camera import CAMERA_AXES, Camera
 
-NAMES = ("px_per_m", "origin_u", "origin_v", "rotation", "tilt_x", "tilt_y")
+PLANE_PARAMETERS = ("px_per_m", "origin_u", "origin_v", "rotation", "tilt_x", "tilt_y")
 
 
 @dataclass(frozen=True)
@@ -28,14 +34,14 @@ class BoardPlacement:
     corner: tuple[float, float]
     turn: float
 
-    def world(self, board: np.ndarray) -> np.ndarray:
+    def to_world(self, board: np.ndarray) -> np.ndarray:
         """World points (N, 2) [m] of points on the board (N, 2) [m]."""
         c, s = np.cos(self.turn), np.sin(self.turn)
         return board @ np.array([[c, s], [-s, c]]) + np.array(self.corner)
 
 
 @dataclass(frozen=True)
-class Plane:
+class PlaneFit:
     """camera: with lens and plane. sigma: (6,) of NAMES, that of the lens included.
     fit: (N, 2) corners as the camera has them [px].
     """
@@ -45,17 +51,17 @@ class Plane:
     fit: np.ndarray
 
 
-def in_plane(
-    view: View, board: Board, place: BoardPlacement, lens: Fitted, camera: Camera
-) -> Plane:
+def fit_plane(
+    view: BoardView, board: Board, place: BoardPlacement, lens: LensFit, camera: Camera
+) -> PlaneFit:
     """The camera that sees the view's corners where they are. camera: its size, rate
     and exposure are kept.
     """
-    world = place.world(board.corners[view.corners])
+    world = place.to_world(board.corners[view.corners])
     plain = replace(camera, distortion=0.0, lens=lens.lens)
 
     # start: from OpenCV's pose of the board, whose y is down and whose z goes into it
-    turn, at = pose(lens.lens, board, view)
+    turn, at = board_pose(lens.lens, board, view)
     spin = Rotation.from_euler("z", -place.turn).as_matrix()
     turned = cv2.Rodrigues(turn)[0] @ CAMERA_AXES @ spin
     lower_left = at + cv2.Rodrigues(turn)[0] @ np.array([0, board.size[1], 0])
@@ -67,8 +73,8 @@ def in_plane(
         [lens.lens.mean_focal / depth, u / w, v / w, -roll, tilt_x, tilt_y]
     )
 
-    values, slopes = _fitted(plain, world, view.pixels, start)
-    error = rms(view.pixels - _camera(plain, values).pixels(world))
+    values, slopes = _solve_plane(plain, world, view.pixels, start)
+    error = distance_rms(view.pixels - _camera(plain, values).pixels(world))
     covariance = (
         np.linalg.inv(slopes.T @ slopes)
         * error**2
@@ -77,14 +83,14 @@ def in_plane(
         / (view.pixels.size - len(values))
     )
     for step in np.linalg.cholesky(lens.covariance).T:
-        other = replace(plain, lens=lens_of(values_of(lens.lens) + step))
-        change = _fitted(other, world, view.pixels, values)[0] - values
+        other = replace(plain, lens=lens_from_values(lens_values(lens.lens) + step))
+        change = _solve_plane(other, world, view.pixels, values)[0] - values
         covariance += np.outer(change, change)
     found = _camera(plain, values)
-    return Plane(found, np.sqrt(np.diag(covariance)), found.pixels(world))
+    return PlaneFit(found, np.sqrt(np.diag(covariance)), found.pixels(world))
 
 
-def _fitted(
+def _solve_plane(
     camera: Camera, world: np.ndarray, pixels: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """NAMES (6,) and the slopes of the pixels by them, (2 N, 6)."""

@@ -17,12 +17,12 @@ from stringcast.data.calibration import (
     VIEWS,
     Calibration,
 )
-from stringcast.stages.calibrate.acceptance import Solution
-from stringcast.stages.calibrate.fit import values_of
-from stringcast.stages.calibrate.views import View
+from stringcast.stages.calibrate.acceptance import CalibrationSolution
+from stringcast.stages.calibrate.fit import lens_values
+from stringcast.stages.calibrate.views import BoardView
 from stringcast.stages.common import rms
 
-LENS = (
+LENS_ROWS = (
     ("lens.focal[0]", "px", "focal length across"),
     ("lens.focal[1]", "px", "focal length down"),
     ("lens.centre[0]", "px", "principal point, to the right"),
@@ -32,7 +32,7 @@ LENS = (
     ("lens.distortion[2]", "1", "p1, tangential"),
     ("lens.distortion[3]", "1", "p2, tangential"),
 )
-PLANE = (
+PLANE_ROWS = (
     ("px_per_m", "px/m", "scale where the axis meets the plane of motion"),
     ("origin_px[0]", "px", "the world's origin, to the right"),
     ("origin_px[1]", "px", "the world's origin, down"),
@@ -42,17 +42,21 @@ PLANE = (
 )
 
 
-def tables(solution: Solution, seen: Sequence[View], reason: str) -> Calibration:
+def calibration_tables(
+    solution: CalibrationSolution, seen: Sequence[BoardView], reason: str
+) -> Calibration:
     """The calibration as tables. seen: every picture of the tilted board, used or not.
     reason: why it cannot be used, or empty.
     """
-    columns = zip(solution.used, solution.lens.errors, strict=True)
-    corners = [_seen(view, view.pixels - error, False) for view, error in columns]
-    corners.append(_seen(solution.held, solution.plane.fit, True))
+    columns = zip(solution.used_views, solution.lens.errors, strict=True)
+    corners = [
+        _corner_rows(view, view.pixels - error, False) for view, error in columns
+    ]
+    corners.append(_corner_rows(solution.plane_view, solution.plane.fit, True))
     camera = solution.plane.camera
     assert camera.lens is not None
     values = [
-        *values_of(camera.lens),
+        *lens_values(camera.lens),
         camera.px_per_m,
         *camera.origin_px,
         camera.rotation,
@@ -60,7 +64,7 @@ def tables(solution: Solution, seen: Sequence[View], reason: str) -> Calibration
     ]
     sigma = [*np.sqrt(np.diag(solution.lens.covariance)), *solution.plane.sigma]
     measured = pd.DataFrame(
-        [*LENS, *PLANE], columns=["name", "unit", "meaning"]
+        [*LENS_ROWS, *PLANE_ROWS], columns=["name", "unit", "meaning"]
     ).assign(value=values, sigma=sigma)
     outcome = {
         "valid": not reason,
@@ -68,28 +72,35 @@ def tables(solution: Solution, seen: Sequence[View], reason: str) -> Calibration
         "width": solution.size[0],
         "height": solution.size[1],
         "rms": solution.lens.rms,
-        "held_out_rms": rms(solution.alone),
+        "held_out_rms": rms(solution.held_out_rms),
         "plane_rms": solution.plane_rms,
-        "coverage": float(solution.filled.mean()),
+        "coverage": float(solution.covered_cells.mean()),
         "spread": solution.spread,
         "camera": yaml.safe_dump(
-            _plain(asdict(camera)), sort_keys=False, default_flow_style=None
+            _plain_values(asdict(camera)), sort_keys=False, default_flow_style=None
         ),
     }
     return Calibration(
-        VIEWS.check(pd.DataFrame(_views(solution, seen))),
+        VIEWS.check(pd.DataFrame(_view_rows(solution, seen))),
         CORNERS.check(pd.concat(corners, ignore_index=True)),
         MEASURED_PARAMETERS.check(measured),
         CALIBRATION_SUMMARY.check(pd.DataFrame([outcome])),
     )
 
 
-def _views(solution: Solution, seen: Sequence[View]) -> list[dict[str, object]]:
+def _view_rows(
+    solution: CalibrationSolution, seen: Sequence[BoardView]
+) -> list[dict[str, object]]:
     """Rows of every view of the tilted board, and of that in the plane of motion."""
     lens, camera = solution.lens, solution.plane.camera
     tilts = np.arccos(np.clip(np.abs(lens.normals[:, 2]), 0, 1))
     columns = zip(
-        solution.used, solution.errors, solution.alone, tilts, lens.poses, strict=True
+        solution.used_views,
+        solution.errors,
+        solution.held_out_rms,
+        tilts,
+        lens.poses,
+        strict=True,
     )
     known = {
         view.number: {
@@ -101,15 +112,17 @@ def _views(solution: Solution, seen: Sequence[View]) -> list[dict[str, object]]:
         for view, error, alone, tilt, (_, place) in columns
     }
     nothing = dict.fromkeys(("rms", "held_out_rms", "tilt", "distance"), np.nan)
-    rows = [_view(view, plane=False) | known.get(view.number, nothing) for view in seen]
+    rows = [
+        _view_row(view, plane=False) | known.get(view.number, nothing) for view in seen
+    ]
     assert camera.lens is not None
     flat = {"rms": solution.plane_rms, "held_out_rms": np.nan}
     flat["tilt"] = float(np.arccos(np.cos(camera.tilt[0]) * np.cos(camera.tilt[1])))
     flat["distance"] = camera.lens.mean_focal / camera.px_per_m
-    return [*rows, _view(solution.held, plane=True) | flat]
+    return [*rows, _view_row(solution.plane_view, plane=True) | flat]
 
 
-def _view(view: View, plane: bool) -> dict[str, object]:
+def _view_row(view: BoardView, plane: bool) -> dict[str, object]:
     good, jpeg = cv2.imencode(".jpg", view.image, [cv2.IMWRITE_JPEG_QUALITY, 80])
     assert good
     about = {
@@ -121,7 +134,7 @@ def _view(view: View, plane: bool) -> dict[str, object]:
     return about | {"picture": jpeg.tobytes()}
 
 
-def _seen(view: View, fit: np.ndarray, plane: bool) -> pd.DataFrame:
+def _corner_rows(view: BoardView, fit: np.ndarray, plane: bool) -> pd.DataFrame:
     seen = dict(
         zip(("u", "v", "fit_u", "fit_v"), [*view.pixels.T, *fit.T], strict=True)
     )
@@ -130,10 +143,10 @@ def _seen(view: View, fit: np.ndarray, plane: bool) -> pd.DataFrame:
     )
 
 
-def _plain(value: object) -> object:
+def _plain_values(value: object) -> object:
     """Without tuples and numpy's numbers, which YAML does not know."""
     if isinstance(value, dict):
-        return {name: _plain(inside) for name, inside in value.items()}
+        return {name: _plain_values(inside) for name, inside in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(inside) for inside in value]
+        return [_plain_values(inside) for inside in value]
     return float(f"{value:.10g}") if isinstance(value, float) else value

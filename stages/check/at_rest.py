@@ -9,10 +9,13 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-STILL = 5  # frames at the beginning, of which the median tells where a point rests
+# frames at the beginning, of which the median tells where a point rests
+REST_FRAMES = 5
 
 
-def grasp_of(motion: pd.DataFrame, links: np.ndarray, base: np.ndarray) -> pd.DataFrame:
+def grasp_poses(
+    motion: pd.DataFrame, links: np.ndarray, base: np.ndarray
+) -> pd.DataFrame:
     """Poses of the grasp: columns x, y [m], theta [rad], from joint angles q1, q2 ...
     [rad] of a planar arm.
 
@@ -30,7 +33,9 @@ def grasp_of(motion: pd.DataFrame, links: np.ndarray, base: np.ndarray) -> pd.Da
     )
 
 
-def arc_lengths(points: pd.DataFrame, grasp: pd.DataFrame) -> dict[str, np.ndarray]:
+def estimate_arc_lengths(
+    points: pd.DataFrame, grasp: pd.DataFrame
+) -> dict[str, np.ndarray]:
     """Arc length of each of the string's named points [m], nearest first, by every
     trial (K,).
 
@@ -43,7 +48,9 @@ def arc_lengths(points: pd.DataFrame, grasp: pd.DataFrame) -> dict[str, np.ndarr
         np.isfinite(points[["x", "y"]]).all(axis=1) & points.get("valid", True)
     ]
     first = (
-        known.sort_values("t", kind="stable").groupby(["trial", "point"]).head(STILL)
+        known.sort_values("t", kind="stable")
+        .groupby(["trial", "point"])
+        .head(REST_FRAMES)
     )
     # where each point rests at first
     rest = first.groupby(["trial", "point"])[["x", "y"]].median()
@@ -66,7 +73,7 @@ def arc_lengths(points: pd.DataFrame, grasp: pd.DataFrame) -> dict[str, np.ndarr
     }
 
 
-def with_arc_lengths(points: pd.DataFrame, at: Mapping[str, float]) -> pd.DataFrame:
+def attach_arc_lengths(points: pd.DataFrame, at: Mapping[str, float]) -> pd.DataFrame:
     """Points of which it is known how far along they lie, with that as column s [m]."""
     kept = points[points["point"].isin(list(at))]
     return kept.assign(s=kept["point"].map(at).astype(float))

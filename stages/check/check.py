@@ -10,45 +10,45 @@ from dataclasses import replace
 from stringcast.data.schema import DataError
 from stringcast.stages.check import clocks, contents, frames, mistakes, motion
 from stringcast.stages.check.finding import Finding, Severity
-from stringcast.stages.check.measured import Measured
+from stringcast.stages.check.measured import CheckedDataset
 
-Check = Callable[[Measured], Iterator[Finding]]
+Check = Callable[[CheckedDataset], Iterator[Finding]]
 CHECKS: tuple[Check, ...] = (
-    mistakes.mistakes,
-    mistakes.angles,
-    clocks.unit,
-    clocks.lasting,
-    clocks.scarce,
-    motion.wrapped,
-    contents.noise,
-    contents.empty,
-    contents.rejected,
-    contents.length,
-    contents.arm,
-    contents.hands,
-    contents.camera,
-    contents.names,
-    contents.roles,
-    contents.one_trial,
-    clocks.rest,
-    clocks.together,
-    clocks.overlap,
-    clocks.rate,
-    motion.falls,
-    motion.hangs,
-    motion.frozen,
-    motion.held,
-    motion.still,
-    contents.twice,
-    contents.rows,
-    clocks.begun,
-    clocks.gaps,
-    frames.dropped,
-    frames.shown,
+    mistakes.check_mistakes,
+    mistakes.check_angles,
+    clocks.check_time_unit,
+    clocks.check_duration,
+    clocks.check_sampling,
+    motion.check_wrapped_angles,
+    contents.check_noise,
+    contents.check_empty_tables,
+    contents.check_rejected_trials,
+    contents.check_string_length,
+    contents.check_arm,
+    contents.check_hand_tables,
+    contents.check_camera,
+    contents.check_names,
+    contents.check_roles,
+    contents.check_trial_count,
+    clocks.check_rest,
+    clocks.check_onsets,
+    clocks.check_overlap,
+    clocks.check_frame_rate,
+    motion.check_fall,
+    motion.check_hanging,
+    motion.check_frozen_joints,
+    motion.check_repeated_points,
+    motion.check_stillness,
+    contents.check_duplicate_tables,
+    contents.check_rows,
+    clocks.check_clock_start,
+    clocks.check_gaps,
+    frames.check_dropped_frames,
+    frames.check_camera_view,
 )
 
 
-def findings(measured: Measured) -> list[Finding]:
+def collect_findings(measured: CheckedDataset) -> list[Finding]:
     """Findings of all checks, the worst first; those of the same place with the same
     remedy as one, in the words of the first.
     """
@@ -64,10 +64,12 @@ def findings(measured: Measured) -> list[Finding]:
     )
 
 
-def refuse(measured: Measured) -> None:
+def refuse_errors(measured: CheckedDataset) -> None:
     """Raise DataError where something is certainly wrong."""
     errors = [
-        finding for finding in findings(measured) if finding.severity is Severity.ERROR
+        finding
+        for finding in collect_findings(measured)
+        if finding.severity is Severity.ERROR
     ]
     if errors:
         place = measured.data.folder

@@ -25,16 +25,17 @@ from stringcast.data.metadata import (
     TrialBlock,
 )
 from stringcast.stages.check.finding import Finding, Severity
-from stringcast.stages.check.measured import LOST, Measured
-from stringcast.stages.check.mistakes import impossible, unknown_arm
+from stringcast.stages.check.measured import LOST_SHARE, CheckedDataset
+from stringcast.stages.check.mistakes import impossible_views, unknown_arm_fields
 
-MUCH = 0.1  # of the rows: if so many cannot be used, something is wrong
-NEAR = 0.75  # likeness of names
-LOUD, QUIET = 5.0, 3.0  # times the noise that is stated, and a fraction of it
-COARSE = 0.1  # of the length: no point is measured so badly
-OTHER = 1.1  # times as long is another string
-FASTEST = 1e7  # [1/s]: no camera films faster
-SHORT = 0.5  # of the length: if nothing is seen beyond, the tip was not
+MAX_LOST_SHARE = 0.1  # of the rows: if so many cannot be used, something is wrong
+NAME_SIMILARITY = 0.75  # likeness of names
+# times the noise that is stated, and a fraction of it
+NOISE_RATIO_HIGH, NOISE_RATIO_LOW = 5.0, 3.0
+COARSE_NOISE_SHARE = 0.1  # of the length: no point is measured so badly
+LENGTH_RATIO = 1.1  # times as long is another string
+MAX_FRAME_RATE = 1e7  # [1/s]: no camera films faster
+MIN_LENGTH_SHARE = 0.5  # of the length: if nothing is seen beyond, the tip was not
 GEOMETRY = {"links": "how long its links are", "base": "where its joint 1 sits"}
 BLOCKS: Mapping[str, type[Block]] = {
     "string": StringBlock,
@@ -44,7 +45,7 @@ BLOCKS: Mapping[str, type[Block]] = {
 }
 
 
-def rows(measured: Measured) -> Iterator[Finding]:
+def check_rows(measured: CheckedDataset) -> Iterator[Finding]:
     """Rows that cannot be used, or were not in order."""
     known = {
         column.name
@@ -58,8 +59,12 @@ def rows(measured: Measured) -> Iterator[Finding]:
                 f"{count}: {reason}" for reason, count in what.dropped.items()
             )
             said = f"{lost} of {what.total} rows are left out ({reasons})"
-            severity = Severity.WARNING if lost > MUCH * what.total else Severity.NOTE
-            if lost > LOST * what.total:
+            severity = (
+                Severity.WARNING
+                if lost > MAX_LOST_SHARE * what.total
+                else Severity.NOTE
+            )
+            if lost > LOST_SHARE * what.total:
                 severity, said = (
                     Severity.ERROR,
                     f"{said}: too few are left to tell anything",
@@ -86,7 +91,7 @@ def rows(measured: Measured) -> Iterator[Finding]:
             )
 
 
-def empty(measured: Measured) -> Iterator[Finding]:
+def check_empty_tables(measured: CheckedDataset) -> Iterator[Finding]:
     """Tables without a row."""
     for file, what in measured.data.row_counts.items():
         if not what.total:
@@ -95,11 +100,11 @@ def empty(measured: Measured) -> Iterator[Finding]:
             )
 
 
-def rejected(measured: Measured) -> Iterator[Finding]:
+def check_rejected_trials(measured: CheckedDataset) -> Iterator[Finding]:
     """Trials that cannot be used: an error where no other is left."""
     kept, contradictory = (
         exclude_stray_points(measured.data, measured.length),
-        impossible(measured),
+        impossible_views(measured),
     )
     severity = Severity.WARNING if kept.trials else Severity.ERROR
     for name, fault in kept.unusable.items():
@@ -115,7 +120,7 @@ def rejected(measured: Measured) -> Iterator[Finding]:
             )
 
 
-def twice(measured: Measured) -> Iterator[Finding]:
+def check_duplicate_tables(measured: CheckedDataset) -> Iterator[Finding]:
     """Tables that are there as Parquet and as CSV: one of them is not looked at."""
     for file in measured.data.row_counts:
         other = Path(file).with_suffix(".csv").name
@@ -129,7 +134,7 @@ def twice(measured: Measured) -> Iterator[Finding]:
             )
 
 
-def one_trial(measured: Measured) -> Iterator[Finding]:
+def check_trial_count(measured: CheckedDataset) -> Iterator[Finding]:
     """Too few trials to confirm anything."""
     if len(measured.trials) == 1:
         said = "one trial can be used: a cause found in it could not be confirmed on another"
@@ -143,7 +148,7 @@ def one_trial(measured: Measured) -> Iterator[Finding]:
         )
 
 
-def length(measured: Measured) -> Iterator[Finding]:
+def check_string_length(measured: CheckedDataset) -> Iterator[Finding]:
     """A string whose length is not said, does not reach its points, or that is several
     strings.
     """
@@ -157,11 +162,16 @@ def length(measured: Measured) -> Iterator[Finding]:
             "Write string: {length: <metres, grasp to tip>}",
         )
     ends = {seen.name: float(seen.points["s"].max()) for seen in measured.with_points()}
-    if ends and max(ends.values()) > OTHER * min(ends.values()):
+    if ends and max(ends.values()) > LENGTH_RATIO * min(ends.values()):
         said = f"the largest s is {min(ends.values()):.3g} m in one trial and {max(ends.values()):.3g} m in another"
         remedy = "A folder is one string: make a folder of each, or correct s"
         yield Finding(Severity.WARNING, measured.file("points"), "s", said, remedy)
-    elif ends and SHORT * measured.length > max(ends.values()) > 0.01 * measured.length:
+    elif (
+        ends
+        and MIN_LENGTH_SHARE * measured.length
+        > max(ends.values())
+        > 0.01 * measured.length
+    ):
         said = f"points go to {max(ends.values()):.3g} m of a string of {measured.length:.3g} m: its tip was not seen"
         yield Finding(
             Severity.WARNING,
@@ -172,18 +182,18 @@ def length(measured: Measured) -> Iterator[Finding]:
         )
 
 
-def arm(measured: Measured) -> Iterator[Finding]:
+def check_arm(measured: CheckedDataset) -> Iterator[Finding]:
     """Joint angles of an arm of which nobody says how long its links are, or where it
     stands.
     """
-    missing = unknown_arm(measured)
+    missing = unknown_arm_fields(measured)
     if not missing:
         return
     configured = {key: f"{key}: {list(getattr(measured.arm, key))}" for key in missing}
     lacking = " and ".join(GEOMETRY[key] for key in missing)
     held = (
         "not be held where its hand would be"
-        if impossible(measured)
+        if impossible_views(measured)
         else "be held, as it could by another"
     )
     said = (
@@ -206,7 +216,7 @@ def arm(measured: Measured) -> Iterator[Finding]:
     )
 
 
-def hands(measured: Measured) -> Iterator[Finding]:
+def check_hand_tables(measured: CheckedDataset) -> Iterator[Finding]:
     """Joint angles and poses of the hand, of which one is not looked at."""
     there = [
         file
@@ -221,10 +231,10 @@ def hands(measured: Measured) -> Iterator[Finding]:
         )
 
 
-def camera(measured: Measured) -> Iterator[Finding]:
+def check_camera(measured: CheckedDataset) -> Iterator[Finding]:
     """A frame rate that no camera has."""
     fps = (measured.data.metadata.get("camera") or {}).get("fps")
-    if fps is not None and fps > FASTEST:
+    if fps is not None and fps > MAX_FRAME_RATE:
         said = f"it is {float(fps):.3g} frames a second, more than any camera takes"
         yield Finding(
             Severity.WARNING,
@@ -235,9 +245,9 @@ def camera(measured: Measured) -> Iterator[Finding]:
         )
 
 
-def noise(measured: Measured) -> Iterator[Finding]:
+def check_noise(measured: CheckedDataset) -> Iterator[Finding]:
     """Noise that is stated in another unit, or that points do not have."""
-    for seen in measured.telling():
+    for seen in measured.informative_trials():
         # as the dataset states it
         sigma = (
             float(np.median(seen.points["sigma"])) if "sigma" in seen.points else None
@@ -247,7 +257,7 @@ def noise(measured: Measured) -> Iterator[Finding]:
             if "noise" in measured.data.metadata
             else (measured.file("points"), "sigma")
         )
-        if sigma is not None and sigma > COARSE * seen.length:
+        if sigma is not None and sigma > COARSE_NOISE_SHARE * seen.length:
             said = f"noise is stated as {sigma:.3g} m on a string of {seen.length:.3g} m: millimetres, as it seems"
             yield Finding(
                 Severity.ERROR, *place, said, "Multiply it by 0.001", (seen.name,)
@@ -255,7 +265,7 @@ def noise(measured: Measured) -> Iterator[Finding]:
         elif (
             sigma is not None
             and seen.noise > 0
-            and not 1 / QUIET < seen.noise / sigma < LOUD
+            and not 1 / NOISE_RATIO_LOW < seen.noise / sigma < NOISE_RATIO_HIGH
         ):
             said = f"noise is stated as {sigma:.2g} m, points show {seen.noise:.2g} m from frame to frame"
             yield Finding(
@@ -267,32 +277,37 @@ def noise(measured: Measured) -> Iterator[Finding]:
             )
 
 
-def names(measured: Measured) -> Iterator[Finding]:
+def check_names(measured: CheckedDataset) -> Iterator[Finding]:
     """Keys and columns that are unknown, but nearly known: they count for nothing."""
     about = measured.data.metadata
-    yield from _nearly(about, Metadata.model_fields, "")
+    yield from _similar_names(about, Metadata.model_fields, "")
     for block, kind in BLOCKS.items():
-        yield from _nearly(about.get(block) or {}, kind.model_fields, f"{block}.")
+        yield from _similar_names(
+            about.get(block) or {}, kind.model_fields, f"{block}."
+        )
     for trial, own in about.get("trials", {}).items():
-        yield from _nearly(own, TrialBlock.model_fields, f"trials.{trial}.")
+        yield from _similar_names(own, TrialBlock.model_fields, f"trials.{trial}.")
     for seen in measured.trials[:1]:
         for table, frame in (
             (POINTS, seen.points),
             (GRASP if seen.joints is None else ARM, seen.motion),
         ):
             known = [column.name for column in table.columns if len(column.name) > 2]
-            yield from _nearly(
+            yield from _similar_names(
                 dict.fromkeys(frame.columns), known, "", measured.file(table.name)
             )
 
 
-def _nearly(
+def _similar_names(
     given: Mapping[Any, Any], known: Any, place: str, file: str = DATASET_FILE
 ) -> Iterator[Finding]:
     """Unknown names that look like known ones that are not given."""
     for name in map(str, given):
         near = difflib.get_close_matches(
-            name.strip().lower(), [k for k in known if k not in given], 1, NEAR
+            name.strip().lower(),
+            [k for k in known if k not in given],
+            1,
+            NAME_SIMILARITY,
         )
         if near and name not in known:
             said = f"there is no such name, it is ignored; '{near[0]}' is one"
@@ -305,7 +320,7 @@ def _nearly(
             )
 
 
-def roles(measured: Measured) -> Iterator[Finding]:
+def check_roles(measured: CheckedDataset) -> Iterator[Finding]:
     """Trials that dataset.yaml speaks of and that are not there; trials all held out."""
     spoken = measured.data.metadata.get("trials", {})
     there = {seen.name for seen in measured.trials}

@@ -29,7 +29,7 @@ class Finding:
     severity: Severity
     file: str
     field: str
-    said: str
+    statement: str
     remedy: str
     trials: tuple[str, ...] = ()
 
@@ -38,7 +38,9 @@ class Finding:
         """The finding in one line."""
         place = " ".join(filter(None, (self.file, self.field)))
         where = f" (trial {', '.join(self.trials)})" if self.trials else ""
-        return f"{place}{where}: {self.said}. {self.remedy}{full_stop(self.remedy)}"
+        return (
+            f"{place}{where}: {self.statement}. {self.remedy}{full_stop(self.remedy)}"
+        )
 
 
 def full_stop(remedy: str) -> str:

@@ -7,21 +7,22 @@ from collections.abc import Iterator
 import numpy as np
 
 from stringcast.data.metadata import DATASET_FILE
-from stringcast.stages.check.clocks import SLOW, usual
+from stringcast.stages.check.clocks import SLOW_RATE, usual_interval
 from stringcast.stages.check.finding import Finding, Severity
-from stringcast.stages.check.measured import Measured
+from stringcast.stages.check.measured import CheckedDataset
 
-PLACES = 9  # in either direction of a picture, at which it is asked where they lie
+GRID_PLACES = 9  # in either direction of a picture, at which it is asked where they lie
 # [px] from where a place must come back from the plane: nearer, no pixel is another's
-RETURN = 0.5
+MAX_RETURN_PX = 0.5
 # of the places, the outermost of a lens that bends much: no string hangs there
-CORNERS = 0.1
-LEAST = 3.0  # [px] of a string: shorter, it has no direction
-MOST = 20.0  # pictures that a string is long: a frame shows nothing of its shape
-MUCH = 0.02  # share of a film's frames: so many are more than bad luck
+CORNER_SHARE = 0.1
+MIN_STRING_PX = 3.0  # [px] of a string: shorter, it has no direction
+# pictures that a string is long: a frame shows nothing of its shape
+MAX_PICTURES = 20.0
+MAX_DROPPED_SHARE = 0.02  # share of a film's frames: so many are more than bad luck
 
 
-def shown(measured: Measured) -> Iterator[Finding]:
+def check_camera_view(measured: CheckedDataset) -> Iterator[Finding]:
     """A picture that the camera's numbers fold, or in which the string would be a speck
     or everything.
     """
@@ -32,12 +33,12 @@ def shown(measured: Measured) -> Iterator[Finding]:
         np.array([measured.camera.width, measured.camera.height]),
     )
     places = np.stack(
-        np.meshgrid(*(np.linspace(0, side - 1, PLACES) for side in size)), axis=-1
+        np.meshgrid(*(np.linspace(0, side - 1, GRID_PLACES) for side in size)), axis=-1
     ).reshape(-1, 2)
     with np.errstate(all="ignore"):  # what is no number is found
         there = camera.world(places)
-        lost = ~(np.linalg.norm(camera.pixels(there) - places, axis=-1) < RETURN)
-    if lost.mean() > CORNERS:
+        lost = ~(np.linalg.norm(camera.pixels(there) - places, axis=-1) < MAX_RETURN_PX)
+    if lost.mean() > CORNER_SHARE:
         severity = Severity.ERROR if lost.mean() > 0.5 else Severity.WARNING
         said = f"{lost.mean():.0%} of the picture lies nowhere in the plane by these numbers, or twice"
         yield Finding(
@@ -50,7 +51,7 @@ def shown(measured: Measured) -> Iterator[Finding]:
         return
     with np.errstate(all="ignore"):
         long = measured.length / np.ptp(there[~lost], axis=0)  # in pictures
-    if not ((long * size >= LEAST).all() and (long <= MOST).all()):
+    if not ((long * size >= MIN_STRING_PX).all() and (long <= MAX_PICTURES).all()):
         said = "by these numbers the string is as long as {:.2g} pictures are wide, and as {:.2g} are high".format(
             *long
         )
@@ -63,16 +64,16 @@ def shown(measured: Measured) -> Iterator[Finding]:
         )
 
 
-def dropped(measured: Measured) -> Iterator[Finding]:
+def check_dropped_frames(measured: CheckedDataset) -> Iterator[Finding]:
     """Places on the schedule of a film that are empty."""
     for name, film in measured.data.films.items():
-        step = usual(film.t)
-        if not 0 < step < SLOW:
+        step = usual_interval(film.t)
+        if not 0 < step < SLOW_RATE:
             continue
         lost = int((np.rint(np.diff(film.t) / step) - 1).clip(0).sum())
         share = lost / (len(film.t) + lost)
         if lost:
             said = f"{lost} of {len(film.t) + lost} frames are missing ({share:.1%})"
             remedy = "Where many are: shorten the exposure, film fewer or smaller frames, or free the computer"
-            severity = Severity.WARNING if share > MUCH else Severity.NOTE
+            severity = Severity.WARNING if share > MAX_DROPPED_SHARE else Severity.NOTE
             yield Finding(severity, measured.file("frames"), "t", said, remedy, (name,))

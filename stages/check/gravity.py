@@ -8,20 +8,20 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from stringcast.stages.check.measured import Seen
+from stringcast.stages.check.measured import CheckedTrial
 
 # [s] over which a parabola is fitted: a tip that whips turns little in it
-WINDOW = 0.04
-FEWEST = 5  # frames of such a window
-ENOUGH = 20  # windows of a trial
+WINDOW_S = 0.04
+MIN_FRAMES = 5  # frames of such a window
+MIN_SAMPLES = 20  # windows of a trial
 # rms sine of the string's end to the vertical: one that only hangs does not show how it
 # falls
-ASIDE = 0.1
+EXCLUDED_SHARE = 0.1
 # of the tip's arc length: the piece beyond tells the direction of the string's end
-BEFORE = 0.75
+FALL_QUANTILE = 0.75
 
 
-def fall(seen: Seen) -> float:
+def estimate_gravity(seen: CheckedTrial) -> float:
     """Gravity in the dataset's units of length and time; NaN where the trial does not
     tell it.
 
@@ -35,7 +35,7 @@ def fall(seen: Seen) -> float:
     last = points[points["s"] > 0.95 * points["s"].max()].groupby("t").tail(1)
     t, tip = last["t"].to_numpy(), last[["x", "y"]].to_numpy()
     before = (
-        points[points["s"] <= BEFORE * points["s"].max()]
+        points[points["s"] <= FALL_QUANTILE * points["s"].max()]
         .groupby("t")
         .tail(1)
         .set_index("t")
@@ -49,11 +49,14 @@ def fall(seen: Seen) -> float:
 
     # parabolas through the tip, over windows of time
     size = (
-        max(FEWEST, 2 * int(WINDOW / max(float(np.median(np.diff(t))), 1e-9) / 2) + 1)
+        max(
+            MIN_FRAMES,
+            2 * int(WINDOW_S / max(float(np.median(np.diff(t))), 1e-9) / 2) + 1,
+        )
         if len(t) > 1
         else 0
     )
-    if len(t) < ENOUGH + size:
+    if len(t) < MIN_SAMPLES + size:
         return float("nan")
     windows = np.lib.stride_tricks.sliding_window_view
     times = windows(t, size) - t[size // 2 : len(t) - size // 2, None]
@@ -65,11 +68,13 @@ def fall(seen: Seen) -> float:
     falling, pulled = (acceleration * across).sum(axis=1), -across[:, 1]
     aside = float(np.mean(pulled**2))
     return (
-        float(np.mean(falling * pulled) / aside) if aside > ASIDE**2 else float("nan")
+        float(np.mean(falling * pulled) / aside)
+        if aside > EXCLUDED_SHARE**2
+        else float("nan")
     )
 
 
-def usual_fall(trials: Iterable[Seen]) -> float:
+def median_gravity(trials: Iterable[CheckedTrial]) -> float:
     """The median of the trials that tell it; NaN where none does."""
-    known = [g for seen in trials if np.isfinite(g := fall(seen))]
+    known = [g for seen in trials if np.isfinite(g := estimate_gravity(seen))]
     return float(np.median(known)) if known else float("nan")

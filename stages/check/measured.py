@@ -13,28 +13,33 @@ import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.dataset import Dataset
-from stringcast.stages.common import at_places, mad_sigma, tracked, wander
+from stringcast.stages.common import (
+    mad_sigma,
+    places_wander,
+    points_at_arc_lengths,
+    track_places,
+)
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
-STILL = 3  # frames that tell where the string is at first
-MOVED = 0.03  # of the string's length: who has gone so far has left his place
-FEWEST = 60  # differences from which a place tells its noise
-CLEAR = 8.0  # noises by which a point must have gone
+REST_FRAMES = 3  # frames that tell where the string is at first
+MOVED_SHARE = 0.03  # of the string's length: who has gone so far has left his place
+MIN_POINTS = 60  # differences from which a place tells its noise
+CLEAR_SIGMAS = 8.0  # noises by which a point must have gone
 GRAVITY = 9.81  # [m/s2]
 # of a hanging string's swings: its frequency in sqrt(g / length), half the second zero
 # of Bessel's J0
-SECOND = 2.76
+SECOND_MODE = 2.76
 # of a period, at least: two would tell it only if there were neither noise nor gaps
-SAMPLES = 4.0
+SAMPLES_PER_PERIOD = 4.0
 # of the steps from frame to frame, and of the length: who goes further swings in
 # between
-MOSTLY, LEAP = 0.9, 0.1
-LOST = 0.8  # of the rows: from fewer nothing can be said
+MOSTLY_SHARE, LEAP_SHARE = 0.9, 0.1
+LOST_SHARE = 0.8  # of the rows: from fewer nothing can be said
 
 
 @dataclass(frozen=True)
-class Seen:
+class CheckedTrial:
     """One trial. length: of the string [m]."""
 
     observation: Observation
@@ -47,7 +52,7 @@ class Seen:
         return self.observation.trial
 
     @property
-    def moving(self) -> bool:
+    def starts_moving(self) -> bool:
         """The string is said to be in motion when the trial begins."""
         return self.observation.starts_moving
 
@@ -102,11 +107,11 @@ class Seen:
         """
         times, frame = np.unique(self.points["t"], return_inverse=True)
         s, xy = self.points["s"].to_numpy(), self.points[["x", "y"]].to_numpy()
-        tracks = tracked(frame, s)
+        tracks = track_places(frame, s)
         found = [track for track in tracks if len(track) >= 5]
-        if not wander(s, tracks):
+        if not places_wander(s, tracks):
             return [(times[frame[track]], xy[track]) for track in found]
-        lines = at_places(
+        lines = points_at_arc_lengths(
             frame, s, xy, np.array([np.median(s[track]) for track in found])
         )
         there = np.isfinite(lines[..., 0])
@@ -118,24 +123,32 @@ class Seen:
         points counted; NaN for one frame.
         """
         _, frame = np.unique(self.points["t"], return_inverse=True)
-        lengths = [len(track) for track in tracked(frame, self.points["s"].to_numpy())]
+        lengths = [
+            len(track) for track in track_places(frame, self.points["s"].to_numpy())
+        ]
         duration = float(np.ptp(self.frame_t))
         return float(np.mean(lengths)) / duration if duration > 0 else float("nan")
 
     @property
     def least_rate(self) -> float:
         """The least rate that shows how a limp string of this length swings [1/s]."""
-        return SAMPLES * SECOND / (2 * np.pi) * float(np.sqrt(GRAVITY / self.length))
+        return (
+            SAMPLES_PER_PERIOD
+            * SECOND_MODE
+            / (2 * np.pi)
+            * float(np.sqrt(GRAVITY / self.length))
+        )
 
     @cached_property
-    def scarce(self) -> bool:
+    def is_undersampled(self) -> bool:
         """Whether it was seen so seldom that how it moves cannot be told: a hand so
         slow that the string only hangs from it needs few frames.
         """
         steps = [np.linalg.norm(np.diff(xy, axis=0), axis=1) for _, xy in self.tracks]
         leaps = (
             not steps
-            or float(np.quantile(np.concatenate(steps), MOSTLY)) > LEAP * self.length
+            or float(np.quantile(np.concatenate(steps), MOSTLY_SHARE))
+            > LEAP_SHARE * self.length
         )
         return self.rate < self.least_rate and leaps
 
@@ -146,7 +159,9 @@ class Seen:
         that whips has them. NaN where frames are too few.
         """
         rough = [np.diff(xy, 4, axis=0).ravel() for _, xy in self.tracks]
-        enough = [some for some in rough if len(some) >= FEWEST and some.any()] or rough
+        enough = [
+            some for some in rough if len(some) >= MIN_POINTS and some.any()
+        ] or rough
         return float(
             min((mad_sigma(some) for some in enough), default=np.nan) / np.sqrt(70)
         )
@@ -156,11 +171,11 @@ class Seen:
         """The time at which the hand has left its first pose [s], by the arm's clock;
         None if it never does.
         """
-        gone = np.abs(self.pose - np.median(self.pose[:STILL], axis=0))
+        gone = np.abs(self.pose - np.median(self.pose[:REST_FRAMES], axis=0))
         away = np.hypot(gone[:, 0], gone[:, 1]) + self.length * np.minimum(
             gone[:, 2], np.pi
         )
-        return _first(self.hand_t, away > MOVED * self.length)
+        return _first_time(self.hand_t, away > MOVED_SHARE * self.length)
 
     @cached_property
     def string_onset(self) -> float | None:
@@ -168,24 +183,26 @@ class Seen:
         camera's clock; None if it never does.
         """
         noise = 0.0 if np.isnan(self.noise) else self.noise
-        least = max(MOVED * self.length, CLEAR * noise)
+        least = max(MOVED_SHARE * self.length, CLEAR_SIGMAS * noise)
         onsets = []
         for t, xy in self.tracks:
-            away = np.linalg.norm(xy - np.median(xy[:STILL], axis=0), axis=1) > least
+            away = (
+                np.linalg.norm(xy - np.median(xy[:REST_FRAMES], axis=0), axis=1) > least
+            )
             # one point alone may be an outlier
-            onset = _first(t[:-1], away[:-1] & away[1:])
+            onset = _first_time(t[:-1], away[:-1] & away[1:])
             onsets.append(np.inf if onset is None else onset)
         middle = float(np.median(onsets)) if onsets else np.inf
         return middle if np.isfinite(middle) else None
 
 
-def _first(t: np.ndarray, which: np.ndarray) -> float | None:
+def _first_time(t: np.ndarray, which: np.ndarray) -> float | None:
     """The first of the times at which something is so."""
     return float(t[np.argmax(which)]) if which.any() else None
 
 
 @dataclass(frozen=True)
-class Measured:
+class CheckedDataset:
     """A dataset and what it would be run with. length: of the string [m]."""
 
     data: Dataset
@@ -194,23 +211,27 @@ class Measured:
     length: float
 
     @cached_property
-    def trials(self) -> tuple[Seen, ...]:
+    def trials(self) -> tuple[CheckedTrial, ...]:
         """Trials that can be used."""
         return tuple(
-            Seen(observation, self.arm, self.length)
+            CheckedTrial(observation, self.arm, self.length)
             for observation in self.data.trials.values()
         )
 
-    def with_points(self) -> Iterator[Seen]:
+    def with_points(self) -> Iterator[CheckedTrial]:
         """The trials with measured points."""
         return (trial for trial in self.trials if len(trial.points))
 
-    def telling(self) -> Iterator[Seen]:
+    def informative_trials(self) -> Iterator[CheckedTrial]:
         """The trials with enough points to tell how they move, and when they begin to."""
         rows = self.data.row_counts.get(self.file("points"))
         # share that cannot be used
         lost = sum(rows.dropped.values()) / rows.total if rows and rows.total else 0.0
-        return (t for t in self.with_points() if lost <= LOST and not t.scarce)
+        return (
+            t
+            for t in self.with_points()
+            if lost <= LOST_SHARE and not t.is_undersampled
+        )
 
     def file(self, name: str) -> str:
         """The file of a table, as it is called here: Parquet or CSV."""

@@ -17,30 +17,30 @@ import numpy as np
 
 from stringcast.data.dataset import MAX_ARC_LENGTH_RATIO, exclude_stray_points
 from stringcast.stages.check.finding import Finding, Severity
-from stringcast.stages.check.gravity import usual_fall
-from stringcast.stages.check.measured import GRAVITY, Measured, Seen
+from stringcast.stages.check.gravity import median_gravity
+from stringcast.stages.check.measured import GRAVITY, CheckedDataset, CheckedTrial
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
-FRAMES = 10  # at the beginning, when the clocks matter least
+FIRST_FRAMES = 10  # at the beginning, when the clocks matter least
 # of the length: so much further from the hand than its arc length is no point of this
 # string
-APART = 0.25
-MOST = 0.8  # of the points must be possible: others may be outliers
-NEARLY = 0.95  # of the points lie no further along than the string's end
-STRETCH = 1.5  # times as long as its arc length is no piece of it
-DENSE = 0.15  # of the length: pieces so short are nearly straight
-LENGTHS = (0.01, 20.0)  # [m] of strings at all
+MAX_GAP_LENGTHS = 0.25
+MIN_SEEN_SHARE = 0.8  # of the points must be possible: others may be outliers
+NEAR_TIP_SHARE = 0.95  # of the points lie no further along than the string's end
+MAX_STRETCH = 1.5  # times as long as its arc length is no piece of it
+DENSE_SHARE = 0.15  # of the length: pieces so short are nearly straight
+PLAUSIBLE_LENGTHS_M = (0.01, 20.0)  # [m] of strings at all
 # [m] of strings that arms swing: what is taken for a mistake must leave no longer one
-SWUNG = 2.0
-LIKE = 1e-6  # of the misfit: as likely
-RADIANS = 4 * np.pi  # a joint does not turn further
-TURNS = 12 * np.pi  # nor does a hand
-MOSTLY = 0.9  # of the samples: others may be outliers
+SWUNG_LENGTHS = 2.0
+TIE_TOLERANCE = 1e-6  # of the misfit: as likely
+MAX_RADIANS = 4 * np.pi  # a joint does not turn further
+MAX_TURNS = 12 * np.pi  # nor does a hand
+MOSTLY_SHARE = 0.9  # of the samples: others may be outliers
 
 
 @dataclass(frozen=True)
-class View:
+class InitialView:
     """The string at the beginning of a trial.
 
     t (N,) [s], s (N,) [m], xy (N, 2) [m]: its points, by time and arc length. joints
@@ -74,7 +74,7 @@ class View:
         return float(
             np.quantile(
                 (np.linalg.norm(self.xy - self.grasp, axis=1) - self.s) / self.length,
-                MOST,
+                MIN_SEEN_SHARE,
             )
         )
 
@@ -89,24 +89,24 @@ class View:
             return 1.0, False
         ratio = np.linalg.norm(np.diff(self.xy, axis=0), axis=1)[pieces] / ds[pieces]
         return float(np.median(ratio)), bool(
-            np.median(ds[pieces]) < DENSE * self.length
+            np.median(ds[pieces]) < DENSE_SHARE * self.length
         )
 
     @property
     def end(self) -> float:
         """The largest arc length that is seen [m], but for a few that may be wrong."""
-        return float(np.quantile(self.s, NEARLY, method="lower"))
+        return float(np.quantile(self.s, NEAR_TIP_SHARE, method="lower"))
 
     @property
-    def possible(self) -> bool:
+    def is_possible(self) -> bool:
         """Whether it can be a string in a hand."""
         ratio, dense = self.stretch
         return bool(
-            LENGTHS[0] <= self.length <= LENGTHS[1]
+            PLAUSIBLE_LENGTHS_M[0] <= self.length <= PLAUSIBLE_LENGTHS_M[1]
             and self.end <= MAX_ARC_LENGTH_RATIO * self.length
-            and ratio < STRETCH
-            and (ratio > 1 / STRETCH or not dense)
-            and self.gap < APART
+            and ratio < MAX_STRETCH
+            and (ratio > 1 / MAX_STRETCH or not dense)
+            and self.gap < MAX_GAP_LENGTHS
         )
 
     @property
@@ -122,11 +122,13 @@ class View:
         )
 
 
-def views(seen: Seen, camera: Camera) -> tuple[View, View]:
+def initial_views(
+    seen: CheckedTrial, camera: Camera
+) -> tuple[InitialView, InitialView]:
     """The first frames of a trial, with the hand where the clocks say, and where it
     begins if the clocks are wrong.
     """
-    first = seen.points[seen.points["t"] <= seen.frame_t[:FRAMES][-1]]
+    first = seen.points[seen.points["t"] <= seen.frame_t[:FIRST_FRAMES][-1]]
     t, s, xy = (
         first["t"].to_numpy(),
         first["s"].to_numpy(),
@@ -137,12 +139,14 @@ def views(seen: Seen, camera: Camera) -> tuple[View, View]:
     begun = np.broadcast_to(moved[0], now.shape)
     if seen.joints is None:
         one, other = (
-            View(t, s, xy, None, hand, seen.length, seen.arm, camera)
+            InitialView(t, s, xy, None, hand, seen.length, seen.arm, camera)
             for hand in (now, begun)
         )
     else:
         one, other = (
-            View(t, s, xy, hand, np.empty((len(t), 0)), seen.length, seen.arm, camera)
+            InitialView(
+                t, s, xy, hand, np.empty((len(t), 0)), seen.length, seen.arm, camera
+            )
             for hand in (now, begun)
         )
     return one, other
@@ -157,15 +161,15 @@ class Mistake:
 
     table: str
     field: str
-    said: str
+    statement: str
     remedy: str
-    undone: Callable[[View], View]
+    undo: Callable[[InitialView], InitialView]
     parts: tuple[str, ...] = ()
     factor: float = 1.0
     option: str = ""
 
 
-SCALE: Mapping[str, Callable[[View, float], View]] = {
+SCALE: Mapping[str, Callable[[InitialView, float], InitialView]] = {
     "xy": lambda v, factor: replace(v, xy=factor * v.xy),
     "s": lambda v, factor: replace(v, s=factor * v.s),
     "length": lambda v, factor: replace(v, length=factor * v.length),
@@ -180,7 +184,7 @@ SCALE: Mapping[str, Callable[[View, float], View]] = {
     ),
 }
 # where they are, what is said of them, what is to be multiplied, and what that scales
-LENGTHS_OF = (
+LENGTH_FIELDS = (
     ("points", "x, y", "positions are", "x and y", ("xy",)),
     ("points", "s", "arc lengths are", "s", ("s",)),
     ("dataset.yaml", "string.length", "it is", "it", ("length",)),
@@ -198,26 +202,26 @@ LENGTHS_OF = (
 )
 
 
-def in_unit(unit: str, factor: float) -> tuple[Mistake, ...]:
+def unit_mistakes(unit: str, factor: float) -> tuple[Mistake, ...]:
     """Lengths in another unit than metres. factor: metres in one of it."""
     said, remedy = f"in {unit}, not in metres", f"by {factor:g}"
     return tuple(
         Mistake(
             *(table, field, f"{what} {said}", f"Multiply {those} {remedy}"),
-            *(partial(scaled, factor=factor, parts=parts), parts, factor),
+            *(partial(scale_view, factor=factor, parts=parts), parts, factor),
         )
-        for table, field, what, those, parts in LENGTHS_OF
+        for table, field, what, those, parts in LENGTH_FIELDS
     )
 
 
-def scaled(view: View, factor: float, parts: Iterable[str]) -> View:
+def scale_view(view: InitialView, factor: float, parts: Iterable[str]) -> InitialView:
     """The view with some of its parts in another unit."""
     return reduce(lambda v, part: SCALE[part](v, factor), parts, view)
 
 
 MISTAKES = (
-    *in_unit("millimetres", 1e-3),
-    *in_unit("centimetres", 1e-2),
+    *unit_mistakes("millimetres", 1e-3),
+    *unit_mistakes("centimetres", 1e-2),
     Mistake(
         "points",
         "s",
@@ -267,31 +271,34 @@ MISTAKES = (
 )
 
 
-def mistakes(measured: Measured) -> Iterator[Finding]:
+def check_mistakes(measured: CheckedDataset) -> Iterator[Finding]:
     """Strings that cannot be, and the mistake that would explain all of them best."""
-    contradictory = impossible(measured)
-    if not contradictory or unknown_arm(measured):
+    contradictory = impossible_views(measured)
+    if not contradictory or unknown_arm_fields(measured):
         return
-    likely = explanations(measured, contradictory)
+    likely = likeliest_mistakes(measured, contradictory)
     if not likely:
         yield from (
-            unexplained(measured, name, both[0]) for name, both in contradictory.items()
+            unexplained_finding(measured, name, both[0])
+            for name, both in contradictory.items()
         )
         return
     here = next(iter(contradictory.values()))[0]
 
     # the second best explanation, where two units fit
     instead = ""
-    if len(likely) > 1 and lengths_of(likely[0]) != lengths_of(likely[1]):
+    if len(likely) > 1 and length_factor(likely[0]) != length_factor(likely[1]):
         lengths = [
-            reduce(lambda view, mistake: mistake.undone(view), made, here).length
+            reduce(lambda view, mistake: mistake.undo(view), made, here).length
             for made in likely[:2]
         ]
-        other = likely[1][0].said.partition(" in ")[2].partition(",")[0]
+        other = likely[1][0].statement.partition(" in ")[2].partition(",")[0]
         instead = f" (a string of {lengths[0]:.3g} m; {other} would fit too, and make it {lengths[1]:.3g} m)"
     for mistake in likely[0]:
         file = mistake.table if "." in mistake.table else measured.file(mistake.table)
-        said = f"{mistake.said} as it seems: {shown(here)}{instead}"
+        said = (
+            f"{mistake.statement} as it seems: {describe_contradiction(here)}{instead}"
+        )
         yield Finding(
             Severity.ERROR,
             file,
@@ -302,12 +309,15 @@ def mistakes(measured: Measured) -> Iterator[Finding]:
         )
 
 
-def impossible(measured: Measured) -> dict[str, tuple[View, View]]:
+def impossible_views(
+    measured: CheckedDataset,
+) -> dict[str, tuple[InitialView, InitialView]]:
     """Strings that cannot be, by trial. Where nobody says how long they are, as long as
     they were seen to be.
     """
     looked = {
-        seen.name: views(seen, measured.camera) for seen in measured.with_points()
+        seen.name: initial_views(seen, measured.camera)
+        for seen in measured.with_points()
     }
     if "length" not in (measured.data.metadata.get("string") or {}):
         end = max((both[0].end for both in looked.values()), default=0.0)
@@ -319,11 +329,11 @@ def impossible(measured: Measured) -> dict[str, tuple[View, View]]:
     return {
         name: both
         for name, both in looked.items()
-        if not any(here.possible for here in both)
+        if not any(here.is_possible for here in both)
     }
 
 
-def unknown_arm(measured: Measured) -> list[str]:
+def unknown_arm_fields(measured: CheckedDataset) -> list[str]:
     """The fields of an arm (links, base) that dataset.yaml lacks although there are
     joint angles.
     """
@@ -332,8 +342,9 @@ def unknown_arm(measured: Measured) -> list[str]:
     return [key for key in ("links", "base") if key not in given and by_joints]
 
 
-def explanations(
-    measured: Measured, contradictory: Mapping[str, tuple[View, View]]
+def likeliest_mistakes(
+    measured: CheckedDataset,
+    contradictory: Mapping[str, tuple[InitialView, InitialView]],
 ) -> list[tuple[Mistake, ...]]:
     """The mistakes without which all of these strings are possible and fit best, the
     likeliest first: that with which they fall as things do, and millimetres before
@@ -352,26 +363,26 @@ def explanations(
         best = [
             made
             for made, left in explained.items()
-            if left <= min(explained.values()) + LIKE
+            if left <= min(explained.values()) + TIE_TOLERANCE
         ]
         if best:
-            seen = usual_fall(measured.with_points()) if len(best) > 1 else np.nan
+            seen = median_gravity(measured.with_points()) if len(best) > 1 else np.nan
             return sorted(
                 best,
                 key=lambda made: np.nan_to_num(
-                    abs(np.log(abs(seen) * lengths_of(made) / GRAVITY))
+                    abs(np.log(abs(seen) * length_factor(made) / GRAVITY))
                 ),
             )
     return []
 
 
-def lengths_of(made: tuple[Mistake, ...]) -> float:
+def length_factor(made: tuple[Mistake, ...]) -> float:
     """The factor on positions of points that undoes mistakes."""
     return float(np.prod([mistake.factor for mistake in made if "xy" in mistake.parts]))
 
 
 def misfit_without(
-    made: tuple[Mistake, ...], contradictory: Iterable[tuple[View, View]]
+    made: tuple[Mistake, ...], contradictory: Iterable[tuple[InitialView, InitialView]]
 ) -> float | None:
     """The misfit of strings after mistakes are undone, summed, or None if one of them
     still cannot be.
@@ -379,18 +390,22 @@ def misfit_without(
     left = []
     for both in contradictory:
         undone = (
-            reduce(lambda view, mistake: mistake.undone(view), made, here)
+            reduce(lambda view, mistake: mistake.undo(view), made, here)
             for here in both
         )
         left.append(
-            [view.misfit for view in undone if view.possible and view.length <= SWUNG]
+            [
+                view.misfit
+                for view in undone
+                if view.is_possible and view.length <= SWUNG_LENGTHS
+            ]
         )
         if not left[-1]:
             return None
     return sum(min(each) for each in left)
 
 
-def shown(here: View) -> str:
+def describe_contradiction(here: InitialView) -> str:
     """The contradiction in numbers."""
     ratio, _ = here.stretch
     far = float(np.median(np.linalg.norm(here.xy - here.grasp, axis=1)))
@@ -401,20 +416,22 @@ def shown(here: View) -> str:
     )
 
 
-def unexplained(measured: Measured, name: str, here: View) -> Finding:
+def unexplained_finding(
+    measured: CheckedDataset, name: str, here: InitialView
+) -> Finding:
     """An impossible string that no common mistake explains. One that is merely too
     short is left out of a run, which is an error where no other is left.
     """
     nearest = here.s == here.s.min()
     off = np.median((here.xy - here.grasp)[nearest], axis=0)
     severity = Severity.ERROR
-    if here.gap >= APART:
+    if here.gap >= MAX_GAP_LENGTHS:
         said = f"the point at s = {here.s.min():.3f} m is ({off[0]:.3f}, {off[1]:.3f}) m from the grasp"
         remedy = (
             "Give points and hand in one frame of reference: see arm.base and camera.origin_px in dataset.yaml, and "
             "whether the angles count from +x, counter-clockwise"
         )
-    elif replace(here, length=float(here.s.max())).possible:
+    elif replace(here, length=float(here.s.max())).is_possible:
         severity = (
             Severity.WARNING
             if exclude_stray_points(measured.data, measured.length).trials
@@ -424,18 +441,18 @@ def unexplained(measured: Measured, name: str, here: View) -> Finding:
         remedy = "Correct string.length in dataset.yaml, or s"
     else:
         said, remedy = (
-            shown(here),
+            describe_contradiction(here),
             "Look at the units of s, x, y and string.length: all are metres",
         )
     return Finding(severity, measured.file("points"), "s, x, y", said, remedy, (name,))
 
 
-def angles(measured: Measured) -> Iterator[Finding]:
+def check_angles(measured: CheckedDataset) -> Iterator[Finding]:
     """Angles beyond what anything turns."""
     for seen in measured.trials:
         names = ("theta",) if seen.joints is None else ("q1", "q2", "q3")
-        worst = float(seen.motion[list(names)].abs().quantile(MOSTLY).max())
-        if worst > (TURNS if seen.joints is None else RADIANS):
+        worst = float(seen.motion[list(names)].abs().quantile(MOSTLY_SHARE).max())
+        if worst > (MAX_TURNS if seen.joints is None else MAX_RADIANS):
             field = ", ".join(names)
             said = f"angles are in degrees, not in radians as it seems: they go up to {worst:.4g}"
             yield Finding(

@@ -8,22 +8,24 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stringcast.stages.check.clocks import factor_of, usual
+from stringcast.stages.check.clocks import time_unit_factor, usual_interval
 from stringcast.stages.check.finding import Finding, Severity
-from stringcast.stages.check.gravity import usual_fall
-from stringcast.stages.check.measured import CLEAR, GRAVITY, Measured
-from stringcast.stages.check.mistakes import impossible
+from stringcast.stages.check.gravity import median_gravity
+from stringcast.stages.check.measured import CLEAR_SIGMAS, GRAVITY, CheckedDataset
+from stringcast.stages.check.mistakes import impossible_views
 
-HELD = 0.1  # [s] for which a reading is the same to the last digit while others change
+# [s] for which a reading is the same to the last digit while others change
+MAX_FROZEN_S = 0.1
 # of the steps of moving points: so many are not by chance the same to the last digit
-REPEATED = 0.05
-TURN = 1.5 * np.pi  # a jump so large within two samples is a wrapped angle
+MAX_REPEATED_SHARE = 0.05
+TURN_JUMP_RAD = 1.5 * np.pi  # a jump so large within two samples is a wrapped angle
 # times less and more than gravity: of 17 benches 5 to 19 m/s2, of a clamped strip 41
-SLOWEST, FASTEST = 4.0, 10.0
-UP = 0.5  # of its arc length: so far above the grasp no limp string rests
+MIN_GRAVITY, MAX_GRAVITY_RATIO = 4.0, 10.0
+# of its arc length: so far above the grasp no limp string rests
+MIN_HEIGHT_LENGTHS = 0.5
 
 
-def frozen(measured: Measured) -> Iterator[Finding]:
+def check_frozen_joints(measured: CheckedDataset) -> Iterator[Finding]:
     """Joints whose reading never changes, or stands still while the others move."""
     for seen in measured.trials:
         if seen.joints is None or seen.hand_onset is None:
@@ -32,10 +34,10 @@ def frozen(measured: Measured) -> Iterator[Finding]:
         for number, reading in enumerate(seen.joints.T, start=1):
             same = (np.diff(reading) == 0) & moving
             runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]]))) - 1
-            longest = float(runs.max()) * usual(seen.hand_t)
+            longest = float(runs.max()) * usual_interval(seen.hand_t)
             said = (
                 f"it stands still for {longest:.2f} s while other joints move"
-                if longest > HELD
+                if longest > MAX_FROZEN_S
                 else ""
             )
             said = "it never changes" if np.ptp(reading) == 0 else said
@@ -51,7 +53,7 @@ def frozen(measured: Measured) -> Iterator[Finding]:
                 )
 
 
-def wrapped(measured: Measured) -> Iterator[Finding]:
+def check_wrapped_angles(measured: CheckedDataset) -> Iterator[Finding]:
     """Joint angles that jump by a turn. Of theta it does not matter: a direction is the
     same after a turn.
     """
@@ -59,7 +61,7 @@ def wrapped(measured: Measured) -> Iterator[Finding]:
         if seen.joints is None:
             continue
         for number, reading in enumerate(seen.joints.T, start=1):
-            jumps = int((np.abs(np.diff(reading)) > TURN).sum())
+            jumps = int((np.abs(np.diff(reading)) > TURN_JUMP_RAD).sum())
             if jumps and np.ptp(reading) < 2 * np.pi + 0.01:
                 said = f"{jumps} jump(s) by a whole turn: the angle is wrapped at +-pi"
                 remedy = "Unwrap it, as numpy.unwrap does"
@@ -73,7 +75,7 @@ def wrapped(measured: Measured) -> Iterator[Finding]:
                 )
 
 
-def hangs(measured: Measured) -> Iterator[Finding]:
+def check_hanging(measured: CheckedDataset) -> Iterator[Finding]:
     """A string that rests above the hand."""
     for seen in measured.with_points():
         first = seen.points[seen.points["t"] == seen.frame_t[0]]
@@ -81,9 +83,9 @@ def hangs(measured: Measured) -> Iterator[Finding]:
         grasp = np.interp(tip["t"], seen.hand_t, seen.pose[:, 1])
         above = float(tip["y"] - grasp)
         if (
-            not seen.moving
+            not seen.starts_moving
             and tip["s"] > 0.5 * seen.length
-            and UP * tip["s"] < above < seen.length
+            and MIN_HEIGHT_LENGTHS * tip["s"] < above < seen.length
         ):
             said = f"at rest the string's end is {above:.3f} m above the grasp"
             remedy = "If it hung down, y points down: multiply y of points and of the hand by -1 (and theta too)"
@@ -97,20 +99,20 @@ def hangs(measured: Measured) -> Iterator[Finding]:
             )
 
 
-def held(measured: Measured) -> Iterator[Finding]:
+def check_repeated_points(measured: CheckedDataset) -> Iterator[Finding]:
     """Points that a tracker repeated to the last digit."""
     for seen in measured.with_points():
         same, moved = 0, 0
         for _, xy in seen.tracks:
             steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
-            far = steps > CLEAR * np.nan_to_num(seen.noise) + 1e-12
+            far = steps > CLEAR_SIGMAS * np.nan_to_num(seen.noise) + 1e-12
             beside = np.concatenate([far[1:], [False]]) | np.concatenate(
                 [[False], far[:-1]]
             )
             same += int(((steps == 0) & beside).sum())
             moved += int(far.sum())
         share = same / (same + moved) if moved else 0.0
-        if share > REPEATED:
+        if share > MAX_REPEATED_SHARE:
             said = f"{share:.0%} of the steps of moving points are none: the same to the last digit"
             remedy = "If the tracker held its last value, drop those rows or set 'valid' to false"
             yield Finding(
@@ -123,14 +125,14 @@ def held(measured: Measured) -> Iterator[Finding]:
             )
 
 
-def falls(measured: Measured) -> Iterator[Finding]:
+def check_fall(measured: CheckedDataset) -> Iterator[Finding]:
     """A string that falls as nothing does on Earth."""
-    if impossible(measured) or any(
-        factor_of(seen.frame_t) != 1 for seen in measured.with_points()
+    if impossible_views(measured) or any(
+        time_unit_factor(seen.frame_t) != 1 for seen in measured.with_points()
     ):
         return  # which makes it fall otherwise, and is said
-    seen = usual_fall(measured.telling())
-    if not (seen < GRAVITY / SLOWEST or seen > GRAVITY * FASTEST):
+    seen = median_gravity(measured.informative_trials())
+    if not (seen < GRAVITY / MIN_GRAVITY or seen > GRAVITY * MAX_GRAVITY_RATIO):
         return
     said = f"the string's end falls with {seen:.2g} m/s2 as it seems, and not with {GRAVITY}"
     if seen < GRAVITY:
@@ -140,7 +142,7 @@ def falls(measured: Measured) -> Iterator[Finding]:
     yield Finding(Severity.WARNING, measured.file("points"), "t, x, y", said, remedy)
 
 
-def still(measured: Measured) -> Iterator[Finding]:
+def check_stillness(measured: CheckedDataset) -> Iterator[Finding]:
     """A trial in which nothing happens."""
     for seen in measured.with_points():
         if seen.hand_onset is None and seen.string_onset is None:

@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 
 from stringcast.data.dataset import exclude_stray_points
-from stringcast.stages.check.check import findings
-from stringcast.stages.check.clocks import restless, usual
+from stringcast.stages.check.check import collect_findings
+from stringcast.stages.check.clocks import is_restless, usual_interval
 from stringcast.stages.check.finding import Severity
-from stringcast.stages.check.measured import Measured
+from stringcast.stages.check.measured import CheckedDataset
 
 # units as people say them
-PLAIN = {
+DISPLAY_UNITS = {
     "s": (1e3, "ms"),
     "m": (1e3, "mm"),
     "rad": (180 / np.pi, "deg"),
     "1": (100.0, "%"),
 }
-EFFECTS = (
+DETECTION_NOTE = (
     "Found from: the size from which on a diagnosis would find an effect in these trials, and how far it then moves "
     "the tip. Like the string: the share of what it does that the string's own parameters can imitate. Taken for: "
     "effects that are as likely at that size; larger ones are told apart. What depends on place is not asked."
@@ -29,7 +29,7 @@ EFFECTS = (
 
 
 @dataclass(frozen=True)
-class Row:
+class OverviewRow:
     """One trial. duration: seen [s]. common: seen by the arm's clock too [s]. fps,
     hand_rate: samples [1/s]. points: in a usual frame. noise: of a coordinate [m], None
     if unknown. path: of the hand [m]. begins: at rest, moving, or what contradicts it.
@@ -47,12 +47,12 @@ class Row:
     begins: str
 
 
-def per_second(t: np.ndarray) -> float | None:
+def sample_rate(t: np.ndarray) -> float | None:
     """The usual rate of samples [1/s]."""
-    return 1 / usual(t) if usual(t) > 0 else None
+    return 1 / usual_interval(t) if usual_interval(t) > 0 else None
 
 
-def rows(measured: Measured) -> list[Row]:
+def overview_rows(measured: CheckedDataset) -> list[OverviewRow]:
     """The overview's rows, one for each usable trial."""
     found, films = [], measured.data.films
     for seen in measured.trials:
@@ -61,22 +61,22 @@ def rows(measured: Measured) -> list[Row]:
         t = seen.frame_t if len(seen.frame_t) or filmed is None else filmed
         common = min(t[-1], seen.hand_t[-1]) - max(t[0], seen.hand_t[0])
         path = float(np.linalg.norm(np.diff(seen.pose[:, :2], axis=0), axis=1).sum())
-        begins = "moving" if seen.moving else "at rest"
-        if len(seen.points) and not seen.moving and restless(seen):
+        begins = "moving" if seen.starts_moving else "at rest"
+        if len(seen.points) and not seen.starts_moving and is_restless(seen):
             begins = "moving?"
         each = float(len(seen.points) / max(len(seen.frame_t), 1))
         noise = None if np.isnan(seen.noise) else seen.noise
-        rates = per_second(t), per_second(seen.hand_t)
+        rates = sample_rate(t), sample_rate(seen.hand_t)
         times = (float(np.ptp(t)), float(common), len(t))
-        found.append(Row(seen.name, *times, *rates, each, noise, path, begins))
+        found.append(OverviewRow(seen.name, *times, *rates, each, noise, path, begins))
     return found
 
 
-def found_from(told: Mapping[str, Any]) -> str:
+def detection_limit_text(told: Mapping[str, Any]) -> str:
     """The size from which on an effect would be found, in plain words. told: as of
     `check --effects`.
     """
-    factor, unit = PLAIN.get(told["unit"], (1.0, told["unit"]))
+    factor, unit = DISPLAY_UNITS.get(told["unit"], (1.0, told["unit"]))
     if told["found_from"] is None:
         return f"never: {told['most_tip_m'] * 1e3:.1f} mm at most"
     if told["absent"]:
@@ -84,11 +84,11 @@ def found_from(told: Mapping[str, Any]) -> str:
     return f"{told['found_from'] * factor:.2g} {unit}"
 
 
-def overview(measured: Measured) -> dict[str, Any]:
+def dataset_overview(measured: CheckedDataset) -> dict[str, Any]:
     """All that is known about the data, JSON-able; `usable` says whether an experiment
     would run on them.
     """
-    found = findings(measured)
+    found = collect_findings(measured)
     errors = sum(finding.severity is Severity.ERROR for finding in found)
     return {
         "format": 1,
@@ -96,7 +96,7 @@ def overview(measured: Measured) -> dict[str, Any]:
         "usable": bool(exclude_stray_points(measured.data, measured.length).trials)
         and not errors,
         "string_length_m": measured.length,
-        "trials": [asdict(each) for each in rows(measured)],
+        "trials": [asdict(each) for each in overview_rows(measured)],
         "rejected": dict(measured.data.rejection_reasons),
         "findings": [asdict(finding) for finding in found],
     }

@@ -12,12 +12,18 @@ from typing import Any
 import pandas as pd
 
 from stringcast.data.artifacts import Diagnosis, TrialSet
-from stringcast.stages.spec import EXTENDED, MODEL, StageSpec, Summary, This
+from stringcast.stages.spec import (
+    EXTENDED,
+    MODEL,
+    SameIteration,
+    StageSpec,
+    StageSummary,
+)
 
 
-def summary(made: Diagnosis) -> Summary:
+def summary(made: Diagnosis) -> StageSummary:
     """The verdict, and what each cause is and does."""
-    return Summary(
+    return StageSummary(
         made.verdict,
         made.sentence,
         pd.DataFrame([_cause_summary(cause) for cause in made.causes.itertuples()]),
@@ -66,7 +72,7 @@ STAGE = StageSpec(
     folder="diagnosis",
     uses=(*MODEL, "obstacles", "diagnose", "seed"),
     run="stages.diagnose.diagnose.run",
-    inputs={"trials": This(TrialSet)},
+    inputs={"trials": SameIteration(TrialSet)},
     by=("stages.diagnose.diagnose.diagnose",),
     summary=summary,
     files=files,

@@ -55,10 +55,10 @@ def sample_motions_within_limits(
         curves = first_curves(
             arm, rng, MOTIONS_PER_DRAW, (design.shortest, design.longest), alpha
         )
-        sampled = curves.sampled(arm.tick, float(curves.duration.max()))
+        sampled = curves.sample(arm.tick, float(curves.duration.max()))
         share = -(-design.motions // len(ACCELERATION_FACTORS))
         allowed = np.flatnonzero(arm_faults(arm, obstacles, *sampled) == "")[:share]
-        found.append(curves.only(allowed))
+        found.append(curves.select(allowed))
         count += len(allowed)
         if count >= design.motions:
             break
@@ -81,7 +81,7 @@ def synthetic_trial(
     """
     tick, duration = model.arm.tick, float(curve.duration[0])
     # joints that lag arrive later
-    motion = JointMotion(0.0, tick, *curve.sampled(tick, duration + design.after))
+    motion = JointMotion(0.0, tick, *curve.sample(tick, duration + design.after))
     fullest = like.frame == np.argmax(np.bincount(like.frame))
     measured = like.s[fullest]
     places = measured[

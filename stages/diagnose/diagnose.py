@@ -23,7 +23,7 @@ from stringcast.data.artifacts import (
     TrialSet,
 )
 from stringcast.data.schema import DataError
-from stringcast.stages.common import Enough, Progress
+from stringcast.stages.common import InterruptRequest, Progress
 from stringcast.stages.diagnose import tables
 from stringcast.stages.diagnose.background_effects import posterior_with_background
 from stringcast.stages.diagnose.budget import ErrorBudget, error_budget, nested_fits
@@ -73,7 +73,7 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import check_effect_names, effects_by_name
 from stringcast.stages.model.model import Model
-from stringcast.stages.spec import Call
+from stringcast.stages.spec import StageCall
 
 log = logging.getLogger(__name__)
 
@@ -90,7 +90,7 @@ BASE_MODEL_HEADER = (
 )
 
 
-def run(call: Call, trials: TrialSet) -> Diagnosis:
+def run(call: StageCall, trials: TrialSet) -> Diagnosis:
     """The diagnosis of all trials until their string touches an obstacle, as a stage."""
     setup = call.setup
     seen = [trim_at_contact(trial, setup.obstacles) for trial in trials.observations]
@@ -167,7 +167,7 @@ def diagnose(
         proposal = _propose_experiment(
             found, judgement, criteria, obstacles, design, seed
         )
-    except Enough:
+    except InterruptRequest:
         if reached is None:
             raise
         return _interrupted_diagnosis(reached, seed)

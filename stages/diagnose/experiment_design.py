@@ -31,7 +31,7 @@ from stringcast.stages.diagnose.candidate_motions import (
 )
 from stringcast.stages.diagnose.prepared_data import subtract_discretisation_error
 from stringcast.stages.generate.curves import Curves
-from stringcast.stages.generate.generate import commands_of, control_points_of
+from stringcast.stages.generate.generate import command_table, control_point_table
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import simulate_trials
 from stringcast.stages.inference.hypothesis import Hypothesis
@@ -158,12 +158,12 @@ def design_experiment(
     text = _experiment_document(rivals, odds, len(cases))
     if odds.min() < 1:
         return ProposedExperiment(text)
-    curve = curves.only(np.array([best]))
+    curve = curves.select(np.array([best]))
     arm = likeliest.hypothesis.model.arm
     return ProposedExperiment(
         text,
-        commands_of(arm, curve),
-        control_points_of(curve),
+        command_table(arm, curve),
+        control_point_table(curve),
         _predicted_table(cases[best], near),
     )
 
@@ -177,7 +177,7 @@ def _candidate_trial(
 ) -> PreparedTrial:
     """The trial that a motion would make, each point as certain as those it stands for."""
     case = synthetic_trial(
-        hypothesis.model, curves.only(np.array([number])), like, design
+        hypothesis.model, curves.select(np.array([number])), like, design
     )
     return replace(
         case,

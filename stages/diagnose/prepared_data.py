@@ -12,7 +12,7 @@ import numpy as np
 from stringcast.data.artifacts import Observation
 from stringcast.data.dataset import MIN_FRAMES
 from stringcast.data.schema import DataError
-from stringcast.stages.common import Progress, tracked
+from stringcast.stages.common import Progress, track_places
 from stringcast.stages.diagnose.random_effects import with_random_effects
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import simulate_trials
@@ -768,7 +768,7 @@ def trim_trailing_rest(trial: PreparedTrial) -> PreparedTrial:
     """
     away = np.zeros(len(trial.times))
     late = trial.times[trial.frame] > trial.times[-1] - KEPT_REST_S
-    for track in tracked(trial.frame, trial.s):
+    for track in track_places(trial.frame, trial.s):
         if late[track].any():
             end = np.median(trial.points[track[late[track]]], axis=0)
             np.maximum.at(

@@ -1,7 +1,7 @@
 """Estimate: the string's parameters from trials, three ways with one signature (IV)."""
 
 from stringcast.data.artifacts import Estimate, TrialSet
-from stringcast.stages.spec import MODEL, Last, StageSpec, This
+from stringcast.stages.spec import MODEL, LatestIteration, SameIteration, StageSpec
 
 STAGE = StageSpec(
     name="estimate",
@@ -9,7 +9,7 @@ STAGE = StageSpec(
     folder="estimate",
     uses=(*MODEL, "obstacles", "estimate", "trials_used", "seed"),
     run="stages.estimate.run.run",
-    inputs={"trials": This(TrialSet), "estimate": Last(Estimate)},
+    inputs={"trials": SameIteration(TrialSet), "estimate": LatestIteration(Estimate)},
     by=(
         "stages.estimate.random_search.estimate",
         "stages.estimate.cma_es.estimate",

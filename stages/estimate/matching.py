@@ -13,7 +13,7 @@ from numba import njit
 from pydantic import Field
 
 from stringcast.data.artifacts import Observation
-from stringcast.stages.extract.score import rasterise, scores_near
+from stringcast.stages.extract.score import pixel_scores, rasterise
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
 from stringcast.stages.model.engine.threads import parallel_for
 from stringcast.stages.model.model import Model
@@ -173,7 +173,7 @@ def _matching_target(
             assert mask is not None
         else:
             mask = rasterise(line, (camera.height, camera.width), 3)
-        near.append(scores_near(mask, matching.dilations, matching.step_px))
+        near.append(pixel_scores(mask, matching.dilations, matching.step_px))
         tips.append(line[np.argmax(ready.s[ready.frame == number])])
     begins = np.cumsum([0, *(part.size for _, _, part in near)])
     windows = np.array(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from stringcast.data.artifacts import Estimate, TrialSet
 from stringcast.stages.estimate.trim import trim_at_contact
-from stringcast.stages.spec import Call
+from stringcast.stages.spec import StageCall
 
 
-def run(call: Call, trials: TrialSet, estimate: Estimate | None) -> Estimate:
+def run(call: StageCall, trials: TrialSet, estimate: Estimate | None) -> Estimate:
     """Estimate from trials until their string touches an obstacle, beginning with the
     last estimate.
     """

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import Observation
-from stringcast.stages.common import at_places, tracked, wander
+from stringcast.stages.common import places_wander, points_at_arc_lengths, track_places
 from stringcast.stages.model.box import Box
 
 # [m] of an obstacle at which a measured string may be touching it
@@ -52,8 +52,8 @@ def _string_lines(points: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
     """
     times, frame = np.unique(points["t"], return_inverse=True)
     s, xy = points["s"].to_numpy(), points[["x", "y"]].to_numpy()
-    if wander(s, tracked(frame, s)):
-        return times, at_places(
+    if places_wander(s, track_places(frame, s)):
+        return times, points_at_arc_lengths(
             frame, s, xy, np.linspace(s.min(), s.max(), SAMPLED_PLACES)
         )
     wide = points.pivot_table(index="t", columns="s", values=["x", "y"])

@@ -3,7 +3,7 @@ it.
 """
 
 from stringcast.data.artifacts import Motion, Trial
-from stringcast.stages.spec import StageSpec, This
+from stringcast.stages.spec import SameIteration, StageSpec
 
 STAGE = StageSpec(
     name="execute",
@@ -11,10 +11,10 @@ STAGE = StageSpec(
     folder="trial",
     uses=("arm", "camera", "hardware", "execute", "seed"),
     run="stages.execute.execute.run",
-    inputs={"motion": This(Motion)},
+    inputs={"motion": SameIteration(Motion)},
     by=(
         "stages.execute.execute.execute",
-        "stages.execute.dry_run.dry",
-        "stages.execute.dry_run.slow",
+        "stages.execute.dry_run.dry_run",
+        "stages.execute.dry_run.slow_run",
     ),
 )

@@ -12,11 +12,16 @@ import pandas as pd
 from pydantic import Field
 
 from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
-from stringcast.stages.execute.execute import distrusted, execute, filmed, padded
+from stringcast.stages.execute.execute import (
+    execute,
+    film_motion,
+    mark_distrusted,
+    pad_commands,
+)
 from stringcast.stages.execute.interfaces import ArmDevice, CameraDevice
 
 
-def dry(
+def dry_run(
     motion: Motion,
     arm: ArmDevice,
     camera: CameraDevice,
@@ -29,16 +34,16 @@ def dry(
 
     before, after: rest filmed around the movement [s]. Raises what the devices raise.
     """
-    commands = padded(motion.commands, before, after)
+    commands = pad_commands(motion.commands, before, after)
     with camera, arm:
         arm.check(commands)
         here = dict(zip(JOINTS, arm.angles(), strict=True))
         still = commands.assign(**here, **dict.fromkeys(SPEEDS, 0.0))
-        trial = filmed(still, arm, camera, end=motion.duration + after)
-    return distrusted(trial, "dry run with the arm disabled")
+        trial = film_motion(still, arm, camera, end=motion.duration + after)
+    return mark_distrusted(trial, "dry run with the arm disabled")
 
 
-def slow(
+def slow_run(
     motion: Motion,
     arm: ArmDevice,
     camera: CameraDevice,
@@ -51,12 +56,14 @@ def slow(
     around the movement [s]. Raises what the devices raise.
     """
     outcome = motion.outcome.assign(duration=motion.duration / share)
-    slower = replace(motion, commands=slowed(motion.commands, share), outcome=outcome)
+    slower = replace(
+        motion, commands=slow_commands(motion.commands, share), outcome=outcome
+    )
     trial = execute(slower, arm, camera, before=before, after=after)
-    return distrusted(trial, f"dry run at {share:g} of the speed")
+    return mark_distrusted(trial, f"dry run at {share:g} of the speed")
 
 
-def slowed(commands: pd.DataFrame, share: float) -> pd.DataFrame:
+def slow_commands(commands: pd.DataFrame, share: float) -> pd.DataFrame:
     """Commands (table COMMANDS) along the same path at `share` of the speed, on the
     same tick. Speed falls by `share`, acceleration no less.
     """

@@ -11,10 +11,10 @@ from pydantic import Field
 
 from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
 from stringcast.stages.execute.interfaces import ArmDevice, CameraDevice, HardwareError
-from stringcast.stages.spec import Call
+from stringcast.stages.spec import StageCall
 
 
-def run(call: Call, motion: Motion) -> Trial:
+def run(call: StageCall, motion: Motion) -> Trial:
     """The stage: the trial that the lab's arm and camera record of a motion."""
     lab = call.setup.lab(call.number)
     made: Trial = call.by(motion, lab.arm, lab.camera)
@@ -34,12 +34,12 @@ def execute(
     before, after: rest filmed around the movement [s] (V: 0.2 s). Devices are opened
     here and always left stopped. Raises what the devices raise.
     """
-    commands = padded(motion.commands, before, after)
+    commands = pad_commands(motion.commands, before, after)
     with camera, arm:
-        return filmed(commands, arm, camera, end=motion.duration + after)
+        return film_motion(commands, arm, camera, end=motion.duration + after)
 
 
-def filmed(
+def film_motion(
     commands: pd.DataFrame, arm: ArmDevice, camera: CameraDevice, end: float
 ) -> Trial:
     """Go to the start of `commands` and play them on film, with open devices. end: of
@@ -49,7 +49,7 @@ def filmed(
     arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
     camera.start()
     performance = arm.perform(commands)
-    recording = camera.stop(performance.begun - begin)
+    recording = camera.stop(performance.started_at - begin)
 
     # frames at the very ends count, whatever the rounding
     inside = np.flatnonzero((recording.t >= begin - 1e-9) & (recording.t <= end + 1e-9))
@@ -68,16 +68,16 @@ def filmed(
     images = [recording.images[int(i)] for i in inside]
     link = performance.link.assign(**recording.summary)
     trial = Trial(performance.arm, performance.ticks, frames, link, images)
-    return distrusted(trial, recording.fault) if recording.fault else trial
+    return mark_distrusted(trial, recording.fault) if recording.fault else trial
 
 
-def distrusted(trial: Trial, reason: str) -> Trial:
+def mark_distrusted(trial: Trial, reason: str) -> Trial:
     """The trial marked, so that no later stage learns from it."""
     reasons = "; ".join(filter(None, (reason, str(trial.link["reason"].iloc[0]))))
     return replace(trial, link=trial.link.assign(valid=False, reason=reasons))
 
 
-def padded(commands: pd.DataFrame, before: float, after: float) -> pd.DataFrame:
+def pad_commands(commands: pd.DataFrame, before: float, after: float) -> pd.DataFrame:
     """Commands with rest before and after, on the same tick; the movement still starts
     at t = 0.
     """

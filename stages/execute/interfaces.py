@@ -36,7 +36,7 @@ class Performance:
     arm: pd.DataFrame
     ticks: pd.DataFrame
     link: pd.DataFrame
-    begun: float
+    started_at: float
 
 
 @dataclass(frozen=True)

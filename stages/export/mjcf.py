@@ -21,17 +21,24 @@ from stringcast.stages.model.statics.equilibrium import hanging_shape
 from stringcast.stages.model.string import PAPER_EFFECTS
 
 # slots that MuJoCo has, too
-SAID = {"acceleration", "flow", "rest_curvature", "density", "tip_mass", "tip_length"}
-SAID |= {"hidden_length", "grasp_offset"}
+EXPORTED_ARGUMENTS = {
+    "acceleration",
+    "flow",
+    "rest_curvature",
+    "density",
+    "tip_mass",
+    "tip_length",
+}
+EXPORTED_ARGUMENTS |= {"hidden_length", "grasp_offset"}
 # of the air [Pa s], [kg/m3]: such that a ball moves no air to speak of along with it
 VISCOSITY, DENSITY = 0.1, 1.0
-SMALL = 1e-3  # radius of gyration of a mass point, in segments
+MIN_MASS_SHARE = 1e-3  # radius of gyration of a mass point, in segments
 # pose of a grasp from which the string hangs straight
-DOWN = np.array([[0.0, 0.0, -np.pi / 2]])
+HANGING_POSE = np.array([[0.0, 0.0, -np.pi / 2]])
 # times the string's mass (times m^2 for turns): a hand that the string does not move
-HEAVY = 1e6
+CARRIAGE_MASS_KG = 1e6
 
-PAGE = """\
+DOCUMENT_TEMPLATE = """\
 <mujoco model="string">
   <!-- Written by stringcast: {segments} links, {length:g} m, {mass:g} kg. Planar, x to the right, y up.
        Links do not stretch; hung up at rest, the string is {longer:.2f} mm longer.{stated}
@@ -58,7 +65,7 @@ density="{density:g}" viscosity="{viscosity:g}">
   </sensor>
 </mujoco>
 """
-LINK = """\
+LINK_TEMPLATE = """\
 {pad}<body name="link_{number}" pos="{start:.9g} {beside:.9g} 0">
 {pad}  <joint name="hinge_{number}" type="hinge" axis="0 0 1" stiffness="{stiffness:.9g}" damping="{damping:.9g}" \
 springref="{rest:.9g}"/>
@@ -68,7 +75,7 @@ fluidshape="ellipsoid" fluidcoef="{blunt:.9g} 0 0 0 0"/>
 """
 
 
-def mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> str:
+def build_mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> str:
     """The string of a model as an MJCF document.
 
     values: (P,) of its parameters. mass: of the string [kg], which motion alone does
@@ -78,7 +85,8 @@ def mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> str:
     string = model.string
     for effect in string.effects:
         if effect not in PAPER_EFFECTS and (
-            is_position_dependent(effect) or not set(effect.laws()) <= SAID
+            is_position_dependent(effect)
+            or not set(effect.laws()) <= EXPORTED_ARGUMENTS
         ):
             raise DataError(
                 f"effect '{effect.name}': MuJoCo has no such law ({', '.join(effect.laws())}). Estimate the string "
@@ -97,14 +105,15 @@ def mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> str:
     ]
 
     # bodies one inside the other
-    links = _links(model, material, over)
+    links = _link_rows(model, material, over)
     pads = ["  " * (3 + i) for i in range(len(links))]
     opened = "".join(
-        LINK.format(pad=pad, **link) for pad, link in zip(pads, links, strict=True)
+        LINK_TEMPLATE.format(pad=pad, **link)
+        for pad, link in zip(pads, links, strict=True)
     )
     tip = f'{pads[-1]}  <site name="tip" pos="{links[-1]["length"]:.9g} 0 0"/>\n'
     closed = "\n".join(f"{pad}</body>" for pad in reversed(pads))
-    return PAGE.format(
+    return DOCUMENT_TEMPLATE.format(
         **{
             "segments": string.points - 1,
             "length": string.length,
@@ -112,11 +121,15 @@ def mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> str:
             "step": step,
         },
         **{"gx": gravity[0], "gy": gravity[1], "wx": wind[0], "wy": wind[1]},
-        **{"density": DENSITY, "viscosity": VISCOSITY, "heavy": HEAVY * mass},
+        **{
+            "density": DENSITY,
+            "viscosity": VISCOSITY,
+            "heavy": CARRIAGE_MASS_KG * mass,
+        },
         longer=1e3
         * float(
             (
-                hanging_shape(string, material, DOWN)[1][0]
+                hanging_shape(string, material, HANGING_POSE)[1][0]
                 - string.free_segment_lengths(material)
             ).sum()
         ),
@@ -127,7 +140,7 @@ def mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> str:
     )
 
 
-def _links(model: Model, material: np.ndarray, over: float) -> list[dict[str, Any]]:
+def _link_rows(model: Model, material: np.ndarray, over: float) -> list[dict[str, Any]]:
     """The properties of each link, from the grasp to the tip. over: mass per length
     [kg/m].
     """
@@ -181,6 +194,6 @@ def _links(model: Model, material: np.ndarray, over: float) -> list[dict[str, An
             "radius": radius[i],
             "blunt": blunt[i],
         }
-        | {"inertia": masses[i] * (SMALL * length) ** 2}
+        | {"inertia": masses[i] * (MIN_MASS_SHARE * length) ** 2}
         for i, (stiff, damped, angle) in enumerate(hinges)
     ]

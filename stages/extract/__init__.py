@@ -3,7 +3,7 @@
 """
 
 from stringcast.data.artifacts import Film, Points, Trial
-from stringcast.stages.spec import StageSpec, This
+from stringcast.stages.spec import SameIteration, StageSpec
 
 STAGE = StageSpec(
     name="extract",
@@ -11,6 +11,6 @@ STAGE = StageSpec(
     folder="points",
     uses=("arm", "camera", "effects", "known", "extract"),
     run="stages.extract.extract.run",
-    inputs={"trial": This(Trial | Film)},
+    inputs={"trial": SameIteration(Trial | Film)},
     by=("stages.extract.extract.extract",),
 )

@@ -17,45 +17,45 @@ from stringcast.data.images import CachedImages
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress
 from stringcast.stages.extract.centreline import (
-    HALF,
-    Line,
+    HALF_WIDTHS,
+    Centreline,
     UnreadableError,
-    along,
-    refine,
-    trace,
+    cumulative_length,
+    refine_line,
+    trace_line,
 )
 from stringcast.stages.extract.footage import Footage, aligned_footage
-from stringcast.stages.extract.quality import check
+from stringcast.stages.extract.quality import check_line
 from stringcast.stages.extract.score import rasterise
 from stringcast.stages.extract.segment import (
     Backdrop,
-    background,
-    brightest,
-    darkest,
+    arm_silhouette,
+    estimate_background,
+    fill_never_uncovered,
     half_width,
     half_widths,
-    packed,
-    segment,
-    silhouette,
-    uncovered,
+    pack_mask,
+    segment_frame,
+    string_brightness,
+    uncovered_brightness,
 )
-from stringcast.stages.extract.stabilise import samples, stabilised
-from stringcast.stages.extract.window import around
+from stringcast.stages.extract.stabilise import sample_numbers, stabilise_film
+from stringcast.stages.extract.window import window_around
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.spec import Call
+from stringcast.stages.spec import StageCall
 
-MARGIN = 12.0  # [px] around what the string can reach
+MARGIN_PX = 12.0  # [px] around what the string can reach
 # [px] by how much half the string's width may be more than in the other frames
-BLURRED = 2.0
+BLUR_FACTOR = 2.0
 # of what a point is moved along the line because tension is not the same all along: may
 # be wrong
-UNEVEN = 0.3
+MAX_LENGTH_ERROR = 0.3
 # [px] half width from which brightness alone does not show where the middle is
-WIDE = 3.0
+MAX_WIDTH_RATIO = 3.0
 
 
 @dataclass(frozen=True)
-class Reading:
+class FrameReading:
     """One frame: points (K, 2) [m], sigma (K,) [m], mask as PNG, length of the line
     [m].
     """
@@ -66,7 +66,7 @@ class Reading:
     length: float
 
 
-def run(call: Call, trial: Trial | Film) -> Points:
+def run(call: StageCall, trial: Trial | Film) -> Points:
     """The string in each frame of a trial of ours or a film of others, as a stage."""
     film = trial if isinstance(trial, Film) else trial.film
     model = call.setup.model
@@ -103,18 +103,18 @@ def extract(
             f"camera.width x camera.height is {camera.width} x {camera.height}, the frames are {columns} x {rows} px. "
             "Say so in the dataset's dataset.yaml, or in conf/camera."
         )
-    images, sway = stabilised(CachedImages(footage.images))
+    images, sway = stabilise_film(CachedImages(footage.images))
     footage = replace(footage, images=images)
-    reach = string_length * (1 + longer) * camera.px_per_m + MARGIN
-    backdrop = _backdrop(footage, camera, string_length, arm_width, sway)
-    readings: list[Reading | str] = []
+    reach = string_length * (1 + longer) * camera.px_per_m + MARGIN_PX
+    backdrop = _estimate_backdrop(footage, camera, string_length, arm_width, sway)
+    readings: list[FrameReading | str] = []
     for number in range(len(footage.t)):
         try:
-            line, mask = _line(
+            line, mask = _find_line(
                 footage, number, backdrop, camera, reach, sigmas, arm_width, hidden
             )
             readings.append(
-                _reading(
+                _read_points(
                     line,
                     mask,
                     camera,
@@ -126,10 +126,10 @@ def extract(
         except UnreadableError as reason:
             readings.append(str(reason))
         progress((number + 1) / len(footage.t))
-    return _tables(footage.t, readings, np.linspace(0, string_length, points))
+    return _build_tables(footage.t, readings, np.linspace(0, string_length, points))
 
 
-def _backdrop(
+def _estimate_backdrop(
     footage: Footage,
     camera: Camera,
     string_length: float,
@@ -139,7 +139,7 @@ def _backdrop(
     """The scene shared by all frames, from a sample of them. sway: one sigma of where
     the camera looks [px].
     """
-    images, chosen = footage.images, samples(len(footage.images))
+    images, chosen = footage.images, sample_numbers(len(footage.images))
     frames = [
         image if image.dtype == np.uint8 else cv2.convertScaleAbs(image)
         for image in (images[i] for i in chosen)
@@ -150,21 +150,23 @@ def _backdrop(
         else camera.pixels(footage.body)
     )
     arms = [
-        packed(
-            silhouette(frames[0].shape, bodies[i][None], arm_width * camera.px_per_m)
+        pack_mask(
+            arm_silhouette(
+                frames[0].shape, bodies[i][None], arm_width * camera.px_per_m
+            )
         )
         for i in chosen
     ]
-    low = darkest(frames)
+    low = uncovered_brightness(frames)
     half = half_widths(frames, low, arms)
-    scene = background(frames, arms, low, half)
-    scene = uncovered(
+    scene = estimate_background(frames, arms, low, half)
+    scene = fill_never_uncovered(
         scene, camera.pixels(footage.grasp[:, :2]), string_length * camera.px_per_m
     )
-    return Backdrop(scene, brightest(footage.images, scene), half, sway)
+    return Backdrop(scene, string_brightness(footage.images, scene), half, sway)
 
 
-def _line(
+def _find_line(
     footage: Footage,
     number: int,
     backdrop: Backdrop,
@@ -173,14 +175,14 @@ def _line(
     sigmas: float,
     arm_width: float,
     hidden: float,
-) -> tuple[Line, np.ndarray]:
+) -> tuple[Centreline, np.ndarray]:
     """The centre-line [px] in one frame, beginning at the grasp, and its binary image.
     reach: of the string [px].
     """
     grasp = camera.pixels(footage.grasp[number, :2])
     image = footage.images[number]
-    window = around(grasp, reach, image.shape)
-    if min(window.shape) < 2 * HALF:
+    window = window_around(grasp, reach, image.shape)
+    if min(window.shape) < 2 * HALF_WIDTHS:
         raise UnreadableError("the grasp is out of view")
 
     # the arm's joints (K, J + 1, 2) at moments of the exposure, and how far the fastest
@@ -200,7 +202,7 @@ def _line(
         moments = camera.pixels(footage.body[number]) + share[:, None, None] * moved
 
     part = replace(backdrop, scene=window.cut(backdrop.scene))
-    seen = segment(
+    seen = segment_frame(
         window.cut(image),
         part,
         moments - window.corner,
@@ -208,26 +210,28 @@ def _line(
         blur,
         sigmas,
     )
-    half = min(half_width(seen.mask), backdrop.half + BLURRED)
+    half = min(half_width(seen.mask), backdrop.half + BLUR_FACTOR)
     ridge = (
-        cv2.GaussianBlur(seen.light, (0, 0), 0.6 * half) if half > WIDE else seen.light
+        cv2.GaussianBlur(seen.light, (0, 0), 0.6 * half)
+        if half > MAX_WIDTH_RATIO
+        else seen.light
     )
-    way = trace(
+    way = trace_line(
         ridge,
         seen.mask,
         seen.arm,
         grasp - window.corner,
         start_radius=hidden * camera.px_per_m + 8,
     )
-    line = refine(seen.light, seen.outline, way, seen.noise, half)
-    check(line, seen.mask, half)
+    line = refine_line(seen.light, seen.outline, way, seen.noise, half)
+    check_line(line, seen.mask, half)
     points = np.concatenate([grasp[None], line.points[1:] + window.corner])
     whole = replace(line, points=points, sigma=np.hypot(line.sigma, backdrop.sway))
     beside_it = rasterise(whole.points - window.corner, seen.mask.shape, 9 + 2 * half)
     return whole, window.paste(seen.mask & (beside_it > 0), image.shape)
 
 
-def drawn(s: np.ndarray, length: float) -> np.ndarray:
+def arc_lengths_on_line(s: np.ndarray, length: float) -> np.ndarray:
     """Arc lengths (K,) [m] on a line of this length of those at rest s (K,), whose last
     is the tip's.
 
@@ -239,17 +243,17 @@ def drawn(s: np.ndarray, length: float) -> np.ndarray:
     return np.asarray(share * (length - more) + more * share * (2 - share))
 
 
-def _reading(
-    line: Line,
+def _read_points(
+    line: Centreline,
     mask: np.ndarray,
     camera: Camera,
     s: np.ndarray,
     shorter: float,
     longer: float,
-) -> Reading:
+) -> FrameReading:
     """Points at equal arc lengths; refuses a line that is not as long as the string."""
     world = camera.world(line.points)
-    depth = along(world)
+    depth = cumulative_length(world)
     length = float(depth[-1])
     if not s[-1] * (1 - shorter) <= length <= s[-1] * (1 + longer):
         raise UnreadableError(
@@ -258,18 +262,20 @@ def _reading(
     end = line.points[-1]
     if not (1 <= end[0] <= camera.width - 2 and 1 <= end[1] <= camera.height - 2):
         raise UnreadableError("the string leaves the picture")
-    wanted = drawn(s, length)
+    wanted = arc_lengths_on_line(s, length)
     at = np.stack([np.interp(wanted, depth, world[:, i]) for i in (0, 1)], axis=-1)
     good, png = cv2.imencode(".png", mask * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
     assert good
     sigma = np.hypot(
         np.interp(wanted, depth, line.sigma) / camera.px_per_m,
-        UNEVEN * (wanted - length * s / s[-1]),
+        MAX_LENGTH_ERROR * (wanted - length * s / s[-1]),
     )
-    return Reading(at, sigma, png.tobytes(), length)
+    return FrameReading(at, sigma, png.tobytes(), length)
 
 
-def _tables(t: np.ndarray, readings: list[Reading | str], s: np.ndarray) -> Points:
+def _build_tables(
+    t: np.ndarray, readings: list[FrameReading | str], s: np.ndarray
+) -> Points:
     """Everything read, as tables. t: (F,) times of the frames [s]. s: (K,) arc lengths
     of the points [m].
     """
@@ -296,7 +302,7 @@ def _tables(t: np.ndarray, readings: list[Reading | str], s: np.ndarray) -> Poin
     good = [
         (number, reading)
         for number, reading in enumerate(readings)
-        if isinstance(reading, Reading)
+        if isinstance(reading, FrameReading)
     ]
     if not good:
         return Points(POINTS.empty(), table, MASKS.empty())

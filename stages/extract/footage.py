@@ -29,18 +29,20 @@ class Footage:
     body: np.ndarray | None = None
 
 
-def footage_of(film: Film, arm: Arm) -> Footage:
+def footage_from_joints(film: Film, arm: Arm) -> Footage:
     """Grasp and arm as joint angles say; where only poses of the grasp were measured,
     no arm is known.
     """
     if film.arm is not None:
-        angles = _at(film.t, film.arm, JOINTS)
+        angles = _interpolate_columns(film.t, film.arm, JOINTS)
         return Footage(
             film.t, film.images, arm.grasp_pose(angles), arm.joint_positions(angles)
         )
     assert film.grasp is not None
     grasp = film.grasp.assign(theta=np.unwrap(film.grasp["theta"]))
-    return Footage(film.t, film.images, _at(film.t, grasp, ("x", "y", "theta")))
+    return Footage(
+        film.t, film.images, _interpolate_columns(film.t, grasp, ("x", "y", "theta"))
+    )
 
 
 def aligned_footage(film: Film, model: Model) -> Footage:
@@ -48,7 +50,7 @@ def aligned_footage(film: Film, model: Model) -> Footage:
     arm stand to each other.
     """
     if film.arm is None or not model.measured_ranges:
-        return footage_of(film, model.arm)
+        return footage_from_joints(film, model.arm)
     motion = resample_joint_motion(
         film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy()
     ).extended_until(film.t[-1])
@@ -58,7 +60,9 @@ def aligned_footage(film: Film, model: Model) -> Footage:
     return Footage(film.t, film.images, np.column_stack([body[:, -1], direction]), body)
 
 
-def _at(t: np.ndarray, table: pd.DataFrame, columns: Sequence[str]) -> np.ndarray:
+def _interpolate_columns(
+    t: np.ndarray, table: pd.DataFrame, columns: Sequence[str]
+) -> np.ndarray:
     """Columns of a table at other times, (F, len(columns))."""
     return np.stack(
         [np.interp(t, table["t"], table[column]) for column in columns], axis=-1

@@ -12,28 +12,31 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stringcast.stages.extract.centreline import Line, UnreadableError
+from stringcast.stages.extract.centreline import Centreline, UnreadableError
 from stringcast.stages.extract.score import rasterise
 
-DIM, BRIGHT = 0.35, 1.8  # of the line's typical light
-GAP, HEAP = 6.0, 9.0  # [px] along the line for which it may be dimmer, or brighter
-WIDTHS = 1.0, 1.5  # ... or so many times its width, if that is more
-BESIDE = 0.06  # of the line's length: what may be beside it
+MIN_RELATIVE_LIGHT, MAX_RELATIVE_LIGHT = 0.35, 1.8  # of the line's typical light
+# [px] along the line for which it may be dimmer, or brighter
+MAX_GAP_WIDTHS, MAX_HEAP_WIDTHS = 6.0, 9.0
+WIDTH_RANGE = 1.0, 1.5  # ... or so many times its width, if that is more
+MAX_ATTACHED_SHARE = 0.06  # of the line's length: what may be beside it
 
 
-def check(line: Line, mask: np.ndarray, half: float) -> None:
+def check_line(line: Centreline, mask: np.ndarray, half: float) -> None:
     """Raise UnreadableError with the reason where the line fails a quality check. mask:
     (height, width) uint8, the string's pixels. half: half its width [px].
     """
     step = np.append(np.linalg.norm(np.diff(line.points, axis=0), axis=1), 0.0)
     typical = float(np.nanmedian(line.light)) if np.isfinite(line.light).any() else 0.0
-    if longest_run(line.light < DIM * typical, step) > max(GAP, WIDTHS[0] * 2 * half):
+    if longest_run(line.light < MIN_RELATIVE_LIGHT * typical, step) > max(
+        MAX_GAP_WIDTHS, WIDTH_RANGE[0] * 2 * half
+    ):
         raise UnreadableError("the string is interrupted")
-    if longest_run(line.light > BRIGHT * typical, step) > max(
-        HEAP, WIDTHS[1] * 2 * half
+    if longest_run(line.light > MAX_RELATIVE_LIGHT * typical, step) > max(
+        MAX_HEAP_WIDTHS, WIDTH_RANGE[1] * 2 * half
     ):
         raise UnreadableError("the string lies on itself, or on something like it")
-    if length_beside(line, mask, half) > BESIDE * line.depth[-1]:
+    if attached_length(line, mask, half) > MAX_ATTACHED_SHARE * line.depth[-1]:
         raise UnreadableError("something like a string hangs together with the string")
 
 
@@ -48,7 +51,7 @@ def longest_run(these: np.ndarray, step: np.ndarray) -> float:
     return best
 
 
-def length_beside(line: Line, mask: np.ndarray, half: float) -> float:
+def attached_length(line: Centreline, mask: np.ndarray, half: float) -> float:
     """Length of what hangs together with the line and is not on it, were it as wide as
     the line [px].
     """

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 
-def scores_near(
+def pixel_scores(
     mask: np.ndarray, dilations: int, step_px: int
 ) -> tuple[int, int, np.ndarray]:
     """Scores p of the pixels about the string, (height, width) uint8, behind the first

@@ -10,27 +10,28 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-SAMPLES = 120  # frames from which the background is learnt
-BAND = 16  # rows of them that are put in order at a time: about a megabyte
+MAX_SCENE_SAMPLES = 120  # frames from which the background is learnt
+BAND_ROWS = 16  # rows of them that are put in order at a time: about a megabyte
 # of the frames without the arm: where in their order of brightness the wall is not in
 # shadow
-LIT = 0.75
-SHADE = 4.0  # [grey levels] by how much a shadow at least darkens the wall
+LIT_QUANTILE = 0.75
+SHADE_SIGMAS = 4.0  # [grey levels] by how much a shadow at least darkens the wall
 # percentile over time: a pixel shows the background when the string has left it at
 # least this often
-LEVEL = 3
+MIN_LEVEL = 3
 # of the string's length: how far from a resting grasp the string may never leave its
 # pixels
-STATIC = 0.35
-STILL = 5.0  # [px] a resting grasp moves less
+STATIC_SHARE = 0.35
+STILL_PX = 5.0  # [px] a resting grasp moves less
 # [px] of the median that fills it in; OpenCV does none that is wider than 361
-WIDEST = 350
-SPECK = 12  # [px] a patch with fewer is the arm's edge or noise, not string
-OUTLINE = 1.0  # [px] by how much the outline of a resting arm may be off
-LEAST = 5.0  # the string outshines nothing less than this part of the typical
+MAX_WINDOW_PX = 350
+MIN_PATCH_PX = 12  # [px] a patch with fewer is the arm's edge or noise, not string
+OUTLINE_SIGMAS = 1.0  # [px] by how much the outline of a resting arm may be off
+# the string outshines nothing less than this part of the typical
+MIN_CONTRAST_SIGMAS = 5.0
 # [grey levels] more than this off, a pixel does not tell where the string's middle is
-UNCERTAIN = 10.0
-GREY = 0.3  # [grey levels] noise of rounding to whole levels
+UNCERTAIN_SIGMAS = 10.0
+GREY_SHARE = 0.3  # [grey levels] noise of rounding to whole levels
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Backdrop:
 
 
 @dataclass(frozen=True)
-class Segmented:
+class SegmentedFrame:
     """The string of one frame, each array (height, width).
 
     light: brightness above what else is seen, as in front of the scene [grey levels].
@@ -64,41 +65,43 @@ class Segmented:
     noise: float
 
 
-def segment(
+def segment_frame(
     image: np.ndarray,
     backdrop: Backdrop,
     moments: np.ndarray,
     width: float,
     blur: float,
     sigmas: float,
-) -> Segmented:
+) -> SegmentedFrame:
     """The pixels of a frame that are neither scene nor arm.
 
     moments: (K, J + 1, 2) the arm's joints [px] at moments of the exposure. width: of a
     link, blur: how far the arm moves in the exposure [px]; its clock may be half an
     exposure off. sigmas: threshold above the noise.
     """
-    seen, body, outline = expected(
-        image, backdrop.scene, moments, width, OUTLINE + blur / 2
+    seen, body, outline = expected_brightness(
+        image, backdrop.scene, moments, width, OUTLINE_SIGMAS + blur / 2
     )
     above = cv2.GaussianBlur(image - seen, (0, 0), 0.8)
-    grain = noise(above[::3, ::3])
-    rough = max(grain, noise(above[body])) if body.any() else grain
-    mask = without_specks(
+    grain = estimate_noise(above[::3, ::3])
+    rough = max(grain, estimate_noise(above[body])) if body.any() else grain
+    mask = remove_specks(
         (above > sigmas * np.where(body, rough, grain)).astype(np.uint8)
     )
-    arm = silhouette(image.shape, moments, width + 4 + blur)
+    arm = arm_silhouette(image.shape, moments, width + 4 + blur)
     # what is as bright as the arm is noise, made larger
     sure = ~body | (cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0)
     # brightness as it would be in front of a typical part: the string outshines a
     # bright arm less than a dark wall
     room = backdrop.string - seen
-    typical = max(float(np.median(room)), GREY)
-    light = np.maximum(above, 0) * typical / np.maximum(room, typical / LEAST)
-    return Segmented(sure * light, mask, arm, outline, grain)
+    typical = max(float(np.median(room)), GREY_SHARE)
+    light = (
+        np.maximum(above, 0) * typical / np.maximum(room, typical / MIN_CONTRAST_SIGMAS)
+    )
+    return SegmentedFrame(sure * light, mask, arm, outline, grain)
 
 
-def background(
+def estimate_background(
     frames: Sequence[np.ndarray],
     arm: Sequence[np.ndarray],
     low: np.ndarray,
@@ -111,23 +114,23 @@ def background(
     in a few frames is string or arm; but where a shadow passes, the wall is what is
     bright in some, over more than the string's width.
     """
-    wall = np.maximum(_in_bands(_bare, frames, arm) - low, 0)
+    wall = np.maximum(_map_bands(_brightness_without_arm, frames, arm) - low, 0)
     across = 2 * int(np.ceil(2 * half)) + 5
     wide = cv2.morphologyEx(wall, cv2.MORPH_OPEN, np.ones((across, across), np.uint8))
-    return low + np.where(wide > SHADE, wide, 0)
+    return low + np.where(wide > SHADE_SIGMAS, wide, 0)
 
 
-def darkest(frames: Sequence[np.ndarray]) -> np.ndarray:
+def uncovered_brightness(frames: Sequence[np.ndarray]) -> np.ndarray:
     """The brightness of each pixel when nothing bright covers it, (height, width)
     float32. frames: uint8.
     """
-    levels = _in_bands(_low_and_middle, frames)
+    levels = _map_bands(_low_and_median, frames)
     low, middle = levels[..., 0], levels[..., 1]
     # noise alone makes a low percentile darker than the scene
     return np.asarray(low + np.median(middle - low))
 
 
-def _in_bands(
+def _map_bands(
     look: Callable[..., np.ndarray], *films: Sequence[np.ndarray]
 ) -> np.ndarray:
     """A look at frames, so many rows of all at a time: what is made of them meanwhile
@@ -135,7 +138,10 @@ def _in_bands(
 
     look: from stacks (F, rows, width), one of each film, to (rows, width, ...).
     """
-    bands = (slice(first, first + BAND) for first in range(0, len(films[0][0]), BAND))
+    bands = (
+        slice(first, first + BAND_ROWS)
+        for first in range(0, len(films[0][0]), BAND_ROWS)
+    )
     return np.concatenate(
         [
             look(*(np.stack([frame[rows] for frame in film]) for film in films))
@@ -144,34 +150,36 @@ def _in_bands(
     )
 
 
-def _low_and_middle(stack: np.ndarray) -> np.ndarray:
+def _low_and_median(stack: np.ndarray) -> np.ndarray:
     """A low percentile of each pixel and its median, (height, width, 2) float32."""
-    ordered = _ordered(stack)
-    return np.stack([_level(ordered, LEVEL), _level(ordered, 50)], axis=-1)
+    ordered = _sorted_values(stack)
+    return np.stack(
+        [_percentile(ordered, MIN_LEVEL), _percentile(ordered, 50)], axis=-1
+    )
 
 
-def _bare(stack: np.ndarray, arm: np.ndarray) -> np.ndarray:
+def _brightness_without_arm(stack: np.ndarray, arm: np.ndarray) -> np.ndarray:
     """How bright a pixel is in a few of the frames in which the arm does not cover it,
     (height, width) float32.
     """
-    arm = unpacked(arm, stack.shape[-1])
-    ordered = _ordered(np.where(arm, 0, stack))
+    arm = unpack_mask(arm, stack.shape[-1])
+    ordered = _sorted_values(np.where(arm, 0, stack))
     covered = arm.sum(axis=0)
-    place = covered + LIT * (len(stack) - 1 - covered)
+    place = covered + LIT_QUANTILE * (len(stack) - 1 - covered)
     chosen = np.take_along_axis(
         ordered, place.astype(int).clip(0, len(stack) - 1)[..., None], axis=-1
     )
     return chosen[..., 0].astype(np.float32)
 
 
-def packed(mask: np.ndarray) -> np.ndarray:
+def pack_mask(mask: np.ndarray) -> np.ndarray:
     """A mask (..., width) bool with eight pixels to a byte: masks of a whole film take
     a tenth of a gigabyte.
     """
     return np.packbits(mask, axis=-1)
 
 
-def unpacked(mask: np.ndarray, width: int) -> np.ndarray:
+def unpack_mask(mask: np.ndarray, width: int) -> np.ndarray:
     """The mask again, (..., width) bool."""
     return np.unpackbits(mask, axis=-1, count=width).view(bool)
 
@@ -183,13 +191,15 @@ def half_widths(
     some frames: the string's.
     """
     widths = []
-    for number in np.unique(np.linspace(0, len(frames) - 1, SAMPLES // 8).astype(int)):
-        covered = unpacked(arm[number], scene.shape[1]).astype(np.uint8)
+    for number in np.unique(
+        np.linspace(0, len(frames) - 1, MAX_SCENE_SAMPLES // 8).astype(int)
+    ):
+        covered = unpack_mask(arm[number], scene.shape[1]).astype(np.uint8)
         above = np.where(
             cv2.dilate(covered, np.ones((5, 5))) > 0, 0, frames[number] - scene
         )
         widths.append(
-            half_width(without_specks((above > above.max() / 2).astype(np.uint8)))
+            half_width(remove_specks((above > above.max() / 2).astype(np.uint8)))
         )
     return float(np.percentile(widths, 90))
 
@@ -202,7 +212,7 @@ def half_width(mask: np.ndarray) -> float:
     return float(np.percentile(distance[mask > 0], 90)) if mask.any() else 1.0
 
 
-def _ordered(stack: np.ndarray) -> np.ndarray:
+def _sorted_values(stack: np.ndarray) -> np.ndarray:
     """Each pixel's values from dark to bright, (height, width, F)."""
     # ten times as quick as NumPy's
     turned: np.ndarray = cv2.transpose(stack.reshape(len(stack), -1))
@@ -210,7 +220,7 @@ def _ordered(stack: np.ndarray) -> np.ndarray:
     return turned.reshape(*stack.shape[1:], -1)
 
 
-def _level(ordered: np.ndarray, percent: float) -> np.ndarray:
+def _percentile(ordered: np.ndarray, percent: float) -> np.ndarray:
     """A percentile of ordered values, (height, width) float32."""
     place = percent / 100 * (ordered.shape[-1] - 1)
     before = min(int(place), ordered.shape[-1] - 1)
@@ -222,29 +232,31 @@ def _level(ordered: np.ndarray, percent: float) -> np.ndarray:
     return low + np.float32(place - before) * (high - low)
 
 
-def uncovered(scene: np.ndarray, grasp: np.ndarray, length: float) -> np.ndarray:
+def fill_never_uncovered(
+    scene: np.ndarray, grasp: np.ndarray, length: float
+) -> np.ndarray:
     """The scene with what the string never leaves replaced by what surrounds it.
 
     grasp: (F, 2) [px], length: of the string [px]. Only where the grasp rests; a moving
     one uncovers everything. What outshines its surroundings and hangs together with
     what is at the grasp is taken for string.
     """
-    if np.ptp(grasp, axis=0).max() > STILL:
+    if np.ptp(grasp, axis=0).max() > STILL_PX:
         return scene
-    width = min(int(length), WIDEST) // 2 * 2 + 1
+    width = min(int(length), MAX_WINDOW_PX) // 2 * 2 + 1
     around = cv2.medianBlur(np.clip(scene, 0, 255).astype(np.uint8), width).astype(
         np.float32
     )
     v, u = np.indices(scene.shape)
     away = np.hypot(u - grasp[0, 0], v - grasp[0, 1])
     patch = cv2.connectedComponents(
-        ((scene > around + SHADE) & (away < length)).astype(np.uint8)
+        ((scene > around + SHADE_SIGMAS) & (away < length)).astype(np.uint8)
     )[1]
-    hangs = np.isin(patch, np.setdiff1d(patch[away < STATIC * length], 0))
+    hangs = np.isin(patch, np.setdiff1d(patch[away < STATIC_SHARE * length], 0))
     return np.where(hangs, np.minimum(scene, around), scene)
 
 
-def expected(
+def expected_brightness(
     image: np.ndarray,
     scene: np.ndarray,
     moments: np.ndarray,
@@ -263,22 +275,24 @@ def expected(
     if not len(moments):
         nowhere = np.zeros(scene.shape, bool)
         return scene, nowhere, nowhere
-    covers = [silhouette(scene.shape, joints[None], width) for joints in moments]
+    covers = [arm_silhouette(scene.shape, joints[None], width) for joints in moments]
     cover = cv2.GaussianBlur(np.mean(covers, axis=0, dtype=np.float32), (0, 0), 0.5)
-    middle = silhouette(scene.shape, moments, max(width / 3, 1)) & (cover > 0.99)
+    middle = arm_silhouette(scene.shape, moments, max(width / 3, 1)) & (cover > 0.99)
     body = float(np.median(image[middle])) if middle.any() else 0.0
     seen = scene + cover * (body - scene)
     around = np.ones((2 * round(margin) + 1,) * 2, np.uint8)
     near = cv2.dilate(cover, around) > 0
     most = np.where(near, cv2.dilate(seen, around), seen)
-    return most, cover > 0.99, near & (most > seen + UNCERTAIN)
+    return most, cover > 0.99, near & (most > seen + UNCERTAIN_SIGMAS)
 
 
-def brightest(images: Sequence[np.ndarray], scene: np.ndarray) -> float:
+def string_brightness(images: Sequence[np.ndarray], scene: np.ndarray) -> float:
     """The brightness of the string where nothing blurs it, from where each frame
     outshines the scene most.
     """
-    chosen = np.unique(np.linspace(0, len(images) - 1, SAMPLES // 4).astype(int))
+    chosen = np.unique(
+        np.linspace(0, len(images) - 1, MAX_SCENE_SAMPLES // 4).astype(int)
+    )
     return float(
         np.percentile(
             [images[int(i)].flat[np.argmax(images[int(i)] - scene)] for i in chosen], 90
@@ -286,24 +300,27 @@ def brightest(images: Sequence[np.ndarray], scene: np.ndarray) -> float:
     )
 
 
-def noise(difference: np.ndarray) -> float:
+def estimate_noise(difference: np.ndarray) -> float:
     """One sigma of what is not string, by the median: the string covers less than half.
     difference: any shape.
     """
     return max(
-        float(np.median(np.abs(difference - np.median(difference)))) / 0.6745, GREY
+        float(np.median(np.abs(difference - np.median(difference)))) / 0.6745,
+        GREY_SHARE,
     )
 
 
-def without_specks(mask: np.ndarray) -> np.ndarray:
+def remove_specks(mask: np.ndarray) -> np.ndarray:
     """The mask without patches of fewer than SPECK pixels. mask: (height, width) uint8,
     0 or 1.
     """
     _, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    return mask & (stats[:, cv2.CC_STAT_AREA] >= SPECK)[label].astype(np.uint8)
+    return mask & (stats[:, cv2.CC_STAT_AREA] >= MIN_PATCH_PX)[label].astype(np.uint8)
 
 
-def silhouette(shape: tuple[int, ...], moments: np.ndarray, width: float) -> np.ndarray:
+def arm_silhouette(
+    shape: tuple[int, ...], moments: np.ndarray, width: float
+) -> np.ndarray:
     """Pixels within `width` / 2 [px] of the arm's links at any moment, bool. moments:
     (K, J + 1, 2) joints [px].
     """

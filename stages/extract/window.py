@@ -37,7 +37,7 @@ class Window:
         return whole
 
 
-def around(centre: np.ndarray, reach: float, shape: tuple[int, ...]) -> Window:
+def window_around(centre: np.ndarray, reach: float, shape: tuple[int, ...]) -> Window:
     """The window of half width `reach` [px] about a place (u, v), cut at the picture's
     edges.
     """

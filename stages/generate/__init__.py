@@ -1,7 +1,7 @@
 """Generate: random joint-velocity curves until the simulated tip hits the target (III)."""
 
 from stringcast.data.artifacts import Estimate, Motion
-from stringcast.stages.spec import MODEL, Last, StageSpec
+from stringcast.stages.spec import MODEL, LatestIteration, StageSpec
 
 STAGE = StageSpec(
     name="generate",
@@ -9,6 +9,6 @@ STAGE = StageSpec(
     folder="motion",
     uses=(*MODEL, "target", "obstacles", "generate", "seed"),
     run="stages.generate.generate.run",
-    inputs={"motion": Last(Motion), "estimate": Last(Estimate)},
+    inputs={"motion": LatestIteration(Motion), "estimate": LatestIteration(Estimate)},
     by=("stages.generate.generate.generate", "stages.generate.robust.generate"),
 )

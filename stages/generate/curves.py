@@ -24,7 +24,7 @@ class Curves:
     duration: np.ndarray
     control: np.ndarray
 
-    def sampled(self, tick: float, until: float) -> tuple[np.ndarray, np.ndarray]:
+    def sample(self, tick: float, until: float) -> tuple[np.ndarray, np.ndarray]:
         """Angles and velocities (B, K, J) on the tick from 0 to `until` [s]; at rest
         after T.
         """
@@ -46,12 +46,12 @@ class Curves:
         )
         return self.start[:, None] + turned * self.duration[:, None, None], speed
 
-    def only(self, chosen: np.ndarray | slice) -> Curves:
+    def select(self, chosen: np.ndarray | slice) -> Curves:
         """Some of the movements, by their numbers."""
         return Curves(self.start[chosen], self.duration[chosen], self.control[chosen])
 
 
-def joined(parts: Sequence[Curves]) -> Curves:
+def join_curves(parts: Sequence[Curves]) -> Curves:
     """Several batches of movements as one."""
     return Curves(
         *(

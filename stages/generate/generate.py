@@ -37,12 +37,12 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from stringcast.stages.spec import Call
+from stringcast.stages.spec import StageCall
 
 # motions simulated at once: 90 MB of a string of 57 points for 1.5 s; after a hit no
 # more are
-PIECE = 64
-FINE = 5  # looks at the tip in a tick: at 20 m/s it moves 20 mm between two
+BATCH_SIZE = 64
+SUBSTEPS = 5  # looks at the tip in a tick: at 20 m/s it moves 20 mm between two
 HIT = "hit"
 
 
@@ -53,7 +53,7 @@ class MotionNotFoundError(ExpectedError):
 
 
 @dataclass(frozen=True)
-class Drawing(SettingsGroup):
+class MotionRanges(SettingsGroup):
     """Settings by which motions are drawn. shortest, longest: range of T [s]. alpha:
     limit of the random accelerations [rad/s^2]. fraction: of the control points' range
     by which slight changes of the last motion differ.
@@ -74,7 +74,7 @@ class Drawing(SettingsGroup):
 
 
 @dataclass(frozen=True)
-class Budget(SettingsGroup):
+class SearchBudget(SettingsGroup):
     """attempts: motions of a kind tried at most. batch: of these at a time. hits:
     motions that hit, of which the one whose tip stays longest in the box is taken (1 is
     the paper's first come).
@@ -86,7 +86,7 @@ class Budget(SettingsGroup):
 
 
 @dataclass(frozen=True)
-class Simulated:
+class SimulatedCandidates:
     """Simulated candidates. times: (F,) [s]. points: (C, F, n, 2) [m]. inside: (C, F -
     1) tip in the box.
     """
@@ -96,7 +96,7 @@ class Simulated:
     inside: np.ndarray
 
 
-def run(call: Call, motion: Motion | None, estimate: Estimate | None) -> Motion:
+def run(call: StageCall, motion: Motion | None, estimate: Estimate | None) -> Motion:
     """A motion at the target, by what was cast and estimated before; as a stage."""
     setup = call.setup
     given = (setup.model, setup.target, setup.obstacles, motion, estimate)
@@ -112,8 +112,8 @@ def generate(
     estimate: Estimate | None,
     *,
     seed: int,
-    drawing: Drawing,
-    budget: Budget,
+    drawing: MotionRanges,
+    budget: SearchBudget,
     progress: Progress = lambda share: None,
 ) -> Motion:
     """A motion whose simulated tip hits the target during the movement.
@@ -131,13 +131,13 @@ def generate(
         lambda size: first_curves(model.arm, rng, size, *given)
     ]
     if previous is not None:
-        last = (curves_of(previous), drawing.fraction)
+        last = (curves_from_motion(previous), drawing.fraction)
         curves.insert(0, lambda size: next_curves(model.arm, rng, size, *given, *last))
     for draw in curves:
         tried, found = Counter[str](), list[tuple[float, Motion]]()
         while tried.total() < budget.attempts and len(found) < budget.hits:
             size = min(budget.batch, budget.attempts - tried.total())
-            found += _tried(
+            found += _try_curves(
                 model,
                 target,
                 obstacles,
@@ -149,7 +149,7 @@ def generate(
             progress(tried.total() / budget.attempts)
         count += tried
         if found:  # of several, the one whose tip stays longest in the box
-            return _stated(max(found, key=lambda one: one[0])[1], count)
+            return _motion_with_counts(max(found, key=lambda one: one[0])[1], count)
     reasons = "; ".join(f"{reason}: {number}" for reason, number in count.most_common())
     raise MotionNotFoundError(
         f"no motion hits the target in {count.total()} tries ({reasons}). "
@@ -157,7 +157,7 @@ def generate(
     )
 
 
-def _stated(best: Motion, count: Counter[str]) -> Motion:
+def _motion_with_counts(best: Motion, count: Counter[str]) -> Motion:
     """A motion with how many were tried, and what became of them."""
     attempts = ATTEMPTS.check(
         pd.DataFrame(sorted(count.items()), columns=["outcome", "count"])
@@ -167,7 +167,7 @@ def _stated(best: Motion, count: Counter[str]) -> Motion:
     )
 
 
-def curves_of(motion: Motion) -> Curves:
+def curves_from_motion(motion: Motion) -> Curves:
     """The curves of a motion found before."""
     control = motion.control_points.pivot(
         index="joint", columns="index", values="velocity"
@@ -176,7 +176,7 @@ def curves_of(motion: Motion) -> Curves:
     return Curves(start, np.array([motion.duration]), control[None])
 
 
-def _tried(
+def _try_curves(
     model: Model,
     target: Box,
     obstacles: Sequence[Box],
@@ -187,21 +187,23 @@ def _tried(
 ) -> list[tuple[float, Motion]]:
     """Check the arm, simulate what is allowed, and keep what hits, in the order drawn."""
     arm, until = model.arm, float(curves.duration.max())
-    angles, speeds = curves.sampled(arm.tick, until)
+    angles, speeds = curves.sample(arm.tick, until)
     reasons = arm_faults(arm, obstacles, angles, speeds)
     allowed = np.flatnonzero(reasons == "")
     found: list[tuple[float, Motion]] = []
-    for first in range(0, len(allowed), PIECE):
-        some = allowed[first : first + PIECE]
-        seen = _simulated(model, target, values, angles[some], speeds[some], until)
+    for first in range(0, len(allowed), BATCH_SIZE):
+        some = allowed[first : first + BATCH_SIZE]
+        seen = _simulate_curves(
+            model, target, values, angles[some], speeds[some], until
+        )
         reasons[some] = _string_faults(seen, obstacles, curves.duration[some])
         for index in np.flatnonzero(reasons[some] == HIT)[: wanted - len(found)]:
             found.append(
-                _motion(
+                _build_motion(
                     arm,
                     target,
                     model.string,
-                    curves.only(some[[index]]),
+                    curves.select(some[[index]]),
                     seen,
                     int(index),
                 )
@@ -246,28 +248,28 @@ def arm_faults(
     return reasons
 
 
-def _simulated(
+def _simulate_curves(
     model: Model,
     target: Box,
     values: np.ndarray,
     angles: np.ndarray,
     speeds: np.ndarray,
     until: float,
-) -> Simulated:
+) -> SimulatedCandidates:
     """The strings of allowed movements."""
     tick = model.arm.tick
-    times = np.arange(round(until / tick) * FINE + 1) * tick / FINE
+    times = np.arange(round(until / tick) * SUBSTEPS + 1) * tick / SUBSTEPS
     motion = model.simulate_string(
         JointMotion(0.0, tick, angles, speeds),
         np.repeat(values[None], len(angles), axis=0),
         times,
     )
     inside = target.is_crossed_by(motion.tip[:, :-1], motion.tip[:, 1:])
-    return Simulated(times, motion.points, inside)
+    return SimulatedCandidates(times, motion.points, inside)
 
 
 def _string_faults(
-    seen: Simulated, obstacles: Sequence[Box], duration: np.ndarray
+    seen: SimulatedCandidates, obstacles: Sequence[Box], duration: np.ndarray
 ) -> np.ndarray:
     """Why each string fails, or HIT, (C,)."""
     reasons = np.full(len(duration), HIT, dtype=object)
@@ -284,8 +286,13 @@ def _string_faults(
     return reasons
 
 
-def _motion(
-    arm: Arm, target: Box, string: String, curve: Curves, seen: Simulated, index: int
+def _build_motion(
+    arm: Arm,
+    target: Box,
+    string: String,
+    curve: Curves,
+    seen: SimulatedCandidates,
+    index: int,
 ) -> tuple[float, Motion]:
     """The artifact of one hit, and how long its tip stays in the box [s]."""
     duration = float(curve.duration[0])
@@ -305,21 +312,23 @@ def _motion(
         },
     }
     stay = len(inside) * (seen.times[1] - seen.times[0])
-    ticks = np.flatnonzero(seen.times <= duration + 1e-9)[::FINE]
+    ticks = np.flatnonzero(seen.times <= duration + 1e-9)[::SUBSTEPS]
     return stay, Motion(
-        commands_of(arm, curve),
-        control_points_of(curve),
-        string_of(seen.times[ticks], string.arc_lengths(), seen.points[index, ticks]),
+        command_table(arm, curve),
+        control_point_table(curve),
+        predicted_string_table(
+            seen.times[ticks], string.arc_lengths(), seen.points[index, ticks]
+        ),
         ATTEMPTS.empty(),
         MOTION_OUTCOME.check(pd.DataFrame([outcome])),
     )
 
 
-def commands_of(arm: Arm, curve: Curves) -> pd.DataFrame:
+def command_table(arm: Arm, curve: Curves) -> pd.DataFrame:
     """Table COMMANDS of one movement: each velocity is the mean over the tick in which
     it is held.
     """
-    angles = curve.sampled(arm.tick, float(curve.duration[0]))[0][0]
+    angles = curve.sample(arm.tick, float(curve.duration[0]))[0][0]
     columns = {"t": np.arange(len(angles)) * arm.tick}
     columns |= dict(zip(JOINTS, angles.T, strict=True)) | dict(
         zip(SPEEDS, arm.commanded_velocities(angles).T, strict=True)
@@ -327,7 +336,7 @@ def commands_of(arm: Arm, curve: Curves) -> pd.DataFrame:
     return COMMANDS.check(pd.DataFrame(columns))
 
 
-def control_points_of(curve: Curves) -> pd.DataFrame:
+def control_point_table(curve: Curves) -> pd.DataFrame:
     """Table CONTROL_POINTS of one movement."""
     joints, index = np.indices(curve.control.shape[1:])
     t = index * curve.duration[0] / INTERVALS
@@ -340,7 +349,9 @@ def control_points_of(curve: Curves) -> pd.DataFrame:
     return CONTROL_POINTS.check(pd.DataFrame(columns))
 
 
-def string_of(times: np.ndarray, arc: np.ndarray, points: np.ndarray) -> pd.DataFrame:
+def predicted_string_table(
+    times: np.ndarray, arc: np.ndarray, points: np.ndarray
+) -> pd.DataFrame:
     """Table PREDICTED_STRING. times: (T,) ticks [s]. arc: (n,) lengths [m]. points: (T,
     n, 2) as simulated [m].
     """

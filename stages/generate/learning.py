@@ -13,18 +13,23 @@ from __future__ import annotations
 import numpy as np
 
 from stringcast.stages.common import rms
-from stringcast.stages.generate.chance import Task, between, simulated
 from stringcast.stages.generate.curves import Curves
-from stringcast.stages.generate.draws import Draws
+from stringcast.stages.generate.hit_probability import (
+    CastTask,
+    midpoint_tip_path,
+    simulate_motions,
+)
+from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 
-PLACES = 4  # on the string, from its tip, that stand for all that are seen
-EVERY = 4  # ticks: a simulation's error lasts, so that nearer looks are no new evidence
-LEAST = 1e-3  # [m] what is seen and simulated is never surer
+OBSERVED_PLACES = 4  # on the string, from its tip, that stand for all that are seen
+# ticks: a simulation's error lasts, so that nearer looks are no new evidence
+TICK_STRIDE = 4
+MIN_SIGMA_M = 1e-3  # [m] what is seen and simulated is never surer
 RIDGE = 1e-3  # of the exponents' variance: keeps a fit to few draws in hand
 
 
 def predictive_sd(
-    task: Task, curves: Curves, draws: Draws, interest: int
+    task: CastTask, curves: Curves, draws: UncertaintySamples, interest: int
 ) -> np.ndarray:
     """Predictive standard deviation of the tip at the target on the motion of interest
     after each motion, (M,) [m].
@@ -32,11 +37,12 @@ def predictive_sd(
     curves: M motions. interest: the number of one. Infinite for a motion on which a
     simulation fails.
     """
-    sigma = max(LEAST, rms(draws.off))
+    sigma = max(MIN_SIGMA_M, rms(draws.tip_error))
     # Of the string alone: by few draws, what is chance would look like what the string
     # does.
-    draws = Draws(
-        draws.values, *(0 * part for part in (draws.amplitude, draws.lag, draws.off))
+    draws = UncertaintySamples(
+        draws.values,
+        *(0 * part for part in (draws.amplitude, draws.lag, draws.tip_error)),
     )
     chi = np.stack(
         [p.chi(draws.values[:, i]) for i, p in enumerate(task.model.parameters)],
@@ -47,26 +53,28 @@ def predictive_sd(
     covariance = exponents.T @ exponents / len(draws) + RIDGE * np.eye(
         exponents.shape[1]
     )
-    _, points = simulated(task.model, curves.only(np.array([interest])), draws)
+    _, points = simulate_motions(task.model, curves.select(np.array([interest])), draws)
     # where each draw's tip is when the middle one is nearest to the target, (K, 2) [m]
-    way = between(points[:, :, -1])
+    way = midpoint_tip_path(points[:, :, -1])
     away = task.target.distance_to_centre(way)
     typical = int(np.argsort(away.min(axis=1), kind="stable")[len(way) // 2])
-    matters = _slopes(exponents, way[:, int(np.argmin(away[typical]))])
+    matters = _jacobian(exponents, way[:, int(np.argmin(away[typical]))])
     result = np.full(len(curves.duration), np.inf)
     for number in range(len(curves.duration)):
-        _, points = simulated(task.model, curves.only(np.array([number])), draws)
+        _, points = simulate_motions(
+            task.model, curves.select(np.array([number])), draws
+        )
         if np.isfinite(points).all():
-            seen = points[:, ::EVERY, ::-1][:, :, :: points.shape[2] // PLACES].reshape(
-                len(draws), -1
-            )
-            slopes = _slopes(exponents, seen) / sigma
+            seen = points[:, ::TICK_STRIDE, ::-1][
+                :, :, :: points.shape[2] // OBSERVED_PLACES
+            ].reshape(len(draws), -1)
+            slopes = _jacobian(exponents, seen) / sigma
             after = np.linalg.inv(np.linalg.inv(covariance) + slopes @ slopes.T)
             result[number] = np.sqrt(np.trace(matters.T @ after @ matters))
     return result
 
 
-def _slopes(exponents: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def _jacobian(exponents: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """(P, Y) slopes of what is seen (K, Y) with the exponents (K, P)."""
     normal = exponents.T @ exponents + RIDGE * len(exponents) * np.eye(
         exponents.shape[1]

@@ -12,23 +12,30 @@ from functools import partial
 import numpy as np
 
 from stringcast.data.artifacts import Motion
-from stringcast.stages.generate.chance import Task, outcome
-from stringcast.stages.generate.curves import Curves, first_curves, joined, next_curves
-from stringcast.stages.generate.draws import Draws
-from stringcast.stages.generate.generate import arm_faults, curves_of
-from stringcast.stages.generate.refine import Space
+from stringcast.stages.generate.curves import (
+    Curves,
+    first_curves,
+    join_curves,
+    next_curves,
+)
+from stringcast.stages.generate.generate import arm_faults, curves_from_motion
+from stringcast.stages.generate.hit_probability import CastTask, predict_outcome
+from stringcast.stages.generate.refine import MotionSpace
+from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 
-GENTLER = (1.0, 0.5, 0.25)  # of the accelerations: a gentle cast is predicted better
-AT_ONCE = 128  # movements whose limits are checked together
-TRIES = 100  # such batches of a kind at most
-BEGIN = 3  # draws that the race begins with; each round takes MORE times as many,
-MORE = 3
-FEWER = 4  # for a share of 1 / FEWER of the motions
+# of the accelerations: a gentle cast is predicted better
+SPEED_SHARES = (1.0, 0.5, 0.25)
+BATCH_SIZE = 128  # movements whose limits are checked together
+MAX_BATCHES = 100  # such batches of a kind at most
+# draws that the race begins with; each round takes MORE times as many,
+FIRST_SAMPLES = 3
+SAMPLE_GROWTH = 3
+MOTION_REDUCTION = 4  # for a share of 1 / FEWER of the motions
 
 
-def entrants(
-    task: Task,
-    space: Space,
+def sample_feasible_motions(
+    task: CastTask,
+    space: MotionSpace,
     previous: Motion | None,
     fraction: float,
     count: int,
@@ -41,44 +48,52 @@ def entrants(
     """
     arm, durations, found = space.arm, (space.shortest, space.longest), []
     draw = [
-        partial(first_curves, arm, rng, AT_ONCE, durations, space.alpha * share)
-        for share in GENTLER
+        partial(first_curves, arm, rng, BATCH_SIZE, durations, space.alpha * share)
+        for share in SPEED_SHARES
     ]
     if previous is not None:
-        last = curves_of(previous)
-        found.append(possible(task, last))
+        last = curves_from_motion(previous)
+        found.append(feasible_motions(task, last))
         draw.append(
             partial(
-                next_curves, arm, rng, AT_ONCE, durations, space.alpha, last, fraction
+                next_curves,
+                arm,
+                rng,
+                BATCH_SIZE,
+                durations,
+                space.alpha,
+                last,
+                fraction,
             )
         )
     for kind in draw:
         own: list[Curves] = []
         while (
-            sum(len(c.duration) for c in own) * len(draw) < count and len(own) < TRIES
+            sum(len(c.duration) for c in own) * len(draw) < count
+            and len(own) < MAX_BATCHES
         ):
-            own.append(possible(task, kind()))
+            own.append(feasible_motions(task, kind()))
         found += own
-    return joined(found)
+    return join_curves(found)
 
 
-def possible(task: Task, curves: Curves) -> Curves:
+def feasible_motions(task: CastTask, curves: Curves) -> Curves:
     """The movements that keep every limit of the arm."""
-    angles, speeds = curves.sampled(task.model.arm.tick, float(curves.duration.max()))
-    return curves.only(
+    angles, speeds = curves.sample(task.model.arm.tick, float(curves.duration.max()))
+    return curves.select(
         np.flatnonzero(arm_faults(task.model.arm, task.obstacles, angles, speeds) == "")
     )
 
 
-def race(task: Task, curves: Curves, draws: Draws) -> Curves:
+def race_motions(task: CastTask, curves: Curves, draws: UncertaintySamples) -> Curves:
     """The movements that are left when all `draws` have been seen, the nearest first."""
-    count = BEGIN
+    count = FIRST_SAMPLES
     while True:
-        closeness = outcome(task, curves, draws.only(slice(count))).closeness
-        ranked = curves.only(np.argsort(-closeness, kind="stable"))
+        closeness = predict_outcome(task, curves, draws.select(slice(count))).closeness
+        ranked = curves.select(np.argsort(-closeness, kind="stable"))
         if count >= len(draws):
             return ranked
         curves, count = (
-            ranked.only(np.arange(-(-len(closeness) // FEWER))),
-            count * MORE,
+            ranked.select(np.arange(-(-len(closeness) // MOTION_REDUCTION))),
+            count * SAMPLE_GROWTH,
         )

@@ -11,22 +11,23 @@ from dataclasses import dataclass
 import numpy as np
 from cmaes import CMA
 
-from stringcast.stages.generate.chance import Task, outcome
 from stringcast.stages.generate.curves import INTERVALS, Curves, whole_ticks
-from stringcast.stages.generate.draws import Draws
 from stringcast.stages.generate.generate import arm_faults
+from stringcast.stages.generate.hit_probability import CastTask, predict_outcome
+from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 from stringcast.stages.model.arm import Arm
 
-POPULATION = 12  # candidates in a generation of CMA-ES
-STEP = 0.02  # first step, as a share of each coordinate's range
+POPULATION_SIZE = 12  # candidates in a generation of CMA-ES
+INITIAL_STEP = 0.02  # first step, as a share of each coordinate's range
 # times alpha: accelerations that a refined motion may come to; the arm's limits hold
 # anyway
-WIDEST = 3.0
-SPARE = 2  # times as many are asked for as are simulated: some the arm cannot make
+MAX_STEP_RATIO = 3.0
+# times as many are asked for as are simulated: some the arm cannot make
+SPARE_FACTOR = 2
 
 
 @dataclass(frozen=True)
-class Space:
+class MotionSpace:
     """Movements as points (D,): start angles and T [s] as shares of their ranges, then
     the accelerations alpha_n of Eq. 2 as shares of alpha [rad/s^2].
     """
@@ -42,7 +43,7 @@ class Space:
         joints = len(self.arm.links)
         return np.array(
             [[0.0, 1.0]] * (joints + 1)
-            + [[-WIDEST, WIDEST]] * (joints * (INTERVALS - 1))
+            + [[-MAX_STEP_RATIO, MAX_STEP_RATIO]] * (joints * (INTERVALS - 1))
         )
 
     def points(self, curves: Curves) -> np.ndarray:
@@ -77,15 +78,24 @@ class Space:
         return Curves(lowest + start * (highest - lowest), duration, control)
 
 
-def refine(
-    task: Task, space: Space, starts: Curves, draws: Draws, rounds: int, seed: int
+def refine_motions(
+    task: CastTask,
+    space: MotionSpace,
+    starts: Curves,
+    draws: UncertaintySamples,
+    rounds: int,
+    seed: int,
 ) -> Curves:
     """The best movement found from each start. All are tried on the same draws: chance
     does not decide between two.
     """
     points = space.points(starts)
-    best, most = points.copy(), outcome(task, starts, draws).closeness
-    settings = {"sigma": STEP, "bounds": space.bounds, "population_size": POPULATION}
+    best, most = points.copy(), predict_outcome(task, starts, draws).closeness
+    settings = {
+        "sigma": INITIAL_STEP,
+        "bounds": space.bounds,
+        "population_size": POPULATION_SIZE,
+    }
     inside = np.clip(points, *space.bounds.T)
     # NumPy takes no larger seed
     searches = [
@@ -93,9 +103,9 @@ def refine(
         for number, point in enumerate(inside)
     ]
     for _ in range(rounds):
-        asked = [_asked(task, space, search) for search in searches]
+        asked = [_ask_points(task, space, search) for search in searches]
         tried = np.concatenate([point[:count] for point, count in asked])
-        close = outcome(task, space.curves(tried), draws).closeness
+        close = predict_outcome(task, space.curves(tried), draws).closeness
         parts = np.split(close, np.cumsum([count for _, count in asked])[:-1])
         for number, (search, (point, count), own) in enumerate(
             zip(searches, asked, parts, strict=True)
@@ -108,13 +118,15 @@ def refine(
     return space.curves(best)
 
 
-def _asked(task: Task, space: Space, search: CMA) -> tuple[np.ndarray, int]:
+def _ask_points(
+    task: CastTask, space: MotionSpace, search: CMA
+) -> tuple[np.ndarray, int]:
     """Points (POPULATION, D) that the search asks for, those first that the arm can
     make, and how many these are.
     """
-    points = np.stack([search.ask() for _ in range(SPARE * POPULATION)])
+    points = np.stack([search.ask() for _ in range(SPARE_FACTOR * POPULATION_SIZE)])
     curves = space.curves(points)
-    sampled = curves.sampled(space.arm.tick, float(curves.duration.max()))
+    sampled = curves.sample(space.arm.tick, float(curves.duration.max()))
     fine = arm_faults(space.arm, task.obstacles, *sampled) == ""
-    order = np.argsort(~fine, kind="stable")[:POPULATION]
+    order = np.argsort(~fine, kind="stable")[:POPULATION_SIZE]
     return points[order], int(fine[order].sum())

@@ -17,34 +17,43 @@ from pydantic import Field
 
 from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, Estimate, Motion
 from stringcast.data.lazy_module import LazyModule
-from stringcast.stages.common import Progress, SettingsGroup, part
-from stringcast.stages.generate.chance import Task, between, outcome, simulated
-from stringcast.stages.generate.curves import Curves, joined
-from stringcast.stages.generate.draws import Draws, Uncertainty, drawn
+from stringcast.stages.common import Progress, SettingsGroup, partial_progress
+from stringcast.stages.generate.curves import Curves, join_curves
 from stringcast.stages.generate.generate import (
     HIT,
-    Drawing,
     MotionNotFoundError,
-    commands_of,
-    control_points_of,
-    string_of,
+    MotionRanges,
+    command_table,
+    control_point_table,
+    predicted_string_table,
+)
+from stringcast.stages.generate.hit_probability import (
+    CastTask,
+    midpoint_tip_path,
+    predict_outcome,
+    simulate_motions,
 )
 from stringcast.stages.generate.learning import predictive_sd
-from stringcast.stages.generate.race import entrants, race
-from stringcast.stages.generate.refine import Space, refine
+from stringcast.stages.generate.race import race_motions, sample_feasible_motions
+from stringcast.stages.generate.refine import MotionSpace, refine_motions
+from stringcast.stages.generate.uncertainty_samples import (
+    PlanningUncertainty,
+    UncertaintySamples,
+    sample_uncertainty,
+)
 from stringcast.stages.hit_test import check_reach
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
 
 stats = LazyModule("scipy.stats")
 
-FINALISTS = 4  # winners of the race that are refined
-NEAREST = 8  # winners of the race that may be chosen all the same
-ENOUGH = 0.5  # of the draws hit: nothing else is sought
+FINALIST_COUNT = 4  # winners of the race that are refined
+NEAREST_MOTIONS = 8  # winners of the race that may be chosen all the same
+SUFFICIENT_HIT_SHARE = 0.5  # of the draws hit: nothing else is sought
 
 
 @dataclass(frozen=True)
-class Sought:
+class SearchResult:
     """Motions found, of how many tried, and the largest share of draws that one of
     those refined hits.
     """
@@ -55,7 +64,7 @@ class Sought:
 
 
 @dataclass(frozen=True)
-class Search(SettingsGroup):
+class SearchEffort(SettingsGroup):
     """Effort of the search. motions: random ones that race. strings: draws on which
     winners are refined, for `rounds` of CMA-ES. searches: from other random motions
     each, at most, while none found hits half of the draws; before the first trial, one.
@@ -79,9 +88,9 @@ def generate(
     estimate: Estimate | None,
     *,
     seed: int,
-    drawing: Drawing,
-    search: Search,
-    uncertainty: Uncertainty,
+    drawing: MotionRanges,
+    search: SearchEffort,
+    uncertainty: PlanningUncertainty,
     progress: Progress = lambda share: None,
 ) -> Motion:
     """The motion with the highest chance that the tip enters the target box, as far as
@@ -94,51 +103,59 @@ def generate(
     range of durations; a motion that hits with no draw is still the one that comes
     nearest.
     """
-    space = Space(model.arm, *drawing.durations, drawing.alpha)
+    space = MotionSpace(model.arm, *drawing.durations, drawing.alpha)
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
-    task = Task(model, target, obstacles)
-    draws = drawn(model, estimate, uncertainty, search.strings, rng)
+    task = CastTask(model, target, obstacles)
+    draws = sample_uncertainty(model, estimate, uncertainty, search.strings, rng)
     # half of all strings there may be are not hit by any motion
     most = 1 if estimate is None else search.searches
-    found: list[Sought] = []
-    while len(found) < most and not any(each.share >= ENOUGH for each in found):
-        random = entrants(task, space, previous, drawing.fraction, search.motions, rng)
+    found: list[SearchResult] = []
+    while len(found) < most and not any(
+        each.share >= SUFFICIENT_HIT_SHARE for each in found
+    ):
+        random = sample_feasible_motions(
+            task, space, previous, drawing.fraction, search.motions, rng
+        )
         found.append(
-            sought(
+            search_motions(
                 task,
                 space,
                 random,
                 draws,
                 search.rounds,
                 seed,
-                part(progress, len(found), most),
+                partial_progress(progress, len(found), most),
             )
         )
-    final = joined([each.best for each in found])
+    final = join_curves([each.best for each in found])
 
-    best = _chosen(
+    best = _choose_motion(
         task,
         final,
-        drawn(model, estimate, uncertainty, search.strings, rng),
+        sample_uncertainty(model, estimate, uncertainty, search.strings, rng),
         search.exploration,
     )
     progress(1.0)
-    validation = drawn(model, estimate, uncertainty, search.validation, rng)
-    return stated(
+    validation = sample_uncertainty(
+        model, estimate, uncertainty, search.validation, rng
+    )
+    return build_motion_artifact(
         task,
-        final.only(np.array([best])),
+        final.select(np.array([best])),
         validation,
         sum(each.tried for each in found),
     )
 
 
-def _chosen(task: Task, final: Curves, fresh: Draws, exploration: float) -> int:
+def _choose_motion(
+    task: CastTask, final: Curves, fresh: UncertaintySamples, exploration: float
+) -> int:
     """Number of the motion that comes nearest, or of one that is nearly so and teaches
     more. fresh: draws by which none was chosen. exploration: closeness that may be
     given for that.
     """
-    closeness = outcome(task, final, fresh).closeness
+    closeness = predict_outcome(task, final, fresh).closeness
     best = int(np.argmax(closeness))
     near = np.flatnonzero(closeness >= closeness[best] - exploration)
     if len(near) > 1:
@@ -146,7 +163,10 @@ def _chosen(task: Task, final: Curves, fresh: Draws, exploration: float) -> int:
             near[
                 np.argmin(
                     predictive_sd(
-                        task, final.only(near), fresh, int(np.searchsorted(near, best))
+                        task,
+                        final.select(near),
+                        fresh,
+                        int(np.searchsorted(near, best)),
                     )
                 )
             ]
@@ -154,15 +174,15 @@ def _chosen(task: Task, final: Curves, fresh: Draws, exploration: float) -> int:
     return best
 
 
-def sought(
-    task: Task,
-    space: Space,
+def search_motions(
+    task: CastTask,
+    space: MotionSpace,
     random: Curves,
-    draws: Draws,
+    draws: UncertaintySamples,
     rounds: int,
     seed: int,
     progress: Progress,
-) -> Sought:
+) -> SearchResult:
     """The best of random motions, and these refined; raises MotionNotFoundError where
     there is none.
     """
@@ -170,22 +190,28 @@ def sought(
         raise MotionNotFoundError(
             "no random motion keeps the arm's limits and clear of the obstacles. Widen them, or lower generate.alpha."
         )
-    best = race(task, random, draws)
+    best = race_motions(task, random, draws)
     progress(0.4)
-    refined = refine(task, space, best.only(slice(FINALISTS)), draws, rounds, seed)
+    refined = refine_motions(
+        task, space, best.select(slice(FINALIST_COUNT)), draws, rounds, seed
+    )
     progress(0.9)
-    share = float(outcome(task, refined, draws).hit.mean(axis=1).max())
-    return Sought(
-        joined([refined, best.only(slice(NEAREST))]), len(random.duration), share
+    share = float(predict_outcome(task, refined, draws).hit.mean(axis=1).max())
+    return SearchResult(
+        join_curves([refined, best.select(slice(NEAREST_MOTIONS))]),
+        len(random.duration),
+        share,
     )
 
 
-def stated(task: Task, curve: Curves, draws: Draws, tried: int) -> Motion:
+def build_motion_artifact(
+    task: CastTask, curve: Curves, draws: UncertaintySamples, tried: int
+) -> Motion:
     """The artifact of one movement, with its chance of hitting as these draws find it."""
-    made = outcome(task, curve, draws)
+    made = predict_outcome(task, curve, draws)
     hit, distance = (
         made.hit[0],
-        np.where(made.hit[0] | (made.clear[0] == 1), made.distance[0], np.inf),
+        np.where(made.hit[0] | (made.free_share[0] == 1), made.distance[0], np.inf),
     )
     if np.isinf(distance).all():
         raise MotionNotFoundError(
@@ -194,8 +220,10 @@ def stated(task: Task, curve: Curves, draws: Draws, tried: int) -> Motion:
         )
     order = np.lexsort((distance, ~hit))  # those that hit come first, the nearest first
     typical = int(order[hit.sum() // 2])
-    points = simulated(task.model, curve, draws.only(np.array([typical])))[1][0]
-    target, way = task.target, between(points[None, :, -1])[0]
+    points = simulate_motions(task.model, curve, draws.select(np.array([typical])))[1][
+        0
+    ]
+    target, way = task.target, midpoint_tip_path(points[None, :, -1])[0]
     at = int(np.argmin(target.distance_to_centre(way)))
     share = stats.binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")
     row = {
@@ -218,9 +246,9 @@ def stated(task: Task, curve: Curves, draws: Draws, tried: int) -> Motion:
         {"outcome": ["less likely to hit", HIT], "count": [tried - 1, 1]}
     )
     return Motion(
-        commands_of(task.model.arm, curve),
-        control_points_of(curve),
-        string_of(
+        command_table(task.model.arm, curve),
+        control_point_table(curve),
+        predicted_string_table(
             np.arange(len(points)) * task.model.arm.tick,
             task.model.string.arc_lengths(),
             points,

@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from stringcast.data.schema import DataError
-from stringcast.stages.common import at_places
+from stringcast.stages.common import points_at_arc_lengths
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.state import StringState
 
@@ -115,7 +115,7 @@ def _early_tracks(
     early = frame < PARABOLA_FRAMES
     frame, s = frame[early], s[early]
     places = s[frame == np.argmax(np.bincount(frame))]
-    tracks = at_places(frame, s, points[early], places)
+    tracks = points_at_arc_lengths(frame, s, points[early], places)
     for number, track in enumerate(tracks):
         far = (
             np.abs(places[:, None] - s[frame == number]).min(axis=1)

@@ -22,7 +22,7 @@ from stringcast.data.artifacts import (
     Points,
     Trial,
 )
-from stringcast.stages.hit_test import Verdict, tip_way
+from stringcast.stages.hit_test import HitResult, tip_path
 from stringcast.stages.inference.prepared_trial import observed_motion
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
@@ -60,7 +60,7 @@ class Cast:
     trial: Trial
     points: Points
     estimate: Estimate | None
-    verdict: Verdict
+    verdict: HitResult
     before: np.ndarray = field(repr=False)
     after: np.ndarray = field(repr=False)
 
@@ -109,7 +109,7 @@ class Cast:
         """
         read = self.points.readings.loc[self.points.readings["valid"].astype(bool), "t"]
         inside = (t >= read.min()) & (t <= read.max())
-        return np.where(inside[:, None], tip_way(self.points.readings, t), np.nan)
+        return np.where(inside[:, None], tip_path(self.points.readings, t), np.nan)
 
     def joints(self, arm: Arm) -> np.ndarray:
         """Base, joints and hand as measured, (K, J + 1, 2) [m]."""
@@ -139,7 +139,7 @@ def simulate_cast(
     model: Model,
     observation: Observation,
     made: tuple[Motion, Trial, Points, Estimate | None],
-    verdict: Verdict,
+    verdict: HitResult,
     previous: Estimate | None,
 ) -> Cast:
     """Simulate the performed motion with the parameters before and after its

@@ -27,8 +27,12 @@ from stringcast.hardware.virtual.bench import (
 from stringcast.pipeline.run.provenance import software_versions
 from stringcast.stages.align.align import align, measured_table
 from stringcast.stages.align.excitation.excite import excite
-from stringcast.stages.align.fit import Problem, chosen, measuring
-from stringcast.stages.align.grasp import from_points
+from stringcast.stages.align.fit import (
+    AlignmentProblem,
+    measurement_model,
+    select_effects,
+)
+from stringcast.stages.align.grasp import grasp_sightings
 from stringcast.stages.align.lookalike import OFFSET
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.model.arm import Arm
@@ -139,8 +143,10 @@ def pointed(noise: str, fps: float, seed: int) -> dict[str, object]:
     seen = bench.observation(
         true | {"rolling_shutter.readout": readout}, fps, SIGMA, correlation
     )
-    problem = Problem(measuring(bench.model), (from_points(seen, bench.model.arm),))
-    fit = chosen(problem)
+    problem = AlignmentProblem(
+        measurement_model(bench.model), (grasp_sightings(seen, bench.model.arm),)
+    )
+    fit = select_effects(problem)
     measured = measured_table(problem, fit, 0.0)
     return row(
         "points",
@@ -149,7 +155,7 @@ def pointed(noise: str, fps: float, seed: int) -> dict[str, object]:
         seed,
         true[OFFSET],
         measured,
-        float(fit.reach[fit.names.index(OFFSET)]),
+        float(fit.half_widths[fit.names.index(OFFSET)]),
     )
 
 

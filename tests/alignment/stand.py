@@ -20,7 +20,7 @@ from stringcast.data.artifacts import (
 )
 from stringcast.hardware.virtual.servo import VirtualServo
 from stringcast.stages.align.excitation.excite import excite
-from stringcast.stages.align.fit import measuring
+from stringcast.stages.align.fit import measurement_model
 from stringcast.stages.model.hand import JointMotion, resample_joint_motion
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
@@ -67,7 +67,7 @@ class Stand:
         """Times (F,) of frames and where the camera sees the joints, (F, J + 1, 2).
         true: by qualified name.
         """
-        model = measuring(self.model).with_effects(*find_effects(also))
+        model = measurement_model(self.model).with_effects(*find_effects(also))
         times = np.arange(0.0, self.motion.duration, 1 / fps)
         return times, model.observed_arm(
             self._performed[1], model.values(true)[None], times

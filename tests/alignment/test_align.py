@@ -27,12 +27,20 @@ from stringcast.hardware.virtual.render import (
     render_frame,
 )
 from stringcast.stages.align.align import align
-from stringcast.stages.align.excitation.excite import drawn, excite, information
-from stringcast.stages.align.fit import ALWAYS, Problem, measuring
-from stringcast.stages.align.grasp import at_hand
-from stringcast.stages.align.lookalike import most_lag
-from stringcast.stages.align.sightings import Sighted
-from stringcast.stages.align.undo import in_arms_frame
+from stringcast.stages.align.correction import transform_to_arm_frame
+from stringcast.stages.align.excitation.excite import (
+    alignment_information,
+    draw_swings,
+    excite,
+)
+from stringcast.stages.align.fit import (
+    REQUIRED_EFFECTS,
+    AlignmentProblem,
+    measurement_model,
+)
+from stringcast.stages.align.grasp import hand_sightings
+from stringcast.stages.align.lookalike import largest_hidden_lag
+from stringcast.stages.align.sightings import SightedTrial
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.random_search import estimate
 from stringcast.stages.extract.footage import aligned_footage
@@ -83,7 +91,7 @@ def test_known_values_are_recovered_within_what_is_stated(
 ):
     true = OFF | {"time_offset.offset": offset}
     made = aligned(bench, bench.observation(true, fps, correlation=correlation))
-    assert abs(made.found()["time_offset.offset"] - offset) < 1e-3
+    assert abs(made.find()["time_offset.offset"] - offset) < 1e-3
     for name, value in true.items():
         found, reach = interval(made, name)
         assert abs(found - value) < MISSED * reach, name
@@ -92,13 +100,13 @@ def test_known_values_are_recovered_within_what_is_stated(
 
 def test_what_is_aligned_is_found_aligned(bench):
     made = aligned(bench, bench.observation({}))
-    assert not {name.split(".")[0] for name in made.found()} - {
+    assert not {name.split(".")[0] for name in made.find()} - {
         "time_offset",
         "camera_rotation",
         "pixel_scale",
         "camera_offset",
     }
-    for name in made.found():
+    for name in made.find():
         found, reach = interval(made, name)
         assert abs(found) < MISSED * reach, name
 
@@ -114,7 +122,7 @@ def test_turning_the_scene_turns_the_result_and_another_clock_sets_it_off(bench)
         t=seen.points["t"] + later,
     )
     before, after = (
-        aligned(bench, o).found() for o in (seen, replace(seen, points=turned))
+        aligned(bench, o).find() for o in (seen, replace(seen, points=turned))
     )
     assert after["camera_rotation.angle"] - before[
         "camera_rotation.angle"
@@ -139,7 +147,7 @@ def test_noise_that_nobody_states_is_found(bench):
     seen = bench.observation(OFF, sigma=2e-3)
     made = aligned(bench, replace(seen, points=seen.points.drop(columns="sigma")))
     assert made.seen["sigma"].iloc[0] == pytest.approx(2e-3, rel=0.2)
-    assert made.found()["time_offset.offset"] == pytest.approx(
+    assert made.find()["time_offset.offset"] == pytest.approx(
         OFF["time_offset.offset"], abs=1e-3
     )
 
@@ -151,7 +159,7 @@ def test_noise_that_nobody_states_is_found(bench):
 def test_a_lag_that_shows_is_told_from_the_offset(bench):
     true = OFF | {"arm_lag.time_constant": 0.012}
     made = aligned(bench, bench.observation(true, fps=100, sigma=3e-4))
-    assert "arm_lag.time_constant" in made.found()
+    assert "arm_lag.time_constant" in made.find()
     for name in ("time_offset.offset", "arm_lag.time_constant"):
         found, reach = interval(made, name)
         assert abs(found - true[name]) < MISSED * reach
@@ -161,8 +169,8 @@ def test_a_lag_that_shows_is_told_from_the_offset(bench):
 def test_a_lag_that_does_not_show_is_left_open_and_said(bench):
     """Offset and lag together are measured; neither is named for the other."""
     made = aligned(bench, bench.observation(OFF | {"arm_lag.time_constant": 0.002}))
-    assert "arm_lag.time_constant" not in made.found()
-    assert made.found()["time_offset.offset"] == pytest.approx(
+    assert "arm_lag.time_constant" not in made.find()
+    assert made.find()["time_offset.offset"] == pytest.approx(
         OFF["time_offset.offset"] - 0.002, abs=1e-3
     )
     assert made.aligned["most_lag"].iloc[0] > 0.002
@@ -175,9 +183,9 @@ def test_a_lag_that_would_show_at_once_is_told_smaller_than_the_first_that_is_tr
     table = pd.DataFrame(
         {"lag": [0.0, 0.25e-3, 0.5e-3], "with_lag": [0.0, 38.4, 150.0]}
     )
-    assert most_lag(table, SimpleNamespace(effects=("time_offset",))) == pytest.approx(
-        0.025e-3
-    )
+    assert largest_hidden_lag(
+        table, SimpleNamespace(effects=("time_offset",))
+    ) == pytest.approx(0.025e-3)
 
 
 # --- what cannot be told is refused
@@ -417,8 +425,8 @@ def test_the_tip_is_judged_where_it_is(model, later):
     )
     stills = np.tile(true[None, :, None], (1, 3, 1, 1))
     x, y = (
-        measuring(model)
-        .observed_points(stills, measuring(model).values(OFF)[None], t)[0, :, 0]
+        measurement_model(model)
+        .observed_points(stills, measurement_model(model).values(OFF)[None], t)[0, :, 0]
         .T
     )
     points = POINTS.check(pd.DataFrame({"t": t, "s": 0.0, "x": x, "y": y}))
@@ -436,7 +444,7 @@ def test_the_tip_is_judged_where_it_is(model, later):
             }
         )
     )
-    right = in_arms_frame(Points(points, tips, MASKS.empty()), later)
+    right = transform_to_arm_frame(Points(points, tips, MASKS.empty()), later)
     for table, columns in (
         (right.points, ["x", "y"]),
         (right.readings, ["tip_x", "tip_y"]),
@@ -462,7 +470,9 @@ def test_the_hand_is_never_faster_than_asked_however_far_it_swings(arm):
     """
     rng = np.random.default_rng(0)
     for _ in range(40):
-        angles, _ = drawn(arm, rng, duration=10.0, speed=5.0, highest=0.15, sines=3)
+        angles, _ = draw_swings(
+            arm, rng, duration=10.0, speed=5.0, highest=0.15, sines=3
+        )
         assert hand_speed(arm, angles) < 1.001 * 5.0
 
 
@@ -472,10 +482,12 @@ def test_motions_are_ranked_by_how_well_they_tell_the_clocks_where_only_these_co
     """Against what sightings 10 ms apart say of the offset, all else but a lag unknown;
     drawn ones differ by half.
     """
-    monkeypatch.setattr("stringcast.stages.align.excitation.excite.CLOCKS", 1e6)
+    monkeypatch.setattr(
+        "stringcast.stages.align.excitation.excite.CLOCK_PARAMETERS", 1e6
+    )
     told, known = [], []
     for seed in range(6):
-        angles, speeds = drawn(
+        angles, speeds = draw_swings(
             model.arm,
             np.random.default_rng(seed),
             duration=3.0,
@@ -483,17 +495,21 @@ def test_motions_are_ranked_by_how_well_they_tell_the_clocks_where_only_these_co
             highest=2.5,
             sines=3,
         )
-        told.append(information(model, angles, speeds))
+        told.append(alignment_information(model, angles, speeds))
         t = np.arange(0, 3.0, 0.01)
-        hand = at_hand(t, np.zeros((len(t), 2)), np.ones(len(t)), 3)
-        problem = Problem(
-            measuring(model),
-            (Sighted("", resample_joint_motion(np.arange(601) * 0.005, angles), hand),),
+        hand = hand_sightings(t, np.zeros((len(t), 2)), np.ones(len(t)), 3)
+        problem = AlignmentProblem(
+            measurement_model(model),
+            (
+                SightedTrial(
+                    "", resample_joint_motion(np.arange(601) * 0.005, angles), hand
+                ),
+            ),
         )
         names = problem.parameters(
-            (*ALWAYS, "clock_drift", "rolling_shutter", "lens_distortion")
+            (*REQUIRED_EFFECTS, "clock_drift", "rolling_shutter", "lens_distortion")
         )
-        slope = problem.slopes(names, np.zeros(len(names)))
+        slope = problem.jacobian(names, np.zeros(len(names)))
         known.append(
             np.linalg.inv(slope.T @ slope)[names.index("time_offset.offset")][0]
         )

@@ -9,8 +9,8 @@ from scipy.optimize import least_squares
 
 from stringcast.data.dataset import read_dataset
 from stringcast.data.store import content_hash
-from stringcast.stages.check.check import findings
-from stringcast.stages.check.measured import Measured
+from stringcast.stages.check.check import collect_findings
+from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.model.effects.camera_rotation import CameraRotation
 from stringcast.stages.model.effects.equal_points import EqualPoints
 from stringcast.stages.model.engine.integrators import RungeKutta4
@@ -123,7 +123,9 @@ def test_the_dataset_can_be_read_and_does_not_tell(drawn, seed, arm, camera, tmp
     dataset = read_dataset(tmp_path / "data")
     assert not dataset.rejection_reasons
     # no false alarm
-    assert findings(Measured(dataset, arm, camera, bench.scene.length)) == []
+    assert (
+        collect_findings(CheckedDataset(dataset, arm, camera, bench.scene.length)) == []
+    )
     assert 3 <= len(dataset.trials) <= 5
     for trial in dataset.trials.values():
         times = np.unique(trial.points["t"])

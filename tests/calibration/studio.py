@@ -9,11 +9,11 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
 from stringcast.stages.calibrate.board import Board
-from stringcast.stages.calibrate.fit import lens_of
+from stringcast.stages.calibrate.fit import lens_from_values
 
 BOARD = Board((8, 11), 0.024, 0.012, "DICT_4X4_50")  # conf/board/a4.yaml
 SIZE = (640, 480)
-LENS = lens_of([720.0, 716.0, 331.0, 233.0, -0.22, 0.09, 0.0012, -0.0008])
+LENS = lens_from_values([720.0, 716.0, 331.0, 233.0, -0.22, 0.09, 0.0012, -0.0008])
 FINER = 2  # rendered so much finer than the picture, then averaged
 SQUARE = 48  # pixels of a square of the texture
 
@@ -56,7 +56,7 @@ def picture(turn, place, rng, lens=LENS, board=BOARD, blur=0.6, noise=3.0):
     there = looking(lens) @ np.linalg.inv(flat).T
     on_board = there[..., :2] / there[..., 2:] / board.square * SQUARE - 0.5
     texture = cv2.copyMakeBorder(
-        board.drawn(SQUARE),
+        board.image(SQUARE),
         SQUARE,
         SQUARE,
         SQUARE,

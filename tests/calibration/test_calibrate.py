@@ -12,9 +12,15 @@ from studio import BOARD, LENS, SIZE, TILTED, picture, pose, tilted
 from stringcast.data.schema import DataError
 from stringcast.stages.calibrate.board import Board
 from stringcast.stages.calibrate.calibrate import calibrate
-from stringcast.stages.calibrate.fit import FLAGS, fitted, lens_of, projected, values_of
+from stringcast.stages.calibrate.fit import (
+    FLAGS,
+    fit_lens,
+    lens_from_values,
+    lens_values,
+    project_corners,
+)
 from stringcast.stages.calibrate.plane import BoardPlacement
-from stringcast.stages.calibrate.views import View, look
+from stringcast.stages.calibrate.views import BoardView, detect_board
 from stringcast.stages.model.camera import CAMERA_AXES, Camera
 
 NOMINAL = Camera(320, 320, 340.0, (1.0, 1.0), 200.0, exposure=0.001)
@@ -69,7 +75,7 @@ def test_a_known_camera_comes_back_within_its_uncertainty(clean):
     found = clean
     assert found.reason == ""
     lens = found.measured.iloc[:8]
-    z = (lens["value"] - values_of(LENS)) / lens["sigma"]
+    z = (lens["value"] - lens_values(LENS)) / lens["sigma"]
     assert np.abs(z).max() < 3  # measured: 1.5
     outcome = found.outcome.iloc[0]
     assert 0.03 < outcome["rms"] < 0.1  # measured: 0.065
@@ -84,14 +90,20 @@ def test_the_plane_is_where_the_board_was_held(clean):
     block = found.camera
     camera = Camera(
         **block
-        | {"lens": lens_of([v for part in block["lens"].values() for v in part])}
+        | {
+            "lens": lens_from_values(
+                [v for part in block["lens"].values() for v in part]
+            )
+        }
     )
     assert (camera.width, camera.height, camera.fps, camera.exposure) == (
         *SIZE,
         200.0,
         0.001,
     )
-    world = PLACE.world(np.random.default_rng(0).uniform(0, 1, (200, 2)) * BOARD.size)
+    world = PLACE.to_world(
+        np.random.default_rng(0).uniform(0, 1, (200, 2)) * BOARD.size
+    )
     pixels = true_pixels(world)
     off = np.linalg.norm(camera.world(pixels) - world, axis=1)
     assert off.max() < 1e-4  # measured: 0.023 mm; a pixel is 0.6 mm
@@ -117,7 +129,7 @@ def _distance():
 @pytest.mark.parametrize(("blur", "noise"), [(1.4, 3.0), (0.6, 10.0)])
 def test_blur_and_noise_cost_accuracy_and_are_told(clean, blur, noise):
     worse = made(*drawn(1, blur=blur, noise=noise))
-    z = (worse.measured["value"].iloc[:8] - values_of(LENS)) / worse.measured[
+    z = (worse.measured["value"].iloc[:8] - lens_values(LENS)) / worse.measured[
         "sigma"
     ].iloc[:8]
     assert np.abs(z).max() < 3.5  # measured: 2.2 and 1.6
@@ -130,23 +142,24 @@ def seen_exactly(rng, sigma, lens=LENS, poses=TILTED):
     views = []
     for number, each in enumerate(poses):
         turn, place = pose(*each)
-        view = View(
+        view = BoardView(
             number,
             np.zeros(SIZE[::-1], np.uint8),
             np.arange(len(BOARD.points)),
             np.zeros((len(BOARD.points), 2)),
         )
-        pixels = projected(lens, BOARD, view, cv2.Rodrigues(turn)[0], place)
+        pixels = project_corners(lens, BOARD, view, cv2.Rodrigues(turn)[0], place)
         views.append(replace(view, pixels=pixels + rng.normal(0, sigma, pixels.shape)))
     return views
 
 
 def test_the_uncertainty_is_the_spread_of_repeated_calibrations():
     rng = np.random.default_rng(3)
-    fits = [fitted(seen_exactly(rng, 0.3), BOARD, SIZE) for _ in range(12)]
+    fits = [fit_lens(seen_exactly(rng, 0.3), BOARD, SIZE) for _ in range(12)]
     z = np.array(
         [
-            (values_of(fit.lens) - values_of(LENS)) / np.sqrt(np.diag(fit.covariance))
+            (lens_values(fit.lens) - lens_values(LENS))
+            / np.sqrt(np.diag(fit.covariance))
             for fit in fits
         ]
     )
@@ -156,7 +169,7 @@ def test_the_uncertainty_is_the_spread_of_repeated_calibrations():
 
 def test_the_covariance_has_the_deviations_that_opencv_gives():
     views = seen_exactly(np.random.default_rng(4), 0.3)
-    ours = np.sqrt(np.diag(fitted(views, BOARD, SIZE).covariance))
+    ours = np.sqrt(np.diag(fit_lens(views, BOARD, SIZE).covariance))
     solid = [BOARD.points.astype(np.float32)] * len(views)
     theirs = cv2.calibrateCameraExtended(
         solid,
@@ -232,7 +245,7 @@ OTHERS = {
 
 @pytest.mark.parametrize("kind", OTHERS)
 def test_a_board_of_other_dimensions_is_recognised(pictures, kind):
-    assert "it is another board" in look(0, pictures[0][4], OTHERS[kind]).reason
+    assert "it is another board" in detect_board(0, pictures[0][4], OTHERS[kind]).reason
     with pytest.raises(DataError, match="it is another board"):
         made(*pictures, board=OTHERS[kind])
 
@@ -240,16 +253,17 @@ def test_a_board_of_other_dimensions_is_recognised(pictures, kind):
 def test_corners_on_one_line_do_not_fix_a_board(pictures):
     """The rest is hidden: ten corners, more than enough, from which no pose follows."""
     strip = cv2.copyMakeBorder(
-        BOARD.drawn(40)[:, :80], 20, 20, 280, 280, cv2.BORDER_CONSTANT, value=255
+        BOARD.image(40)[:, :80], 20, 20, 280, 280, cv2.BORDER_CONSTANT, value=255
     )
     assert (
-        look(0, strip, BOARD).reason == "the 10 corners that are seen are on one line"
+        detect_board(0, strip, BOARD).reason
+        == "the 10 corners that are seen are on one line"
     )
     assert made([strip, *pictures[0]], pictures[1]).reason == ""
     two = cv2.copyMakeBorder(
-        BOARD.drawn(40)[:, :120], 20, 20, 260, 260, cv2.BORDER_CONSTANT, value=255
+        BOARD.image(40)[:, :120], 20, 20, 260, 260, cv2.BORDER_CONSTANT, value=255
     )
-    assert look(0, two, BOARD).reason == ""
+    assert detect_board(0, two, BOARD).reason == ""
 
 
 def test_pictures_of_two_sizes_are_refused(pictures):
@@ -272,7 +286,7 @@ def test_a_board_that_cannot_be_is_refused():
 
 def test_a_lens_without_distortion_squarely_before_the_plane_is_the_plain_camera():
     plain = Camera(*SIZE, 340.0, (251.5, 387.5), 200.0, rotation=0.1)
-    through = replace(plain, lens=lens_of([900, 900, 330, 250, 0, 0, 0, 0]))
+    through = replace(plain, lens=lens_from_values([900, 900, 330, 250, 0, 0, 0, 0]))
     world = np.random.default_rng(0).uniform(-0.5, 0.8, (3, 7, 2))
     np.testing.assert_allclose(through.pixels(world), plain.pixels(world), atol=1e-9)
     np.testing.assert_allclose(through.world(plain.pixels(world)), world, atol=1e-12)

@@ -26,7 +26,7 @@ from stringcast.pipeline.settings.typed_settings import (
     build_dataclass,
     compose_settings,
 )
-from stringcast.stages.calibrate.views import look
+from stringcast.stages.calibrate.views import detect_board
 from stringcast.stages.model.camera import Camera
 
 SILENT = Console(quiet=True)
@@ -72,7 +72,7 @@ def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_pa
         Camera, read_measured_camera(tmp_path), "camera", "camera.yaml"
     )
     assert (camera.width, camera.height) == SIZE
-    corner = look(
+    corner = detect_board(
         0, cv2.imread(str(folders / "flat" / "00.png"), cv2.IMREAD_GRAYSCALE), BOARD
     )
     np.testing.assert_allclose(
@@ -152,10 +152,10 @@ def test_the_board_is_drawn_in_its_true_size(tmp_path):
     assert width == pytest.approx(8 * 0.024 + 0.016, abs=1e-5)
     assert height < 0.297  # it fits on A4
     assert (
-        look(
+        detect_board(
             0,
             cv2.copyMakeBorder(
-                BOARD.drawn(40), 30, 30, 30, 30, cv2.BORDER_CONSTANT, value=255
+                BOARD.image(40), 30, 30, 30, 30, cv2.BORDER_CONSTANT, value=255
             ),
             BOARD,
         ).reason

@@ -13,7 +13,7 @@ from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench, VirtualC
 from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.extract.extract import extract
-from stringcast.stages.extract.footage import footage_of
+from stringcast.stages.extract.footage import footage_from_joints
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.lens import Lens
 from stringcast.stages.model.library import effects_by_name
@@ -49,7 +49,7 @@ def off(trial, arm, camera):
     made, true, length = trial
     film = Film(made.frames["t"].to_numpy(), made.images, arm=made.arm)
     readings = extract(
-        footage_of(film, arm), camera, **READ | {"string_length": length}
+        footage_from_joints(film, arm), camera, **READ | {"string_length": length}
     ).readings
     good = readings["valid"].to_numpy(dtype=bool)
     assert good.mean() > 0.7

@@ -19,10 +19,10 @@ from stringcast.data import dataset
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands import check_effects
 from stringcast.pipeline.commands.check import read_measurements
-from stringcast.stages.check.check import CHECKS, findings, refuse
+from stringcast.stages.check.check import CHECKS, collect_findings, refuse_errors
 from stringcast.stages.check.finding import Severity
-from stringcast.stages.check.frames import shown
-from stringcast.stages.check.overview import overview
+from stringcast.stages.check.frames import check_camera_view
+from stringcast.stages.check.overview import dataset_overview
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.lens import Lens
 
@@ -91,7 +91,7 @@ def looked_at(folder):
 
 
 def found(folder):
-    return findings(looked_at(folder))
+    return collect_findings(looked_at(folder))
 
 
 def scaled(name, columns, factor):
@@ -280,7 +280,7 @@ def test_a_certain_error_is_named_with_its_remedy_and_nothing_runs_on_it(
     spoil, place, remedy = CERTAIN[kind]
     spoil(dirty)
     here = looked_at(dirty.write(tmp_path))
-    told = findings(here)
+    told = collect_findings(here)
     errors = [f for f in told if f.severity is Severity.ERROR]
     assert {f"{f.file} {f.field}" for f in errors} == {*place.split("; ")}, [
         f.sentence for f in errors
@@ -288,9 +288,9 @@ def test_a_certain_error_is_named_with_its_remedy_and_nothing_runs_on_it(
     assert remedy in errors[0].remedy
     # of which no advice on clocks or noise is given
     assert len(told) == 1 or kind not in TOO_LITTLE
-    assert not overview(here)["usable"]
+    assert not dataset_overview(here)["usable"]
     with pytest.raises(DataError) as refused:
-        refuse(here)
+        refuse_errors(here)
     assert any(one.strip() in str(refused.value) for one in place.split("; "))
     assert remedy in str(refused.value)
     assert "python -m pipeline check" in str(refused.value)
@@ -484,8 +484,8 @@ def test_what_is_suspicious_is_told(dirty, tmp_path, kind):
 @pytest.mark.parametrize("kind", {**CERTAIN, **SUSPICIOUS})
 def test_programs_find_file_field_and_remedy_of_all_that_is_told(dirty, tmp_path, kind):
     (CERTAIN | SUSPICIOUS)[kind][0](dirty)
-    for one in overview(looked_at(dirty.write(tmp_path)))["findings"]:
-        assert all(one[name] for name in ("file", "field", "said", "remedy")), one
+    for one in dataset_overview(looked_at(dirty.write(tmp_path)))["findings"]:
+        assert all(one[name] for name in ("file", "field", "statement", "remedy")), one
 
 
 def test_the_command_that_describes_the_arm_mends_it(dirty, tmp_path):
@@ -528,7 +528,7 @@ def test_harmless_dirt_is_noted_and_no_more(dirty, tmp_path):
     dirty.grasp["theta"] = np.angle(np.exp(1j * dirty.grasp["theta"]))
     told = found(dirty.write(tmp_path))
     assert {f.severity for f in told} == {Severity.NOTE}
-    assert any("(1: y is not a finite number; 40: a row twice)" in f.said for f in told)
+    assert any("(1: y is not a finite number; 40: a row twice)" in f.statement for f in told)
 
 
 def long_running(dirty):
@@ -577,7 +577,7 @@ def test_dirty_data_are_read_as_the_clean_ones(dirty, tmp_path, kind):
             "\n".join([head.replace(",", " ,"), *(f"{line}," for line in lines)])
         )
     here = looked_at(folder)
-    assert not [f for f in findings(here) if f.severity is Severity.ERROR]
+    assert not [f for f in collect_findings(here) if f.severity is Severity.ERROR]
     read = dataset.exclude_stray_points(here.data, here.length)
     assert set(read.trials) == set(clean.trials)
     for name, trial in read.trials.items():
@@ -631,9 +631,9 @@ def test_where_two_units_fit_the_fall_decides_and_both_are_said(
     dirty.points["s"] *= size
     dirty.about["string"]["length"] *= size
     worst = found(dirty.write(tmp_path))[0]
-    assert f"are in {unit}" in worst.said
+    assert f"are in {unit}" in worst.statement
     assert worst.remedy.endswith("0.01" if unit == "centimetres" else "0.001")
-    assert "would fit too" in worst.said
+    assert "would fit too" in worst.statement
 
 
 @pytest.mark.parametrize(
@@ -651,7 +651,7 @@ def test_a_string_that_falls_as_nothing_does_is_told(
     dirty.about["string"]["length"] *= lengths
     told = found(dirty.write(tmp_path))
     assert any(
-        f.field == "t, x, y" and said in f.remedy and "falls with" in f.said
+        f.field == "t, x, y" and said in f.remedy and "falls with" in f.statement
         for f in told
     )
 
@@ -704,7 +704,10 @@ def test_a_picture_is_of_the_plane_and_of_the_strings_size(kind):
     filmed = SimpleNamespace(
         data=SimpleNamespace(films={"a": None}), camera=camera, length=0.3
     )
-    told = [f"{finding.severity} {finding.said}" for finding in shown(filmed)]
+    told = [
+        f"{finding.severity} {finding.statement}"
+        for finding in check_camera_view(filmed)
+    ]
     assert len(told) == bool(said)
     assert not said or re.match(said, told[0]), told
 
@@ -826,7 +829,7 @@ def test_what_cannot_be_read_is_one_error(called, tmp_path):
     cut = called("check", tmp_path / "cut", "--json")
     assert cut.returncode == 1
     finding = json.loads(cut.stdout)["findings"][0]
-    assert (finding["file"], finding["said"][:24]) == (
+    assert (finding["file"], finding["statement"][:24]) == (
         str(file),
         "not a whole Parquet file",
     )
@@ -884,7 +887,7 @@ def test_a_clock_that_counts_since_1970_beside_one_that_does_not_is_told(
     reasons = [
         f.said
         for f in found(dirty.write(tmp_path))
-        if f.trials == tuple(TRIALS) and "overlap" in f.said
+        if f.trials == tuple(TRIALS) and "overlap" in f.statement
     ]
     assert re.search(
         r"the arm's clock says 2025-11-24 .*camera's goes from -0.05 to", reasons[0]
@@ -896,11 +899,13 @@ def test_a_clock_that_counts_since_1970_beside_one_that_does_not_is_told(
 def test_of_real_strings_nothing_is_certainly_wrong_but_the_missing_description_is_told(
     name,
 ):
-    told = findings(read_measurements(MEASURED / name, []))
-    errors = findings(read_measurements(MEASURED / name, ["string.length=0.75"]))
+    told = collect_findings(read_measurements(MEASURED / name, []))
+    errors = collect_findings(
+        read_measurements(MEASURED / name, ["string.length=0.75"])
+    )
     assert all(f.severity is not Severity.ERROR for f in errors)
     assert all(
-        "on a string of 0.300 m (string.length)" in f.said
+        "on a string of 0.300 m (string.length)" in f.statement
         for f in told
         if f.severity is Severity.ERROR
     )

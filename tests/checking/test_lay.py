@@ -8,7 +8,7 @@ import pytest
 from conftest import ROOT
 
 from stringcast.pipeline.commands.check import read_measurements
-from stringcast.stages.check.lay import shifts
+from stringcast.stages.check.time_shifts import estimate_time_shifts
 
 TRIALS = read_measurements(ROOT / "data" / "sample", []).trials
 
@@ -27,7 +27,7 @@ def late(seen, by, tip_alone):
 
 @pytest.mark.parametrize("tip_alone", [True, False])
 def test_a_shift_of_all_trials_is_found_to_a_frame(tip_alone):
-    found = shifts([late(seen, 12.345, tip_alone) for seen in TRIALS])
+    found = estimate_time_shifts([late(seen, 12.345, tip_alone) for seen in TRIALS])
     assert set(found) == {seen.name for seen in TRIALS}
     # [s], of one frame
     assert all(shift == pytest.approx(-12.345, abs=0.005) for shift in found.values())
@@ -35,7 +35,7 @@ def test_a_shift_of_all_trials_is_found_to_a_frame(tip_alone):
 
 def test_each_trial_may_have_a_shift_of_its_own():
     given = {"t00": 3.0, "t03": -5.0}
-    found = shifts(
+    found = estimate_time_shifts(
         [late(seen, given[seen.name], True) for seen in TRIALS if seen.name in given]
     )
     assert {name: round(shift) for name, shift in found.items()} == {
@@ -52,7 +52,9 @@ def test_clocks_that_begin_anew_with_each_trial_are_laid_to_a_frame_but_where_th
     that it is late.
     """
     own = {seen.name: -10.0 * number for number, seen in enumerate(TRIALS)}
-    found = shifts([late(seen, own[seen.name], tip_alone) for seen in TRIALS])
+    found = estimate_time_shifts(
+        [late(seen, own[seen.name], tip_alone) for seen in TRIALS]
+    )
     off = {name: shift + own[name] for name, shift in found.items()}
     assert off.pop("t01") < 0.025
     assert max(map(abs, off.values())) < 0.005

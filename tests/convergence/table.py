@@ -56,7 +56,7 @@ KINDS = {
     | {"axial_stiffness": 9e5, "bending_stiffness": 400.0},
 }
 CAST = plain_cast(ARM, 0.5)
-HAND = JointMotion(0.0, ARM.tick, *CAST.sampled(ARM.tick, 0.5)).hand_motion(ARM)
+HAND = JointMotion(0.0, ARM.tick, *CAST.sample(ARM.tick, 0.5)).hand_motion(ARM)
 TIMES = HAND.start + HAND.tick * np.arange(HAND.pose.shape[1])
 METHODS = (SemiImplicitEuler(), ImplicitLeapfrog())
 

@@ -48,7 +48,7 @@ def test_errors_that_shrink_like_a_power_are_found_exactly():
 @pytest.fixture(scope="module")
 def thrown(arm):
     cast = plain_cast(arm, 0.5)
-    hand = JointMotion(0.0, arm.tick, *cast.sampled(arm.tick, 0.5)).hand_motion(arm)
+    hand = JointMotion(0.0, arm.tick, *cast.sample(arm.tick, 0.5)).hand_motion(arm)
     times = hand.start + hand.tick * np.arange(hand.pose.shape[1])
     string = String(0.3, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog())
     values = string.values(STRING_A)
@@ -102,7 +102,7 @@ def test_what_cannot_be_kept_is_refused_with_what_was_measured(thrown):
 
 
 def test_a_plain_cast_is_within_what_the_arm_can_do(arm):
-    angles, speeds = plain_cast(arm, 0.5).sampled(arm.tick, 0.5)
+    angles, speeds = plain_cast(arm, 0.5).sample(arm.tick, 0.5)
     sweep = (np.asarray(arm.highest) - arm.lowest) / 3
     np.testing.assert_allclose(angles[0, -1] - angles[0, 0], sweep, rtol=1e-9)
     assert (angles >= arm.lowest).all()

@@ -30,7 +30,7 @@ def swings(arm, count, seconds=0.5):
         control[0, :, 1:-1] = (1.5 + 0.5 * k) * np.array(
             [[1.0, 0.6, -0.4, -1.0], [0.5, 0.9, 0.2, -0.8], [0.3] * 4]
         )
-        yield Curves(np.array([[0.3, 0.5, 0.2]]), np.array([seconds]), control).sampled(
+        yield Curves(np.array([[0.3, 0.5, 0.2]]), np.array([seconds]), control).sample(
             arm.tick, seconds
         )[0][0]
 

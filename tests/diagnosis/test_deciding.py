@@ -70,7 +70,7 @@ def slow(model):
     )
     like, late = _Like(np.linspace(0.03, 0.3, 8)), model.with_effects(ArmLag)
     cases = [
-        synthetic_trial(model, curves.only(np.array([i])), like, DESIGN)
+        synthetic_trial(model, curves.select(np.array([i])), like, DESIGN)
         for i in range(2)
     ]
     values, rng = (
@@ -127,19 +127,17 @@ def proposal_of(contest):
 
 def test_motions_are_within_the_arms_limits_and_clear_of_obstacles(model, curves):
     arm = model.arm
-    sampled = curves.sampled(arm.tick, float(curves.duration.max()))
+    sampled = curves.sample(arm.tick, float(curves.duration.max()))
     assert len(curves.duration) == DESIGN.motions
     assert (arm_faults(arm, (), *sampled) == "").all()
     wall = Box(0.5, 0.4, 0.1, 0.1)
     around = sample_motions_within_limits(
         model, (wall,), DESIGN, np.random.default_rng(1)
     )
-    sampled = around.sampled(arm.tick, float(around.duration.max()))
+    sampled = around.sample(arm.tick, float(around.duration.max()))
     assert (arm_faults(arm, (wall,), *sampled) == "").all()
     assert not (
-        arm_faults(
-            arm, (wall,), *curves.sampled(arm.tick, float(curves.duration.max()))
-        )
+        arm_faults(arm, (wall,), *curves.sample(arm.tick, float(curves.duration.max())))
         == ""
     ).all()
 
@@ -154,7 +152,7 @@ def test_joints_that_lag_arrive_where_they_are_sent(model, curves):
         model.arm, [(ArmLag, {"time_constant": np.full((1, 1, 1), 0.008)})]
     )
     there = model.arm.grasp(
-        curve.sampled(model.arm.tick, float(curve.duration[0]))[0][0, -1]
+        curve.sample(model.arm.tick, float(curve.duration[0]))[0][0, -1]
     )
     assert late.end > case.times[-1] - model.arm.tick
     np.testing.assert_allclose(late.pose[0, -1], there, atol=1e-5)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
 
-from stringcast.stages.check.overview import found_from
+from stringcast.stages.check.overview import detection_limit_text
 from stringcast.stages.diagnose.forward_selection import min_leave_one_out_gain
 from stringcast.stages.diagnose.identifiability import detection_limits
 from stringcast.stages.diagnose.prepared_data import (
@@ -85,7 +85,7 @@ def told(plain):
 def test_a_camera_that_is_off_moves_the_tip_by_as_much(told):
     for axis in ("x", "y"):
         each = told[f"camera_offset.{axis}"]
-        assert each.tip == pytest.approx(each.found, rel=1e-6)
+        assert each.tip == pytest.approx(each.find, rel=1e-6)
         assert each.most == pytest.approx(each.parameter.high, rel=1e-6)
 
 
@@ -106,7 +106,7 @@ def test_the_tip_moves_as_far_as_is_said_where_it_is_simulated(plain, told, name
     each, base = told[name], plain.base
     hypothesis = base.hypothesis.joined(each.effect)
     chi = hypothesis.carried(
-        base.named | {name: float(each.parameter.chi(np.asarray(each.found)))}
+        base.named | {name: float(each.parameter.chi(np.asarray(each.find)))}
     )
     there = [one[0] for one in plain.data.residuals(hypothesis.model, chi[None])]
     moved = plain.data.tip_rms(
@@ -123,7 +123,7 @@ def test_an_effect_is_evident_from_the_size_on_that_is_said(
     it.
     """
     windy, base = Hypothesis(model).with_cause(Wind), Hypothesis(model)
-    strength = {"wind.along_x": times * told["wind.along_x"].found, "wind.along_y": 0.0}
+    strength = {"wind.along_x": times * told["wind.along_x"].find, "wind.along_y": 0.0}
     evident = []
     for seed in range(1, 6):
         cases = seen(arm, windy.model, TRUTH | strength, seed)
@@ -165,16 +165,20 @@ def test_look_alikes_are_named_and_others_are_not(told):
 
 def test_sizes_are_said_in_plain_units(told):
     assert (
-        found_from(
+        detection_limit_text(
             {"unit": "s", "absent": 0.0, "found_from": 1.1e-4, "most_tip_m": 0.2}
         )
         == "0.11 ms"
     )
     assert (
-        found_from({"unit": "1", "absent": 1.0, "found_from": 1.02, "most_tip_m": 0.2})
+        detection_limit_text(
+            {"unit": "1", "absent": 1.0, "found_from": 1.02, "most_tip_m": 0.2}
+        )
         == "100 % to 102 %"
     )
     assert (
-        found_from({"unit": "m", "absent": 0.0, "found_from": None, "most_tip_m": 2e-4})
+        detection_limit_text(
+            {"unit": "m", "absent": 0.0, "found_from": None, "most_tip_m": 2e-4}
+        )
         == "never: 0.2 mm at most"
     )

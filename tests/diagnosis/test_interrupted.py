@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 import yaml
 
-from stringcast.stages.common import Enough
+from stringcast.stages.common import InterruptRequest
 from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose import verdict
 from stringcast.stages.diagnose.forward_selection import SelectionState, SelectionStep
@@ -16,7 +16,7 @@ from tests.diagnosis.test_single_effects import casts, said_of
 
 
 def interrupt(*given):
-    raise Enough
+    raise InterruptRequest
 
 
 def test_what_had_entered_is_said_and_nothing_is_named(arm, camera, monkeypatch):

@@ -33,7 +33,7 @@ def measured(arm, model, values, rng, trials=2):
         control[0, :, 1:-1] = (3 + k) * np.array(
             [[1.0, 0.6, -0.4, -1.0], [0.5, 0.9, 0.2, -0.8], [0.3] * 4]
         )
-        angles = Curves(np.array([[0.3, 0.5, 0.2]]), np.array([0.5]), control).sampled(
+        angles = Curves(np.array([[0.3, 0.5, 0.2]]), np.array([0.5]), control).sample(
             arm.tick, 0.5
         )[0][0]
         yield performed(

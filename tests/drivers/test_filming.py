@@ -21,7 +21,7 @@ from stringcast.hardware.camera.record import RawFilm, build_recording, repeated
 from stringcast.hardware.camera.schedule import fit_schedule
 from stringcast.hardware.camera.source import Frame
 from stringcast.stages.check.finding import Severity
-from stringcast.stages.check.frames import dropped
+from stringcast.stages.check.frames import check_dropped_frames
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.camera import Camera
 
@@ -426,12 +426,12 @@ def test_late_frames_are_put_where_they_were_exposed(clock):
 def test_a_check_of_stored_frames_tells_of_those_that_are_missing():
     t = np.delete(np.arange(100), [30, 31, 60]) * 0.005
     films = {"t01": SimpleNamespace(t=t), "t02": SimpleNamespace(t=t[:20])}
-    (finding,) = dropped(
+    (finding,) = check_dropped_frames(
         SimpleNamespace(
             data=SimpleNamespace(films=films), file=lambda name: f"{name}.parquet"
         )
     )
-    assert finding.said == "3 of 100 frames are missing (3.0%)"
+    assert finding.statement == "3 of 100 frames are missing (3.0%)"
     assert (finding.severity, finding.file, finding.trials) == (
         Severity.WARNING,
         "frames.parquet",

@@ -15,7 +15,7 @@ from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench, VirtualC
 from stringcast.hardware.virtual.obstacles import Obstacles
 from stringcast.hardware.virtual.render import Look
 from stringcast.hardware.virtual.servo import VirtualServo
-from stringcast.stages.execute.dry_run import dry, slow, slowed
+from stringcast.stages.execute.dry_run import dry_run, slow_commands, slow_run
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.execute.interfaces import HardwareError
 
@@ -33,7 +33,7 @@ def bench(arm, camera):
 def test_a_slowed_movement_goes_the_same_way_at_the_share_of_the_speed():
     whole = swing().commands
     for share in (0.2, 0.37, 0.9):
-        slower = slowed(whole, share)
+        slower = slow_commands(whole, share)
         q, w = slower[list(JOINTS)].to_numpy(), slower[list(SPEEDS)].to_numpy()
         np.testing.assert_allclose(np.diff(slower["t"]), 0.005)
         np.testing.assert_allclose(q[[0, -1]], whole[list(JOINTS)].to_numpy()[[0, -1]])
@@ -47,7 +47,7 @@ def test_a_slowed_movement_goes_the_same_way_at_the_share_of_the_speed():
 
 
 def test_slowly_the_arm_ends_where_it_should_and_the_trial_says_so(bench):
-    trial = slow(
+    trial = slow_run(
         swing(),
         VirtualArm(bench),
         VirtualCamera(bench),
@@ -64,7 +64,9 @@ def test_slowly_the_arm_ends_where_it_should_and_the_trial_says_so(bench):
 
 def test_dry_the_arm_stays_where_it_is_and_the_film_is_whole(bench):
     bench.pose = np.array(START) + 0.3
-    trial = dry(swing(), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1)
+    trial = dry_run(
+        swing(), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1
+    )
     np.testing.assert_allclose(
         trial.arm[list(JOINTS)] - (np.array(START) + 0.3), 0, atol=1e-4
     )
@@ -107,12 +109,12 @@ def test_the_emulators_movement_swings_the_virtual_string(rehearsal):
 
 def test_dry_sends_nothing_but_zero_to_the_device(rehearsal):
     lab = rehearsal()
-    trial = dry(swing(), lab.arm, lab.camera, before=0.1, after=0.1)
+    trial = dry_run(swing(), lab.arm, lab.camera, before=0.1, after=0.1)
     assert (trial.ticks[[f"sent{j}" for j in (1, 2, 3)]] == 0).all(axis=None)
     np.testing.assert_allclose(trial.arm[list(JOINTS)], 0, atol=1e-9)
     too_fast = swing(speeds=(60.0, 0.0, 0.0))
     with pytest.raises(HardwareError, match=r"leaves arm\."):
-        dry(too_fast, lab.arm, lab.camera, before=0.1, after=0.1)
+        dry_run(too_fast, lab.arm, lab.camera, before=0.1, after=0.1)
 
 
 def test_a_fault_in_rehearsal_is_the_error_that_a_real_one_would_be(rehearsal):

@@ -21,7 +21,7 @@ from stringcast.stages.estimate.matching import (
     frame_matching_rates,
     matching_targets,
 )
-from stringcast.stages.extract.score import rasterise, scores_near
+from stringcast.stages.extract.score import pixel_scores, rasterise
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
@@ -114,7 +114,7 @@ def test_targets_are_the_dilated_images_and_the_weights_of_equation_6(arm, camer
     whole[top : top + height, left : left + width] = goal.scores[begin:][
         : height * width
     ].reshape(height, width)
-    first, leftmost, scores = scores_near(mask, 6, 2)
+    first, leftmost, scores = pixel_scores(mask, 6, 2)
     assert (first, leftmost, scores.shape) == (top, left, (height, width))
     np.testing.assert_array_equal(
         whole[top : top + height, left : left + width], scores

@@ -13,7 +13,7 @@ from stringcast.pipeline.run.experiment import add_effects
 from stringcast.pipeline.settings.typed_settings import UserError
 from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
-from stringcast.stages.generate.generate import Budget, Drawing, generate
+from stringcast.stages.generate.generate import MotionRanges, SearchBudget, generate
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.engine.simulate import simulate
@@ -251,8 +251,8 @@ def test_generation_knows_a_hand_that_lags(arm, camera):
         *find_effects(["arm_lag", "tip_mass"])
     )
     settings = {
-        "drawing": Drawing(0.4, 0.6, 150.0, 0.25),
-        "budget": Budget(20000, 256, 1),
+        "drawing": MotionRanges(0.4, 0.6, 150.0, 0.25),
+        "budget": SearchBudget(20000, 256, 1),
     }
     known = TRUTH | {"arm_lag.time_constant": 0.05, "tip_mass.ratio": 0.3}
     box = Box(0.4, 0.7, 0.04, 0.04)

@@ -14,7 +14,7 @@ from stringcast.data.schema import DataError
 from stringcast.known import KnownString
 from stringcast.pipeline.commands import load_command
 from stringcast.pipeline.settings.typed_settings import UserError
-from stringcast.stages.export.mjcf import HEAVY, mjcf
+from stringcast.stages.export.mjcf import CARRIAGE_MASS_KG, build_mjcf
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
@@ -62,10 +62,10 @@ def tips_of_theirs(mujoco, model, values):
     """Moved as the benchmark moves its chain: the carriage is pushed so that it lands
     on its poses.
     """
-    theirs = mujoco.MjModel.from_xml_string(mjcf(model, values, MASS, STEP))
+    theirs = mujoco.MjModel.from_xml_string(build_mjcf(model, values, MASS, STEP))
     data, steps = mujoco.MjData(theirs), round(TIMES[-1] / STEP)
     pushes = (
-        HEAVY
+        CARRIAGE_MASS_KG
         * MASS
         * np.diff(pose(np.arange(-1, steps + 2) * STEP), n=2, axis=0)
         / STEP**2
@@ -101,7 +101,7 @@ def test_the_chain_moves_as_the_string_does(arm, more):
 def test_what_is_written_weighs_and_measures_what_the_string_does(arm):
     model = strings(arm, {"tip_mass.ratio": 0.2})
     root = ET.fromstring(
-        mjcf(model, model.values(TRUTH | {"tip_mass.ratio": 0.2}), MASS, STEP)
+        build_mjcf(model, model.values(TRUTH | {"tip_mass.ratio": 0.2}), MASS, STEP)
     )
     links = [body for body in root.iter("body") if body.get("name").startswith("link")]
     assert len(links) == 19
@@ -117,7 +117,7 @@ def test_what_mujoco_has_no_law_for_is_refused_by_name(arm):
     for name in ("maxwell_slip", "nonlinear_bending", "anisotropic_drag", "contact"):
         model = ordinary(arm).with_effects(effects_by_name()[name])
         with pytest.raises(DataError, match=f"effect '{name}': MuJoCo has no such law"):
-            mjcf(model, model.values({}), MASS, STEP)
+            build_mjcf(model, model.values({}), MASS, STEP)
 
 
 def test_the_command_writes_a_chain_and_a_card(tmp_path, capsys):

@@ -22,12 +22,16 @@ from stringcast.hardware.virtual.conditions.pose import BeforeArm, StringLoop
 from stringcast.pipeline.studies.extraction.films import Cell, read, take
 from stringcast.pipeline.studies.extraction.scores import compared, shares
 from stringcast.pipeline.studies.extraction.study import overview
-from stringcast.stages.extract.centreline import Line
+from stringcast.stages.extract.centreline import Centreline
 from stringcast.stages.extract.extract import extract
-from stringcast.stages.extract.quality import length_beside, longest_run
+from stringcast.stages.extract.quality import attached_length, longest_run
 from stringcast.stages.extract.score import rasterise
-from stringcast.stages.extract.segment import background, darkest, packed
-from stringcast.stages.extract.stabilise import stabilised
+from stringcast.stages.extract.segment import (
+    estimate_background,
+    pack_mask,
+    uncovered_brightness,
+)
+from stringcast.stages.extract.stabilise import stabilise_film
 
 SETTINGS = yaml.safe_load(
     (ROOT / "conf" / "extract" / "centreline.yaml").read_text()
@@ -125,7 +129,7 @@ def test_a_film_is_steadied_to_a_tenth_of_a_pixel(cast):
     the offset common to all frames.
     """
     shaken = film_shot(cast.shot, [CameraShake(2.0)], seed=1)
-    steady, sway = stabilised(shaken)
+    steady, sway = stabilise_film(shaken)
     true = np.array(
         [
             open_shutter(cast.shot, n, 1).rng.normal(0, 2.0, 2)
@@ -138,13 +142,13 @@ def test_a_film_is_steadied_to_a_tenth_of_a_pixel(cast):
 
 
 def test_flicker_is_measured_and_a_steady_film_is_left_alone(cast):
-    flickering, _ = stabilised(film_shot(cast.shot, [Flicker(0.2)], seed=1))
+    flickering, _ = stabilise_film(film_shot(cast.shot, [Flicker(0.2)], seed=1))
     true = 1 + 0.2 * np.sin(2 * np.pi * 101.3 * cast.shot.t + 0.5)
     np.testing.assert_allclose(
         flickering.gain / flickering.gain[0], true / true[0], rtol=0.02
     )
     plain = film_shot(cast.shot, [], seed=1)
-    assert stabilised(plain) == (plain, 0.0)
+    assert stabilise_film(plain) == (plain, 0.0)
 
 
 def test_the_wall_behind_a_passing_shadow_is_bright():
@@ -154,8 +158,8 @@ def test_the_wall_behind_a_passing_shadow_is_bright():
     stack = np.full((20, 40, 40), 60, np.uint8)
     stack[3:7, :, 10:24] = 30
     stack[9:, 20, :] = 200  # a string at rest
-    arm = [packed(np.zeros((40, 40), bool))] * 20
-    scene = background(stack, arm, darkest(stack), half=1.0)
+    arm = [pack_mask(np.zeros((40, 40), bool))] * 20
+    scene = estimate_background(stack, arm, uncovered_brightness(stack), half=1.0)
     assert scene[5, 17] == pytest.approx(60, abs=1)
     assert scene[20, 35] == pytest.approx(60, abs=1)
 
@@ -164,9 +168,9 @@ def test_quality_measures_are_what_they_say():
     mask = rasterise(np.array([[10.0, 30.0], [90.0, 30.0]]), (60, 100), 3) // 255
     branch = rasterise(np.array([[50.0, 30.0], [50.0, 58.0]]), (60, 100), 3) // 255
     points = np.stack([np.arange(10.0, 91.0), np.full(81, 30.0)], axis=-1)
-    line = Line(points, np.ones(81), np.ones(81))
-    assert length_beside(line, mask, 1.0) == pytest.approx(0, abs=1)
-    assert length_beside(line, mask | branch, 1.0) == pytest.approx(24, abs=3)
+    line = Centreline(points, np.ones(81), np.ones(81))
+    assert attached_length(line, mask, 1.0) == pytest.approx(0, abs=1)
+    assert attached_length(line, mask | branch, 1.0) == pytest.approx(24, abs=3)
     assert longest_run(np.array([1, 1, 0, 1, 1, 1], bool), np.full(6, 2.0)) == 6
 
 

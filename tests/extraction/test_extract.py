@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stringcast.stages.extract.extract import drawn, extract
-from stringcast.stages.extract.footage import Footage, footage_of
-from stringcast.stages.extract.score import rasterise, scores_near
+from stringcast.stages.extract.extract import arc_lengths_on_line, extract
+from stringcast.stages.extract.footage import Footage, footage_from_joints
+from stringcast.stages.extract.score import pixel_scores, rasterise
 from stringcast.stages.model.camera import Camera
 
 SETTINGS = {
@@ -54,7 +54,9 @@ def test_centreline_and_tip_on_the_virtual_lab(filmed, arm, camera, name):
     not.
     """
     trial, true = filmed(name)
-    found = extract(footage_of(trial.film, arm), camera, string_length=0.3, **SETTINGS)
+    found = extract(
+        footage_from_joints(trial.film, arm), camera, string_length=0.3, **SETTINGS
+    )
     across, tips = misses(found, trial, true, camera)
     total = len(trial.frames)
     assert sum(a < 1 for a in across.values()) >= 0.98 * total
@@ -97,7 +99,7 @@ def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
             np.linalg.norm(np.diff(true[:, -1], axis=0), axis=-1) / np.diff(t)
         ).max() > 20
         found = extract(
-            footage_of(trial.film, arm), camera, string_length=0.3, **SETTINGS
+            footage_from_joints(trial.film, arm), camera, string_length=0.3, **SETTINGS
         )
         across, tips = misses(found, trial, true, camera)
         sigma = found.readings["tip_sigma"].to_numpy() * camera.px_per_m
@@ -117,7 +119,7 @@ def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
 
 def test_what_cannot_be_read_is_refused_with_the_reason(filmed, arm, camera):
     trial, _ = filmed("A", duration=0.2)
-    footage = footage_of(trial.film, arm)
+    footage = footage_from_joints(trial.film, arm)
     images = list(footage.images)
     images[10] = np.zeros_like(images[10])
     cut = images[20].copy()
@@ -146,7 +148,7 @@ def test_a_tip_beyond_the_picture_is_not_guessed(filmed, arm, camera):
     """
     trial, true = filmed("A", duration=0.2)
     height = int(camera.pixels(true[0, -1])[1]) - 5
-    footage = footage_of(trial.film, arm)
+    footage = footage_from_joints(trial.film, arm)
     cut = Footage(
         footage.t,
         [image[:height] for image in footage.images],
@@ -166,7 +168,7 @@ def test_score_map_is_repeated_dilation(step):
     for p in range(7, 0, -1):
         literal[(grown > 0) & (literal == 0)] = p
         grown = cv2.dilate(grown, np.ones((2 * step + 1, 2 * step + 1), np.uint8))
-    top, left, near = scores_near(mask, 7, step)
+    top, left, near = pixel_scores(mask, 7, step)
     about = np.pad(
         near, ((top, 64 - top - near.shape[0]), (left, 80 - left - near.shape[1]))
     )
@@ -215,5 +217,5 @@ def test_a_string_drawn_by_its_own_weight_has_its_arc_lengths_where_they_are():
     """
     s, stretch = np.linspace(0, 0.3, 31), 0.8
     hung = s + stretch * (0.3 * s - s**2 / 2)
-    np.testing.assert_allclose(drawn(s, hung[-1]), hung, atol=1e-12)
-    np.testing.assert_allclose(drawn(s, 0.27), 0.9 * s, atol=1e-12)
+    np.testing.assert_allclose(arc_lengths_on_line(s, hung[-1]), hung, atol=1e-12)
+    np.testing.assert_allclose(arc_lengths_on_line(s, 0.27), 0.9 * s, atol=1e-12)

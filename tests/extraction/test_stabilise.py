@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from stringcast.stages.extract.score import rasterise
-from stringcast.stages.extract.stabilise import Stabilised, stabilised
+from stringcast.stages.extract.stabilise import StabilisedImages, stabilise_film
 
 
 def swinging(wall, width):
@@ -27,9 +27,9 @@ def test_a_strip_that_swings_is_no_tremble():
     shook the picture by 3.4 px RMS; on real strips by 0.3 to 1 px.
     """
     film = list(swinging(np.full((240, 320), 8.0), 40))
-    steady, sway = stabilised(film)
+    steady, sway = stabilise_film(film)
     assert sway == 0
-    assert not isinstance(steady, Stabilised) or not steady.shift.any()
+    assert not isinstance(steady, StabilisedImages) or not steady.shift.any()
 
 
 def test_a_tremble_behind_a_string_is_seen_all_the_same():
@@ -38,7 +38,7 @@ def test_a_tremble_behind_a_string_is_seen_all_the_same():
     """
     wall = gaussian_filter(np.random.default_rng(1).uniform(0, 100, (240, 330)), 3)
     views = [list(swinging(wall[:, 4 + at : 324 + at], 6)) for at in range(3)]
-    steady, _ = stabilised([views[i % 3][i] for i in range(24)])
+    steady, _ = stabilise_film([views[i % 3][i] for i in range(24)])
     # where the string hangs still, it is not sure
     apart = steady.shift[5:21:3] - steady.shift[3:21:3]
     np.testing.assert_allclose(apart, np.tile([-2.0, 0.0], (6, 1)), atol=0.1)

@@ -15,8 +15,8 @@ from stringcast.pipeline.studies.extraction import footage as real
 from stringcast.pipeline.studies.extraction.films import Cell, read, take
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage
-from stringcast.stages.extract.segment import uncovered
-from stringcast.stages.extract.uncertainty import sigmas
+from stringcast.stages.extract.segment import fill_never_uncovered
+from stringcast.stages.extract.uncertainty import point_sigmas
 
 SETTINGS = yaml.safe_load(
     (ROOT / "conf" / "extract" / "centreline.yaml").read_text()
@@ -96,7 +96,7 @@ def test_sigma_grows_where_nothing_is_seen():
     """
     lost = np.arange(100) < 10
     seen, hidden = (
-        sigmas(np.full(100, 0.05), some, 99, end=0.2)
+        point_sigmas(np.full(100, 0.05), some, 99, end=0.2)
         for some in (np.zeros(100, bool), lost)
     )
     assert hidden[10] > 3 * seen[10]
@@ -111,6 +111,6 @@ def test_a_strip_that_never_leaves_its_pixels_is_no_scene():
     scene = np.full((200, 200), 10.0, np.float32)
     scene[:100, 90:110] = 90
     scene[60:70, 150:160] = 90
-    bare = uncovered(scene, np.array([[100.0, 0.0]] * 3), length=150)
+    bare = fill_never_uncovered(scene, np.array([[100.0, 0.0]] * 3), length=150)
     assert bare[:100, 90:110].max() == 10
     assert bare[65, 155] == 90

@@ -24,7 +24,7 @@ from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands import check, index
 from stringcast.stages.check import clocks, contents
-from stringcast.stages.check.measured import Measured
+from stringcast.stages.check.measured import CheckedDataset
 from tests.store.test_dataset import CAMERA, T, given, grasp, points, shade
 
 BOMB = "a: &a [1, 2]\n" + "".join(
@@ -282,9 +282,9 @@ def test_a_time_that_would_be_simulated_for_months_is_an_error(tmp_path, table, 
     tables = {"grasp": grasp(), "points": points()}
     tables[table].loc[len(T) - 1, "t"] = last
     given(tmp_path, {"string": {"length": 0.3}}, **tables)
-    (found,) = clocks.lasting(looked_at(tmp_path))
+    (found,) = clocks.check_duration(looked_at(tmp_path))
     assert (found.severity, found.file) == ("error", f"{table}.csv")
-    assert f"times span {last:.4g} s" in found.said
+    assert f"times span {last:.4g} s" in found.statement
 
 
 def test_times_that_are_no_times_are_left_out(tmp_path):
@@ -367,7 +367,7 @@ def test_names_are_text_and_no_markup(tmp_path, name):
     )
     out = io.StringIO()
     check.print_overview(
-        check.overview(check.read_measurements(folder, ())),
+        check.dataset_overview(check.read_measurements(folder, ())),
         Console(file=out, width=200),
     )
     assert name in out.getvalue()
@@ -384,7 +384,7 @@ def test_names_that_steer_a_terminal_are_refused(tmp_path):
 
 def looked_at(folder):
     read = dataset.read_dataset(folder)
-    return Measured(read, None, None, 0.3)
+    return CheckedDataset(read, None, None, 0.3)
 
 
 def test_what_cannot_be_is_warned_of(tmp_path):
@@ -399,8 +399,8 @@ def test_what_cannot_be_is_warned_of(tmp_path):
     data = looked_at(tmp_path)
     assert data.data.rows["points.csv"].dropped == {"x is beyond 1e+09": 1}
     said = {
-        f.field: f.said
-        for look in (contents.names, contents.camera, contents.roles)
+        f.field: f.statement
+        for look in (contents.check_names, contents.check_camera, contents.check_roles)
         for f in look(data)
     }
     assert "'string' is one" in said["strng"]

@@ -75,7 +75,7 @@ def test_angles_are_the_integral_of_a_bezier_velocity():
     control = np.random.default_rng(0).normal(size=(1, 3, 6))
     control[..., [0, -1]] = 0
     curve = Curves(np.array([[0.1, -0.2, 0.3]]), np.array([0.8]), control)
-    angles, speeds = curve.sampled(1e-4, 0.9)
+    angles, speeds = curve.sample(1e-4, 0.9)
     t = np.arange(angles.shape[1]) * 1e-4
     np.testing.assert_allclose(
         angles[0] - [0.1, -0.2, 0.3],
@@ -96,7 +96,7 @@ def test_control_points_follow_equation_2_and_later_ones_stay_near(arm):
     assert np.abs(first.control[..., 1:-1] / bound).max() > 0.99
     assert 0.2 <= first.duration.min() < 0.22
     assert 1.48 < first.duration.max() <= 1.5
-    last = first.only(np.array([0]))
+    last = first.select(np.array([0]))
     later = next_curves(arm, rng, 500, (0.2, 1.5), 150.0, last, 0.25)
     assert np.all(later.start == last.start)
     assert np.abs(later.duration - last.duration).max() <= 1.3 / 4 + arm.tick

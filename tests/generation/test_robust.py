@@ -14,22 +14,31 @@ from stringcast.data.artifacts import Estimate
 from stringcast.data.schema import DataError
 from stringcast.pipeline.settings.typed_settings import bind_stage
 from stringcast.stages.generate import race
-from stringcast.stages.generate.chance import (
-    TOGETHER,
-    Task,
-    between,
-    outcome,
-    simulated,
+from stringcast.stages.generate.curves import (
+    Curves,
+    first_curves,
+    join_curves,
+    plain_cast,
 )
-from stringcast.stages.generate.curves import Curves, first_curves, joined, plain_cast
-from stringcast.stages.generate.draws import Draws, Uncertainty, drawn
 from stringcast.stages.generate.generate import (
     MotionNotFoundError,
     arm_faults,
-    curves_of,
+    curves_from_motion,
+)
+from stringcast.stages.generate.hit_probability import (
+    BATCH_SIZE,
+    CastTask,
+    midpoint_tip_path,
+    predict_outcome,
+    simulate_motions,
 )
 from stringcast.stages.generate.learning import predictive_sd
-from stringcast.stages.generate.robust import stated
+from stringcast.stages.generate.robust import build_motion_artifact
+from stringcast.stages.generate.uncertainty_samples import (
+    PlanningUncertainty,
+    UncertaintySamples,
+    sample_uncertainty,
+)
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
@@ -37,7 +46,7 @@ from stringcast.stages.model.string import String
 
 STRING = String(0.3)
 TARGET = Box(0.4, 0.7, 0.02, 0.04)
-NONE = Uncertainty(0.0, 0.0, 0.0)
+NONE = PlanningUncertainty(0.0, 0.0, 0.0)
 SETTINGS = {
     "motions": 200,
     "strings": 12,
@@ -126,7 +135,9 @@ def blind(model):
 
 def test_the_chance_predicted_is_the_share_that_is_found(model, blind):
     """By 400 other draws of the prior, from the commands as sent, with a finer look."""
-    values = drawn(model, None, NONE, 400, np.random.default_rng(99)).values
+    values = sample_uncertainty(
+        model, None, NONE, 400, np.random.default_rng(99)
+    ).values
     tip = performed(model, blind, values)[:, :, -1]
     found = TARGET.is_crossed_by(tip[:, :-1], tip[:, 1:]).any(axis=1).sum()
     predicted = blind.outcome.iloc[0]
@@ -147,13 +158,15 @@ def test_a_motion_meets_more_draws_than_are_simulated_together(model, blind):
     """As many as anybody wants to state a chance from; and what becomes of the first is
     as without the others.
     """
-    many = drawn(model, None, NONE, TOGETHER + 3, np.random.default_rng(8))
-    place, curves = Task(model, TARGET, ()), curves_of(blind)
-    every, few = (
-        outcome(place, curves, many),
-        outcome(place, curves, many.only(slice(3))),
+    many = sample_uncertainty(
+        model, None, NONE, BATCH_SIZE + 3, np.random.default_rng(8)
     )
-    assert every.hit.shape == (1, TOGETHER + 3)
+    place, curves = CastTask(model, TARGET, ()), curves_from_motion(blind)
+    every, few = (
+        predict_outcome(place, curves, many),
+        predict_outcome(place, curves, many.select(slice(3))),
+    )
+    assert every.hit.shape == (1, BATCH_SIZE + 3)
     np.testing.assert_array_equal(every.distance[:, :3], few.distance)
 
 
@@ -163,7 +176,7 @@ def test_two_strings_count_for_more_than_the_better_known_one(model):
     both hits both.
     """
     both = known(SOFT, STIFF)
-    draws = drawn(model, both, NONE, 60, np.random.default_rng(5))
+    draws = sample_uncertainty(model, both, NONE, 60, np.random.default_rng(5))
     settings = {
         "attempts": 20000,
         "batch": 256,
@@ -172,10 +185,10 @@ def test_two_strings_count_for_more_than_the_better_known_one(model):
         "alpha": 150.0,
         "fraction": 0.25,
     }
-    place = Task(model, TARGET, ())
+    place = CastTask(model, TARGET, ())
 
     def chance(motion):
-        return outcome(place, curves_of(motion), draws).hit.mean()
+        return predict_outcome(place, curves_from_motion(motion), draws).hit.mean()
 
     robust = [
         likeliest(model, TARGET, (), None, both, seed=s, **SETTINGS) for s in range(2)
@@ -207,15 +220,17 @@ def test_what_touches_an_obstacle_first_does_not_hit(model):
     motion = likeliest(
         model, target, (wall,), None, None, seed=2, **SETTINGS | {"motions": 400}
     )
-    draws = drawn(model, None, NONE, 60, np.random.default_rng(7))
-    made = outcome(Task(model, target, (wall,)), curves_of(motion), draws)
+    draws = sample_uncertainty(model, None, NONE, 60, np.random.default_rng(7))
+    made = predict_outcome(
+        CastTask(model, target, (wall,)), curves_from_motion(motion), draws
+    )
     points = performed(model, motion, draws.values)
     touched = wall.is_crossed_by(points[:, :, :-1], points[:, :, 1:]).any(axis=2)
     before = ~np.logical_or.accumulate(touched, axis=1)
     entered = target.is_crossed_by(points[:, :-1, -1], points[:, 1:, -1])
     assert made.hit.any()
     assert (entered & before[:, 1:]).any(axis=1)[made.hit[0]].all()
-    assert (made.clear[0][touched.any(axis=1)] < 1).all()
+    assert (made.free_share[0][touched.any(axis=1)] < 1).all()
     joints = model.arm.joints(motion.commands[["q1", "q2", "q3"]].to_numpy())
     assert not wall.is_crossed_by(joints[:, :-1], joints[:, 1:]).any()
 
@@ -224,15 +239,18 @@ def test_what_comes_after_a_touch_does_not_count(model):
     """A wall that some strings swing into: how near they came until then, looked at
     anew.
     """
-    wall, free = Box(0.6, 0.35, 0.03, 0.3), Task(model, Box(0.75, 0.55, 0.06, 0.06), ())
+    wall, free = (
+        Box(0.6, 0.35, 0.03, 0.3),
+        CastTask(model, Box(0.75, 0.55, 0.06, 0.06), ()),
+    )
     rng = np.random.default_rng(5)
     curves = first_curves(model.arm, rng, 40, (0.4, 0.6), 100.0)
-    draws = drawn(model, known(SOFT), NONE, 1, rng)
+    draws = sample_uncertainty(model, known(SOFT), NONE, 1, rng)
     some, none = (
-        outcome(replace(free, obstacles=(wall,)), curves, draws),
-        outcome(free, curves, draws),
+        predict_outcome(replace(free, obstacles=(wall,)), curves, draws),
+        predict_outcome(free, curves, draws),
     )
-    touched = some.clear[:, 0] < 1
+    touched = some.free_share[:, 0] < 1
     assert 5 < touched.sum() < 35
     assert (some.distance >= none.distance).all()
     assert (some.distance[~touched] == none.distance[~touched]).all()
@@ -250,9 +268,11 @@ def test_an_arm_that_touches_something_does_not_hit_even_afterwards(model):
     x, y = joints[-1, -1]
     post = Box(float(x), float(y), 1e-3, 1e-3)
     assert motion.outcome["t_hit"].iloc[0] < motion.duration - 0.02
-    draws = drawn(model, known(SOFT), NONE, 4, np.random.default_rng(0))
+    draws = sample_uncertainty(model, known(SOFT), NONE, 4, np.random.default_rng(0))
     free, barred = (
-        outcome(Task(model, TARGET, boxes), curves_of(motion), draws)
+        predict_outcome(
+            CastTask(model, TARGET, boxes), curves_from_motion(motion), draws
+        )
         for boxes in ((), (post,))
     )
     assert free.hit.all()
@@ -265,10 +285,10 @@ def test_every_limit_of_the_arm_is_kept(model):
         arm=replace(model.arm, hand_speed=5.0, acceleration=(120.0, 120.0, 120.0)),
     )
     motion = likeliest(slow, TARGET, (), None, known(SOFT), seed=4, **SETTINGS)
-    curves = curves_of(motion)
-    angles, speeds = curves.sampled(0.0005, motion.duration)
+    curves = curves_from_motion(motion)
+    angles, speeds = curves.sample(0.0005, motion.duration)
     assert (
-        arm_faults(slow.arm, (), *curves.sampled(slow.arm.tick, motion.duration)) == ""
+        arm_faults(slow.arm, (), *curves.sample(slow.arm.tick, motion.duration)) == ""
     ).all()
     assert (
         np.linalg.norm(slow.arm.grasp_velocity(angles, speeds)[..., :2], axis=-1).max()
@@ -293,31 +313,35 @@ def test_draws_are_what_is_known(model):
     """
     rng = np.random.default_rng(0)
     names = model.names
-    prior = drawn(
+    prior = sample_uncertainty(
         replace(model, start_values={"bending_stiffness": 4.0}),
         None,
-        Uncertainty(0.004, 0.01, 0.02),
+        PlanningUncertainty(0.004, 0.01, 0.02),
         4000,
         rng,
     )
     assert (prior.values[:, names.index("bending_stiffness")] == 4.0).all()
     damping = np.log(prior.values[:, names.index("bending_damping")])
     np.testing.assert_allclose(damping.mean(), np.log(np.sqrt(3e-7 * 0.67)), atol=0.2)
-    assert prior.off.std() == pytest.approx(0.02, rel=0.05)
+    assert prior.tip_error.std() == pytest.approx(0.02, rel=0.05)
     assert prior.amplitude.std() == pytest.approx(0.004, rel=0.05)
     assert prior.lag.max() == pytest.approx(0.01, rel=0.01)
-    after = drawn(
-        model, known(SOFT, STIFF, rms=0.003), Uncertainty(0.004, 0.01, 0.02), 4000, rng
+    after = sample_uncertainty(
+        model,
+        known(SOFT, STIFF, rms=0.003),
+        PlanningUncertainty(0.004, 0.01, 0.02),
+        4000,
+        rng,
     )
     stiffness = after.values[:, names.index("bending_stiffness")]
     assert np.unique(stiffness).tolist() == [0.05, 20.0]
     assert np.mean(stiffness == 20.0) == pytest.approx(0.5, abs=0.04)
-    assert after.off.std() == pytest.approx(0.003, rel=0.05)
+    assert after.tip_error.std() == pytest.approx(0.003, rel=0.05)
 
 
 def test_the_way_between_ticks_is_a_cubic():
     t = np.arange(8.0)
-    way = between(np.stack([t**3, 1 - t**2], axis=-1)[None])[0]
+    way = midpoint_tip_path(np.stack([t**3, 1 - t**2], axis=-1)[None])[0]
     half = np.arange(15) / 2
     np.testing.assert_allclose(
         way[2:-2], np.stack([half**3, 1 - half**2], axis=-1)[2:-2], atol=1e-12
@@ -329,7 +353,7 @@ def test_failures_say_why(model, monkeypatch):
         likeliest(model, Box(2.0, 0.7, 0.02, 0.04), (), None, None, seed=0, **SETTINGS)
     with pytest.raises(DataError, match=r"generate\.shortest"):
         likeliest(model, TARGET, (), None, None, seed=0, **SETTINGS | {"shortest": 2.0})
-    monkeypatch.setattr(race, "TRIES", 2)
+    monkeypatch.setattr(race, "MAX_BATCHES", 2)
     in_the_way = Box(0.2, 0.2, 0.1, 0.1)
     with pytest.raises(MotionNotFoundError, match="no random motion"):
         likeliest(model, TARGET, (in_the_way,), None, None, seed=0, **SETTINGS)
@@ -338,9 +362,9 @@ def test_failures_say_why(model, monkeypatch):
     down = Curves(
         np.array([[0.0, -np.pi / 2, 0.0]]), np.array([0.3]), np.zeros((1, 3, 6))
     )
-    draws = drawn(model, None, NONE, 10, np.random.default_rng(0))
+    draws = sample_uncertainty(model, None, NONE, 10, np.random.default_rng(0))
     with pytest.raises(MotionNotFoundError, match="each of 10 likely strings touches"):
-        stated(Task(model, TARGET, (curtain,)), down, draws, 1)
+        build_motion_artifact(CastTask(model, TARGET, (curtain,)), down, draws, 1)
 
 
 def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
@@ -368,7 +392,7 @@ def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
     rng = np.random.default_rng(0)
     values = np.repeat(model.values(COMMON | SOFT)[None], 24, axis=0)
     values[:, model.names.index("bending_stiffness")] = np.geomspace(0.5, 2.0, 24)
-    draws = Draws(
+    draws = UncertaintySamples(
         values, np.zeros((24, 3)), np.zeros(24), 0.002 * rng.standard_normal((24, 2))
     )
     swing = plain_cast(model.arm, 0.6)
@@ -376,8 +400,8 @@ def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
         np.array([[0.0, -np.pi / 2, 0.0]]), swing.duration, np.zeros_like(swing.control)
     )
     swung, hung = predictive_sd(
-        Task(model, TARGET, ()), joined([swing, down]), draws, interest=0
+        CastTask(model, TARGET, ()), join_curves([swing, down]), draws, interest=0
     )
-    tip = simulated(model, swing, draws)[1][:, :, -1]
+    tip = simulate_motions(model, swing, draws)[1][:, :, -1]
     assert hung > 0.8 * np.linalg.norm(tip.std(axis=0), axis=-1).min()
     assert swung < 0.2 * hung

@@ -15,7 +15,7 @@ from stringcast.data.artifacts import Diagnosis
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.file_names import SUMMARY_FILE
 from stringcast.pipeline.run.stopping import stop_stage_on_interrupt
-from stringcast.stages.common import Enough
+from stringcast.stages.common import InterruptRequest
 from tests.pipeline.small import about
 
 
@@ -61,7 +61,7 @@ def patient(*given, **more) -> Diagnosis:
     """Ends with what it knows."""
     try:
         signal.raise_signal(signal.SIGINT)
-    except Enough:
+    except InterruptRequest:
         return said(interrupted=True)
     raise AssertionError("nobody interrupted it")
 
@@ -92,7 +92,7 @@ def test_a_stage_that_knows_nothing_leaves_nothing(null_trials, tmp_path):
 def test_only_the_first_asks_for_an_end_and_only_meanwhile():
     before = signal.getsignal(signal.SIGINT)
     with stop_stage_on_interrupt():
-        with pytest.raises(Enough):
+        with pytest.raises(InterruptRequest):
             signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt) as raised:
             signal.raise_signal(signal.SIGINT)

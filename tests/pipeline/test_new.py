@@ -16,7 +16,7 @@ from stringcast.pipeline.settings.typed_settings import (
     UserError,
     build_dataclass,
 )
-from stringcast.stages.check.check import findings
+from stringcast.stages.check.check import collect_findings
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.library import effects_by_name
@@ -78,9 +78,9 @@ def test_a_template_is_a_dataset_as_soon_as_it_is_filled_in(
         f"{column} (" in (folder / "dataset.yaml").read_text()
         for column in ("trial", "theta" if words else "q3", "s")
     )
-    assert [f.said for f in findings(check.read_measurements(folder, []))] == [
-        "it holds no rows"
-    ] * 2
+    assert [
+        f.statement for f in collect_findings(check.read_measurements(folder, []))
+    ] == ["it holds no rows"] * 2
     t = np.arange(20) / 100
     for name in (hand, "points"):
         columns = pd.read_csv(folder / f"{name}.csv").columns

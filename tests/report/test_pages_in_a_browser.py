@@ -14,7 +14,7 @@ from conftest import ROOT
 from stringcast.data.alignment import Alignment
 from stringcast.data.artifacts import Prediction
 from stringcast.pipeline.commands.check import read_measurements
-from stringcast.stages.check.overview import overview
+from stringcast.stages.check.overview import dataset_overview
 from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
@@ -153,7 +153,7 @@ def texts(arm, camera):
         "paper": paper_page(PaperRecord(tables, 3, {}, ORIGIN), {}),
         "check": check_page(
             MEASURED,
-            overview(MEASURED),
+            dataset_overview(MEASURED),
             ORIGIN,
             [("Diagnose", "pipeline +experiment=diagnose")],
         ),

@@ -18,7 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 
 from stringcast.data.artifacts import JOINTS, Estimate, Motion, Points, Trial
-from stringcast.stages.hit_test import LONGEST_GAP, Verdict
+from stringcast.stages.hit_test import MAX_GAP_S, HitResult
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
@@ -187,7 +187,7 @@ def manipulation(arm, camera, number=1, hit=False, noise=6.0):
         pd.DataFrame([link]),
         images,
     )
-    verdict = Verdict(hit, 0.252, 0.0042 if hit else 0.0237 / number)
+    verdict = HitResult(hit, 0.252, 0.0042 if hit else 0.0237 / number)
     motion = Motion(moving, empty, empty, attempts, pd.DataFrame([plan]))
     return Cast(
         motion,
@@ -507,10 +507,10 @@ def test_residuals_are_distances_at_equal_arc_length(record):
 def test_the_tips_way_is_not_guessed_across_long_gaps(record):
     cast = record.casts[0]
     readings = cast.points.readings.copy()
-    gap = (readings["t"] > 0.1) & (readings["t"] < 0.1 + 2 * LONGEST_GAP)
+    gap = (readings["t"] > 0.1) & (readings["t"] < 0.1 + 2 * MAX_GAP_S)
     readings.loc[gap, "valid"] = False
     holed = replace(cast, points=replace(cast.points, readings=readings))
-    assert np.isnan(holed.tip(np.array([0.1 + LONGEST_GAP]))).all()
+    assert np.isnan(holed.tip(np.array([0.1 + MAX_GAP_S]))).all()
     np.testing.assert_allclose(
         holed.tip(np.array([0.2])), cast.after[cast.frame(0.2), -1][None], atol=1e-9
     )
@@ -555,7 +555,7 @@ def nothing_read(cast):
     )
     points = Points(cast.points.points.iloc[:0], readings, cast.points.masks)
     return replace(
-        cast, points=points, estimate=None, verdict=Verdict(False, np.nan, np.nan)
+        cast, points=points, estimate=None, verdict=HitResult(False, np.nan, np.nan)
     )
 
 

@@ -115,7 +115,7 @@ def _known_cast(truth: np.ndarray, rng: np.random.Generator) -> pd.DataFrame:
 
 def _log(arm: Arm, curves: Curves) -> pd.DataFrame:
     """What the arm reports of a movement, and of the rest after it."""
-    angles, _ = curves.sampled(arm.tick, END)
+    angles, _ = curves.sample(arm.tick, END)
     return pd.DataFrame(
         {"t": arm.tick * np.arange(angles.shape[1])}
         | dict(zip(JOINTS, angles[0].T, strict=True))
@@ -126,7 +126,7 @@ def _movement(arm: Arm, rng: np.random.Generator) -> Curves:
     """The first of random movements that the arm can do, its hand as fast as wanted."""
     while True:
         curves = first_curves(arm, rng, 1, DURATION, ALPHA * rng.uniform())
-        angles, speeds = curves.sampled(arm.tick, END)
+        angles, speeds = curves.sample(arm.tick, END)
         hand = np.linalg.norm(
             arm.grasp_velocity(angles, speeds)[..., :2], axis=-1
         ).max()

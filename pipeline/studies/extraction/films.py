@@ -16,7 +16,7 @@ from stringcast.hardware.virtual.conditions import (
     film_shot,
     prepare_shot,
 )
-from stringcast.stages.extract.footage import Footage, footage_of
+from stringcast.stages.extract.footage import Footage, footage_from_joints
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from tests.benchmarks.simulators.blind.casts import random_cast
@@ -68,7 +68,9 @@ def filmed(one: Take, cell: Cell) -> tuple[Footage, Shot]:
     for condition in cell.parts:
         shot = condition.change_scene(shot)
     images = film_shot(shot, cell.parts, one.seed)
-    return footage_of(Film(shot.frame_times, images, arm=one.reported), one.arm), shot
+    return footage_from_joints(
+        Film(shot.frame_times, images, arm=one.reported), one.arm
+    ), shot
 
 
 def read(one: Take, cell: Cell, extract: Extract) -> tuple[Points, Shot]:

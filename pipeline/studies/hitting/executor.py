@@ -27,8 +27,8 @@ from stringcast.data.artifacts import (
 from stringcast.hardware.virtual.bench import VirtualBench
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Iteration, Step
-from stringcast.stages.execute.execute import padded
-from stringcast.stages.hit_test import Verdict, hit_test
+from stringcast.stages.execute.execute import pad_commands
+from stringcast.stages.hit_test import HitResult, hit_test
 
 FINE = 1e-3  # [s] between moments at which it is looked up what really happened
 PLACES = 2  # every so manieth point of the bench's string is measured
@@ -51,7 +51,7 @@ class PointExecutor:
         if stage == "execute":
             rest = here.config["execute"]
             arm: Any = here.lab(step.number).arm
-            commands = padded(
+            commands = pad_commands(
                 step.inputs["motion"].commands, rest["before"], rest["after"]
             )
             arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
@@ -72,7 +72,7 @@ class PointExecutor:
             self.seconds[step.number] = time.process_time() - begun
         return made
 
-    def real(self, number: int, duration: float) -> Verdict:
+    def real(self, number: int, duration: float) -> HitResult:
         """The true outcome of a cast, whatever was seen of it. duration: of its
         movement [s].
         """

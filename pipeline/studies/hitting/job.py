@@ -168,7 +168,7 @@ class References:
         curves = first_curves(
             here.arm, np.random.default_rng(0), 64, REFERENCE_T, REFERENCE_ALPHA
         )
-        angles, speeds = curves.sampled(here.arm.tick, REFERENCE_T[1])
+        angles, speeds = curves.sample(here.arm.tick, REFERENCE_T[1])
         some = np.flatnonzero(arm_faults(here.arm, (), angles, speeds) == "")[
             :REFERENCES
         ]

@@ -29,29 +29,34 @@ from stringcast.data.artifacts import (
     Motion,
 )
 from stringcast.data.schema import DataError
-from stringcast.stages.align.fit import ALWAYS, SOUGHT, Problem, measuring
-from stringcast.stages.align.grasp import at_hand
+from stringcast.stages.align.fit import (
+    CANDIDATE_EFFECTS,
+    REQUIRED_EFFECTS,
+    AlignmentProblem,
+    measurement_model,
+)
+from stringcast.stages.align.grasp import hand_sightings
 from stringcast.stages.align.lookalike import LAG, OFFSET
-from stringcast.stages.align.sightings import Sighted
+from stringcast.stages.align.sightings import SightedTrial
 from stringcast.stages.common import Progress
 from stringcast.stages.generate.generate import arm_faults
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
-from stringcast.stages.spec import Call
+from stringcast.stages.spec import StageCall
 
-RAMP = 0.2  # share of the time in which the swing grows, and in which it fades
-MARGIN = 0.03  # of the picture's width that stays free around the arm
+RAMP_FRACTION = 0.2  # share of the time in which the swing grows, and in which it fades
+RANGE_MARGIN = 0.03  # of the picture's width that stays free around the arm
 # more times that the clocks count: what nobody sees, such as a faint rolling shutter,
 # must not move them
-CLOCKS = 2
+CLOCK_PARAMETERS = 2
 # where the design is judged: at no lag it would look like an offset
-TYPICAL = {LAG: 0.005}
-SIGHTED = 0.01  # [s] between the sightings for which it is judged
+TYPICAL_VALUES = {LAG: 0.005}
+SIGHTING_SIGMA_M = 0.01  # [s] between the sightings for which it is judged
 
 
-def run(call: Call) -> Motion:
+def run(call: StageCall) -> Motion:
     """The motion, as a stage."""
     made: Motion = call.by(
         call.setup.model, call.setup.obstacles, seed=call.seed, progress=call.progress
@@ -87,10 +92,10 @@ def excite(
     count: Counter[str] = Counter()
     best, most = None, -np.inf
     for number in range(motions):
-        angles, speeds = drawn(model.arm, rng, duration, speed, highest, sines)
-        reason = fault(model, obstacles, angles, speeds)
+        angles, speeds = draw_swings(model.arm, rng, duration, speed, highest, sines)
+        reason = violated_limit(model, obstacles, angles, speeds)
         count[reason or "allowed"] += 1
-        content = -np.inf if reason else information(model, angles, speeds)
+        content = -np.inf if reason else alignment_information(model, angles, speeds)
         if content > most:
             best, most = angles, content
         progress((number + 1) / motions)
@@ -102,10 +107,10 @@ def excite(
         raise DataError(
             f"no motion of excite.motions={motions} is allowed ({reasons}). {remedy}"
         )
-    return motion_of(model.arm, best, count)
+    return build_motion(model.arm, best, count)
 
 
-def drawn(
+def draw_swings(
     arm: Arm,
     rng: np.random.Generator,
     duration: float,
@@ -128,7 +133,7 @@ def drawn(
         size * np.sin(2 * np.pi * frequency * t[:, None, None] + phase), axis=1
     )
     ends = np.minimum(t / t[-1], 1 - t / t[-1])
-    x = np.clip(ends / RAMP, 0, 1)
+    x = np.clip(ends / RAMP_FRACTION, 0, 1)
     # from 0 to 1 and back, with no jump of the second derivative
     swing *= (x**3 * (10 - 15 * x + 6 * x**2))[:, None]
     rate = np.gradient(swing, arm.tick, axis=0)
@@ -149,7 +154,7 @@ def drawn(
     return middle + share * swing, share * rate
 
 
-def fault(
+def violated_limit(
     model: Model, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray
 ) -> str:
     """The limit that a motion (K, J) violates, in words; empty if none."""
@@ -162,7 +167,7 @@ def fault(
         for x, y in joints[::4, -1]
     ):
         return reason or "the string could touch an obstacle"
-    edge = MARGIN * camera.width
+    edge = RANGE_MARGIN * camera.width
     pixels = camera.pixels(joints[:, 1:])
     inside = (pixels >= edge) & (
         pixels <= np.array([camera.width, camera.height]) - 1 - edge
@@ -170,7 +175,9 @@ def fault(
     return reason or ("" if inside.all() else "the arm leaves the picture")
 
 
-def information(model: Model, angles: np.ndarray, speeds: np.ndarray) -> float:
+def alignment_information(
+    model: Model, angles: np.ndarray, speeds: np.ndarray
+) -> float:
     """The information of a motion about the alignment. angles, speeds: (K, J) [rad],
     [rad/s].
 
@@ -179,26 +186,29 @@ def information(model: Model, angles: np.ndarray, speeds: np.ndarray) -> float:
     the sum of the two is measured.
     """
     motion = JointMotion(0.0, model.arm.tick, angles[None], speeds[None])
-    times = np.arange(0, (len(angles) - 1) * model.arm.tick, SIGHTED)
+    times = np.arange(0, (len(angles) - 1) * model.arm.tick, SIGHTING_SIGMA_M)
     # wherever it is seen
-    hand = at_hand(
+    hand = hand_sightings(
         times, np.zeros((len(times), 2)), np.ones(len(times)), len(model.arm.links)
     )
-    problem = Problem(measuring(model), (Sighted("", motion, hand),))
-    names = problem.parameters((*ALWAYS, *SOUGHT))
+    problem = AlignmentProblem(
+        measurement_model(model), (SightedTrial("", motion, hand),)
+    )
+    names = problem.parameters((*REQUIRED_EFFECTS, *CANDIDATE_EFFECTS))
     low, high = problem.ranges(names)
-    slope = problem.slopes(
-        names, np.array([TYPICAL.get(name, 0.0) for name in names])
+    slope = problem.jacobian(
+        names, np.array([TYPICAL_VALUES.get(name, 0.0) for name in names])
     ) * (high - low)
     clocks = np.linalg.pinv(np.delete(slope, names.index(LAG), axis=1))[
         names.index(OFFSET)
     ]
     return float(
-        np.linalg.slogdet(slope.T @ slope)[1] - CLOCKS * np.log(np.sum(clocks**2))
+        np.linalg.slogdet(slope.T @ slope)[1]
+        - CLOCK_PARAMETERS * np.log(np.sum(clocks**2))
     )
 
 
-def motion_of(arm: Arm, angles: np.ndarray, count: Counter[str]) -> Motion:
+def build_motion(arm: Arm, angles: np.ndarray, count: Counter[str]) -> Motion:
     """The artifact. angles: (K, J). There is no target, and the string's own motion is
     not predicted.
     """

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from stringcast.data.artifacts import Diagnosis, Motion
-from stringcast.stages.spec import Call, Last, StageSpec
+from stringcast.stages.spec import LatestIteration, StageCall, StageSpec
 
 
-def run(call: Call, diagnosis: Diagnosis) -> Motion:
+def run(call: StageCall, diagnosis: Diagnosis) -> Motion:
     """The motion of a diagnosis that has one."""
     assert diagnosis.motion is not None
     return diagnosis.motion
@@ -18,5 +18,5 @@ STAGE = StageSpec(
     folder="motion",
     uses=(),
     run="stages.diagnose.proposal.run",
-    inputs={"diagnosis": Last(Diagnosis)},
+    inputs={"diagnosis": LatestIteration(Diagnosis)},
 )

@@ -1,7 +1,7 @@
 """Predict: where a fitted model has the string in a trial that nothing was fitted to."""
 
 from stringcast.data.artifacts import Estimate, Prediction, TrialSet
-from stringcast.stages.spec import MODEL, Last, StageSpec, This
+from stringcast.stages.spec import MODEL, LatestIteration, SameIteration, StageSpec
 
 STAGE = StageSpec(
     name="predict",
@@ -9,5 +9,5 @@ STAGE = StageSpec(
     folder="prediction",
     uses=(*MODEL, "obstacles", "own"),
     run="stages.estimate.prediction.predict.run",
-    inputs={"trials": This(TrialSet), "estimate": Last(Estimate)},
+    inputs={"trials": SameIteration(TrialSet), "estimate": LatestIteration(Estimate)},
 )

@@ -35,14 +35,14 @@ from stringcast.stages.model.parameter import (
     parameter_exponents,
     parameter_values,
 )
-from stringcast.stages.spec import Call
+from stringcast.stages.spec import StageCall
 
 # of the string's length: a hand that takes the tip no further rests; a marker's noise,
 # 2 to 4 mm
 REST_SHARE = 0.005
 
 
-def run(call: Call, trials: TrialSet, estimate: Estimate) -> Prediction:
+def run(call: StageCall, trials: TrialSet, estimate: Estimate) -> Prediction:
     """The stage: prediction of the one trial given, until its string touches an
     obstacle.
     """

@@ -9,7 +9,7 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stringcast.stages.check.measured import Seen
+from stringcast.stages.check.measured import CheckedTrial
 from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M, STYLE_SHEET
 
 # of arm and string that are drawn, evenly over the time in which both were seen
@@ -17,7 +17,7 @@ POSES = 5
 FAINT = 0.25  # of those but the first
 
 
-def trial_figure(seen: Seen) -> Figure:
+def trial_figure(seen: CheckedTrial) -> Figure:
     """Arm and string in the plane; hand and tip over time; and how fast both move, each
     on its own clock.
     """
@@ -32,7 +32,7 @@ def trial_figure(seen: Seen) -> Figure:
     return figure
 
 
-def trial_figures(seen: Seen) -> tuple[Figure, Figure]:
+def trial_figures(seen: CheckedTrial) -> tuple[Figure, Figure]:
     """The same as two figures: the plane; and hand and tip over time, with how fast
     both move.
     """
@@ -43,7 +43,7 @@ def trial_figures(seen: Seen) -> tuple[Figure, Figure]:
     return plane, times
 
 
-def trial_words(seen: Seen) -> str:
+def trial_words(seen: CheckedTrial) -> str:
     """A sentence on a trial: its frames, the string's length [mm], and when hand and
     string began to move.
     """
@@ -59,7 +59,7 @@ def trial_words(seen: Seen) -> str:
     return f"Trial {seen.name}: {len(seen.frame_t)} frames of a string of {seen.length * MM_PER_M:.0f} mm{moved}."
 
 
-def tip_of(seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+def tip_of(seen: CheckedTrial) -> tuple[np.ndarray, np.ndarray]:
     """Times (F,) [s] and places (F, 2) [m] of the point that is furthest along the
     string.
     """
@@ -67,7 +67,7 @@ def tip_of(seen: Seen) -> tuple[np.ndarray, np.ndarray]:
     return end["t"].to_numpy(), end[["x", "y"]].to_numpy()
 
 
-def _in_the_plane(axes: Axes, seen: Seen) -> None:
+def _in_the_plane(axes: Axes, seen: CheckedTrial) -> None:
     """Arm and string at a few times, the first darkest, and the tip's way."""
     t, tip = tip_of(seen)
     axes.plot(
@@ -121,7 +121,7 @@ def _legend(axes: Axes, columns: int) -> None:
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
 
 
-def _over_time(places: Axes, speeds: Axes, seen: Seen) -> None:
+def _over_time(places: Axes, speeds: Axes, seen: CheckedTrial) -> None:
     """Where hand and tip are, and how fast, each as a share of its fastest: on one
     clock they begin together.
     """

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stringcast.data.artifacts import JOINTS, Estimate
-from stringcast.stages.hit_test import LONGEST_GAP
+from stringcast.stages.hit_test import MAX_GAP_S
 from stringcast.stages.report.formatting import mm, rate
 from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import (
@@ -31,7 +31,7 @@ from stringcast.stages.report.theme import (
 
 def broken(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values over times [s], NaN after each gap too long to draw a line across."""
-    return np.where(np.diff(t, prepend=t[:1]) > LONGEST_GAP, np.nan, values)
+    return np.where(np.diff(t, prepend=t[:1]) > MAX_GAP_S, np.nan, values)
 
 
 def mark_movement(axes: Axes, cast: Cast) -> None:

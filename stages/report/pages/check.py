@@ -7,8 +7,8 @@ from typing import Any
 
 from matplotlib import style
 
-from stringcast.stages.check.measured import Measured, Seen
-from stringcast.stages.check.overview import EFFECTS, found_from
+from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
+from stringcast.stages.check.overview import DETECTION_NOTE, detection_limit_text
 from stringcast.stages.report.charts.measured import trial_figures, trial_words
 from stringcast.stages.report.formatting import mm
 from stringcast.stages.report.page import (
@@ -35,7 +35,7 @@ CAPTION = (
 
 
 def check_page(
-    measured: Measured,
+    measured: CheckedDataset,
     found: Mapping[str, Any],
     origin: Mapping[str, Any],
     following: Sequence[tuple[str, str]],
@@ -83,7 +83,7 @@ def check_page(
     )
 
 
-def drawn(trials: Sequence[Seen]) -> list[Part]:
+def drawn(trials: Sequence[CheckedTrial]) -> list[Part]:
     """Trials as they were measured, each in the plane and over time."""
     clocks = "Each on its own clock; dotted: when it begins to move."
     grids: list[Part] = []
@@ -108,7 +108,7 @@ def findings(found: Sequence[Mapping[str, Any]]) -> Part:
             one["severity"],
             Cell(" ".join(filter(None, (one["file"], one["field"]))), "code"),
             ", ".join(one["trials"]) or "all",
-            one["said"],
+            one["statement"],
             one["remedy"],
         ]
         for one in found
@@ -131,7 +131,7 @@ def told(effects: Sequence[Mapping[str, Any]]) -> list[Part]:
         [
             Cell(f"{one['effect']}.{one['parameter']}", "code"),
             one["meaning"],
-            number(found_from(one)),
+            number(detection_limit_text(one)),
             number("" if one["tip_m"] is None else f"{1e3 * one['tip_m']:.1f}"),
             number(f"{100 * one['imitated']:.0f}"),
             ", ".join(one["alike"]),
@@ -142,7 +142,7 @@ def told(effects: Sequence[Mapping[str, Any]]) -> list[Part]:
         [
             Section(
                 "What these trials can tell",
-                [Text(EFFECTS), Card("", [Table(columns, rows)])],
+                [Text(DETECTION_NOTE), Card("", [Table(columns, rows)])],
             )
         ]
         if rows

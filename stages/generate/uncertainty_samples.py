@@ -13,11 +13,11 @@ from pydantic import Field
 from stringcast.data.artifacts import Estimate
 from stringcast.stages.model.model import Model
 
-Small = Annotated[float, Field(ge=0, le=0.1)]
+SmallNumber = Annotated[float, Field(ge=0, le=0.1)]
 
 
 @dataclass(frozen=True)
-class Uncertainty:
+class PlanningUncertainty:
     """Uncertainty beside the string's.
 
     amplitude: of a joint's relative speed from one trial to the next, one sigma. lag:
@@ -25,13 +25,13 @@ class Uncertainty:
     the tip before a trial tells it, one sigma of a coordinate [m].
     """
 
-    amplitude: Small
-    lag: Small
-    tip: Small
+    amplitude: SmallNumber
+    lag: SmallNumber
+    tip: SmallNumber
 
 
 @dataclass(frozen=True)
-class Draws:
+class UncertaintySamples:
     """Draws of what may be so. values: (K, P) of the model's parameters. amplitude: (K,
     J) what joints turn more than commanded, as a share. lag: (K,) [s]. off: (K, 2) of
     the simulated tip [m].
@@ -40,29 +40,29 @@ class Draws:
     values: np.ndarray
     amplitude: np.ndarray
     lag: np.ndarray
-    off: np.ndarray
+    tip_error: np.ndarray
 
     def __len__(self) -> int:
         """How many."""
         return len(self.values)
 
-    def only(self, chosen: slice | np.ndarray) -> Draws:
+    def select(self, chosen: slice | np.ndarray) -> UncertaintySamples:
         """Some of the draws, in the order of their numbers."""
-        return Draws(
+        return UncertaintySamples(
             self.values[chosen],
             self.amplitude[chosen],
             self.lag[chosen],
-            self.off[chosen],
+            self.tip_error[chosen],
         )
 
 
-def drawn(
+def sample_uncertainty(
     model: Model,
     estimate: Estimate | None,
-    uncertainty: Uncertainty,
+    uncertainty: PlanningUncertainty,
     count: int,
     rng: np.random.Generator,
-) -> Draws:
+) -> UncertaintySamples:
     """Draws of the string, of how the arm follows, and of the simulation's error;
     `count` of them.
 
@@ -88,7 +88,9 @@ def drawn(
             column if x is None else np.full(count, x)
             for column, x in zip(columns, known, strict=True)
         ]
-        return Draws(np.stack(values, axis=-1), amplitude, lag, off)
+        return UncertaintySamples(np.stack(values, axis=-1), amplitude, lag, off)
     # any as likely as another
     every = np.stack([model.values(row) for row in estimate.draws.to_dict("records")])
-    return Draws(every[rng.integers(0, len(every), count)], amplitude, lag, off)
+    return UncertaintySamples(
+        every[rng.integers(0, len(every), count)], amplitude, lag, off
+    )

@@ -9,10 +9,11 @@ import numpy as np
 from stringcast.data.artifacts import Points
 from stringcast.stages.model.model import Model
 
-ROUNDS = 12  # of the fixed point: each leaves a tenth of what was off, or less
+# of the fixed point: each leaves a tenth of what was off, or less
+FIXED_POINT_ROUNDS = 12
 
 
-def in_arms_frame(points: Points, model: Model) -> Points:
+def transform_to_arm_frame(points: Points, model: Model) -> Points:
     """The points in the arm's frame, as far as the alignment was measured; times stay
     the camera's.
 
@@ -30,7 +31,7 @@ def in_arms_frame(points: Points, model: Model) -> Points:
     ):
         t, seen = table["t"].to_numpy(), table[places].to_numpy()
         true = seen
-        for _ in range(ROUNDS if len(table) else 0):
+        for _ in range(FIXED_POINT_ROUNDS if len(table) else 0):
             reported = model.observed_points(
                 np.tile(true[None, :, None], (1, moments, 1, 1)), values, t
             )

@@ -8,25 +8,25 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stringcast.stages.check.measured import Seen
+from stringcast.stages.check.measured import CheckedTrial
 
-ALIKE = (
+SHIFT_SPREAD_S = (
     # [s] within which trials' onsets agree if their clocks differ by the same in all:
     # the tip is so late at most
     0.2
 )
 # [s] about the onset in which clocks are sought: a tip that hangs sqrt(length / g)
 # below follows so late
-AROUND = 0.3
-STEP = 1e-3  # [s]
-SLACK = (
+SEARCH_HALF_WIDTH_S = 0.3
+SHIFT_STEP_S = 1e-3  # [s]
+LENGTH_SLACK = (
     # of the length by which a string may seem longer at another shift than at the best:
     # 1 mm of noise on 0.3 m
     0.004
 )
 
 
-def shifts(trials: Sequence[Seen]) -> dict[str, float]:
+def estimate_time_shifts(trials: Sequence[CheckedTrial]) -> dict[str, float]:
     """Time shifts to be added to each trial's points [s], by trial; none for a trial
     without motion.
 
@@ -40,16 +40,18 @@ def shifts(trials: Sequence[Seen]) -> dict[str, float]:
         if seen.hand_onset is not None and seen.string_onset is not None
     }
     moved = [seen for seen in trials if seen.name in onsets]
-    if onsets and np.ptp(list(onsets.values())) < ALIKE:
-        return dict.fromkeys(onsets, _latest(moved, max(onsets.values())))
-    return {seen.name: _latest([seen], onsets[seen.name]) for seen in moved}
+    if onsets and np.ptp(list(onsets.values())) < SHIFT_SPREAD_S:
+        return dict.fromkeys(onsets, _latest_shift(moved, max(onsets.values())))
+    return {seen.name: _latest_shift([seen], onsets[seen.name]) for seen in moved}
 
 
-def _latest(trials: Sequence[Seen], about: float) -> float:
+def _latest_shift(trials: Sequence[CheckedTrial], about: float) -> float:
     """The latest shift near `about` [s] at which these strings are hardly longer than
     at the best.
     """
-    tried = about + np.arange(-AROUND, AROUND + STEP, STEP)
+    tried = about + np.arange(
+        -SEARCH_HALF_WIDTH_S, SEARCH_HALF_WIDTH_S + SHIFT_STEP_S, SHIFT_STEP_S
+    )
     # excess of points' distance from the hand over their arc lengths, in lengths of the
     # string (rms)
     stretched = []
@@ -66,5 +68,5 @@ def _latest(trials: Sequence[Seen], about: float) -> float:
         )
     excess = np.max(stretched, axis=0)
     best = int(excess.argmin())
-    bad = excess[best:] > excess[best] + SLACK
+    bad = excess[best:] > excess[best] + LENGTH_SLACK
     return float(tried[best + int(np.argmax(bad)) - 1] if bad.any() else tried[best])

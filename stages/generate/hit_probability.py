@@ -10,19 +10,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from stringcast.stages.generate.curves import Curves
-from stringcast.stages.generate.draws import Draws
+from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 
 # strings simulated at once: what is handed on stays in memory that is used again
-TOGETHER = 256
+BATCH_SIZE = 256
 # of the worth of a draw that touches nothing: of one that touches something at last
-TOUCHING = 0.5
+CONTACT_DISTANCE = 0.5
 
 
 @dataclass(frozen=True)
-class Task:
+class CastTask:
     """The task of a cast. obstacles: what the arm may not touch at all, and the string
     not before it hits.
     """
@@ -33,7 +33,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CastOutcome:
     """Results of M motions under K draws.
 
     clear: (M, K) share of the movement until something touches an obstacle, 1 where
@@ -44,7 +44,7 @@ class Outcome:
     """
 
     distance: np.ndarray
-    clear: np.ndarray
+    free_share: np.ndarray
     hit: np.ndarray
 
     @property
@@ -54,31 +54,33 @@ class Outcome:
         Of two that come as near, one that touches nothing is worth more, and one that
         touches something late.
         """
-        worth = np.where(self.clear == 1, 1, TOUCHING * self.clear)
+        worth = np.where(self.free_share == 1, 1, CONTACT_DISTANCE * self.free_share)
         return np.mean(worth / (1 + self.distance**2), axis=1)
 
 
-def outcome(task: Task, curves: Curves, draws: Draws) -> Outcome:
+def predict_outcome(
+    task: CastTask, curves: Curves, draws: UncertaintySamples
+) -> CastOutcome:
     """Simulate every motion under every draw. Movements of like duration run together:
     none waits long for another.
     """
     count = len(curves.duration)
-    made = Outcome(
+    made = CastOutcome(
         *(np.empty((count, len(draws)), dtype=kind) for kind in (float, float, bool))
     )
     order = np.argsort(curves.duration, kind="stable")
-    for some in np.array_split(order, min(-(-count * len(draws) // TOGETHER), count)):
-        part = _together(task, curves.only(some), draws)
-        made.distance[some], made.clear[some], made.hit[some] = (
+    for some in np.array_split(order, min(-(-count * len(draws) // BATCH_SIZE), count)):
+        part = _predict_batch(task, curves.select(some), draws)
+        made.distance[some], made.free_share[some], made.hit[some] = (
             part.distance,
-            part.clear,
+            part.free_share,
             part.hit,
         )
     return made
 
 
-def simulated(
-    model: Model, curves: Curves, draws: Draws
+def simulate_motions(
+    model: Model, curves: Curves, draws: UncertaintySamples
 ) -> tuple[np.ndarray, np.ndarray]:
     """Joint angles (M K, T, J) [rad] and strings (M K, T, n, 2) [m] at the ticks; each
     motion under all draws in turn.
@@ -87,9 +89,9 @@ def simulated(
     """
     tick, until = model.arm.tick, float(curves.duration.max())
     angles, speeds = (
-        each.repeat(len(draws), axis=0) for each in curves.sampled(tick, until)
+        each.repeat(len(draws), axis=0) for each in curves.sample(tick, until)
     )
-    every = draws.only(np.tile(np.arange(len(draws)), len(curves.duration)))
+    every = draws.select(np.tile(np.arange(len(draws)), len(curves.duration)))
     more = 1 + every.amplitude[:, None]
     motion = JointMotion(
         0.0, tick, angles[:, :1] + more * (angles - angles[:, :1]), more * speeds
@@ -98,19 +100,21 @@ def simulated(
         motion, every.values, np.arange(angles.shape[1]) * tick
     ).points
     along = model.string.arc_lengths() / model.string.length
-    points += along[:, None] * every.off[:, None, None]
+    points += along[:, None] * every.tip_error[:, None, None]
     return motion.angles, points
 
 
-def _together(task: Task, curves: Curves, draws: Draws) -> Outcome:
+def _predict_batch(
+    task: CastTask, curves: Curves, draws: UncertaintySamples
+) -> CastOutcome:
     """All at once."""
-    angles, points = simulated(task.model, curves, draws)
+    angles, points = simulate_motions(task.model, curves, draws)
     shape = (len(curves.duration), len(draws))
     tick, end = task.model.arm.tick, (curves.duration[:, None] - draws.lag).ravel()
     moving = np.arange(points.shape[1]) * tick <= end[:, None] + 1e-9
-    way = between(points[:, :, -1])
+    way = midpoint_tip_path(points[:, :, -1])
     finite = np.isfinite(way).all(axis=(1, 2))
-    arm, string = (each & moving for each in _touching(task, angles, points))
+    arm, string = (each & moving for each in _contact_ticks(task, angles, points))
     before = ~np.logical_or.accumulate(arm | string, axis=1)
     clear = (before & moving).sum(axis=1) / moving.sum(axis=1)
     # pieces of the way, two to a tick
@@ -130,14 +134,14 @@ def _together(task: Task, curves: Curves, draws: Draws) -> Outcome:
         & finite
         & ~arm.any(axis=1)
     )
-    return Outcome(
+    return CastOutcome(
         np.where(finite, away, np.inf).reshape(shape),
         clear.reshape(shape),
         hit.reshape(shape),
     )
 
 
-def between(tip: np.ndarray) -> np.ndarray:
+def midpoint_tip_path(tip: np.ndarray) -> np.ndarray:
     """The tip's way (C, T, 2) with a point between each two, by a cubic: (C, 2 T - 1,
     2). The pieces are then straight to 1 mm even at 1000 m/s^2.
     """
@@ -152,8 +156,8 @@ def between(tip: np.ndarray) -> np.ndarray:
     return way
 
 
-def _touching(
-    task: Task, angles: np.ndarray, points: np.ndarray
+def _contact_ticks(
+    task: CastTask, angles: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """At which ticks an obstacle is touched by the arm, and by the string or the tip's
     way from the tick before; each (C, T).
