@@ -148,7 +148,7 @@ def overview_of_unreadable(folder: Path, reason: str) -> dict[str, Any]:
         "severity": "error",
         "file": file,
         "field": named,
-        "said": said,
+        "statement": said,
         "remedy": remedy,
     }
     found = [{**finding, "trials": []}]

@@ -885,7 +885,7 @@ def test_a_clock_that_counts_since_1970_beside_one_that_does_not_is_told(
 ):
     dirty.arm["t"] += 1.764e9
     reasons = [
-        f.said
+        f.statement
         for f in found(dirty.write(tmp_path))
         if f.trials == tuple(TRIALS) and "overlap" in f.statement
     ]
