@@ -28,9 +28,8 @@ from stringcast.pipeline.run.stopping import stop_stage_on_interrupt
 from stringcast.stages.check.check import refuse_errors
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.common import Progress
-from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.report.pages.diagnosis import diagnosis_page
-from stringcast.stages.report.records import DiagnosisRecord
+from stringcast.stages.report.records import StageRecord
 
 MM_PER_M = 1e3  # [mm] in a metre
 
@@ -123,15 +122,15 @@ class DiagnosisResult:
         its path.
         """
         here = self.experiment
-        record = DiagnosisRecord(
+        facts = StageRecord(
             "diagnosis",
+            self.sentence,
             self.artifact,
             here.model,
-            effects_by_name(),
             here.config,
             page_provenance(here),
         )
-        write_text(Path(page), diagnosis_page(record))
+        write_text(Path(page), diagnosis_page(facts))
         return Path(page)
 
     def __repr__(self) -> str:

@@ -293,7 +293,7 @@ def draw_first_trial(measured: CheckedDataset, folder: Path) -> Path | None:
     """The path of a picture beside the folder, of the first trial of which points were
     measured.
     """
-    from stringcast.stages.report.charts.measured import trial_figure  # noqa: PLC0415
+    from stringcast.stages.report.charts.trial import trial_figure  # noqa: PLC0415
 
     seen = next(measured.with_points(), None)
     if seen is None:

@@ -33,7 +33,7 @@ def finish(folder: Path) -> list[Job]:
         jobs=frame,
         setting_names=given,
         parameter_columns={
-            c.name: (c.unit, c.meaning) for c in table.columns if c.name not in known
+            c.name: c.unit for c in table.columns if c.name not in known
         },
         settings=common_settings(jobs),
         provenance={"seed": "of each job"} | made,

@@ -76,5 +76,5 @@ STAGE = StageSpec(
     by=("stages.diagnose.diagnose.diagnose",),
     summary=summary,
     files=files,
-    page="stages.report.pages.diagnosis.stage_page",
+    page="stages.report.pages.diagnosis.diagnosis_page",
 )

@@ -1,4 +1,4 @@
-"""Numbers, symbols, stretches of time and verdicts as people read them."""
+"""Numbers, symbols, stretches of time and verdicts in the form that people read."""
 
 from __future__ import annotations
 
@@ -11,197 +11,211 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup, escape
 
-from stringcast.stages.report.theme import superscript
-
-UNKNOWN = "not known"
-HANDY = {"s": (1e3, "ms"), "m": (1e3, "mm"), "rad": (180 / np.pi, "°"), "1": (1.0, "")}
-OUTCOMES = {
-    "none": "nothing is wrong",
-    "unknown": "something that the library does not hold",
+NOT_KNOWN = "not known"
+DISPLAY_UNITS = {
+    "s": (1e3, "ms"),
+    "m": (1e3, "mm"),
+    "rad": (180 / np.pi, "°"),
+    "1": (1.0, ""),
 }
+VERDICT_NAMES = {
+    "none": "no cause",
+    "unknown": "a cause that the library does not contain",
+}
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def mm(metres: float | None, digits: int = 0) -> str:
-    """A length in millimetres."""
-    return (
-        f"{metres * 1e3:.{digits}f} mm"
-        if metres is not None and np.isfinite(metres)
-        else UNKNOWN
-    )
+# --- numbers
+def format_mm(metres: float | None, digits: int = 0) -> str:
+    """Format a length in millimetres."""
+    return _scaled(metres, 1e3, digits, " mm")
 
 
-def ms(seconds: float, digits: int = 0) -> str:
-    """A time in milliseconds."""
-    return f"{seconds * 1e3:.{digits}f} ms" if np.isfinite(seconds) else UNKNOWN
+def format_ms(seconds: float, digits: int = 0) -> str:
+    """Format a time in milliseconds."""
+    return _scaled(seconds, 1e3, digits, " ms")
 
 
-def mean_with_interval(row: Mapping[str, Any]) -> str:
-    """A mean with its interval, where it has one. row: of `outcomes.response`."""
-    ends = (
-        f" ({significant(row['low'])} to {significant(row['high'])})"
-        if np.isfinite(row["low"])
-        else ""
-    )
-    return significant(row["mean"]) + ends
+def format_rate(share: float | None) -> str:
+    """Format a matching rate E to three decimals."""
+    return _scaled(share, 1.0, 3, "")
 
 
-def rate(share: float | None) -> str:
-    """A matching rate E to three decimals, or that it is not known."""
-    return f"{share:.3f}" if share is not None and np.isfinite(share) else UNKNOWN
+def _scaled(value: float | None, factor: float, digits: int, unit: str) -> str:
+    if value is None or not np.isfinite(value):
+        return NOT_KNOWN
+    return f"{value * factor:.{digits}f}{unit}"
 
 
-def significant(value: float) -> str:
-    """Three significant figures, with a power of ten where that is shorter."""
+def format_percent(share: float) -> str:
+    """Format a probability or share, with words for what is small or nearly certain."""
+    if not np.isfinite(share):
+        return NOT_KNOWN
+    if share < 0.005:
+        return "under 1 %"
+    if 0.995 < share < 1:
+        return "over 99 %"
+    return f"{100 * share:.0f} %"
+
+
+def format_gain(value: float, unknown: str = NOT_KNOWN) -> str:
+    """Format a log-likelihood, with spaces between thousands."""
     if not np.isfinite(value):
-        return UNKNOWN
+        return unknown
+    return f"{value:,.0f}".replace(",", "\u202f").replace("-", "−")
+
+
+def format_count(number: int, noun: str) -> str:
+    """Format a number of things: 1 trial, 2 trials."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def format_value(value: float) -> str:
+    """Format three significant figures, with a power of ten where that is shorter."""
+    if not np.isfinite(value):
+        return NOT_KNOWN
     if value == 0 or 1e-3 <= abs(value) < 1e4:
-        return f"{value:.3g}" if abs(value) < 1000 else f"{float(f'{value:.3g}'):.0f}"
+        rounded = f"{value:.3g}"
+        return rounded if abs(value) < 1000 else f"{float(rounded):.0f}"
     figures, power = f"{value:.2e}".split("e")
     return f"{float(figures):g} × 10{superscript(power)}"
 
 
-def symbol(name: str) -> Markup:
-    """k_ph with its index set low."""
+def format_mean(row: Mapping[str, Any]) -> str:
+    """Format a mean with its interval if it has one; the row is of `mean_response`."""
+    mean = format_value(row["mean"])
+    if not np.isfinite(row["low"]):
+        return mean
+    return f"{mean} ({format_value(row['low'])} to {format_value(row['high'])})"
+
+
+def format_quantity(row: Mapping[str, Any]) -> tuple[Markup, Markup]:
+    """Format a value and its 95 % interval in handy units; the row is of table CAUSES.
+
+    They have as many figures as the interval justifies. Where only the lower end is
+    known, the interval says so.
+    """
+    factor, name = DISPLAY_UNITS.get(row["unit"], (1.0, row["unit"]))
+    scaled = [factor * row[column] for column in ("value", "low", "high")]
+    value, low, high = format_interval(*scaled)
+    interval = f"at least {low}" if row["at_least"] else f"{low} to {high}"
+    if NOT_KNOWN in (low, high):
+        return _with_unit(value, name), Markup(NOT_KNOWN)
+    return _with_unit(value, name), _with_unit(interval, name)
+
+
+def _with_unit(figures: str, name: str) -> Markup:
+    return Markup("{} {}").format(figures, unit_markup(name)).strip()
+
+
+def format_interval(value: float, low: float, high: float) -> list[str]:
+    """Format a value and the ends of its interval to two figures of its width.
+
+    Each has three figures of its own if the interval is not known or spans more than a
+    power of ten.
+    """
+    width, largest = high - low, max(abs(low), abs(high), abs(value))
+    is_known = np.isfinite(largest) and width > 0
+    spans_decade = low * high > 0 and not 0.1 < low / high < 10
+    if not is_known or spans_decade:
+        return [format_value(number).replace("-", "−") for number in (value, low, high)]
+
+    power = int(np.floor(np.log10(largest)))
+    if -3 <= power < 4:
+        power = 0
+    decimals = max(0, 1 - int(np.floor(np.log10(width))) + power)
+    suffix = f" × 10{superscript(str(power))}" if power else ""
+    scaled = [f"{number / 10.0**power:.{decimals}f}" for number in (value, low, high)]
+    return [(figures + suffix).replace("-", "−") for figures in scaled]
+
+
+def superscript(number: str) -> str:
+    """Raise the figures of an exponent, without leading zeros."""
+    return str(int(number)).translate(SUPERSCRIPTS)
+
+
+# --- symbols and units
+def symbol_markup(name: str) -> Markup:
+    """Set the index of a symbol such as k_ph low."""
     stem, _, index = name.partition("_")
-    return (
-        Markup("<i>{}</i><sub>{}</sub>").format(stem, index)
-        if index
-        else Markup("<i>{}</i>").format(stem)
+    if index:
+        return Markup("<i>{}</i><sub>{}</sub>").format(stem, index)
+    return Markup("<i>{}</i>").format(stem)
+
+
+def sentence_markup(text: str) -> Markup:
+    """Set the symbols in a sentence as symbols."""
+    symbols = r"\b[kcC]_\w+\b"
+    marked = re.sub(
+        symbols, lambda found: str(symbol_markup(found[0])), str(escape(text))
     )
+    return Markup(marked)
 
 
-def sentence(text: str) -> Markup:
-    """A sentence with the symbols in it set as symbols."""
-    return Markup(
-        re.sub(r"\b[kcC]_\w+\b", lambda found: str(symbol(found[0])), str(escape(text)))
-    )
-
-
-def unit(text: str) -> Markup:
-    """N s2/(m2 kg) with its powers set high."""
+def unit_markup(text: str) -> Markup:
+    """Set the powers of a unit such as N s2/(m2 kg) high."""
     return Markup(re.sub(r"(?<=[a-z])(\d)", r"<sup>\1</sup>", str(escape(text))))
 
 
-def unread(readings: pd.DataFrame) -> list[dict[str, Any]]:
-    """Frames that could not be read: how many for each reason, and when [ms]."""
-    bad = readings[~readings["valid"].astype(bool)]
-    said = []
-    for reason, rows in bad.groupby("reason", sort=False):
-        t = [f"{at * 1e3:.0f}" for at in rows["t"]]
-        # between stretches of consecutive frames
+# --- what a run says
+def unread_frames(readings: pd.DataFrame) -> list[dict[str, Any]]:
+    """Summarise frames that could not be read: how many for each reason, and when [ms]."""
+    unread = readings[~readings["valid"].astype(bool)]
+    summary = []
+    for reason, rows in unread.groupby("reason", sort=False):
+        times = [f"{t * 1e3:.0f}" for t in rows["t"]]
         breaks = np.flatnonzero(np.diff(rows["frame"]) != 1) + 1
-        stretches = pairwise([0, *breaks, len(rows)])
-        when = [
-            t[first] if end - first == 1 else f"{t[first]} to {t[end - 1]}"
-            for first, end in stretches
-        ]
-        said.append({"reason": reason, "count": len(rows), "when": ", ".join(when)})
-    return said
+        stretches = []  # of consecutive frames
+        for first, end in pairwise([0, *breaks, len(rows)]):
+            is_single = end - first == 1
+            last = "" if is_single else f" to {times[end - 1]}"
+            stretches.append(times[first] + last)
+        when = ", ".join(stretches)
+        summary.append({"reason": reason, "count": len(rows), "when": when})
+    return summary
 
 
 def flatten_settings(
-    block: Mapping[str, Any], place: str = ""
+    block: Mapping[str, Any], prefix: str = ""
 ) -> Iterator[tuple[str, str]]:
-    """Every setting by the name it has on the command line, in the order in which a run
-    keeps them.
-    """
+    """List settings in nested blocks by the names they have on the command line."""
     for name, value in sorted(block.items()):
         if isinstance(value, Mapping) and value:
-            yield from flatten_settings(value, f"{place}{name}.")
+            yield from flatten_settings(value, f"{prefix}{name}.")
         else:
-            yield f"{place}{name}", "null" if value is None else str(value)
+            yield f"{prefix}{name}", "null" if value is None else str(value)
 
 
-# --- of a diagnosis
-def plain(name: str) -> str:
-    """An effect, or several joined by ' + ', in plain words."""
-    return OUTCOMES.get(name, name.replace("_", " "))
+def effect_title(name: str) -> str:
+    """Spell out the name of an effect or verdict, or several joined by ' + '."""
+    return VERDICT_NAMES.get(name, name.replace("_", " "))
 
 
-def percent(share: float) -> str:
-    """A probability or share; what is small or nearly certain in words."""
-    if not np.isfinite(share):
-        return UNKNOWN
-    return (
-        "under 1 %"
-        if share < 0.005
-        else "over 99 %"
-        if 0.995 < share < 1
-        else f"{100 * share:.0f} %"
-    )
+def join_names(names: Sequence[str], word: str = "and") -> str:
+    """Join names as `a, b and c`."""
+    head = ", ".join(names[:-1])
+    return f" {word} ".join(filter(None, (head, *names[-1:])))
 
 
-def gain(value: float, unknown: str = UNKNOWN) -> str:
-    """A log-likelihood, its thousands apart."""
-    return (
-        f"{value:,.0f}".replace(",", "\u202f").replace("-", "−")
-        if np.isfinite(value)
-        else unknown
-    )
+def join_effects(names: Sequence[str], word: str = "and") -> str:
+    """Join names of effects as `wind, arm lag and tip mass`."""
+    return join_names([effect_title(name) for name in names], word)
 
 
-def quantity(row: Mapping[str, Any]) -> tuple[Markup, Markup]:
-    """A value and its 95 % interval in handy units, with as many figures as the
-    interval is worth; the lower end alone where that is what is known. row: of table
-    CAUSES.
-    """
-    factor, name = HANDY.get(row["unit"], (1.0, row["unit"]))
-    value, low, high = within(*(factor * row[of] for of in ("value", "low", "high")))
-    ends = f"at least {low}" if row.get("at_least") else f"{low} to {high}"
-    with_unit = [
-        Markup("{} {}").format(figures, unit(name)).strip() for figures in (value, ends)
-    ]
-    return with_unit[0], Markup(UNKNOWN) if UNKNOWN in (low, high) else with_unit[1]
-
-
-def within(value: float, low: float, high: float) -> list[str]:
-    """A value and the ends of its interval, to two figures of the interval's width;
-    each to its own three where the interval is not known or spans more than a power of
-    ten.
-    """
-    width, largest = high - low, max(abs(low), abs(high), abs(value))
-    if not (np.isfinite(largest) and width > 0) or (
-        low * high > 0 and not 0.1 < low / high < 10
-    ):
-        return [significant(one).replace("-", "−") for one in (value, low, high)]
-    power = int(np.floor(np.log10(largest)))
-    power *= not -3 <= power < 4
-    decimals = max(0, 1 - int(np.floor(np.log10(width))) + power)
-    raised = f" × 10{superscript(str(power))}" if power else ""
-    return [
-        f"{one / 10.0**power:.{decimals}f}{raised}".replace("-", "−")
-        for one in (value, low, high)
-    ]
-
-
-def headline(document: Mapping[str, Any]) -> str:
-    """The verdict in a few words. document: diagnosis.json."""
-    groups = document["indistinguishable"]
-    alike = {name for group in groups for name in group}
-    certain = [
-        plain(cause["effect"])
-        for cause in document["causes"]
-        if cause["effect"] not in alike
-    ]
-    causes = enumerated(
-        [
-            *certain,
-            *(enumerated([plain(name) for name in group], "or") for group in groups),
-        ]
-    )
-    if document.get("interrupted"):
+def verdict_headline(document: Mapping[str, Any]) -> str:
+    """State the verdict of diagnosis.json in a few words."""
+    if document["interrupted"]:
         return "The search for causes was interrupted"
+    groups = document["indistinguishable"]
+    in_groups = {name for group in groups for name in group}
+    causes = [cause["effect"] for cause in document["causes"]]
+    certain = [effect_title(name) for name in causes if name not in in_groups]
+    found = f"Found: {', '.join(certain)}"
+    undecided = f"Undecided: {'; '.join(join_effects(group, 'or') for group in groups)}"
     return {
-        "none": "The simulation agrees with what was measured",
-        "effect": f"The cause: {causes}"
-        if len(certain) == 1
-        else f"The causes: {causes}",
-        "ambiguous": f"{causes.capitalize()}: this data cannot tell them apart",
-        "unknown": "Something is missing, and it is not in the library",
-        "insufficient": "This data cannot answer",
+        "none": "The simulation agrees with the measurements",
+        "effect": found,
+        "ambiguous": f"{found}. {undecided}" if certain else undecided,
+        "unknown": "The simulation has an error of unknown cause",
+        "insufficient": "The data do not allow a diagnosis",
     }[document["verdict"]]
-
-
-def enumerated(names: Sequence[str], word: str = "and") -> str:
-    """Names as `a, b and c`."""
-    return f" {word} ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

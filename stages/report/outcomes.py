@@ -1,4 +1,4 @@
-"""Results of a job, and the uncertainty of their mean over the seeds."""
+"""Outcomes of a sweep's jobs, and the uncertainty of their means over the seeds."""
 
 from __future__ import annotations
 
@@ -10,114 +10,114 @@ import pandas as pd
 from scipy.stats import norm, t
 
 CONFIDENCE = 0.95  # of the intervals of means and rates
-Mean = Callable[[np.ndarray], tuple[float, float, float]]
+MeanFunction = Callable[[np.ndarray], tuple[float, float, float]]
 
 
-def average(values: np.ndarray) -> tuple[float, float, float]:
-    """Mean and its 95 % interval by Student's t, NaN where there is one value only.
-    values: (K,).
-    """
+def arithmetic_mean(values: np.ndarray) -> tuple[float, float, float]:
+    """Return mean and Student's 95 % interval of (K,) values, NaN if there is only one."""
     mean = float(values.mean())
     if len(values) < 2:
         return mean, np.nan, np.nan
-    half = (
-        t.ppf((1 + CONFIDENCE) / 2, len(values) - 1)
-        * values.std(ddof=1)
-        / np.sqrt(len(values))
-    )
+    quantile = t.ppf((1 + CONFIDENCE) / 2, len(values) - 1)
+    half = quantile * values.std(ddof=1) / np.sqrt(len(values))
     return mean, float(mean - half), float(mean + half)
 
 
-def magnitude(values: np.ndarray) -> tuple[float, float, float]:
-    """Geometric mean and its 95 % interval, for what spans powers of ten. values: (K,),
-    positive.
+def geometric_mean(values: np.ndarray) -> tuple[float, float, float]:
+    """Return geometric mean and 95 % interval of (K,) positive values.
+
+    It suits values that span powers of ten.
     """
-    mean, low, high = np.exp(average(np.log(values)))
+    mean, low, high = np.exp(arithmetic_mean(np.log(values)))
     return float(mean), float(low), float(high)
 
 
-def share(values: np.ndarray) -> tuple[float, float, float]:
-    """Mean of shares and its 95 % interval by Wilson (1927), each of the (K,) values
-    counting as one throw.
+def mean_share(values: np.ndarray) -> tuple[float, float, float]:
+    """Return mean and Wilson's 95 % interval (1927) of (K,) shares.
 
-    Where a value is itself a mean over several jobs of a seed, the interval is rather
-    too wide than too narrow.
+    Each value counts as one trial. Where a value is itself a mean over several jobs of
+    a seed, the interval is too wide rather than too narrow.
     """
-    mean, count, z = (
-        float(values.mean()),
-        len(values),
-        float(norm.ppf((1 + CONFIDENCE) / 2)),
-    )
+    count, z = len(values), float(norm.ppf((1 + CONFIDENCE) / 2))
+    mean = float(values.mean())
     middle = (mean + z**2 / (2 * count)) / (1 + z**2 / count)
-    half = (
-        z
-        / (1 + z**2 / count)
-        * np.sqrt(mean * (1 - mean) / count + z**2 / (4 * count**2))
-    )
+    variance = mean * (1 - mean) / count + z**2 / (4 * count**2)
+    half = z / (1 + z**2 / count) * np.sqrt(variance)
     return mean, float(middle - half), float(middle + half)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A column of the sweep's table. label, unit: as written at an axis. scale: what
-    its numbers are multiplied by there. mean: how values of several seeds are joined.
-    axis: matplotlib's name of the axis' scale.
+    """A column of the sweep's table.
+
+    Attributes
+    ----------
+    name : str
+        Column.
+    label, unit : str
+        Label of an axis.
+    mean : callable
+        Combines the values of several seeds.
+    scale : float
+        Factor from the column's unit to the axis' unit.
+    axis : str
+        Matplotlib's name of the axis' scale.
     """
 
     name: str
     label: str
     unit: str
-    mean: Mean
+    mean: MeanFunction
     scale: float = 1.0
     axis: str = "linear"
 
     @property
     def title(self) -> str:
         """Label and unit."""
-        return (
-            f"{self.label} [{self.unit}]" if self.unit not in ("", "1") else self.label
-        )
+        return self.label if self.unit in ("", "1") else f"{self.label} [{self.unit}]"
 
 
-OUTCOMES = (
-    Outcome("hit", "hit rate", "%", share, scale=100.0),
-    Outcome("manipulations", "manipulations", "", average),
-    Outcome("E_after", "matching rate E", "", average),
-    Outcome("miss_m", "closest approach", "mm", average, scale=1e3),
+CAST_OUTCOMES = (
+    Outcome("hit", "hit rate", "%", mean_share, scale=100.0),
+    Outcome("manipulations", "casts", "", arithmetic_mean),
+    Outcome("E_after", "matching rate E", "", arithmetic_mean),
+    Outcome("miss_m", "closest approach", "mm", arithmetic_mean, scale=1e3),
 )
 
 
-def parameter(name: str, unit: str, meaning: str) -> Outcome:
-    """A parameter that was estimated, on a scale of powers of ten."""
-    return Outcome(name, name.replace("_", " "), unit, magnitude, axis="log")
+def parameter_outcome(name: str, unit: str) -> Outcome:
+    """Describe an estimated parameter as an outcome on a logarithmic scale."""
+    return Outcome(name, name.replace("_", " "), unit, geometric_mean, axis="log")
 
 
-def response(jobs: pd.DataFrame, outcome: Outcome, factors: list[str]) -> pd.DataFrame:
-    """Mean of an outcome at each level of some factors: columns factors, mean, low,
-    high, seeds, jobs.
+def mean_response(
+    jobs: pd.DataFrame, outcome: Outcome, factors: list[str]
+) -> pd.DataFrame:
+    """Average an outcome at each level of some settings.
 
-    jobs: those that ended, with a column `seed`. Levels at which nothing is known have
-    no row.
+    Parameters
+    ----------
+    jobs : DataFrame
+        Finished jobs, with a column `seed`.
+    outcome : Outcome
+    factors : list of str
+        Columns of the settings.
+
+    Returns
+    -------
+    DataFrame
+        Columns factors, mean, low, high, seeds, jobs. Levels without a known value
+        have no row.
     """
-    known = jobs[
-        jobs[outcome.name].notna()
-        & ((jobs[outcome.name] > 0) | (outcome.axis != "log"))
-    ]
+    has_value = jobs[outcome.name].notna()
+    if outcome.axis == "log":
+        has_value &= jobs[outcome.name] > 0
     rows = []
-    for level, some in known.groupby(factors, sort=True):
-        values = some.groupby("seed")[outcome.name].mean().to_numpy(float)
-        mean, low, high = np.array(outcome.mean(values)) * outcome.scale
-        place = dict(zip(factors, level, strict=True))
-        rows.append(
-            place
-            | {
-                "mean": mean,
-                "low": low,
-                "high": high,
-                "seeds": len(values),
-                "jobs": len(some),
-            }
-        )
-    return pd.DataFrame(
-        rows, columns=[*factors, "mean", "low", "high", "seeds", "jobs"]
-    )
+    for level, at_level in jobs[has_value].groupby(factors, sort=True):
+        values = at_level.groupby("seed")[outcome.name].mean().to_numpy(float)
+        row = dict(zip(factors, level, strict=True))
+        means = np.array(outcome.mean(values)) * outcome.scale
+        row |= dict(zip(("mean", "low", "high"), means, strict=True))
+        rows.append(row | {"seeds": len(values), "jobs": len(at_level)})
+    columns = [*factors, "mean", "low", "high", "seeds", "jobs"]
+    return pd.DataFrame(rows, columns=columns)

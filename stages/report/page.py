@@ -1,6 +1,7 @@
-"""A page is a list of sections, a section a list of parts; each kind of part is a class
-here and a macro of its name in `page.html.j2`. What is said is decided in Python, how
-it looks in the template and in `theme.css`.
+"""Parts of a page: what is written is decided in Python, how it looks in the templates.
+
+A page is a list of sections, a section a list of parts. Each kind of part is a class
+here and a macro of its name in `parts.html.j2`.
 """
 
 from __future__ import annotations
@@ -18,54 +19,42 @@ import numpy as np
 from markupsafe import Markup
 
 from stringcast.stages.report import formatting
-from stringcast.stages.report.theme import MM_PER_M, THEME, Picture
+from stringcast.stages.report.theme import CSS_VARIABLES, MM_PER_M, Picture
 
-HERE = Path(__file__).parent
+ASSET_FOLDER = Path(__file__).parent
 SCRIPTS = ("vendor/uPlot.iife.min.js", "explore.js")
 
 
 class Part:
-    """Anything that a page shows; markupsafe's protocol lets a template or another part
-    simply name it.
-    """
+    """Anything that a page shows; templates and other parts insert it by its name."""
 
     def __html__(self) -> str:
-        """The part as HTML, everything in it escaped that is not Markup."""
-        return str(
-            getattr(
-                _templates().get_template("parts.html.j2").module,
-                type(self).__name__.lower(),
-            )(self)
-        )
+        """Render the part as HTML, with everything escaped that is not Markup."""
+        macros = _templates().get_template("parts.html.j2").module
+        macro = getattr(macros, type(self).__name__.lower())
+        return str(macro(self))
 
 
 @dataclass(frozen=True)
 class Text(Part):
-    """A paragraph. kind: lead, missing (what is not there) or key."""
+    """A paragraph; its kind is lead, caption or missing (for what is not there)."""
 
     words: str
     kind: str = "lead"
 
 
 @dataclass(frozen=True)
-class Tile(Part):
-    """A number to remember, and what it is."""
-
-    value: str
-    words: str
-
-
-@dataclass(frozen=True)
 class Tiles(Part):
-    """Tiles side by side."""
+    """Numbers to remember, side by side, each with its meaning."""
 
-    tiles: Sequence[Tile]
+    tiles: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table. kind: n (a number), code or missing. title: shown where a
-    pointer rests on it.
+    """A cell of a table; its kind is n (a number), code, name or missing.
+
+    The title appears where a pointer rests on the cell.
     """
 
     words: Any
@@ -75,8 +64,12 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table(Part):
-    """columns: headings; none for a table of names and values. Cells are `Cell` or
-    words. named: the first of a row is its heading.
+    """A table of cells or plain words; without columns, one of names and values.
+
+    Attributes
+    ----------
+    named : bool
+        The first cell of a row is its heading.
     """
 
     columns: Sequence[str]
@@ -85,23 +78,24 @@ class Table(Part):
 
     @property
     def cells(self) -> list[list[Cell]]:
-        """Every cell as a `Cell`."""
-        return [
-            [cell if isinstance(cell, Cell) else Cell(cell) for cell in row]
-            for row in self.rows
-        ]
+        """Every entry of the rows as a `Cell`."""
+        return [[_as_cell(entry) for entry in row] for row in self.rows]
+
+
+def _as_cell(entry: Any) -> Cell:
+    return entry if isinstance(entry, Cell) else Cell(entry)
 
 
 @dataclass(frozen=True)
 class Key(Part):
-    """The key of colours: words, and a CSS colour or the class of a mark."""
+    """A key of colours: words, and a CSS colour or the class of a mark."""
 
     entries: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True)
 class Figure(Part):
-    """A picture with its caption; `otherwise` stands where there is nothing to draw."""
+    """A picture with its caption; `otherwise` replaces a picture that is None."""
 
     title: str
     picture: Picture | None
@@ -123,26 +117,19 @@ class Card(Part):
 
     title: str
     parts: Sequence[Part]
-    kind: str = ""
 
 
 @dataclass(frozen=True)
-class Grid(Part):
-    """Cards side by side, as many as there is room for."""
+class Block(Part):
+    """Cards in a layout of the style sheet: grid, column or trials (side by side)."""
 
-    parts: Sequence[Part]
-
-
-@dataclass(frozen=True)
-class Column(Part):
-    """Cards one below the other, beside a taller one."""
-
+    kind: str
     parts: Sequence[Part]
 
 
 @dataclass(frozen=True)
 class Details(Part):
-    """A block that is folded away behind a line."""
+    """Parts that are folded away behind a line."""
 
     summary: str
     parts: Sequence[Part]
@@ -150,8 +137,14 @@ class Details(Part):
 
 @dataclass(frozen=True)
 class Layer:
-    """Strings of a film that can be shown or not. name: in its data. colour: of the
-    theme, or #... shown: at first.
+    """Strings of a film that the reader can show or hide.
+
+    Attributes
+    ----------
+    name : str
+        Name of the strings in the film's data.
+    colour : str
+        Name of the theme, or #...
     """
 
     name: str
@@ -162,8 +155,9 @@ class Layer:
 
 @dataclass(frozen=True)
 class Film(Part):
-    """Strings over time, over camera frames where there are any. data: see
-    `charts.camera.animation`, JSON-able.
+    """Strings over time, over camera frames where there are any.
+
+    The data are JSON-able; see `charts.camera.cast_film_data`.
     """
 
     data: Mapping[str, Any] = field(repr=False)
@@ -172,21 +166,39 @@ class Film(Part):
 
 @dataclass(frozen=True)
 class Line:
-    """A curve of a chart. values: at its times; NaN where there is none. colour: a name
-    of the theme.
-    """
+    """A curve of a chart: values at its times (NaN for gaps), in a colour of the theme."""
 
     label: str
     values: np.ndarray = field(repr=False)
     colour: str
     dashed: bool = False
 
+    @property
+    def data(self) -> dict[str, Any]:
+        """The curve for the page's script, to four significant figures."""
+        values = np.asarray(self.values, float)
+        rounded = [float(f"{v:.4g}") if np.isfinite(v) else None for v in values]
+        return vars(self) | {"values": rounded}
+
 
 @dataclass(frozen=True)
 class Chart(Part):
-    """Curves over time that are hovered over and zoomed. t: [s], ascending. axis: what
-    is drawn, with its unit. words: for those who cannot see it. moving: while the arm
-    moves [s]. mark: a moment [s]. low: end of the axis, if given.
+    """Curves over time that the reader can hover over and zoom.
+
+    Attributes
+    ----------
+    t : ndarray
+        Ascending times [s].
+    axis : str
+        What is drawn, with its unit.
+    words : str
+        What the curves show, for readers who cannot see them.
+    moving : tuple of float, optional
+        Interval [s] in which the arm moves.
+    mark : float, optional
+        Moment [s] to mark.
+    low : float, optional
+        Lower end of the axis.
     """
 
     title: str
@@ -201,33 +213,28 @@ class Chart(Part):
 
     @property
     def data(self) -> dict[str, Any]:
-        """The data of the page's script: times in ms, null where there is no value."""
+        """The chart for the page's script: times in ms, null where there is no value."""
+        has_mark = self.mark is not None and np.isfinite(self.mark)
         return {
             "t": np.round(np.asarray(self.t, float) * MM_PER_M, 2).tolist(),
-            "lines": [
-                {
-                    "label": one.label,
-                    "colour": one.colour,
-                    "dashed": one.dashed,
-                    "values": _figures(one.values),
-                }
-                for one in self.lines
-            ],
+            "lines": [line.data for line in self.lines],
             "axis": self.axis,
-            "moving": None
-            if self.moving is None
-            else [end * MM_PER_M for end in self.moving],
-            "mark": None
-            if self.mark is None or not np.isfinite(self.mark)
-            else self.mark * MM_PER_M,
+            "moving": self.moving and [end * MM_PER_M for end in self.moving],
+            "mark": self.mark * MM_PER_M if has_mark else None,
             "low": self.low,
         }
 
 
 @dataclass(frozen=True)
 class Explore(Part):
-    """Films and charts with one clock. layers: of its films. times: differences between
-    them can be enlarged.
+    """Films and charts that share one clock.
+
+    Attributes
+    ----------
+    layers : sequence of Layer
+        Of its films.
+    times : bool
+        The reader can enlarge the differences between the strings.
     """
 
     parts: Sequence[Part]
@@ -236,42 +243,36 @@ class Explore(Part):
 
 
 @dataclass(frozen=True)
-class Side(Part):
-    """Cards of trials, side by side."""
-
-    parts: Sequence[Part]
-
-
-@dataclass(frozen=True)
 class Jump(Part):
-    """A button that sets the clock of its group. t: [ms]."""
+    """A button that sets the clock of its group to a time [ms]."""
 
     t: float
     words: str
 
 
-# in a command: the page's own folder, which the reader's browser knows
-FOLDER_PLACEHOLDER = "{here}"
+FOLDER_PLACEHOLDER = "{here}"  # stands in commands for the page's folder
 
 
 @dataclass(frozen=True)
 class Commands(Part):
-    """Commands to go on with: why, and what to paste, in which HERE_IN_WORDS may stand."""
+    """Commands to continue with: the purpose, and the text to paste.
+
+    The reader's browser replaces HERE_IN_WORDS by the page's own folder.
+    """
 
     commands: Sequence[tuple[str, str]]
 
     @property
     def rows(self) -> list[tuple[str, list[str]]]:
-        """Words, and the command in pieces between which the page's folder stands."""
+        """Purposes, and the commands in pieces around the page's folder."""
         return [
-            (words, command.split(FOLDER_PLACEHOLDER))
-            for words, command in self.commands
+            (why, command.split(FOLDER_PLACEHOLDER)) for why, command in self.commands
         ]
 
 
 @dataclass(frozen=True)
 class Section(Part):
-    """A heading and its parts. badge: beside the heading. anchor: that links lead to."""
+    """A heading with an optional badge, and parts; links lead to its anchor."""
 
     title: str
     parts: Sequence[Part | None]
@@ -282,138 +283,147 @@ class Section(Part):
 
 @dataclass(frozen=True)
 class Page:
-    """title: of the window. kicker: above the heading. tone: good or bad, for its
-    colour and mark. nav: links to sections. origin: seed if any, code, packages.
-    settings: by name. following: commands for what is next. explored: with films and
-    curves, which need scripts.
+    """A page, whose text is `str(page)`: one file that needs no other.
+
+    Attributes
+    ----------
+    kind : str
+        What it reports on, such as sweep.
+    name : str
+        Name of the run.
+    origin : mapping
+        Seed if there is one, code, packages.
+    settings : mapping
+        Settings as nested blocks.
+    tone : str
+        "good" or "bad", for the colour and mark of the heading.
+    nav : sequence of (anchor, words)
+        Links to sections.
+    following : sequence of (purpose, command)
+        Commands to continue with.
     """
 
-    title: str
-    kicker: str
+    kind: str
+    name: str
     heading: str
     lead: str
     sections: Sequence[Part | None]
     origin: Mapping[str, Any]
     settings: Mapping[str, Any]
     tone: str = ""
-    marked: bool = False
     nav: Sequence[tuple[str, str]] = ()
     following: Sequence[tuple[str, str]] = ()
-    explored: bool = False
 
     def __str__(self) -> str:
-        """The page as text; the same record gives the same page. One file that needs
-        nothing else.
-        """
-        scripts = [_read(name) for name in SCRIPTS] if self.explored else []
-        digests = [
-            base64.b64encode(hashlib.sha256(one.encode()).digest()).decode()
-            for one in scripts
-        ]
-        allowed = (
-            "; script-src " + " ".join(f"'sha256-{one}'" for one in digests)
-            if scripts
-            else ""
+        """Render the page; the same content gives the same text."""
+        parts = [*self.sections, self._next_steps(), self._reproduction()]
+        body = Markup("\n").join(part for part in parts if part is not None)
+        needs_scripts = 'class="explore"' in body or 'class="here"' in body
+        scripts = [_read_asset(name) for name in SCRIPTS] if needs_scripts else []
+        sheet = CSS_VARIABLES + _read_asset("theme.css")
+        if needs_scripts:
+            sheet += _read_asset("vendor/uPlot.min.css")
+        return (
+            _templates()
+            .get_template("page.html.j2")
+            .render(
+                page=self,
+                body=body,
+                policy=Markup(_script_policy(scripts)),
+                scripts=map(Markup, scripts),
+                sheet=Markup(sheet),
+            )
         )
-        sheet = _read("theme.css") + (_read("vendor/uPlot.min.css") if scripts else "")
-        given = {
-            "ahead": Section("What next", [Card("", [Commands(self.following)])])
-            if self.following
-            else None,
-            "again": self.again,
-            "allowed": Markup(allowed),
-            "scripts": map(Markup, scripts),
-            "sheet": Markup(sheet),
-        }
-        return _templates().get_template("page.html.j2").render(page=self, **given)
 
-    @property
-    def again(self) -> Section:
-        """The command that makes the page again."""
+    def _next_steps(self) -> Section | None:
+        if not self.following:
+            return None
+        return Section("Next steps", [Card("", [Commands(self.following)])])
+
+    def _reproduction(self) -> Section:
+        """List where the page comes from, and the settings that make it again."""
         seed = f"seed {self.origin['seed']}, " if "seed" in self.origin else ""
         origin = f"Origin: {seed}code {self.origin['code']['commit'][:10]}"
-        settings = "All settings, by their names on the command line"
-        folded = [
-            Details(line, [named(of)])
-            for line, of in ((origin, self.origin), (settings, self.settings))
-            if of
-        ]
-        return Section("How to make this again", folded)
+        folded = [Details(origin, [settings_table(self.origin)])]
+        if self.settings:
+            title = "All settings, by their names on the command line"
+            folded.append(Details(title, [settings_table(self.settings)]))
+        return Section("How to reproduce this", folded)
 
 
-def number(text: Any) -> Cell:
-    """A cell with a number."""
+def _script_policy(scripts: Sequence[str]) -> str:
+    """Return the security policy that admits these scripts and no others."""
+    if not scripts:
+        return ""
+    digests = [hashlib.sha256(script.encode()).digest() for script in scripts]
+    sources = [f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests]
+    return f"; script-src {' '.join(sources)}"
+
+
+def number_cell(text: Any) -> Cell:
+    """Create a cell with a number."""
     return Cell(text, "n")
 
 
-def named(settings: Mapping[str, Any]) -> Table:
-    """Settings by their names on the command line."""
-    return Table(
-        (),
-        [
-            (name, Cell(value, "code"))
-            for name, value in formatting.flatten_settings(settings)
-        ],
-        named=True,
-    )
+def number_cells(texts: Iterable[Any]) -> list[Cell]:
+    """Create cells with numbers."""
+    return [number_cell(text) for text in texts]
 
 
-def badge(hit: bool) -> Markup:
-    """Hit or missed, in words and colour."""
+def settings_table(settings: Mapping[str, Any]) -> Table:
+    """List settings by their names on the command line."""
+    rows = [
+        (name, Cell(value, "code"))
+        for name, value in formatting.flatten_settings(settings)
+    ]
+    return Table((), rows, named=True)
+
+
+def hit_badge(hit: bool) -> Markup:
+    """Mark a cast as hit or missed, in words and colour."""
     kind, text = ("good", "✓ hit") if hit else ("bad", "✗ missed")
     return Markup('<span class="badge {}">{}</span>').format(kind, text)
 
 
 def link(where: str, text: Any) -> Markup:
-    """A link within the page or to one beside it."""
+    """Link to a place in the page or to a page beside it."""
     return Markup('<a href="{}">{}</a>').format(where, text)
 
 
-def code(text: str) -> Markup:
-    """Words that are typed as they stand, such as a command."""
+def code_text(text: str) -> Markup:
+    """Set words that are typed as they stand, such as a command."""
     return Markup("<code>{}</code>").format(text)
 
 
-def bold(text: str) -> Markup:
-    """Words that are to be seen first."""
+def bold_text(text: str) -> Markup:
+    """Set words in bold."""
     return Markup("<b>{}</b>").format(text)
 
 
-def joined(parts: Iterable[Any]) -> Markup:
-    """Sentences one after another, each escaped unless it is Markup; those that are
-    empty are left out.
-    """
-    return Markup(" ").join(part for part in parts if part)
+def join_sentences(sentences: Iterable[Any]) -> Markup:
+    """Join sentences, each escaped unless it is Markup; skip empty ones."""
+    return Markup(" ").join(sentence for sentence in sentences if sentence)
 
 
-def either(title: str, part: Part | None, otherwise: str) -> Part:
-    """The part, or in its place why there is none."""
-    return part or Card(title, [Text(otherwise, "missing")])
-
-
-def _figures(values: np.ndarray) -> list[float | None]:
-    """Four significant figures, which is more than a screen shows."""
-    return [
-        float(f"{value:.4g}") if np.isfinite(value) else None
-        for value in np.asarray(values, float)
-    ]
+def part_or_reason(title: str, part: Part | None, reason: str) -> Part:
+    """Return the part, or a card with the reason why there is none."""
+    return part or Card(title, [Text(reason, "missing")])
 
 
 @cache
-def _read(name: str) -> str:
-    return (HERE / name).read_text(encoding="utf-8")
+def _read_asset(name: str) -> str:
+    return (ASSET_FOLDER / name).read_text(encoding="utf-8")
 
 
 @cache
 def _templates() -> jinja2.Environment:
-    """Data are escaped; a name that is not there is an error."""
+    """Load the templates; data are escaped, and an unknown name is an error."""
     templates = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(HERE),
+        loader=jinja2.FileSystemLoader(ASSET_FOLDER),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    templates.globals |= {"theme": THEME}
     templates.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     return templates

@@ -1,4 +1,4 @@
-"""The data that pages are made from."""
+"""Data that pages are made from."""
 
 from __future__ import annotations
 
@@ -26,17 +26,31 @@ from stringcast.stages.hit_test import HitResult, tip_path
 from stringcast.stages.inference.prepared_trial import observed_motion
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.model import Model
-from stringcast.stages.report.outcomes import OUTCOMES, Outcome, parameter
+from stringcast.stages.report.outcomes import CAST_OUTCOMES, Outcome, parameter_outcome
 
 
 # --- a stage of any kind
 @dataclass(frozen=True)
 class StageRecord:
-    """name: of the run. sentence: what came out. made: the stage's artifact. model: as
-    configured. settings: by name. origin: seed, code, packages. following: what can be
-    done next, and the command.
+    """What the page of a stage is made from.
+
+    Attributes
+    ----------
+    name : str
+        Name of the run.
+    sentence : str
+        The result in a sentence.
+    made : artifact
+        The stage's artifact.
+    model : Model
+        As configured.
+    settings : mapping
+        Nested blocks.
+    origin : mapping
+        Seed, code, packages.
+    following : sequence of (purpose, command)
+        Commands to continue with.
     """
 
     name: str
@@ -50,10 +64,14 @@ class StageRecord:
 
 # --- casts
 @dataclass(frozen=True)
-class Cast:
-    """One manipulation. before, after: (F, n, 2) strings simulated at the frame times
-    [m] with the parameters before and after estimation; NaN where the simulation did
-    not stay finite.
+class CastRecord:
+    """A cast and its simulation.
+
+    Attributes
+    ----------
+    before, after : ndarray, shape (F, n, 2)
+        Strings [m] simulated at the frame times with the parameters before and after
+        estimation; NaN where the simulation diverged.
     """
 
     motion: Motion
@@ -65,61 +83,74 @@ class Cast:
     after: np.ndarray = field(repr=False)
 
     @cached_property
-    def t(self) -> np.ndarray:
-        """(F,) times of the frames [s]."""
+    def frame_times(self) -> np.ndarray:
+        """Times of the frames [s], shape (F,)."""
         return self.trial.frames["t"].to_numpy()
 
     @property
-    def valid(self) -> bool:
-        """Whether its trial can be trusted; that of a dry run cannot."""
+    def is_valid(self) -> bool:
+        """Whether the trial is usable; that of a dry run is not."""
         return bool(self.trial.link["valid"].iloc[0])
 
     @property
-    def nearest(self) -> int:
-        """The frame of the closest approach, the middle one where no tip was read."""
-        return (
-            self.frame(self.verdict.t)
-            if np.isfinite(self.verdict.t)
-            else len(self.t) // 2
-        )
+    def closest_frame(self) -> int:
+        """Frame of the closest approach, or the middle one if no tip was read."""
+        if np.isfinite(self.verdict.t):
+            return self.frame_at(self.verdict.t)
+        return len(self.frame_times) // 2
 
-    def frame(self, t: float) -> int:
-        """The frame nearest to a time [s]."""
-        return int(np.argmin(np.abs(self.t - t)))
+    def frame_at(self, t: float) -> int:
+        """Return the frame nearest to a time [s]."""
+        return int(np.argmin(np.abs(self.frame_times - t)))
 
     @cached_property
-    def levels(self) -> tuple[float, float]:
-        """Black and white of the frames, the same for all: the extremes of the frame of
-        the closest approach, for a thin string is a smaller part of a frame than any
-        percentile.
+    def grey_range(self) -> tuple[float, float]:
+        """Black and white of all frames: the extremes of the closest frame.
+
+        A thin string covers less of a frame than any percentile.
         """
-        image = self.trial.images[self.nearest]
+        image = self.trial.images[self.closest_frame]
         return float(image.min()), float(max(image.max(), image.min() + 1))
 
     @cached_property
-    def measured(self) -> dict[int, np.ndarray]:
-        """The centre-lines that were read, by frame: (K, 3) of x, y and arc length [m]."""
-        times = self.points.valid_points.groupby("t", sort=True)[["x", "y", "s"]]
-        return {self.frame(t): rows.to_numpy() for t, rows in times}
+    def centre_lines(self) -> dict[int, np.ndarray]:
+        """Centre-lines read, by frame: (K, 3) of x, y and arc length [m]."""
+        frames = self.points.valid_points.groupby("t", sort=True)[["x", "y", "s"]]
+        return {self.frame_at(t): rows.to_numpy() for t, rows in frames}
 
-    def tip(self, t: np.ndarray) -> np.ndarray:
-        """The tip's way as it is judged, a cubic through the readings. t: (K,) [s].
-        Returns (K, 2) [m]; NaN outside the readings and in gaps that are too long to
-        guess.
+    def tip_path(self, t: np.ndarray) -> np.ndarray:
+        """Interpolate the tip by a cubic through its readings, as the hit test does.
+
+        Parameters
+        ----------
+        t : ndarray, shape (K,)
+            Times [s].
+
+        Returns
+        -------
+        ndarray, shape (K, 2)
+            Positions [m], NaN outside the readings and in long gaps.
         """
-        read = self.points.readings.loc[self.points.readings["valid"].astype(bool), "t"]
-        inside = (t >= read.min()) & (t <= read.max())
-        return np.where(inside[:, None], tip_path(self.points.readings, t), np.nan)
+        readings = self.points.readings
+        read_times = readings.loc[readings["valid"].astype(bool), "t"]
+        is_inside = (t >= read_times.min()) & (t <= read_times.max())
+        return np.where(is_inside[:, None], tip_path(readings, t), np.nan)
 
-    def joints(self, arm: Arm) -> np.ndarray:
-        """Base, joints and hand as measured, (K, J + 1, 2) [m]."""
+    def joint_positions(self, arm: Arm) -> np.ndarray:
+        """Return base, joints and hand as measured [m], shape (K, J + 1, 2)."""
         return arm.joint_positions(self.trial.arm[list(JOINTS)].to_numpy())
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """A run. casts is empty where only estimation ran; estimates: all, in order.
-    following: see `Facts`.
+    """What the page of a run is made from; without casts if it only estimated.
+
+    Attributes
+    ----------
+    estimates : tuple of Estimate
+        All of the run, in order.
+    following : sequence of (purpose, command)
+        Commands to continue with.
     """
 
     name: str
@@ -128,7 +159,7 @@ class RunRecord:
     model: Model
     target: Box
     obstacles: tuple[Box, ...]
-    casts: tuple[Cast, ...]
+    casts: tuple[CastRecord, ...]
     estimates: tuple[Estimate, ...]
     settings: Mapping[str, Any]
     provenance: Mapping[str, Any]
@@ -138,153 +169,175 @@ class RunRecord:
 def simulate_cast(
     model: Model,
     observation: Observation,
-    made: tuple[Motion, Trial, Points, Estimate | None],
+    artifacts: tuple[Motion, Trial, Points, Estimate | None],
     verdict: HitResult,
     previous: Estimate | None,
-) -> Cast:
-    """Simulate the performed motion with the parameters before and after its
-    estimation.
+) -> CastRecord:
+    """Simulate the executed motion with the parameters before and after estimation.
+
+    Parameters
+    ----------
+    model : Model
+    observation : Observation
+        Of the cast.
+    artifacts : tuple
+        Of the cast's stages.
+    verdict : HitResult
+    previous : Estimate, optional
+        Estimate with which the motion was generated.
     """
-    motion, trial, points, estimate = made
-    known = {} if previous is None else previous.values()
-    values = np.stack(
-        [
-            model.values(known),
-            model.values(known if estimate is None else estimate.values()),
-        ]
+    motion, trial, points, estimate = artifacts
+    values_before = {} if previous is None else previous.values()
+    values_after = values_before if estimate is None else estimate.values()
+    values = np.stack([model.values(values_before), model.values(values_after)])
+    frame_times = trial.frames["t"].to_numpy()
+    performed = observed_motion(observation).extended_until(
+        frame_times.max(initial=0.0)
     )
-    frames = trial.frames["t"].to_numpy()
-    strings = model.simulate_observation(
-        observed_motion(observation).extended_until(frames.max(initial=0.0)),
-        values,
-        frames,
-    ).points
-    return Cast(motion, trial, points, estimate, verdict, strings[0], strings[1])
+    before, after = model.simulate_observation(performed, values, frame_times).points
+    return CastRecord(motion, trial, points, estimate, verdict, before, after)
 
 
 # --- a diagnosis
-TRIALS = 8  # drawn at most: those that the base model gets most wrong
+MAX_DRAWN_TRIALS = 8
 
 
 @dataclass(frozen=True)
 class DiagnosisRecord:
-    """A diagnosis. model: as configured. library: effects by name. settings, origin,
-    following: see `Facts`.
-    """
+    """What the page of a diagnosis is made from; the model is as configured."""
 
-    name: str
     diagnosis: Diagnosis
     model: Model
-    library: Mapping[str, type[Effect]]
-    settings: Mapping[str, Any]
-    origin: Mapping[str, Any]
-    following: Sequence[tuple[str, str]] = ()
 
     @cached_property
     def document(self) -> dict[str, Any]:
-        """diagnosis.json."""
+        """Content of diagnosis.json."""
         return dict(json.loads(self.diagnosis.finding["diagnosis"].iloc[0]))
 
     @cached_property
     def extension(self) -> dict[str, Any]:
-        """The extended model as settings."""
+        """Settings of the extended model."""
         return yaml.safe_load(self.diagnosis.finding["extended"].iloc[0]) or {}
 
     @cached_property
-    def models(self) -> tuple[str, ...]:
-        """base and extended; base alone where nothing was added to it."""
+    def is_extended(self) -> bool:
+        """Whether the extended model differs from the base model."""
         table = self.diagnosis.residuals
-        same = np.array_equal(
-            table[["base_x", "base_y"]], table[["extended_x", "extended_y"]]
+        base, extended = (
+            table[["base_x", "base_y"]],
+            table[["extended_x", "extended_y"]],
         )
-        return ("base",) if same else ("base", "extended")
+        return not np.array_equal(base, extended)
 
     @cached_property
-    def trials(self) -> dict[str, pd.DataFrame]:
-        """Residuals of the trials drawn, by name and in order."""
+    def models(self) -> tuple[str, ...]:
+        """Names of the models to compare: base, and extended if it differs."""
+        return ("base", "extended") if self.is_extended else ("base",)
+
+    @property
+    def has_excluded_trials(self) -> bool:
+        """Whether the held-out trials were excluded from all fits and the search."""
+        held_out = set(self.document["gain"]["held_out_trials"])
+        return not held_out <= set(self.document["trials"]["used"])
+
+    @cached_property
+    def drawn_trials(self) -> dict[str, pd.DataFrame]:
+        """Residuals of the trials with the largest misfit of the base model, in order."""
         table = self.diagnosis.residuals
-        worst = list(rms(table, "base").sort_values(ascending=False).index[:TRIALS])
+        misfit = trial_rms(table, "base").sort_values(ascending=False)
+        drawn = list(misfit.index[:MAX_DRAWN_TRIALS])
         return {
-            str(name): rows for name, rows in table.groupby("trial") if name in worst
+            str(name): rows for name, rows in table.groupby("trial") if name in drawn
         }
 
 
-def away(table: pd.DataFrame, model: str) -> np.ndarray:
-    """(n,) distances of measured points from where a model has them [m]. table:
-    RESIDUALS.
+def model_distances(table: pd.DataFrame, model: str) -> np.ndarray:
+    """Return the distances [m] of measured points from a model, shape (n,).
+
+    Parameters
+    ----------
+    table : DataFrame
+        Table RESIDUALS.
+    model : str
+        base or extended.
     """
-    return np.hypot(
-        table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
-    ).to_numpy()
+    x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
+    return np.hypot(x, y).to_numpy()
 
 
-def rms(table: pd.DataFrame, model: str) -> pd.Series:
-    """Root mean square of the distances in each trial [m]. table: RESIDUALS."""
-    return np.sqrt(
-        pd.Series(away(table, model) ** 2).groupby(table["trial"].to_numpy()).mean()
-    )
+def trial_rms(table: pd.DataFrame, model: str) -> pd.Series:
+    """Return the root mean square of a model's distances [m] in each trial."""
+    squares = pd.Series(model_distances(table, model) ** 2)
+    return np.sqrt(squares.groupby(table["trial"].to_numpy()).mean())
 
 
 # --- a sweep
-SEED = "seed"
+SEED_COLUMN = "seed"
 
 
 @dataclass(frozen=True)
 class SweepRecord:
-    """table: a row a job, see `pipeline.sweep.table`. given: its columns that are
-    settings. estimated: unit and meaning of its columns that are parameters, by name.
-    settings: those that all jobs have in common. units: of settings that have one.
+    """What the page of a sweep is made from.
+
+    Attributes
+    ----------
+    table : DataFrame
+        A row for each job; see `pipeline.sweep.table`.
+    given : sequence of str
+        Columns that are settings.
+    estimated : mapping
+        Unit of each column that is a parameter.
+    settings : mapping
+        Settings that all jobs share.
+    units : mapping
+        Units of settings that have one.
     """
 
     name: str
     sentence: str
     jobs: pd.DataFrame = field(repr=False)
     setting_names: Sequence[str]
-    parameter_columns: Mapping[str, tuple[str, str]]
+    parameter_columns: Mapping[str, str]
     settings: Mapping[str, Any] = field(repr=False)
     provenance: Mapping[str, Any] = field(repr=False)
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str]
 
     @cached_property
-    def done(self) -> pd.DataFrame:
-        """The jobs that ran to their end, each with a seed."""
-        done = self.jobs[self.jobs["state"] == "done"]
-        return done if SEED in done else done.assign(**{SEED: 0})
+    def finished(self) -> pd.DataFrame:
+        """Jobs that ran to their end, each with a seed."""
+        finished = self.jobs[self.jobs["state"] == "done"]
+        if SEED_COLUMN in finished:
+            return finished
+        return finished.assign(**{SEED_COLUMN: 0})
 
     @cached_property
     def failed(self) -> pd.DataFrame:
-        """The jobs that failed."""
+        """Jobs that failed."""
         return self.jobs[self.jobs["state"] == "failed"]
 
     @cached_property
-    def factors(self) -> tuple[str, ...]:
-        """The settings that were varied, but for the seed, whose values only repeat the
-        experiment.
-        """
-        return tuple(
-            name
-            for name in self.setting_names
-            if name != SEED and self.jobs[name].nunique() > 1
-        )
+    def varied(self) -> list[str]:
+        """Settings with several values, seeds included."""
+        return [name for name in self.setting_names if self.jobs[name].nunique() > 1]
 
     @cached_property
-    def outcomes(self) -> tuple[Outcome, ...]:
+    def factors(self) -> list[str]:
+        """Varied settings without the seed, whose values repeat the experiment."""
+        return [name for name in self.varied if name != SEED_COLUMN]
+
+    @cached_property
+    def outcomes(self) -> list[Outcome]:
         """Results with a value for at least one job."""
-        every = (
-            *OUTCOMES,
-            *(
-                parameter(name, *words)
-                for name, words in self.parameter_columns.items()
-            ),
-        )
-        return tuple(
-            outcome for outcome in every if self.done[outcome.name].notna().any()
-        )
+        parameters = [
+            parameter_outcome(*item) for item in self.parameter_columns.items()
+        ]
+        candidates = [*CAST_OUTCOMES, *parameters]
+        return [o for o in candidates if self.finished[o.name].notna().any()]
 
     @property
-    def seeds(self) -> int:
-        """The number of seeds among the jobs that ended."""
-        return int(self.done[SEED].nunique())
+    def seed_count(self) -> int:
+        """Number of seeds among the finished jobs."""
+        return int(self.finished[SEED_COLUMN].nunique())
 
 
 # --- the paper's experiments
@@ -305,14 +358,12 @@ EXPERIMENT_LABELS = {
     "one_motion_C": "C, one first motion",
     "D_500_500": "D to (500, 500)",
     "wall": "A around the wall",
-    # every experiment, in the order in which they are shown, and those of three strings
-    # to three targets as one
-}
+}  # every experiment in the order of the page; "nine" pools three strings and targets
 
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """A figure, and what it shows in words for those who cannot see it."""
+    """A figure, and what it shows in words for readers who cannot see it."""
 
     figure: Figure = field(repr=False)
     alt: str
@@ -320,8 +371,16 @@ class PaperFigure:
 
 @dataclass(frozen=True)
 class PaperRecord:
-    """tables: by name, see `pipeline.studies.paper`. asked: how many runs were asked
-    for. settings: those that all runs have in common. origin: what made the page.
+    """What the page of the paper's experiments is made from.
+
+    Attributes
+    ----------
+    tables : mapping
+        Tables by name; see `pipeline.studies.paper`.
+    asked : int
+        Number of runs requested.
+    settings : mapping
+        Settings that all runs share.
     """
 
     tables: Mapping[str, pd.DataFrame] = field(repr=False)
@@ -329,31 +388,30 @@ class PaperRecord:
     settings: Mapping[str, Any] = field(repr=False)
     provenance: Mapping[str, Any] = field(repr=False)
 
-    def of(self, table: str, condition: str) -> pd.DataFrame:
-        """The rows of a table that are of one experiment."""
-        whole = self.tables[table]
-        return whole[whole["condition"] == condition]
+    def rows_of(self, table: str, condition: str) -> pd.DataFrame:
+        """Return the rows of a table of one experiment."""
+        rows = self.tables[table]
+        return rows[rows["condition"] == condition]
 
-    def cast(self, table: str, condition: str, manipulation: int) -> pd.DataFrame:
-        """The rows that are of one cast of the run that is shown."""
-        mine = self.of(table, condition)
-        return mine[mine["manipulation"] == manipulation]
+    def cast_rows(self, table: str, condition: str, number: int) -> pd.DataFrame:
+        """Return the rows of a table of one cast of the run that is drawn."""
+        rows = self.rows_of(table, condition)
+        return rows[rows["manipulation"] == number]
 
-    def casts(self, condition: str) -> list[int]:
-        """Numbers of the casts of the run that is shown; none where no run is done."""
-        return sorted(self.of("lines", condition)["manipulation"].unique().tolist())
+    def cast_numbers(self, condition: str) -> list[int]:
+        """Return the numbers of the casts of the run that is drawn, if one is done."""
+        return sorted(
+            self.rows_of("lines", condition)["manipulation"].unique().tolist()
+        )
 
-    def verdict(self, condition: str, manipulation: int) -> pd.Series:
-        """Row of table casts of one cast of the run that is shown."""
-        seed = self.of("lines", condition)["seed"].iloc[0]
-        mine = self.cast("casts", condition, manipulation)
-        return mine[mine["seed"] == seed].iloc[0]
+    def cast_verdict(self, condition: str, number: int) -> pd.Series:
+        """Return the row of table casts of one cast of the run that is drawn."""
+        seed = self.rows_of("lines", condition)["seed"].iloc[0]
+        rows = self.cast_rows("casts", condition, number)
+        return rows[rows["seed"] == seed].iloc[0]
 
     @property
-    def conditions(self) -> list[str]:
-        """Experiments of which a run has ended, in their order."""
-        return [
-            name
-            for name in EXPERIMENT_LABELS
-            if name in set(self.tables["rates"]["condition"])
-        ]
+    def finished_experiments(self) -> list[str]:
+        """Experiments with a finished run, in their order."""
+        finished = set(self.tables["rates"]["condition"])
+        return [name for name in EXPERIMENT_LABELS if name in finished]

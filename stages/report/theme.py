@@ -1,6 +1,4 @@
-"""Colours and style of every page, and pictures in them: figures as data URIs that
-follow light and dark.
-"""
+"""Colours and style of every page, and figures as data URIs that follow light and dark."""
 
 from __future__ import annotations
 
@@ -14,17 +12,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 from PIL import Image
 
 STYLE_SHEET = Path(__file__).parent / "theme.mplstyle"
 MM_PER_M = 1e3  # [mm] in a metre
-QUALITY = 50  # of WebP
-# of WebP's six methods: a third of the time of its own choice, for frames a tenth
-# larger
-QUICK = 1
-# Light and dark side of each colour. Data colours are those of Okabe and Ito, told
-# apart by everyone.
+WEBP_QUALITY = 50
+WEBP_METHOD = 1  # takes a third of the time of the default, for frames a tenth larger
+# Light and dark side of each colour. Data colours are those of Okabe and Ito, which
+# people with any colour vision can distinguish.
 THEME = {
     "ink": ("#1f2733", "#e7ebf2"),
     "soft": ("#5d6878", "#9fabbd"),
@@ -37,14 +32,31 @@ THEME = {
     "wall": ("#8a8f98", "#6f7885"),
 }
 LIGHT_COLOURS = {name: light for name, (light, _) in THEME.items()}
-# camera frames are dark in either theme
-ON_FRAMES = {name: dark for name, (_, dark) in THEME.items()}
+FRAME_COLOURS = {name: dark for name, (_, dark) in THEME.items()}  # frames are dark
+
+
+def _css_variables(side: int) -> str:
+    return "".join(f"--{name}:{sides[side]};" for name, sides in THEME.items())
+
+
+CSS_VARIABLES = (
+    f":root{{{_css_variables(0)}}}"
+    f"@media (prefers-color-scheme:dark){{:root{{{_css_variables(1)}}}}}"
+)
 
 
 @dataclass(frozen=True)
 class Picture:
-    """source: a data URI. alt: what it shows, in words. width, height: its natural size
-    [px].
+    """An image of a page.
+
+    Attributes
+    ----------
+    source : str
+        Data URI.
+    alt : str
+        What it shows, for readers who cannot see it.
+    width, height : int
+        Natural size [px].
     """
 
     source: str
@@ -53,116 +65,109 @@ class Picture:
     height: int
 
 
-def framed(
+def figure_with_margins(
     width: float,
     height: float,
     left: float = 0.66,
     top: float = 0.28,
     bottom: float = 0.42,
-    between: float = 0.14,
+    row_gap: float = 0.14,
 ) -> Figure:
-    """An empty figure, all in inches, with margins for a label and numbers of five
-    characters, and for a row of legend: to measure the texts first, as the layout of
-    the style does, takes longer than to draw them. between: rows, in heights of one.
+    """Create an empty figure with given margins.
+
+    The margins hold a label, numbers of five characters and a row of legend. Measuring
+    the texts, as the layout of the style does, takes longer than drawing them.
+
+    Parameters
+    ----------
+    width, height, left, top, bottom : float
+        Size and margins [inch].
+    row_gap : float
+        Gap between rows of axes, in heights of a row.
     """
     figure = Figure(figsize=(width, height), layout="none")  # type: ignore[arg-type]
     figure.subplots_adjust(
-        left / width, bottom / height, 1 - 0.2 / width, 1 - top / height, 0.08, between
+        left=left / width,
+        bottom=bottom / height,
+        right=1 - 0.2 / width,
+        top=1 - top / height,
+        wspace=0.08,
+        hspace=row_gap,
     )
     return figure
 
 
-def vector(figure: Figure, alt: str) -> Picture:
-    """An SVG that follows the reader's light or dark theme."""
-    data = io.StringIO()
+def svg_picture(figure: Figure, alt: str) -> Picture:
+    """Draw a figure as an SVG that follows the reader's light or dark theme."""
+    buffer = io.StringIO()
     figure.set_facecolor("none")
-    # savefig draws twice
-    FigureCanvasSVG(figure).print_svg(data, metadata={"Date": None})
-    plain = data.getvalue()
-    return _picture(
-        figure, "svg+xml", themed(plain[plain.index("<svg") :]).encode(), alt
-    )
+    FigureCanvasSVG(figure).print_svg(
+        buffer, metadata={"Date": None}
+    )  # savefig draws twice
+    text = buffer.getvalue()
+    svg = apply_theme(text[text.index("<svg") :])
+    return _as_picture(figure, "svg+xml", svg.encode(), alt)
 
 
-def raster(figure: Figure, alt: str) -> Picture:
-    """A WebP at one and a half times its natural size, for sharp screens."""
-    data = io.BytesIO()
-    figure.savefig(
-        data, format="webp", dpi=144, pil_kwargs={"quality": QUALITY, "method": QUICK}
-    )
-    return _picture(figure, "webp", data.getvalue(), alt)
+def webp_picture(figure: Figure, alt: str) -> Picture:
+    """Draw a figure as a WebP of 1.5 times its natural size, for sharp screens."""
+    buffer = io.BytesIO()
+    options = {"quality": WEBP_QUALITY, "method": WEBP_METHOD}
+    figure.savefig(buffer, format="webp", dpi=144, pil_kwargs=options)
+    return _as_picture(figure, "webp", buffer.getvalue(), alt)
 
 
-def webp(image: np.ndarray, quality: int) -> bytes:
-    """The bytes of an image (height, width) or (height, width, 3) uint8 as WebP.
-    quality: 0 to 100.
+def _as_picture(figure: Figure, kind: str, content: bytes, alt: str) -> Picture:
+    width, height = figure.get_size_inches() * 96
+    return Picture(data_uri(kind, content), alt, round(width), round(height))
+
+
+def encode_webp(image: np.ndarray, quality: int) -> bytes:
+    """Encode an image as WebP.
+
+    Parameters
+    ----------
+    image : ndarray of uint8, shape (height, width) or (height, width, 3)
+    quality : int
+        0 to 100.
     """
-    data = io.BytesIO()
-    Image.fromarray(image).save(data, "webp", quality=quality, method=QUICK)
-    return data.getvalue()
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "webp", quality=quality, method=WEBP_METHOD)
+    return buffer.getvalue()
 
 
-def themed(svg: str) -> str:
-    """Name the theme's colours in an SVG and define both sides of each, and make it
-    half as long.
-    """
-    # a hundredth of a point is enough for places, of which labels are none
-    svg = re.sub(
-        r'(?<= )(?:d|x|y|transform)="[^"]*"',
-        lambda places: re.sub(r"(\.\d\d)\d+", r"\1", places[0]),
-        svg,
-    )
-    for name, (light, _) in THEME.items():
+def data_uri(kind: str, content: bytes) -> str:
+    """Return the data URI of an image file of a kind: webp, png or svg+xml."""
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def apply_theme(svg: str) -> str:
+    """Replace the colours of an SVG by variables of both themes, and halve its length."""
+    for name, light in LIGHT_COLOURS.items():
         svg = svg.replace(light, f"var(--{name})")
+    svg = _shorten(svg)
 
-    # without what nobody sees: names of groups, fonts, turns by nothing, blanks
-    unseen = r'<metadata>.*?</metadata>|(?<=<g) id="[^"]*"|font-family: [^;]*; | transform="rotate\(-?0 [^"]*"'
-    svg = re.sub(r"\s*\n\s*", " ", re.sub(unseen, "", svg, flags=re.S)).replace(
-        "> <", "><"
-    )
-    svg = re.sub(
-        r'(?<= )d="[^"]*"', lambda way: re.sub(r" ?([MLQCz]) ?", r"\1", way[0]), svg
-    )
-    svg = re.sub(
-        r'(?<= )style="[^"]*"', lambda style: re.sub(r"([:;]) ", r"\1", style[0]), svg
-    )
-
-    # a class for each style that is there more than once
-    often = [
-        style
-        for style, times in Counter(re.findall(r' style="([^"]*)"', svg)).items()
-        if times > 1
-    ]
-    named = {style: f"s{number}" for number, style in enumerate(often)}
-    for style, name in named.items():
-        svg = svg.replace(f'style="{style}"', f'class="{name}"')
-    light, dark = (
-        "".join(f"--{name}:{sides[i]};" for name, sides in THEME.items())
-        for i in (0, 1)
-    )
-    rules = f":root{{{light}}}@media (prefers-color-scheme:dark){{:root{{{dark}}}}}"
-    rules += "text{font-family:system-ui,sans-serif!important}"
-    rules += "".join(f".{name}{{{style}}}" for style, name in named.items())
+    # a class for each style that occurs more than once
+    counts = Counter(re.findall(r' style="([^"]*)"', svg))
+    repeated = [style for style, count in counts.items() if count > 1]
+    rules = CSS_VARIABLES + "text{font-family:system-ui,sans-serif!important}"
+    for number, style in enumerate(repeated):
+        svg = svg.replace(f'style="{style}"', f'class="s{number}"')
+        rules += f".s{number}{{{style}}}"
     return re.sub(r"(<svg[^>]*>)", rf"\1<style>{rules}</style>", svg, count=1)
 
 
-def data_uri(kind: str, data: bytes) -> str:
-    """The data URI of an image file, as a page holds it. kind: webp, png, svg+xml."""
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
-
-
-def powers() -> FuncFormatter:
-    """Labels of a logarithmic axis: 10⁻³."""
-    return FuncFormatter(
-        lambda value, _: "10" + superscript(f"{value:.0e}".split("e")[1])
+def _shorten(svg: str) -> str:
+    """Round positions to a hundredth of a point, and drop what is not visible."""
+    positions = r'(?<= )(?:d|x|y|transform)="[^"]*"'
+    svg = re.sub(positions, lambda found: re.sub(r"(\.\d\d)\d+", r"\1", found[0]), svg)
+    invisible = (
+        r'<metadata>.*?</metadata>|(?<=<g) id="[^"]*"|font-family: [^;]*; '
+        r'| transform="rotate\(-?0 [^"]*"'
     )
-
-
-def superscript(number: str) -> str:
-    """An exponent as raised figures, without leading zeros."""
-    return str(int(number)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-
-
-def _picture(figure: Figure, kind: str, data: bytes, alt: str) -> Picture:
-    width, height = figure.get_size_inches() * 96
-    return Picture(data_uri(kind, data), alt, round(width), round(height))
+    svg = re.sub(invisible, "", svg, flags=re.S)
+    svg = re.sub(r"\s*\n\s*", " ", svg).replace("> <", "><")
+    path = r'(?<= )d="[^"]*"'
+    svg = re.sub(path, lambda found: re.sub(r" ?([MLQCz]) ?", r"\1", found[0]), svg)
+    style = r'(?<= )style="[^"]*"'
+    return re.sub(style, lambda found: re.sub(r"([:;]) ", r"\1", found[0]), svg)

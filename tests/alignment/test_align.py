@@ -317,7 +317,7 @@ def test_the_arm_is_read_in_frames(model, arm_is):
         )
     )
     assert page.count("<figure") == 3
-    assert "looked for, not seen" in page
+    assert "no: not significant" in page
 
 
 # --- what comes of it

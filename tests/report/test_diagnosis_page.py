@@ -18,14 +18,29 @@ from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
 from stringcast.data.artifacts import Diagnosis
-from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from stringcast.stages.report.charts.residual import ABOVE, BELOW, maps, parts
-from stringcast.stages.report.charts.string import last, worst
-from stringcast.stages.report.formatting import gain, headline, percent, quantity
+from stringcast.stages.report.charts.residual import (
+    NEGATIVE_COLOUR,
+    POSITIVE_COLOUR,
+    residual_components,
+    residual_maps,
+)
+from stringcast.stages.report.charts.string_film import tip_points, worst_frame
+from stringcast.stages.report.formatting import (
+    format_gain,
+    format_percent,
+    format_quantity,
+    verdict_headline,
+)
 from stringcast.stages.report.pages.diagnosis import diagnosis_page
-from stringcast.stages.report.records import TRIALS, DiagnosisRecord, away, rms
+from stringcast.stages.report.records import (
+    MAX_DRAWN_TRIALS,
+    DiagnosisRecord,
+    StageRecord,
+    model_distances,
+    trial_rms,
+)
 from stringcast.stages.report.theme import STYLE_SHEET
 
 SIGMA = 7e-4
@@ -55,7 +70,6 @@ NAMED = {
         -0.0127,
         -0.0113,
     ),
-    "box_contact_2": ("it touches a box", "stiffness", "1/s2", 4321.0, 4000.0, 4700.0),
 }
 GAIN = {
     "held_out_trials": ["t00", "t01"],
@@ -64,6 +78,8 @@ GAIN = {
     "matching_rate": {"base": 0.71, "extended": 0.93},
     "log_likelihood_per_trial": {"difference": 81234.0, "standard_error": 90.0},
 }
+
+UNCERTAIN = {"intervals": {}, "correlations": []}
 
 
 # --- a plausible diagnosis, without one being made
@@ -140,7 +156,7 @@ def held_out():
     )
 
 
-def theories(count=3):
+def hypotheses(count=3):
     rows = [
         ("tip_mass", 9, 0.9, 56716.0, 65432.0, 0.0238, 0.004, 0.98),
         ("", 8, 9.0, 0.0, 0.0, 0.0, 1.0, 0.0),
@@ -179,7 +195,13 @@ def diagnosed(verdict, names=(), sentence="So it is.", **tables):
         ["effect", "probability", "sentence"]
     ].to_dict("records")
     document["indistinguishable"] = [list(names)] if verdict == "ambiguous" else []
-    document |= {"base": {"parameters": {}}, "gain": tables.pop("gain", GAIN)}
+    document |= {
+        "base": {"parameters": {}, **UNCERTAIN},
+        "extended": UNCERTAIN,
+        "budget": [],
+        "interrupted": False,
+    }
+    document |= {"gain": tables.pop("gain", GAIN)}
     document |= {"next_experiment": tables.pop("following", None)}
     document |= {
         "unexplained": {
@@ -189,7 +211,11 @@ def diagnosed(verdict, names=(), sentence="So it is.", **tables):
         }
     }
     document |= {
-        "trials": {"used": ["t00", "t01"], "rejected": tables.pop("rejected", {})}
+        "trials": {
+            "used": ["t00", "t01"],
+            "rejected": tables.pop("rejected", {}),
+            "points_left_out": {"outliers": 0},
+        }
     }
     extended = f"effects: [{', '.join(names)}]\nstring: {{points: 17}}\nknown: {{linear_drag: 0.37}}\n"
     row = {
@@ -203,7 +229,7 @@ def diagnosed(verdict, names=(), sentence="So it is.", **tables):
         "finding": pd.DataFrame([row]),
         "causes": causes,
         "held_out": held_out(),
-        "hypotheses": theories(),
+        "hypotheses": hypotheses(),
     }
     own["residuals"] = measured() if names else unextended(measured())
     bars = [("", "tip_mass", 45088.0), ("", "wind", 12.0), ("tip_mass", "wind", 9.0)]
@@ -231,7 +257,7 @@ def nothing_tried():
     nothing = {
         name: Diagnosis.TABLES[name].empty() for name in ("screening", "likeness")
     }
-    return nothing | {"hypotheses": theories()[1:2]}
+    return nothing | {"hypotheses": hypotheses()[1:2]}
 
 
 VERDICTS = {
@@ -253,34 +279,32 @@ VERDICTS = {
 
 
 @pytest.fixture(scope="module")
-def record(arm, camera):
-    """What the page of a diagnosis is made of."""
+def model(arm, camera):
+    return Model(String(0.3), arm, camera)
+
+
+@pytest.fixture(scope="module")
+def write(model):
+    """The page of a diagnosis."""
     origin = {
         "seed": 7,
         "code": {"commit": "0123456789abcdef"},
         "packages": {"numpy": "2"},
     }
 
-    def recorded(diagnosis, **other):
-        facts = {
-            "name": "bench-7",
-            "settings": {"diagnose": {"starts": 4}},
-            "origin": origin,
-        } | other
-        return DiagnosisRecord(
-            diagnosis=diagnosis,
-            model=Model(String(0.3), arm, camera),
-            library=effects_by_name(),
-            **facts,
+    def written(diagnosis, **other):
+        facts = {"name": "bench-7", "settings": {"diagnose": {"starts": 4}}} | other
+        return diagnosis_page(
+            StageRecord(
+                sentence=diagnosis.sentence,
+                artifact=diagnosis,
+                model=model,
+                provenance=origin,
+                **facts,
+            )
         )
 
-    return recorded
-
-
-@pytest.fixture(scope="module")
-def write(record):
-    """The page of a diagnosis."""
-    return lambda diagnosis, **other: diagnosis_page(record(diagnosis, **other))
+    return written
 
 
 @pytest.fixture(scope="module")
@@ -346,13 +370,13 @@ def drawing(picture):
 # ----------------------------------------------------------------------------
 SAID = {
     "none": [
-        "The simulation agrees with what was measured",
-        "No cause is named",
-        "less than is tolerated",
+        "The simulation agrees with the measurements",
+        "No cause found",
+        "less than the tolerance",
     ],
     "effect": [
         *(
-            "The cause: tip mass",
+            "Found: tip mass",
             "A mass of 5.1 % of the string's sits at the tip.",
             "97 %",
         ),
@@ -366,46 +390,46 @@ SAID = {
         *(
             "3.4 mm → 0.9 mm",
             "6.1 mm → 1.3 mm",
-            "noise alone leaves 1.0 mm",
+            "noise alone: 1.0 mm",
             "56 716",
             "65 432",
             "base model alone",
         ),
         *(
-            "Path of entry",
+            "Order of the causes",
             "t01 48 000, t00 9 000",
             "t01, 0.30 s, 290 mm along the string",
             "12.3 mm → 1.0 mm",
         ),
         *(
             "Newton's second law",
-            "leaves 3 % of what the base model lacks at the tip",
+            "leaves 3 % of the base model's misfit at the tip",
             "0.37",
             "seed 7",
         ),
     ],
-    "pair": ["The causes: tip mass and arm lag", "48 %", "12.0 ms", "11.3 to 12.7 ms"],
+    "pair": ["Found: tip mass, arm lag", "48 %", "12.0 ms", "11.3 to 12.7 ms"],
     "ambiguous": [
         *(
-            "Arm lag or time offset: this data cannot tell them apart",
-            "look alike here: arm lag and time offset",
+            "Undecided: arm lag or time offset",
+            "do not distinguish arm lag and time offset",
         ),
         *("−12.0 ms", "−12.7 to −11.3 ms"),
     ],
     "unknown": [
         *(
-            "Something is missing, and it is not in the library",
+            "The simulation has an error of unknown cause",
             "What is left looks like a force.",
         ),
         *(
             "The longest is 3.4 mm",
-            "There is no extended model to compare",
-            "something that the library does not hold",
+            "No model was extended.",
+            "a cause that the library does not contain",
         ),
     ],
     "insufficient": [
         *(
-            "This data cannot answer",
+            "The data do not allow a diagnosis",
             "there is one trial only",
             "arm and camera overlap for 0.02 s only",
         ),
@@ -457,7 +481,7 @@ def test_every_picture_has_words_and_follows_the_theme(pages, verdict):
             flags=re.DOTALL,
         )
         left = set(re.findall(r"(?:fill|stroke): ?(#[0-9a-f]{6})", drawn))
-        assert left <= {"#ffffff", to_hex(ABOVE), to_hex(BELOW)}, (
+        assert left <= {"#ffffff", to_hex(POSITIVE_COLOUR), to_hex(NEGATIVE_COLOUR)}, (
             f"{picture['alt']}: {left} does not follow the theme"
         )
 
@@ -508,8 +532,7 @@ def test_the_budget_is_shown_where_there_is_one(worded):
         )
     )
     assert (
-        "What nothing explains is 0.0 mm (0.0 mm to 0.1 mm, 95 %); up to 2.0 mm are tolerated."
-        in page.text
+        "Unexplained: 0.0 mm (0.0 mm to 0.1 mm, 95 %); tolerance: 2.0 mm." in page.text
     )
     for words in ("tip mass 2.07 mm 1 571", "noise 0.90 mm"):
         assert words in re.sub(r"\s+", " ", page.text)
@@ -537,20 +560,11 @@ def test_parameters_have_their_intervals_and_look_alikes_their_correlation(worde
         )
     )
     assert (
-        "These look alike here: arm lag and time offset (correlation 0.996)."
+        "These data do not distinguish arm lag and time offset (correlation 0.996)."
         in page.text
     )
     assert "0.300 0.280 to 0.330 0.370 0.360 to 0.380 +23 %" in page.text
-    assert (
-        "Known better together than each alone, by their correlation: linear drag and quadratic drag (−0.85)."
-        in page.text
-    )
-
-
-def test_an_effect_that_the_library_no_longer_has_is_still_named(worded):
-    page = Page(worded(diagnosed("effect", ["box_contact_2"])))
-    assert "box contact 2" in page.text
-    assert "4321 1/s 2" in page.text
+    assert "Correlated parameters: linear drag and quadratic drag (−0.85)." in page.text
 
 
 def test_too_few_mass_points_have_no_parameter(worded):
@@ -562,7 +576,7 @@ def test_too_few_mass_points_have_no_parameter(worded):
             diagnosed("effect", causes=causes, sentence="It has too few mass points.")
         )
     )
-    assert "The maps are those of 17 mass points in place of 10" in page.text
+    assert "The maps are those of 17 mass points instead of 10" in page.text
     assert not re.search(r"\bnan\b", page.text)
 
 
@@ -591,24 +605,24 @@ def test_an_interrupted_search_is_said_to_be(worded):
         json.loads(made.finding["diagnosis"].iloc[0]) | {"interrupted": True}
     )
     said = Page(worded(replace(made, finding=made.finding.assign(diagnosis=text)))).text
-    assert "Nothing is named before all was asked." in said
-    assert "cannot answer" not in said
-    assert "takes more data" not in said
+    assert "No cause is named, because the search is incomplete." in said
+    assert "do not allow a diagnosis" not in said
+    assert "requires more data" not in said
 
 
 def test_a_search_is_described_where_there_was_one(worded):
     said = Page(
         worded(diagnosed("unknown", left="What is left looks like a force."))
     ).text
-    assert "nothing that was worth a search" not in said
-    assert "the one with most evidence enters" in said
+    assert "too small for a search" not in said
+    assert "The effect with the most evidence is added" in said
     assert "without the strongest trial" in said
 
 
-def test_no_two_words_on_a_map_lie_on_one_another(record, monkeypatch):
+def test_no_two_words_on_a_map_lie_on_one_another(model, monkeypatch):
     """Names of trials may be longer than a row is high."""
     monkeypatch.setattr(
-        sys.modules[maps.__module__], "vector", lambda figure, alt: figure
+        sys.modules[residual_maps.__module__], "svg_picture", lambda figure, alt: figure
     )
     names = {
         "t00": "drive_black_short_unweighted",
@@ -616,8 +630,9 @@ def test_no_two_words_on_a_map_lie_on_one_another(record, monkeypatch):
     }
     table = measured().replace({"trial": names})
     with style.context(STYLE_SHEET):
-        figure = maps(
-            record(diagnosed("effect", ["tip_mass"], residuals=table)), "base"
+        figure = residual_maps(
+            DiagnosisRecord(diagnosed("effect", ["tip_mass"], residuals=table), model),
+            "base",
         )
         figure.draw_without_rendering()
     words = [
@@ -633,15 +648,15 @@ def test_no_two_words_on_a_map_lie_on_one_another(record, monkeypatch):
         assert not one.overlaps(other)
 
 
-def test_of_many_trials_the_worst_are_drawn_and_of_many_theories_the_best(worded):
-    many = measured(trials=TRIALS + 4)
+def test_of_many_trials_the_worst_are_drawn_and_of_many_hypotheses_the_best(worded):
+    many = measured(trials=MAX_DRAWN_TRIALS + 4)
     page = Page(
         worded(
-            diagnosed("effect", ["tip_mass"], residuals=many, hypotheses=theories(40))
+            diagnosed("effect", ["tip_mass"], residuals=many, hypotheses=hypotheses(40))
         )
     )
     drawn = {a["aria-label"].split()[4] for tag, a in page.elements if tag == "canvas"}
-    assert drawn == {f"t{number:02d}" for number in range(4, TRIALS + 4)}
+    assert drawn == {f"t{number:02d}" for number in range(4, MAX_DRAWN_TRIALS + 4)}
     assert (
         page.text.index("base model alone")
         < page.text.index("28 more")
@@ -653,11 +668,14 @@ def test_of_many_trials_the_worst_are_drawn_and_of_many_theories_the_best(worded
 # ---------------------------------------------------------------
 def test_parts_of_the_residual_are_those_of_the_table_and_keep_its_size():
     table = measured()
-    base, extended = parts(table, "base"), parts(table, "extended")
+    base, extended = (
+        residual_components(table, "base"),
+        residual_components(table, "extended"),
+    )
     np.testing.assert_allclose(base["normal"], table["base_normal"] / SIGMA)
     np.testing.assert_allclose(base["tangential"], table["base_tangential"] / SIGMA)
     np.testing.assert_allclose(
-        np.hypot(*extended.values()), away(table, "extended") / SIGMA
+        np.hypot(*extended.values()), model_distances(table, "extended") / SIGMA
     )
     assert base["normal"].mean() > 1, (
         "the base model lies to the right, so the measured string is to its left"
@@ -668,28 +686,31 @@ def test_parts_of_the_residual_are_those_of_the_table_and_keep_its_size():
 def test_parts_where_measured_and_simulated_meet_exactly():
     table = measured().assign(base_normal=0.0, base_tangential=0.0)
     met = table.assign(x=table["base_x"], y=table["base_y"])
-    assert all(np.all(np.isfinite(part)) for part in parts(met, "extended").values())
-    assert not np.any(parts(met, "base")["normal"])
+    assert all(
+        np.all(np.isfinite(part))
+        for part in residual_components(met, "extended").values()
+    )
+    assert not np.any(residual_components(met, "base")["normal"])
 
 
 def test_the_worst_frame_is_not_that_of_an_outlier():
     table = measured(off=0.02, trials=1)
     table.loc[(table["t"] == 0) & (table["s"] == S[2]), "x"] += 0.5
-    assert worst(table)["t"].iloc[0] > 0.25
-    assert list(worst(table)["s"]) == list(S)
+    assert worst_frame(table)["t"].iloc[0] > 0.25
+    assert list(worst_frame(table)["s"]) == list(S)
 
 
 def test_frames_without_a_tip_say_nothing_of_it():
     table = measured(trials=1)
     hidden = table[~((table["t"] == 0.1) & (table["s"] > 0.2))]
-    ends = last(hidden)
+    ends = tip_points(hidden)
     assert 0.1 not in set(ends["t"])
     assert set(ends["s"]) == {S[-1]}
 
 
 def test_rms_of_noise_alone_is_the_noise_floor():
     """Of both coordinates; 360 of them scatter by 4 %."""
-    assert rms(measured(), "extended").to_numpy() == pytest.approx(
+    assert trial_rms(measured(), "extended").to_numpy() == pytest.approx(
         np.sqrt(2) * SIGMA, rel=0.15
     )
 
@@ -744,18 +765,18 @@ def test_values_have_the_figures_that_their_interval_is_worth(
     unit, value, low, high, at_least, words, between
 ):
     row = {"unit": unit, "value": value, "low": low, "high": high, "at_least": at_least}
-    assert quantity(row) == (words, between)
+    assert format_quantity(row) == (words, between)
 
 
 def test_shares_and_gains():
-    assert [percent(p) for p in (0.0, 0.004, 0.58, 0.9994, 1.0)] == [
+    assert [format_percent(p) for p in (0.0, 0.004, 0.58, 0.9994, 1.0)] == [
         "under 1 %",
         "under 1 %",
         "58 %",
         "over 99 %",
         "100 %",
     ]
-    assert [gain(v) for v in (719887.3, -12.0, np.nan)] == [
+    assert [format_gain(v) for v in (719887.3, -12.0, np.nan)] == [
         "719\u202f887",
         "−12",
         "not known",
@@ -766,18 +787,18 @@ def test_a_certain_cause_beside_look_alikes():
     causes = [{"effect": name} for name in ("wind", "arm_lag", "time_offset")]
     document = {
         "verdict": "ambiguous",
+        "interrupted": False,
         "causes": causes,
         "indistinguishable": [["arm_lag", "time_offset"]],
     }
     assert (
-        headline(document)
-        == "Wind and arm lag or time offset: this data cannot tell them apart"
+        verdict_headline(document) == "Found: wind. Undecided: arm lag or time offset"
     )
 
 
-def foretold(off=0.005):
-    """A straight string on two theories, which are `off` apart at its tip at 0.2 s and
-    nowhere else.
+def predicted(off=0.005):
+    """A straight string on two hypotheses, which are `off` apart at its tip at 0.2 s
+    and nowhere else.
     """
     t, s = (a.ravel() for a in np.meshgrid([0.0, 0.1, 0.2], S, indexing="ij"))
     away = np.where((t == 0.2) & (s == S[-1]), off, 0.0)
@@ -788,14 +809,14 @@ def foretold(off=0.005):
     )
 
 
-def test_the_motion_proposed_is_shown_where_the_theories_are_farthest_apart(worded):
+def test_the_motion_proposed_is_shown_where_the_hypotheses_are_farthest_apart(worded):
     following = {"sentence": "One of 300 motions tells them apart."}
     page = worded(
         diagnosed(
             "ambiguous",
             ["arm_lag", "time_offset"],
             following=following,
-            predicted=foretold(),
+            predicted=predicted(),
         )
     )
     assert following["sentence"] in page
@@ -810,7 +831,7 @@ def test_the_motion_proposed_is_shown_where_the_theories_are_farthest_apart(word
     )
     assert "No motion." in hopeless
     assert "The proposed motion" not in hopeless
-    assert "What to try next" not in worded(VERDICTS["effect"]())
+    assert "Next experiment" not in worded(VERDICTS["effect"]())
 
 
 def test_a_trial_that_is_predicted_worse_is_said_to_be(worded):
@@ -827,41 +848,29 @@ def test_a_trial_that_is_predicted_worse_is_said_to_be(worded):
     worse = {"rms_extended": [0.0537, 0.0010]}
     said = text(**worse)
     assert (
-        "t00 is predicted worse with the causes than without, 53.7 mm against 3.0 mm. Fitted to it as well"
+        "t00 is predicted worse with the causes than without, 53.7 mm against 3.0 mm. After fitting it as well"
         in said
     )
-    assert "or they are not right" in said
+    assert "or the causes are wrong" in said
     assert "(worse for t00: see below)" in said
     unexplained = text(**worse, rms_known=[0.0029, 0.0010])
     assert "t00 is predicted worse" in unexplained
-    assert "Fitted to it as well" not in unexplained
+    assert "After fitting it as well" not in unexplained
     for columns in ({}, {"rms_extended": [0.0031, 0.0010]}):
         assert "worse" not in text(**columns)
-
-
-def test_a_diagnosis_of_an_older_version_has_a_page(worded):
-    """Columns that came later are not there."""
-    old = {
-        "held_out": held_out().drop(columns="rms_known"),
-        "causes": caused(["tip_mass"]).drop(columns="at_least"),
-    }
-    assert "tip mass" in Page(worded(diagnosed("effect", ["tip_mass"], **old))).text
 
 
 def test_it_says_which_trials_the_gain_is_of(worded):
     """Set aside, or left out of the fit in turn; and what is not known is no number."""
     turn = Page(worded(diagnosed("effect", ["tip_mass"]))).text
-    assert (
-        "Each trial was predicted by both models after they were fitted to the others."
-        in turn
-    )
-    assert "chosen from all of them" in turn
+    assert "Each trial was predicted by both models fitted to the others." in turn
+    assert "chosen from all trials" in turn
     unknown = {"matching_rate": {"base": None, "extended": None}}
     told = GAIN | {"held_out_trials": ["t07"]} | unknown
     aside = Page(worded(diagnosed("effect", ["tip_mass"], gain=told))).text
     assert (
-        "These trials were set aside, and predicted by both models after they were fitted to the others."
+        "These trials were excluded from the search and predicted by both models fitted to the others."
         in aside
     )
-    assert "chosen from all of them" not in aside
-    assert "E goes from not known to not known" in aside
+    assert "chosen from all trials" not in aside
+    assert "E changes from not known to not known" in aside

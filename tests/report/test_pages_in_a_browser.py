@@ -15,7 +15,6 @@ from stringcast.data.alignment import Alignment
 from stringcast.data.artifacts import Prediction
 from stringcast.pipeline.commands.check import read_measurements
 from stringcast.stages.check.overview import dataset_overview
-from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.report.pages.alignment import alignment_page
@@ -26,7 +25,7 @@ from stringcast.stages.report.pages.index import index_page
 from stringcast.stages.report.pages.paper import paper_page
 from stringcast.stages.report.pages.sweep import sweep_page
 from stringcast.stages.report.pages.tables import tables_page
-from stringcast.stages.report.records import DiagnosisRecord, PaperRecord, StageRecord
+from stringcast.stages.report.records import PaperRecord, StageRecord
 from tests.report.browser import browser, found
 from tests.report.test_diagnosis_page import diagnosed, displaced
 from tests.report.test_report import manipulation, record_of
@@ -142,7 +141,7 @@ def texts(arm, camera):
             )
         ),
         "diagnosis": diagnosis_page(
-            DiagnosisRecord("bench-7", told, coarse, effects_by_name(), {}, ORIGIN)
+            StageRecord("bench-7", told.sentence, told, coarse, {}, ORIGIN)
         ),
         "sweep": sweep_page(sweep_record(swept())),
         "alignment": alignment_page(

@@ -23,21 +23,25 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.report.charts.camera import (
-    FEWEST,
-    FRAMES,
-    animation,
-    choose,
-    draw,
-    frame_figure,
-    overlay,
-    whole_view,
+    MAX_PAGE_FRAMES,
+    MIN_CAST_FRAMES,
+    blank_frame,
+    cast_film_data,
+    choose_frames,
+    closest_approach_picture,
+    draw_frame,
+    region_of_run,
 )
-from stringcast.stages.report.charts.parameters import history
-from stringcast.stages.report.charts.residual import residual_map, residuals
-from stringcast.stages.report.charts.string import path, paths
-from stringcast.stages.report.charts.time import progress
+from stringcast.stages.report.charts.cast import (
+    cast_path_picture,
+    distance_map,
+    distances,
+    hand_paths_picture,
+    history_picture,
+    progress_picture,
+)
 from stringcast.stages.report.pages.cast import cast_page
-from stringcast.stages.report.records import Cast, RunRecord
+from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import STYLE_SHEET, THEME
 
 VOID = {"meta", "img", "input", "br", "link"}
@@ -189,7 +193,7 @@ def manipulation(arm, camera, number=1, hit=False, noise=6.0):
     )
     verdict = HitResult(hit, 0.252, 0.0042 if hit else 0.0237 / number)
     motion = Motion(moving, empty, empty, attempts, pd.DataFrame([plan]))
-    return Cast(
+    return CastRecord(
         motion,
         trial,
         Points(points, readings, empty),
@@ -380,12 +384,12 @@ def test_no_label_is_cut_off(record, monkeypatch):
     )
     with style.context(STYLE_SHEET):
         shown = (
-            paths(many),
-            progress(many),
-            path(record, cast),
-            residual_map(record, cast, 0.02),
+            hand_paths_picture(many),
+            progress_picture(many),
+            cast_path_picture(record, cast),
+            distance_map(record, cast, 0.02),
         )
-        shown += (history(STRING.parameters[0], record.estimates),)
+        shown += (history_picture(STRING.parameters[0], record.estimates),)
     assert len(figures) == len(shown)
     for figure in tuple(figures):  # to measure one prints it again
         inside, whole = figure.get_tightbbox(), figure.get_size_inches()
@@ -445,7 +449,7 @@ def test_the_player_draws_the_simulation_on_the_filmed_string(record):
     """The strings after estimation are the filmed ones: moved to any side, the film
     under them is darker.
     """
-    data = animation(record, record.casts[0], whole_view(record))
+    data = cast_film_data(record, record.casts[0], region_of_run(record))
     assert (
         len(data["frames"])
         == len(data["t"])
@@ -458,7 +462,7 @@ def test_the_player_draws_the_simulation_on_the_filmed_string(record):
     shifts = np.stack(np.meshgrid(*[np.arange(-9, 10, 3)] * 2), axis=-1).reshape(-1, 2)
     bright = np.array([brightness(images, after, shift) for shift in shifts])
     beside = shifts[bright > 0.95 * bright.max()].mean(axis=0)
-    camera_pixel = data["width"] / whole_view(record).size[0]
+    camera_pixel = data["width"] / region_of_run(record).size_px[0]
     assert np.abs(beside).max() < camera_pixel / 4, (
         f"the strings lie {beside / camera_pixel} pixels beside the film"
     )
@@ -468,7 +472,7 @@ def test_the_player_draws_the_simulation_on_the_filmed_string(record):
 
 
 def test_pictures_draw_world_points_where_the_camera_sees_them(record, small):
-    cast, part = record.casts[0], whole_view(record)
+    cast, part = record.casts[0], region_of_run(record)
     place = cast.after[20, -1]
     image = np.zeros((small.height, small.width), np.uint8)
     u, v = np.round(small.pixels(place)).astype(int)
@@ -476,13 +480,13 @@ def test_pictures_draw_world_points_where_the_camera_sees_them(record, small):
     blank = np.full_like(cast.after, np.nan)
     there = replace(
         cast,
-        trial=replace(cast.trial, images=[image] * len(cast.t)),
+        trial=replace(cast.trial, images=[image] * len(cast.frame_times)),
         before=blank,
         after=blank,
     )
     nothing = replace(record, obstacles=(), target=Box(-5, -5, 1, 1))
-    figure, axes = frame_figure(part, 5.0)
-    draw(axes, nothing, there, 20, part)
+    figure, axes = blank_frame(part, 5.0)
+    draw_frame(axes, nothing, there, 20, part)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     bright = np.asarray(canvas.buffer_rgba())[..., 0].astype(float)
@@ -496,10 +500,10 @@ def test_pictures_draw_world_points_where_the_camera_sees_them(record, small):
 
 def test_residuals_are_distances_at_equal_arc_length(record):
     cast = record.casts[0]
-    exact = residuals(record, cast, cast.after)
-    shifted = residuals(record, cast, cast.after + [0.003, -0.004])
-    assert exact["away"].max() < 1e-12
-    np.testing.assert_allclose(shifted["away"], 0.005, rtol=1e-9)
+    exact = distances(record, cast, cast.after)
+    shifted = distances(record, cast, cast.after + [0.003, -0.004])
+    assert exact["distance"].max() < 1e-12
+    np.testing.assert_allclose(shifted["distance"], 0.005, rtol=1e-9)
     read = np.flatnonzero(cast.points.readings["valid"])
     assert set(shifted["frame"]) == set(read.tolist())
 
@@ -510,9 +514,11 @@ def test_the_tips_way_is_not_guessed_across_long_gaps(record):
     gap = (readings["t"] > 0.1) & (readings["t"] < 0.1 + 2 * MAX_GAP_S)
     readings.loc[gap, "valid"] = False
     holed = replace(cast, points=replace(cast.points, readings=readings))
-    assert np.isnan(holed.tip(np.array([0.1 + MAX_GAP_S]))).all()
+    assert np.isnan(holed.tip_path(np.array([0.1 + MAX_GAP_S]))).all()
     np.testing.assert_allclose(
-        holed.tip(np.array([0.2])), cast.after[cast.frame(0.2), -1][None], atol=1e-9
+        holed.tip_path(np.array([0.2])),
+        cast.after[cast.frame_at(0.2), -1][None],
+        atol=1e-9,
     )
 
 
@@ -520,7 +526,7 @@ def test_numbers_are_those_of_the_run(page):
     for words in (
         *(
             "24 mm",
-            "4 mm from the target",
+            "4 mm closest distance",
             "0.400 → 0.900",
             "45.6 mm → 12.3 mm",
             "252.0 ms",
@@ -604,7 +610,7 @@ def unreported(cast):
             nothing_read,
             [
                 "The tip was not read in this cast",
-                "No tip was read in any frame",
+                "it was read in no frame",
                 "too dark",
                 "not estimated",
             ],
@@ -616,16 +622,16 @@ def unreported(cast):
         (
             no_masks,
             [
-                "There is no matching rate: no masks were compared",
+                "This estimation compared no masks, so there is no matching rate",
                 "not known → not known",
             ],
         ),
-        (rejected, ["before estimation did not stay finite; it is not drawn"]),
+        (rejected, ["before estimation diverged; it is not drawn"]),
         (
             unreported,
             [
                 "not valid: 12 commands were lost",
-                "It was not recorded how many",
+                "The number of tried motions was not recorded",
                 "reported no joint angles",
             ],
         ),
@@ -678,7 +684,9 @@ def test_ten_casts_share_the_frames_of_the_animation(arm, small, undrawn):
     )
     films, _ = page.explored()
     assert len(films) == len(page.all("canvas")) == 10
-    assert sum(len(data["frames"]) for data in films) <= max(FRAMES, 10 * FEWEST)
+    assert sum(len(data["frames"]) for data in films) <= max(
+        MAX_PAGE_FRAMES, 10 * MIN_CAST_FRAMES
+    )
 
 
 def test_a_page_of_five_noisy_casts_stays_small(arm, camera):
@@ -687,8 +695,8 @@ def test_a_page_of_five_noisy_casts_stays_small(arm, camera):
     """
     cast = manipulation(arm, camera, noise=25.0)
     record = record_of(arm, camera, [cast] * 5)
-    film = json.dumps(animation(record, cast, whole_view(record)))
-    assert 5 * (len(film) + len(overlay(record, cast).source)) < 0.85e6
+    film = json.dumps(cast_film_data(record, cast, region_of_run(record)))
+    assert 5 * (len(film) + len(closest_approach_picture(record, cast).source)) < 0.85e6
 
 
 def test_a_page_of_ten_casts_is_at_most_as_large_as_promised(arm, camera):
@@ -699,8 +707,8 @@ def test_a_page_of_ten_casts_is_at_most_as_large_as_promised(arm, camera):
 def test_the_closest_frame_is_always_among_the_chosen(record):
     cast = record.casts[0]
     for most in (2, 7, 24, 500):
-        chosen = choose(cast, most)
-        assert cast.nearest in chosen
+        chosen = choose_frames(cast, most)
+        assert cast.closest_frame in chosen
         assert len(chosen) <= most
         assert chosen == sorted(set(chosen))
 
@@ -708,7 +716,7 @@ def test_the_closest_frame_is_always_among_the_chosen(record):
 def test_what_was_not_learnt_is_folded_away_behind_what_was(page):
     """The parameter of index 2 is not determined."""
     names = [p.name.replace("_", " ") for p in STRING.parameters]
-    folded = page.text.index("1 other parameter, which this data does not determine")
+    folded = page.text.index("1 other parameter that the data do not determine")
     assert all(page.text.index(name) < folded for name in names if name != names[2])
     assert page.text.index(names[2]) > folded
 
@@ -721,10 +729,10 @@ def test_curves_are_those_of_the_run(page, record):
     titles = ("E_f [1]", "RMS [mm]", "angle [°]", "difference [°]")
     assert [chart["axis"] for chart in charts] == [*titles] * len(record.casts)
     cast, rms = record.casts[0], charts[1]
-    assert rms["t"] == pytest.approx(cast.t * 1e3)
+    assert rms["t"] == pytest.approx(cast.frame_times * 1e3)
     read = cast.points.readings["valid"].to_numpy()
     assert [value is not None for value in rms["lines"][0]["values"]] == read.tolist()
-    away = residuals(record, cast, cast.before).groupby("frame")["away"]
+    away = distances(record, cast, cast.before).groupby("frame")["distance"]
     whole = [value for value in rms["lines"][0]["values"] if value is not None]
     assert whole == pytest.approx(
         away.apply(lambda some: 1e3 * np.sqrt(np.mean(some**2))).to_numpy(), rel=1e-3

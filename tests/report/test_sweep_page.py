@@ -11,21 +11,21 @@ import pandas as pd
 import pytest
 
 from stringcast.pipeline.settings.setting_comments import setting_units
-from stringcast.stages.report.charts.map import curve
+from stringcast.stages.report.charts.sweep import outcome_curve
 from stringcast.stages.report.outcomes import (
-    OUTCOMES,
-    average,
-    magnitude,
-    parameter,
-    response,
-    share,
+    CAST_OUTCOMES,
+    arithmetic_mean,
+    geometric_mean,
+    mean_response,
+    mean_share,
+    parameter_outcome,
 )
 from stringcast.stages.report.pages.sweep import sweep_page
 from stringcast.stages.report.records import SweepRecord
 
 BETA = "estimate.beta"
-HIT, CASTS, E = OUTCOMES[:3]
-STIFFNESS = ("bending_stiffness", "N m/(rad kg)", "spring between segments")
+HIT, CASTS, E = CAST_OUTCOMES[:3]
+STIFFNESS = ("bending_stiffness", "N m/(rad kg)")
 
 
 def swept(betas=(0.99, 0.995), targets=("near", "far"), seeds=(0, 1, 2, 3)):
@@ -68,9 +68,9 @@ def swept(betas=(0.99, 0.995), targets=("near", "far"), seeds=(0, 1, 2, 3)):
 
 def record(table, given=("experiment", BETA, "target", "seed")):
     origin = {"seed": "of each job", "code": {"commit": "0123456789abcdef"}}
-    estimated = {STIFFNESS[0]: STIFFNESS[1:]}
+    estimated = dict([STIFFNESS])
     return SweepRecord(
-        "demo", "all done", table, given, estimated, {"manipulations": "5"}, origin
+        "demo", "all done", table, given, estimated, {"manipulations": "5"}, origin, {}
     )
 
 
@@ -78,25 +78,25 @@ def test_intervals_are_those_of_the_books():
     """Student's t for 1, 2, 3: 2 -+ 4.303 / sqrt 3. Wilson for 8 of 10: 0.490 to 0.943
     (Newcombe 1998).
     """
-    assert average(np.array([1.0, 2.0, 3.0])) == pytest.approx(
+    assert arithmetic_mean(np.array([1.0, 2.0, 3.0])) == pytest.approx(
         (2.0, 2 - 2.4843, 2 + 2.4843), abs=1e-3
     )
-    assert share(np.array([1.0] * 8 + [0.0] * 2)) == pytest.approx(
+    assert mean_share(np.array([1.0] * 8 + [0.0] * 2)) == pytest.approx(
         (0.8, 0.490, 0.943), abs=1e-3
     )
-    assert magnitude(np.array([0.1, 1.0, 10.0]))[0] == pytest.approx(1.0)
-    assert np.isnan(average(np.array([1.0]))[1:]).all()
+    assert geometric_mean(np.array([0.1, 1.0, 10.0]))[0] == pytest.approx(1.0)
+    assert np.isnan(arithmetic_mean(np.array([1.0]))[1:]).all()
 
 
 def test_hit_rate_of_all_or_none_is_not_certain():
-    assert share(np.ones(3))[1] < 0.5
-    assert share(np.zeros(3))[2] > 0.5
+    assert mean_share(np.ones(3))[1] < 0.5
+    assert mean_share(np.zeros(3))[2] > 0.5
 
 
 def test_seeds_are_what_is_repeated_not_jobs():
     """Ten jobs of one seed say no more of chance than one: their mean is one value."""
     table = swept(betas=np.linspace(0.9, 0.99, 10), targets=("near",), seeds=(0, 1))
-    whole = response(table, CASTS, ["target"]).iloc[0]
+    whole = mean_response(table, CASTS, ["target"]).iloc[0]
     assert (whole["seeds"], whole["jobs"]) == (2, 20)
     assert whole["mean"] == pytest.approx(1.5)
     # t of one degree of freedom
@@ -105,16 +105,15 @@ def test_seeds_are_what_is_repeated_not_jobs():
 
 def test_a_response_is_the_mean_over_the_other_settings():
     table = swept()
-    at = response(table, HIT, [BETA]).set_index(BETA)["mean"]
+    at = mean_response(table, HIT, [BETA]).set_index(BETA)["mean"]
     assert at.to_dict() == pytest.approx({0.99: 50.0, 0.995: 50.0})
-    assert response(table, HIT, ["target"]).set_index("target")["mean"].to_dict() == {
-        "far": 0.0,
-        "near": 100.0,
-    }
-    assert response(table, E, [BETA])["mean"].diff().iloc[1] == pytest.approx(0.1)
+    assert mean_response(table, HIT, ["target"]).set_index("target")[
+        "mean"
+    ].to_dict() == {"far": 0.0, "near": 100.0}
+    assert mean_response(table, E, [BETA])["mean"].diff().iloc[1] == pytest.approx(0.1)
     # zero has no logarithm
     table[STIFFNESS[0]] = np.where(table["seed"] == 0, 0.0, 10.0)
-    assert response(table, parameter(*STIFFNESS), [BETA])[
+    assert mean_response(table, parameter_outcome(*STIFFNESS), [BETA])[
         "mean"
     ].to_list() == pytest.approx([10.0, 10.0])
 
@@ -160,7 +159,7 @@ def test_the_heading_is_what_was_found(undrawn):
         heading(sweep_page(record(same)))
         == "The matching rate E is 0.8 with estimate.beta=0.995, 0.7 with 0.99"
     )
-    nothing = "No setting varied changes the hit rate by more than chance"
+    nothing = "No varied setting changes the hit rate significantly"
     assert heading(sweep_page(record(same.assign(E_after=0.7)))) == nothing
     assert heading(sweep_page(record(swept().assign(state="pending")))) == "all done"
 
@@ -174,7 +173,7 @@ def test_failed_jobs_are_listed_and_left_out_of_the_means():
         np.nan,
     ]
     shown = record(table)
-    assert len(shown.done) == 15
+    assert len(shown.finished) == 15
     page = sweep_page(shown)
     assert "15 of 16" in page
     assert "the &lt;string&gt; is too short" in page
@@ -194,7 +193,7 @@ def test_one_setting_one_seed_and_no_casts():
         .assign(hit=np.nan, miss_m=np.nan)
     )
     page = sweep_page(record(table, ("experiment", BETA)))
-    assert "With one seed nobody can say" in page
+    assert "With one seed the scatter" in page
     assert "hit rate" not in page.split("<section", 1)[1]
 
 
@@ -234,7 +233,7 @@ def test_the_map_of_the_workspace_says_what_became_of_each_target():
         [reached().assign(**{"target.y": y}) for y in (0.2, 0.5)], ignore_index=True
     )
     page = sweep_page(record(table, ("target.x", "target.y", "seed")))
-    assert "Where it hits" in page
+    assert "Targets" in page
     assert (
         "Of 6 targets 2 were hit, 2 in the first cast; 2 were not, 2 did not run."
         in page
@@ -242,11 +241,11 @@ def test_the_map_of_the_workspace_says_what_became_of_each_target():
     twice = pd.concat([table.assign(specimen=name) for name in "AB"], ignore_index=True)
     page = sweep_page(record(twice, ("specimen", "target.x", "target.y", "seed")))
     assert page.count("Of 6 targets") == 2 * 2  # alt and caption of either string's map
-    assert "Where it hits" not in sweep_page(record(swept()))
+    assert "Targets" not in sweep_page(record(swept()))
 
 
 def test_axes_name_the_units_of_settings():
-    made = curve(swept(), E, BETA, {BETA: "m/s"})
+    made = outcome_curve(swept(), E, BETA, {BETA: "m/s"})
     assert f"{BETA} [m/s]" in base64.b64decode(made.source.partition(",")[2]).decode()
     assert setting_units(["target.x", "string.points", "name", BETA]) == {
         "target.x": "m"

@@ -1,1 +1,1 @@
-"""Pictures by topic; each a `Picture`, or None where there is nothing to draw."""
+"""Charts by subject: each function returns a `Picture`, or None if there is no data."""

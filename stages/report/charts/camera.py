@@ -1,10 +1,7 @@
-"""Camera frames with everything that is known of them drawn on top, in the camera's own
-pixels.
-"""
+"""Camera frames with what is known of them drawn on top, in the camera's own pixels."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,183 +13,169 @@ from matplotlib.figure import Figure
 
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.report.formatting import mm, ms
-from stringcast.stages.report.records import Cast, RunRecord
+from stringcast.stages.report.formatting import format_mm, format_ms
+from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import (
+    FRAME_COLOURS,
     MM_PER_M,
-    ON_FRAMES,
     Picture,
     data_uri,
-    raster,
-    webp,
+    encode_webp,
+    webp_picture,
 )
 
-GRID = 0.1  # [m]
-SHADOW = [patheffects.withStroke(linewidth=2.4, foreground="#000000a0")]
+GRID_SPACING_M = 0.1
+TEXT_OUTLINE = [patheffects.withStroke(linewidth=2.4, foreground="#000000a0")]
+UNIT_BOX = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2  # corners, in turn
 
 
 @dataclass(frozen=True)
-class View:
-    """Part of the camera's image [px]: columns left to right - 1, rows top to bottom -
-    1.
-    """
+class ImageRegion:
+    """Part of the camera's image: columns left to right - 1, rows top to bottom - 1."""
 
     left: int
     top: int
     right: int
     bottom: int
 
+    @property
+    def size_px(self) -> np.ndarray:
+        """Width and height."""
+        return np.array([self.right - self.left, self.bottom - self.top])
+
+    @property
+    def x_limits(self) -> tuple[float, float]:
+        """Outer edges of the first and last column."""
+        return self.left - 0.5, self.right - 0.5
+
+    @property
+    def y_limits(self) -> tuple[float, float]:
+        """Outer edges of the last and first row, for an axis that points up."""
+        return self.bottom - 0.5, self.top - 0.5
+
     def crop(self, image: np.ndarray) -> np.ndarray:
-        """The part of an image in the view, grey."""
+        """Cut the region from an image, in grey."""
         part = image[self.top : self.bottom, self.left : self.right]
         return part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
 
-    def pixels(self, camera: Camera, world: np.ndarray, scale: float) -> np.ndarray:
-        """Pixels (..., 2) of world points in this part made `scale` times as large, the
-        corner of the first at 0.
-        """
-        return (camera.pixels(world) - (self.left, self.top) + 0.5) * scale
 
-    @property
-    def size(self) -> np.ndarray:
-        """Width and height [px]."""
-        return np.array([self.right - self.left, self.bottom - self.top])
+def region_around(
+    record: RunRecord, world: np.ndarray, margin: float = 0.05
+) -> ImageRegion:
+    """Return the part of the image that shows world points.
 
-
-def view(record: RunRecord, world: np.ndarray, margin: float = 0.05) -> View:
-    """The part of the image that shows world points. world: (N, 2), margin [m]; NaN is
-    passed over.
+    Parameters
+    ----------
+    record : Record
+    world : ndarray, shape (N, 2)
+        Points [m]; those that are NaN are ignored.
+    margin : float
+        Around the points [m].
     """
     camera = record.model.camera
-    seen = camera.pixels(world[np.isfinite(world).all(axis=1)])
+    pixels = camera.pixels(world[np.isfinite(world).all(axis=1)])
     border = margin * camera.px_per_m
-    whole = np.array([camera.width, camera.height])
-    low = np.clip(np.floor(seen.min(axis=0) - border), 0, whole - 16).astype(int)
-    high = np.clip(np.ceil(seen.max(axis=0) + border), low + 16, whole).astype(int)
-    return View(*low.tolist(), *high.tolist())
+    image_size = np.array([camera.width, camera.height])
+    low = np.clip(np.floor(pixels.min(axis=0) - border), 0, image_size - 16).astype(int)
+    high = np.ceil(pixels.max(axis=0) + border)
+    high = np.clip(high, low + 16, image_size).astype(int)
+    return ImageRegion(*low.tolist(), *high.tolist())
 
 
-def whole_view(record: RunRecord) -> View:
-    """All that happened in a run, the same part for each of its casts."""
-    places = [
-        np.array([record.model.arm.base]),
-        corners(record.target),
-        *map(corners, record.obstacles),
-    ]
+def region_of_run(record: RunRecord) -> ImageRegion:
+    """Return the part of the image that shows every cast of a run."""
+    points = [np.array([record.model.arm.base]), box_corners(record.target)]
+    points += map(box_corners, record.obstacles)
     for cast in record.casts:
-        places += [
-            cast.joints(record.model.arm).reshape(-1, 2),
-            *(line[:, :2] for line in cast.measured.values()),
-        ]
-    return view(record, np.concatenate(places))
+        points.append(cast.joint_positions(record.model.arm).reshape(-1, 2))
+        points += [line[:, :2] for line in cast.centre_lines.values()]
+    return region_around(record, np.concatenate(points))
 
 
-def corners(box: Box) -> np.ndarray:
-    """(4, 2) corners of a box, in turn [m]."""
-    around = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
-    return np.array([box.x, box.y]) + around * [box.w, box.h]
+def box_corners(box: Box) -> np.ndarray:
+    """Return the corners of a box in turn [m], shape (4, 2)."""
+    return np.array([box.x, box.y]) + UNIT_BOX * [box.w, box.h]
 
 
-def frame_figure(part: View, width: float) -> tuple[Figure, Axes]:
-    """An empty figure that is nothing but the picture. width [inches]."""
-    columns, rows = part.size
+def blank_frame(region: ImageRegion, width: float) -> tuple[Figure, Axes]:
+    """Create a figure of a width [inch] that a region of a frame fills."""
+    columns, rows = region.size_px
     figure = Figure(figsize=(width, width * rows / columns))
     figure.set_layout_engine("none")
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
-    axes.set(
-        xlim=(part.left - 0.5, part.right - 0.5),
-        ylim=(part.bottom - 0.5, part.top - 0.5),
-    )
+    axes.set(xlim=region.x_limits, ylim=region.y_limits)
     return figure, axes
 
 
-def draw(
-    axes: Axes, record: RunRecord, cast: Cast, frame: int, part: View, lw: float = 1.5
+def draw_frame(
+    axes: Axes, record: RunRecord, cast: CastRecord, frame: int, region: ImageRegion
 ) -> None:
-    """The frame, target and obstacles, and the strings simulated before and after. lw:
-    width of lines [pt].
-    """
-    low, high = cast.levels
-    extent = (part.left - 0.5, part.right - 0.5, part.bottom - 0.5, part.top - 0.5)
-    image = part.crop(cast.trial.images[frame])
+    """Draw a frame, target, obstacles, and the strings simulated before and after."""
+    black, white = cast.grey_range
     axes.imshow(
-        image, cmap="gray", vmin=low, vmax=high, extent=extent, aspect="auto", zorder=0
+        region.crop(cast.trial.images[frame]),
+        cmap="gray",
+        vmin=black,
+        vmax=white,
+        extent=(*region.x_limits, *region.y_limits),
+        aspect="auto",
+        zorder=0,
     )
+    colours, pixels = FRAME_COLOURS, record.model.camera.pixels
     for obstacle in record.obstacles:
-        axes.fill(
-            *record.model.camera.pixels(corners(obstacle)).T,
-            facecolor=ON_FRAMES["wall"],
-            alpha=0.55,
-        )
-    axes.fill(
-        *record.model.camera.pixels(corners(record.target)).T,
-        fill=False,
-        edgecolor=ON_FRAMES["target"],
-        lw=lw,
-    )
-    line(axes, record, cast.before[frame], color=ON_FRAMES["before"], lw=lw)
-    line(axes, record, cast.after[frame], color=ON_FRAMES["after"], lw=lw)
+        corners = pixels(box_corners(obstacle))
+        axes.fill(*corners.T, facecolor=colours["wall"], alpha=0.55)
+    corners = pixels(box_corners(record.target))
+    axes.fill(*corners.T, fill=False, edgecolor=colours["target"], lw=1.5)
+    draw_line(axes, record, cast.before[frame], color=colours["before"], lw=1.5)
+    draw_line(axes, record, cast.after[frame], color=colours["after"], lw=1.5)
 
 
-def line(axes: Axes, record: RunRecord, world: np.ndarray, **style: Any) -> None:
-    """A line through world points (K, 2) [m]; nothing where any is not finite."""
+def draw_line(axes: Axes, record: RunRecord, world: np.ndarray, **style: Any) -> None:
+    """Draw a line through world points [m], shape (K, 2), if all are finite."""
     if np.isfinite(world).all():
         axes.plot(*record.model.camera.pixels(world).T, **style)
 
 
-def millimetres(axes: Axes, record: RunRecord, part: View) -> None:
-    """A grid every 100 mm with its coordinates; bent as the lens bends it."""
-    box = np.array(
-        [
-            [part.left, part.bottom],
-            [part.right, part.bottom],
-            [part.right, part.top],
-            [part.left, part.top],
-        ]
-    )
-    seen = record.model.camera.world(box)
-    low, high = seen.min(axis=0), seen.max(axis=0)
+def draw_grid(axes: Axes, record: RunRecord, region: ImageRegion) -> None:
+    """Draw a grid every 100 mm with its coordinates, bent as the lens bends it."""
+    left, top, right, bottom = region.left, region.top, region.right, region.bottom
+    corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
+    world = record.model.camera.world(corners)
+    low, high = world.min(axis=0), world.max(axis=0)
     for axis in (0, 1):
-        for at in (
-            np.arange(np.ceil(low[axis] / GRID), np.floor(high[axis] / GRID) + 1) * GRID
-        ):
-            way = np.linspace(low, high, 40)
-            way[:, axis] = at
-            line(axes, record, way, color="white", alpha=0.14, lw=0.7)
-            _label(
-                axes,
-                record.model.camera.pixels(way),
-                axis,
-                f"{at * MM_PER_M:.0f}",
-                part,
-            )
-    axes.annotate(
-        "mm",
-        (1, 0),
-        (-6, 5),
-        "axes fraction",
-        "offset points",
-        ha="right",
-        color="white",
-        fontsize=8,
+        first, last = (
+            np.ceil(low[axis] / GRID_SPACING_M),
+            np.floor(high[axis] / GRID_SPACING_M),
+        )
+        for coordinate in np.arange(first, last + 1) * GRID_SPACING_M:
+            line = np.linspace(low, high, 40)
+            line[:, axis] = coordinate
+            draw_line(axes, record, line, color="white", alpha=0.14, lw=0.7)
+            pixels = record.model.camera.pixels(line)
+            _label_grid_line(axes, pixels, axis, f"{coordinate * MM_PER_M:.0f}", region)
+    place, offset = (
+        ("axes fraction", "offset points"),
+        {"color": "white", "fontsize": 8},
     )
+    axes.annotate("mm", (1, 0), (-6, 5), *place, ha="right", **offset)
 
 
-def _label(axes: Axes, way: np.ndarray, axis: int, text: str, part: View) -> None:
-    """A coordinate where its grid line meets the lower or left edge, unless in the
-    corner.
-    """
-    edge = np.array([part.left, part.bottom])[1 - axis]
-    u, v = way[np.argmin(np.abs(way[:, 1 - axis] - edge))]
-    room = 0.08 * part.size
-    place = (u, part.bottom - 0.5) if axis == 0 else (part.left - 0.5, v)
-    if (
-        part.left + room[0] < u < part.right - room[0]
-        if axis == 0
-        else part.top + 12 < v < part.bottom - room[1]
-    ):
-        shift, align = ((0, 5), "center") if axis == 0 else ((5, -3), "left")
+def _label_grid_line(
+    axes: Axes, pixels: np.ndarray, axis: int, text: str, region: ImageRegion
+) -> None:
+    """Label a grid line where it meets the lower or left edge, except in corners."""
+    edge = region.left if axis == 1 else region.bottom
+    u, v = pixels[np.argmin(np.abs(pixels[:, 1 - axis] - edge))]
+    room = 0.08 * region.size_px
+    if axis == 0:
+        is_clear = region.left + room[0] < u < region.right - room[0]
+        place, shift, align = (u, region.bottom - 0.5), (0, 5), "center"
+    else:
+        is_clear = region.top + 12 < v < region.bottom - room[1]
+        place, shift, align = (region.left - 0.5, v), (5, -3), "left"
+    if is_clear:
         axes.annotate(
             text,
             place,
@@ -201,163 +184,145 @@ def _label(axes: Axes, way: np.ndarray, axis: int, text: str, part: View) -> Non
             ha=align,
             color="white",
             fontsize=8,
-            path_effects=SHADOW,
+            path_effects=TEXT_OUTLINE,
         )
 
 
 # --- the closest approach
-AROUND = 0.03  # [s] of the tip's way, each side of the closest approach
+TIP_PATH_HALF_WINDOW_S = 0.03
 
 
-def overlay(record: RunRecord, cast: Cast) -> Picture | None:
-    """The frame nearest in time, as large as hand, strings and target allow, with the
-    tip's way through it.
+def closest_approach_picture(record: RunRecord, cast: CastRecord) -> Picture | None:
+    """Draw the frame nearest in time, cropped to strings and target."""
+    if not len(cast.trial.images):
+        return None
+    frame = cast.closest_frame
+    shown = [cast.before[frame], cast.after[frame], box_corners(record.target)]
+    centre_line = cast.centre_lines.get(frame, np.zeros((0, 3)))[:, :2]
+    region = region_around(record, np.concatenate([*shown, centre_line]))
+    figure, axes = blank_frame(region, 5.4)
+    draw_frame(axes, record, cast, frame, region)
+    measured = {"color": FRAME_COLOURS["measured"]}
+    draw_line(axes, record, centre_line, ls="", marker=".", ms=2.5, **measured)
+
+    # the tip's path, and a ring where it is closest
+    verdict = cast.verdict
+    window = np.linspace(-TIP_PATH_HALF_WINDOW_S, TIP_PATH_HALF_WINDOW_S, 121)
+    path = cast.tip_path(verdict.t + window)
+    path = path[np.isfinite(path).all(axis=1)]
+    draw_line(axes, record, path, lw=0.9, ls=(0, (2, 2)), **measured)
+    closest = cast.tip_path(np.array([verdict.t]))
+    ring = {"color": FRAME_COLOURS["ink"], "marker": "o", "ms": 8, "mfc": "none"}
+    draw_line(axes, record, closest, **ring)
+    draw_grid(axes, record, region)
+
+    position = "not visible"
+    if np.isfinite(verdict.distance):
+        position = f"{format_mm(verdict.distance)} from its centre at {format_ms(verdict.t, 1)}"
+    words = (
+        f"Camera frame at {format_ms(cast.frame_times[frame])}, with the target box and "
+        "the string as measured and as simulated before and after estimation. The tip is "
+        f"{position}."
+    )
+    return webp_picture(figure, words)
+
+
+# --- the film
+MAX_PAGE_FRAMES = 100  # shared among the casts of a page
+MIN_CAST_FRAMES = 10
+FILM_SIZE_PX = 440  # of the longer side
+# Scale and quality of WebP, tried in turn until a frame is small enough. 100 frames of
+# the largest size are 0.33 MB of a page, which may have 1.5 MB.
+COMPRESSION_STEPS = ((1.0, 45), (1.0, 25), (1.0, 12), (0.5, 45), (0.5, 25))
+MAX_FRAME_BYTES = 2_500
+STILL_COUNT = 6
+FILM_MARGIN_S = 0.03  # before and after the movement
+
+
+def cast_film_data(
+    record: RunRecord, cast: CastRecord, region: ImageRegion
+) -> dict[str, Any] | None:
+    """Return what the page's script draws of a cast, or None without frames.
+
+    The data are JSON-able; coordinates are pixels of the film, times are in ms.
     """
     if not len(cast.trial.images):
         return None
-    frame = cast.nearest
-    shown = [cast.before[frame], cast.after[frame], corners(record.target)]
-    shown += [cast.measured[frame][:, :2]] if frame in cast.measured else []
-    part = view(record, np.concatenate(shown))
-    figure, axes = frame_figure(part, 5.4)
-    draw(axes, record, cast, frame, part)
-    if frame in cast.measured:
-        line(
-            axes,
-            record,
-            cast.measured[frame][:, :2],
-            color=ON_FRAMES["measured"],
-            ls="",
-            marker=".",
-            ms=2.5,
-        )
-    way = cast.tip(cast.verdict.t + np.linspace(-AROUND, AROUND, 121))
-    line(
-        axes,
-        record,
-        way[np.isfinite(way).all(axis=1)],
-        color=ON_FRAMES["measured"],
-        lw=0.9,
-        ls=(0, (2, 2)),
-    )
-    line(
-        axes,
-        record,
-        cast.tip(np.array([cast.verdict.t])),
-        color=ON_FRAMES["ink"],
-        marker="o",
-        ms=8,
-        mfc="none",
-    )
-    millimetres(axes, record, part)
-    known = np.isfinite(cast.verdict.distance)
-    closest = (
-        f"{mm(cast.verdict.distance)} from its centre at {ms(cast.verdict.t, 1)}"
-        if known
-        else "never seen"
-    )
-    return raster(
-        figure,
-        f"Camera frame at {ms(cast.t[frame])}, with the target box and the string as measured and as simulated "
-        f"before and after estimation. The tip is {closest}.",
+    camera = record.model.camera
+    scale = FILM_SIZE_PX / float(region.size_px.max())
+    width, height = np.round(region.size_px * scale).astype(int).tolist()
+    frames = choose_frames(
+        cast, max(MAX_PAGE_FRAMES // len(record.casts), MIN_CAST_FRAMES)
     )
 
+    def pixels(world: np.ndarray) -> list[list[float]]:
+        return _film_pixels(camera, world, region, scale)
 
-# --- the player
-FRAMES = 100  # at most in one page, shared among its casts
-FEWEST = 10  # of one cast
-SIZE = 440  # [px] of the longer side
-SMALLER = (
-    (1.0, 45),
-    (1.0, 25),
-    (1.0, 12),
-    (0.5, 45),
-    (0.5, 25),
-)  # size and quality of WebP, until noise makes no frame larger than
-# [bytes]: 100 frames are 0.33 MB of a page, which shall have 1.5 at most
-LARGEST = 2_500
-STILLS = 6  # below the film
-REST = 0.03  # [s] shown before and after the movement
-
-
-def animation(record: RunRecord, cast: Cast, part: View) -> dict[str, Any] | None:
-    """Everything the player draws, JSON-able; coordinates in its own pixels, times in
-    ms. None without frames.
-    """
-    if not len(cast.trial.images):
-        return None
-    scale = SIZE / float(part.size.max())
-    width, height = np.round(part.size * scale).astype(int).tolist()
-    chosen = choose(cast, max(FRAMES // len(record.casts), FEWEST))
-    measured = [cast.measured.get(f, np.zeros((0, 3)))[:, :2] for f in chosen]
-    drawn: dict[str, Sequence[np.ndarray]] = {
-        "before": list(cast.before[chosen]),
-        "after": list(cast.after[chosen]),
-        "measured": measured,
+    unread = np.zeros((0, 3))
+    strings = {
+        "before": [pixels(cast.before[frame]) for frame in frames],
+        "after": [pixels(cast.after[frame]) for frame in frames],
+        "measured": [
+            pixels(cast.centre_lines.get(frame, unread)[:, :2]) for frame in frames
+        ],
     }
-    evenly = np.linspace(0, len(chosen) - 1, STILLS)
+    boxes = [(FRAME_COLOURS["target"], pixels(box_corners(record.target)))]
+    for obstacle in record.obstacles:
+        boxes.append((FRAME_COLOURS["wall"], pixels(box_corners(obstacle))))
+    images = [region.crop(cast.trial.images[frame]) for frame in frames]
+    stills = np.linspace(0, len(frames) - 1, STILL_COUNT).round().astype(int)
+    closest = cast.closest_frame
     return {
         "width": width,
         "height": height,
-        "t": [round(float(cast.t[f]) * 1e3, 1) for f in chosen],
-        "start": chosen.index(cast.nearest) if cast.nearest in chosen else 0,
-        "frames": [
-            _small(part.crop(cast.trial.images[f]), cast.levels, scale) for f in chosen
-        ],
-        "boxes": [
-            (ON_FRAMES[kind], _pixels(record, corners(box), part, scale))
-            for kind, box in [
-                ("target", record.target),
-                *(("wall", box) for box in record.obstacles),
-            ]
-        ],
+        "t": [round(float(cast.frame_times[frame]) * 1e3, 1) for frame in frames],
+        "start": frames.index(closest) if closest in frames else 0,
+        "frames": [_encode_frame(image, cast.grey_range, scale) for image in images],
+        "boxes": boxes,
         "stills": [
-            (chosen.index(frame), ms(cast.t[frame]))
-            for frame in sorted({chosen[i] for i in evenly.round().astype(int)})
+            (int(i), format_ms(cast.frame_times[frames[i]])) for i in np.unique(stills)
         ],
-        "strings": {
-            name: [_pixels(record, line, part, scale) for line in lines]
-            for name, lines in drawn.items()
-        },
+        "strings": strings,
     }
 
 
-def choose(cast: Cast, most: int) -> list[int]:
-    """Numbers of at most `most` frames, evenly over the movement, the closest approach
-    among them.
+def choose_frames(cast: CastRecord, count: int) -> list[int]:
+    """Choose at most `count` frames evenly over the movement.
+
+    The frame of the closest approach is among them.
     """
-    first, last = cast.frame(-REST), cast.frame(cast.motion.duration + REST)
-    even = np.linspace(first, last, min(most, last - first + 1)).round().astype(int)
+    first = cast.frame_at(-FILM_MARGIN_S)
+    last = cast.frame_at(cast.motion.duration + FILM_MARGIN_S)
+    chosen = np.linspace(first, last, min(count, last - first + 1)).round().astype(int)
     if np.isfinite(cast.verdict.t):
-        even[np.argmin(np.abs(even - cast.nearest))] = cast.nearest
-    return sorted(set(even.tolist()))
+        chosen[np.argmin(np.abs(chosen - cast.closest_frame))] = cast.closest_frame
+    return sorted(set(chosen.tolist()))
 
 
-def _small(image: np.ndarray, black_white: tuple[float, float], scale: float) -> str:
-    """A frame with its levels spread, never larger than it was filmed: the player
-    enlarges it.
-    """
-    low, high = black_white
-    clear = np.clip(
-        (image.astype(np.float32) - low) * (255 / (high - low)), 0, 255
-    ).astype(np.uint8)
-    for smaller, quality in SMALLER:
-        share = min(scale, 1.0) * smaller
-        data = webp(
-            cv2.resize(clear, None, fx=share, fy=share, interpolation=cv2.INTER_AREA),
-            quality,
+def _encode_frame(
+    image: np.ndarray, grey_range: tuple[float, float], scale: float
+) -> str:
+    """Spread the levels of a frame and encode it, never larger than it was filmed."""
+    black, white = grey_range
+    spread = (image.astype(np.float32) - black) * (255 / (white - black))
+    image = np.clip(spread, 0, 255).astype(np.uint8)
+    for reduction, quality in COMPRESSION_STEPS:
+        factor = min(scale, 1.0) * reduction
+        small = cv2.resize(
+            image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA
         )
-        if len(data) <= LARGEST:
+        content = encode_webp(small, quality)
+        if len(content) <= MAX_FRAME_BYTES:
             break
-    return data_uri("webp", data)
+    return data_uri("webp", content)
 
 
-def _pixels(
-    record: RunRecord, world: np.ndarray, part: View, scale: float
+def _film_pixels(
+    camera: Camera, world: np.ndarray, region: ImageRegion, scale: float
 ) -> list[list[float]]:
-    """Pixels of the small picture (corner of the first at 0); empty where the
-    simulation did not stay finite.
-    """
+    """Return pixels of the film, with its corner at 0; none if the string diverged."""
     if not np.isfinite(world).all():
         return []
-    return np.round(part.pixels(record.model.camera, world, scale), 1).tolist()
+    corner = (region.left, region.top)
+    pixels = (camera.pixels(world) - corner + 0.5) * scale
+    return np.round(pixels, 1).tolist()

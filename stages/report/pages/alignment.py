@@ -1,4 +1,4 @@
-"""The page of an alignment: what was measured, how well, and what looks alike."""
+"""The page of an alignment: parameters of camera and clock, and how well they fit."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from matplotlib import style
 from matplotlib.figure import Figure as Drawing
 
 from stringcast.data.alignment import Alignment
-from stringcast.stages.report.formatting import mm
+from stringcast.stages.common import rms
+from stringcast.stages.report.charts.axes import new_axes
+from stringcast.stages.report.formatting import format_mm
 from stringcast.stages.report.page import (
+    Block,
     Card,
     Cell,
     Figure,
-    Grid,
     Page,
     Section,
     Table,
     Text,
-    Tile,
     Tiles,
-    number,
+    number_cells,
 )
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.report.theme import (
@@ -29,179 +30,152 @@ from stringcast.stages.report.theme import (
     MM_PER_M,
     STYLE_SHEET,
     Picture,
-    vector,
+    svg_picture,
 )
 
-WORST = 25.0  # rise of the deviance up to which it is drawn
-END = 3.84  # of a 95 % interval
-SHARES = ("before", "after")
-# units that people think of
-THOUSANDTHS = {"s": "ms", "m": "mm", "rad": "mrad", "1": "‰"}
+MAX_DRAWN_DEVIANCE = 25.0
+DEVIANCE_95 = 3.84  # at the ends of a 95 % interval
+STATES = ("before", "after")  # alignment
+MILLI_UNITS = {"s": "ms", "m": "mm", "rad": "mrad", "1": "‰"}
 
 
 def alignment_page(facts: StageRecord) -> str:
-    """The page as text; the same facts give the same page."""
-    made: Alignment = facts.artifact
+    """Render the page; the same facts give the same text."""
+    alignment: Alignment = facts.artifact
     with style.context(STYLE_SHEET):
-        sections = [tiles(made), measured(made), fit(made)]
-    return str(
-        Page(
-            title=f"{facts.name}: camera and clock against the arm",
-            kicker=f"stringcast alignment · {facts.name}",
-            heading="Camera and clock, measured against the arm",
-            lead=facts.sentence,
-            sections=sections,
-            origin=facts.provenance,
-            settings=facts.settings,
-        )
+        sections = [
+            _tiles(alignment),
+            _parameters_section(alignment),
+            _fit_section(alignment),
+        ]
+    page = Page(
+        kind="alignment",
+        name=facts.name,
+        heading="Camera and clock, measured against the arm",
+        lead=facts.sentence,
+        sections=sections,
+        origin=facts.provenance,
+        settings=facts.settings,
     )
+    return str(page)
 
 
-def tiles(made: Alignment) -> Tiles:
-    """Tiles: the residual, the number of frames, the speed."""
-    how = made.aligned.iloc[0]
-    near = (
-        "root mean square of reported less seen, before and after; noise alone would leave "
-        + mm(how["noise"], 2)
-    )
+def _tiles(alignment: Alignment) -> Tiles:
+    row = alignment.aligned.iloc[0]
+    change = f"{format_mm(row['rms_before'], 2)} → {format_mm(row['rms_after'], 2)}"
+    noise = format_mm(row["noise"], 2)
+    frames = alignment.seen[["trial", "t"]].drop_duplicates()
     return Tiles(
         [
-            Tile(f"{mm(how['rms_before'], 2)} → {mm(how['rms_after'], 2)}", near),
-            Tile(
-                str(len(made.seen[["trial", "t"]].drop_duplicates())),
-                "frames in which the arm was read",
+            (
+                change,
+                f"rms of reported minus filmed, before and after; noise alone: {noise}",
             ),
-            Tile(f"{how['speed']:.2f} m/s", "fastest that the hand moved"),
+            (str(len(frames)), "frames in which the arm was read"),
+            (f"{row['speed']:.2f} m/s", "highest speed of the hand"),
         ]
     )
 
 
-def measured(made: Alignment) -> Section:
-    """Each parameter with its interval."""
+def _parameters_section(alignment: Alignment) -> Section:
     lead = Markup(
-        "Intervals are of 95 %, by leaving out blocks of time in turn. <code>extended=&lt;this folder&gt;</code> "
-        "makes any other experiment take what is part of the alignment as measured."
+        "Intervals are 95 %, from leaving out blocks of time in turn. "
+        "<code>extended=&lt;this folder&gt;</code> applies the alignment in any other "
+        "experiment."
     )
     columns = ("parameter", "meaning", "value", "from", "to", "part of the alignment")
     rows = []
-    for row in made.measured.to_dict("records"):
+    for row in alignment.measured.to_dict("records"):
+        unit = MILLI_UNITS[row["unit"]]
         values = [
-            number(f"{1e3 * row[of]:.3f} {THOUSANDTHS[row['unit']]}")
-            for of in ("value", "low", "high")
+            f"{1e3 * row[column]:.3f} {unit}" for column in ("value", "low", "high")
         ]
-        found = "yes" if row["found"] else "looked for, not seen"
-        rows.append([Cell(row["name"], "code"), row["meaning"], *values, found])
-    return Section(
-        "What was measured", [Text(lead), Card("", [Table(columns, rows, named=True)])]
-    )
+        is_part = "yes" if row["found"] else "no: not significant"
+        name = Cell(row["name"], "code")
+        rows.append([name, row["meaning"], *number_cells(values), is_part])
+    table = Card("", [Table(columns, rows, named=True)])
+    return Section("Parameters", [Text(lead), table])
 
 
-def fit(made: Alignment) -> Section:
-    """Seen and reported, and how sure the clocks are."""
-    alike = "Without a lag of the arm, and with one that is fitted along. Where both are low, an offset and a lag "
-    alike += "cannot be told apart."
-    outer = "Middle of the last link where it is furthest out. What is reported shall lie on what is seen."
-    grid = [Figure("Seen and reported", places(made.seen), outer)]
-    grid += [Figure("How sure the clocks are", likelihood(made.likelihood), alike)]
-    left = "Before and after. What is left shall be noise, without a pattern."
-    return Section(
-        "How well it fits",
-        [
-            Grid(grid),
-            Figure("Reported less seen over time", residuals(made.seen), left),
-        ],
+def _fit_section(alignment: Alignment) -> Section:
+    grid = [
+        Figure(
+            "Filmed and reported",
+            _positions_picture(alignment.seen),
+            "Middle of the last link where it is furthest out. After alignment, the "
+            "reported positions must lie on the filmed ones.",
+        ),
+        Figure(
+            "Certainty of the clock offset",
+            _likelihood_picture(alignment.likelihood),
+            "Without a lag of the arm, and with a fitted one. Where both are low, offset "
+            "and lag cannot be distinguished.",
+        ),
+    ]
+    remainder = Figure(
+        "Reported minus filmed over time",
+        _residuals_picture(alignment.seen),
+        "Before and after. What remains must be noise without a pattern.",
     )
+    return Section("Fit", [Block("grid", grid), remainder])
 
 
 # --- pictures
-def places(seen: pd.DataFrame) -> Picture:
-    """The outermost piece that was sighted, frame by frame: where it was seen, and
-    reported before and after.
-    """
-    outer = (
-        seen[seen["link"] == seen["link"].max()]
-        .sort_values("share")
-        .groupby(["trial", "t"])
-        .tail(2)
-    )
-    figure = Drawing(figsize=(4.4, 4.0))
-    axes = figure.subplots()
-    for way in SHARES:
-        x, y = (outer[c] + outer[way] * outer[f"along_{c}"] for c in "xy")
-        axes.plot(
-            x * MM_PER_M,
-            y * MM_PER_M,
-            ".",
-            ms=2.5,
-            color=LIGHT_COLOURS[way],
-            label=f"reported, {way}",
-        )
-    axes.plot(
-        outer["x"] * MM_PER_M,
-        outer["y"] * MM_PER_M,
-        ".",
-        ms=1.2,
-        color=LIGHT_COLOURS["measured"],
-        label="seen",
-    )
+def _positions_picture(seen: pd.DataFrame) -> Picture:
+    """Draw the outermost visible piece in each frame, as filmed and as reported."""
+    last_link = seen[seen["link"] == seen["link"].max()].sort_values("share")
+    outer = last_link.groupby(["trial", "t"]).tail(2)
+    figure, axes = new_axes(4.4, 4.0)
+    sizes = []
+    for state in STATES:
+        x = outer["x"] + outer[state] * outer["along_x"]
+        y = outer["y"] + outer[state] * outer["along_y"]
+        look = {"ms": 2.5, "color": LIGHT_COLOURS[state], "label": f"reported, {state}"}
+        axes.plot(x * MM_PER_M, y * MM_PER_M, ".", **look)
+        sizes.append(format_mm(rms(outer[state]), 2))
+    look = {"ms": 1.2, "color": LIGHT_COLOURS["measured"], "label": "filmed"}
+    axes.plot(outer["x"] * MM_PER_M, outer["y"] * MM_PER_M, ".", **look)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
     axes.legend(loc="best", markerscale=3)
-    rms = [float(np.sqrt(np.mean(outer[way] ** 2))) * MM_PER_M for way in SHARES]
-    return vector(
-        figure,
-        f"The hand as seen and as reported: {rms[0]:.2f} mm apart before, {rms[1]:.2f} mm after.",
-    )
+    words = f"The hand as filmed and as reported: {sizes[0]} apart before, {sizes[1]} after."
+    return svg_picture(figure, words)
 
 
-def residuals(seen: pd.DataFrame) -> Picture:
-    """Reported less seen over time, all trials on one clock."""
+def _residuals_picture(seen: pd.DataFrame) -> Picture:
+    """Draw reported minus filmed over time, all trials on one clock."""
     figure = Drawing(figsize=(7.2, 3.4))
     panels = figure.subplots(2, 1, sharex=True)
-    for axes, way in zip(panels, SHARES, strict=True):
-        axes.plot(
-            seen["t"],
-            seen[way] * MM_PER_M,
-            ".",
-            ms=1.2,
-            color=LIGHT_COLOURS[way],
-            alpha=0.5,
-            rasterized=True,
-        )
+    for axes, state in zip(panels, STATES, strict=True):
+        look = {"ms": 1.2, "color": LIGHT_COLOURS[state], "alpha": 0.5}
+        axes.plot(seen["t"], seen[state] * MM_PER_M, ".", rasterized=True, **look)
         axes.axhline(0.0, lw=0.6, color=LIGHT_COLOURS["axis"])
-        axes.set_ylabel(f"{way} [mm]")
-    most = float(np.quantile(np.abs(seen["after"]), 0.995)) * MM_PER_M
-    panels[1].set(
-        xlabel="time by the camera's clock [s]", ylim=(-1.5 * most, 1.5 * most)
-    )
-    return vector(
-        figure,
-        "Reported less seen over time, as if camera and arm were aligned, and aligned.",
+        axes.set_ylabel(f"{state} [mm]")
+    limit = 1.5 * float(np.quantile(np.abs(seen["after"]), 0.995)) * MM_PER_M
+    axes.set(xlabel="time on the camera's clock [s]", ylim=(-limit, limit))
+    return svg_picture(
+        figure, "Reported minus filmed over time, before and after alignment."
     )
 
 
-def likelihood(table: pd.DataFrame) -> Picture:
-    """The profile likelihood of the offset, with and without a lag of the arm."""
-    figure = Drawing(figsize=(4.4, 3.2))
-    axes = figure.subplots()
-    for name, words, colour in (
-        ("alone", "no lag", "before"),
-        ("with_lag", "the arm may lag", "after"),
-    ):
-        drawn = table[table[name] < 2 * WORST]
-        axes.plot(
-            drawn["offset"] * MM_PER_M,
-            drawn[name],
-            ".-",
-            color=LIGHT_COLOURS[colour],
-            label=words,
-        )
-    axes.axhline(END, ls="--", lw=0.8, color=LIGHT_COLOURS["axis"], label="95 %")
+def _likelihood_picture(table: pd.DataFrame) -> Picture:
+    """Draw the profile likelihood of the offset, with and without a lag of the arm."""
+    figure, axes = new_axes(4.4, 3.2)
+    curves = (("alone", "no lag", "before"), ("with_lag", "the arm may lag", "after"))
+    for column, label, colour in curves:
+        drawn = table[table[column] < 2 * MAX_DRAWN_DEVIANCE]
+        offset = drawn["offset"] * MM_PER_M
+        axes.plot(offset, drawn[column], ".-", color=LIGHT_COLOURS[colour], label=label)
+    axes.axhline(
+        DEVIANCE_95, ls="--", lw=0.8, color=LIGHT_COLOURS["axis"], label="95 %"
+    )
     axes.set(
-        xlabel="arm's clock less the camera's [ms]",
-        ylabel="rise of the deviance",
-        ylim=(0, WORST),
+        xlabel="arm's clock minus camera's clock [ms]", ylabel="rise of the deviance"
     )
+    axes.set_ylim(0, MAX_DRAWN_DEVIANCE)
     axes.legend(loc="best")
-    inside = table[table["with_lag"] <= END]["offset"] * MM_PER_M
-    said = f"With a lag allowed, offsets from {inside.min():.2f} to {inside.max():.2f} ms fit about as well."
-    return vector(figure, said)
+    inside = table.loc[table["with_lag"] <= DEVIANCE_95, "offset"] * MM_PER_M
+    words = (
+        f"With a lag allowed, offsets from {inside.min():.2f} to {inside.max():.2f} ms "
+        "fit about equally well."
+    )
+    return svg_picture(figure, words)

@@ -1,4 +1,4 @@
-"""The page of a calibration: what was measured of a camera, and by what."""
+"""The page of a calibration: the parameters of a camera, and the errors of each view."""
 
 from __future__ import annotations
 
@@ -14,245 +14,213 @@ from matplotlib.figure import Figure as Drawing
 
 from stringcast.data.calibration import Calibration
 from stringcast.stages.common import rms
-from stringcast.stages.report.formatting import unit
+from stringcast.stages.report.charts.axes import new_axes
+from stringcast.stages.report.formatting import unit_markup
 from stringcast.stages.report.page import (
+    Block,
     Card,
     Cell,
     Figure,
-    Grid,
     Page,
     Section,
     Small,
     Table,
     Text,
-    Tile,
     Tiles,
-    bold,
-    joined,
-    number,
+    bold_text,
+    join_sentences,
+    number_cell,
 )
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.report.theme import (
+    FRAME_COLOURS,
     LIGHT_COLOURS,
-    ON_FRAMES,
     STYLE_SHEET,
     Picture,
-    raster,
-    vector,
+    svg_picture,
+    webp_picture,
 )
+
+ARROW_SHARE = 0.04  # of the picture's width, of an arrow as long as the rms error
+COVERAGE_WIDTH_IN = 6.0
+VIEW_WIDTH_IN = 3.0
 
 
 def calibration_page(facts: StageRecord) -> str:
-    """The page as text; the same record gives the same page."""
-    made: Calibration = facts.artifact
-    outcome = made.outcome.iloc[0]
-    tilted = made.corners[~made.corners["plane"]]
-    times = magnified(tilted, outcome["width"])
+    """Render the page; the same facts give the same text."""
+    calibration: Calibration = facts.artifact
+    outcome = calibration.outcome.iloc[0]
+    tilted = calibration.corners[~calibration.corners["plane"]]
+    magnification = _error_magnification(tilted, outcome["width"])
     with style.context(STYLE_SHEET):
-        sections = [tiles(outcome), camera(made, tilted, times), views(made, times)]
+        sections = [
+            _tiles(outcome),
+            _camera_section(calibration, tilted, magnification),
+            _views_section(calibration, magnification),
+        ]
 
-    used = int((made.views["reason"] == "").sum()) - 1  # one is that in the plane
+    used = int((calibration.views["reason"] == "").sum()) - 1  # one is in the plane
     pictures = (
-        f"{used} of {len(made.views) - 1} pictures of the tilted board were used, "
+        f"{used} of {len(calibration.views) - 1} pictures of the tilted board were used, "
+        f"{outcome['width']} × {outcome['height']} px."
     )
-    pictures += f"{outcome['width']} × {outcome['height']} px."
-    kept = "<code>camera.yaml</code> beside this page holds the camera; other experiments take it by "
-    kept += "<code>calibrated=</code> and this folder."
-    where = Markup(
-        kept if outcome["valid"] else "No <code>camera.yaml</code> was written."
-    )
-    return str(
-        Page(
-            title=f"{facts.name}: {facts.sentence}",
-            kicker=f"stringcast calibration · {facts.name}",
-            heading=facts.sentence,
-            lead=joined([pictures, where]),
-            sections=sections,
-            origin=facts.provenance,
-            settings=facts.settings,
-            tone="good" if outcome["valid"] else "bad",
-            marked=True,
+    result = Markup("No <code>camera.yaml</code> was written.")
+    if outcome["valid"]:
+        result = Markup(
+            "<code>camera.yaml</code> in this folder holds the camera; other experiments "
+            "use it by <code>calibrated=</code> and this folder."
         )
+    page = Page(
+        kind="calibration",
+        name=facts.name,
+        heading=facts.sentence,
+        lead=join_sentences([pictures, result]),
+        sections=sections,
+        origin=facts.provenance,
+        settings=facts.settings,
+        tone="good" if outcome["valid"] else "bad",
     )
+    return str(page)
 
 
-def tiles(outcome: Any) -> Tiles:
-    """Tiles: reprojection errors, and the share of the picture that corners cover."""
-    seen = "from corners as seen to corners as the camera has them, root mean square"
+def _tiles(outcome: Any) -> Tiles:
     return Tiles(
         [
-            Tile(f"{outcome['rms']:.2f} px", seen),
-            Tile(
+            (f"{outcome['rms']:.2f} px", "reprojection error of the corners, rms"),
+            (
                 f"{outcome['held_out_rms']:.2f} px",
-                "the same for views that the lens was not fitted to",
+                "the same on views left out of the fit",
             ),
-            Tile(f"{outcome['plane_rms']:.2f} px", "the same in the plane of motion"),
-            Tile(
-                f"{100 * outcome['coverage']:.0f} %",
-                "of the picture had a corner in it",
-            ),
-            Tile(
+            (f"{outcome['plane_rms']:.2f} px", "the same in the plane of motion"),
+            (f"{100 * outcome['coverage']:.0f} %", "of the picture contained a corner"),
+            (
                 f"{np.degrees(outcome['spread']):.0f}°",
-                "is the largest angle between two views of the board",
+                "largest angle between two views",
             ),
         ]
     )
 
 
-def camera(made: Calibration, tilted: pd.DataFrame, times: float) -> Section:
-    """The camera's parameters, and the errors over the picture and view by view."""
-    outcome = made.outcome.iloc[0]
-    columns = ("parameter", "value ± one standard deviation", "unit", "what it is")
+def _camera_section(
+    calibration: Calibration, tilted: pd.DataFrame, magnification: float
+) -> Section:
+    columns = ("parameter", "value ± one standard deviation", "unit", "meaning")
     rows = []
-    for row in made.measured.to_dict("records"):
-        # as many decimals as its uncertainty allows
-        decimals = (
-            max(int(np.ceil(1 - np.log10(row["sigma"]))), 0) if row["sigma"] > 0 else 6
-        )
-        value = number(f"{row['value']:.{decimals}f} ± {row['sigma']:.{decimals}f}")
-        rows.append(
-            (
-                Cell(f"camera.{row['name']}", "code"),
-                value,
-                unit(row["unit"]),
-                row["meaning"],
-            )
-        )
-    arrows = f"Each corner of each view, with its error {times:g} times as long. Arrows that point the same way side "
-    arrows += "by side are not noise: the lens, or the board, is not as assumed."
-    bars = "A view that stands out was blurred or bent. Where orange is far above blue, views are too few."
-    over = coverage(tilted, outcome["width"], outcome["height"], times)
-    by_view = errors(made.views[~made.views["plane"] & (made.views["reason"] == "")])
+    for row in calibration.measured.to_dict("records"):
+        value, sigma = row["value"], row["sigma"]
+        # as many decimals as the uncertainty allows
+        decimals = max(int(np.ceil(1 - np.log10(sigma))), 0) if sigma > 0 else 6
+        name = Cell(f"camera.{row['name']}", "code")
+        value = number_cell(f"{value:.{decimals}f} ± {sigma:.{decimals}f}")
+        rows.append((name, value, unit_markup(row["unit"]), row["meaning"]))
+    views = calibration.views
+    used = views[~views["plane"] & (views["reason"] == "")]
     grid = [
-        Figure("Errors over the picture", over, arrows),
-        Figure("Errors view by view", by_view, bars),
+        Figure(
+            "Errors over the picture",
+            _coverage_picture(tilted, calibration.outcome.iloc[0], magnification),
+            f"Each corner of each view, with its error enlarged {magnification:g} times. "
+            "If neighbouring arrows point the same way, the errors are not noise: the "
+            "model of the lens or the board is wrong.",
+        ),
+        Figure(
+            "Errors view by view",
+            _view_errors_picture(used),
+            "A view with a large error was blurred or the board was bent. If orange is far "
+            "above blue, there are too few views.",
+        ),
     ]
-    return Section("The camera", [Card("", [Table(columns, rows)]), Grid(grid)])
+    return Section("Camera", [Card("", [Table(columns, rows)]), Block("grid", grid)])
 
 
-def views(made: Calibration, times: float) -> Section:
-    """Every picture of the board, that in the plane first."""
-    lead = f"Circles: corners as seen. Crosses: as the camera has them. Arrows: the errors, {times:g} times as long."
-    shown = []
-    for row in made.views.sort_values(
-        "plane", ascending=False, kind="stable"
-    ).itertuples():
+def _views_section(calibration: Calibration, magnification: float) -> Section:
+    """Show every picture of the board, that in the plane of motion first."""
+    lead = (
+        "Circles: corners as detected. Crosses: as the camera model projects them. Arrows: "
+        f"the errors, enlarged {magnification:g} times."
+    )
+    views = calibration.views.sort_values("plane", ascending=False, kind="stable")
+    corners = calibration.corners
+    pictures = []
+    for row in views.itertuples():
         name = "in the plane of motion" if row.plane else f"view {row.view}"
-        corners = made.corners[
-            (made.corners["view"] == row.view) & (made.corners["plane"] == row.plane)
-        ]
-        words = row.reason or f"{row.rms:.2f} px, tilted by {np.degrees(row.tilt):.0f}°"
-        shown.append(
-            (joined([bold(name), "·", words]), view(row.picture, corners, times, name))
+        is_view = (corners["view"] == row.view) & (corners["plane"] == row.plane)
+        picture = _view_picture(row.picture, corners[is_view], magnification, name)
+        result = (
+            row.reason or f"{row.rms:.2f} px, tilted by {np.degrees(row.tilt):.0f}°"
         )
-    return Section("Views", [Text(lead), Card("", [Small(shown)])])
+        pictures.append((join_sentences([bold_text(name), "·", result]), picture))
+    return Section("Views", [Text(lead), Card("", [Small(pictures)])])
 
 
 # --- pictures
-LENGTH = 0.04  # of the picture's width, of an arrow that is as long as the usual error
+def _error_magnification(corners: pd.DataFrame, width: int) -> float:
+    """Return a round factor that makes errors visible in a picture of a width [px]."""
+    errors = corners[["u", "v"]].to_numpy() - corners[["fit_u", "fit_v"]].to_numpy()
+    ideal = ARROW_SHARE * width / max(rms(np.hypot(*errors.T)), 1e-6)
+    power = 10.0 ** np.floor(np.log10(ideal))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= ideal))
 
 
-def magnified(corners: pd.DataFrame, width: int) -> float:
-    """The factor by which errors are magnified: a round number that makes them seen.
-    width: of the pictures [px].
-    """
-    errors = np.hypot(corners["u"] - corners["fit_u"], corners["v"] - corners["fit_v"])
-    ideal = LENGTH * width / max(rms(errors.to_numpy()), 1e-6)
-    step = 10.0 ** np.floor(np.log10(ideal))
-    return float(step * max(s for s in (1, 2, 5) if s * step <= ideal))
+def _draw_error_arrows(
+    axes: Axes, corners: pd.DataFrame, magnification: float, colour: str
+) -> None:
+    """Draw arrows from the projection of each corner towards where it was detected."""
+    u, v = corners["fit_u"], corners["fit_v"]
+    du, dv = magnification * (corners["u"] - u), magnification * (corners["v"] - v)
+    to_scale = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004}
+    axes.quiver(u, v, du, dv, color=colour, **to_scale)
 
 
-def arrows(axes: Axes, corners: pd.DataFrame, times: float, colour: str) -> None:
-    """Arrows from the projection of each corner towards where it was seen."""
-    shift = corners[["u", "v"]].to_numpy() - corners[["fit_u", "fit_v"]].to_numpy()
-    at, along = (corners["fit_u"], corners["fit_v"]), (times * shift).T
-    axes.quiver(
-        *at, *along, color=colour, angles="xy", scale_units="xy", scale=1, width=0.004
-    )
-
-
-WHOLE = 6.0  # [inch]
-
-
-def coverage(corners: pd.DataFrame, width: int, height: int, times: float) -> Picture:
-    """corners: of all views, table CORNERS. width, height: of the pictures [px]. times:
-    magnification of errors.
-    """
-    figure = Drawing(figsize=(WHOLE, WHOLE * height / width))
-    axes = figure.subplots()
+def _coverage_picture(
+    corners: pd.DataFrame, outcome: Any, magnification: float
+) -> Picture:
+    width, height = outcome["width"], outcome["height"]
+    figure, axes = new_axes(COVERAGE_WIDTH_IN, COVERAGE_WIDTH_IN * height / width)
     axes.plot(
         corners["fit_u"], corners["fit_v"], ".", ms=2, color=LIGHT_COLOURS["after"]
     )
-    arrows(axes, corners, times, LIGHT_COLOURS["before"])
-    axes.set(
-        xlim=(0, width),
-        ylim=(height, 0),
-        xlabel="u / px",
-        ylabel="v / px",
-        aspect="equal",
-    )
-    return vector(
-        figure,
-        f"{len(corners)} corners all over the picture with their errors, {times:g} times as long.",
-    )
+    _draw_error_arrows(axes, corners, magnification, LIGHT_COLOURS["before"])
+    axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
+    axes.set(xlabel="u / px", ylabel="v / px")
+    words = f"{len(corners)} corners over the picture; errors enlarged {magnification:g} times."
+    return svg_picture(figure, words)
 
 
-def errors(views: pd.DataFrame) -> Picture:
-    """views: table VIEWS, those that were used to find the lens."""
-    figure = Drawing(figsize=(6.0, 2.8))
-    axes = figure.subplots()
+def _view_errors_picture(views: pd.DataFrame) -> Picture:
+    figure, axes = new_axes(6.0, 2.8)
     places = np.arange(len(views))
-    axes.bar(
-        places - 0.2,
-        views["rms"],
-        0.38,
-        color=LIGHT_COLOURS["after"],
-        label="with the lens of all views",
-    )
-    axes.bar(
-        places + 0.2,
-        views["held_out_rms"],
-        0.38,
-        color=LIGHT_COLOURS["before"],
-        label="with the lens of the others",
-    )
-    axes.set_xticks(places, [str(number) for number in views["view"]])
+    all_views = {"color": LIGHT_COLOURS["after"], "label": "with the lens of all views"}
+    others = {
+        "color": LIGHT_COLOURS["before"],
+        "label": "with the lens of the other views",
+    }
+    axes.bar(places - 0.2, views["rms"], 0.38, **all_views)
+    axes.bar(places + 0.2, views["held_out_rms"], 0.38, **others)
+    axes.set_xticks(places, views["view"].astype(str))
     axes.set(xlabel="view", ylabel="error / px, rms")
     axes.legend()
-    return vector(
-        figure,
-        "Reprojection error of each view, with the lens of all views and with that of the others.",
+    words = (
+        "Reprojection error of each view, with the lens of all views and of the others."
     )
+    return svg_picture(figure, words)
 
 
-ONE = 3.0  # [inch]
-
-
-def view(jpeg: bytes, corners: pd.DataFrame, times: float, name: str) -> Picture:
-    """corners: of this picture, table CORNERS; none where it was not used. times:
-    magnification of errors.
-    """
-    image = np.asarray(
-        cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
-    )
-    rows, columns = image.shape
-    figure = Drawing(figsize=(ONE, ONE * rows / columns))
+def _view_picture(
+    jpeg: bytes, corners: pd.DataFrame, magnification: float, name: str
+) -> Picture:
+    """Draw a picture of the board with its corners, if it was used."""
+    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
+    rows, columns = np.shape(image)
+    figure = Drawing(figsize=(VIEW_WIDTH_IN, VIEW_WIDTH_IN * rows / columns))
     figure.set_layout_engine("none")
     axes = figure.add_axes((0, 0, 1, 1))
     axes.imshow(image, cmap="gray", vmin=0, vmax=255)
     axes.axis("off")
-    axes.plot(
-        corners["u"],
-        corners["v"],
-        "o",
-        ms=4,
-        mfc="none",
-        mec=ON_FRAMES["measured"],
-        mew=0.8,
-    )
-    axes.plot(
-        corners["fit_u"], corners["fit_v"], "+", ms=4, color=ON_FRAMES["after"], mew=0.8
-    )
-    arrows(axes, corners, times, ON_FRAMES["before"])
+    circles = {"mfc": "none", "mec": FRAME_COLOURS["measured"], "mew": 0.8}
+    crosses = {"color": FRAME_COLOURS["after"], "mew": 0.8}
+    axes.plot(corners["u"], corners["v"], "o", ms=4, **circles)
+    axes.plot(corners["fit_u"], corners["fit_v"], "+", ms=4, **crosses)
+    _draw_error_arrows(axes, corners, magnification, FRAME_COLOURS["before"])
     axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))
-    return raster(figure, f"{name}: {len(corners)} corners seen.")
+    return webp_picture(figure, f"{name}: {len(corners)} corners detected.")

@@ -1,5 +1,5 @@
-"""The page of casts, and of estimation alone: what came of each, and what was learnt of
-the string.
+"""The page of casts, and of estimation alone: the result of each cast, and the
+parameters.
 """
 
 from __future__ import annotations
@@ -11,36 +11,44 @@ from markupsafe import Markup
 from matplotlib import style
 
 from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.report import formatting
-from stringcast.stages.report.charts.camera import View, animation, overlay, whole_view
-from stringcast.stages.report.charts.parameters import history
-from stringcast.stages.report.charts.residual import (
-    furthest,
-    residual_curves,
-    residual_map,
+from stringcast.stages.report.charts.camera import (
+    ImageRegion,
+    cast_film_data,
+    closest_approach_picture,
+    region_of_run,
 )
-from stringcast.stages.report.charts.string import path, paths
-from stringcast.stages.report.charts.time import joints, matching, progress
+from stringcast.stages.report.charts.cast import (
+    cast_path_picture,
+    distance_chart,
+    distance_map,
+    distance_scale_end,
+    hand_paths_picture,
+    history_picture,
+    joint_charts,
+    matching_chart,
+    progress_picture,
+)
 from stringcast.stages.report.formatting import (
-    UNKNOWN,
-    mm,
-    ms,
-    rate,
-    sentence,
-    significant,
-    symbol,
-    unit,
-    within,
+    NOT_KNOWN,
+    format_count,
+    format_interval,
+    format_mm,
+    format_ms,
+    format_rate,
+    format_value,
+    sentence_markup,
+    symbol_markup,
+    unit_markup,
+    unread_frames,
 )
 from stringcast.stages.report.page import (
+    Block,
     Card,
     Cell,
-    Column,
     Details,
     Explore,
     Figure,
     Film,
-    Grid,
     Key,
     Layer,
     Page,
@@ -49,443 +57,404 @@ from stringcast.stages.report.page import (
     Small,
     Table,
     Text,
-    Tile,
     Tiles,
-    badge,
-    bold,
-    either,
-    joined,
+    bold_text,
+    hit_badge,
+    join_sentences,
     link,
-    number,
+    number_cell,
+    number_cells,
+    part_or_reason,
 )
-from stringcast.stages.report.records import Cast, RunRecord
-from stringcast.stages.report.theme import MM_PER_M, ON_FRAMES, STYLE_SHEET
+from stringcast.stages.report.records import CastRecord, RunRecord
+from stringcast.stages.report.theme import FRAME_COLOURS, MM_PER_M, STYLE_SHEET
 
-UNREAD = "No frame of this cast could be read, so there is nothing to compare the simulation with."
-SILENT = "The arm reported no joint angles."
-NOT_FILMED = Text("This cast has no camera frames.", "missing")
-COLOURS = {
+NOTHING_READ = "No frame of this cast could be read, so there is no comparison."
+NO_JOINT_ANGLES = "The arm reported no joint angles."
+NO_FRAMES = Text("This cast has no camera frames.", "missing")
+OVERLAY_LABELS = {
     "before": "simulated, before estimation",
     "after": "simulated, after",
     "measured": "measured",
     "target": "target",
 }
+Estimated = list[tuple[Parameter, Any]]  # parameters, each with its row of the estimate
 
 
 def cast_page(record: RunRecord) -> str:
-    """The page as text; the same record gives the same page."""
+    """Render the page; the same record gives the same text."""
+    casts = list(enumerate(record.casts, start=1))
     with style.context(STYLE_SHEET):
-        sections = [*summary(record), learnt(record), together(record)]
-        part, far = whole_view(record) if record.casts else None, furthest(record)
-        sections += [
-            casting(record, n, cast, part, far)
-            for n, cast in enumerate(record.casts, start=1)
-            if part
-        ]
-    many = enumerate(record.casts, start=1) if len(record.casts) > 1 else ()
-    judged = any(cast.valid for cast in record.casts)
-    return str(
-        Page(
-            title=f"{record.name}: {record.sentence}",
-            kicker=f"stringcast report · {record.name}",
-            heading=record.sentence,
-            lead=_aim(record),
-            sections=sections,
-            origin=record.provenance,
-            settings=record.settings,
-            tone=("good" if record.hit else "bad") if judged else "",
-            marked=judged,
-            nav=[(f"cast-{n}", joined([f"Cast {n}", ended(cast)])) for n, cast in many],
-            following=record.next_commands,
-            explored=True,
-        )
+        sections: list[Part] = [*_summary(record, casts), _parameters_section(record)]
+        if len(casts) > 1:
+            sections.append(_progress_section(record))
+        if casts:
+            region, scale_end = region_of_run(record), distance_scale_end(record)
+            for number, cast in casts:
+                sections.append(_cast_section(record, number, cast, region, scale_end))
+    is_valid = any(cast.is_valid for cast in record.casts)
+    tone = "good" if record.hit else "bad"
+    nav = [
+        (f"cast-{n}", join_sentences([f"Cast {n}", _result(cast)])) for n, cast in casts
+    ]
+    page = Page(
+        kind="report",
+        name=record.name,
+        heading=record.sentence,
+        lead=_describe_task(record),
+        sections=sections,
+        origin=record.provenance,
+        settings=record.settings,
+        tone=tone if is_valid else "",
+        nav=nav if len(nav) > 1 else (),
+        following=record.next_commands,
     )
+    return str(page)
 
 
-def _aim(record: RunRecord) -> str:
-    """String and target in a sentence."""
-    string, target = f"A string of {mm(record.model.string.length)}", record.target
+def _describe_task(record: RunRecord) -> str:
+    """Describe string and target in a sentence."""
+    string = f"A string of {format_mm(record.model.string.length)}"
     if not record.casts:
         return f"{string}."
-    size = f"{round(target.w * MM_PER_M, 1):g} × {round(target.h * MM_PER_M, 1):g} mm"
-    place = f"({target.x * MM_PER_M:.0f}, {target.y * MM_PER_M:.0f}) mm"
+    target = record.target
+    size = f"{round(target.w * MM_PER_M, 1):g} × {round(target.h * MM, 1):g} mm"
     return (
-        f"{string}, and a target box of {size} around {place}, where x is to the right and y up from the world's "
+        f"{string}, and a target box of {size} around ({target.x * MM_PER_M:.0f}, "
+        f"{target.y * MM_PER_M:.0f}) mm, where x points to the right and y up from the world's "
         "origin."
     )
 
 
+def _result(cast: CastRecord) -> Markup:
+    """Mark a cast as hit or missed, unless its trial is not valid."""
+    if cast.is_valid:
+        return hit_badge(cast.verdict.hit)
+    return Markup('<span class="badge">not valid</span>')
+
+
 # --- all casts
-# ------------------------------------------------------------------------------
-def summary(record: RunRecord) -> list[Part]:
-    """The summary: closest approach, agreement of the simulation, and a row for each
-    cast.
-    """
-    if not record.casts:
+def _summary(record: RunRecord, casts: list[tuple[int, CastRecord]]) -> list[Part]:
+    """Summarise the run in tiles, and in a row for each cast."""
+    if not casts:
         return []
-    columns = [
-        "cast",
-        "tip in the box",
-        "closest to centre",
-        "at",
-        "E before",
-        "E after",
-    ]
-    columns += ["residual before", "residual after", "frames read"]
+    columns = ["cast", "result", "closest to centre", "at", "E before", "E after"]
+    columns += ["distance before", "distance after", "frames read"]
     rows = []
-    for n, cast in enumerate(record.casts, start=1):
-        closest = [number(mm(cast.verdict.distance)), number(ms(cast.verdict.t))]
-        fitted: list[Cell | str] = [Cell("not estimated", "missing"), *[""] * 3]
+    for number, cast in casts:
+        verdict, readings = cast.verdict, cast.points.readings
+        fit: list[Any] = [Cell("not estimated", "missing"), "", "", ""]
         if cast.estimate is not None:
-            fit = cast.estimate.fit.iloc[0]
-            rates = [rate(fit["before"]), rate(fit["after"])]
-            fitted = [
-                number(one)
-                for one in (*rates, mm(fit["rms_before"], 1), mm(fit["rms_after"], 1))
-            ]
-        frames = len(cast.points.readings)
-        unread = sum(row["count"] for row in formatting.unread(cast.points.readings))
-        read = number(f"{frames - unread} of {frames}")
-        rows.append([link(f"#cast-{n}", n), ended(cast), *closest, *fitted, read])
+            fit = number_cells(_fit_quality(cast.estimate.fit.iloc[0]))
+        closest = number_cells([format_mm(verdict.distance), format_ms(verdict.t)])
+        read = number_cell(f"{readings['valid'].sum()} of {len(readings)}")
+        rows.append(
+            [link(f"#cast-{number}", number), _result(cast), *closest, *fit, read]
+        )
     return [_tiles(record), Card("", [Table(columns, rows)])]
 
 
+def _fit_quality(fit: Any) -> list[str]:
+    """Format matching rate and rms distance of an estimation, before and after each."""
+    rates = [format_rate(fit["before"]), format_rate(fit["after"])]
+    return [*rates, format_mm(fit["rms_before"], 1), format_mm(fit["rms_after"], 1)]
+
+
 def _tiles(record: RunRecord) -> Tiles:
-    known = [cast for cast in record.casts if np.isfinite(cast.verdict.distance)]
+    verdicts = [c.verdict for c in record.casts if np.isfinite(c.verdict.distance)]
     best = min(
-        known,
-        key=lambda cast: (not cast.verdict.hit, cast.verdict.distance),
-        default=None,
+        verdicts, key=lambda verdict: (not verdict.hit, verdict.distance), default=None
     )
-    closest = "from the target's centre to the tip, at its closest"
-    closest += " in the best cast" if len(record.casts) > 1 else ""
-    unread = "No tip was read in any frame, so nobody can say how close it came."
-    fit = record.estimates[-1].fit.iloc[0] if record.estimates else None
-    rates = rms = "not estimated"
-    if fit is not None:
-        rates = f"{rate(fit['before'])} → {rate(fit['after'])}"
-        rms = f"{mm(fit['rms_before'], 1)} → {mm(fit['rms_after'], 1)}"
+    distance, meaning = NOT_KNOWN, "how close the tip came: it was read in no frame"
+    if best:
+        distance = format_mm(best.distance)
+        meaning = "closest distance of the tip to the target's centre"
+        meaning += " in the best cast" if len(record.casts) > 1 else ""
+    rates = sizes = "not estimated"
+    if record.estimates:
+        rate_before, rate_after, before, after = _fit_quality(
+            record.estimates[-1].fit.iloc[0]
+        )
+        rates, sizes = f"{rate_before} → {rate_after}", f"{before} → {after}"
     return Tiles(
         [
-            Tile(mm(best.verdict.distance), closest) if best else Tile(UNKNOWN, unread),
-            Tile(
+            (distance, meaning),
+            (
                 rates,
                 "matching rate E of the last cast, before and after estimation (1 is perfect)",
             ),
-            Tile(
-                rms,
-                "from the simulated to the measured centre-line, root mean square, before and after",
-            ),
+            (sizes, "rms distance of simulated and measured string, before and after"),
         ]
     )
 
 
-def ended(cast: Cast) -> Markup:
-    """Hit or missed; neither where the trial is not valid."""
-    return (
-        badge(cast.verdict.hit)
-        if cast.valid
-        else Markup('<span class="badge">not valid</span>')
-    )
-
-
-def together(record: RunRecord) -> Section | None:
-    """Charts over the casts."""
-    way = paths(record)
-    if way is None:
-        return None
-    hands = "As the arm measured it; the last cast is the most marked. The square is the arm's base."
-    rates = "Above, how close the tip came to the target's centre. Below, the matching rate E; before estimation it says "
-    rates += "how well the simulation predicted the cast."
-    parts = [
-        Figure("Way of the hand", way, hands),
-        Figure("Progress", progress(record), rates),
+def _progress_section(record: RunRecord) -> Section:
+    figures = [
+        Figure(
+            "Hand path",
+            hand_paths_picture(record),
+            "As the arm measured it; the last cast is the darkest. The square is the arm's base.",
+            NO_JOINT_ANGLES,
+        ),
+        Figure(
+            "Progress",
+            progress_picture(record),
+            "Above: closest distance of the tip to the target's centre. Below: matching "
+            "rate E; before estimation it measures how well the simulation predicted the cast.",
+        ),
     ]
-    return Section("From cast to cast", [Grid(parts)])
+    return Section("From cast to cast", [Block("grid", figures)])
 
 
-# --- what was learnt
-# --------------------------------------------------------------------------
-def learnt(record: RunRecord) -> Section:
-    """Each parameter of the last estimate with its history; E over time where no cast
-    shows it.
-    """
-    title = "What was learnt of the string"
-    known: Known = []
-    if record.estimates:
-        rows = record.estimates[-1].parameters.set_index("name", drop=False)
-        known = [
-            (p, rows.loc[p.name])
-            for p in record.model.parameters
-            if p.name in rows.index
-        ]
-    if not known:
-        return Section(title, [Text("Nothing was estimated in this run.", "missing")])
-
-    # what is determined first; the rest is folded away
-    certain = [one for one in known if one[1]["determined"]]
-    rest = [one for one in known if not one[1]["determined"]]
-    what = "which this data does not determine, or of which this method cannot say how sure they are"
-    hidden = f"{len(rest)} {'other ' * bool(certain)}parameter{'s' * (len(rest) != 1)}, {what}"
-    parts: list[Part] = [Text(sentence(record.estimates[-1].fit["sentence"].iloc[0]))]
-    parts += (
-        [Card("", [*_histories(record, certain), _learnt_table(certain)])]
-        if certain
-        else []
-    )
-    parts += (
-        [Details(hidden, [*_histories(record, rest), _learnt_table(rest)])]
-        if rest
-        else []
-    )
-
-    # with casts, each shows the matching rate of its own estimation
-    if not record.casts:
-        none = "This estimation compared no masks, so there is no matching rate."
-        titles = [
-            f"Matching rate over time, estimation {n}"
-            for n in range(1, len(record.estimates) + 1)
-        ]
-        given = zip(titles, record.estimates, strict=True)
-        parts.append(
-            Explore(
-                [
-                    Grid(
-                        [
-                            either(title, matching(one, title=title), none)
-                            for title, one in given
-                        ]
-                    )
-                ]
-            )
-        )
-    return Section(title, parts)
-
-
-HISTORY = (  # what is drawn of a parameter, and how
+# --- parameters of the string
+HISTORY_KEY = (
     ("best value; 0 is the start value", "var(--after)"),
     ("● determined", "none"),
-    ("○ not determined by this data, or not known to be", "none"),
+    ("○ not determined by the data, or not known to be", "none"),
     ("range searched", "band"),
     ("95 % interval, where the method gives one", "bar"),
 )
-# parameters, each with its row of the last estimate
-Known = list[tuple[Parameter, Any]]
 
 
-def _histories(record: RunRecord, known: Known) -> list[Part]:
-    """Estimation by estimation; nothing after a single one, of which the table says
-    all.
+def _parameters_section(record: RunRecord) -> Section:
+    """Show each parameter of the last estimate, and E over time if no cast shows it."""
+    title = "Parameters of the string"
+    if not record.estimates:
+        return Section(title, [Text("Nothing was estimated in this run.", "missing")])
+    rows = record.estimates[-1].parameters.set_index("name", drop=False)
+    parameters = [p for p in record.model.parameters if p.name in rows.index]
+    estimated = [(parameter, rows.loc[parameter.name]) for parameter in parameters]
+    determined = [item for item in estimated if item[1]["determined"]]
+    others = [item for item in estimated if not item[1]["determined"]]
+
+    parts: list[Part] = [
+        Text(sentence_markup(record.estimates[-1].fit["sentence"].iloc[0]))
+    ]
+    if determined:
+        parts.append(Card("", _parameter_parts(record, determined)))
+    if others:
+        noun = "other parameter" if determined else "parameter"
+        summary = (
+            f"{format_count(len(others), noun)} that the data do not determine, or whose "
+            "uncertainty this method does not give"
+        )
+        parts.append(Details(summary, _parameter_parts(record, others)))
+    if not record.casts:
+        reason = "This estimation compared no masks, so there is no matching rate."
+        charts = []
+        for number, estimate in enumerate(record.estimates, start=1):
+            chart = f"Matching rate over time, estimation {number}"
+            charts.append(
+                part_or_reason(chart, matching_chart(estimate, chart), reason)
+            )
+        parts.append(Explore([Block("grid", charts)]))
+    return Section(title, parts)
+
+
+def _parameter_parts(record: RunRecord, estimated: Estimated) -> list[Part]:
+    """Show parameters from estimation to estimation if there are several, and in a
+    table.
     """
-    if len(record.estimates) == 1:
-        return []
-    drawn = []
-    for parameter, row in known:
-        named = joined(
+    pictures = []
+    for parameter, row in estimated:
+        symbol = symbol_markup(row["symbol"]) if row["symbol"] else ""
+        name = join_sentences([symbol, bold_text(row["name"].replace("_", " "))])
+        caption = Markup("{} <span>[{}]</span>").format(name, unit_markup(row["unit"]))
+        pictures.append((caption, history_picture(parameter, record.estimates)))
+    history = [Key(HISTORY_KEY), Small(pictures)] if len(record.estimates) > 1 else []
+    return [*history, _parameters_table(estimated)]
+
+
+def _parameters_table(estimated: Estimated) -> Table:
+    columns = ("parameter", "", "value", "95 % interval", "range searched", "unit")
+    rows = []
+    for parameter, row in estimated:
+        has_interval = np.isfinite(row["low"]) and np.isfinite(row["high"])
+        value, low, high = format_interval(row["value"], row["low"], row["high"])
+        interval = (
+            number_cell(f"{low} to {high}")
+            if has_interval
+            else Cell("none", "n missing")
+        )
+        is_determined = NOT_KNOWN
+        if row["determined"]:
+            is_determined = "yes"
+        elif np.isfinite(row["low"]):
+            is_determined = "no"
+        if row["at_bound"]:
+            is_determined += ", at the end of its range"
+        searched = f"{format_value(row['minimum'])} to {format_value(row['maximum'])}"
+        rows.append(
             [
-                symbol(row["symbol"]) if row["symbol"] else "",
-                bold(row["name"].replace("_", " ")),
+                Cell(row["name"].replace("_", " "), title=parameter.meaning),
+                symbol_markup(row["symbol"]),
+                number_cell(value),
+                interval,
+                number_cell(searched),
+                unit_markup(row["unit"]),
+                is_determined,
             ]
         )
-        caption = Markup("{} <span>[{}]</span>").format(named, unit(row["unit"]))
-        drawn.append((caption, history(parameter, record.estimates)))
-    return [Key(HISTORY), Small(drawn)]
-
-
-def _learnt_table(known: Known) -> Table:
-    """A row for each parameter."""
-    columns = (
-        "parameter",
-        "",
-        "value",
-        "95 % interval",
-        "range searched",
-        "unit",
-        "determined by this data",
-    )
-    rows = []
-    for parameter, row in known:
-        bounded = np.isfinite(row["low"]) and np.isfinite(row["high"])
-        value, low, high = within(row["value"], row["low"], row["high"])
-        determined = (
-            "yes" if row["determined"] else "no" if np.isfinite(row["low"]) else UNKNOWN
-        )
-        cells = [
-            Cell(row["name"].replace("_", " "), title=parameter.meaning),
-            symbol(row["symbol"]),
-            number(value),
-            number(f"{low} to {high}") if bounded else Cell("none", "n missing"),
-            number(f"{significant(row['minimum'])} to {significant(row['maximum'])}"),
-            unit(row["unit"]),
-            determined + ", at the end of its range" * bool(row["at_bound"]),
-        ]
-        rows.append(cells)
-    return Table(columns, rows)
+    return Table([*columns, "determined by the data"], rows)
 
 
 # --- one cast
-# -----------------------------------------------------------------------------------
-def casting(record: RunRecord, n: int, cast: Cast, part: View, far: float) -> Section:
-    """Everything of one cast. far: end of the colour scale of all casts [m]."""
-    unstable = [
-        name
-        for name, line in (("before", cast.before), ("after", cast.after))
-        if not np.isfinite(line).all()
-    ]
-    undrawn = "The simulation with the parameters {} estimation did not stay finite; it is not drawn."
+def _cast_section(
+    record: RunRecord,
+    number: int,
+    cast: CastRecord,
+    region: ImageRegion,
+    scale_end: float,
+) -> Section:
+    """Show everything about a cast; the colour scale of distances is that of all casts."""
+    parts: list[Part] = [Text(_describe_cast(cast))]
+    if cast.estimate is not None and cast.estimate is not record.estimates[-1]:
+        parts.append(Text(sentence_markup(cast.estimate.fit["sentence"].iloc[0])))
+    for state, simulated in (("before", cast.before), ("after", cast.after)):
+        if not np.isfinite(simulated).all():
+            words = f"The simulation with the parameters {state} estimation diverged; it is not drawn."
+            parts.append(Text(words, "missing"))
     layers = [
-        Layer(name, ON_FRAMES[name], shown=name != "measured")
-        for name in ("before", "after", "measured")
+        Layer("before", FRAME_COLOURS["before"]),
+        Layer("after", FRAME_COLOURS["after"]),
+        Layer("measured", FRAME_COLOURS["measured"], shown=False),
     ]
-    own = (
-        None
-        if cast.estimate is None or cast.estimate is record.estimates[-1]
-        else cast.estimate.fit.iloc[0]
-    )
-
-    # how many motions were tried is known from the record of the search alone
-    tried: Part = Text("It was not recorded how many motions were tried.", "missing")
-    if not cast.motion.attempts.empty:
-        ranked = cast.motion.attempts.sort_values("count", ascending=False)
-        rows = [
-            (row["outcome"], number(row["count"])) for row in ranked.to_dict("records")
-        ]
-        tried = Table(("what became of them", "motions"), rows)
-
-    parts = [
-        Text(_told(cast)),
-        # that of the last stands above all casts
-        None if own is None else Text(sentence(own["sentence"])),
-        *(Text(undrawn.format(name), "missing") for name in unstable),
-        Explore(_compared(record, cast, part, far), layers),
-        Grid(
-            [
-                Card("Motions tried until one was chosen", [tried]),
-                _link_and_frames(cast),
-            ]
-        ),
-    ]
-    return Section(f"Cast {n}", parts, f"cast-{n}", ended(cast), "cast")
+    parts.append(Explore(_comparison(record, cast, region, scale_end), layers))
+    parts.append(Block("grid", [_motions_card(cast), _link_card(cast)]))
+    return Section(f"Cast {number}", parts, f"cast-{number}", _result(cast), "cast")
 
 
-def _compared(record: RunRecord, cast: Cast, part: View, far: float) -> list[Part]:
-    """Simulation and film side by side: where they were closest to the target, moving,
-    over time, and their paths.
-    """
-    near: Part = Card("At the closest approach", [NOT_FILMED])
-    if drawn := overlay(record, cast):
-        caption = "The camera frame nearest in time. Dashed: the tip's way 30 ms before and after, ring: its closest "
-        caption += "approach."
-        key = Key([(words, ON_FRAMES[name]) for name, words in COLOURS.items()])
-        near = Figure("At the closest approach", drawn, caption, beside=key)
-    moving: Part = NOT_FILMED
-    if film := animation(record, cast, part):
+def _comparison(
+    record: RunRecord, cast: CastRecord, region: ImageRegion, scale_end: float
+) -> list[Part]:
+    """Compare simulation and film: closest approach, animation, over time, and paths."""
+    near: Part = Card("Closest approach", [NO_FRAMES])
+    if picture := closest_approach_picture(record, cast):
+        caption = (
+            "The camera frame nearest in time. Dashed: the path of the tip 30 ms before "
+            "and after. Ring: its closest approach."
+        )
+        key = Key(
+            [(words, FRAME_COLOURS[name]) for name, words in OVERLAY_LABELS.items()]
+        )
+        near = Figure("Closest approach", picture, caption, beside=key)
+    animation: Part = NO_FRAMES
+    if film := cast_film_data(record, cast, region):
         span = (
             f"{len(film['t'])} camera frames from {film['t'][0]} to {film['t'][-1]} ms"
         )
-        moving = Film(
-            film, f"Animation of {span} with the measured and simulated strings"
-        )
-    where = "Where along the string and when, after estimation; gaps are frames that could not be read. The colours "
-    where += "mean the same in all casts."
-    away = Figure(
+        words = f"Animation of {span} with the measured and simulated strings"
+        animation = Film(film, words)
+    distance = Figure(
         "Distance of simulated and measured string",
-        residual_map(record, cast, far),
-        where,
-        UNREAD,
+        distance_map(record, cast, scale_end),
+        "Over arc length and time, after estimation; gaps are frames that could not be "
+        "read. All casts share the colour scale.",
+        NOTHING_READ,
     )
 
-    unmatched = (
-        "no masks were compared in this estimation"
-        if cast.estimate
-        else "nothing was estimated from this cast"
-    )
-    none = f"There is no matching rate: {unmatched}."
-    agreed = [either("Matching rate over time", matching(cast.estimate, cast), none)]
-    agreed += [either("Distance over time", residual_curves(record, cast), UNREAD)]
+    reason = "Nothing was estimated from this cast, so there is no matching rate."
+    if cast.estimate:
+        reason = "This estimation compared no masks, so there is no matching rate."
+    title = "Matching rate over time"
+    over_time = [
+        part_or_reason(title, matching_chart(cast.estimate, title, cast), reason),
+        part_or_reason(
+            "Distance over time", distance_chart(record, cast), NOTHING_READ
+        ),
+    ]
 
     # the joints together are as high as the hand's path beside them
-    about = "As measured during the movement. Grey: the arm at the start (faint) and at the closest approach."
-    paths = Figure("Paths of hand and tip", path(record, cast), about, SILENT)
-    angles = (
-        Column(joints(cast))
-        if len(cast.trial.arm)
-        else either("Joint angles", None, SILENT)
+    paths = Figure(
+        "Paths of hand and tip",
+        cast_path_picture(record, cast),
+        "As measured. Grey: the arm at the start (faint) and at the closest approach.",
+        NO_JOINT_ANGLES,
     )
+    joints: Part = Card("Joint angles", [Text(NO_JOINT_ANGLES, "missing")])
+    if len(cast.trial.arm):
+        joints = Block("column", joint_charts(cast))
+    left = Block("column", [near, distance])
     return [
-        Grid([Column([near, away]), Card("Animation", [moving])]),
-        Grid(agreed),
-        Grid([paths, angles]),
+        Block("grid", [left, Card("Animation", [animation])]),
+        Block("grid", over_time),
+        Block("grid", [paths, joints]),
     ]
 
 
-def _told(cast: Cast) -> Markup:
-    """How it went, in sentences."""
+def _describe_cast(cast: CastRecord) -> Markup:
+    """Describe the result of a cast in sentences."""
     verdict, plan = cast.verdict, cast.motion.outcome.iloc[0]
     if np.isfinite(verdict.distance):
-        said = [
-            f"The tip came within {mm(verdict.distance)} of the target's centre, at {ms(verdict.t, 1)} of a movement "
-            f"of {ms(plan['duration'])}. The simulation expected it at {ms(plan['t_hit'])}."
+        sentences = [
+            f"The tip came within {format_mm(verdict.distance)} of the target's centre, at "
+            f"{format_ms(verdict.t, 1)} of a movement of {format_ms(plan['duration'])}.",
+            f"The simulation predicted {format_ms(plan['t_hit'])}.",
         ]
         if np.isfinite(plan.get("chance", np.nan)):
-            chances = "{:.2f} ({:.2f} to {:.2f})".format(
-                *plan[["chance", "chance_low", "chance_high"]]
+            chance, low, high = plan[["chance", "chance_low", "chance_high"]]
+            sentences.append(
+                f"The predicted hit probability was {chance:.2f} ({low:.2f} to {high:.2f})."
             )
-            said.append(f"The predicted chance of hitting was {chances}.")
     else:
-        why = (
-            "no frame shows the string clearly enough"
-            if len(cast.points.readings)
-            else "there are no frames"
-        )
-        said = [f"The tip was not read in this cast: {why}."]
+        reason = "there are no frames"
+        if len(cast.points.readings):
+            reason = "no frame shows the string clearly enough"
+        sentences = [f"The tip was not read in this cast: {reason}."]
     if verdict.touched:
-        said.append(
-            f"The string lay in an obstacle in {verdict.touched} frame(s); nothing is learned from what it does from "
-            "there on, and it is simulated as if nothing stood there."
+        sentences.append(
+            f"The string touched an obstacle in {verdict.touched} frame(s). Nothing is "
+            "learned from its motion after that, and the simulation ignores obstacles."
         )
-    return joined(said)
+    return join_sentences(sentences)
 
 
-def _link_and_frames(cast: Cast) -> Card:
-    """Whether arm and camera kept their budgets: how many commands and frames, how
-    late, and what was not read.
-    """
-    how, unread = cast.trial.link.iloc[0], formatting.unread(cast.points.readings)
-    invalid = Markup('<b class="bad">This trial is not valid:</b> {}.').format(
-        how["reason"]
-    )
-    kept = Text("Arm and camera kept their budgets." if how["valid"] else invalid, "")
+def _motions_card(cast: CastRecord) -> Card:
+    """List what became of the motions that the search tried."""
+    tried: Part = Text("The number of tried motions was not recorded.", "missing")
+    if not cast.motion.attempts.empty:
+        ranked = cast.motion.attempts.sort_values("count", ascending=False)
+        outcomes = zip(ranked["outcome"], ranked["count"], strict=True)
+        rows = [(outcome, number_cell(count)) for outcome, count in outcomes]
+        tried = Table(("outcome", "motions"), rows)
+    return Card("Motions tried until one was chosen", [tried])
 
-    late = ", ".join(
-        ms(how[name], 2) for name in ("jitter_p50", "jitter_p99", "jitter_max")
-    )
+
+def _link_card(cast: CastRecord) -> Card:
+    """Report how many commands and frames were late or lost, and which frames not read."""
+    report, unread = cast.trial.link.iloc[0], unread_frames(cast.points.readings)
+    result = "Arm and camera kept their time limits."
+    if not report["valid"]:
+        result = Markup('<b class="bad">This trial is not valid:</b> {}.')
+        result = result.format(report["reason"])
     rows = {
-        "commands sent": how["ticks"],
-        "late or lost": how["missed"],
-        "lateness: median, 99 %, largest": late,
+        "commands sent": report["ticks"],
+        "late or lost": report["missed"],
+        "lateness: median, 99 %, largest": _lateness(report, "jitter"),
+        "frames filmed": len(cast.points.readings),
     }
-    rows["frames filmed"] = len(cast.points.readings)
-    if "frames_due" in how:  # cameras alone that tell when each frame was due
-        frames_late = ", ".join(
-            ms(how[f"frame_{name}"], 2)
-            for name in ("jitter_p50", "jitter_p99", "jitter_max")
-        )
+    if "frames_due" in report:  # only cameras that report when each frame was due
         rows |= {
-            "frames due, and of those dropped": f"{how['frames_due']}, {how['frames_dropped']}",
-            "frames given twice, and late": f"{how['frames_repeated']}, {how['frames_late']}",
-            "frames a second": f"{how['fps']:.2f}",
-            "lateness of frames: median, 99 %, largest": frames_late,
+            "frames due, and of those dropped": f"{report['frames_due']}, {report['frames_dropped']}",
+            "frames repeated, and late": f"{report['frames_repeated']}, {report['frames_late']}",
+            "frames per second": f"{report['fps']:.2f}",
+            "lateness of frames: median, 99 %, largest": _lateness(
+                report, "frame_jitter"
+            ),
         }
     rows["frames not read"] = sum(row["count"] for row in unread)
-    parts: list[Part] = [
-        kept,
-        Table((), [(name, number(value)) for name, value in rows.items()], named=True),
-    ]
-
-    if how.get("remarks"):
-        parts.append(Text(f"Not made sure of: {how['remarks']}.", ""))
+    cells = [(name, number_cell(value)) for name, value in rows.items()]
+    parts: list[Part] = [Text(result, ""), Table((), cells, named=True)]
+    if report.get("remarks"):
+        parts.append(Text(f"Not verified: {report['remarks']}.", ""))
     if unread:
-        reasons = [(row["reason"], number(row["count"]), row["when"]) for row in unread]
-        parts.append(Table(("why not", "frames", "when [ms]"), reasons))
-    return Card("Link and frames", parts)
+        reasons = [
+            (row["reason"], number_cell(row["count"]), row["when"]) for row in unread
+        ]
+        parts.append(Table(("reason", "frames", "when [ms]"), reasons))
+    return Card("Timing and frames", parts)
+
+
+def _lateness(report: Any, prefix: str) -> str:
+    quantiles = ("p50", "p99", "max")
+    return ", ".join(format_ms(report[f"{prefix}_{name}"], 2) for name in quantiles)

@@ -1,4 +1,4 @@
-"""The page of a check: what was measured, drawn trial by trial, and what was found."""
+"""The page of a check: findings about measured data, and the data trial by trial."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from matplotlib import style
 
 from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
 from stringcast.stages.check.overview import DETECTION_NOTE, detection_limit_text
-from stringcast.stages.report.charts.measured import trial_figures, trial_words
-from stringcast.stages.report.formatting import mm
+from stringcast.stages.report.charts.trial import describe_trial, trial_figure
+from stringcast.stages.report.formatting import format_count, format_mm
 from stringcast.stages.report.page import (
     Card,
     Cell,
     Figure,
-    Grid,
     Page,
     Part,
     Section,
     Table,
     Text,
-    Tile,
     Tiles,
-    number,
+    number_cell,
+    number_cells,
 )
-from stringcast.stages.report.theme import STYLE_SHEET, vector
+from stringcast.stages.report.theme import STYLE_SHEET, svg_picture
 
-DRAWN = 10  # trials: 130 kB each, so that a page stays below 1.5 MB
-CAPTION = (
-    "Arm and string as they began, and fainter later: the string shall begin in the hand and hang from it. Over time: "
-    "where hand and tip are, and how fast: they shall begin to move together."
+MAX_DRAWN_TRIALS = 10  # of 130 kB each, so that a page stays below 1.5 MB
+TRIALS_LEAD = (
+    "Left: arm and string at the start, and fainter later; the string must begin in the "
+    "hand and hang from it. Right: positions and speeds of hand and tip, each on its own "
+    "clock; both must begin to move at the same time (dotted)."
 )
 
 
@@ -40,143 +40,130 @@ def check_page(
     origin: Mapping[str, Any],
     following: Sequence[tuple[str, str]],
 ) -> str:
-    """The page as text. found: as `check.overview` says it. following: what can be done
-    next, and the command.
+    """Render the page.
+
+    Parameters
+    ----------
+    measured : CheckedDataset
+    found : mapping
+        Result of `check.overview`.
+    origin : mapping
+        Code and files.
+    following : sequence of (purpose, command)
+        Commands to continue with.
     """
-    usable = found["usable"]
-    errors = sum(finding["severity"] == "error" for finding in found["findings"])
-    count = len(found["findings"])
-    heading = (
-        "These trials can be used"
-        if usable
-        else "These trials cannot be used as they are"
-    )
+    usable, findings = found["usable"], found["findings"]
+    errors = [finding for finding in findings if finding["severity"] == "error"]
     trials = list(measured.with_points())
-    sections: list[Part] = [
-        Tiles(
-            [
-                Tile(str(len(found["trials"])), "trials that can be read"),
-                Tile(
-                    mm(measured.length),
-                    "length of the string, from the grasp to the tip",
-                ),
-                Tile(
-                    str(count),
-                    f"finding{'s' * (count != 1)}, {errors or 'no'} error{'s' * (errors != 1)} among them",
-                ),
-            ]
+    tiles = [
+        (str(len(found["trials"])), "readable trials"),
+        (format_mm(measured.length), "length of the string, from the grasp to the tip"),
+        (
+            str(len(findings)),
+            f"findings, of which {format_count(len(errors), 'error')}",
         ),
-        Section("What was found", [findings(found["findings"])]),
-        Section("Trial by trial", [Card("", [overview(found["trials"])])]),
-        *told(found.get("effects", [])),
-        Section("What was measured", [Text(CAPTION), *drawn(trials[:DRAWN])]),
     ]
-    if len(trials) > DRAWN:
-        sections.append(Text(f"{len(trials) - DRAWN} more trials are not drawn."))
-    name = measured.data.folder.name
-    lead = f"Measured data in {found['folder']}: what is there, what looks wrong, and what to do."
-    tone = "good" if usable else "bad"
-    title = f"{name}: {heading.lower()}"
-    words = (title, f"stringcast check · {name}", heading, lead)
-    return str(
-        Page(*words, sections, origin, {}, tone, marked=True, following=following)
+    sections: list[Part] = [
+        Tiles(tiles),
+        Section("Findings", [_findings_card(findings)]),
+        Section("Trials", [Card("", [_trials_table(found["trials"])])]),
+    ]
+    if effects := found.get("effects"):
+        table = Card("", [_effects_table(effects)])
+        sections.append(Section("Detectable effects", [Text(DETECTION_NOTE), table]))
+    figures = _trial_figures(trials[:MAX_DRAWN_TRIALS])
+    sections.append(Section("Measurements", [Text(TRIALS_LEAD), *figures]))
+    if len(trials) > MAX_DRAWN_TRIALS:
+        sections.append(
+            Text(f"{len(trials) - MAX_DRAWN_TRIALS} more trials are not drawn.")
+        )
+    page = Page(
+        kind="check",
+        name=measured.data.folder.name,
+        heading="These trials are usable"
+        if usable
+        else "These trials are not usable yet",
+        lead=f"CheckedDataset data in {found['folder']}: contents, findings and remedies.",
+        sections=sections,
+        origin=origin,
+        settings={},
+        tone="good" if usable else "bad",
+        following=following,
     )
+    return str(page)
 
 
-def drawn(trials: Sequence[CheckedTrial]) -> list[Part]:
-    """Trials as they were measured, each in the plane and over time."""
-    clocks = "Each on its own clock; dotted: when it begins to move."
-    grids: list[Part] = []
+def _trial_figures(trials: Sequence[CheckedTrial]) -> list[Part]:
+    figures: list[Part] = []
     with style.context(STYLE_SHEET):
         for seen in trials:
-            said, title = (
-                trial_words(seen),
-                f"Trial {seen.name}: hand and tip over time",
-            )
-            plane, times = trial_figures(seen)
-            beside = Figure(title, vector(times, title), clocks)
-            grids.append(
-                Grid([Figure(f"Trial {seen.name}", vector(plane, said), said), beside])
-            )
-    return grids
+            words = describe_trial(seen)
+            picture = svg_picture(trial_figure(seen), words)
+            figures.append(Figure(f"Trial {seen.name}", picture, words))
+    return figures
 
 
-def findings(found: Sequence[Mapping[str, Any]]) -> Part:
-    """A row for each, the worst first."""
-    rows = [
-        [
-            one["severity"],
-            Cell(" ".join(filter(None, (one["file"], one["field"]))), "code"),
-            ", ".join(one["trials"]) or "all",
-            one["statement"],
-            one["remedy"],
-        ]
-        for one in found
-    ]
-    columns = ("how sure", "where", "trials", "what is so", "what to do")
-    return Card("", [Table(columns, rows) if rows else Text("Nothing looks wrong.")])
-
-
-def told(effects: Sequence[Mapping[str, Any]]) -> list[Part]:
-    """What trials could tell of each effect; nothing where it was not asked."""
-    columns = [
-        "effect",
-        "what it is",
-        "found from",
-        "then at the tip [mm]",
-        "like the string [%]",
-        "taken for",
-    ]
-    rows = [
-        [
-            Cell(f"{one['effect']}.{one['parameter']}", "code"),
-            one["meaning"],
-            number(detection_limit_text(one)),
-            number("" if one["tip_m"] is None else f"{1e3 * one['tip_m']:.1f}"),
-            number(f"{100 * one['imitated']:.0f}"),
-            ", ".join(one["alike"]),
-        ]
-        for one in effects
-    ]
-    return (
-        [
-            Section(
-                "What these trials can tell",
-                [Text(DETECTION_NOTE), Card("", [Table(columns, rows)])],
-            )
-        ]
-        if rows
-        else []
-    )
-
-
-def overview(trials: Sequence[Mapping[str, Any]]) -> Table:
-    """A row for each trial that can be read."""
-    columns = [
-        "trial",
-        "seen [s]",
-        "with arm [s]",
-        "frames",
-        "frames [1/s]",
-        "arm [1/s]",
-        "points a frame",
-    ]
-    columns += ["noise [mm]", "way of the hand [m]", "begins"]
+def _findings_card(findings: Sequence[Mapping[str, Any]]) -> Part:
+    """List the findings, the worst first."""
+    if not findings:
+        return Card("", [Text("No problems were found.")])
     rows = []
-    for one in trials:
-        noise = "" if one["noise"] is None else f"{1e3 * one['noise']:.2f}"
-        rates = [
-            "" if one[name] is None else f"{one[name]:.0f}"
-            for name in ("fps", "hand_rate")
-        ]
-        times = [f"{one[name]:.2f}" for name in ("duration", "common")]
-        numbers = [
-            *times,
-            one["frames"],
-            *rates,
-            f"{one['points']:.0f}",
-            noise,
-            f"{one['path']:.2f}",
-        ]
-        rows.append([one["trial"], *map(number, numbers), one["begins"]])
+    for finding in findings:
+        place = " ".join(filter(None, (finding["file"], finding["field"])))
+        trials = ", ".join(finding["trials"]) or "all"
+        rows.append(
+            [
+                finding["severity"],
+                Cell(place, "code"),
+                trials,
+                finding["statement"],
+                finding["remedy"],
+            ]
+        )
+    columns = ("severity", "where", "trials", "finding", "remedy")
+    return Card("", [Table(columns, rows)])
+
+
+def _effects_table(effects: Sequence[Mapping[str, Any]]) -> Table:
+    """List from which size on these trials would show each effect."""
+    columns = ["effect", "meaning", "found from", "then at the tip [mm]"]
+    columns += ["like the string [%]", "taken for"]
+    rows = []
+    for effect in effects:
+        tip = "" if effect["tip_m"] is None else f"{1e3 * effect['tip_m']:.1f}"
+        rows.append(
+            [
+                Cell(f"{effect['effect']}.{effect['parameter']}", "code"),
+                effect["meaning"],
+                number_cell(detection_limit_text(effect)),
+                number_cell(tip),
+                number_cell(f"{100 * effect['imitated']:.0f}"),
+                ", ".join(effect["alike"]),
+            ]
+        )
     return Table(columns, rows)
+
+
+TRIAL_COLUMNS = {
+    "filmed [s]": ("duration", ".2f"),
+    "filmed with arm [s]": ("common", ".2f"),
+    "frames": ("frames", "d"),
+    "frames [1/s]": ("fps", ".0f"),
+    "arm [1/s]": ("hand_rate", ".0f"),
+    "points a frame": ("points", ".0f"),
+    "noise [mm]": ("noise_mm", ".2f"),
+    "hand path [m]": ("path", ".2f"),
+}
+
+
+def _trials_table(trials: Sequence[Mapping[str, Any]]) -> Table:
+    """List the readable trials."""
+    rows = []
+    for trial in trials:
+        noise = trial["noise"]
+        values = {**trial, "noise_mm": None if noise is None else 1e3 * noise}
+        texts = []
+        for name, spec in TRIAL_COLUMNS.values():
+            texts.append("" if values[name] is None else format(values[name], spec))
+        rows.append([trial["trial"], *number_cells(texts), trial["begins"]])
+    return Table(["trial", *TRIAL_COLUMNS, "start"], rows)

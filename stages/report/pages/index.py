@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.stages.report.formatting import rate
+from stringcast.stages.report.formatting import format_count, format_rate
 from stringcast.stages.report.page import (
     Card,
     Cell,
@@ -18,70 +18,63 @@ from stringcast.stages.report.page import (
     Section,
     Table,
     Text,
-    Tile,
     Tiles,
     link,
-    number,
+    number_cells,
 )
 
-# the first two find room on a phone
-COLUMNS = ("ended as", "run", "casts or trials", "best E", "time [s]", "said")
+# the first two fit on a phone
+COLUMNS = ("outcome", "run", "casts or trials", "best E", "time [s]", "result")
 
 
 def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> str:
-    """The page as text. runs: table RUNS of `pipeline.commands.index`, with `page`, the
-    link to the run's own page, or empty. folder: that was listed.
+    """Render the page.
+
+    Parameters
+    ----------
+    runs : DataFrame
+        Table RUNS of `pipeline.commands.index`, with the link `page` to the run's own
+        page, or an empty text.
+    folder : str
+        Folder of the runs.
+    origin : mapping
+        Code and packages.
     """
-    newest = runs.sort_values("date", ascending=False, kind="stable")
-    kinds = [
-        Tile(str(count), str(kind))
-        for kind, count in runs["state"].value_counts().items()
+    newest = runs.sort_values("date", ascending=False, kind="stable").to_dict("records")
+    states = [
+        (str(count), str(state))
+        for state, count in runs["state"].value_counts().items()
     ]
-    rows = []
-    for row in newest.to_dict("records"):
-        best = rate(row["best_E"]) if np.isfinite(row["best_E"]) else ""
-        numbers = [
-            number(row["iterations"]),
-            number(best),
-            number(f"{row['seconds']:.0f}"),
-        ]
-        rows.append(
-            [
-                row["outcome"] or row["state"],
-                Cell(_run(row), "name"),
-                *numbers,
-                row["said"],
-            ]
-        )
+    rows = [_row(run) for run in newest]
     sections: list[Part] = [
-        Tiles(kinds),
+        Tiles(states),
         Section("Newest first", [Card("", [Table(COLUMNS, rows)])]),
     ]
-    stale = newest[newest["stale"] != ""]
-    if len(stale):
-        lead = "A step of these would be made otherwise by the code and settings as they are now."
-        why = Table(
-            ("run", "why"),
-            [(_run(row), row["stale"]) for row in stale.to_dict("records")],
+    stale = [(_run_link(run), run["stale"]) for run in newest if run["stale"]]
+    if stale:
+        lead = "The current code and settings would give another result for a step of these."
+        table = Details(
+            f"{len(stale)} of {len(runs)}", [Table(("run", "reason"), stale)]
         )
-        sections.append(
-            Section(
-                "Stale", [Text(lead), Details(f"{len(stale)} of {len(runs)}", [why])]
-            )
-        )
-    title = f"{len(runs)} run{'s' * (len(runs) != 1)} in {folder}"
-    return str(
-        Page(
-            title,
-            "stringcast runs",
-            title,
-            "Each links to its own page.",
-            sections,
-            origin,
-            {},
-        )
+        sections.append(Section("Stale", [Text(lead), table]))
+    page = Page(
+        kind="runs",
+        name=folder,
+        heading=f"{format_count(len(runs), 'run')} in {folder}",
+        lead="Each links to its own page.",
+        sections=sections,
+        origin=origin,
+        settings={},
     )
+    return str(page)
 
 
-def _run(row: Mapping[str, Any]) -> Any:
-    return link(row["page"], row["run"]) if row["page"] else row["run"]
+def _row(run: Mapping[str, Any]) -> list[Any]:
+    best = format_rate(run["best_E"]) if np.isfinite(run["best_E"]) else ""
+    numbers = number_cells([run["iterations"], best, f"{run['seconds']:.0f}"])
+    outcome = run["outcome"] or run["state"]
+    return [outcome, Cell(_run_link(run), "name"), *numbers, run["said"]]
+
+
+def _run_link(run: Mapping[str, Any]) -> Any:
+    return link(run["page"], run["run"]) if run["page"] else run["run"]

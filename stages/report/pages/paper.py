@@ -1,6 +1,4 @@
-"""The page of the paper's experiments: its tables and figures with ours beside them,
-and whether the two agree.
-"""
+"""The page of the paper's experiments: its tables and figures, compared with ours."""
 
 from __future__ import annotations
 
@@ -9,38 +7,48 @@ from collections.abc import Mapping
 import numpy as np
 from markupsafe import Markup
 from matplotlib import style
-from matplotlib.figure import Figure as Drawing
 
-from stringcast.stages.report.charts.parameters import table_4
-from stringcast.stages.report.charts.string import shapes, trajectories
-from stringcast.stages.report.charts.time import fig_14
-from stringcast.stages.report.formatting import sentence, significant, symbol, unit
+from stringcast.stages.report.charts.paper import (
+    hand_paths_figure,
+    hit_rates_figure,
+    matching_figure,
+    string_shapes_figure,
+    table_4_figure,
+)
+from stringcast.stages.report.formatting import (
+    format_count,
+    format_value,
+    sentence_markup,
+    symbol_markup,
+    unit_markup,
+)
 from stringcast.stages.report.page import (
+    Block,
     Card,
     Details,
     Figure,
-    Grid,
     Page,
     Section,
     Table,
     Text,
-    joined,
-    number,
+    join_sentences,
+    number_cell,
+    number_cells,
 )
 from stringcast.stages.report.records import EXPERIMENT_LABELS, PaperFigure, PaperRecord
-from stringcast.stages.report.theme import LIGHT_COLOURS, STYLE_SHEET, Picture, vector
+from stringcast.stages.report.theme import STYLE_SHEET, Picture, svg_picture
 
-PAPER = "Tabata, Seki, Tsuji and Hitamitsu, Casting manipulation of unknown string by robot arm (IROS 2021)"
-ONE_MOTION = ("one_motion_A", "one_motion_B", "one_motion_C")
-TARGETS = ("A_300_900", "A_400_700", "A_900_500")
-# runs of an experiment below which a share is hardly a rate: its 95 % interval is 45
-# points wide at one half
-FEW = 20
-NEVER = 99  # manipulations, more than any run makes
+PAPER = (
+    "Tabata, Seki, Tsuji and Hitamitsu, Casting manipulation of unknown string by robot "
+    "arm (IROS 2021)"
+)
+ONE_MOTION_EXPERIMENTS = ("one_motion_A", "one_motion_B", "one_motion_C")
+FIG_10_EXPERIMENTS = ("A_300_900", "A_400_700", "A_900_500")
+MIN_RUNS_FOR_RATE = 20  # fewer leave an interval wider than 45 points at one half
+MAX_MANIPULATIONS = 99  # more than any run makes
 
-# What stands above each figure, the experiments it is of, and what the paper says about
-# them.
-SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
+# The title of each figure, the experiments it shows, and the paper's result.
+FIGURE_TEXTS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "fig_07": (
         "Fig. 7: string A to (500, 900)",
         ("A_500_900",),
@@ -57,14 +65,14 @@ SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
         "The first manipulation misses, the second hits.",
     ),
     "fig_10": (
-        "Fig. 10: way of the hand",
+        "Fig. 10: hand path",
         (),
         "To (300, 900) and (400, 700) the arm swings up, to (900, 500) it swings down.",
     ),
     "fig_11": (
         "Fig. 11: three strings, one first motion",
-        ONE_MOTION,
-        "All three hit once the procedure was repeated; how often is not said.",
+        ONE_MOTION_EXPERIMENTS,
+        "All three hit after repeating the procedure; how often is not stated.",
     ),
     "table_4": (
         "Table 4: estimated parameters",
@@ -74,7 +82,7 @@ SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "fig_12": (
         "Fig. 12: string D, n = 25",
         ("D_500_500",),
-        "It hits; in which manipulation is not said.",
+        "It hits; in which manipulation is not stated.",
     ),
     "fig_13": (
         "Fig. 13: around a wall",
@@ -84,37 +92,37 @@ SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "fig_14": (
         "Fig. 14: E over time, around the wall",
         (),
-        "E of the fourth manipulation is higher than that of the first around the moment of the hit.",
+        "Around the hit, E of the fourth manipulation is higher than that of the first.",
     ),
 }
-# Where the paper is silent, and what we chose.
-SILENT = (
+# What the paper leaves open, and our choice.
+OPEN_CHOICES = (
     (
         "does not give the strings' properties: B is harder than A, C softer, D the softest",
-        "strings of the virtual lab (conf/specimen) that bend under their own weight over 131, 77, 45 and 18 mm; 40 "
-        "points, another integrator and step than the model's, so that the lab can surprise it",
+        "strings of the virtual lab (conf/specimen) that bend under their own weight over "
+        "131, 77, 45 and 18 mm; 40 points, and an integrator and step that differ from "
+        "the model's",
     ),
     (
-        "does not say where the origin is; three targets would be out of reach of an arm based at it",
+        "does not give the origin; an arm based at it could not reach three targets",
         "the arm's base is at (200, 200) mm",
     ),
     (
         "does not give lengths of the links, joint limits, frame rate, resolution",
-        "250, 200 and 135 mm; conf/arm and conf/camera (200 frames a second, 640 × 640)",
+        "250, 200 and 135 mm; conf/arm and conf/camera (200 frames/s, 640 × 640)",
     ),
     (
         "does not give the place and size of the wall",
-        "30 × 300 mm around (620, 350) mm; it is not filmed, and the string bounces off it",
+        "30 × 300 mm around (620, 350) mm; the camera does not see it, and the string "
+        "bounces off it",
     ),
     (
-        Markup(
-            "does not give how many candidates an estimation tries, nor p<sub>max</sub>"
-        ),
+        Markup("does not give the candidates of an estimation, nor p<sub>max</sub>"),
         "2000, and 20 dilations of 2 px",
     ),
     ('"a fraction of 1 of the range" by which later motions differ', "a quarter"),
     (
-        "does not say what is done where no slight change of the last motion hits",
+        "does not state what happens if no slight change of the last motion hits",
         "after 100,000 of them, any motion is tried",
     ),
     ('"several" manipulations before it is a failure', "five"),
@@ -123,296 +131,209 @@ SILENT = (
         "semi-implicit Euler; the explicit one is unstable in most of Table 3's ranges",
     ),
     (
-        "goes on after a hit, to show the shape of the second manipulation",
-        "a run ends with its first hit; a figure of two manipulations has one panel where the first hit",
+        "continues after a hit, to show the shape of the second manipulation",
+        "a run ends with its first hit; a figure of two manipulations then has one panel",
     ),
     ("Fig. 7 has string A at (500, 900), the text on Fig. 10 has (900, 500)", "both"),
     (
         "Table 4 has k_ph = 44.7 and initial c_h, c_ph outside Table 3's ranges",
-        "Fig. 11 and Table 4 are run with ranges that hold them (conf/string/table_4.yaml), all others with Table 3's",
+        "Fig. 11 and Table 4 are run with ranges that contain them "
+        "(conf/string/table_4.yaml), all others with Table 3's",
     ),
     (
-        "says that c_h is found at its maximum, which is 0.67 in Table 3 and 0.10 to 0.19 in Table 4",
-        "whether a value lies at an end of its range is told by Table 3, widened as above",
+        "states that c_h is found at its maximum, which is 0.67 in Table 3 and 0.10 to 0.19 "
+        "in Table 4",
+        "a value counts as at an end of its range in Table 3, widened as above",
     ),
     (
         "the same first motion for A, B and C",
-        "it depends on target and seed alone, so runs of one seed begin with the same motion",
+        "it depends on target and seed alone, so runs of one seed start with the same motion",
     ),
 )
 
 
-def paper_page(record: PaperRecord, drawn: Mapping[str, PaperFigure]) -> str:
-    """The page as text; the same record gives the same page. drawn: its `figures`."""
-    runs = record.tables["runs"]
-    seeds = runs["seed"].nunique()
-    title = f"The paper's experiments, {seeds} time{'s' * (seeds != 1)} each"
-    with style.context(STYLE_SHEET):
-        pictures = {name: vector(one.figure, one.alt) for name, one in drawn.items()}
-    return str(
-        Page(
-            title=title,
-            kicker=f"stringcast · {PAPER}",
-            heading=title,
-            lead=_lead(record, seeds),
-            sections=[
-                hits(record, pictures),
-                figures_and_tables(record, pictures),
-                *further(record),
-            ],
-            origin=record.provenance,
-            settings=record.settings,
-        )
-    )
-
-
-def _lead(record: PaperRecord, seeds: int) -> Markup:
-    """How many runs there are, and what that is worth."""
-    runs = record.tables["runs"]
-    bad = int((runs["state"] == "failed").sum())
-    failed = ', of which <strong class="bad">{} failed</strong> and count as never having hit'
-    few = (
-        ", and with so few seeds they are wide: nothing here is a rate yet"
-        if seeds < FEW
-        else ""
-    )
-    return joined(
-        [
-            "Every experiment of the paper on the virtual lab, with the paper's numbers beside ours. The paper shows "
-            "one run of each.",
-            Markup(
-                "Here each was begun with {} seed{}: {} of {} runs have ended{}."
-            ).format(
-                seeds,
-                "s" * (seeds != 1),
-                len(runs),
-                record.requested_runs,
-                Markup(failed).format(bad) if bad else "",
-            ),
-            f"Intervals are of 95 %{few}.",
-        ]
-    )
-
-
-# --- how often it hits
-def hits(record: PaperRecord, pictures: Mapping[str, Picture]) -> Section | Text:
-    """Share of the runs that hit within so many manipulations."""
-    if "hit_rates" not in pictures:
-        return Text("No run has ended yet.", "missing")
-    about = "Share of the runs in which the tip reached the target within one, two, three and five manipulations. "
-    about += "Bars: 95 % intervals (Clopper and Pearson). Median: manipulations that half of the runs needed at most."
-    within = record.of("rates", record.conditions[0])["within"]
-    columns = [
-        "experiment",
-        *(f"within {n}" for n, _ in enumerate(within, 1)),
-        "median",
-        "paper",
-    ]
-    rows = []
-    for condition in record.conditions:
-        needed = record.of("needed", condition).iloc[0]
-        median = "never" if needed["median"] > NEVER else f"{needed['median']:.0f}"
-        paper = f"{needed['paper']:.0f}" if np.isfinite(needed["paper"]) else "not said"
-        found = record.of("rates", condition)
-        ends = zip(
-            *(100 * found[name] for name in ("share", "low", "high")), strict=True
-        )
-        shares = [
-            f"{share:.0f} ({low:.0f} to {high:.0f}) %" for share, low, high in ends
-        ]
-        rows.append(
-            [
-                EXPERIMENT_LABELS[condition].replace(" ", "\u00a0"),
-                *map(number, (*shares, median, paper)),
-            ]
-        )
-    return Section(
-        "How often it hits",
-        [
-            Card("", [Figure("", pictures["hit_rates"], about)]),
-            Card("", [Table(columns, rows)]),
-        ],
-    )
-
-
-# --- figures and tables
-def figures_and_tables(
-    record: PaperRecord, pictures: Mapping[str, Picture]
-) -> Section | None:
-    """Each figure with what the paper says and what came out here."""
-    shown = []
-    for name, (title, conditions, paper) in SECTIONS.items():
-        if name in pictures:
-            here = [
-                outcome(record, condition)
-                for condition in conditions
-                if condition in record.conditions
-            ]
-            said = sentence(" ".join([*here, pictures[name].alt]))
-            beside = Table((), [("paper", sentence(paper)), ("here", said)], named=True)
-            shown.append(Figure(title, pictures[name], "", beside=beside))
-    lead = "Drawn is the run with the lowest seed that needed the median number of manipulations: neither the "
-    lead += "luckiest nor the unluckiest. Strings and arm are fainter the earlier they are; the last are at the tip's "
-    lead += "closest approach to the target."
-    return Section("Figures and tables", [Text(lead), Grid(shown)]) if shown else None
-
-
-def outcome(record: PaperRecord, condition: str) -> str:
-    """The number of runs that hit, and whether the paper's one run did likewise."""
-    table = record.of("rates", condition).set_index("within")
-    needed = record.of("needed", condition).iloc[0]
-    within = (
-        int(needed["paper"])
-        if needed["paper"] == needed["paper"]
-        else int(table.index.max())
-    )
-    one = table.loc[within]
-    said = f"{EXPERIMENT_LABELS[condition]}: {one['right']:.0f} of {one['count']:.0f} runs hit within {within}"
-    if needed["paper"] != needed["paper"]:
-        return f"{said}."
-    alike = "as in the paper" if one["share"] >= 0.5 else "unlike the paper's one run"
-    return f"{said}, {alike}."
-
-
-# --- what else
-def further(record: PaperRecord) -> list[Section]:
-    """Runs that failed, and why; the values that the paper leaves open; and the numbers
-    that it prints, with their places.
-    """
-    runs = record.tables["runs"].query("state == 'failed'").to_dict("records")
-    failed = [
-        (EXPERIMENT_LABELS[run["condition"]], number(run["seed"]), run["error"])
-        for run in runs
-    ]
-    table = Table(("experiment", "seed", "error"), failed)
-    sections = [Section("Failed runs", [Card("", [table])])] if failed else []
-
-    rows = [
-        tuple(said if isinstance(said, Markup) else sentence(said) for said in row)
-        for row in SILENT
-    ]
-    chosen = Card("", [Table(("the paper", "here"), rows)])
-    sections.append(Section("Where the paper is silent, and what we chose", [chosen]))
-
-    printed = []
-    for n in record.tables["numbers"].to_dict("records"):
-        # such as k_h, or words
-        of = symbol(n["of"]) if n["of"][1:2] == "_" and len(n["of"]) < 5 else n["of"]
-        printed.append(
-            (
-                n["what"],
-                of,
-                number(significant(n["value"])),
-                unit(n["unit"]),
-                n["place"],
-            )
-        )
-    table = Table(("what", "of", "value", "unit", "place"), printed)
-    folded = Details(f"{len(printed)} numbers, with their places", [table])
-    return [*sections, Section("The paper's numbers", [folded])]
-
-
-# --- the paper's figures again, from the study's tables alone
 def paper_figures(record: PaperRecord) -> dict[str, PaperFigure]:
-    """Every figure of which the study has data, by name."""
+    """Draw every figure for which the study has data, by name."""
+
+    def first_two(condition: str) -> list[tuple[str, int]]:
+        return [(condition, number) for number in record.cast_numbers(condition)[:2]]
+
+    def first_and_last(condition: str) -> list[tuple[str, int]]:
+        numbers = record.cast_numbers(condition)
+        return [(condition, number) for number in sorted({*numbers[:1], *numbers[-1:]})]
+
+    one_motion = [
+        cast for name in ONE_MOTION_EXPERIMENTS for cast in first_and_last(name)[-1:]
+    ]
     with style.context(STYLE_SHEET):
         drawn = {
-            "hit_rates": rates(record),
-            "fig_07": shapes(record, first_two(record, "A_500_900")),
-            "fig_08": shapes(record, first_two(record, "C_300_900")),
-            "fig_09": shapes(record, first_two(record, "B_400_700")),
-            "fig_10": trajectories(record, TARGETS),
-            "fig_11": shapes(
-                record,
-                [
-                    (name, record.casts(name)[-1])
-                    for name in ONE_MOTION
-                    if record.casts(name)
-                ],
-            ),
-            "table_4": table_4(record, ONE_MOTION),
-            "fig_12": shapes(record, ends(record, "D_500_500")),
-            "fig_13": shapes(record, ends(record, "wall")),
-            "fig_14": fig_14(record, "wall"),
+            "hit_rates": hit_rates_figure(record),
+            "fig_07": string_shapes_figure(record, first_two("A_500_900")),
+            "fig_08": string_shapes_figure(record, first_two("C_300_900")),
+            "fig_09": string_shapes_figure(record, first_two("B_400_700")),
+            "fig_10": hand_paths_figure(record, FIG_10_EXPERIMENTS),
+            "fig_11": string_shapes_figure(record, one_motion),
+            "table_4": table_4_figure(record, ONE_MOTION_EXPERIMENTS),
+            "fig_12": string_shapes_figure(record, first_and_last("D_500_500")),
+            "fig_13": string_shapes_figure(record, first_and_last("wall")),
+            "fig_14": matching_figure(record, "wall"),
         }
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
-def first_two(record: PaperRecord, condition: str) -> list[tuple[str, int]]:
-    """The first and second cast of an experiment, as far as there are any."""
-    return [(condition, number) for number in record.casts(condition)[:2]]
+def paper_page(record: PaperRecord, drawn: Mapping[str, PaperFigure]) -> str:
+    """Render the page from a record and its figures; the same record gives the same
+    text.
+    """
+    with style.context(STYLE_SHEET):
+        pictures = {
+            name: svg_picture(one.figure, one.alt) for name, one in drawn.items()
+        }
+    seeds = record.tables["runs"]["seed"].nunique()
+    page = Page(
+        kind="paper",
+        name=PAPER,
+        heading=f"The paper's experiments, with {format_count(seeds, 'seed')} each",
+        lead=_describe_runs(record, seeds),
+        sections=[
+            _hit_rate_section(record, pictures),
+            _figures_section(record, pictures),
+            _failures_section(record),
+            _choices_section(),
+            _numbers_section(record),
+        ],
+        origin=record.provenance,
+        settings=record.settings,
+    )
+    return str(page)
 
 
-def ends(record: PaperRecord, condition: str) -> list[tuple[str, int]]:
-    """The first and the last cast of an experiment."""
-    made = record.casts(condition)
-    return [(condition, number) for number in dict.fromkeys(made[:1] + made[-1:])]
+def _describe_runs(record: PaperRecord, seeds: int) -> Markup:
+    runs = record.tables["runs"]
+    ended = f"Here {len(runs)} of {record.requested_runs} runs have ended"
+    failed = int((runs["state"] == "failed").sum())
+    failures = Markup("")
+    if failed:
+        failures = Markup(', of which <strong class="bad">{} failed</strong>').format(
+            failed
+        )
+        failures += " and count as never having hit"
+    few = ", and with so few seeds they are wide" if seeds < MIN_RUNS_FOR_RATE else ""
+    return join_sentences(
+        [
+            "Every experiment of the paper in the virtual lab, compared with the paper's "
+            "numbers. The paper shows one run of each.",
+            Markup("{}{}.").format(ended, failures),
+            f"Intervals are 95 %{few}.",
+        ]
+    )
 
 
-SHOWN = {
-    1: ("before", "o"),
-    2: ("after", "s"),
-    3: ("measured", "D"),
-    5: ("target", "^"),
-}
+def _hit_rate_section(
+    record: PaperRecord, pictures: Mapping[str, Picture]
+) -> Section | Text:
+    """Show the share of runs that hit within some manipulations."""
+    if "hit_rates" not in pictures:
+        return Text("No run has ended yet.", "missing")
+    caption = (
+        "Share of the runs in which the tip reached the target within one, two, three and "
+        "five manipulations. Bars: 95 % intervals (Clopper and Pearson). Median: "
+        "manipulations that half of the runs needed at most."
+    )
+    rows, within = [], []
+    for condition in record.finished_experiments:
+        needed = record.rows_of("needed", condition).iloc[0]
+        median = "never"
+        if needed["median"] <= MAX_MANIPULATIONS:
+            median = f"{needed['median']:.0f}"
+        paper = (
+            f"{needed['paper']:.0f}" if np.isfinite(needed["paper"]) else "not stated"
+        )
+        rates = record.rows_of("rates", condition)
+        within = [f"within {number}" for number in rates["within"]]
+        percents = (100 * rates[["share", "low", "high"]]).to_numpy()
+        shares = [
+            f"{share:.0f} ({low:.0f} to {high:.0f}) %" for share, low, high in percents
+        ]
+        label = EXPERIMENT_LABELS[condition].replace(" ", "\u00a0")
+        rows.append([label, *number_cells([*shares, median, paper])])
+    table = Table(["experiment", *within, "median", "paper"], rows)
+    figure = Figure("", pictures["hit_rates"], caption)
+    return Section("Hit rates", [Card("", [figure]), Card("", [table])])
 
 
-def rates(record: PaperRecord) -> PaperFigure | None:
-    """A row an experiment; bars are 95 % intervals."""
-    if not record.conditions:
+def _figures_section(
+    record: PaperRecord, pictures: Mapping[str, Picture]
+) -> Section | None:
+    """Show each figure with the results of the paper and of our runs."""
+    shown = []
+    for name, (title, conditions, paper) in FIGURE_TEXTS.items():
+        if name not in pictures:
+            continue
+        finished = [c for c in conditions if c in record.finished_experiments]
+        sentences = [_describe_hits(record, condition) for condition in finished]
+        here = sentence_markup(" ".join([*sentences, pictures[name].alt]))
+        rows = [("paper", sentence_markup(paper)), ("here", here)]
+        shown.append(
+            Figure(title, pictures[name], "", beside=Table((), rows, named=True))
+        )
+    if not shown:
         return None
-    figure = Drawing(figsize=(5.4, 1.1 + 0.42 * len(record.conditions)))
-    axes = figure.subplots()
-    for row, condition in enumerate(record.conditions):
-        table = record.of("rates", condition).set_index("within")
-        for step, (within, (colour, marker)) in enumerate(SHOWN.items()):
-            if within in table.index:
-                one = table.loc[within]
-                place = row + 0.18 * (step - 1.5)
-                axes.hlines(
-                    place,
-                    one["low"],
-                    one["high"],
-                    color=LIGHT_COLOURS[colour],
-                    lw=2.5,
-                    alpha=0.3,
-                )
-                label = f"within {within}" if row == 0 else None
-                axes.plot(
-                    one["share"],
-                    place,
-                    marker,
-                    color=LIGHT_COLOURS[colour],
-                    ms=4.5,
-                    ls="none",
-                    label=label,
-                )
-    labels = [
-        f"{EXPERIMENT_LABELS[name]}  (n = {record.of('rates', name)['count'].iloc[0]})"
-        for name in record.conditions
+    lead = (
+        "Drawn is the run with the lowest seed that needed the median number of "
+        "manipulations. Earlier strings and arms are fainter; the last are at the tip's "
+        "closest approach to the target."
+    )
+    return Section("Figures and tables", [Text(lead), Block("grid", shown)])
+
+
+def _describe_hits(record: PaperRecord, condition: str) -> str:
+    """Give the number of runs that hit, and compare it with the paper's one run."""
+    table = record.rows_of("rates", condition).set_index("within")
+    in_paper = record.rows_of("needed", condition)["paper"].iloc[0]
+    is_stated = np.isfinite(in_paper)
+    within = int(in_paper) if is_stated else int(table.index.max())
+    rate = table.loc[within]
+    count = f"{rate['right']:.0f} of {rate['count']:.0f} runs hit within {within}"
+    comparison = ""
+    if is_stated:
+        agrees = rate["share"] >= 0.5
+        comparison = ", as in the paper" if agrees else ", unlike the paper's one run"
+    return f"{EXPERIMENT_LABELS[condition]}: {count}{comparison}."
+
+
+def _failures_section(record: PaperRecord) -> Section | None:
+    failed = record.tables["runs"].query("state == 'failed'").to_dict("records")
+    if not failed:
+        return None
+    rows = [
+        (EXPERIMENT_LABELS[run["condition"]], number_cell(run["seed"]), run["error"])
+        for run in failed
     ]
-    axes.set_yticks(range(len(labels)), labels)
-    axes.set(
-        xlim=(-0.02, 1.02),
-        ylim=(len(labels) - 0.5, -0.5),
-        xlabel="share of runs that hit, with 95 % interval",
+    return Section(
+        "Failed runs", [Card("", [Table(("experiment", "seed", "error"), rows)])]
     )
-    axes.set_xticks(
-        np.linspace(0, 1, 6), ["0", "20 %", "40 %", "60 %", "80 %", "100 %"]
-    )
-    figure.legend(
-        *axes.get_legend_handles_labels(),
-        loc="outside upper left",
-        ncols=4,
-        title="manipulations",
-    )
-    whole = record.tables["rates"]
-    most = whole[whole["within"] == whole["within"].max()].set_index("condition")
-    said = [
-        f"{EXPERIMENT_LABELS[name]} {most.loc[name, 'right']} of {most.loc[name, 'count']}"
-        for name in record.conditions
-    ]
-    return PaperFigure(
-        figure,
-        f"Runs that hit within {whole['within'].max()} manipulations: {', '.join(said)}.",
-    )
+
+
+def _choices_section() -> Section:
+    rows = []
+    for paper, choice in OPEN_CHOICES:
+        is_markup = isinstance(paper, Markup)
+        text = paper if is_markup else sentence_markup(paper)
+        rows.append((text, sentence_markup(choice)))
+    table = Card("", [Table(("the paper", "here"), rows)])
+    return Section("What the paper leaves open, and our choices", [table])
+
+
+def _numbers_section(record: PaperRecord) -> Section:
+    """List the numbers that the paper prints, with their places."""
+    rows = []
+    for row in record.tables["numbers"].to_dict("records"):
+        is_symbol = row["of"][1:2] == "_" and len(row["of"]) < 5  # such as k_h
+        subject = symbol_markup(row["of"]) if is_symbol else row["of"]
+        value = number_cell(format_value(row["value"]))
+        rows.append(
+            (row["what"], subject, value, unit_markup(row["unit"]), row["place"])
+        )
+    table = Table(("what", "of", "value", "unit", "place"), rows)
+    return Section("The paper's numbers", [Details(f"{len(rows)} numbers", [table])])

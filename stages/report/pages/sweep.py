@@ -1,278 +1,266 @@
-"""The page of a sweep: what was varied, what came of it, and which jobs failed."""
+"""The page of a sweep: what was varied, how the outcomes changed, and which jobs
+failed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import combinations
 from typing import Any
 
 from markupsafe import Markup
 from matplotlib import style
 
-from stringcast.stages.report.charts.map import PLACE, curve, plane, reach
-from stringcast.stages.report.formatting import (
-    UNKNOWN,
-    mean_with_interval,
-    significant,
-    unit,
+from stringcast.stages.report.charts.sweep import (
+    TARGET_COLUMNS,
+    outcome_curve,
+    outcome_map,
+    target_map,
 )
-from stringcast.stages.report.outcomes import Outcome, response
+from stringcast.stages.report.formatting import (
+    NOT_KNOWN,
+    format_count,
+    format_mean,
+    format_value,
+    unit_markup,
+)
+from stringcast.stages.report.outcomes import Outcome, mean_response
 from stringcast.stages.report.page import (
+    Block,
     Card,
     Cell,
     Details,
     Figure,
-    Grid,
     Page,
     Part,
     Section,
     Small,
     Table,
     Text,
-    Tile,
     Tiles,
-    bold,
-    joined,
+    bold_text,
+    join_sentences,
     link,
-    number,
+    number_cell,
+    number_cells,
 )
 from stringcast.stages.report.records import SweepRecord
-from stringcast.stages.report.theme import STYLE_SHEET
+from stringcast.stages.report.theme import STYLE_SHEET, Picture
 
-MAPPED = ("hit", "manipulations", "E_after")
+MAIN_OUTCOMES = ("hit", "manipulations", "E_after")
 
 
 def sweep_page(record: SweepRecord) -> str:
-    """The page as text; the same record gives the same page."""
+    """Render the page; the same record gives the same text."""
+    main = [outcome for outcome in record.outcomes if outcome.name in MAIN_OUTCOMES]
     with style.context(STYLE_SHEET):
-        responses = [response_to(record, factor) for factor in record.factors]
-        sections = [
-            tiles(record),
-            failed(record),
-            *responses,
-            reaches(record),
-            planes(record),
-        ]
+        sections = [_tiles(record, main), _failures_section(record)]
+        sections += [_response_section(record, factor) for factor in record.factors]
+        sections += [_targets_section(record), _pairs_section(record, main)]
+    sections += [_combinations_section(record, main), _jobs_section(record)]
 
     varied = (
         f"Varied: {', '.join(record.factors)}."
         if record.factors
         else "No setting was varied."
     )
-    seeds = f"Each with {record.seeds} seed{'s' * (record.seeds != 1)}."
-    sure = "Bars and brackets are 95 % intervals of means over the seeds; with few seeds they are wide."
-    if record.seeds < 2:
-        sure = "With one seed nobody can say how much chance there is in these means, so they have no intervals but "
-        sure += "that of the hit rate."
-    return str(
-        Page(
-            title=f"{record.name}: {record.sentence}",
-            kicker=f"stringcast sweep · {record.name}",
-            heading=finding(record) or record.sentence,
-            lead=f"{record.sentence}. {varied} {seeds} {sure}",
-            sections=[*sections, combined(record), jobs(record)],
-            origin=record.provenance,
-            settings=record.settings,
+    intervals = (
+        "Bars and brackets are 95 % intervals of means over the seeds; with few seeds they "
+        "are wide."
+    )
+    if record.seed_count < 2:
+        intervals = (
+            "With one seed the scatter of these means is not known, so only the hit rate "
+            "has an interval."
         )
+    seeds = f"Each with {format_count(record.seed_count, 'seed')}."
+    page = Page(
+        kind="sweep",
+        name=record.name,
+        heading=_describe_largest_effect(record, main) or record.sentence,
+        lead=f"{record.sentence}. {varied} {seeds} {intervals}",
+        sections=sections,
+        origin=record.provenance,
+        settings=record.settings,
     )
+    return str(page)
 
 
-def finding(record: SweepRecord) -> str:
-    """The largest effect of a setting on the first outcome that one changes beyond
-    chance; empty where no setting was varied or nothing is known.
+def _describe_largest_effect(record: SweepRecord, main: list[Outcome]) -> str:
+    """Describe the largest effect of a setting on the first outcome that any changes.
+
+    An outcome changes if the intervals of its least and largest mean do not overlap.
     """
-    if not record.factors or record.done.empty:
+    if not record.factors or record.finished.empty:
         return ""
-    outcomes = _mapped(record)
-    for outcome in outcomes:
-        # the levels with the least and the largest mean, where their intervals lie
-        # apart
-        means = {
-            factor: response(record.done, outcome, [factor])
-            for factor in record.factors
-        }
-        ends = {
-            f: (rows.loc[rows["mean"].idxmin()], rows.loc[rows["mean"].idxmax()])
-            for f, rows in means.items()
-        }
-        apart = {f: low for f, low in ends.items() if low[0]["high"] < low[1]["low"]}
-        if apart:
-            factor = max(
-                apart, key=lambda f: float(apart[f][1]["mean"] - apart[f][0]["mean"])
+    for outcome in main:
+        effects = {}
+        for factor in record.factors:
+            means = mean_response(record.finished, outcome, [factor])
+            low, high = (
+                means.loc[means["mean"].idxmin()],
+                means.loc[means["mean"].idxmax()],
             )
-            low, high = apart[factor]
-            values = [
-                f"{significant(row['mean'])}{outcome.unit and f' {outcome.unit}'}"
-                for row in (high, low)
-            ]
-            return f"The {outcome.label} is {values[0]} with {factor}={high[factor]}, {values[1]} with {low[factor]}"
-    return f"No setting varied changes the {outcomes[0].label} by more than chance"
+            if low["high"] < high["low"]:
+                effects[factor] = (low, high)
+        if effects:
+            factor = max(
+                effects,
+                key=lambda f: float(effects[f][1]["mean"] - effects[f][0]["mean"]),
+            )
+            low, high = effects[factor]
+            unit = f" {outcome.unit}" if outcome.unit else ""
+            best = f"{format_value(high['mean'])}{unit} with {factor}={high[factor]}"
+            worst = f"{format_value(low['mean'])}{unit} with {low[factor]}"
+            return f"The {outcome.label} is {best}, {worst}"
+    return f"No varied setting changes the {main[0].label} significantly"
 
 
-def tiles(record: SweepRecord) -> Tiles:
-    """Tiles: the number of jobs done, and the mean of each outcome over all."""
-    bad = (
-        Markup(', <strong class="bad">{} failed</strong>').format(len(record.failed))
-        if len(record.failed)
-        else ""
-    )
+def _tiles(record: SweepRecord, main: list[Outcome]) -> Tiles:
+    failed = Markup("")
+    if len(record.failed):
+        failed = Markup(', <strong class="bad">{} failed</strong>').format(
+            len(record.failed)
+        )
     seconds = (
         f"; {record.jobs['seconds'].sum():.0f} s of computing in their last attempts"
     )
-    done = Tile(
-        f"{len(record.done)} of {len(record.jobs)}",
-        Markup("jobs done{}{}").format(bad, seconds),
-    )
-    means = []
-    for outcome in _mapped(record):
-        mean: dict[str, Any] = (
-            response(record.done.assign(all=0), outcome, ["all"]).iloc[0].to_dict()
+    done = f"{len(record.finished)} of {len(record.jobs)}"
+    tiles = [(done, Markup("jobs done{}{}").format(failed, seconds))]
+    jobs = record.finished.assign(all=0)
+    for outcome in main:
+        (row,) = mean_response(jobs, outcome, ["all"]).to_dict("records")
+        unit = " %" if outcome.unit == "%" else ""
+        tiles.append(
+            (format_mean(row) + unit, f"{outcome.label}, mean of all finished jobs")
         )
-        shown = mean_with_interval(mean) + (" %" if outcome.unit == "%" else "")
-        means.append(Tile(shown, f"{outcome.label}, mean of all jobs that are done"))
-    return Tiles([done, *means])
+    return Tiles(tiles)
 
 
-def _mapped(record: SweepRecord) -> list[Outcome]:
-    return [outcome for outcome in record.outcomes if outcome.name in MAPPED]
-
-
-def failed(record: SweepRecord) -> Section | None:
-    """Jobs that failed, and why."""
+def _failures_section(record: SweepRecord) -> Section | None:
     if record.failed.empty:
         return None
-    lead = "They are left out of all that follows, which may favour the levels at which they failed."
-    rows = [
-        (_job(record, j), j["error"], number(j["attempts"]), j["host"])
-        for j in record.failed.to_dict("records")
-    ]
-    return Section(
-        "Failed",
-        [Text(lead), Card("", [Table(("job", "error", "attempts", "host"), rows)])],
-    )
+    lead = "The following sections exclude them, which may favour the levels at which they failed."
+    rows = []
+    for job in record.failed.to_dict("records"):
+        rows.append(
+            (
+                _job_cell(record, job),
+                job["error"],
+                number_cell(job["attempts"]),
+                job["host"],
+            )
+        )
+    table = Table(("job", "error", "attempts", "host"), rows)
+    return Section("Failed", [Text(lead), Card("", [table])])
 
 
-def _job(record: SweepRecord, job: Mapping[str, Any]) -> Cell:
-    """A job by the settings in which it differs from others."""
-    return Cell(
-        " ".join(
-            f"{name}={job[name]}"
-            for name in record.setting_names
-            if record.jobs[name].nunique() > 1
-        ),
-        "code",
-    )
+def _job_cell(record: SweepRecord, job: Mapping[str, Any]) -> Cell:
+    """Name a job by the settings in which it differs from others."""
+    return Cell(" ".join(f"{name}={job[name]}" for name in record.varied), "code")
 
 
-def response_to(record: SweepRecord, factor: str) -> Section:
-    """Curves of each outcome over a setting."""
-    drawn = [
-        (_outcome(outcome), curve(record.done, outcome, factor, record.units))
-        for outcome in record.outcomes
-    ]
-    known = [(words, picture) for words, picture in drawn if picture is not None]
-    lead = Text("Blue: mean over the other settings and the seeds. Grey: the jobs.")
-    nothing = Text("Nothing is known: no job is done.", "missing")
-    return Section(
-        f"Response to {factor}",
-        [lead, Card("", [Small(known)])] if known else [nothing],
-    )
+def _small_pictures(
+    outcomes: list[Outcome], draw: Callable[[Outcome], Picture | None]
+) -> list[tuple[Markup, Picture]]:
+    """Draw a small picture of each outcome that a job knows, below its title."""
+    pictures = []
+    for outcome in outcomes:
+        unit = Markup("")
+        if outcome.unit not in ("", "1"):
+            unit = Markup("[{}]").format(unit_markup(outcome.unit))
+        if picture := draw(outcome):
+            pictures.append((join_sentences([bold_text(outcome.label), unit]), picture))
+    return pictures
 
 
-def _outcome(outcome: Outcome) -> Markup:
-    measured = (
-        Markup("[{}]").format(unit(outcome.unit))
-        if outcome.unit not in ("", "1")
-        else ""
-    )
-    return joined([bold(outcome.label), measured])
+def _response_section(record: SweepRecord, factor: str) -> Section:
+    """Draw each outcome over a setting."""
+
+    def draw(outcome: Outcome) -> Picture | None:
+        return outcome_curve(record.finished, outcome, factor, record.units)
+
+    pictures = _small_pictures(record.outcomes, draw)
+    parts: list[Part] = [Text("Nothing is known: no job is done.", "missing")]
+    if pictures:
+        lead = "Blue: mean over the other settings and the seeds. Grey: the jobs."
+        parts = [Text(lead), Card("", [Small(pictures)])]
+    return Section(f"Response to {factor}", parts)
 
 
-def reaches(record: SweepRecord) -> Section | None:
-    """Maps of the targets, marked by the number of manipulations until they are hit:
-    one for each combination of the other settings, where the target's place was varied.
+def _targets_section(record: SweepRecord) -> Section | None:
+    """Map the targets by the casts until they are hit, if their place was varied.
+
+    There is a map for each combination of the other settings.
     """
     ended = record.jobs[record.jobs["state"].isin(["done", "failed"])]
-    if not set(PLACE) <= set(record.factors) or record.done.empty:
+    if not set(TARGET_COLUMNS) <= set(record.factors) or record.finished.empty:
         return None
-    most = int(record.done["manipulations"].max())
-    others = [name for name in record.factors if name not in PLACE]
+    most = int(record.finished["manipulations"].max())
+    others = [name for name in record.factors if name not in TARGET_COLUMNS]
     maps = []
-    for level, some in ended.groupby(others) if others else [((), ended)]:
+    for level, jobs in ended.groupby(others) if others else [((), ended)]:
         title = ", ".join(
             f"{name} {value}" for name, value in zip(others, level, strict=True)
         )
-        picture = reach(some, most)
+        picture = target_map(jobs, most)
         maps.append(Figure(title or "All", picture, picture.alt))
-    lead = "A mark at each target. Blue: in how many manipulations the tip hit, median of the seeds. Hollow: the "
-    lead += (
-        "median seed did not hit. Crosses: no job ran to its end; see the failed ones."
+    lead = (
+        "A mark at each target. Blue: casts until the tip hit, median of the seeds. Hollow: "
+        "the median seed did not hit. Crosses: every job failed."
     )
-    return Section("Where it hits", [Text(lead), Grid(maps)])
+    return Section("Targets", [Text(lead), Block("grid", maps)])
 
 
-def planes(record: SweepRecord) -> Section | None:
-    """A map of each outcome over each pair of settings."""
-    pairs = list(combinations(record.factors, 2))
-    drawn = [
-        (_outcome(o), plane(record.done, o, *pair, record.units))
-        for pair in pairs
-        for o in _mapped(record)
-    ]
-    known = [(words, picture) for words, picture in drawn if picture is not None]
-    lead = Text("Means over the seeds and all other settings; the darker, the larger.")
-    return (
-        Section("Two settings at a time", [lead, Card("", [Small(known)])])
-        if known
-        else None
-    )
+def _pairs_section(record: SweepRecord, main: list[Outcome]) -> Section | None:
+    """Map each main outcome over each pair of settings."""
+    pictures = []
+    for pair in combinations(record.factors, 2):
 
+        def draw(outcome: Outcome, pair: tuple[str, str] = pair) -> Picture | None:
+            return outcome_map(record.finished, outcome, list(pair), record.units)
 
-def combined(record: SweepRecord) -> Section | None:
-    """A table with a row for each combination of settings and the means of its
-    outcomes.
-    """
-    factors, outcomes = list(record.factors), _mapped(record)
-    if not factors:
+        pictures += _small_pictures(main, draw)
+    if not pictures:
         return None
-    means: dict[tuple[Any, ...], dict[str, Any]] = {}
-    for outcome in outcomes:
-        for row in response(record.done, outcome, factors).to_dict("records"):
-            place = tuple(row[factor] for factor in factors)
-            means.setdefault(place, {"jobs": row["jobs"]})[outcome.name] = (
-                mean_with_interval(row)
-            )
-    rows = [
-        [
-            *place,
-            number(means[place]["jobs"]),
-            *(number(means[place].get(o.name, UNKNOWN)) for o in outcomes),
-        ]
-        for place in sorted(means, key=lambda place: [str(level) for level in place])
-    ]
-    if not rows:
+    lead = "Means over the seeds and all other settings; the darker, the larger."
+    return Section("Pairs of settings", [Text(lead), Card("", [Small(pictures)])])
+
+
+def _combinations_section(record: SweepRecord, main: list[Outcome]) -> Section | None:
+    """Tabulate the mean outcomes for each combination of settings."""
+    factors = record.factors
+    if not factors or record.finished.empty:
         return None
-    summary = f"{len(rows)} combination{'s' * (len(rows) != 1)} of settings"
-    table = Table([*factors, "jobs", *(outcome.title for outcome in outcomes)], rows)
-    return Section("All combinations", [Details(summary, [table])])
+    count = record.finished.groupby(factors, sort=True).size()
+    means: dict[str, Mapping[Any, str]] = {}
+    for outcome in main:
+        rows = mean_response(record.finished, outcome, factors)
+        texts = [format_mean(row) for row in rows.to_dict("records")]
+        means[outcome.title] = dict(
+            zip(rows.set_index(factors).index, texts, strict=True)
+        )
+    table = []
+    for level, jobs in count.items():
+        texts = [of_level.get(level, NOT_KNOWN) for of_level in means.values()]
+        levels = level if len(factors) > 1 else [level]
+        table.append([*levels, *number_cells([jobs, *texts])])
+    summary = f"{format_count(len(table), 'combination')} of settings"
+    folded = Details(summary, [Table([*factors, "jobs", *means], table)])
+    return Section("All combinations", [folded])
 
 
-def jobs(record: SweepRecord) -> Part:
-    """Every job, with a link to its own report."""
+def _jobs_section(record: SweepRecord) -> Section:
+    """List every job, with a link to its own report."""
     rows = []
     for job in record.jobs.to_dict("records"):
-        report = (
-            link(f"{job['folder']}/report.html", job["key"])
-            if job["state"] == "done"
-            else job["key"]
+        report = job["key"]
+        if job["state"] == "done":
+            report = link(f"{job['folder']}/report.html", report)
+        numbers = number_cells([job["attempts"], f"{job['seconds']:.1f}"])
+        rows.append(
+            (_job_cell(record, job), job["state"], *numbers, job["host"], report)
         )
-        cells = (
-            number(job["attempts"]),
-            number(f"{job['seconds']:.1f}"),
-            job["host"],
-            report,
-        )
-        rows.append((_job(record, job), job["state"], *cells))
-    summary = f"{len(rows)} job{'s' * (len(rows) != 1)}, with their own reports"
     columns = ("job", "state", "attempts", "seconds", "host", "report")
+    summary = f"{format_count(len(rows), 'job')}, with their own reports"
     return Section("Jobs", [Details(summary, [Table(columns, rows)])])

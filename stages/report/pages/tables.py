@@ -1,47 +1,34 @@
-"""The page of a stage that has none of its own: what it says, and the first rows of its
-tables.
-"""
+"""The page of a stage without one of its own: the first rows of its tables."""
 
 from __future__ import annotations
 
 from stringcast.stages.report.page import Card, Page, Section, Table, Text
 from stringcast.stages.report.records import StageRecord
 
-ROWS = 50  # of a table that are shown
+MAX_ROWS = 50
 
 
 def tables_page(facts: StageRecord) -> str:
-    """The page as text; the same facts give the same page."""
+    """Render the page; the same facts give the same text."""
     sections = []
     for name, table in facts.artifact.TABLES.items():
         frame = getattr(facts.artifact, name)
         columns = [column for column in table.columns if column.kind != "bytes"]
-        cut = f"; the first {ROWS} of {len(frame)} rows" if len(frame) > ROWS else ""
-        heads = [
-            f"{column.name} / {column.unit}" if column.unit else column.name
-            for column in columns
-        ]
-        rows = (
-            frame[[column.name for column in columns]]
-            .head(ROWS)
-            .to_numpy(object)
-            .tolist()
-        )
-        sections.append(
-            Section(
-                table.name,
-                [Text(f"{table.meaning}{cut}"), Card("", [Table(heads, rows)])],
-            )
-        )
-    kicker = f"stringcast · {facts.name}"
-    return str(
-        Page(
-            facts.name,
-            kicker,
-            facts.name,
-            facts.sentence,
-            sections,
-            facts.provenance,
-            facts.settings,
-        )
+        names = [column.name for column in columns]
+        heads = [f"{c.name} / {c.unit}" if c.unit else c.name for c in columns]
+        meaning = table.meaning
+        if len(frame) > MAX_ROWS:
+            meaning += f"; the first {MAX_ROWS} of {len(frame)} rows"
+        rows = frame[names].head(MAX_ROWS).to_numpy(object).tolist()
+        parts = [Text(meaning), Card("", [Table(heads, rows)])]
+        sections.append(Section(table.name, parts))
+    page = Page(
+        kind="stage",
+        name=facts.name,
+        heading=facts.sentence,
+        lead="The tables that the stage stored.",
+        sections=sections,
+        origin=facts.provenance,
+        settings=facts.settings,
     )
+    return str(page)

@@ -1,67 +1,58 @@
-"""The page of a diagnosis: the verdict, its evidence and the gain; a section or two is
-a file.
-"""
+"""The page of a diagnosis; each section or two has a file."""
 
 from __future__ import annotations
 
 from matplotlib import style
 
-from stringcast.stages.model.library import effects_by_name
-from stringcast.stages.report.formatting import headline
+from stringcast.stages.report.formatting import verdict_headline
 from stringcast.stages.report.page import Page
-from stringcast.stages.report.pages.diagnosis.prediction import gained
-from stringcast.stages.report.pages.diagnosis.remainder import left, string
-from stringcast.stages.report.pages.diagnosis.residuals import trials, wrong
-from stringcast.stages.report.pages.diagnosis.search import found
+from stringcast.stages.report.pages.diagnosis.held_out import held_out_section
+from stringcast.stages.report.pages.diagnosis.residuals import (
+    misfit_section,
+    trials_section,
+)
+from stringcast.stages.report.pages.diagnosis.search import search_section
+from stringcast.stages.report.pages.diagnosis.unexplained import (
+    parameters_section,
+    unexplained_section,
+)
 from stringcast.stages.report.pages.diagnosis.verdict import (
-    budget,
-    causes,
-    rejected,
-    tiles,
+    budget_section,
+    causes_section,
+    rejected_card,
+    verdict_tiles,
 )
 from stringcast.stages.report.records import DiagnosisRecord, StageRecord
 from stringcast.stages.report.theme import STYLE_SHEET
 
-TONES = {"none": "good", "unknown": "bad", "insufficient": "bad"}
+VERDICT_TONES = {"none": "good", "unknown": "bad", "insufficient": "bad"}
 
 
-def stage_page(facts: StageRecord) -> str:
-    """The page of a diagnosis as a stage made it."""
-    given = (
-        facts.name,
-        facts.artifact,
-        facts.model,
-        effects_by_name(),
-        facts.settings,
-        facts.provenance,
-        facts.next_commands,
-    )
-    return diagnosis_page(DiagnosisRecord(*given))
-
-
-def diagnosis_page(record: DiagnosisRecord) -> str:
-    """The page as text; the same record gives the same page."""
+def diagnosis_page(facts: StageRecord) -> str:
+    """Render the page; the same facts give the same text."""
+    record = DiagnosisRecord(facts.artifact, facts.model)
     with style.context(STYLE_SHEET):
         sections = [
-            tiles(record),
-            rejected(record),
-            causes(record),
-            budget(record),
-            wrong(record),
-            trials(record),
+            verdict_tiles(record),
+            rejected_card(record),
+            causes_section(record),
+            budget_section(record),
+            misfit_section(record),
+            trials_section(record),
+            search_section(record),
+            held_out_section(record),
+            unexplained_section(record),
+            parameters_section(record),
         ]
-        sections += [found(record), gained(record), left(record), string(record)]
-    return str(
-        Page(
-            title=f"{record.name}: {headline(record.document)}",
-            kicker=f"stringcast diagnosis · {record.name}",
-            heading=headline(record.document),
-            lead=record.diagnosis.sentence,
-            sections=sections,
-            origin=record.origin,
-            settings=record.settings,
-            tone=TONES.get(record.document["verdict"], ""),
-            following=record.following,
-            explored=bool(record.trials or record.following),
-        )
+    page = Page(
+        kind="diagnosis",
+        name=facts.name,
+        heading=verdict_headline(record.document),
+        lead=facts.sentence,
+        sections=sections,
+        origin=facts.provenance,
+        settings=facts.settings,
+        tone=VERDICT_TONES.get(record.document["verdict"], ""),
+        following=facts.next_commands,
     )
+    return str(page)

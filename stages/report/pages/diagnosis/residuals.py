@@ -1,110 +1,107 @@
-"""What the simulation gets wrong: residual maps, and trials side by side."""
+"""The misfit of the simulation: residual maps, and trials side by side."""
 
 from __future__ import annotations
 
-import numpy as np
-
-from stringcast.stages.report.charts.residual import curves, maps, size, tip_curves
-from stringcast.stages.report.charts.string import film, last, worst
-from stringcast.stages.report.charts.time import latent
-from stringcast.stages.report.formatting import enumerated, mm, ms, plain
+from stringcast.stages.common import rms
+from stringcast.stages.report.charts.diagnosis import unexplained_chart
+from stringcast.stages.report.charts.residual import (
+    residual_chart,
+    residual_maps,
+    tip_residual_chart,
+    trial_rms_picture,
+)
+from stringcast.stages.report.charts.string_film import (
+    string_film_data,
+    tip_points,
+    worst_frame,
+)
+from stringcast.stages.report.formatting import format_mm, format_ms, join_effects
 from stringcast.stages.report.page import (
+    Block,
     Card,
     Explore,
     Figure,
     Film,
-    Grid,
     Jump,
     Layer,
     Part,
     Section,
-    Side,
     Text,
 )
-from stringcast.stages.report.records import DiagnosisRecord, away
+from stringcast.stages.report.records import DiagnosisRecord, model_distances
 from stringcast.stages.report.theme import MM_PER_M
 
-NOTHING = "Nothing was measured that could be compared."
+NOTHING_MEASURED = "Nothing was measured that could be compared."
+MAP_CAPTION = (
+    "Arc length s from the grasp, over time; a row for each trial. Orange: the measured "
+    "string lies to the left of the simulated one, or further towards the tip; blue: the "
+    "opposite. Faint colours are noise. A patch of colour is an error of the model, or "
+    "numerical error in chaotic motion. Grey: not measured. All maps share the colours."
+)
+TRIALS_LEAD = (
+    "Point at a curve to show every string at that time; drag to zoom, double click to "
+    "zoom out. Keyboard: arrows, + and −, 0. Faint lines are the paths of the tips. Each "
+    "trial starts at the largest misfit of the base model."
+)
 
 
-def wrong(record: DiagnosisRecord) -> Section:
-    """Residuals over arc length and time, trial by trial; the strings where they are
-    worst; the way of the tip.
-    """
-    about = (
-        "Arc length s from the grasp, over time; one row for each trial. Orange: the measured string lies to the left "
-        "of the simulated one, or further towards the tip; blue: the other way. Faint is noise; a patch of colour is a "
-        "mistake of the model, or of its arithmetic where the string moves so violently that small errors grow. Grey: "
-        "not measured. The colours mean the same in all maps."
-    )
-    much = "Dots beyond the bar are more than noise and the simulation's own error account for."
-    where = [
-        Figure(f"Residual maps: {side} model", maps(record, side), about, NOTHING)
-        for side in record.models
-    ]
-    parts: list[Part] = [
-        *map(Text, _compared(record)),
-        Grid([*where, Figure("Error by trial", size(record), much, NOTHING)]),
-    ]
-    return Section("What the simulation gets wrong", parts)
-
-
-def trials(record: DiagnosisRecord) -> Section | None:
-    """Trials side by side, to play: the string, and how far from it the models are; all
-    on one clock.
-    """
-    if not record.trials:
-        return None
-    layers = [
-        Layer("base", "before"),
-        Layer("extended", "after"),
-        Layer("measured", "measured", dots=True),
-    ]
-    shown = [layer for layer in layers if layer.name in (*record.models, "measured")]
-    lead = "Point at a curve, and every trial shows its string at that time; drag to zoom, double click for the "
-    lead += "whole. With the keyboard: arrows, + and −, 0. Faint lines are the ways of the tips. Each begins in the "
-    lead += "frame that the base model gets most wrong."
-    cards = []
-    for trial, table in record.trials.items():
-        frame = worst(table)
-        moment = float(frame["t"].iloc[0])
-        off = ", ".join(
-            f"{m} {mm(float(np.sqrt(np.mean(away(frame, m) ** 2))), 1)}"
-            for m in record.models
+def misfit_section(record: DiagnosisRecord) -> Section:
+    """Show residuals over arc length and time, and their size trial by trial."""
+    figures = []
+    for model in record.models:
+        maps = residual_maps(record, model)
+        figures.append(
+            Figure(f"Residual maps: {model} model", maps, MAP_CAPTION, NOTHING_MEASURED)
         )
-        played = Film(
-            film(record, table),
-            f"The string in trial {trial} over time, measured and simulated.",
-        )
-        jump = Jump(moment * MM_PER_M, f"Most wrong at {ms(moment)}: {off} off")
-        charts = [
-            curves(record, trial),
-            tip_curves(record, trial, last(table)),
-            latent(record, trial),
-        ]
-        cards.append(Card(trial, [played, jump, *(chart for chart in charts if chart)]))
-    return Section(
-        "Trials side by side",
-        [Text(lead), Explore([Side(cards)], shown, times=True)],
-        "trials",
+    caption = "Dots beyond the bar exceed noise and numerical error."
+    sizes = trial_rms_picture(record)
+    figures.append(Figure("Residual by trial", sizes, caption, NOTHING_MEASURED))
+    texts = [Text(words) for words in _describe_models(record)]
+    return Section("Misfit of the simulation", [*texts, Block("grid", figures)])
+
+
+def _describe_models(record: DiagnosisRecord) -> list[str]:
+    """Describe which models and trials are drawn."""
+    lead = (
+        "The base model is the configured one with its parameters fitted to these trials, "
+        "so no choice of parameters removes its misfit."
     )
-
-
-def _compared(record: DiagnosisRecord) -> list[str]:
-    """Which models and trials are drawn."""
-    document, extended = record.document, len(record.models) > 1
-    lead = "The base model is the configured one with its parameters fitted to these trials, so what it gets wrong no "
-    lead += "choice of parameters mends."
-    if extended:
-        added = enumerated([plain(name) for name in record.extension["effects"]])
+    if record.is_extended:
+        added = join_effects(record.extension["effects"])
         lead += f" The extended model adds {added} and is fitted to the same trials."
-    if len(record.trials) < len(document["trials"]["used"]):
-        lead += f" Drawn are the {len(record.trials)} trials of {len(document['trials']['used'])} that the base model gets "
-        lead += "most wrong."
-    if document["verdict"] != "effect" or extended or record.diagnosis.causes.empty:
+    drawn, used = len(record.drawn_trials), len(record.document["trials"]["used"])
+    if drawn < used:
+        lead += f" Drawn are the {drawn} of {used} trials with the largest misfit."
+    is_resolution = record.document["verdict"] == "effect" and not record.is_extended
+    if not is_resolution or record.diagnosis.causes.empty:
         return [lead]
-    points = record.extension["string"]["points"], record.model.string.points
-    return [
-        lead,
-        f"The maps are those of {points[0]} mass points in place of {points[1]}; with these, the misfit is gone.",
-    ]
+    finer, configured = record.extension["string"]["points"], record.model.string.points
+    maps = f"The maps are those of {finer} mass points instead of {configured}; this removes the misfit."
+    return [lead, maps]
+
+
+def trials_section(record: DiagnosisRecord) -> Section | None:
+    """Show trials side by side on one clock: the strings, and their residuals."""
+    if not record.drawn_trials:
+        return None
+    layers = [Layer("base", "before"), Layer("extended", "after")][: len(record.models)]
+    layers.append(Layer("measured", "measured", dots=True))
+    cards = []
+    for trial, table in record.drawn_trials.items():
+        frame = worst_frame(table)
+        t = float(frame["t"].iloc[0])
+        sizes = []
+        for model in record.models:
+            sizes.append(f"{model} {format_mm(rms(model_distances(frame, model)), 1)}")
+        words = f"The string in trial {trial} over time, measured and simulated."
+        parts: list[Part] = [
+            Film(string_film_data(record, table), words),
+            Jump(t * MM_PER_M, f"Largest misfit at {format_ms(t)}: {', '.join(sizes)}"),
+            residual_chart(record, trial),
+            tip_residual_chart(record, trial, tip_points(table)),
+        ]
+        if chart := unexplained_chart(record, trial):
+            parts.append(chart)
+        cards.append(Card(trial, parts))
+    explore = Explore([Block("trials", cards)], layers, times=True)
+    return Section("Trials side by side", [Text(TRIALS_LEAD), explore], "trials")

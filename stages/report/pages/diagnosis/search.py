@@ -1,6 +1,4 @@
-"""How it was found: promised effects, look-alikes, and every hypothesis that was
-fitted.
-"""
+"""The search: predicted gains, similar effects, and every hypothesis that was fitted."""
 
 from __future__ import annotations
 
@@ -10,142 +8,140 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.stages.report.charts.parameters import likeness, screenings
-from stringcast.stages.report.formatting import gain, mm, percent, plain
+from stringcast.stages.report.charts.diagnosis import (
+    screening_pictures,
+    similarity_matrix,
+)
+from stringcast.stages.report.formatting import (
+    effect_title,
+    format_gain,
+    format_mm,
+    format_percent,
+)
 from stringcast.stages.report.page import (
+    Block,
     Card,
     Cell,
     Details,
     Figure,
-    Grid,
     Part,
     Section,
     Table,
     Text,
-    number,
+    number_cell,
+    number_cells,
 )
 from stringcast.stages.report.records import DiagnosisRecord
 
-SEARCH = (
-    "One cause after another: beside those already in the model every effect of the library is tried to first "
-    "order, the most promising are fitted together with the string's parameters, and the one with most evidence "
-    "enters if it has enough of it whichever trial is left out. What the others make needless leaves again."
+MAX_SHOWN_HYPOTHESES = 12
+SEARCH_LEAD = (
+    "The search adds one cause at a time. It screens every effect of the library to first "
+    "order, given the causes already found, and fits the most promising ones together with "
+    "the string's parameters. The effect with the most evidence is added if it keeps enough "
+    "evidence whichever trial is left out. Causes that become redundant are removed."
 )
-NO_SEARCH = "The base model left nothing that was worth a search for causes."
-WAY = (
-    "Of the causes that the search found, named or not, as they entered. Log evidence: beside those before, all that "
-    "is known in the end taken into account. Of each trial: by how much the cause raises its log-likelihood. Off: how "
-    "far the simulated string lies from the measured one without the cause and with it. All moments and places are in "
-    "table `entries`."
+NO_SEARCH_LEAD = "The misfit of the base model is too small for a search for causes."
+ENTRIES_CAPTION = (
+    "Causes in the order in which the search added them. Log evidence: given the causes "
+    "before. By trial: rise of the log-likelihood. Residual: distance of the simulated "
+    "from the measured string without and with the cause. Table `entries` has all moments "
+    "and places."
 )
-FEW = 12  # theories shown at once; the others are folded
-EVIDENCE = (
-    "Log evidence: logarithm of the Bayes factor over the base model, all sizes of what the model may lack taken into "
-    "account. Without the strongest trial: the same without the trial that says most for the causes; an effect enters "
-    "only with enough of both. Tip moved: by these causes, root mean square, in the trial where it is most. Left "
-    "unexplained: of what the base model lacks at the tip, in mean square. Probability: of the last cause in its "
-    "place, the others staying."
+HYPOTHESES_CAPTION = (
+    "Log evidence: logarithm of the Bayes factor over the base model, averaged over the "
+    "sizes of unmodelled error. Without the strongest trial: the same without the trial "
+    "that supports the causes most; an effect needs enough of both. Tip shift: rms, in the "
+    "trial where it is largest. Unexplained: share of the base model's mean square misfit "
+    "at the tip. Probability: of the last cause, given the others."
 )
 
 
-def found(record: DiagnosisRecord) -> Section:
-    """The section of promised effects, look-alikes, and every hypothesis that was
-    fitted.
-    """
-    first = "Gain of the log-likelihood to first order, with the string's parameters refitted. Blue: named as a cause."
-    drawn = []
-    for context, picture in screenings(record):
-        drawn.append(
-            Figure(
-                f"Predicted gains {f'beside {context}' if context else 'of all effects'}",
-                picture,
-                first,
-            )
+def search_section(record: DiagnosisRecord) -> Section:
+    """Show predicted gains, similar effects, and the hypotheses that were fitted."""
+    diagnosis = record.diagnosis
+    is_searched = len(diagnosis.hypotheses) > 1 or not diagnosis.screening.empty
+    parts: list[Part] = [Text(SEARCH_LEAD if is_searched else NO_SEARCH_LEAD)]
+    if len(diagnosis.entries):
+        caption = Text(ENTRIES_CAPTION, "caption")
+        parts.append(
+            Card("Order of the causes", [_entries_table(diagnosis.entries), caption])
         )
-    alike = likeness(record)
-    if alike:
-        about = "1: the two do the same to this data and cannot be told apart; 0: nothing in common."
-        drawn.append(Figure("Confounded effects", alike, about))
 
-    # the hypotheses with the least cost first; the base model is among the few that are
-    # shown
-    rows = record.diagnosis.hypotheses.sort_values(
-        "fit_gain", ascending=False, kind="stable"
-    ).reset_index(drop=True)
-    late = (rows["causes"] == "") & (np.arange(len(rows)) >= FEW)
-    order = np.where(late, FEW - 1.5, np.arange(len(rows)))
-    theories = rows.iloc[np.argsort(order, kind="stable")].to_dict("records")
-    more = theories[FEW:]
-    tried: list[Part] = [_theories_table(theories[:FEW])]
-    tried += [Details(f"{len(more)} more", [_theories_table(more)])] if more else []
-    searched = (
-        len(record.diagnosis.hypotheses) > 1 or not record.diagnosis.screening.empty
-    )
-    fitted = Card("Hypotheses fitted", [*tried, Text(EVIDENCE, "caption")])
-    entries = record.diagnosis.entries
-    way = (
-        [Card("Path of entry", [_way(entries), Text(WAY, "caption")])]
-        if len(entries)
-        else []
-    )
-    return Section(
-        "How it was found",
-        [Text(SEARCH if searched else NO_SEARCH), *way, Grid(drawn), fitted],
-    )
+    figures = []
+    gain = "First-order gain of the log-likelihood, with refitted string parameters. Blue: found."
+    for context, picture in screening_pictures(record):
+        title = (
+            f"Predicted gains given {context}"
+            if context
+            else "Predicted gains of all effects"
+        )
+        figures.append(Figure(title, picture, gain))
+    if picture := similarity_matrix(record):
+        caption = "1: indistinguishable in these data; 0: nothing in common."
+        figures.append(Figure("Similar effects", picture, caption))
+    parts.append(Block("grid", figures))
+
+    shown, others = _ranked_hypotheses(diagnosis.hypotheses)
+    tables: list[Part] = [_hypotheses_table(shown)]
+    if others:
+        tables.append(Details(f"{len(others)} more", [_hypotheses_table(others)]))
+    tables.append(Text(HYPOTHESES_CAPTION, "caption"))
+    parts.append(Card("Fitted hypotheses", tables))
+    return Section("Search", parts)
 
 
-def _way(entries: pd.DataFrame) -> Table:
-    """Which cause entered when, by what evidence, in which trials, and where it
-    explains most.
-    """
+def _ranked_hypotheses(
+    table: pd.DataFrame,
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rank hypotheses by evidence; the base model is always among the first."""
+    ranked = table.sort_values("fit_gain", ascending=False, kind="stable")
+    rows = ranked.to_dict("records")
+    for position in range(MAX_SHOWN_HYPOTHESES, len(rows)):
+        if rows[position]["causes"] == "":
+            rows.insert(MAX_SHOWN_HYPOTHESES - 1, rows.pop(position))
+    return rows[:MAX_SHOWN_HYPOTHESES], rows[MAX_SHOWN_HYPOTHESES:]
+
+
+def _entries_table(entries: pd.DataFrame) -> Table:
+    """Tabulate which cause was added when, by what evidence, and what it explains."""
     rows = []
-    for order, own in entries.groupby("number"):
-        rises = (
-            own.groupby("trial", sort=False)["log_likelihood"]
-            .first()
-            .sort_values(ascending=False)
+    for number, points in entries.groupby("number"):
+        by_trial = points.groupby("trial", sort=False)["log_likelihood"].first()
+        by_trial = by_trial.sort_values(ascending=False)
+        trials = ", ".join(
+            f"{name} {format_gain(rise)}" for name, rise in by_trial.items()
         )
-        most = own.loc[(own["before"] ** 2 - own["after"] ** 2).idxmax()]
-        place = f"{most['trial']}, {most['t']:.2f} s, {mm(most['s'])} along the string"
-        moved = f"{mm(most['before'], 1)} → {mm(most['after'], 1)}"
-        trials = ", ".join(f"{name} {gain(rise)}" for name, rise in rises.items())
-        rows.append(
-            [
-                number(order),
-                plain(most["cause"]),
-                number(gain(most["evidence"])),
-                trials,
-                place,
-                moved,
-            ]
+        top = points.loc[(points["before"] ** 2 - points["after"] ** 2).idxmax()]
+        place = (
+            f"{top['trial']}, {top['t']:.2f} s, {format_mm(top['s'])} along the string"
         )
-    return Table(
-        ("", "cause", "log evidence", "of each trial", "explains most in", "off there"),
-        rows,
-    )
-
-
-def _theories_table(theories: Sequence[Mapping[str, Any]]) -> Table:
+        change = f"{format_mm(top['before'], 1)} → {format_mm(top['after'], 1)}"
+        evidence = number_cell(format_gain(top["evidence"]))
+        cause = effect_title(top["cause"])
+        rows.append([number_cell(number), cause, evidence, trials, place, change])
     columns = (
-        "causes",
+        "",
+        "cause",
         "log evidence",
-        "without the strongest trial",
-        "tip moved",
-        "left unexplained",
+        "by trial",
+        "largest effect",
+        "residual there",
     )
+    return Table(columns, rows)
+
+
+def _hypotheses_table(hypotheses: Sequence[Mapping[str, Any]]) -> Table:
     rows = []
-    for row in theories:
-        held_out = row["held_out_gain"]
-        weakest = (
-            number(gain(held_out))
-            if np.isfinite(held_out)
-            else Cell("not evaluated", "n missing")
-        )
-        shares = (
-            number(mm(row["moved"], 1)),
-            number(percent(row["unexplained"])),
-            number(percent(row["probability"])),
-        )
-        causes = plain(row["causes"]) if row["causes"] else "base model alone"
-        rows.append([causes, number(gain(row["fit_gain"])), weakest, *shares])
-    return Table((*columns, "probability"), rows)
+    for row in hypotheses:
+        causes = effect_title(row["causes"]) if row["causes"] else "base model alone"
+        evidence = number_cell(format_gain(row["fit_gain"]))
+        weakest = Cell("not evaluated", "n missing")
+        if np.isfinite(row["held_out_gain"]):
+            weakest = number_cell(format_gain(row["held_out_gain"]))
+        shift = format_mm(row["moved"], 1)
+        shares = [
+            format_percent(row[column]) for column in ("unexplained", "probability")
+        ]
+        rows.append([causes, evidence, weakest, *number_cells([shift, *shares])])
+    columns = ("causes", "log evidence", "without the strongest trial", "tip shift")
+    return Table((*columns, "unexplained", "probability"), rows)

@@ -1,201 +1,183 @@
-"""What came out: tiles, trials that were rejected, causes and what else it may be, and
-the error budget.
-"""
+"""The verdict: tiles, rejected trials, causes and alternatives, and the error budget."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
+import pandas as pd
 from markupsafe import Markup
 
-from stringcast.stages.report.charts.parameters import cause
+from stringcast.stages.model.library import effects_by_name
+from stringcast.stages.report.charts.diagnosis import law_picture
 from stringcast.stages.report.formatting import (
-    enumerated,
-    gain,
-    mm,
-    percent,
-    plain,
-    quantity,
+    effect_title,
+    format_count,
+    format_gain,
+    format_mm,
+    format_percent,
+    format_quantity,
+    join_effects,
+    join_names,
 )
 from stringcast.stages.report.page import (
+    Block,
     Card,
     Figure,
-    Grid,
     Part,
     Section,
     Table,
     Text,
-    Tile,
     Tiles,
-    bold,
+    bold_text,
     link,
-    number,
+    number_cell,
+    number_cells,
 )
-from stringcast.stages.report.pages.diagnosis.prediction import predicted_worse
+from stringcast.stages.report.pages.diagnosis.held_out import worse_predictions
 from stringcast.stages.report.records import DiagnosisRecord
 
-RARE = 0.01  # probability up to which an alternative is not worth a line
-LIKELY = 0.5  # probability from which a cause is more likely than not
+MIN_ALTERNATIVE_PROBABILITY = 0.01
+LIKELY_PROBABILITY = 0.5
 
 
-def tiles(record: DiagnosisRecord) -> Tiles:
-    """Trials looked at, and how well the models predict."""
-    trials, total = record.document["trials"], record.document["gain"]
-    used, outliers = (
-        len(trials["used"]),
-        trials.get("points_left_out", {}).get("outliers", 0),
-    )
-    looked = f"trial{'s' * (used != 1)} looked at"
-    looked += f", {len(trials['rejected'])} rejected" if trials["rejected"] else ""
-    looked += (
-        f", {outliers} outlying point{'s' * (outliers != 1)} left out"
-        if outliers
-        else ""
-    )
-    first = Tile(
-        str(used), f"{looked}, of a string of {mm(record.model.string.length)}"
-    )
-    if not total["held_out_trials"]:
+def verdict_tiles(record: DiagnosisRecord) -> Tiles:
+    """Show which trials were used, and how well the models predict."""
+    trials, gain = record.document["trials"], record.document["gain"]
+    used, outliers = len(trials["used"]), trials["points_left_out"]["outliers"]
+    data = [f"trial{'s' * (used != 1)} used"]
+    if trials["rejected"]:
+        data.append(f"{len(trials['rejected'])} rejected")
+    if outliers:
+        data.append(f"{format_count(outliers, 'outlier')} excluded")
+    length = format_mm(record.model.string.length)
+    first = (str(used), f"{', '.join(data)}; string of {length}")
+    if not gain["held_out_trials"]:
         return Tiles(
-            [
-                first,
-                Tile(
-                    "not known",
-                    "how well it predicts: no trial could be left out of the fit",
-                ),
-            ]
+            [first, ("not known", "prediction: no trial could be left out of the fit")]
         )
-    which = "base and extended model" if len(record.models) > 1 else "base model"
-    names = [row["trial"] for row in predicted_worse(record)]
-    but = f" (worse for {enumerated(names)}: see below)" if names else ""
-    rms = f"from simulated to measured string on trials left out of the fit, root mean square, {which}{but}; noise alone "
-    rms += f"leaves {mm(total['rms_m']['noise_floor'], 1)}"
+
+    which = "base and extended model" if record.is_extended else "base model"
+    if worse := [row["trial"] for row in worse_predictions(record)]:
+        which += f" (worse for {join_names(worse)}: see below)"
+    noise = format_mm(gain["rms_m"]["noise_floor"], 1)
+    sizes = []
+    for quantity in ("rms_m", "tip_rms_m"):
+        values = [format_mm(gain[quantity][model], 1) for model in record.models]
+        sizes.append(" → ".join(values))
+    meaning = f"rms residual on held-out trials, {which}; noise alone: {noise}"
     tip = "the same at the tip, or the outermost point measured"
-    values = [
-        " → ".join(mm(total[of][side], 1) for side in record.models)
-        for of in ("rms_m", "tip_rms_m")
+    return Tiles([first, (sizes[0], meaning), (sizes[1], tip)])
+
+
+def rejected_card(record: DiagnosisRecord) -> Part | None:
+    """List trials that could not be used, and why."""
+    rejected = list(record.document["trials"]["rejected"].items())
+    if not rejected:
+        return None
+    return Card("Rejected trials", [Table((), rejected, named=True)])
+
+
+def causes_section(record: DiagnosisRecord) -> Section:
+    """Show the causes with their parameters and laws, and the alternatives."""
+    groups = record.diagnosis.causes.groupby("effect", sort=False)
+    cards = [_cause_card(str(name), rows) for name, rows in groups]
+    parts: list[Part] = [Text(words) for words in _explain_verdict(record)]
+    if cards:
+        parts.append(Block("grid", cards))
+    rows = []
+    for other in record.document["alternatives"]:
+        if other["probability"] > MIN_ALTERNATIVE_PROBABILITY:
+            probability = number_cell(format_percent(other["probability"]))
+            rows.append((effect_title(other["effect"]), probability))
+    alternatives: Part = Text("None above 1 %.", "missing")
+    if rows:
+        alternatives = Table((), rows, named=True)
+    parts.append(Card("Alternatives", [alternatives]))
+    return Section("Causes" if cards else "No cause found", parts)
+
+
+def _cause_card(name: str, rows: pd.DataFrame) -> Card:
+    """Show a cause with the values and the law of its effect."""
+    sentence = str(rows["sentence"].iloc[0])
+    parts: list[Part] = [Text(f"{sentence[:1].upper()}{sentence[1:]}.", "")]
+    parameters = rows[rows["parameter"] != ""]
+    values = {}
+    table = []
+    for row in parameters.to_dict("records"):
+        values[row["parameter"].rpartition(".")[2]] = row["value"]
+        table.append((row["meaning"], *number_cells(format_quantity(row))))
+    if table:
+        parts.append(Table(("", "value", "95 % interval"), table))
+    effect = effects_by_name()[name]
+    reference = f"Reference: {effect.reference}." if effect.reference else ""
+    parts.append(Figure("", law_picture(effect, values), reference))
+    probability = rows["probability"].iloc[0]
+    tone = "good" if probability > LIKELY_PROBABILITY else ""
+    title = Markup('{} <span class="badge {}">{}</span>')
+    return Card(
+        title.format(effect_title(name), tone, format_percent(probability)), parts
+    )
+
+
+def _explain_verdict(record: DiagnosisRecord) -> list[Markup | str]:
+    """Explain the verdict in sentences."""
+    document = record.document
+    sentences = [
+        _explain_group(record, group) for group in document["indistinguishable"]
     ]
-    return Tiles([first, Tile(values[0], rms), Tile(values[1], tip)])
+    if document["interrupted"]:
+        sentences.append("No cause is named, because the search is incomplete.")
+    else:
+        sentences += VERDICT_TEXTS.get(document["verdict"], [])
+    return sentences
 
 
-def rejected(record: DiagnosisRecord) -> Part | None:
-    """Trials that could not be used, and why."""
-    trials = record.document["trials"]["rejected"]
-    return (
-        Card(
-            "Trials that could not be used",
-            [Table((), list(trials.items()), named=True)],
-        )
-        if trials
-        else None
-    )
+VERDICT_TEXTS: dict[str, list[Markup | str]] = {
+    "none": ["The misfit is noise and less than the tolerance. No effect is evident."],
+    "unknown": [
+        Markup(
+            "The misfit at the tip exceeds the tolerance, and no effects of the library "
+            "remove enough of it. See {}."
+        ).format(link("#left", "Unexplained misfit"))
+    ],
+    "insufficient": ["Naming a cause requires more data. Partial results follow."],
+}
 
 
-def causes(record: DiagnosisRecord) -> Section:
-    """The causes, with their parameters, laws and references; what looks alike; what
-    else it may be.
-    """
-    cards = []
-    for name, rows in record.diagnosis.causes.groupby("effect", sort=False):
-        likely, said = rows["probability"].iloc[0], str(rows["sentence"].iloc[0])
-        told: list[Part] = [Text(f"{said[:1].upper()}{said[1:]}.", "")]
-        found = rows[rows["parameter"] != ""]
-        if len(found):
-            table = [
-                (row["meaning"], *map(number, quantity(row)))
-                for row in found.to_dict("records")
-            ]
-            told.append(Table(("", "value", "95 % interval"), table))
-        if effect := record.library.get(str(name)):
-            values = {
-                p.parameter.rpartition(".")[2]: p.value for p in found.itertuples()
-            }
-            caption = f"Reference: {effect.reference}." if effect.reference else ""
-            told.append(Figure("", cause(effect, values), caption))
-        sure, mark = (
-            "good" if likely > LIKELY else "",
-            Markup('{} <span class="badge {}">{}</span>'),
-        )
-        cards.append(Card(mark.format(plain(str(name)), sure, percent(likely)), told))
-
-    others = [a for a in record.document["alternatives"] if a["probability"] > RARE]
-    more = [
-        (plain(other["effect"]), number(percent(other["probability"])))
-        for other in others
+def _explain_group(record: DiagnosisRecord, group: Sequence[str]) -> Markup | str:
+    """Explain that the data do not distinguish a group of causes."""
+    table = record.diagnosis.likeness
+    cosines = table.loc[
+        table["effect"].isin(group) & table["other"].isin(group), "cosine"
     ]
-    rest = (
-        Table((), more, named=True)
-        if more
-        else Text("Nothing else has more than 1 %.", "missing")
-    )
-    parts: list[Part] = [*map(Text, _verdict(record))]
-    parts += [Grid(cards)] if cards else []
-    return Section(
-        "Causes" if cards else "No cause is named",
-        [*parts, Card("What else it may be", [rest])],
+    least = f" (correlation {cosines.min():.3f})" if len(cosines) else ""
+    names = bold_text(f"These data do not distinguish {join_effects(group)}{least}.")
+    return names + (
+        " Each explains the measurements about equally well. They share the probabilities "
+        "below."
     )
 
 
-def _verdict(record: DiagnosisRecord) -> list[Markup | str]:
-    """The meaning of the verdict, in sentences."""
-    verdict = record.document["verdict"]
-    said: list[Markup | str] = []
-    for group in record.document["indistinguishable"]:
-        compared = record.diagnosis.likeness
-        pairs = compared[compared["effect"].isin(group) & compared["other"].isin(group)]
-        # empty where it was not asked
-        least = f" (correlation {pairs['cosine'].min():.3f})" if len(pairs) else ""
-        alike = bold(
-            f"These look alike here: {enumerated([plain(name) for name in group])}{least}."
-        )
-        said.append(
-            alike
-            + " Each explains what was measured about as well as the others, so this data does not say which it "
-            "is. Their probabilities below are shared among them."
-        )
-    if verdict == "none":
-        said.append(
-            "What is left is noise and less than is tolerated. No effect of the library is evident."
-        )
-    if verdict == "unknown":
-        said.append(
-            Markup(
-                "More is left at the tip than is tolerated, and no effects of the library remove enough of it. It is "
-                "shown under {}."
-            ).format(link("#left", "What is left"))
-        )
-    if record.document.get("interrupted"):
-        said.append(
-            "Nothing is named before all was asked. What was known by then is shown below."
-        )
-    elif verdict == "insufficient":
-        said.append(
-            "Naming a cause takes more data than this. What was seen is shown below."
-        )
-    return said
-
-
-def budget(record: DiagnosisRecord) -> Section | None:
-    """The error budget at the tip, where the diagnosis has one."""
-    sources, left = (
-        record.document.get("budget"),
-        record.document["unexplained"].get("tip_rms_m"),
-    )
+def budget_section(record: DiagnosisRecord) -> Section | None:
+    """Show the error budget at the tip, if the diagnosis has one."""
+    sources, misfit = record.document["budget"], record.document["unexplained"]
     if not sources:
         return None
+    size = {end: format_mm(value, 1) for end, value in misfit["tip_rms_m"].items()}
+    tolerance = format_mm(misfit["tolerance_m"], 1)
     lead = (
-        "How far each source moves the string's tip, root mean square over the trials."
+        "How far each source moves the string's tip, root mean square over the trials. "
+        f"Unexplained: {size['value']} ({size['low']} to {size['high']}, 95 %); "
+        f"tolerance: {tolerance}."
     )
-    if left:
-        low, most, high = (mm(left[end], 1) for end in ("low", "value", "high"))
-        tolerated = mm(record.document["unexplained"]["tolerance_m"], 1)
-        lead += f" What nothing explains is {most} ({low} to {high}, 95 %); up to {tolerated} are tolerated."
-    rows = [
-        (
-            plain(one["source"]),
-            number(mm(one["tip_rms_m"], 2)),
-            number(gain(one.get("log_evidence", np.nan), "")),
-        )
-        for one in sources
-    ]
-    table = Table(("source", "at the tip", "evidence for it [log]"), rows)
-    return Section("Error budget", [Text(lead), Card("", [table])])
+    rows = [_budget_row(source) for source in sources]
+    table = Card("", [Table(("source", "at the tip", "log evidence"), rows)])
+    return Section("Error budget", [Text(lead), table])
+
+
+def _budget_row(source: Mapping[str, Any]) -> list[Any]:
+    evidence = format_gain(source.get("log_evidence", np.nan), "")
+    texts = [format_mm(source["tip_rms_m"], 2), evidence]
+    return [effect_title(source["source"]), *number_cells(texts)]

@@ -1,0 +1,86 @@
+"""Axes, legends and cells that several charts share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.container import BarContainer
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import FuncFormatter, NullLocator
+
+from stringcast.stages.model.box import Box
+from stringcast.stages.report.formatting import format_gain, superscript
+from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M
+
+
+def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
+    """Create a figure of a size [inch] with one pair of axes."""
+    figure = Figure(figsize=(width, height))
+    return figure, figure.subplots()
+
+
+def rows_figure(count: int, columns: int = 1) -> tuple[Figure, list[Axes]]:
+    """Create axes side by side with room for a horizontal row for each trial."""
+    figure = Figure(figsize=(5.4, 1.2 + 0.3 * count))
+    panels = figure.subplots(1, columns, sharey=True, squeeze=False)
+    return figure, list(panels[0])
+
+
+def add_legend_above(figure: Figure, columns: int, title: str | None = None) -> None:
+    """Add a legend of the first axes above the figure's axes."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    place = "outside upper left"
+    figure.legend(handles, labels, loc=place, ncols=columns, title=title)
+
+
+def label_decades(axis: Axis) -> None:
+    """Label a logarithmic axis by powers of ten alone: 10⁻³."""
+
+    def label(value: float, _: float) -> str:
+        return "10" + superscript(f"{value:.0e}".split("e")[1])
+
+    axis.set_major_formatter(FuncFormatter(label))
+    axis.set_minor_locator(NullLocator())
+
+
+def mean_in_cells(
+    positions: tuple[np.ndarray, np.ndarray],
+    values: np.ndarray,
+    edges: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """Average values in the cells of a grid.
+
+    Parameters
+    ----------
+    positions : two ndarrays, shape (N,)
+        Coordinates of the values, such as arc length and time.
+    values : ndarray, shape (N,)
+    edges : two ndarrays, shape (R + 1,) and (C + 1,)
+        Edges of the cells along each coordinate.
+
+    Returns
+    -------
+    ndarray, shape (R, C)
+        NaN in empty cells.
+    """
+    total, *_ = np.histogram2d(*positions, edges, weights=values)
+    count, *_ = np.histogram2d(*positions, edges)
+    empty = np.full(total.shape, np.nan)
+    return np.divide(total, count, out=empty, where=count > 0)
+
+
+def draw_box(axes: Axes, box: Box, **style: Any) -> None:
+    """Draw a target or obstacle in the plane, in mm."""
+    corner = ((box.x - box.w / 2) * MM_PER_M, (box.y - box.h / 2) * MM_PER_M)
+    axes.add_patch(Rectangle(corner, box.w * MM_PER_M, box.h * MM_PER_M, **style))
+
+
+def label_bars(axes: Axes, bars: BarContainer, gains: Iterable[float]) -> None:
+    """Label bars by the log-likelihoods that they show."""
+    labels = [format_gain(gain) for gain in gains]
+    axes.bar_label(bars, labels, padding=4, fontsize=8, color=LIGHT_COLOURS["soft"])

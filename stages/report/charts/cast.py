@@ -1,0 +1,417 @@
+"""Charts of casts: paths, distances, matching rates, and parameters cast by cast."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stringcast.data.artifacts import JOINTS, Estimate
+from stringcast.stages.common import rms
+from stringcast.stages.hit_test import MAX_GAP_S
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.report.charts.axes import draw_box, label_decades, mean_in_cells
+from stringcast.stages.report.formatting import (
+    format_count,
+    format_mm,
+    format_rate,
+    format_value,
+)
+from stringcast.stages.report.page import Chart, Line
+from stringcast.stages.report.records import CastRecord, RunRecord
+from stringcast.stages.report.theme import (
+    LIGHT_COLOURS,
+    MM_PER_M,
+    Picture,
+    figure_with_margins,
+    svg_picture,
+)
+
+STATES = ("before", "after")  # estimation
+
+# --- paths in the plane
+PATH_FIGURE_SIZE_IN = (5.4, 4.9)
+
+
+def cast_path_picture(record: RunRecord, cast: CastRecord) -> Picture | None:
+    """Draw the paths of hand and tip, and the arm at the start and at the closest
+    approach.
+    """
+    arm_table = cast.trial.arm
+    if arm_table.empty:
+        return None
+    figure, axes = _plane_with_boxes(record)
+    joints = cast.joint_positions(record.model.arm) * MM_PER_M
+    closest = cast.verdict.t if np.isfinite(cast.verdict.t) else cast.motion.duration
+    closest_tick = int(np.argmin(np.abs(arm_table["t"].to_numpy() - closest)))
+    for tick, alpha in ((0, 0.35), (closest_tick, 1.0)):
+        axes.plot(
+            *joints[tick].T, "-o", color=LIGHT_COLOURS["soft"], lw=3, ms=4, alpha=alpha
+        )
+    hand = joints[:, -1]
+    axes.plot(*hand.T, color=LIGHT_COLOURS["after"], label="hand")
+    tip = cast.tip_path(np.arange(0, cast.motion.duration, 0.001)) * MM_PER_M
+    if np.isfinite(tip).any():
+        axes.plot(*tip.T, color=LIGHT_COLOURS["measured"], lw=1, label="string's tip")
+    _add_wide_legend(figure, axes)
+    length = format_mm(float(np.hypot(*np.diff(hand, axis=0).T).sum() / MM_PER_M))
+    words = (
+        f"Path of the hand, {length} long, and of the tip; {_describe_target(record)}."
+    )
+    return svg_picture(figure, words)
+
+
+def hand_paths_picture(record: RunRecord) -> Picture | None:
+    """Draw the path of the hand in each cast, from faint to strong."""
+    casts = [cast for cast in record.casts if not cast.trial.arm.empty]
+    if len(casts) < 2:
+        return None
+    figure, axes = _plane_with_boxes(record)
+    strengths = np.linspace(0, 1, len(record.casts))
+    for number, (cast, strength) in enumerate(
+        zip(record.casts, strengths, strict=True), 1
+    ):
+        hand = cast.joint_positions(record.model.arm)[:, -1] * MM_PER_M
+        look = {"alpha": 0.25 + 0.75 * strength, "lw": 1 + strength}
+        axes.plot(*hand.T, color=LIGHT_COLOURS["after"], label=f"cast {number}", **look)
+    axes.plot(
+        *np.array(record.model.arm.base) * MM_PER_M,
+        "s",
+        ms=6,
+        color=LIGHT_COLOURS["soft"],
+    )
+    _add_wide_legend(figure, axes)
+    words = f"Path of the hand in {len(casts)} casts; {_describe_target(record)}."
+    return svg_picture(figure, words)
+
+
+def _plane_with_boxes(record: RunRecord) -> tuple[Figure, Axes]:
+    """Create axes with target and obstacles to scale."""
+    figure = figure_with_margins(*PATH_FIGURE_SIZE_IN)
+    axes = figure.subplots()
+    axes.margins(0.08)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
+    target = {
+        "fill": False,
+        "edgecolor": LIGHT_COLOURS["target"],
+        "lw": 1.8,
+        "label": "target",
+    }
+    draw_box(axes, record.target, **target)
+    for obstacle in record.obstacles:
+        look = {
+            "facecolor": LIGHT_COLOURS["wall"],
+            "alpha": 0.5,
+            "lw": 0,
+            "label": "obstacle",
+        }
+        draw_box(axes, obstacle, **look)
+    return figure, axes
+
+
+def _add_wide_legend(figure: Figure, axes: Axes) -> None:
+    """Add a legend above the axes with every label once."""
+    handles, labels = axes.get_legend_handles_labels()
+    handle_of = dict(zip(labels, handles, strict=True))
+    figure.legend(handle_of.values(), handle_of.keys(), loc="upper left", ncols=6)
+    legend_height = 0.1 + 0.18 * np.ceil(len(handle_of) / 6)  # [inch]
+    figure.subplots_adjust(top=1 - legend_height / PATH_FIGURE_SIZE_IN[1])
+
+
+def _describe_target(record: RunRecord) -> str:
+    count = len(record.obstacles)
+    obstacles = f" and {format_count(count, 'obstacle')}" if count else ""
+    target = record.target
+    return f"target at ({target.x * MM_PER_M:.0f}, {target.y * MM_PER_M:.0f}) mm{obstacles}"
+
+
+# --- over time
+JOINT_COLOURS = ("after", "before", "measured")  # from the base
+
+
+def joint_charts(cast: CastRecord) -> list[Chart]:
+    """Chart the joint angles, commanded and measured, and their difference."""
+    commanded, measured = cast.motion.commands, cast.trial.arm
+    t = measured["t"].to_numpy()
+    angles, differences, largest = [], [], []
+    for joint, colour in zip(JOINTS, JOINT_COLOURS, strict=True):
+        command = np.interp(t, commanded["t"], commanded[joint])
+        angle = measured[joint].to_numpy()
+        difference = np.degrees(angle - command)
+        angles += [
+            Line(joint, np.degrees(angle), colour),
+            Line(f"{joint} commanded", np.degrees(command), "ink", dashed=True),
+        ]
+        differences.append(Line(joint, difference, colour))
+        largest.append(f"{joint} {np.abs(difference).max():.1f}°")
+    summary = ", ".join(largest)
+    return [
+        _cast_chart(
+            cast,
+            "Joint angles",
+            t,
+            angles,
+            "angle [°]",
+            f"Joint angles, commanded and measured; largest differences {summary}.",
+            "Joint 1 is at the base. Dashed: commanded.",
+            low=None,
+        ),
+        _cast_chart(
+            cast,
+            "Tracking error of the joints",
+            t,
+            differences,
+            "difference [°]",
+            f"Joint angles, measured minus commanded; at most {summary}.",
+            "",
+            low=None,
+        ),
+    ]
+
+
+def _cast_chart(
+    cast: CastRecord,
+    title: str,
+    t: np.ndarray,
+    lines: Sequence[Line],
+    axis: str,
+    words: str,
+    caption: str,
+    low: float | None = 0.0,
+) -> Chart:
+    """Create a chart with the arm's movement and the closest approach marked."""
+    moving = (0.0, float(cast.motion.duration))
+    return Chart(title, t, lines, axis, words, caption, moving, cast.verdict.t, low)
+
+
+def break_at_gaps(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Set values over times [s] to NaN after each gap too long to draw a line across."""
+    return np.where(np.diff(t, prepend=t[:1]) > MAX_GAP_S, np.nan, values)
+
+
+def matching_chart(
+    estimate: Estimate | None, title: str, cast: CastRecord | None = None
+) -> Chart | None:
+    """Chart E_f before and after an estimation in the newest of its trials."""
+    if estimate is None or estimate.matching.empty:
+        return None
+    table = estimate.matching
+    table = table[table["trial"] == table["trial"].iloc[-1]].sort_values("t")
+    t = table["t"].to_numpy()
+    lines, means = [], []
+    for state in STATES:
+        rates = table[state].to_numpy()
+        lines.append(Line(f"{state} estimation", break_at_gaps(t, rates), state))
+        means.append(format_rate(float(np.nanmean(rates))))
+    words = (
+        f"Matching rate over time: on average {means[0]} before estimation, "
+        f"{means[1]} after."
+    )
+    caption = "How well simulation and camera agree, frame by frame; 1 is perfect."
+    if cast is None:
+        return Chart(title, t, lines, "E_f [1]", words, caption)
+    caption += " Shaded: the arm moves."
+    return _cast_chart(cast, title, t, lines, "E_f [1]", words, caption)
+
+
+# --- distance of simulated and measured string
+DISTANCE_COLOURS = colormaps["viridis"].resampled(24)  # more would double the picture
+STRING_CELLS, MAX_TIME_CELLS = 30, 140  # a time cell is two pixels of the page
+
+
+def distances(
+    record: RunRecord, cast: CastRecord, simulated: np.ndarray
+) -> pd.DataFrame:
+    """Return the distance of each measured point from a simulated string.
+
+    Parameters
+    ----------
+    simulated : ndarray, shape (F, n, 2)
+        String at the frame times [m].
+
+    Returns
+    -------
+    DataFrame
+        frame, s [m] and distance [m] at the same arc length.
+    """
+    string = record.model.string
+    lines = cast.centre_lines
+    frame = np.repeat(list(lines), [len(line) for line in lines.values()])
+    points = np.concatenate(list(lines.values()))
+    s = points[:, 2]
+    place = np.clip(s / string.segment_length, 0, string.points - 1)
+    first = np.minimum(place.astype(int), string.points - 2)
+    share = (place - first)[:, None]
+    on_string = (1 - share) * simulated[frame, first] + share * simulated[
+        frame, first + 1
+    ]
+    distance = np.hypot(*(on_string - points[:, :2]).T)
+    return pd.DataFrame({"frame": frame, "s": s, "distance": distance})
+
+
+def distance_scale_end(record: RunRecord) -> float:
+    """Return the end [m] of the colour scale of all casts.
+
+    0.5 % of the points lie farther away after estimation.
+    """
+    after = [
+        distances(record, cast, cast.after)
+        for cast in record.casts
+        if cast.centre_lines
+    ]
+    if not after:
+        return 0.0
+    return float(pd.concat(after)["distance"].quantile(0.995))
+
+
+def distance_map(
+    record: RunRecord, cast: CastRecord, scale_end: float
+) -> Picture | None:
+    """Map the distance after estimation over arc length and time.
+
+    Cells hold the mean of one frame or several; frames that were not read stay empty.
+    """
+    if not cast.centre_lines:
+        return None
+    table = distances(record, cast, cast.after)
+    t = cast.frame_times
+    half = np.median(np.diff(t)) / 2 if len(t) > 1 else cast.motion.duration
+    time_edges = np.append(t - half, t[-1] + half)
+    if len(t) > MAX_TIME_CELLS:
+        time_edges = np.linspace(time_edges[0], time_edges[-1], MAX_TIME_CELLS + 1)
+    length = max(record.model.string.length, table["s"].max())
+    string_edges = np.linspace(0, length, STRING_CELLS + 1)
+    positions = (table["s"].to_numpy(), t[table["frame"]])
+    cells = mean_in_cells(positions, table["distance"], (string_edges, time_edges))
+
+    figure = figure_with_margins(5.4, 2.6)
+    axes = figure.subplots()
+    drawn = axes.pcolorfast(
+        time_edges * MM_PER_M,
+        string_edges * MM_PER_M,
+        cells * MM_PER_M,
+        cmap=DISTANCE_COLOURS,
+        vmin=0,
+        vmax=scale_end * MM_PER_M,
+    )
+    axes.grid(visible=False)
+    axes.set(xlabel="time [ms]", ylabel="arc length [mm]")
+    bar = figure.colorbar(drawn, ax=axes, aspect=20, label="distance [mm]", pad=0.02)
+    assert bar.solids is not None
+    bar.solids.set_rasterized(True)  # each step would be a path
+    axes.axvspan(
+        0,
+        cast.motion.duration * MM_PER_M,
+        color=LIGHT_COLOURS["axis"],
+        alpha=0.16,
+        lw=0,
+    )
+    if np.isfinite(cast.verdict.t):
+        axes.axvline(
+            cast.verdict.t * MM_PER_M, color=LIGHT_COLOURS["target"], lw=1.2, ls="--"
+        )
+    size = format_mm(rms(table["distance"]), 1)
+    words = f"Distance of the simulated from the measured string after estimation: RMS {size}."
+    return svg_picture(figure, words)
+
+
+def distance_chart(record: RunRecord, cast: CastRecord) -> Chart | None:
+    """Chart the root mean square distance over the string before and after estimation."""
+    if not cast.centre_lines:
+        return None
+    lines, sizes = [], []
+    for state, simulated in zip(STATES, (cast.before, cast.after), strict=True):
+        table = distances(record, cast, simulated)
+        squares = (table["distance"] ** 2).groupby(table["frame"]).mean()
+        squares = squares.reindex(range(len(cast.frame_times)))
+        by_frame = np.sqrt(squares.to_numpy()) * MM_PER_M
+        lines.append(Line(f"{state} estimation", by_frame, state))
+        sizes.append(format_mm(rms(table["distance"]), 1))
+    words = (
+        f"Distance of the simulated from the measured string: RMS {sizes[0]} before, "
+        f"{sizes[1]} after."
+    )
+    caption = (
+        "Root mean square over the string. Gaps are frames that could not be read."
+    )
+    title, axis = "Distance over time", "RMS [mm]"
+    return _cast_chart(cast, title, cast.frame_times, lines, axis, words, caption)
+
+
+# --- from cast to cast
+def progress_picture(record: RunRecord) -> Picture:
+    """Draw the closest approach of each cast, and E before and after its estimation."""
+    figure = figure_with_margins(5.4, 4.9)
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    distance = np.array([cast.verdict.distance for cast in record.casts]) * MM_PER_M
+    is_hit = np.array([cast.verdict.hit for cast in record.casts])
+    numbers = np.arange(1, len(distance) + 1)
+    top.plot(numbers, distance, color=LIGHT_COLOURS["target"])
+    for chosen, label, fill in (
+        (~is_hit, "missed", "none"),
+        (is_hit, "hit", LIGHT_COLOURS["target"]),
+    ):
+        if chosen.any():
+            look = {"color": LIGHT_COLOURS["target"], "mfc": fill, "label": label}
+            top.plot(numbers[chosen], distance[chosen], "o", **look)
+    top.set(ylabel="closest to centre [mm]", ylim=(0, None))
+
+    for number, cast in zip(numbers, record.casts, strict=True):
+        if cast.estimate is None:
+            continue
+        rates = cast.estimate.fit.iloc[0][list(STATES)].astype(float)
+        bottom.plot(
+            [number, number], rates, color=LIGHT_COLOURS["axis"], lw=1.2, zorder=1
+        )
+        for state in STATES:
+            label = f"{state} estimation" if number == 1 else ""
+            bottom.plot(
+                number, rates[state], "o", color=LIGHT_COLOURS[state], label=label
+            )
+    bottom.set(xlabel="cast", ylabel="matching rate E [1]", ylim=(0, 1.02))
+    bottom.set(xticks=numbers, xlim=(0.6, len(numbers) + 0.4))
+    figure.legend(loc="upper left", ncols=4)
+    closest = ", ".join(format_mm(cast.verdict.distance) for cast in record.casts)
+    words = (
+        f"Closest approach of the tip to the target's centre, cast by cast: {closest}."
+    )
+    return svg_picture(figure, words)
+
+
+def history_picture(parameter: Parameter, estimates: Sequence[Estimate]) -> Picture:
+    """Draw the estimates of a parameter, from the start value (0) on.
+
+    Bars are 95 % intervals; hollow marks are not determined by the data.
+    """
+    tables = [estimate.parameters.set_index("name") for estimate in estimates]
+    rows = pd.DataFrame([table.loc[parameter.name] for table in tables])
+    rows.index = range(1, len(rows) + 1)
+    blue = LIGHT_COLOURS["after"]
+    figure = figure_with_margins(2.5, 1.55, left=0.5, top=0.16)
+    axes = figure.subplots()
+    lowest, highest = rows["minimum"].min(), rows["maximum"].max()
+    axes.axhspan(lowest, highest, color=LIGHT_COLOURS["axis"], alpha=0.16, lw=0)
+    axes.plot([0, *rows.index], [parameter.start, *rows["value"]], color=blue, lw=1.2)
+    axes.vlines(rows.index, rows["low"], rows["high"], color=blue, lw=4, alpha=0.35)
+    for number, row in rows.iterrows():
+        fill = blue if row["determined"] else "none"
+        axes.plot(number, row["value"], "o", ms=5, mec=blue, mfc=fill)
+    if lowest > 0:
+        axes.set_yscale("log")
+        label_decades(axes.yaxis)
+    else:
+        axes.ticklabel_format(axis="y", scilimits=(-2, 4))
+    axes.set(xticks=range(len(rows) + 1), xlim=(-0.3, len(rows) + 0.3))
+    axes.set_xlabel("estimation", fontsize=8)
+    last = rows.iloc[-1]
+    suffix = "" if last["determined"] else ", not determined by the data"
+    words = (
+        f"{parameter.name.replace('_', ' ')} from {format_value(parameter.start)} at the "
+        f"start to {format_value(last['value'])} {parameter.unit} after "
+        f"{format_count(len(rows), 'estimation')}{suffix}."
+    )
+    return svg_picture(figure, words)

@@ -1,0 +1,274 @@
+"""The paper's figures from the study's tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stringcast.stages.model.box import Box
+from stringcast.stages.report.charts.axes import (
+    add_legend_above,
+    draw_box,
+    label_decades,
+    new_axes,
+)
+from stringcast.stages.report.charts.cast import break_at_gaps
+from stringcast.stages.report.formatting import format_mm, format_rate, format_value
+from stringcast.stages.report.records import EXPERIMENT_LABELS, PaperFigure, PaperRecord
+from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M
+
+# --- how often it hits
+HIT_RATE_MARKERS = {
+    1: ("before", "o"),
+    2: ("after", "s"),
+    3: ("measured", "D"),
+    5: ("target", "^"),
+}
+
+
+def hit_rates_figure(record: PaperRecord) -> PaperFigure | None:
+    """Draw the share of hits within some manipulations, a row for each experiment."""
+    if not record.finished_experiments:
+        return None
+    figure, axes = new_axes(5.4, 1.1 + 0.42 * len(record.finished_experiments))
+    labels, summary = [], []
+    for row, condition in enumerate(record.finished_experiments):
+        table = record.rows_of("rates", condition).set_index("within")
+        for step, (within, (colour, marker)) in enumerate(HIT_RATE_MARKERS.items()):
+            if within not in table.index:
+                continue
+            rate = table.loc[within]
+            y = row + 0.18 * (step - 1.5)
+            axes.hlines(
+                y,
+                rate["low"],
+                rate["high"],
+                color=LIGHT_COLOURS[colour],
+                lw=2.5,
+                alpha=0.3,
+            )
+            look = {"color": LIGHT_COLOURS[colour], "ms": 4.5, "ls": "none"}
+            label = f"within {within}" if row == 0 else None
+            axes.plot(rate["share"], y, marker, label=label, **look)
+        last = table.loc[table.index.max()]
+        labels.append(f"{EXPERIMENT_LABELS[condition]}  (n = {last['count']:.0f})")
+        summary.append(
+            f"{EXPERIMENT_LABELS[condition]} {last['right']:.0f} of {last['count']:.0f}"
+        )
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set(xlim=(-0.02, 1.02), ylim=(len(labels) - 0.5, -0.5))
+    axes.set_xlabel("share of runs that hit, with 95 % interval")
+    axes.set_xticks(
+        np.linspace(0, 1, 6), ["0", "20 %", "40 %", "60 %", "80 %", "100 %"]
+    )
+    add_legend_above(figure, 4, title="manipulations")
+    most = record.tables["rates"]["within"].max()
+    return PaperFigure(
+        figure, f"Runs that hit within {most} manipulations: {', '.join(summary)}."
+    )
+
+
+# --- shapes of the string
+LINE_STYLES: dict[str, dict[str, Any]] = {
+    "arm": {"color": LIGHT_COLOURS["soft"], "lw": 2.2, "marker": "o", "ms": 3},
+    "foretold": {"color": LIGHT_COLOURS["before"], "lw": 1.5, "ls": (0, (3, 1.5))},
+    "measured": {"color": LIGHT_COLOURS["measured"], "lw": 1.7},
+}
+LINE_LABELS = {
+    "arm": "arm",
+    "foretold": "string, simulated",
+    "measured": "string, filmed",
+}
+
+
+def string_shapes_figure(
+    record: PaperRecord, casts: Sequence[tuple[str, int]]
+) -> PaperFigure | None:
+    """Draw arm and string over time, a panel for each cast (experiment, manipulation)."""
+    if not casts:
+        return None
+    figure = Figure(figsize=(2.75 * max(len(casts), 2), 3.5))
+    panels = figure.subplots(1, len(casts), sharex=True, sharey=True, squeeze=False)[0]
+    titles = []
+    for axes, (condition, number) in zip(panels, casts, strict=True):
+        _draw_shapes(axes, record.cast_rows("lines", condition, number))
+        _draw_boxes(axes, record, condition)
+        title = _cast_title(record, condition, number)
+        axes.set(xlabel="x [mm]", aspect="equal")
+        axes.locator_params(nbins=5)
+        axes.set_title(title, fontsize=8.5)
+        titles.append(title.replace("\n", ", "))
+    panels[0].set_ylabel("y [mm]")
+    handles, labels = panels[0].get_legend_handles_labels()
+    handle_of = dict(zip(labels, handles, strict=True))
+    shown = [label for label in LINE_LABELS.values() if label in handle_of]
+    place = "outside upper left"
+    figure.legend([handle_of[label] for label in shown], shown, loc=place, ncols=3)
+    return PaperFigure(figure, f"Drawn are {'; '.join(titles)}.")
+
+
+def _draw_shapes(axes: Axes, lines: pd.DataFrame) -> None:
+    """Draw the lines of each moment, the fainter the earlier."""
+    last = lines["moment"].max()
+    for (moment, kind), line in lines.groupby(["moment", "kind"]):
+        alpha = 0.25 + 0.75 * (moment / last) ** 2
+        if kind == "arm":
+            alpha *= 0.5
+        label = LINE_LABELS[kind] if moment == last else None
+        look = {"alpha": alpha, "label": label, **LINE_STYLES[kind]}
+        axes.plot(line["x"] * MM_PER_M, line["y"] * MM_PER_M, **look)
+
+
+def _draw_boxes(axes: Axes, record: PaperRecord, condition: str) -> None:
+    target = {"fill": False, "ec": LIGHT_COLOURS["target"], "lw": 1.6}
+    obstacle = {"fc": LIGHT_COLOURS["wall"], "alpha": 0.5}
+    for row in record.rows_of("boxes", condition).itertuples():
+        style = target if row.kind == "target" else obstacle
+        draw_box(axes, Box(row.x, row.y, row.w, row.h), zorder=3, **style)
+
+
+def _cast_title(record: PaperRecord, condition: str, number: int) -> str:
+    verdict = record.cast_verdict(condition, number)
+    result = "hit" if verdict["hit"] else f"missed by {format_mm(verdict['miss_m'])}"
+    return f"{EXPERIMENT_LABELS[condition]}\nmanipulation {number}, {result}"
+
+
+def hand_paths_figure(
+    record: PaperRecord, conditions: Sequence[str]
+) -> PaperFigure | None:
+    """Draw the hand path of the last cast of each experiment; a dot marks its start."""
+    finished = [name for name in conditions if record.cast_numbers(name)]
+    if not finished:
+        return None
+    figure, axes = new_axes(5.4, 4.9)
+    rises = []
+    for name, colour in zip(finished, ("after", "before", "measured"), strict=False):
+        number = record.cast_numbers(name)[-1]
+        hand = record.cast_rows("hands", name, number).sort_values("t")
+        x, y = hand["x"].to_numpy() * MM_PER_M, hand["y"].to_numpy() * MM_PER_M
+        axes.plot(x, y, color=LIGHT_COLOURS[colour], label=EXPERIMENT_LABELS[name])
+        axes.plot(x[0], y[0], "o", color=LIGHT_COLOURS[colour], ms=5)
+        _draw_boxes(axes, record, name)
+        side = "above" if y[-1] > y[0] else "below"
+        rises.append(
+            f"{EXPERIMENT_LABELS[name]}: the hand ends {abs(y[-1] - y[0]):.0f} mm {side}"
+        )
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
+    add_legend_above(figure, 3)
+    return PaperFigure(figure, f"Paths of the hand. {'; '.join(rises)} its start.")
+
+
+# --- Fig. 14: the matching rate over time
+COMPARED_CAST = 4  # that the paper compares with the first
+HIT_HALF_WINDOW_S = 0.05  # around the closest approach, over which E_f is averaged
+
+
+def matching_figure(record: PaperRecord, condition: str) -> PaperFigure | None:
+    """Draw E_f with the parameters of each motion; dashed: the closest approach."""
+    casts = {}
+    for number in record.cast_numbers(condition):
+        table = record.cast_rows("matching", condition, number)
+        if len(table):
+            casts[number] = table.sort_values("t")
+    if not casts:
+        return None
+    figure, axes = new_axes(5.4, 3.0)
+    compared = max(number for number in casts if number <= COMPARED_CAST)
+    means: dict[int, float] = {}
+    for number, colour in zip(
+        dict.fromkeys([min(casts), compared]), ("before", "after"), strict=False
+    ):
+        t, rates = casts[number]["t"].to_numpy(), casts[number]["before"].to_numpy()
+        label = f"manipulation {number}"
+        axes.plot(
+            t * MM_PER_M,
+            break_at_gaps(t, rates),
+            color=LIGHT_COLOURS[colour],
+            label=label,
+        )
+        closest = record.cast_verdict(condition, number)["t_closest"]
+        axes.axvline(closest * MM_PER_M, color=LIGHT_COLOURS[colour], lw=1, ls="--")
+        means[number] = float(
+            np.nanmean(rates[np.abs(t - closest) <= HIT_HALF_WINDOW_S])
+        )
+    axes.set(xlabel="time [ms]", ylabel="matching rate E$_f$ [1]", ylim=(0, 1.02))
+    add_legend_above(figure, 2)
+    summary = ", ".join(
+        f"{format_rate(mean)} in manipulation {n}" for n, mean in means.items()
+    )
+    first, *later = means.values()
+    comparison = ""
+    if later:
+        is_higher = later[0] > first
+        comparison = (
+            ": higher, as in the paper"
+            if is_higher
+            else ": not higher, unlike in the paper"
+        )
+    words = f"Around the closest approach, 50 ms each side, E is {summary}{comparison}."
+    return PaperFigure(figure, words)
+
+
+# --- Table 4: estimated parameters
+TABLE_4_SYMBOLS = ("k_h", "c_h", "k_ph", "c_ph")
+
+
+def table_4_figure(
+    record: PaperRecord, conditions: Sequence[str]
+) -> PaperFigure | None:
+    """Draw the parameters of each string; grey: the range searched, crosses: the paper."""
+    table = record.tables["parameters"]
+    found = table[
+        table["condition"].isin(conditions) & table["symbol"].isin(TABLE_4_SYMBOLS)
+    ]
+    if found.empty:
+        return None
+    figure = Figure(figsize=(5.4, 4.4))
+    numbers, summary = record.tables["numbers"], []
+    for axes, symbol in zip(figure.subplots(2, 2).flat, TABLE_4_SYMBOLS, strict=True):
+        ours = found[found["symbol"] == symbol]
+        printed = numbers[numbers["of"] == symbol].set_index("what")["value"]
+        paper = {name: printed[f"string {name[-1]}"] for name in conditions}
+        _draw_parameter(axes, ours, paper)
+        axes.set_title(f"${symbol.replace('_', '_{')}}}$", fontsize=10)
+        medians = [
+            f"{name[-1]} {format_value(rows['value'].median())} (the paper {format_value(paper[name])})"
+            for name, rows in ours.groupby("condition")
+        ]
+        is_low = np.isclose(ours["value"], ours["minimum"])
+        is_high = np.isclose(ours["value"], ours["maximum"])
+        count = (is_low | is_high).sum()
+        summary.append(
+            f"{symbol}: {', '.join(medians)}; at an end of its range in {count} of {len(ours)} runs."
+        )
+    add_legend_above(figure, 3)
+    return PaperFigure(figure, " ".join(summary))
+
+
+def _draw_parameter(axes: Axes, ours: pd.DataFrame, paper: dict[str, float]) -> None:
+    low, high = ours["minimum"].min(), ours["maximum"].max()
+    axes.axvspan(
+        low, high, color=LIGHT_COLOURS["axis"], alpha=0.16, lw=0, label="range"
+    )
+    for row, (condition, printed) in enumerate(paper.items()):
+        labels = ("a run of ours", "the paper") if row == 0 else (None, None)
+        values = ours.loc[ours["condition"] == condition, "value"]
+        look = {
+            "color": LIGHT_COLOURS["after"],
+            "alpha": 0.6,
+            "ms": 5,
+            "label": labels[0],
+        }
+        axes.plot(values, [row - 0.12] * len(values), "o", **look)
+        look = {"color": LIGHT_COLOURS["before"], "ms": 7, "mew": 2, "label": labels[1]}
+        axes.plot([printed], [row + 0.18], "x", **look)
+    axes.set_xscale("log")
+    label_decades(axes.xaxis)
+    axes.set_yticks(range(len(paper)), [condition[-1] for condition in paper])
+    axes.set_ylim(len(paper) - 0.5, -0.5)
+    axes.set_xlabel(ours["unit"].iloc[0], fontsize=8)

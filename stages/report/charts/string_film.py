@@ -1,0 +1,76 @@
+"""Films of a trial of a diagnosis: the string, measured and simulated."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stringcast.stages.report.records import DiagnosisRecord, model_distances
+from stringcast.stages.report.theme import MM_PER_M
+
+FRAME_QUANTILE = 0.75  # along the string, of the misfit of a frame: ignores outliers
+FILM_SIZE_PX = 420  # of the longer side
+FILM_EDGE_PX = 24  # free around the strings, and for the line that shows the scale
+MAX_COORDINATES = 60_000  # in all films of a page: 0.3 MB
+TIP_LENGTH_TOLERANCE = (
+    0.05  # share of the length within which a point stands for the tip
+)
+
+
+def worst_frame(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of the frame with the largest misfit of the base model.
+
+    The misfit is relative to the uncertainty of noise and numerical error.
+    """
+    ratios = model_distances(table, "base") / table["doubt"]
+    t = ratios.groupby(table["t"]).quantile(FRAME_QUANTILE).idxmax()
+    return table[table["t"] == t].sort_values("s")
+
+
+def tip_points(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the outermost point of each frame in which the tip is visible."""
+    ends = table.loc[table.groupby("t")["s"].idxmax()]
+    shortest = (1 - TIP_LENGTH_TOLERANCE) * table["s"].max()
+    return ends[ends["s"] >= shortest].sort_values("t")
+
+
+def string_film_data(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, Any]:
+    """Return the strings of a trial and the paths of their tips, measured and
+    simulated.
+
+    The film begins at the largest misfit of the base model. The data are JSON-able;
+    coordinates are pixels of the film, times are in ms.
+    """
+    columns = {"measured": ["x", "y"]}
+    columns |= {model: [f"{model}_x", f"{model}_y"] for model in record.models}
+    points = np.concatenate([table[pair].to_numpy() for pair in columns.values()])
+    low, high = points.min(axis=0), points.max(axis=0)
+    px_per_m = (FILM_SIZE_PX - 2 * FILM_EDGE_PX) / max(float((high - low).max()), 1e-3)
+    width, height = (high - low) * px_per_m + 2 * FILM_EDGE_PX
+
+    def pixels(rows: pd.DataFrame, pair: list[str]) -> list[list[float]]:
+        x, y = ((rows[pair].to_numpy() - low) * px_per_m + FILM_EDGE_PX).T
+        return np.round(np.stack([x, height - y], axis=-1), 1).tolist()
+
+    # every n-th frame, so that all films of the page stay small
+    stride = -(-2 * len(points) * len(record.drawn_trials) // MAX_COORDINATES)
+    frames = {t: rows.sort_values("s") for t, rows in table.groupby("t")}
+    start = float(worst_frame(table)["t"].iloc[0])
+    times = [t for i, t in enumerate(frames) if i % stride == 0 or t == start]
+    strings, paths = {}, {}
+    for name, pair in columns.items():
+        strings[name] = [pixels(frames[t], pair) for t in times]
+        paths[name] = pixels(tip_points(table), pair)
+    return {
+        "width": round(width),
+        "height": round(height),
+        "metre": px_per_m,
+        "t": [round(t * MM_PER_M, 1) for t in times],
+        "start": times.index(start),
+        "boxes": [],
+        "stills": [],
+        "strings": strings,
+        "ways": paths,
+    }

@@ -1,0 +1,200 @@
+"""Outcomes of a sweep over its settings and over the workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from stringcast.stages.report.charts.axes import label_decades, new_axes
+from stringcast.stages.report.formatting import format_mean, format_value
+from stringcast.stages.report.outcomes import Outcome, mean_response
+from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M, Picture, svg_picture
+
+MIN_LOG_AXIS_RATIO = 20  # of the levels of a setting on a logarithmic axis
+EQUAL_VALUES_TOLERANCE = 1e-9  # relative: a geometric mean is off by 1e-15
+MAX_LABEL_LENGTH = 28  # characters of an axis label in the usual size
+MAX_OPACITY = 0.75  # dark enough to see and light enough to read on
+MIN_OPACITY = 0.15
+TARGET_COLUMNS = ["target.x", "target.y"]
+TILTED_LABELS = {"rotation": 20, "ha": "right", "rotation_mode": "anchor"}
+
+
+def level_labels(values: pd.Series) -> dict[Any, str]:
+    """Return the levels of a setting in order, each with its label."""
+    labels = {}
+    for level in sorted(values.unique()):
+        labels[level] = f"{level:g}" if pd.api.types.is_number(level) else str(level)
+    return labels
+
+
+def label_levels(axes: Axes, values: pd.Series) -> Callable[[pd.Series], np.ndarray]:
+    """Label the levels on the x axis: numbers to scale, words side by side.
+
+    Returns
+    -------
+    callable
+        Positions of values on the axis.
+    """
+    labels = level_labels(values)
+    levels = list(labels)
+    if not pd.api.types.is_numeric_dtype(values):
+        axes.set_xticks(range(len(levels)), list(labels.values()), **TILTED_LABELS)
+        axes.set_xlim(-0.5, len(levels) - 0.5)
+        return lambda chosen: chosen.map(levels.index).to_numpy(float)
+    if min(levels) > 0 and max(levels) / min(levels) > MIN_LOG_AXIS_RATIO:
+        axes.set_xscale("log")
+    axes.set_xticks(levels, list(labels.values()))
+    axes.xaxis.set_minor_locator(NullLocator())
+    return lambda chosen: chosen.to_numpy(float)
+
+
+def setting_label(factor: str, units: Mapping[str, str]) -> str:
+    """Return the axis label of a setting."""
+    return f"{factor} [{units[factor]}]" if factor in units else factor
+
+
+def outcome_curve(
+    jobs: pd.DataFrame, outcome: Outcome, factor: str, units: Mapping[str, str]
+) -> Picture | None:
+    """Draw an outcome over a setting; None if no job knows it.
+
+    Parameters
+    ----------
+    jobs : DataFrame
+        Finished jobs.
+    outcome : Outcome
+    factor : str
+        Column of the setting.
+    units : mapping
+        Units of settings.
+    """
+    means = mean_response(jobs, outcome, [factor])
+    if means.empty:
+        return None
+    figure, axes = new_axes(2.9, 2.2)
+    position = label_levels(axes, jobs[factor])
+    known = jobs[jobs[outcome.name].notna()]
+    values = known[outcome.name] * outcome.scale
+    grey = {"ms": 3, "mew": 0, "color": LIGHT_COLOURS["wall"], "alpha": 0.5}
+    axes.plot(position(known[factor]), values, "o", **grey)
+    x, blue = position(means[factor]), LIGHT_COLOURS["after"]
+    is_number = pd.api.types.is_numeric_dtype(jobs[factor])
+    axes.plot(
+        x, means["mean"], "o", ls="-" if is_number else "none", ms=4.5, color=blue
+    )
+    axes.vlines(x, means["low"], means["high"], color=blue, lw=4, alpha=0.35)
+    if outcome.axis == "log":
+        _use_log_scale(axes)
+    axes.set_xlabel(setting_label(factor, units), fontsize=8)
+    is_long = len(outcome.title) > MAX_LABEL_LENGTH
+    axes.set_ylabel(outcome.title, fontsize=7 if is_long else 8)
+    levels = means.to_dict("records")
+    summary = ", ".join(f"{format_mean(row)} at {row[factor]}" for row in levels)
+    return svg_picture(figure, f"{outcome.title} over {factor}: {summary}.")
+
+
+def _use_log_scale(axes: Axes) -> None:
+    low, high = axes.dataLim.intervaly
+    if high < low * (1 + EQUAL_VALUES_TOLERANCE):
+        axes.set_ylim(low / 2, high * 2)
+    axes.set_yscale("log")
+    label_decades(axes.yaxis)
+    if high < 10 * low:  # one power of ten, or none, would be the only label
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(
+            FuncFormatter(lambda value, _: format_value(value))
+        )
+
+
+def outcome_map(
+    jobs: pd.DataFrame, outcome: Outcome, pair: list[str], units: Mapping[str, str]
+) -> Picture | None:
+    """Draw an outcome over a pair of settings; None if no job knows it.
+
+    Parameters
+    ----------
+    jobs : DataFrame
+        Finished jobs.
+    outcome : Outcome
+    pair : list of str
+        Columns of the settings, that of the x axis first.
+    units : mapping
+        Units of settings.
+    """
+    means = mean_response(jobs, outcome, pair)
+    if means.empty:
+        return None
+    x_labels, y_labels = level_labels(jobs[pair[0]]), level_labels(jobs[pair[1]])
+    x_levels, y_levels = list(x_labels), list(y_labels)
+    figure, axes = new_axes(1.6 + 0.62 * len(x_levels), 1.0 + 0.4 * len(y_levels))
+    low, high = means["mean"].min(), means["mean"].max()
+    for _, row in means.iterrows():
+        x, y = x_levels.index(row[pair[0]]), y_levels.index(row[pair[1]])
+        shade = MAX_OPACITY * (row["mean"] - low) / (high - low) if high > low else 0.0
+        colour = {"facecolor": LIGHT_COLOURS["after"], "alpha": shade}
+        axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, lw=0, **colour))
+        axes.text(x, y, format_value(row["mean"]), ha="center", va="center", fontsize=8)
+    axes.set_xticks(range(len(x_levels)), list(x_labels.values()), **TILTED_LABELS)
+    axes.set_yticks(range(len(y_levels)), list(y_labels.values()))
+    axes.set(xlim=(-0.5, len(x_levels) - 0.5), ylim=(-0.5, len(y_levels) - 0.5))
+    axes.set(xlabel=setting_label(pair[0], units), ylabel=setting_label(pair[1], units))
+    axes.grid(False)
+    axes.tick_params(length=0)
+    ends = f"{format_value(low)} to {format_value(high)}"
+    return svg_picture(
+        figure, f"Mean {outcome.title} over {pair[0]} and {pair[1]}: {ends}."
+    )
+
+
+def target_map(jobs: pd.DataFrame, most: int) -> Picture:
+    """Draw a mark at each target, the darker the fewer casts its median seed needed.
+
+    Hollow marks: the median seed did not hit. Crosses: no job ran to its end, mostly
+    because the target is out of reach.
+
+    Parameters
+    ----------
+    jobs : DataFrame
+        Jobs that finished or failed, with columns target.x and target.y [m], state, hit
+        and manipulations.
+    most : int
+        Casts of the job with the most.
+    """
+    needed = jobs["manipulations"].where(jobs["hit"] == 1, np.inf)
+    needed = needed.where(jobs["state"] == "done", np.nan)
+    median = needed.groupby([jobs[name] for name in TARGET_COLUMNS]).agg(_lower_median)
+    figure, axes = new_axes(4.4, 4.2)
+    for place, casts in median.items():
+        x, y = np.array(place) * MM_PER_M
+        if np.isnan(casts):
+            axes.plot(x, y, "x", color=LIGHT_COLOURS["wall"], ms=7)
+        elif np.isinf(casts):
+            axes.plot(x, y, "s", mfc="none", mec=LIGHT_COLOURS["before"], ms=17)
+        else:
+            shade = 1 - (1 - MIN_OPACITY) * (casts - 1) / max(most - 1, 1)
+            axes.plot(
+                x, y, "s", color=LIGHT_COLOURS["after"], alpha=shade, mew=0, ms=18
+            )
+            centre = {"ha": "center", "va": "center", "fontsize": 8}
+            axes.annotate(f"{casts:.0f}", (x, y), color=LIGHT_COLOURS["ink"], **centre)
+    axes.set(xlabel="x of the target [mm]", ylabel="y of the target [mm]")
+    axes.set(aspect="equal", adjustable="datalim")
+    axes.margins(0.12)
+    words = (
+        f"Of {len(median)} targets {np.isfinite(median).sum()} were hit, "
+        f"{(median == 1).sum()} in the first cast; {np.isinf(median).sum()} were not, "
+        f"{median.isna().sum()} did not run."
+    )
+    return svg_picture(figure, words)
+
+
+def _lower_median(needed: pd.Series) -> float:
+    """Return NaN if no seed's job ran to its end, infinity if more than half never hit."""
+    known = np.sort(needed.dropna().to_numpy(float))
+    return float(known[(len(known) - 1) // 2]) if len(known) else np.nan

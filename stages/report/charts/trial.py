@@ -1,0 +1,114 @@
+"""A figure of a measured trial that shows a wrong unit, axis or clock at a glance."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stringcast.stages.check.measured import CheckedTrial
+from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M, STYLE_SHEET
+
+POSE_COUNT = 5  # evenly over the time in which both arm and string are visible
+LATER_POSE_OPACITY = 0.25
+
+
+def trial_figure(seen: CheckedTrial) -> Figure:
+    """Draw arm and string in the plane, and positions and speeds of hand and tip."""
+    with style.context(STYLE_SHEET):
+        figure = Figure(figsize=(11.0, 4.6))
+        panels = figure.subplot_mosaic([["plane", "places"], ["plane", "speeds"]])
+        end = seen.points.groupby("t").tail(1)
+        t, tip = end["t"].to_numpy(), end[["x", "y"]].to_numpy()
+        _draw_plane(panels["plane"], seen, t, tip)
+        _draw_positions(panels["places"], seen, t, tip)
+        _draw_speeds(panels["speeds"], seen, t, tip)
+        panels["speeds"].sharex(panels["places"])
+    return figure
+
+
+def describe_trial(seen: CheckedTrial) -> str:
+    """Describe a trial: frames, length of the string, and onsets of motion."""
+    onsets = {"the hand": seen.hand_onset, "the string": seen.string_onset}
+    starts = [f"{who} at {t:.2f} s" for who, t in onsets.items() if t is not None]
+    moved = f"; {' and '.join(starts)} began to move" if starts else ""
+    length = f"{seen.length * MM_PER_M:.0f} mm"
+    return (
+        f"Trial {seen.name}: {len(seen.frame_t)} frames of a string of {length}{moved}."
+    )
+
+
+def _draw_plane(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) -> None:
+    """Draw arm and string at a few times, the first darkest, and the path of the tip."""
+    look = {"lw": 0.8, "alpha": 0.5, "label": "path of the tip"}
+    axes.plot(*(tip * MM_PER_M).T, color=LIGHT_COLOURS["measured"], **look)
+    low, high = max(t[0], seen.hand_t[0]), min(t[-1], seen.hand_t[-1])
+    for number, moment in enumerate(np.linspace(low, max(high, low), POSE_COUNT)):
+        frame_time = seen.frame_t[np.argmin(np.abs(seen.frame_t - moment))]
+        string = seen.points.loc[seen.points["t"] == frame_time, ["x", "y"]].to_numpy()
+        arm = _arm_at(seen, moment)
+        alpha = LATER_POSE_OPACITY if number else 1.0
+        labels = (None, None) if number else ("arm", "string, as measured")
+        look = {"ms": 3, "lw": 2.4, "alpha": alpha, "label": labels[0]}
+        axes.plot(*(arm * MM_PER_M).T, "o-", color=LIGHT_COLOURS["axis"], **look)
+        look = {"ms": 4, "lw": 1.2, "alpha": alpha, "label": labels[1]}
+        axes.plot(
+            *(np.vstack([arm[-1], string]) * MM_PER_M).T,
+            ".-",
+            color=LIGHT_COLOURS["after"],
+            **look,
+        )
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
+    _add_legend(axes, 3)
+
+
+def _arm_at(seen: CheckedTrial, t: float) -> np.ndarray:
+    """Return the joints' positions [m], or that of the hand if only it was measured."""
+    if seen.joints is None:
+        hand = [np.interp(t, seen.hand_t, seen.pose[:, axis]) for axis in (0, 1)]
+        return np.array([hand])
+    angles = [np.interp(t, seen.hand_t, angle) for angle in seen.joints.T]
+    return seen.arm.joint_positions(np.array(angles))
+
+
+def _draw_positions(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) -> None:
+    hand, grey, green = seen.pose, LIGHT_COLOURS["axis"], LIGHT_COLOURS["measured"]
+    for number, (name, dashes) in enumerate((("x", "-"), ("y", "--"))):
+        axes.plot(
+            seen.hand_t,
+            hand[:, number] * MM_PER_M,
+            dashes,
+            color=grey,
+            label=f"hand {name}",
+        )
+        axes.plot(
+            t, tip[:, number] * MM_PER_M, dashes, color=green, label=f"tip {name}"
+        )
+    axes.set_ylabel("position [mm]")
+    _add_legend(axes, 4)
+
+
+def _draw_speeds(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) -> None:
+    """Draw each speed as a share of its maximum: on one clock, both rise together."""
+    hand = (seen.hand_t, seen.pose[:, :2], seen.hand_onset, "axis", "hand, arm's clock")
+    string = (t, tip, seen.string_onset, "measured", "tip, camera's clock")
+    for times, positions, onset, colour, label in (hand, string):
+        steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+        speed = steps / np.maximum(np.diff(times), 1e-9)
+        fastest = float(np.quantile(speed, 0.99)) if len(speed) else 0.0
+        if fastest > 0:
+            share = np.minimum(speed / fastest, 1.2)
+            look = {"lw": 1, "label": f"{label}: {fastest:.1f} m/s"}
+            axes.plot(
+                (times[1:] + times[:-1]) / 2, share, color=LIGHT_COLOURS[colour], **look
+            )
+        if onset is not None:
+            axes.axvline(onset, color=LIGHT_COLOURS[colour], ls=":", lw=1)
+    axes.set(xlabel="time [s]", ylabel="speed [of fastest]")
+    _add_legend(axes, 2)
+
+
+def _add_legend(axes: Axes, columns: int) -> None:
+    """Add a legend above the axes, where it hides nothing."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)

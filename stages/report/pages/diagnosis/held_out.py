@@ -1,0 +1,125 @@
+"""The prediction of trials that were left out of the fit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from markupsafe import Markup
+
+from stringcast.stages.report.charts.residual import (
+    held_out_picture,
+    likelihood_gain_picture,
+)
+from stringcast.stages.report.formatting import format_gain, format_mm, format_rate
+from stringcast.stages.report.page import (
+    Block,
+    Card,
+    Figure,
+    Section,
+    Table,
+    Text,
+    bold_text,
+    join_sentences,
+    number_cells,
+)
+from stringcast.stages.report.records import DiagnosisRecord
+
+WORSE_FACTOR = 1.2  # in the residual with causes over that without, to be reported
+
+
+def held_out_section(record: DiagnosisRecord) -> Section:
+    """Compare base and extended model on trials that were left out of the fit."""
+    title = "Prediction of held-out trials"
+    if record.diagnosis.held_out.empty:
+        reason = "No trial was left out of the fit, so the predictions were not tested."
+        return Section(title, [Text(reason, "missing")])
+    caption = "Each trial as predicted from the others. Left is better; the mark is noise alone."
+    if record.is_extended and not record.has_excluded_trials:
+        caption += " The ring is the extended model fitted to all of them."
+    figures = [Figure("Residual", held_out_picture(record), caption)]
+    if gains := likelihood_gain_picture(record):
+        caption = "To the right of 0 the extended model predicts the trial better."
+        figures.append(Figure("Gain of the log-likelihood", gains, caption))
+    table = Card("", [_held_out_table(record)])
+    texts = [Text(words) for words in _describe_prediction(record)]
+    return Section(title, [*texts, Block("grid", figures), table])
+
+
+def _describe_prediction(record: DiagnosisRecord) -> list[Markup | str]:
+    """Describe how the trials were predicted, and which worse with the causes."""
+    gain = record.document["gain"]
+    excluded = record.has_excluded_trials
+    trials = "These trials were excluded from the search" if excluded else "Each trial"
+    was = "and predicted by" if excluded else "was predicted by"
+    if not record.is_extended:
+        return [
+            f"No model was extended. {trials} {was} the base model fitted to the others."
+        ]
+    lead = f"{trials} {was} both models fitted to the others."
+    if not excluded:
+        lead += " The causes were chosen from all trials."
+    change = gain["log_likelihood_per_trial"]
+    rise = format_gain(change["difference"])
+    if change["standard_error"] is not None:
+        rise += f" ± {format_gain(change['standard_error'])} (standard error)"
+    rates = gain["matching_rate"]
+    lead += (
+        f" The log-likelihood rises by {rise} per trial; the matching rate E changes from "
+        f"{format_rate(rates['base'])} to {format_rate(rates['extended'])}."
+    )
+    sentences: list[Markup | str] = [lead]
+    for row in worse_predictions(record):
+        sizes = f"{format_mm(row['rms_extended'], 1)} against {format_mm(row['rms_base'], 1)}"
+        worse = (
+            f"{row['trial']} is predicted worse with the causes than without, {sizes}."
+        )
+        reason = ""
+        if WORSE_FACTOR * row["rms_known"] < row["rms_base"]:
+            reason = (
+                f"After fitting it as well, {format_mm(row['rms_known'], 1)} remain. Either "
+                "only this trial shows a part of the causes, or the causes are wrong. A "
+                "similar trial would distinguish the two."
+            )
+        sentences.append(join_sentences([bold_text(worse), reason]))
+    return sentences
+
+
+def worse_predictions(record: DiagnosisRecord) -> list[dict[str, Any]]:
+    """Return rows of trials that the extended model predicts worse than the base model."""
+    if not record.is_extended:
+        return []
+    table = record.diagnosis.held_out
+    is_worse = table["rms_extended"] > WORSE_FACTOR * table["rms_base"]
+    return table[is_worse].to_dict("records")
+
+
+def _held_out_table(record: DiagnosisRecord) -> Table:
+    """Tabulate each held-out trial, and all together."""
+    models, gain = record.models, record.document["gain"]
+    total = {
+        "noise_floor": gain["rms_m"]["noise_floor"],
+        "log_likelihood_difference": gain["log_likelihood_per_trial"]["difference"],
+    }
+    for model in models:
+        total[f"rms_{model}"] = gain["rms_m"][model]
+        total[f"tip_rms_{model}"] = gain["tip_rms_m"][model]
+        total[f"E_{model}"] = gain["matching_rate"][model]
+
+    def cells(row: dict[str, Any]) -> list[str]:
+        texts = [format_mm(row[f"rms_{model}"], 2) for model in models]
+        texts.append(format_mm(row["noise_floor"], 2))
+        texts += [format_mm(row[f"tip_rms_{model}"], 2) for model in models]
+        texts += [format_rate(row[f"E_{model}"]) for model in models]
+        if record.is_extended:
+            texts.append(format_gain(row["log_likelihood_difference"]))
+        return texts
+
+    columns = ["trial", *(f"RMS {model}" for model in models), "noise floor"]
+    columns += [f"{quantity} {model}" for quantity in ("tip", "E") for model in models]
+    if record.is_extended:
+        columns.append("log-likelihood")
+    rows = []
+    for row in record.diagnosis.held_out.to_dict("records"):
+        rows.append([row["trial"], *number_cells(cells(row))])
+    rows.append([bold_text("all"), *number_cells(cells(total))])
+    return Table(columns, rows)
