@@ -118,7 +118,7 @@ def _describe_task(record: RunRecord) -> str:
     if not record.casts:
         return f"{string}."
     target = record.target
-    size = f"{round(target.w * MM_PER_M, 1):g} × {round(target.h * MM, 1):g} mm"
+    size = f"{round(target.w * MM_PER_M, 1):g} × {round(target.h * MM_PER_M, 1):g} mm"
     return (
         f"{string}, and a target box of {size} around ({target.x * MM_PER_M:.0f}, "
         f"{target.y * MM_PER_M:.0f}) mm, where x points to the right and y up from the world's "
