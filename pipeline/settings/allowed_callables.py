@@ -42,7 +42,6 @@ PIPELINE_ROLES: Mapping[str, tuple[str, ...]] = {
     "plane": PICTURE_SOURCES,
     "integrator": (
         "stages.model.engine.integrators.SemiImplicitEuler",
-        "stages.model.engine.integrators.ExplicitEuler",
         "stages.model.engine.integrators.RungeKutta4",
         "stages.model.engine.implicit_leapfrog.ImplicitLeapfrog",
     ),

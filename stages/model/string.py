@@ -28,7 +28,6 @@ from stringcast.stages.model.effects.gravity import Gravity
 from stringcast.stages.model.effects.gravity_direction import GravityDirection
 from stringcast.stages.model.effects.hinge_damper import HingeDamper
 from stringcast.stages.model.effects.hinge_spring import HingeSpring
-from stringcast.stages.model.effects.internal_friction import InternalFriction
 from stringcast.stages.model.effects.nonlinear_bending import NonlinearBending
 from stringcast.stages.model.effects.rest_curvature import RestCurvature
 from stringcast.stages.model.effects.tip_mass import TipMass
@@ -63,7 +62,6 @@ JOINTLY_COMPILED_EFFECTS: tuple[type[StringEffect], ...] = (
     AnisotropicDrag,
     DensityTaper,
     GravityDirection,
-    InternalFriction,
     NonlinearBending,
     RestCurvature,
     TipMass,

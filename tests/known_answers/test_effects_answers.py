@@ -17,7 +17,6 @@ from stringcast.stages.model.effects.backlash import Backlash
 from stringcast.stages.model.effects.contact import Contact
 from stringcast.stages.model.effects.equal_points import EqualPoints
 from stringcast.stages.model.effects.grasp_slip import GraspSlip
-from stringcast.stages.model.effects.internal_friction import InternalFriction
 from stringcast.stages.model.effects.nonlinear_bending import NonlinearBending
 from stringcast.stages.model.effects.resolution import Resolution
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
@@ -217,24 +216,9 @@ def test_bending_moments_never_fall_however_soft_the_string_becomes(hardening):
         assert moment.max() < 0.5 / np.sqrt(-hardening)
 
 
-@pytest.mark.parametrize("cycles", [20.0, 80.0])
-def test_dry_friction_takes_the_same_from_a_cycle_at_any_rate(cycles):
-    """4 times friction times amplitude; 2 % less at the slower rate, where it passes
-    through rest smoothly.
-    """
-    t = np.linspace(0, 1 / cycles, 4001)
-    curvature, rate = (
-        20 * np.sin(2 * np.pi * cycles * t),
-        40 * np.pi * cycles * np.cos(2 * np.pi * cycles * t),
-    )
-    moment = rate * InternalFriction.hinge_drag(rate, 0.01)
-    assert np.trapezoid(moment, curvature) == pytest.approx(4 * 0.01 * 20, rel=0.02)
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("internal_friction.friction", 5e-3),
         ("nonlinear_bending.hardening", 5e-3),
         ("nonlinear_bending.hardening", -2e-3),
     ],
@@ -255,7 +239,7 @@ def test_a_steep_moment_costs_an_implicit_step_nothing_and_is_what_small_steps_m
         axis=-1,
     )
     hand = resample_hand_motion(t, pose)
-    effects = (*PAPER_EFFECTS, InternalFriction, NonlinearBending)
+    effects = (*PAPER_EFFECTS, NonlinearBending)
     string = String(LENGTH, 21, effects, integrator=ImplicitLeapfrog(), **SECOND_ORDER)
     named = {
         "bending_stiffness": 10.0,

@@ -5,11 +5,7 @@ import pytest
 from scipy.special import jn_zeros
 
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
-from stringcast.stages.model.engine.integrators import (
-    ExplicitEuler,
-    Integrator,
-    RungeKutta4,
-)
+from stringcast.stages.model.engine.integrators import Integrator, RungeKutta4
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import HandMotion, resample_hand_motion
 from stringcast.stages.model.string import String
@@ -185,30 +181,6 @@ def test_energy_is_kept_without_damping_and_only_lost_with_it(
         lossy,
     )[free]
     assert np.all(np.diff(lost[5:-5]) < 1e-4 * moved)
-
-
-def test_explicit_euler_is_the_same_string_and_refuses_what_it_cannot_step():
-    damped = QUIET | {
-        "axial_stiffness": 9e3,
-        "axial_damping": 20.0,
-        "bending_stiffness": 0.1,
-        "bending_damping": 1e-3,
-        "linear_drag": 3.0,
-    }
-    t = np.arange(0, 0.5, 0.005)
-    hand = nudged(t, 0.02 * np.sin(8 * t))
-    paper = String(0.3, integrator=ExplicitEuler(), largest_step=2e-5)
-    exact = String(0.3, integrator=RungeKutta4())
-    values = paper.values(damped)[None]
-    difference = (
-        simulate(paper, hand, values, t).points
-        - simulate(exact, hand, values, t).points
-    )
-    assert np.abs(difference).max() < 2e-4
-    undamped = paper.values(damped | {"axial_damping": 1e-6, "axial_stiffness": 9e5})[
-        None
-    ]
-    assert not simulate(paper, hand, undamped, t).finite[0]
 
 
 def test_runs_that_do_not_stay_finite_are_rejected_and_leave_the_others_alone():

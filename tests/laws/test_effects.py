@@ -31,7 +31,6 @@ NAMES = [
     "density_taper",
     "rest_curvature",
     "nonlinear_bending",
-    "internal_friction",
     "maxwell_slip",
     "dahl_friction",
     "standard_linear_solid",
@@ -229,7 +228,6 @@ CONSTANTS = {
     "box_contact": "m/s",
     "gravity": "m/s2",
     "gravity_direction": "m/s2",
-    "internal_friction": "1/(m s)",
     "grasp_slip": "s",
 }
 ELSEWHERE = {

@@ -11,11 +11,10 @@ segments as they lie. For linear forces this is the trapezoidal rule (Newmark's 
 1/4, gamma = 1/2 on the staggered grid): second order, stable at any step, and without
 damping of its own. The air sees the velocity extrapolated by half a step, and is second
 order too. What of a law is not linear stays explicit and bounds the step, as in the
-other methods. What hinges have per curvature and per rate (a bending that hardens, dry
-friction) is averaged with what it is at the step's start, and bounds nothing: with a
-drag that changes, of first order. What hinges and the grasp hold is averaged with its
-steepest rise, that where they turn back: an upper bound is stable, and off by a term of
-second order where it is less.
+other methods. What hinges have per curvature (a bending that hardens) is averaged with
+what it is at the step's start, and bounds nothing. What hinges and the grasp hold is
+averaged with its steepest rise, that where they turn back: an upper bound is stable,
+and off by a term of second order where it is less.
 
 With D the difference along the string, t and n = rotated t the directions of a segment,
 r its length and e = n / r how its angle turns with its end, the matrix is
@@ -179,7 +178,6 @@ class ImplicitLeapfrog(Integrator):
     )
     averaged_slots: tuple[str, ...] = (
         "hinge_stiffness",
-        "hinge_drag",
         "held_moment",
         "grasp_held_moment",
     )
@@ -199,16 +197,12 @@ class ImplicitLeapfrog(Integrator):
         what hardens is that much steeper than it is stiff, and as it is where the hinge
         may be bent to in this step.
         """
-        added = {
-            "hinge_stiffness": f"0.5 * dt * dt * max({law('hinge_stiffness', f'abs(curvature) + {MAX_BEND_PER_STEP}')}, 0.0)",
-            "hinge_drag": f"0.5 * dt * {law('hinge_drag', 'bend')}",
-        }
-        more = [text for slot, text in added.items() if slot in slots]
-        return (
-            [f"B[BEND + k] = B[STEADY + k] + ({' + '.join(more)}) * over"]
-            if more
-            else []
-        )
+        if "hinge_stiffness" not in slots:
+            return []
+        stiffness = law("hinge_stiffness", f"abs(curvature) + {MAX_BEND_PER_STEP}")
+        return [
+            f"B[BEND + k] = B[STEADY + k] + (0.5 * dt * dt * max({stiffness}, 0.0)) * over"
+        ]
 
     def largest_stable_step(
         self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray

@@ -27,9 +27,9 @@ class Integrator:
     order: of convergence. update: source text, a line a string. behind: how far the
     velocities that it keeps are behind the positions, in steps. rows: names of rows of
     its own. velocity: source text of the velocity qx, qy that loads see. averaged:
-    slots of what is per curvature or its rate that bound no step, since `hinge`
-    averages them as they are. turned: how a segment's turn in a step is measured.
-    solve: source text of what runs after each pass.
+    slots of what is per curvature that bound no step, since `hinge` averages them as
+    they are. turned: how a segment's turn in a step is measured. solve: source text of
+    what runs after each pass.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Integrator:
         self, slots: Sequence[str], law: Callable[[str, str], str]
     ) -> list[str]:
         """Source text of what becomes of a hinge with laws in these slots, which are
-        per curvature or its rate.
+        per curvature.
 
         law: the text of a slot's laws at an argument.
         """
@@ -108,36 +108,6 @@ class SemiImplicitEuler(Integrator):
         """
         c = damping.sum(axis=0) + drag
         return 4.0 / (c + np.sqrt(c**2 + 4.0 * frequency2.sum(axis=0)))
-
-
-@dataclass(frozen=True)
-class ExplicitEuler(Integrator):
-    """x' = x + dt v, v' = v + dt a(x, v): the paper's Euler method (II-B).
-
-    A mode grows unless dt < c / w^2, so that undamped motion always gains energy.
-    """
-
-    name: str = "explicit_euler"
-    stage_times: tuple[float, ...] = (0.0,)
-    order: int = 1
-    update_source: tuple[str, ...] = (
-        "px += dt * qx",
-        "py += dt * qy",
-        "qx += dt * ax",
-        "qy += dt * ay",
-    )
-
-    def largest_stable_step(
-        self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray
-    ) -> np.ndarray:
-        """Underdamped modes need dt < c / w^2, each kind on its own damping; overdamped
-        ones dt < 2 / c.
-        """
-        free = np.full_like(damping, np.inf)
-        slowest = np.divide(damping, frequency2, out=free, where=frequency2 > 0).min(
-            axis=0
-        )
-        return np.minimum(slowest, 2.0 / np.maximum(damping.sum(axis=0) + drag, 1e-300))
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@
 loop around them, and lets Numba compile it (`generated`). What is not given is not in
 the text, and costs nothing; which are given `String.in_loop` says. Text, because Numba
 finds machine code of a text again in the next process, and that of a loop over
-functions never (README.md); `tests/laws/loop_of_paper.py` shows it.
+functions never (README.md); `python -m stringcast.stages.model.engine.print_loop
+[EFFECT ...]` prints it.
 
 Layout: W candidates side by side. Every quantity of a mass point or a segment is a row
 of W numbers; the innermost loop runs over the row, branch-free, so that LLVM fills the
@@ -80,7 +81,6 @@ ARGUMENT_EXPRESSIONS = {
     "grasp_held": {"change": "change", "dt": "lapse"},
     "grasp_held_moment": {},
     "hinge_stiffness": {},
-    "hinge_drag": {},
     "grasp_moment": {"angle": "curvature", "rate": "bend"},
     "load": {
         **{

@@ -44,11 +44,6 @@ SLOTS: dict[str, Slot] = {
         "m4/s2",
         {"curvature": "1/m"},
     ),
-    "hinge_drag": Slot(
-        "bending moment over mass per length, per rate of curvature",
-        "m4/s",
-        {"rate": "1/(m s)"},
-    ),
     # for hinges with a memory: what one holds after its curvature has changed, and the
     # moment that goes with it
     "held": Slot(
@@ -116,10 +111,7 @@ SLOTS: dict[str, Slot] = {
 
 # Slots whose value times one of its arguments belongs to another slot: which, and the
 # argument.
-PROPORTIONAL_SLOTS = {
-    "hinge_stiffness": ("moment", "curvature"),
-    "hinge_drag": ("moment", "rate"),
-}
+PROPORTIONAL_SLOTS = {"hinge_stiffness": ("moment", "curvature")}
 
 # Rows of parameters of strings that begin elsewhere than stated: length over that
 # stated, and one over a segment's.

@@ -47,7 +47,7 @@ class Version:
         return tuple(known[name] for name in self.outside)
 
 
-FIRST = Version(
+SECOND = Version(
     effects=(
         *(
             "anisotropic_drag",
@@ -62,7 +62,7 @@ FIRST = Version(
             "grasp_angle",
             "grasp_slip",
             "gravity_direction",
-            "internal_friction",
+            "maxwell_slip",
             "joint_gain",
             "lens_distortion",
         ),
@@ -90,13 +90,6 @@ FIRST = Version(
         *("vibration", "vortex"),
     ),
 )
-SECOND = Version(  # dry friction with a memory
-    tuple(
-        "maxwell_slip" if name == "internal_friction" else name
-        for name in FIRST.effects
-    ),
-    FIRST.outside,
-)
 THIRD = Version(  # what a diagnosis looks for since it is told by evidence alone
     (
         *SECOND.effects,
@@ -108,5 +101,5 @@ THIRD = Version(  # what a diagnosis looks for since it is told by evidence alon
     ),
     SECOND.outside,
 )
-VERSIONS = {1: FIRST, 2: SECOND, 3: THIRD}
+VERSIONS = {2: SECOND, 3: THIRD}
 LATEST = max(VERSIONS)
