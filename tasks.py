@@ -4,6 +4,7 @@ test`.
 run [OVERRIDES]    the main job: `python -m pipeline +experiment=stringB method=robust OVERRIDES`, or another experiment
 test [ARGUMENTS]   style, types and tests; arguments go to pytest
 test --all         ... with the long ones
+study NAME ...     a study of tests/benchmarks, such as diagnosis; arguments are its settings
 bench              how fast strings are simulated and estimated, beside peers; see tests/speed
 setup              only make the environment
 
@@ -182,14 +183,34 @@ def worst(*codes: int) -> int:
     return int(any(codes))
 
 
+def study(rest: list[str]) -> int:
+    """Run a study of tests/benchmarks, with PyElastica if that is the reference
+    simulator.
+    """
+    if "diagnosis.simulator=pyelastica" in rest:
+        install_peers()
+    return call("tests.benchmarks", *rest)
+
+
 def bench(rest: list[str]) -> int:
-    """The benchmark, with the packages it compares with."""
-    if not installed(BENCH_LOCK):
-        install("--require-hashes", "-r", BENCH_LOCK, made_of=[BENCH_LOCK])
+    """Run the speed benchmark, with the packages it compares with."""
+    install_peers()
     return call("tests.speed", *rest)
 
 
-TASKS = {"run": run, "test": test, "bench": bench, "setup": lambda rest: 0}
+def install_peers() -> None:
+    """Install MuJoCo and PyElastica."""
+    if not installed(BENCH_LOCK):
+        install("--require-hashes", "-r", BENCH_LOCK, made_of=[BENCH_LOCK])
+
+
+TASKS = {
+    "run": run,
+    "test": test,
+    "study": study,
+    "bench": bench,
+    "setup": lambda rest: 0,
+}
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

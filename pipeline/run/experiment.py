@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -44,13 +44,6 @@ BlockLocation = Callable[[str], str]
 
 class Mode(ABC):
     """A loop over stages: `mode` in the settings of a run."""
-
-    @property
-    def growing(self) -> Mapping[str, Sequence[str]]:
-        """Settings, by their block, in which a run may differ that goes on in its
-        folder: they say how much is made.
-        """
-        return {}
 
     @abstractmethod
     def perform(

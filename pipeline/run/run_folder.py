@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -183,37 +183,18 @@ def file_names_in(folder: Path) -> set[str]:
 
 
 def begin_run(experiment: Experiment, folder: Path) -> None:
-    """Note the settings in the run's folder, or see that it is this one; a study may be
-    asked for more than before.
-    """
+    """Note the settings in the run's folder, or see that it is this one."""
     path = folder / "config.json"
     text = json.dumps(experiment.config, indent=2, sort_keys=True)
     before = path.read_text(encoding="utf-8") if path.exists() else None
-    if before not in (None, text):
-        growing = experiment.mode.growing
-        if without_growing_settings(
-            read_json(path), growing
-        ) != without_growing_settings(json.loads(text), growing):
-            raise DataError(
-                f"{folder}: this folder holds a run with other settings (see config.json). "
-                "Leave hydra.run.dir to its default, or repeat the settings of that run."
-            )
+    if before not in (None, text) and read_json(path) != json.loads(text):
+        raise DataError(
+            f"{folder}: this folder holds a run with other settings (see config.json). "
+            "Leave hydra.run.dir to its default, or repeat the settings of that run."
+        )
     if before != text:
         store.write_text(path, text)
     disk.remove(folder / FAILURE_FILE)
-
-
-def without_growing_settings(
-    config: Mapping[str, Any], growing: Mapping[str, Sequence[str]]
-) -> dict[str, Any]:
-    """Settings less those of `Mode.growing`."""
-    less = dict(config)
-    for block, names in growing.items():
-        if isinstance(less.get(block), Mapping):
-            less[block] = {
-                name: value for name, value in less[block].items() if name not in names
-            }
-    return less
 
 
 def write_stage_files(result: RunResult) -> None:

@@ -28,10 +28,6 @@ PIPELINE_ROLES: Mapping[str, tuple[str, ...]] = {
         "pipeline.modes.Batch",
         "pipeline.modes.Diagnose",
         "pipeline.modes.Calibrate",
-        "pipeline.studies.blind.study.BlindStudy",
-        "pipeline.studies.extraction.study.ExtractionStudy",
-        "pipeline.studies.hitting.study.HitStudy",
-        "pipeline.studies.measured.study.MeasuredStudy",
     ),
     "hardware": (
         *VIRTUAL_HARDWARE,
@@ -51,7 +47,7 @@ PIPELINE_ROLES: Mapping[str, tuple[str, ...]] = {
         "pipeline.sweep.launchers.ray",
         "pipeline.sweep.launchers.slurm",
     ),
-    "finish": ("pipeline.sweep.finish.finish", "pipeline.studies.paper.finish.finish"),
+    "finish": ("pipeline.sweep.finish.finish", "pipeline.paper.finish.finish"),
 }
 
 

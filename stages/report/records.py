@@ -376,7 +376,7 @@ class PaperRecord:
     Attributes
     ----------
     tables : mapping
-        Tables by name; see `pipeline.studies.paper`.
+        Tables by name; see `pipeline.paper`.
     asked : int
         Number of runs requested.
     settings : mapping

@@ -3,17 +3,14 @@
 import shutil
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from stringcast.data.store import content_hash
-from stringcast.pipeline.studies.blind.scores import OWN
 from stringcast.stages.model import effects
 from stringcast.stages.model.effects.equal_points import EqualPoints
 from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.string import PAPER_EFFECTS
 from tests.benchmarks.simulators.blind import LATEST, VERSIONS, draw
-from tests.benchmarks.simulators.laboratory import version as laboratories
 from tests.benchmarks.simulators.outside import causes
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -73,25 +70,3 @@ def test_every_effect_is_in_the_latest_version():
     assert not missing, (
         f"{missing}: add a version to tests/benchmarks/simulators/blind/version.py; leave those before as they are."
     )
-
-
-def test_recorded_benches_are_what_their_version_says():
-    """All that any study asked: nobody deals the cards again."""
-    benches = pd.read_parquet(
-        ROOT / "tests" / "benchmarks" / "diagnosis" / "results" / "diagnoses.parquet"
-    )
-    assert len(benches) >= 500
-    own = benches["laboratory"] == OWN
-    for seed, kind, truth, version in benches[own][
-        ["seed", "kind", "truth", "version"]
-    ].itertuples(index=False):
-        case = VERSIONS[version].case(seed)
-        assert case == (kind if kind in ("none", "pair", "resolution") else truth), seed
-    for name, seed, kind, version in benches[~own][
-        ["laboratory", "seed", "kind", "version"]
-    ].itertuples(index=False):
-        meant = laboratories.VERSIONS[name][version].kind(seed)
-        assert kind == ("effect" if meant == laboratories.SINGLE else meant), (
-            name,
-            seed,
-        )

@@ -7,17 +7,15 @@ third of that: two slow casts, with a cause whose size nobody had to search for.
 
 import json
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from conftest import ROOT
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 
-from stringcast.pipeline.studies.blind.study import diagnosed
+from stringcast.pipeline.settings.typed_settings import compose_settings
 from stringcast.stages.model.library import find_effects
+from tests.benchmarks.diagnosis.study import diagnosis_document
 from tests.benchmarks.simulators.blind import LATEST, VERSIONS, draw
 from tests.benchmarks.simulators.blind.bench import BlindBench
 from tests.benchmarks.simulators.blind.casts import random_cast
@@ -29,10 +27,7 @@ TOLD = 1e-6  # by which probabilities may miss one
 
 @pytest.fixture(scope="module")
 def config():
-    with initialize_config_dir(str(Path("conf").resolve()), version_base="1.3"):
-        return OmegaConf.to_container(
-            compose("config", ["+experiment=blind_study"]), resolve=True
-        )
+    return compose_settings(["+experiment=diagnose", "string=paper"])
 
 
 @pytest.fixture
@@ -42,7 +37,7 @@ def verdict(config, tmp_path):
     def of(bench):
         bench.write(tmp_path / "data")
         bench.envelope(tmp_path / "envelope.json")
-        said = diagnosed(tmp_path / "data", config)
+        said = diagnosis_document(tmp_path / "data", config)
         return said, json.loads((tmp_path / "envelope.json").read_text())
 
     return of

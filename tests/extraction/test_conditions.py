@@ -14,14 +14,6 @@ import yaml
 from conftest import ROOT, specimen
 
 from stringcast.data.artifacts import POINTS
-from stringcast.hardware.virtual.conditions import CONDITIONS
-from stringcast.hardware.virtual.conditions.camera import CameraShake
-from stringcast.hardware.virtual.conditions.condition import film_shot, open_shutter
-from stringcast.hardware.virtual.conditions.light import Flicker
-from stringcast.hardware.virtual.conditions.pose import BeforeArm, StringLoop
-from stringcast.pipeline.studies.extraction.films import Cell, read, take
-from stringcast.pipeline.studies.extraction.scores import compared, shares
-from stringcast.pipeline.studies.extraction.study import overview
 from stringcast.stages.extract.centreline import Centreline
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.quality import attached_length, longest_run
@@ -32,6 +24,14 @@ from stringcast.stages.extract.segment import (
     uncovered_brightness,
 )
 from stringcast.stages.extract.stabilise import stabilise_film
+from tests.benchmarks.extraction.conditions import CONDITIONS
+from tests.benchmarks.extraction.conditions.camera import CameraShake
+from tests.benchmarks.extraction.conditions.condition import film_shot, open_shutter
+from tests.benchmarks.extraction.conditions.light import Flicker
+from tests.benchmarks.extraction.conditions.pose import BeforeArm, StringLoop
+from tests.benchmarks.extraction.films import ConditionLevel, perform_cast, read_cast
+from tests.benchmarks.extraction.scores import compare_frames, count_shares
+from tests.benchmarks.extraction.study import draw_shares
 
 SETTINGS = yaml.safe_load(
     (ROOT / "conf" / "extract" / "centreline.yaml").read_text()
@@ -57,14 +57,14 @@ MUST = {  # severities that must be read, as counted from 1
 @pytest.fixture(scope="module")
 def cast(arm, camera):
     """A cast of string A, 12 frames of it."""
-    return take("A", specimen("A"), arm, camera, frames=12, seed=0)
+    return perform_cast("A", specimen("A"), arm, camera, frames=12, seed=0)
 
 
 def scored(cast, condition, severity, **changed):
     """Table FRAMES of the cast filmed under a condition and read."""
-    cell = Cell(condition, severity, CONDITIONS[condition][severity - 1])
-    return compared(
-        cast, cell, *read(cast, cell, partial(extract, **SETTINGS | changed))
+    cell = ConditionLevel(condition, severity, CONDITIONS[condition][severity - 1])
+    return compare_frames(
+        cast, cell, *read_cast(cast, cell, partial(extract, **SETTINGS | changed))
     )
 
 
@@ -117,8 +117,8 @@ def test_a_wrong_line_is_refused_and_would_be_accepted_without_the_quality_check
 
 
 def test_a_tip_out_of_view_is_never_read(cast):
-    cell = Cell("tip out of view", 1, CONDITIONS["tip out of view"][0])
-    found, shot = read(cast, cell, partial(extract, **SETTINGS))
+    cell = ConditionLevel("tip out of view", 1, CONDITIONS["tip out of view"][0])
+    found, shot = read_cast(cast, cell, partial(extract, **SETTINGS))
     outside = shot.camera.pixels(shot.truth[:, -1])[:, 1] > shot.camera.height - 1
     assert outside.any()
     assert not found.readings["valid"][outside].any()
@@ -193,18 +193,18 @@ def test_scores_say_how_far_off_a_line_is(cast, tmp_path):
     """Points moved by 4 px along u, and a tip that is right: wrong, by as much as it
     was moved.
     """
-    cell = Cell("plain", 1, ())
-    found, shot = read(cast, cell, partial(extract, **SETTINGS))
+    cell = ConditionLevel("plain", 1, ())
+    found, shot = read_cast(cast, cell, partial(extract, **SETTINGS))
     moved = found.points.assign(
         x=found.points["x"]
         + np.where(found.points["s"] < 0.299, 4 / shot.camera.px_per_m, 0)
     )
-    frames = compared(
+    frames = compare_frames(
         cast, cell, type(found)(POINTS.check(moved), found.readings, found.masks), shot
     )
     assert frames.loc[frames["read"], "wrong"].all()
     assert frames["place_px"].median() == pytest.approx(4 * np.sqrt(30 / 31), abs=0.2)
-    table = shares(frames)
+    table = count_shares(frames)
     assert table["wrong"][0] == frames["read"].mean() == 1 - (~frames["read"]).mean()
-    overview(table, tmp_path / "shares.png")
+    draw_shares(table, tmp_path / "shares.png")
     assert (tmp_path / "shares.png").stat().st_size > 1000

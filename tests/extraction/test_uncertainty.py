@@ -10,13 +10,13 @@ import pytest
 import yaml
 from conftest import ROOT, specimen
 
-from stringcast.hardware.virtual.conditions import CONDITIONS
-from stringcast.pipeline.studies.extraction import footage as real
-from stringcast.pipeline.studies.extraction.films import Cell, read, take
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage
 from stringcast.stages.extract.segment import fill_never_uncovered
 from stringcast.stages.extract.uncertainty import point_sigmas
+from tests.benchmarks.extraction import footage as real
+from tests.benchmarks.extraction.conditions import CONDITIONS
+from tests.benchmarks.extraction.films import ConditionLevel, perform_cast, read_cast
 
 SETTINGS = yaml.safe_load(
     (ROOT / "conf" / "extract" / "centreline.yaml").read_text()
@@ -31,7 +31,7 @@ STRIPS = (
 def casts(arm, camera):
     """A cast of string A and one of D, 12 frames of each."""
     return [
-        take(name, specimen(name), arm, camera, frames=12, seed=0)
+        perform_cast(name, specimen(name), arm, camera, frames=12, seed=0)
         for name in ("A", "D")
     ]
 
@@ -40,7 +40,7 @@ def off(cast, cell):
     """Errors of both coordinates over the sigma stated, (F, 30, 2): against where each
     point is on the true string.
     """
-    found, shot = read(cast, cell, partial(extract, **SETTINGS))
+    found, shot = read_cast(cast, cell, partial(extract, **SETTINGS))
     share = np.linspace(0, 1, shot.truth.shape[1])
     result = []
     for t, rows in found.points[found.points["s"] > 0].groupby("t"):
@@ -63,7 +63,7 @@ def test_the_stated_sigma_is_the_error_of_a_coordinate(casts, condition, severit
     tip. Measured with 16 frames of each: 0.8 to 1.0. With the floors of 0.2 px on the
     line and 0.5 px at the tip it was 0.4 to 0.6.
     """
-    cell = Cell(condition, severity, CONDITIONS[condition][severity - 1])
+    cell = ConditionLevel(condition, severity, CONDITIONS[condition][severity - 1])
     errors = np.concatenate([off(cast, cell) for cast in casts])
     assert 0.7 < np.sqrt(np.mean(errors**2)) < 1.4
     assert 0.7 < np.sqrt(np.mean(errors[:, -1] ** 2)) < 1.4

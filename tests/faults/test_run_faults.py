@@ -17,7 +17,6 @@ import pytest
 from stringcast.data.schema import DataError
 from stringcast.pipeline.modes import Cast
 from stringcast.pipeline.run import run_folder
-from stringcast.pipeline.studies.blind.study import BlindStudy
 from tests.faults.kills import Forked, rounds
 from tests.faults.strike import KINDS, STEPS, Faults, Killed, strike
 from tests.faults.toy import ROOT, contents, toy_experiment, toy_run
@@ -254,23 +253,3 @@ def test_a_run_that_is_refused_takes_nothing_of_another(tmp_path, working):
     finally:
         other.kill()
         other.communicate()
-
-
-def test_a_study_may_be_asked_for_more_in_its_folder_but_not_for_something_else(
-    tmp_path,
-):
-    run_folder.begin_run(
-        toy_experiment(
-            mode=BlindStudy(), study={"benches": 2, "first": 0, "processes": 1}
-        ),
-        tmp_path,
-    )
-    more = {"mode": BlindStudy(), "study": {"benches": 5, "first": 2, "processes": 0}}
-    run_folder.begin_run(toy_experiment(**more), tmp_path)
-    assert json.loads((tmp_path / "config.json").read_text())["study"] == {
-        "benches": 5,
-        "first": 2,
-        "processes": 0,
-    }
-    with pytest.raises(DataError, match="other settings"):
-        run_folder.begin_run(toy_experiment(trials_used=4, **more), tmp_path)

@@ -13,9 +13,9 @@ import pytest
 
 from stringcast.data import store
 from stringcast.data.artifacts import ARM, Estimate, Motion, Points
+from stringcast.pipeline.paper import scores, shown
+from stringcast.pipeline.paper.finish import TABLES, finish
 from stringcast.pipeline.settings.typed_settings import compose_settings
-from stringcast.pipeline.studies.paper import scores, shown
-from stringcast.pipeline.studies.paper.finish import TABLES, finish
 from stringcast.pipeline.sweep.attempt import Attempt
 from stringcast.pipeline.sweep.ledger import DONE_STATE, FAILED_STATE, Job, Ledger
 from stringcast.stages.report.pages.paper import paper_figures
@@ -190,7 +190,7 @@ def test_a_study_goes_on_and_scores_what_has_ended(study):
     Attempt(ledger.folder, keys[0], command)(1)
     finish(ledger.folder)
     assert "1 of 3 runs have ended" in page_of(ledger)
-    for key in ledger.waiting(keys, ()):
+    for key in ledger.reset_unfinished(keys, ()):
         Attempt(ledger.folder, key, command)(1)
     assert [job.state for job in finish(ledger.folder)] == [
         DONE_STATE,

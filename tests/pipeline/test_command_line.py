@@ -445,14 +445,13 @@ def composed(*overrides):
 def test_every_experiment_composes_and_is_valid(name):
     stored = (
         ["trials=outputs/some-run"]
-        if name in ("estimate", "diagnose", "decide", "measured_study")
+        if name in ("estimate", "diagnose", "decide")
         else []
     )
     points = {"stringD": 25, "long": 30}
-    points |= dict.fromkeys(("window", "gap", "several", "gain_study", "estimate"), 20)
+    points |= dict.fromkeys(("window", "gap", "several", "estimate"), 20)
     points |= dict.fromkeys(("diagnose", "decide"), 57)
-    # simulate none, or say which by part
-    own = ("align", "calibrate", "extraction_study", "measured_study", "paper")
+    own = ("align", "calibrate", "paper")  # simulate none, or say which by part
     points |= dict.fromkeys(own, 57)
     assert composed(f"+experiment={name}", *stored).string.points == points.get(
         name, 10

@@ -25,7 +25,6 @@ from stringcast.pipeline.commands.stored_runs import walk_steps
 from stringcast.pipeline.modes import Batch, Calibrate
 from stringcast.pipeline.run import provenance
 from stringcast.pipeline.settings.typed_settings import UserError
-from stringcast.pipeline.studies.hitting.study import HitStudy
 from tests.faults.toy import contents, rows, toy_experiment, toy_run
 
 PAGE = Path(commands.__file__).with_name("README.md")
@@ -452,7 +451,7 @@ def test_the_examples_of_the_page_run_in_duckdb(
         assert len(duckdb.sql(query).df()), query
 
 
-@pytest.mark.parametrize("mode", [HitStudy(), Calibrate()])
+@pytest.mark.parametrize("mode", [Calibrate()])
 def test_a_study_has_no_steps_to_ask_for(mode, tmp_path):
     """Its trials, where it has any, are not read as a dataset."""
     study = toy_experiment(mode=mode, trials=str(tmp_path))

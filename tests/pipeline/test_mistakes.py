@@ -112,7 +112,6 @@ def test_what_pages_show_is_no_mistake(given):
         "source@plane=video",
         "hydra/launcher=joblib",
         "+specimen.hidden.wind.along_x=1",
-        "hits.seeds=3",
     ],
 )
 def test_what_is_right_is_left_alone(word):

@@ -25,7 +25,6 @@ COMMAND = re.compile(
     r"(?:\.venv/bin/)?python3? (?:-m )?((?:pipeline|stringcast|tests|pytest|pip|tasks\.py)\b[\w.]*)(.*)"
 )
 ROOMS = ("conf", "data", "hardware", "pipeline", "stages")
-STUDIED = ("casts.parquet", "rates.parquet", "needed.parquet", "hits.png")
 PAPER = (
     "report.html",
     "runs.parquet",
@@ -57,7 +56,8 @@ CAST = {
     "leaves": ("report.html", "run.json", "dataset.yaml", "iterations/01/estimate"),
 }
 DIAGNOSED = {"leaves": ("report.html", "diagnosis.json", "extended.yaml")}
-ONE_CASE = "hits.seeds=1 hits.casts=2"
+CASTS = ("casts.parquet", "rates.parquet", "needed.parquet", "hits.png")
+LESS_CASTING = "casting.seeds=1 casting.casts=2 ~casting.cases.B ~casting.cases.C ~casting.cases.D ~casting.cases.wall"
 RUN = {
     "tasks.py run": Run(**CAST),
     "pipeline +experiment=stringA": Run(**CAST),
@@ -127,52 +127,18 @@ RUN = {
         leaves=PAPER, rows=("runs.parquet", 3), less="+experiment/paper=A_300_900"
     ),  # of 45
     # Studies, each of hours.
-    "pipeline +experiment=blind_study study.first=2830": Run(
+    "tasks.py study diagnosis diagnosis.simulator=nodal seed=100": Run(
         "cause found",
-        ("benches.parquet", "rates.parquet", "overview.png"),
-        ("benches.parquet", 2),
-        "study.benches=2",
+        ("diagnoses.parquet", "rates.parquet"),
+        ("diagnoses.parquet", 1),
+        "diagnosis.datasets=1",
     ),
-    **{
-        f"pipeline +experiment=blind_study laboratory=nodal {words}": Run(
-            "cause found",
-            ("benches.parquet", "rates.parquet"),
-            ("benches.parquet", 1),
-            "study.benches=1",
-        )
-        for words in ("seed=100 study.benches=10", "study.kind=none study.benches=100")
-    },
-    "pipeline +experiment=hit_study": Run(
-        "Hit: paper",
-        STUDIED,
-        less=f"{ONE_CASE} ~hits.cases.B ~hits.cases.C ~hits.cases.D ~hits.cases.wall",
-    ),
-    "pipeline +experiment=learn_study": Run(
-        "Hit: paper", STUDIED, less=f"{ONE_CASE} ~hits.cases.D"
-    ),
-    "pipeline +experiment=gain_study": Run(
-        r"Hit: .*base: \d+ %",
-        STUDIED,
-        less="hits.seeds=1 hits.casts=1 hits.lessons.casts=3 "
-        + " ".join(
-            f"~hits.cases.{case}"
-            for case in (
-                "nothing",
-                "wind",
-                "gravity_direction",
-                "rest_curvature",
-                "grasp_angle",
-                "arm_lag",
-            )
-            + ("joint_gain", "time_offset", "camera_rotation")
-        ),
-    ),
-    "pipeline +experiment=extraction_study extraction_study.frames=24": Run(
+    "tasks.py study casting": Run("Hit: paper", CASTS, less=LESS_CASTING),
+    "tasks.py study extraction extraction.frames=24": Run(
         r"2064 frames: 7\d\.\d% read, 0\.\d+% wrong",
         ("shares.parquet", "frames.parquet"),
     ),
     # In a copy of the project: they rewrite what was recorded.
-    "tests.alignment": Run(less="--seeds 1 --filmed 0"),
     "tests.convergence.table": Run(r"\| A \| 3 \| semi_implicit_euler \|"),
     # What is on the disk.
     "pipeline index --to runs.parquet": Run(r"run +ended as +casts"),
@@ -196,12 +162,6 @@ ELSEWHERE = {  # which test runs it, or why none can
     "pipeline.settings.reference": "would write over the page: tests/pipeline/test_help.py::test_the_reference_is_what_it_would_be_made_now",
     "pipeline +experiment=paper hydra.sweep.dir=outputs/sweeps/...": "goes on with a sweep, as does "
     "tests/sweep/test_sweep_command.py::test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request",
-    "pipeline +experiment=measured_study trials=../shared/measured": "needs recordings of others, which are not ours to "
-    "hand on; a small one: tests/measured/test_measured_study.py",
-    "pipeline.studies.extraction.footage ../shared/measured tests/benchmarks/extraction/results/measured.parquet": "needs films of "
-    "others, which are not ours to hand on",
-    "pipeline.studies.measured.diagnosed ../shared/measured": "needs recordings of others, which are not ours to hand on",
-    "pipeline +experiment=": "the beginning of a command: its names are composed in test_readme_commands.py",
     "tasks.py study draw 7 riddle riddle.json": "tests/benchmarks/test_draw.py",
     "pipeline +experiment=calibrate source=device source@plane=device": "needs a camera and a person with a board",
     "pipeline +experiment=stringB hardware=serial calibrated=outputs/...": "needs an arm on a serial port; with an "
@@ -212,6 +172,19 @@ ELSEWHERE = {  # which test runs it, or why none can
     "stringcast.hardware.dynamixel.emulator [--fault KIND:N ...]": "tests/drivers/test_dynamixel.py::bus",
     "pipeline +sway=plain mode=batch mode.stage=sway trials=data/sample": "a stage of one's own, which there is none of: "
     "tests/pipeline/test_new_stage.py",
+    "tasks.py study diagnosis diagnosis.simulator=nodal seed=100 diagnosis.datasets=10": "as without datasets",
+    "tasks.py study diagnosis diagnosis.simulator=nodal diagnosis.kind=none diagnosis.datasets=100": "as with a seed",
+    "tasks.py study casting casting.seeds=16": "takes hours; one run of it: tests/benchmarks/casting/test_casting_study.py",
+    "tasks.py study gain": "takes hours; as casting",
+    "tasks.py study gain casting.seeds=2": "takes hours; as casting",
+    "tasks.py study learning": "takes hours; as casting",
+    "tasks.py study learning casting.seeds=3": "takes hours; as casting",
+    "tasks.py study alignment": "rewrites its recorded table: tests/benchmarks/test_main.py",
+    "tasks.py study footage ../shared/measured outputs/footage.parquet": "needs films of others, which may not be "
+    "handed on",
+    "tasks.py study measured measured.source=../shared/measured": "needs recordings of others; a small one: "
+    "tests/benchmarks/measured/test_measured_study.py",
+    "tasks.py study strings ../shared/measured": "needs recordings of others, which may not be handed on",
     "tasks.py test": "is what runs this",
     "tasks.py setup": "made the environment that this runs in",
     "tasks.py bench": "installs what it compares with; a small one: tests/speed/test_smoke.py",
@@ -349,6 +322,8 @@ def filled(command, run, place, out):
         re.sub(r"(?<==)(tilted\.mp4|tilted|flat)$", rf"{folder}/\1", word)
         for word in words
     ]
+    if words[:2] == ["tasks.py", "study"]:
+        return ["tests.benchmarks", *words[2:], f"folder={out}"]
     if words[0] == "tasks.py":
         words = ["pipeline", "+experiment=stringB"]
     if any(re.match(r"[+~\w./@]+=", word) for word in words) and words[0] == "pipeline":

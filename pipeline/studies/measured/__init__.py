@@ -1,3 +1,0 @@
-"""Strings that others measured, fitted with stated sets of effects: how near does each
-set come?
-"""

@@ -1,0 +1,196 @@
+"""One run of a casting study: a string of the virtual lab, cast at a target by one
+method, from one seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import yaml
+
+from stringcast.data.artifacts import Diagnosis, TrialSet
+from stringcast.hardware.virtual.bench import VirtualBench
+from stringcast.pipeline.modes import Cast
+from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
+from stringcast.pipeline.run.iterations import History, Iteration
+from stringcast.stages.generate.curves import first_curves
+from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
+from stringcast.stages.model.hand import JointMotion
+from tests.benchmarks.casting.point_executor import PointExecutor
+
+Config = Mapping[str, Any]
+# on which the prediction error of a model is measured, the same for all
+REFERENCE_CASTS = 4
+REFERENCE_DURATION_S = (0.3, 1.0)
+REFERENCE_ACCELERATION = 75.0  # [rad/s^2]
+TRAINING_STAGES = ("generate", "execute", "extract")
+
+
+def run_settings(
+    config: Config, case: Config, method: Config, seed: int, casts: int
+) -> dict[str, Any]:
+    """Return the settings of one run: those of the study, changed by the case and by
+    the method.
+    """
+    settings = {
+        name: value
+        for name, value in config.items()
+        if name not in ("casting", "folder")
+    }
+    for block, change in (*case.items(), *method.items()):
+        settings[block] = merge_change(settings[block], change)
+    obstacles = {**settings["hardware"]["obstacles"], **settings["obstacles"]}
+    settings["hardware"] = {
+        **settings["hardware"],
+        "specimen": settings["specimen"],
+        "obstacles": obstacles,
+    }
+    return settings | {"seed": seed, "manipulations": casts}
+
+
+def merge_change(block: Any, change: Any) -> Any:
+    """Return a settings block with a change. Another stage replaces the whole block."""
+    if (
+        not (isinstance(change, Mapping) and isinstance(block, Mapping))
+        or "_target_" in change
+    ):
+        return change
+    return {
+        **block,
+        **{
+            name: merge_change(block.get(name), value) for name, value in change.items()
+        },
+    }
+
+
+def run_casts(
+    config: Config, case: Config, method: Config, seed: int
+) -> list[dict[str, Any]]:
+    """Cast until the loop believes that a cast has hit; return a row for each cast.
+
+    The training casts of `casting.training` come first and are not counted; they are
+    the same for all methods. A method with settings of a stage `diagnose` uses the
+    model of a diagnosis of the training casts.
+    """
+    study = config["casting"]
+    count, noise = study["training"]["casts"], study["noise"]
+    training_method = {name: study["training"][name] for name in ("generate", "target")}
+    training = run_settings(config, case, training_method, seed, study["casts"])
+    settings = run_settings(config, case, method, seed, study["casts"] + count)
+    try:
+        training_casts = perform_training(
+            PointExecutor(prepare_experiment(training, settings_file), noise), count
+        )
+        if "diagnose" in method:
+            diagnosis = prepare_experiment(
+                {**training, "diagnose": method["diagnose"]}, settings_file
+            )
+            for block, value in diagnosed_model(diagnosis, training_casts).items():
+                settings[block] = merge_change(settings[block], value)
+        experiment = prepare_experiment(settings, settings_file)
+        executor = PointExecutor(experiment, noise)
+        if training_casts:
+            # the last training cast keeps the estimate
+            History(executor, training_casts).make_artifact(
+                "estimate", trials=trial_set(training_casts)
+            )
+        assert isinstance(experiment.mode, Cast)
+        casts = experiment.mode.run_steps(
+            experiment, Path(), executor, training_casts
+        ).iterations[count:]
+    except MotionNotFoundError as error:
+        # a run that never hits
+        return [{"cast": 1, "hit": False, "reason": str(error)}]
+    references = ReferenceCasts(experiment, next(iter(executor.benches.values())))
+    return [cast_row(cast, cast.number - count, executor, references) for cast in casts]
+
+
+def perform_training(executor: PointExecutor, count: int) -> list[Iteration]:
+    """Perform training casts, each as if nothing were known of the string."""
+    history = History(executor)
+    for _ in range(count):
+        current = history.begin_iteration()
+        for name in TRAINING_STAGES:
+            history.make_artifact(name)
+        # so that no later motion is a change of this one
+        del current.artifacts["motion"]
+    return history.iterations
+
+
+def diagnosed_model(experiment: Experiment, casts: list[Iteration]) -> dict[str, Any]:
+    """Return the settings of the model of a diagnosis of the casts, as `extended=<its
+    folder>` gives them.
+    """
+    copies = [*casts[:-1], replace(casts[-1], artifacts=dict(casts[-1].artifacts))]
+    history = History(PointExecutor(experiment, noise=0.0), copies)
+    diagnosis: Diagnosis = history.make_artifact("diagnose", trials=trial_set(casts))
+    extended: dict[str, Any] = yaml.safe_load(diagnosis.finding["extended"].iloc[0])
+    return extended
+
+
+def trial_set(casts: list[Iteration]) -> TrialSet:
+    """Return the observations of casts."""
+    return TrialSet(tuple(cast.observation for cast in casts))
+
+
+def settings_file(block: str) -> str:
+    """Return where a settings block comes from, for messages."""
+    return f"conf/{block}"
+
+
+def cast_row(
+    cast: Iteration, number: int, executor: PointExecutor, references: ReferenceCasts
+) -> dict[str, Any]:
+    """Return the row of a cast."""
+    assert cast.verdict is not None
+    plan, estimate = (
+        cast.artifacts["motion"].outcome.iloc[0],
+        cast.artifacts["estimate"],
+    )
+    truth = executor.true_outcome(cast.number, float(plan["duration"]))
+    row = {
+        "cast": number,
+        "hit": truth.hit,
+        "believed": cast.has_hit,
+        "distance": truth.distance,
+        "probability": float(plan.get("chance", np.nan)),
+        "planning": executor.planning_seconds[cast.number],
+        "residual": float(estimate.fit["rms_after"].iloc[0]),
+        "prediction_error": references.prediction_error(estimate.values()),
+        "effects": " ".join(executor.experiment.config["effects"]),
+    }
+    # JSON has no NaN
+    return {name: None if pd.isna(value) else value for name, value in row.items()}
+
+
+class ReferenceCasts:
+    """Casts that nothing is fitted to, on which the tip is predicted."""
+
+    def __init__(self, experiment: Experiment, bench: VirtualBench) -> None:
+        self.model = experiment.model
+        arm = experiment.arm
+        rng = np.random.default_rng(0)
+        curves = first_curves(
+            arm, rng, 64, REFERENCE_DURATION_S, REFERENCE_ACCELERATION
+        )
+        angles, speeds = curves.sample(arm.tick, REFERENCE_DURATION_S[1])
+        feasible = np.flatnonzero(arm_faults(arm, (), angles, speeds) == "")[
+            :REFERENCE_CASTS
+        ]
+        self.motion = JointMotion(0.0, arm.tick, angles[feasible], speeds[feasible])
+        self.times = np.arange(0, REFERENCE_DURATION_S[1], 2 * arm.tick)
+        values = np.repeat(bench.values, REFERENCE_CASTS, axis=0)
+        self.tips = bench.model.simulate_string(self.motion, values, self.times).tip
+
+    def prediction_error(self, values: Mapping[str, float]) -> float:
+        """Return the root mean square distance of the predicted tip from the true one
+        [m].
+        """
+        parameters = np.repeat(self.model.values(values)[None], REFERENCE_CASTS, axis=0)
+        tips = self.model.simulate_string(self.motion, parameters, self.times).tip
+        return float(np.sqrt(np.mean(np.sum((tips - self.tips) ** 2, axis=-1))))

@@ -1,0 +1,255 @@
+"""The hit study: what its executor measures, and what its tables count."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from conftest import specimen, swing
+from omegaconf import OmegaConf
+
+from stringcast.data.artifacts import JOINTS
+from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
+from stringcast.pipeline.run.experiment import prepare_experiment
+from stringcast.pipeline.settings.typed_settings import compose_settings
+from stringcast.stages.hit_test import hit_test
+from tests.benchmarks.casting.point_executor import PointExecutor, measure_points
+from tests.benchmarks.casting.runs import (
+    diagnosed_model,
+    perform_training,
+    run_settings,
+)
+from tests.benchmarks.casting.scores import TABLES, score_casts
+from tests.benchmarks.casting.study import CastingStudy
+from tests.benchmarks.study import study_settings
+
+
+def test_points_are_those_of_the_bench_with_noise_of_the_size_told(arm, camera):
+    bench = VirtualBench(arm, replace(camera), specimen("A"), seed=3)
+    device, motion = VirtualArm(bench), swing()
+    device.move_to(motion.commands[list(JOINTS)].iloc[0].tolist())
+    device.perform(motion.commands)
+    t = np.arange(0, 0.3, 0.005)
+    seen = measure_points(bench, t, 0.0007, np.random.default_rng(0))
+    true = bench.string_at(t)
+    tips = seen.readings[["tip_x", "tip_y"]].to_numpy()
+    assert np.std(tips - true[:, -1]) == pytest.approx(0.0007, rel=0.2)
+    last = seen.points[seen.points["s"] == seen.points["s"].max()]
+    np.testing.assert_array_equal(last[["x", "y"]].to_numpy(), tips)
+    assert seen.points["s"].max() == pytest.approx(0.3)
+    middle = seen.points.groupby("s").get_group(seen.points["s"].unique()[5])
+    at = round(middle["s"].iloc[0] / 0.3 * 39)
+    assert np.abs(middle[["x", "y"]].to_numpy() - true[:, at]).max() < 5 * 0.0007
+
+
+def made(case, method, seed, *hits, chance=np.nan):
+    return [
+        {
+            "case": case,
+            "method": method,
+            "seed": seed,
+            "cast": number,
+            "hit": hit,
+            "probability": chance,
+        }
+        | {
+            "distance": 0.01,
+            "planning": 1.0,
+            "residual": 0.001,
+            "prediction_error": 0.1 / number,
+            "believed": hit,
+            "effects": "",
+            "code": "a",
+        }
+        for number, hit in enumerate(hits, start=1)
+    ]
+
+
+def test_runs_of_several_versions_of_the_code_are_named():
+    rows = [*made("A", "ours", 0, True), *made("A", "ours", 1, True)]
+    for codes, several in ((("a", "a"), False), (("a", "b"), True)):
+        tables = score_casts(
+            pd.DataFrame(
+                [row | {"code": code} for row, code in zip(rows, codes, strict=True)]
+            ),
+            2,
+        )
+        assert ("2 versions of the code" in CastingStudy().summary(tables)) == several
+
+
+def test_hits_are_counted_by_run():
+    """Two cases share a seed, which does not make them one run; a run that never hits
+    counts in every row.
+    """
+    rows = [
+        *made("A", "ours", 0, True, chance=0.8),
+        *made("B", "ours", 0, False, True, chance=0.8),
+    ]
+    rows += [
+        *made("A", "paper", 0, False, False, False),
+        *made("B", "paper", 0, False, True),
+    ]
+    tables = score_casts(pd.DataFrame(rows), 3)
+    every = tables["rates"].set_index(["case", "method", "within"]).sort_index()
+    assert every.loc[("all", "ours"), "right"].tolist() == [1, 2, 2]
+    assert every.loc[("all", "paper"), "right"].tolist() == [0, 1, 1]
+    assert every.loc[("A", "paper"), "count"].tolist() == [1, 1, 1]
+    needed = tables["needed"].set_index(["case", "method"])["casts"]
+    assert needed["all", "ours"] == 2
+    assert np.isnan(needed["all", "paper"])
+    learned = (
+        tables["learned"].set_index(["case", "method", "after"])["median"].sort_index()
+    )
+    # a run that has hit stays as it is
+    assert learned["all", "ours", 3] == pytest.approx((0.1 + 0.05) / 2)
+    predicted = tables["calibration"].iloc[0]
+    assert (predicted["right"], predicted["count"], predicted["predicted"]) == (
+        2,
+        3,
+        pytest.approx(0.8),
+    )
+    assert "paper: 0 %, 50 %, 50 % of 2 runs" in CastingStudy().summary(tables)
+    for name, table in tables.items():
+        TABLES[name].check(table)
+
+
+def test_a_run_takes_its_settings_from_case_and_method():
+    config = study_settings("casting")
+    study = config["casting"]
+    paper, ours = (
+        run_settings(config, study["cases"]["D"], study["methods"][m], 7, 4)
+        for m in ("paper", "robust")
+    )
+    assert (
+        paper["hardware"]["specimen"]
+        == study["cases"]["D"]["specimen"]
+        == ours["hardware"]["specimen"]
+    )
+    assert (paper["seed"], paper["manipulations"], paper["target"]["x"]) == (7, 4, 0.5)
+    assert paper["generate"]["_target_"] == "stages.generate.generate.generate"
+    assert ours["generate"]["_target_"] == "stages.generate.robust.generate"
+    assert paper["string"]["points"] == paper["string"]["reference_points"] == 25
+    assert (ours["string"]["points"], ours["string"]["reference_points"]) == (20, 10)
+    assert "ImplicitLeapfrog" in ours["string"]["integrator"]["_target_"]
+
+
+def test_a_case_says_only_what_differs_and_another_stage_comes_whole():
+    config = study_settings("gain")
+    study = config["casting"]
+    lagging = run_settings(
+        config, study["cases"]["arm_lag"], study["methods"]["diagnosed"], 3, 2
+    )
+    assert lagging["hardware"]["specimen"]["hidden"] == {
+        "arm_lag": {"time_constant": 0.015}
+    }
+    assert (
+        lagging["hardware"]["specimen"]["parameters"]
+        == config["specimen"]["parameters"]
+    )
+    assert config["specimen"]["hidden"] == {}
+    practice = run_settings(
+        config, {}, {"generate": study["training"]["generate"]}, 3, 2
+    )
+    assert practice["generate"] == compose_settings(["method=paper"])["generate"]
+
+
+def test_ways_of_learning_differ_in_their_motions_alone():
+    """But for the paper's, all methods of the study have one string and one estimation."""
+    config = study_settings("learning")
+    study = config["casting"]
+    ways = {
+        name: run_settings(config, study["cases"]["B"], method, 7, 4)
+        for name, method in study["methods"].items()
+    }
+    own = ways.pop("paper")
+    assert (
+        len(
+            {
+                json.dumps(way | {"generate": None}, sort_keys=True)
+                for way in ways.values()
+            }
+        )
+        == 1
+    )
+    assert (
+        len({json.dumps(way["generate"], sort_keys=True) for way in ways.values()})
+        == len(ways)
+        == 4
+    )
+    assert own["generate"] == ways["random"]["generate"]
+
+
+@pytest.fixture
+def turned():
+    """An executor whose bench has a camera that is rolled by more than the target is
+    wide.
+    """
+    config = OmegaConf.to_container(
+        OmegaConf.create(compose_settings(["+experiment=quick"])), resolve=True
+    )
+    hidden = {"specimen": {"hidden": {"camera_rotation": {"angle": 0.1}}}}
+    here = prepare_experiment(
+        run_settings(config, hidden, {}, 0, 1), lambda block: f"conf/{block}"
+    )
+    return PointExecutor(here, noise=1e-6)
+
+
+def test_what_really_became_of_a_cast_is_told_whatever_the_camera_says(turned):
+    taught = perform_training(turned, 1)[0]
+    duration = float(taught.artifacts["trial"].arm["t"].iloc[-1]) - 0.2
+    seen = hit_test(taught.artifacts["points"], turned.experiment.target, (), duration)
+    real = turned.true_outcome(1, duration)
+    away = np.hypot(turned.experiment.target.x, turned.experiment.target.y)
+    assert abs(seen.distance - real.distance) > 0.2 * 0.1 * away
+    bench = turned.benches[1]
+    t = np.linspace(0, duration, 2000)
+    true = np.hypot(
+        *(
+            bench.string_at(t)[:, -1]
+            - [turned.experiment.target.x, turned.experiment.target.y]
+        ).T
+    ).min()
+    assert real.distance == pytest.approx(true, abs=1e-4)
+
+
+def test_training_casts_are_first_casts_that_differ_and_are_the_same_again(turned):
+    one, two = perform_training(turned, 2)
+    assert not one.artifacts["trial"].arm.equals(two.artifacts["trial"].arm)
+    again = perform_training(PointExecutor(turned.experiment, noise=1e-6), 1)[0]
+    pd.testing.assert_frame_equal(again.observation.points, one.observation.points)
+
+
+def test_a_diagnosis_of_the_training_casts_makes_the_model_that_casts(
+    turned, monkeypatch
+):
+    """What is asked is what the training casts showed; what is said is laid over the
+    settings of the method.
+    """
+    said = {
+        "effects": ["camera_rotation"],
+        "known": {"camera_rotation.angle": 0.1},
+        "string": {"points": 15},
+    }
+    asked = []
+
+    def diagnose(model, observations, *rest, **settings):
+        asked.append([o.trial for o in observations])
+        finding = pd.DataFrame([{"extended": yaml.safe_dump(said)}])
+        return SimpleNamespace(finding=finding)
+
+    monkeypatch.setattr("stringcast.stages.diagnose.diagnose.diagnose", diagnose)
+    taught = perform_training(turned, 2)
+    config = {
+        **turned.experiment.config,
+        "diagnose": {"_target_": "stages.diagnose.diagnose.diagnose"},
+    }
+    assert (
+        diagnosed_model(
+            prepare_experiment(config, lambda block: f"conf/{block}"), taught
+        )
+        == said
+    )
+    assert asked == [["t01", "t02"]]

@@ -1,0 +1,116 @@
+"""The answer of a diagnosis, and whether it is right: one synthetic dataset at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+NONE, UNKNOWN = "none", "unknown"
+SEVERAL = ("pair", "triple")
+Row = Mapping[str, Any]
+CauseGroup = frozenset[str]  # look-alikes that the data cannot distinguish
+
+
+def named_groups(row: Row) -> list[CauseGroup]:
+    """Return the named causes in their order, each as the group of its look-alikes."""
+    diagnosis, synonyms = row["diagnosis"], row["truth"].get("alike", {})
+    look_alikes = []
+    for group in diagnosis.get("indistinguishable") or []:
+        look_alikes.append(frozenset(synonyms.get(name, name) for name in group))
+    groups: list[CauseGroup] = []
+    for cause in diagnosis.get("causes") or []:
+        name = synonyms.get(cause["effect"], cause["effect"])
+        group = next(
+            (group for group in look_alikes if name in group), frozenset({name})
+        )
+        if group not in groups:
+            groups.append(group)
+    return groups
+
+
+def is_correct(row: Row) -> bool:
+    """Return whether the answer is right.
+
+    - nothing hidden: no cause is named;
+    - one cause hidden: it is in the first group that is named;
+    - several hidden: each is named, in a group of its own;
+    - a cause that the library does not hold: the verdict is `unknown`, and nothing is named.
+    """
+    kind, names = row["truth"]["kind"], row["truth"]["names"]
+    verdict, groups = row["diagnosis"]["verdict"], named_groups(row)
+    if kind == "outside":
+        return bool(verdict == UNKNOWN and not groups)
+    if kind == NONE:
+        return not groups and verdict == NONE
+    if verdict not in ("effect", "ambiguous"):
+        return False
+    if kind in SEVERAL:
+        return count_found(row) == len(names)
+    return bool(groups) and names[0] in groups[0]
+
+
+def count_found(row: Row) -> int:
+    """Count hidden causes that are named, each in a group of its own."""
+    groups = named_groups(row)
+    found, used = 0, set()
+    for name in row["truth"]["names"]:
+        containing = [i for i, group in enumerate(groups) if name in group]
+        found += bool(containing)
+        used.update(containing)
+    return min(found, len(used))
+
+
+def answer_name(row: Row) -> str:
+    """Return the answer in a word: the true cause if it is in the first group, else the
+    first named or the verdict.
+    """
+    groups, verdict = named_groups(row), str(row["diagnosis"]["verdict"])
+    if not groups:
+        return verdict
+    true = [name for name in row["truth"]["names"] if name in groups[0]]
+    named = [
+        cause["effect"]
+        for cause in row["diagnosis"]["causes"]
+        if cause["effect"] in groups[0]
+    ]
+    return str((true or named)[0])
+
+
+def cause_probabilities(row: Row) -> dict[str, float]:
+    """Return probabilities by cause. What is missing to one goes to the verdict `none`
+    or `unknown`.
+    """
+    diagnosis, synonyms = row["diagnosis"], row["truth"].get("alike", {})
+    probabilities = {}
+    for cause in reversed(
+        [*(diagnosis.get("causes") or []), *(diagnosis.get("alternatives") or [])]
+    ):
+        probabilities[synonyms.get(cause["effect"], cause["effect"])] = float(
+            cause["probability"]
+        )
+    verdict = diagnosis["verdict"]
+    if verdict in (NONE, UNKNOWN):
+        probabilities.setdefault(verdict, max(1.0 - sum(probabilities.values()), 0.0))
+    return probabilities
+
+
+def answer_probability(row: Row) -> float:
+    """Return the probability of the answer, NaN if none is stated.
+
+    Causes that are needed together share the probability of their set, so that those of
+    all named causes add up.
+    """
+    probabilities, groups = cause_probabilities(row), named_groups(row)
+    if groups:
+        named = frozenset().union(*groups)
+        return min(sum(probabilities.get(name, 0.0) for name in named), 1.0)
+    return probabilities.get(row["diagnosis"]["verdict"], float("nan"))
+
+
+def is_named_above(row: Row, probability: float) -> bool:
+    """Return whether a library effect has more than this probability."""
+    return any(
+        p > probability
+        for name, p in cause_probabilities(row).items()
+        if name not in (NONE, UNKNOWN)
+    )

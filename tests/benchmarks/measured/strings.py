@@ -1,0 +1,254 @@
+"""Diagnosis of strings that others measured: `python3 tasks.py study strings
+../shared/measured`.
+
+Writes results/strings.parquet, a row for each string, and the diagnosis of each to
+--out. Takes a quarter of an hour of a core for each string, or more. Rows of strings
+that are not named stay as they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import as_completed
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import yaml
+from rich.progress import track
+
+from stringcast.data.artifacts import Diagnosis
+from stringcast.data.schema import Column, Table
+from stringcast.data.store import write_table, write_text
+from stringcast.pipeline.run.provenance import (
+    PROJECT_FOLDER,
+    code_state,
+    software_versions,
+)
+from stringcast.pipeline.settings.typed_settings import (
+    UserError,
+    build_dataclass,
+    compose_settings,
+)
+from tests.benchmarks.diagnosis.study import diagnose_dataset
+from tests.benchmarks.measured.family import Family
+from tests.benchmarks.measured.study import WHERE, MeasuredSettings
+from tests.benchmarks.study import study_settings, worker_pool
+
+TABLE_FILE = Path(__file__).with_name("results") / "strings.parquet"
+RELEASED = "release_"  # trials to which the authors of the cables fitted their model
+# with the slow loop, to which no set is fitted
+ALL_CABLE_TRIALS = "(drive|release|slow)_(?P<string>.+)"
+STRINGS = Table(
+    "strings",
+    "a row for each measured string: its diagnosis",
+    (
+        Column("string", "", "its name", "text"),
+        Column("trials", "1", "used trials", "int"),
+        Column(
+            "verdict", "", "none, effect, ambiguous, unknown or insufficient", "text"
+        ),
+        Column("named", "", "causes and their probabilities, joined by ', '", "text"),
+        Column(
+            "explained", "", "causes of the extended model, joined by ' + '", "text"
+        ),
+        Column("unknown", "1", "probability of a cause that the library does not hold"),
+        Column(
+            "rms_base", "m", "centre-line residual of the base model in left-out trials"
+        ),
+        Column(
+            "rms_extended",
+            "m",
+            "centre-line residual of the extended model in left-out trials",
+        ),
+        Column("noise", "m", "noise floor of these trials"),
+        Column(
+            "tip_base",
+            "m",
+            "rms of the tip in released trials, base model fitted to all trials",
+        ),
+        Column(
+            "tip_extended",
+            "m",
+            "rms of the tip in released trials, extended model fitted to all trials",
+        ),
+        Column("tip_authors", "m", "rms of the tip in released trials, authors' model"),
+        Column("seconds", "s", "processor time"),
+        Column("code", "", "commit of the code", "text"),
+    ),
+)
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Diagnose each string in a process of its own; keep a row as soon as it is made."""
+    parser = argparse.ArgumentParser(
+        "python3 tasks.py study strings", description=__doc__
+    )
+    parser.add_argument(
+        "source", type=Path, help="folder of all families, as ../shared/measured"
+    )
+    parser.add_argument("strings", nargs="*", help="names of strings; all by default")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=PROJECT_FOLDER / "outputs" / "strings",
+        help="datasets and diagnoses",
+    )
+    parser.add_argument(
+        "--processes", type=int, default=0, help="0 is one for each core"
+    )
+    parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        help="an effect to exclude; no row is kept then",
+    )
+    options = parser.parse_args(arguments)
+    known = {}
+    for family in families_with_all_trials():
+        for string, trials in family.trials_by_string(options.source).items():
+            known[string] = family, trials
+    strings = options.strings or list(known)
+    if unknown := set(strings) - set(known):
+        raise UserError(
+            f"there is no {', '.join(sorted(unknown))} in {options.source}; there are {', '.join(known)}"
+        )
+    with worker_pool(options.processes) as pool:
+        names = {}
+        for string in strings:
+            family, trials = known[string]
+            out = options.out / string
+            names[
+                pool.submit(
+                    diagnose_string,
+                    options.source,
+                    string,
+                    family,
+                    trials,
+                    out,
+                    options.without,
+                )
+            ] = string
+        for future in track(as_completed(names), "strings", total=len(names)):
+            if error := future.exception():
+                print(f"{names[future]}: {type(error).__name__}: {error}")
+                continue
+            print(future.result())
+            if not options.without:
+                keep_row(
+                    future.result() | {"code": code_state()["commit"][:7]}, arguments
+                )
+
+
+def families_with_all_trials() -> list[Family]:
+    """Return the families of the study with all trials, frames and points: nothing is
+    held out.
+    """
+    settings = build_dataclass(
+        MeasuredSettings,
+        study_settings("measured", ["measured.source=."])["measured"],
+        "measured",
+        WHERE,
+    )
+    families = {
+        name: replace(f, held_out="", every=1, beyond=0.0)
+        for name, f in settings.families.items()
+    }
+    families["cables"] = replace(families["cables"], trials=ALL_CABLE_TRIALS)
+    return list(families.values())
+
+
+def diagnose_string(
+    source: Path,
+    name: str,
+    family: Family,
+    trials: list[str],
+    out: Path,
+    without: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Return a row of the table, without the code; write the diagnosis to `out`."""
+    family.write(
+        source,
+        name,
+        trials,
+        out / "dataset",
+        {"packages": software_versions()["packages"]},
+    )
+    started = time.process_time()
+    settings = compose_settings(
+        ["+experiment=diagnose", f"diagnose.without=[{','.join(without)}]"]
+    )
+    diagnosis = diagnose_dataset(
+        out / "dataset", settings | {"string": family.settings["string"]}
+    )
+    seconds = time.process_time() - started
+    text = diagnosis.finding["diagnosis"].iloc[0]
+    write_text(out / "diagnosis.json", text)
+    write_text(out / "extended.yaml", diagnosis.finding["extended"].iloc[0])
+    return {
+        "string": name,
+        **summarise(json.loads(text), diagnosis),
+        "tip_authors": family.authors.get(name, float("nan")),
+        "seconds": seconds,
+    }
+
+
+def summarise(document: Mapping[str, Any], diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return the verdict of a diagnosis and the errors of its models."""
+    causes = {cause["effect"]: cause["probability"] for cause in document["causes"]}
+    alternatives = {
+        other["effect"]: other["probability"] for other in document["alternatives"]
+    }
+    known = yaml.safe_load(diagnosis.finding["extended"].iloc[0])["known"]
+    explained = {name.split(".")[0] for name in known if "." in name}
+    rms = {
+        name: float("nan") if value is None else value
+        for name, value in document["gain"]["rms_m"].items()
+    }
+    return {
+        "trials": len(document["trials"]["used"]),
+        "verdict": document["verdict"],
+        "named": ", ".join(
+            f"{cause} {probability:.2f}" for cause, probability in causes.items()
+        ),
+        "explained": " + ".join(sorted(explained)),
+        "unknown": (causes | alternatives).get("unknown", 0.0),
+        "rms_base": rms["base"],
+        "rms_extended": rms["extended"],
+        "noise": rms["noise_floor"],
+        "tip_base": released_tip_rms(diagnosis.residuals, "base"),
+        "tip_extended": released_tip_rms(diagnosis.residuals, "extended"),
+    }
+
+
+def released_tip_rms(residuals: pd.DataFrame, model: str) -> float:
+    """Return the rms distance of the outermost point in released trials [m]; NaN where
+    there are none.
+    """
+    is_tip = residuals["s"] == residuals["s"].max()
+    tip = residuals[residuals["trial"].str.startswith(RELEASED) & is_tip]
+    distances = np.hypot(tip["x"] - tip[f"{model}_x"], tip["y"] - tip[f"{model}_y"])
+    return float(np.sqrt(np.mean(distances**2))) if len(tip) else float("nan")
+
+
+def keep_row(row: dict[str, Any], arguments: Sequence[str]) -> None:
+    """Put a row into the table, in place of the string's earlier one."""
+    before = (
+        pd.read_parquet(TABLE_FILE).to_dict("records") if TABLE_FILE.exists() else []
+    )
+    rows = [*(other for other in before if other["string"] != row["string"]), row]
+    made_by = {
+        "command": " ".join(["python3 tasks.py study strings", *arguments]),
+        "packages": software_versions()["packages"],
+    }
+    write_table(
+        STRINGS,
+        pd.DataFrame(rows).sort_values("string", ignore_index=True),
+        TABLE_FILE,
+        made_by,
+    )
