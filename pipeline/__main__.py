@@ -30,7 +30,7 @@ from stringcast.pipeline.cli.terminal import (
 )
 from stringcast.pipeline.commands import COMMAND_NAMES, load_command
 from stringcast.pipeline.run import log
-from stringcast.pipeline.settings.typed_settings import refuse_repeated_settings
+from stringcast.pipeline.settings.composition import refuse_repeated_settings
 from stringcast.pipeline.sweep.lazy_launcher import finish_sweep as sweep_ended
 from stringcast.pipeline.sweep.lazy_launcher import sweep_folder as sweep_folder
 

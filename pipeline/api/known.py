@@ -21,16 +21,16 @@ from stringcast.data.store import read_table, write_text
 from stringcast.pipeline.cli.terminal import explain_hydra_error
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
 from stringcast.pipeline.run.picture_source import refuse_unusable_source
+from stringcast.pipeline.settings.composition import (
+    UserError,
+    compose_settings,
+    given_names,
+)
 from stringcast.pipeline.settings.settings_from_runs import (
     EXTENDED,
     inherit_settings,
     read_extended_model,
     restore_given_settings,
-)
-from stringcast.pipeline.settings.typed_settings import (
-    UserError,
-    compose_settings,
-    given_names,
 )
 from stringcast.stages.export.mjcf import build_mjcf
 from stringcast.stages.model.model import Model

@@ -1,6 +1,4 @@
-"""Mistakes that people make on the command line, each answered by the command that was
-meant, before Hydra sees it.
-"""
+"""Answer frequent mistakes on the command line with the command that was meant, before Hydra sees them."""
 
 from __future__ import annotations
 
@@ -14,51 +12,38 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stringcast.pipeline.commands import COMMAND_NAMES
-from stringcast.pipeline.settings.typed_settings import CONF_FOLDER, UserError
+from stringcast.pipeline.settings.composition import CONF_FOLDER, UserError
 
-# as which it is called is put in where it is printed
-CALL_WORDS = ["python", "-m", "pipeline"]
+CALL_WORDS = [
+    "python",
+    "-m",
+    "pipeline",
+]  # replaced where it is printed by how the program was called
 FLAGS = ("-m", "--multirun", "-v", "-h", "--help")
 HYDRA_FLAGS = (
-    *(
-        "--hydra-help",
-        "--version",
-        "--cfg",
-        "-c",
-        "--resolve",
-        "--package",
-        "-p",
-        "--run",
-        "-r",
-        "--info",
-        "-i",
-    ),
-    *(
-        "--shell-completion",
-        "-sc",
-        "--config-path",
-        "-cp",
-        "--config-name",
-        "-cn",
-        "--config-dir",
-        "-cd",
-    ),
+    *("--hydra-help", "--version", "--cfg", "-c", "--resolve", "--package", "-p"),
+    *("--run", "-r", "--info", "-i", "--shell-completion", "-sc"),
+    *("--config-path", "-cp", "--config-name", "-cn", "--config-dir", "-cd"),
     "--experimental-rerun",
 )
 TASK_NAMES = ("test", "bench", "setup")
-EXAMPLE_RUN = ["+experiment=stringB", "method=robust"]  # what tasks.py runs
-# experiments that look at stored trials
-TRIAL_EXPERIMENTS = ("estimate", "diagnose", "decide")
+EXAMPLE_RUN = ["+experiment=stringB", "method=robust"]  # what `tasks.py run` runs
+TRIAL_EXPERIMENTS = (
+    "estimate",
+    "diagnose",
+    "decide",
+)  # experiments that need stored trials
 LENGTH_SETTING = re.compile(
     r"(string\.length|(?:target|arm\.base|obstacles)\.[\w.]+)=(-?[\d.]+)(mm|cm|m|)$"
 )
 METRES_PER_UNIT = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-# [m] that no string, target or arm reaches: from there on a number is in millimetres
-MAX_LENGTH_M = 20.0
+MAX_LENGTH_M = (
+    20.0  # no string, target or arm is larger: such a number is in millimetres
+)
 
 
 class Answer(NamedTuple):
-    """The fault of a word, empty if there is none, and the words that were meant."""
+    """The fault of a word, empty if there is none, and the words to give instead."""
 
     fault: str
     suggested_words: list[str]
@@ -66,9 +51,18 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True)
 class Word:
-    """A word of the command line. name, value: the text before and behind the equals
-    sign; all of it is name where there is none. before: the word before it, empty for
-    the first. following: those behind it.
+    """A word of the command line with its neighbours.
+
+    Parameters
+    ----------
+    text : str
+        The word.
+    name, value : str
+        The text before and after the equals sign; all of it is `name` without one.
+    previous_word : str
+        The word before it, empty for the first.
+    following_words : sequence of str
+        The words after it.
     """
 
     text: str
@@ -79,286 +73,263 @@ class Word:
 
     @property
     def setting(self) -> str:
-        """The setting's name, without the + that adds it."""
+        """Name of the setting without the plus sign that adds it."""
         return self.name.lstrip("+")
 
     @property
     def next_word(self) -> str:
-        """The word behind it, empty for the last."""
+        """Word after this one, empty for the last."""
         return self.following_words[0] if self.following_words else ""
 
 
 def refuse_mistakes(words: Sequence[str]) -> None:
-    """Raise UserError for the first word that is not what it is meant for, with the
-    command to paste instead.
-    """
+    """Raise UserError for the first mistaken word, with a corrected command to paste."""
     if any(word.startswith(("--config-", "hydra.searchpath")) for word in words):
-        return  # settings that lie elsewhere are not known here
-    answers = [*answer_words(words)]
+        return  # the settings of another folder are not known here
+
+    answers = list(answer_words(words))
     faults = [answer.fault for answer in answers if answer.fault]
-    better = [
-        *dict.fromkeys(word for answer in answers for word in answer.suggested_words)
-    ]
-    experiment = next(
-        (
-            word.removeprefix("+experiment=")
-            for word in better
-            if word.startswith("+experiment=")
-        ),
-        "",
-    )
-    if experiment in TRIAL_EXPERIMENTS and not any(
-        word.startswith("trials=") for word in better
-    ):
-        faults.append(
-            f"+experiment={experiment} looks at stored trials, and none are named."
-        )
-        better.append("trials=data/sample")
-    if faults:
-        raise UserError(
-            f"{faults[0]} Try: {shlex.join(CALL_WORDS + better)}"
-            if better != [*words]
-            else faults[0]
-        )
+    suggested: list[str] = []
+    for answer in answers:
+        suggested += [word for word in answer.suggested_words if word not in suggested]
+
+    trials_given = any(word.startswith("trials=") for word in suggested)
+    for experiment in TRIAL_EXPERIMENTS:
+        if f"+experiment={experiment}" in suggested and not trials_given:
+            faults.append(
+                f"+experiment={experiment} needs stored trials, and none are given."
+            )
+            suggested.append("trials=data/sample")
+
+    if not faults:
+        return
+    if suggested == list(words):
+        raise UserError(faults[0])
+    raise UserError(f"{faults[0]} Try: {shlex.join(CALL_WORDS + suggested)}")
 
 
 def answer_words(words: Sequence[str]) -> Iterator[Answer]:
-    """The answer to each word that stands for itself. The words behind a command are
-    the command's own.
-    """
-    command = False
-    for place, text in enumerate(words):
+    """Yield the answer to each word, except to those that an earlier answer covers."""
+    in_command = False
+    for position, text in enumerate(words):
         name, _, value = text.partition("=")
-        word = Word(
-            text, name, value, words[place - 1] if place else "", words[place + 1 :]
-        )
-        right = Answer("", [text])
-        # answered with the word before it: `--experiment stringB`, `seed = 3`, `seed:
-        # 3`
-        alone = "=" not in word.previous_word and (
-            word.previous_word.endswith(":")
-            or bool(setting_given_as_option(word.previous_word))
-        )
-        second = text == "=" or word.previous_word == "=" or alone
-        if command:
-            yield right
-        elif not second:
-            # of several mistakes that a word may be, the first that fits
-            faults = (
-                check_option
-                if text.startswith(("-", "~"))
-                else check_setting
-                if "=" in text
-                else check_bare_word
-            )
-            answer = next(faults(word), right)
-            command = place == 0 and answer.suggested_words[0] in COMMAND_NAMES
+        previous_word = words[position - 1] if position else ""
+        word = Word(text, name, value, previous_word, words[position + 1 :])
+        correct = Answer("", [text])
+        if in_command:  # the words after a command are the command's own
+            yield correct
+        elif not is_second_part(word):
+            answer = next(possible_answers(word), correct)
+            in_command = position == 0 and answer.suggested_words[0] in COMMAND_NAMES
             yield answer
 
 
-# --- kinds of words, each with the mistakes that are made with it, most likely first
-# --------------
+def is_second_part(word: Word) -> bool:
+    """Tell whether a word belongs to the one before it: `--experiment stringB`, `seed = 3`, `seed: 3`."""
+    if "=" in (word.text, word.previous_word):
+        return True
+    if "=" in word.previous_word:
+        return False
+    return word.previous_word.endswith(":") or bool(
+        setting_given_as_option(word.previous_word)
+    )
+
+
+def possible_answers(word: Word) -> Iterator[Answer]:
+    """Yield answers to the mistakes that a word may be, the most likely first."""
+    if word.text.startswith(("-", "~")):
+        return check_option(word)
+    return check_setting(word) if "=" in word.text else check_bare_word(word)
+
+
 def check_option(word: Word) -> Iterator[Answer]:
-    """Of a word that begins with a dash, or with a tilde, which takes a setting out."""
+    """Answer a word that begins with a dash, or with a tilde, which removes a setting."""
     if name := setting_given_as_option(word.text):
-        what = "an experiment" if name == "experiment" else "a setting"
+        kind = "an experiment" if name == "experiment" else "a setting"
+        value = word.value or word.next_word
         yield Answer(
-            f"{word.text}: {what} has no dashes before it.",
-            [write_setting(name, word.value or word.next_word)],
+            f"{word.text}: {kind} has no dashes before it.",
+            [write_setting(name, value)],
         )
     if word.text.startswith("-") and word.name not in (*FLAGS, *HYDRA_FLAGS):
-        fault = "there is no such option. A setting has no dashes: name=value. All: python -m pipeline --help"
+        fault = "there is no such option. A setting is name=value. All settings: python -m pipeline --help"
         yield Answer(f"{word.text}: {fault}", [word.text])
 
 
 def check_setting(word: Word) -> Iterator[Answer]:
-    """Of name=value."""
+    """Answer name=value."""
     if word.name == "experiment":
-        yield Answer(
-            f"{word.text}: an experiment is added to the settings.",
-            [write_setting(word.name, word.value)],
-        )
+        fault = f"{word.text}: an experiment has a plus sign before it."
+        yield Answer(fault, [write_setting(word.name, word.value)])
     place = re.fullmatch(r"[\[(]?(-?[\d.]+),(-?[\d.]+)[\])]?", word.value)
     if word.setting == "target" and place:
-        x, y = (to_metres(float(part)) for part in place.groups())
+        x, y = (to_metres(float(number)) for number in place.groups())
         yield Answer(
-            f"{word.text}: a place has a setting for each coordinate.",
+            f"{word.text}: give each coordinate.",
             [f"target.x={x:g}", f"target.y={y:g}"],
         )
     yield from check_choice(word)
     yield from check_choice_as_setting(word)
     length = LENGTH_SETTING.match(word.text)
     if length and (length[3] or abs(float(length[2])) >= MAX_LENGTH_M):
-        number = (
-            float(length[2]) * METRES_PER_UNIT[length[3]]
-            if length[3]
-            else to_metres(float(length[2]))
-        )
-        yield Answer(
-            f"{word.text}: lengths are in metres, without a unit.",
-            [f"{word.name}={number:g}"],
-        )
-    if (
-        word.name in ("effects", "own")
-        and re.fullmatch(r"[a-z_,\d]+", word.value)
-        and word.value != "null"
-    ):
-        yield Answer(f"{word.text}: it is a list.", [f"{word.name}=[{word.value}]"])
+        number = float(length[2])
+        metres = number * METRES_PER_UNIT[length[3]] if length[3] else to_metres(number)
+        fault = f"{word.text}: lengths are in metres, without a unit."
+        yield Answer(fault, [f"{word.name}={metres:g}"])
+    is_list = re.fullmatch(r"[a-z_,\d]+", word.value) and word.value != "null"
+    if word.name in ("effects", "own") and is_list:
+        yield Answer(f"{word.text}: this is a list.", [f"{word.name}=[{word.value}]"])
     if word.name.partition(".")[0] == "known":
         yield Answer(
-            f"{word.text}: what is known is added to the settings.", [f"+{word.text}"]
+            f"{word.text}: a value of a parameter has a plus sign before it.",
+            [f"+{word.text}"],
         )
     yield from check_setting_name(word)
 
 
 def check_bare_word(word: Word) -> Iterator[Answer]:
-    """Of a word without an equals sign: a command, or what is none."""
-    name, colon = word.text.rstrip(":"), word.text.endswith(":")
-    if is_setting(name) and word.following_words and (colon or word.next_word == "="):
-        value = word.next_word if colon else "".join(word.following_words[1:2])
+    """Answer a word without an equals sign: a command, or something else."""
+    name = word.text.rstrip(":")
+    has_colon = word.text.endswith(":")
+    if (
+        is_setting(name)
+        and word.following_words
+        and (has_colon or word.next_word == "=")
+    ):
+        value = word.next_word if has_colon else "".join(word.following_words[1:2])
         yield Answer(
-            f"{name}: name and value belong together.", [write_setting(name, value)]
+            f"{name}: write name and value together.", [write_setting(name, value)]
         )
     if Path(word.text).is_dir():
         yield Answer(
-            f"{word.text}: a folder of trials is a setting.", [f"trials={word.text}"]
+            f"{word.text}: give a folder of trials as a setting.",
+            [f"trials={word.text}"],
         )
-    if not word.previous_word and word.text == "run":
-        yield Answer("run: this program runs what its settings say.", EXAMPLE_RUN)
-    if not word.previous_word and word.text in TASK_NAMES:
-        yield Answer(
-            f"{word.text}: this is what tasks.py does: python3 tasks.py {word.text}",
-            [word.text],
-        )
+
+    is_first = not word.previous_word
+    if is_first and word.text == "run":
+        yield Answer("run: the settings alone say what is run.", EXAMPLE_RUN)
+    if is_first and word.text in TASK_NAMES:
+        yield Answer(f"{word.text}: use python3 tasks.py {word.text}", [word.text])
     if word.text in ("help", "?"):
         yield Answer(f"{word.text}: help is an option.", ["--help"])
-    near = nearest_name(word.text, [*COMMAND_NAMES, *group_options("experiment")])
-    if not word.previous_word and near in COMMAND_NAMES:
-        yield Answer(f"{word.text}: there is no such command.", [near])
-    if near := nearest_name(word.text, group_options("experiment")):
-        yield Answer(
-            f"{word.text}: an experiment is added to the settings.",
-            [f"+experiment={near}"],
-        )
-    fault = f"this is neither a command ({', '.join(COMMAND_NAMES)}) nor a setting (name=value). See --help."
+
+    experiments = group_options("experiment")
+    command = nearest_name(word.text, [*COMMAND_NAMES, *experiments])
+    if is_first and command in COMMAND_NAMES:
+        yield Answer(f"{word.text}: there is no such command.", [command])
+    if experiment := nearest_name(word.text, experiments):
+        fault = f"{word.text}: an experiment has a plus sign before it."
+        yield Answer(fault, [f"+experiment={experiment}"])
+    commands = ", ".join(COMMAND_NAMES)
+    fault = f"this is neither a command ({commands}) nor a setting (name=value). See --help."
     yield Answer(f"{word.text}: {fault}", [word.text])
 
 
 def check_choice(word: Word) -> Iterator[Answer]:
-    """An unknown option of a group, such as estimate=least_square; several at once, as
-    in a sweep, are Hydra's to read.
+    """Answer an unknown option of a group, such as estimate=least_square.
+
+    Several options at once, as in a sweep, are left to Hydra.
     """
-    there = group_options(word.setting)
+    options = group_options(word.setting)
     if (
-        not there
-        or word.value in ("", "null", *there)
+        not options
+        or word.value in ("", "null", *options)
         or re.search(r"[,()\[{$]", word.value)
     ):
         return
-    # in a folder of the group
-    if (CONF_FOLDER / word.setting / word.value).with_suffix(".yaml").exists():
+    if (
+        (CONF_FOLDER / word.setting / word.value).with_suffix(".yaml").exists()
+    ):  # in a folder of the group
         return
-    near = nearest_name(word.value, there)
-    known = (
-        ""
-        if near
-        else f"; there {'are' if len(there) > 1 else 'is'} {', '.join(there)}"
-    )
-    if not near and word.setting in ("arm", "camera"):
-        known += f"; python -m pipeline new {word.setting} {word.value} writes one of your own"
-    yield Answer(
-        f"{word.text}: there is no such option{known}.",
-        [f"{word.name}={near or word.value}"],
-    )
+    fault = f"{word.text}: there is no such option"
+    near = nearest_name(word.value, options)
+    if near:
+        yield Answer(f"{fault}.", [f"{word.name}={near}"])
+        return
+    verb = "are" if len(options) > 1 else "is"
+    fault += f"; there {verb} {', '.join(options)}"
+    if word.setting in ("arm", "camera"):
+        fault += f"; python -m pipeline new {word.setting} {word.value} writes your own"
+    yield Answer(f"{fault}.", [f"{word.name}={word.value}"])
 
 
 def check_choice_as_setting(word: Word) -> Iterator[Answer]:
-    """An option as if it were a setting, source.video=film.mp4: meant is what the
-    option leaves to be given.
-    """
+    """Answer an option that is given as a setting, source.video=film.mp4, with the setting it needs."""
     group, _, option = word.setting.partition(".")
     if option in group_options(group):
         file = (CONF_FOLDER / group / option).with_suffix(".yaml")
-        if left := re.search(r"^(\w+): null\b", file.read_text(encoding="utf-8"), re.M):
-            meant = [f"{group}={option}", f"{group}.{left[1]}={word.value}"]
-            yield Answer(f"{word.text}: {option} is an option of {group}.", meant)
+        if needed := re.search(
+            r"^(\w+): null\b", file.read_text(encoding="utf-8"), re.M
+        ):
+            suggested_words = [f"{group}={option}", f"{group}.{needed[1]}={word.value}"]
+            yield Answer(
+                f"{word.text}: {option} is an option of {group}.", suggested_words
+            )
 
 
 def check_setting_name(word: Word) -> Iterator[Answer]:
-    """The nearest known one, by its first name."""
-    if not is_setting(word.setting):
-        top, dot, inner = word.setting.partition(".")
-        near = nearest_name(top, [*top_level_settings(), *group_names()])
-        meant = write_setting(f"{near}{dot}{inner}", word.value) if near else word.text
-        listed = "" if near else " All of them: python -m pipeline --help"
-        yield Answer(f"{word.text}: there is no setting '{top}'.{listed}", [meant])
+    """Answer an unknown setting with the known one of the most similar first name."""
+    if is_setting(word.setting):
+        return
+    first_name, dot, rest = word.setting.partition(".")
+    fault = f"{word.text}: there is no setting '{first_name}'."
+    if near := nearest_name(first_name, [*top_level_settings(), *group_names()]):
+        yield Answer(fault, [write_setting(f"{near}{dot}{rest}", word.value)])
+    else:
+        yield Answer(f"{fault} All settings: python -m pipeline --help", [word.text])
 
 
-# --- what there is
-# -----------------------------------------------------------------------------
 def setting_given_as_option(word: str) -> str:
-    """The setting that is given as an option of other programs: `--seed`,
-    `--experiment=stringB`.
-    """
+    """Return the setting that is given like an option, `--seed` or `--experiment=stringB`; else nothing."""
     name = word.removeprefix("--").partition("=")[0]
-    return (
-        name if word.startswith("--") and word not in FLAGS and is_setting(name) else ""
-    )
+    is_option = word.startswith("--") and word not in FLAGS
+    return name if is_option and is_setting(name) else ""
 
 
 def write_setting(name: str, value: str) -> str:
-    """A setting as it is given; an experiment is added."""
-    return f"{'+' * (name == 'experiment')}{name}={value}"
+    """Write a setting as it is given on the command line."""
+    plus = "+" if name == "experiment" else ""
+    return f"{plus}{name}={value}"
 
 
 def to_metres(number: float) -> float:
-    """A length that may be in millimetres [m]."""
+    """Convert a length that may be in millimetres to metres."""
     return number / 1e3 if abs(number) >= MAX_LENGTH_M else number
 
 
 def is_setting(name: str) -> bool:
-    """Whether there is a setting or a group whose first name is this one's."""
-    return re.split(r"[./@]", name)[0] in {
-        *top_level_settings(),
-        *group_names(),
-        "hydra",
-    }
+    """Tell whether a setting or a group has this first name."""
+    first_name = re.split(r"[./@]", name)[0]
+    return first_name in {*top_level_settings(), *group_names(), "hydra"}
 
 
 @cache
 def group_options(group: str) -> tuple[str, ...]:
-    """Options of a group."""
+    """Return the options of a group."""
     return tuple(sorted(file.stem for file in (CONF_FOLDER / group).glob("*.yaml")))
 
 
 @cache
 def group_names() -> tuple[str, ...]:
-    """Groups of settings."""
+    """Return the names of all groups of settings."""
+    folders = (path for path in CONF_FOLDER.iterdir() if path.is_dir())
     return tuple(
-        sorted(
-            folder.name
-            for folder in CONF_FOLDER.iterdir()
-            if folder.is_dir() and folder.name[0] != "_"
-        )
+        sorted(folder.name for folder in folders if not folder.name.startswith("_"))
     )
 
 
 @cache
 def top_level_settings() -> tuple[str, ...]:
-    """Settings of no group, and blocks that a group or an experiment brings, by their
-    first names.
-    """
+    """Return the first names of settings outside groups, and of blocks that an experiment brings."""
     files = (CONF_FOLDER / "config.yaml", *(CONF_FOLDER / "experiment").glob("*.yaml"))
     text = "\n".join(file.read_text(encoding="utf-8") for file in files)
-    return tuple(
-        dict.fromkeys(
-            re.findall(r"^(\w+):", text, re.M) + re.findall(r"- \w+@(\w+):", text)
-        )
-    )
+    names = re.findall(r"^(\w+):", text, re.M) + re.findall(r"- \w+@(\w+):", text)
+    return tuple(dict.fromkeys(names))
 
 
-def nearest_name(word: str, known: Sequence[str]) -> str:
-    """The name that is most like a word, whatever its capitals; empty if none is."""
-    lower = {name.lower(): name for name in known}
-    near = difflib.get_close_matches(word.lower(), lower, 1)
-    return lower[near[0]] if near else ""
+def nearest_name(word: str, names: Sequence[str]) -> str:
+    """Return the name most similar to a word, ignoring case; nothing if none is similar."""
+    by_lower_case = {name.lower(): name for name in names}
+    near = difflib.get_close_matches(word.lower(), by_lower_case, 1)
+    return by_lower_case[near[0]] if near else ""

@@ -1,4 +1,4 @@
-"""The terminal: progress while a run goes on, a summary at its end."""
+"""Progress bars while a run goes on, and a summary at its end."""
 
 from __future__ import annotations
 
@@ -14,163 +14,128 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from stringcast.data.artifacts import Estimate
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.iterations import Iteration
 from stringcast.pipeline.run.log import forward_log
 from stringcast.pipeline.run.result import RunResult
-from stringcast.stages.common import Progress as Report
+from stringcast.stages.common import Progress as ReportProgress
 
-ProgressBar = Callable[[str], AbstractContextManager[Report]]
-# characters of a panel's title in 80 columns; a longer one would be cut
-MAX_TITLE_CHARACTERS = 74
-# characters of a log line that find room behind a bar, of 80 columns
-MAX_LOG_CHARACTERS = 36
+ProgressBar = Callable[[str], AbstractContextManager[ReportProgress]]
+MAX_TITLE_CHARACTERS = 74  # a longer title of a panel would be cut in 80 columns
+MAX_LOG_CHARACTERS = 36  # that fit behind a bar in 80 columns
+CAST_COLUMNS = (
+    "cast",
+    "tip in the box",
+    "closest [mm]",
+    "E before [1]",
+    "E after [1]",
+    "rms [mm]",
+)
 
 
 @contextmanager
 def progress_bars(console: Terminal) -> Iterator[ProgressBar]:
-    """A bar for each step, with the last line of the log behind it; one that reports no
-    share pulses.
+    """Show a bar for each step, followed by the last line of the log.
+
+    The context's value makes the bar of a step, by its name. The bar pulses until a share is reported.
     """
-    name_of, doing = (
-        TextColumn(text, markup=False)
-        for text in ("{task.description:<14}", "{task.fields[doing]}")
-    )
+    name_column = TextColumn("{task.description:<14}", markup=False)
+    log_column = TextColumn("{task.fields[log_line]}", markup=False)
     with Progress(
-        name_of, BarColumn(18), TimeElapsedColumn(), doing, console=console
+        name_column, BarColumn(18), TimeElapsedColumn(), log_column, console=console
     ) as progress:
 
         @contextmanager
-        def bar(name: str) -> Iterator[Report]:
-            task = progress.add_task(name, total=None, doing="")
-            with forward_log(
-                lambda line: progress.update(task, doing=line[:MAX_LOG_CHARACTERS])
-            ):
-                yield lambda share: progress.update(task, total=1.0, completed=share)
-            progress.update(task, total=1.0, completed=1.0, doing="")
+        def show_bar(name: str) -> Iterator[ReportProgress]:
+            task = progress.add_task(name, total=None, log_line="")
 
-        yield bar
+            def show_log_line(line: str) -> None:
+                progress.update(task, log_line=line[:MAX_LOG_CHARACTERS])
+
+            def show_share(share: float) -> None:
+                progress.update(task, total=1.0, completed=share)
+
+            with forward_log(show_log_line):
+                yield show_share
+            progress.update(task, total=1.0, completed=1.0, log_line="")
+
+        yield show_bar
 
 
 def print_summary(result: RunResult, console: Terminal) -> None:
-    """A summary of the run, what was at fault, and where its page is: a path on one
-    line, to be pasted.
-    """
+    """Print how a run ended, faults of its casts, and the path of its page."""
     if result.stage is None:
         console.print(cast_panel(result))
     else:
         summary = result.stage.summary(result.final_artifact)
-        title = f"[bold]{escape(summary.title)}"
-        console.print(
-            Panel(
-                Group(Text(result.sentence), "", text_table(summary.table)), title=title
+        content = Group(Text(result.sentence), "", text_table(summary.table))
+        console.print(Panel(content, title=f"[bold]{escape(summary.title)}"))
+
+    for iteration in result.iterations:
+        if iteration.refusal_reason:
+            console.print_line(
+                f"Cast {iteration.number}: the trial is invalid: {iteration.refusal_reason}."
             )
-        )
-    # faults cast by cast: on the way to the arm, and with obstacles
-    links = {
-        i.number: i.artifacts["trial"].link.iloc[0]
-        for i in result.iterations
-        if "trial" in i.artifacts
-    }
-    late = {
-        n: f"it is not to be trusted: {link['reason']}"
-        for n, link in links.items()
-        if not link["valid"]
-    }
-    touched = {
-        i.number: i.verdict.touched
-        for i in result.iterations
-        if i.verdict is not None and i.verdict.touched
-    }
-    lay = {
-        n: f"the string lay in an obstacle in {frames} frame(s)"
-        for n, frames in touched.items()
-    }
-    for number, words in (*late.items(), *lay.items()):
-        console.print(f"Cast {number}: {words}.", markup=False, highlight=False)
-    report = result.folder / "report.html"
-    place = report if report.exists() else result.folder
-    console.print(str(place), soft_wrap=True, markup=False, highlight=False)
+    for iteration in result.iterations:
+        frames = iteration.verdict.touched if iteration.verdict is not None else 0
+        if frames:
+            console.print_line(
+                f"Cast {iteration.number}: the string touched an obstacle in {frames} frame(s)."
+            )
+
+    page = result.folder / "report.html"
+    console.print_line(str(page if page.exists() else result.folder))
 
 
 def cast_panel(result: RunResult) -> Panel:
-    """Manipulation by manipulation, and what they taught."""
+    """Return a panel with a row for each cast, and the parameters that the casts determine."""
+    outcome, _, details = result.sentence.partition(". ")
+    fits_title = len(outcome) <= MAX_TITLE_CHARACTERS
     colour = "green" if result.has_hit else "yellow"
-    ended, _, more = result.sentence.partition(". ")
-    parts: list[RenderableType] = (
-        [] if len(ended) <= MAX_TITLE_CHARACTERS else [Text(ended, "bold"), ""]
-    )
-    # a row for each cast or stored trial of which there is anything to say, without
-    # columns in which there is not
-    headings = (
-        "cast",
-        "tip in the box",
-        "closest [mm]",
-        "E before [1]",
-        "E after [1]",
-        "rms [mm]",
-    )
+
+    parts: list[RenderableType] = [] if fits_title else [Text(outcome, "bold"), ""]
     rows = [row for row in map(cast_row, result.iterations) if any(row[1:])]
-    kept = [n for n in range(len(headings)) if n == 0 or any(row[n] for row in rows)]
-    table = Table(box=None, pad_edge=False)
-    for n in kept:
-        table.add_column(Text(headings[n]), justify="right")
-    for row in rows:
-        table.add_row(*(row[n] for n in kept))
-    parts += [table] if rows else []
+    if rows:
+        parts.append(cast_table(rows))
     if result.last_estimate is not None:
         parts += ["", Text(str(result.last_estimate.fit["sentence"].iloc[0]))]
-        # the parameters that the casts determine, with their intervals
-        known = result.last_estimate.parameters
-        known = known[known["determined"] & known["low"].notna()]
-        if len(known):
-            ends = known[["low", "high"]].map("{:.4g}".format).agg(" to ".join, axis=1)
-            values = {
-                "parameter": known["name"],
-                "value": known["value"].map("{:.4g}".format),
-            }
-            parts += [
-                "",
-                text_table(
-                    pd.DataFrame(
-                        {**values, "95 % interval": ends, "unit": known["unit"]}
-                    )
-                ),
-            ]
-    if more:
-        parts += ["", Text(more)]
-    title = (
-        f"[bold {colour}]{escape(ended)}"
-        if len(ended) <= MAX_TITLE_CHARACTERS
-        else None
-    )
+        intervals = determined_parameters(result.last_estimate)
+        if len(intervals):
+            parts += ["", text_table(intervals)]
+    if details:
+        parts += ["", Text(details)]
+    title = f"[bold {colour}]{escape(outcome)}" if fits_title else None
     return Panel(Group(*parts), title=title, border_style=colour)
 
 
-def text_table(frame: pd.DataFrame) -> Table:
-    """A table for the terminal, of texts."""
+def cast_table(rows: list[list[str]]) -> Table:
+    """Return a table of casts without its empty columns."""
+    shown = [0]
+    for number in range(1, len(CAST_COLUMNS)):
+        if any(row[number] for row in rows):
+            shown.append(number)
     table = Table(box=None, pad_edge=False)
-    for heading in frame.columns:
-        table.add_column(escape(heading), overflow="fold")
-    for row in frame.itertuples(index=False):
-        table.add_row(*(Text(str(cell)) for cell in row))
+    for number in shown:
+        table.add_column(Text(CAST_COLUMNS[number]), justify="right")
+    for row in rows:
+        table.add_row(*[row[number] for number in shown])
     return table
 
 
 def cast_row(iteration: Iteration) -> list[str]:
+    """Return the cells of a cast or stored trial; empty where there is nothing to say."""
     verdict, estimate = iteration.verdict, iteration.artifacts.get("estimate")
-    cells = [str(iteration.number)]
-    if verdict is None or iteration.refusal_reason or not isfinite(verdict.distance):
-        cells += ["", ""]
-    else:
-        cells += ["yes" if verdict.hit else "no", f"{verdict.distance * 1e3:.0f}"]
+    cells = [str(iteration.number), "", ""]
+    if (
+        verdict is not None
+        and not iteration.refusal_reason
+        and isfinite(verdict.distance)
+    ):
+        cells[1:] = ["yes" if verdict.hit else "no", f"{verdict.distance * 1e3:.0f}"]
     if "prediction" in iteration.artifacts:
-        return [
-            *cells,
-            "",
-            "held out",
-            f"{iteration.artifacts['prediction'].score['rms'].iloc[0] * 1e3:.1f}",
-        ]
+        rms = iteration.artifacts["prediction"].score["rms"].iloc[0]
+        return [*cells, "", "held out", f"{rms * 1e3:.1f}"]
     if estimate is None:
         return [*cells, "", "", ""]
     fit = estimate.fit.iloc[0]
@@ -180,3 +145,30 @@ def cast_row(iteration: Iteration) -> list[str]:
         f"{fit['after']:.3f}",
         f"{fit['rms_after'] * 1e3:.1f}",
     ]
+
+
+def determined_parameters(estimate: Estimate) -> pd.DataFrame:
+    """Return a table of the parameters that have a 95 % interval, as texts."""
+    rows = estimate.parameters
+    rows = rows[rows["determined"] & rows["low"].notna()]
+    if rows.empty:
+        return rows
+    columns = {
+        "parameter": rows["name"],
+        "value": rows["value"].map("{:.4g}".format),
+        "95 % interval": rows[["low", "high"]]
+        .map("{:.4g}".format)
+        .agg(" to ".join, axis=1),
+        "unit": rows["unit"],
+    }
+    return pd.DataFrame(columns)
+
+
+def text_table(frame: pd.DataFrame) -> Table:
+    """Return a table for the terminal whose cells are shown as texts."""
+    table = Table(box=None, pad_edge=False)
+    for heading in frame.columns:
+        table.add_column(escape(heading), overflow="fold")
+    for row in frame.itertuples(index=False):
+        table.add_row(*(Text(str(cell)) for cell in row))
+    return table

@@ -11,8 +11,8 @@ import yaml
 
 from stringcast.pipeline.cli.terminal import with_program_name
 from stringcast.pipeline.commands import command_list
+from stringcast.pipeline.settings.composition import CONF_FOLDER, compose_settings
 from stringcast.pipeline.settings.setting_comments import annotate_settings
-from stringcast.pipeline.settings.typed_settings import CONF_FOLDER, compose_settings
 from stringcast.stages.model.library import effect_files
 
 HELP_TEMPLATE = """\

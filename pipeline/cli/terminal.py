@@ -1,7 +1,6 @@
-"""The terminal: how this program was called, what is printed on it, and messages and
-exit statuses of what fails.
+"""The terminal: how the program was called, what is printed, messages and exit statuses of errors.
 
-Names that others gave are text: an escape sequence in one would steer the terminal.
+Names given by others are printed as text: an escape sequence in one could steer the terminal.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from rich.markup import escape
 from rich.segment import Segment
 
 from stringcast.data.errors import escape_control_characters
-from stringcast.pipeline.settings.typed_settings import (
+from stringcast.pipeline.settings.composition import (
     CONF_FOLDER,
     compose_settings,
     setting_names,
@@ -29,26 +28,23 @@ from stringcast.pipeline.settings.typed_settings import (
 
 
 class Terminal(Console):
-    """A console that spells out control characters in all that is shown on it: words,
-    tables, bars.
-    """
+    """A console that escapes control characters in everything it shows."""
 
-    def render(self, *given: Any, **how: Any) -> Iterator[Segment]:
-        """Render as rich does, with control characters in texts spelt out; rich's own
-        control codes stay.
-        """
-        for segment in super().render(*given, **how):
-            yield (
-                segment
-                if segment.is_control
-                else Segment(escape_control_characters(segment.text), segment.style)
-            )
+    def render(self, *given: Any, **options: Any) -> Iterator[Segment]:
+        """Render as rich does, with control characters in texts escaped; rich's own codes stay."""
+        for segment in super().render(*given, **options):
+            if segment.is_control:
+                yield segment
+            else:
+                yield Segment(escape_control_characters(segment.text), segment.style)
+
+    def print_line(self, text: str) -> None:
+        """Print a line of plain text that can be pasted, whatever the terminal's width."""
+        self.print(text, soft_wrap=True, markup=False, highlight=False)
 
 
 def program_name() -> str:
-    """`stringcast`, or the interpreter with `-m pipeline`, by the shortest path from
-    here.
-    """
+    """Return `stringcast`, or the interpreter with `-m pipeline`, by the shortest path from here."""
     if Path(sys.argv[0]).stem == "stringcast":
         return "stringcast"
     module = "pipeline" if (Path.cwd() / "pipeline").is_dir() else "stringcast"
@@ -56,15 +52,13 @@ def program_name() -> str:
 
 
 def python_path() -> Path:
-    """The interpreter that runs this, by the shortest path from here."""
-    here, python = Path.cwd(), Path(sys.executable)
+    """Return the running interpreter by the shortest path from here."""
+    python, here = Path(sys.executable), Path.cwd()
     return python.relative_to(here) if python.is_relative_to(here) else python
 
 
 def with_program_name(text: str) -> str:
-    """A text with the commands in it as this program was called, and with the pip of
-    what runs it.
-    """
+    """Return a text whose commands are written as this program was called, with its interpreter's pip."""
     text = re.sub(r"(?<![\w/.])python -m pipeline", lambda _: program_name(), text)
     return re.sub(
         r"(?<!-m )pip install", lambda _: f"{python_path()} -m pip install", text
@@ -73,65 +67,81 @@ def with_program_name(text: str) -> str:
 
 def print_error(error: Exception, console: Terminal) -> None:
     """Print an error's message, with commands as this program was called."""
-    console.print(
-        f"[bold red]Error:[/] {escape(with_program_name(str(error)))}",
-        highlight=False,
-        soft_wrap=True,
-    )
+    message = escape(with_program_name(str(error)))
+    console.print(f"[bold red]Error:[/] {message}", highlight=False, soft_wrap=True)
 
 
-def interrupt_status(by: KeyboardInterrupt) -> int:
-    """Exit status after a signal, as shells have it: 130 after Ctrl-C, 143 after
-    SIGTERM, which asks an arm to stop.
-    """
-    return 128 + int(by.args[0] if by.args else signal.SIGINT)
+def interrupt_status(error: KeyboardInterrupt) -> int:
+    """Return the exit status after a signal, as shells do: 130 after Ctrl-C, 143 after SIGTERM."""
+    number = error.args[0] if error.args else signal.SIGINT
+    return 128 + int(number)
 
 
 def explain_hydra_error(error: BaseException) -> str:
-    """Hydra's message, with the nearest setting there is."""
-    said = str(error).strip().splitlines()[0]
-    key = re.match(r"Could not override '([^']+)'", said)
-    if beyond := re.match(r"LexerNoViableAltException: (.+=.*)", said):
-        # for letters such as those of Jörg
-        name, _, value = beyond[1].partition("=")
-        again = shlex.join(
-            f'{name}="{value}"' if word == beyond[1] else word for word in sys.argv[1:]
+    """Return Hydra's message in plain words, with the nearest setting there is."""
+    text = str(error).strip()
+    first_line = text.splitlines()[0]
+    arguments = sys.argv[1:]
+
+    if not_ascii := re.match(
+        r"LexerNoViableAltException: (.+=.*)", first_line
+    ):  # such as name=Jörg
+        word = not_ascii[1]
+        name, _, value = word.partition("=")
+        quoted = [
+            f'{name}="{value}"' if argument == word else argument
+            for argument in arguments
+        ]
+        remedy = f"Try: python -m pipeline {shlex.join(quoted)}"
+        return f"{word}: letters beyond ASCII need quotes. {remedy}"
+
+    if re.match(
+        "no viable|mismatched|missing|extraneous|token recognition", first_line
+    ):
+        place = re.search(r"at input '([^']*)'", text)
+        containing = [
+            argument for argument in arguments if place and place[1] in argument
+        ]
+        unreadable = containing[0] if containing else "The command line"
+        remedy = "Close brackets and quotes, and quote it: 'effects=[tip_mass]'"
+        return f"{unreadable}: it cannot be read. {remedy}"
+
+    if several := re.match("Ambiguous value for argument '([^']+)'", first_line):
+        sweep = shlex.join(["--multirun", *arguments])
+        remedy = f"Try: python -m pipeline {sweep}"
+        return (
+            f"{several[1]}: several values make a sweep, with a run for each. {remedy}"
         )
-        return f"{beyond[1]}: letters beyond ASCII are read between quotes only. Try: python -m pipeline {again}"
-    if re.match("no viable|mismatched|missing|extraneous|token recognition", said):
-        at = re.search(r"at input '([^']*)'", str(error))
-        unread = next(
-            (word for word in sys.argv[1:] if at and at[1] in word), "The command line"
-        )
-        return f"{unread}: it cannot be read. Close brackets and quotes, and quote it: 'effects=[tip_mass]'"
-    if several := re.match("Ambiguous value for argument '([^']+)'", said):
-        again = shlex.join(["--multirun", *sys.argv[1:]])
-        return f"{several[1]}: several values are a sweep, a run of each. Try: python -m pipeline {again}"
-    if key is None:
-        said = "\n".join(
+
+    unknown = re.match(r"Could not override '([^']+)'", first_line)
+    if unknown is None:
+        lines = [
             line
-            for line in str(error).splitlines()
+            for line in text.splitlines()
             if line.strip() and "provider" not in line
-        )
-        return said.removesuffix("Config search path:").strip()
+        ]
+        return "\n".join(lines).removesuffix("Config search path:").strip()
+    return f"{unknown[1]} (command line): there is no such setting. {unknown_setting_remedy(unknown[1])}"
+
+
+def unknown_setting_remedy(name: str) -> str:
+    """Say where an unknown setting exists, or which known setting has the most similar name."""
+    # other options of the group may have it: `estimate=random_search` has `estimate.beta`
+    group, _, inner_name = name.partition(".")
+    line = re.compile(rf"^{re.escape(inner_name)}:", re.M)
+    options = []
+    for file in sorted((CONF_FOLDER / group).glob("*.yaml")) if inner_name else []:
+        if line.search(file.read_text(encoding="utf-8")):
+            options.append(f"{group}={file.stem}")
+    if options:
+        return f"It belongs to {' and '.join(options)}."
+
     GlobalHydra.instance().clear()
-    groups = [
-        word
-        for word in sys.argv[1:]
-        if (CONF_FOLDER / word.partition("=")[0].lstrip("+")).is_dir()
-    ]
-    names = list(setting_names(compose_settings(groups)))
-    near = difflib.get_close_matches(key[1], names, 1)
-    remedy = f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."
-    # an option of a group may have it that those of this call have not:
-    # `estimate=random_search` has `estimate.beta`
-    group, _, inner = key[1].partition(".")
-    line = re.compile(rf"^{re.escape(inner)}:", re.M)
-    files = sorted((CONF_FOLDER / group).glob("*.yaml")) if inner else []
-    there = [
-        f"{group}={file.stem}"
-        for file in files
-        if line.search(file.read_text(encoding="utf-8"))
-    ]
-    remedy = f"It is one of {' and '.join(there)}." if there else remedy
-    return f"{key[1]} (command line): there is no such setting. {remedy}"
+    chosen_groups = []
+    for word in sys.argv[1:]:
+        if (CONF_FOLDER / word.partition("=")[0].lstrip("+")).is_dir():
+            chosen_groups.append(word)
+    near = difflib.get_close_matches(
+        name, list(setting_names(compose_settings(chosen_groups))), 1
+    )
+    return f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."

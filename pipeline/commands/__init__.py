@@ -12,7 +12,7 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import NoReturn
 
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 
 COMMAND_NAMES = (
     "import",

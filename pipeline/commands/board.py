@@ -10,10 +10,8 @@ from matplotlib.figure import Figure
 
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
-from stringcast.pipeline.settings.typed_settings import (
-    build_dataclass,
-    compose_settings,
-)
+from stringcast.pipeline.settings.composition import compose_settings
+from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.calibrate.board import Board
 
 INCH_M = 0.0254  # [m]

@@ -23,13 +23,13 @@ from stringcast.data.store import write_text
 from stringcast.pipeline.cli.terminal import Terminal, program_name, with_program_name
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.run.provenance import code_state
-from stringcast.pipeline.settings.settings_from_runs import inherit_settings
-from stringcast.pipeline.settings.typed_settings import (
+from stringcast.pipeline.settings.composition import (
     UserError,
-    build_dataclass,
     compose_settings,
     given_names,
 )
+from stringcast.pipeline.settings.settings_from_runs import inherit_settings
+from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.check.finding import full_stop
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.check.overview import (

@@ -17,12 +17,9 @@ from stringcast.pipeline.cli.console import progress_bars
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.modes.stored_trials import held_out_trials, read_usable_trials
 from stringcast.pipeline.run.experiment import prepare_experiment
+from stringcast.pipeline.settings.composition import compose_settings, given_names
 from stringcast.pipeline.settings.settings_from_runs import inherit_settings
-from stringcast.pipeline.settings.typed_settings import (
-    build_dataclass,
-    compose_settings,
-    given_names,
-)
+from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.diagnose.forward_selection import Criteria
 from stringcast.stages.diagnose.identifiability import DetectionLimit, detection_limits
 from stringcast.stages.diagnose.prepared_data import prepare_data

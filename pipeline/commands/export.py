@@ -13,7 +13,7 @@ from stringcast.data.errors import escape_control_characters
 from stringcast.data.store import write_text
 from stringcast.known import KnownString, experiment_for_call
 from stringcast.pipeline.commands import CommandParser
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 
 FILE_HELP = "by its ending, .xml: a chain of links as MJCF (MuJoCo, Playground, Isaac); .csv: parameters with units"
 

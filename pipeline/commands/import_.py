@@ -37,7 +37,7 @@ from stringcast.pipeline.commands.import_options import (
     read_bench_hints,
     read_column_hints,
 )
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.check.mistakes import (

@@ -18,7 +18,7 @@ from stringcast.pipeline.cli.command_line_hints import MAX_LENGTH_M
 from stringcast.pipeline.cli.terminal import program_name
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.commands.dataset_import import BenchHints
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 
 HELP_EXAMPLES = """\
 examples:

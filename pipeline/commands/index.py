@@ -25,7 +25,7 @@ from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.run.file_names import FAILURE_FILE, SUMMARY_FILE
 from stringcast.pipeline.run.provenance import software_versions, stale_reasons
 from stringcast.pipeline.settings.allowed_callables import DRY_RUNS
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 
 RUNS_TABLE = Table(
     "runs",

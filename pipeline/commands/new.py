@@ -13,7 +13,7 @@ from pathlib import Path
 from stringcast.data.store import write_text
 from stringcast.pipeline.cli.terminal import Terminal, program_name
 from stringcast.pipeline.commands import CommandParser
-from stringcast.pipeline.settings.typed_settings import CONF_FOLDER, UserError
+from stringcast.pipeline.settings.composition import CONF_FOLDER, UserError
 
 PROJECT_FOLDER = CONF_FOLDER.parent
 NAME_PATTERN = re.compile(r"[a-z][a-z0-9_]*")

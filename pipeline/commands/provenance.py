@@ -46,8 +46,8 @@ from stringcast.pipeline.run.provenance import (
     stale_reasons,
 )
 from stringcast.pipeline.run.result import RunResult, run_summary
+from stringcast.pipeline.settings.composition import UserError, flatten_settings
 from stringcast.pipeline.settings.stage_registry import stages
-from stringcast.pipeline.settings.typed_settings import UserError, flatten_settings
 
 # compared by another heading, or drawn
 UNCOMPARED_FILES = frozenset(

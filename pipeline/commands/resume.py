@@ -8,8 +8,8 @@ from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.commands.stored_runs import read_stored_experiment
 from stringcast.pipeline.run.single_run import perform_run
+from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.pipeline.settings.settings_from_runs import refuse_inherited_limits
-from stringcast.pipeline.settings.typed_settings import compose_settings
 
 
 def main(arguments: list[str]) -> int:

@@ -14,7 +14,7 @@ from stringcast.pipeline.modes.stepwise import Stepwise
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
 from stringcast.pipeline.run.iterations import Iteration, Step
 from stringcast.pipeline.run.result import RunResult
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 
 
 class NotMadeError(Exception):

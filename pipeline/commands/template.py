@@ -15,7 +15,7 @@ from stringcast.data.schema import Table
 from stringcast.data.store import write_atomically
 from stringcast.pipeline.cli.terminal import Terminal, program_name
 from stringcast.pipeline.commands import CommandParser
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 
 METADATA_TEMPLATE = """\
 # A dataset: one string, several trials. All is in metres, seconds and radians, x to the right, y up, angles

@@ -21,8 +21,8 @@ from stringcast.pipeline.modes.stored_trials import (
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History
 from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.stage_registry import stages
-from stringcast.pipeline.settings.typed_settings import UserError
 
 
 @dataclass(frozen=True)

@@ -24,12 +24,9 @@ from stringcast.pipeline.run.experiment import Experiment, Mode
 from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.run.provenance import step_origin
 from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.stage_registry import stages
-from stringcast.pipeline.settings.typed_settings import (
-    UserError,
-    build_chosen,
-    build_dataclass,
-)
+from stringcast.pipeline.settings.typed_settings import build_chosen, build_dataclass
 from stringcast.stages.calibrate.board import Board
 
 TILT_REQUEST = "Move the board slowly, tilted in all directions, all over the picture."

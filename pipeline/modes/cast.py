@@ -14,8 +14,9 @@ from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
 from stringcast.pipeline.run.iterations import Executor, History, Iteration
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.settings.allowed_callables import DRY_RUNS
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.stage_registry import stages
-from stringcast.pipeline.settings.typed_settings import UserError, require_allowed
+from stringcast.pipeline.settings.typed_settings import require_allowed
 from stringcast.stages.align.correction import transform_to_arm_frame
 from stringcast.stages.hit_test import check_reach, hit_test
 

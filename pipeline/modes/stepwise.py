@@ -17,7 +17,7 @@ from stringcast.pipeline.run.experiment import Experiment, Mode
 from stringcast.pipeline.run.file_names import SUMMARY_FILE
 from stringcast.pipeline.run.iterations import Executor
 from stringcast.pipeline.run.result import RunResult
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.execute.interfaces import HardwareError
 
 

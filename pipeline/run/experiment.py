@@ -15,9 +15,9 @@ from hydra.utils import get_object
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import (
-    UserError,
     bind_stage,
     build_chosen,
     build_dataclass,

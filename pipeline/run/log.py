@@ -1,6 +1,4 @@
-"""The log of a run: decisions and their reasons, time-stamped, by Python's `logging`,
-in run.log and with -v on the terminal.
-"""
+"""The log of a run: decisions and their reasons with times, in run.log and with -v on the terminal."""
 
 from __future__ import annotations
 
@@ -10,19 +8,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from stringcast.data.errors import escape_control_characters
 from stringcast.pipeline.run.file_names import LOG_FILE
 
 LOGGER = logging.getLogger("stringcast")
-# to handlers of others, who may have closed what they write to
-LOGGER.propagate = False
+LOGGER.propagate = False  # handlers of others may have closed what they write to
 LOGGER.addHandler(logging.NullHandler())
 
 
 class PrintableFormatter(logging.Formatter):
-    """A line of which no part steers the terminal on which it is read."""
+    """A formatter that escapes control characters, which could steer the terminal."""
 
     def format(self, record: logging.LogRecord) -> str:
         return escape_control_characters(super().format(record))
@@ -31,67 +28,31 @@ class PrintableFormatter(logging.Formatter):
 LINE_FORMATTER = PrintableFormatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s")
 
 
-def show_log_on_terminal() -> None:
-    """Show the log's lines on the terminal, too, from here on."""
-    add_handler(logging.StreamHandler())
-
-
-@contextmanager
-def log_to_folder(folder: Path) -> Iterator[None]:
-    """Meanwhile, lines are added to the log of a run. folder: the run's."""
-    handler = LossyFileHandler(folder / LOG_FILE, encoding="utf-8", delay=True)
-    add_handler(handler)
-    try:
-        yield
-    except BaseException as error:
-        logging.getLogger(__name__).error(
-            "ended early: %s: %s", type(error).__name__, error
-        )
-        raise
-    finally:
-        LOGGER.removeHandler(handler)
-        handler.close()
-
-
-@contextmanager
-def forward_log(by: Callable[[str], object]) -> Iterator[None]:
-    """Meanwhile, every line is told to a function."""
-    handler = ForwardingHandler(by)
-    add_handler(handler)
-    try:
-        yield
-    finally:
-        LOGGER.removeHandler(handler)
-
-
 class ForwardingHandler(logging.Handler):
-    """Hands lines on, without time and place."""
+    """A handler that passes the message of each line to a function."""
 
-    def __init__(self, by: Callable[[str], object]) -> None:
+    def __init__(self, receive: Callable[[str], object]) -> None:
         super().__init__()
-        self.by = by
+        self.receive = receive
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.by(escape_control_characters(record.getMessage()))
+        self.receive(escape_control_characters(record.getMessage()))
 
 
 class LossyFileHandler(logging.FileHandler):
-    """A log on a disk that may be full: it loses lines rather than stop a run, or hide
-    what did.
-    """
+    """A log file on a disk that may be full: it loses lines rather than stop a run."""
 
     def _open(self) -> TextIOWrapper:
-        """The file itself: through a link in a folder of others, lines would go into
-        any file of ours.
-        """
+        # A link in the folder of somebody else could lead lines into any file of the user.
         no_link = getattr(os, "O_NOFOLLOW", 0)
-        how: dict[str, Any] = {
-            "opener": lambda path, flags: os.open(path, flags | no_link, 0o666)
-        }
-        return cast(
-            TextIOWrapper,
-            open(self.baseFilename, self.mode, encoding=self.encoding, **how),
+
+        def open_file(path: str, flags: int) -> int:
+            return os.open(path, flags | no_link, 0o666)
+
+        file = open(
+            self.baseFilename, self.mode, encoding=self.encoding, opener=open_file
         )
+        return cast(TextIOWrapper, file)
 
     def emit(self, record: logging.LogRecord) -> None:
         with suppress(OSError):
@@ -106,6 +67,40 @@ class LossyFileHandler(logging.FileHandler):
 
 
 def add_handler(handler: logging.Handler) -> None:
+    """Add a handler to the log of this package."""
     handler.setFormatter(LINE_FORMATTER)
     LOGGER.addHandler(handler)
     LOGGER.setLevel(logging.INFO)
+
+
+def show_log_on_terminal() -> None:
+    """Print the lines of the log on the terminal from now on."""
+    add_handler(logging.StreamHandler())
+
+
+@contextmanager
+def log_to_folder(folder: Path) -> Iterator[None]:
+    """Append the lines of the log to run.log in a run's folder for the duration of the context."""
+    handler = LossyFileHandler(folder / LOG_FILE, encoding="utf-8", delay=True)
+    add_handler(handler)
+    try:
+        yield
+    except BaseException as error:
+        logging.getLogger(__name__).error(
+            "stopped early: %s: %s", type(error).__name__, error
+        )
+        raise
+    finally:
+        LOGGER.removeHandler(handler)
+        handler.close()
+
+
+@contextmanager
+def forward_log(receive: Callable[[str], object]) -> Iterator[None]:
+    """Pass every line of the log to a function for the duration of the context."""
+    handler = ForwardingHandler(receive)
+    add_handler(handler)
+    try:
+        yield
+    finally:
+        LOGGER.removeHandler(handler)

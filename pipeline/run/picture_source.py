@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from stringcast.pipeline.run.experiment import Mode
-from stringcast.pipeline.settings.typed_settings import UserError, build_chosen
+from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.typed_settings import build_chosen
 
 # settings of a source that name a place, and what is there
 SOURCE_PLACES = {"path": "film", "folder": "folder of images"}

@@ -23,12 +23,9 @@ from stringcast.data import store
 from stringcast.data.schema import DataError
 from stringcast.pipeline.run.file_names import artifact_folder
 from stringcast.pipeline.run.iterations import Step
+from stringcast.pipeline.settings.composition import UserError, flatten_settings
 from stringcast.pipeline.settings.stage_registry import stages
-from stringcast.pipeline.settings.typed_settings import (
-    UserError,
-    flatten_settings,
-    require_allowed,
-)
+from stringcast.pipeline.settings.typed_settings import require_allowed
 from stringcast.stages.model.library import effect_files, split_effect_name
 from stringcast.stages.spec import StageSpec
 

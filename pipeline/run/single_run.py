@@ -23,13 +23,13 @@ from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
 from stringcast.pipeline.run.log import log_to_folder
 from stringcast.pipeline.run.picture_source import refuse_unusable_source
 from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.settings.composition import given_names
 from stringcast.pipeline.settings.settings_from_runs import (
     inherit_settings,
     refuse_inherited_limits,
     refuse_unknown_bench,
     run_moves_arm,
 )
-from stringcast.pipeline.settings.typed_settings import given_names
 
 # it tells of names of trials that look like dates
 logging.getLogger("matplotlib").setLevel(logging.WARNING)

@@ -16,14 +16,14 @@ import yaml
 from hydra import compose, initialize_config_dir
 
 from stringcast.data.store import write_text
-from stringcast.pipeline.settings.setting_comments import (
-    comments_in_file,
-    setting_comments,
-)
-from stringcast.pipeline.settings.typed_settings import (
+from stringcast.pipeline.settings.composition import (
     CONF_FOLDER,
     compose_settings,
     flatten_settings,
+)
+from stringcast.pipeline.settings.setting_comments import (
+    comments_in_file,
+    setting_comments,
 )
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import effects_by_name

@@ -1,6 +1,4 @@
-"""Meaning and unit of settings: the comments of the files in `conf`, by the settings'
-full names.
-"""
+"""Meanings and units of settings: the comments in the files of `conf`, by the settings' full names."""
 
 from __future__ import annotations
 
@@ -9,86 +7,93 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
-from stringcast.pipeline.settings.typed_settings import CONF_FOLDER
+from stringcast.pipeline.settings.composition import CONF_FOLDER
 
 SETTING_LINE = re.compile(
     r"(?P<indent> *)(?P<name>[\w.]+):(?P<value>[^#]*)(#\s*(?P<comment>.*))?$"
 )
-# groups whose settings stand under another name
-RENAMED_GROUP = re.compile(r"- (\w+)@(\w+):")
-CONTINUED_COMMENT = re.compile(r" +#\s*(.*)")  # a comment that goes on in the next line
-COMMENT_COLUMN = 40  # at which meanings begin
+RENAMED_GROUP = re.compile(
+    r"- (\w+)@(\w+):"
+)  # a group whose settings have another name
+CONTINUED_COMMENT = re.compile(r" +#\s*(.*)")
+COMMENT_COLUMN = 40  # where comments begin in the help
 
 
 @cache
 def setting_comments() -> dict[str, str]:
-    """Comments by name: `estimate.beta`, `seed`. Of options of a group that call a
-    setting alike, the first counts.
+    """Return the comments of all settings by name, such as `estimate.beta`.
+
+    If options of a group share a setting, the first comment counts.
     """
-    found: dict[str, str] = {}
-    groups = (
-        file
-        for file in sorted(CONF_FOLDER.rglob("*/*.yaml"))
-        if file.relative_to(CONF_FOLDER).parts[0] != "experiment"
-    )
-    for file in (CONF_FOLDER / "config.yaml", *groups):
+    comments: dict[str, str] = {}
+    for file in (CONF_FOLDER / "config.yaml", *sorted(CONF_FOLDER.rglob("*/*.yaml"))):
+        if file.relative_to(CONF_FOLDER).parts[0] == "experiment":
+            continue
         for name, comment in comments_in_file(file):
-            found.setdefault(name, comment)
-    for group, name in RENAMED_GROUP.findall(
-        (CONF_FOLDER / "config.yaml").read_text(encoding="utf-8")
-    ):
-        found |= {
-            name + inner.removeprefix(group): said
-            for inner, said in found.items()
-            if inner.startswith(f"{group}.")
-        }
-    return found
+            comments.setdefault(name, comment)
+
+    defaults = (CONF_FOLDER / "config.yaml").read_text(encoding="utf-8")
+    for group, new_group in RENAMED_GROUP.findall(defaults):
+        for name in list(comments):
+            if name.startswith(f"{group}."):
+                comments[new_group + name.removeprefix(group)] = comments[name]
+    return comments
 
 
 def setting_units(names: Iterable[str]) -> dict[str, str]:
-    """Units of these settings, of those that have one."""
-    found = {
-        name: re.search(r"\[([^\]]+)\]", setting_comments().get(name, ""))
-        for name in names
-    }
-    return {name: unit[1] for name, unit in found.items() if unit and unit[1] != "1"}
+    """Return the units of those settings that have one, by name."""
+    units = {}
+    for name in names:
+        unit = re.search(r"\[([^\]]+)\]", setting_comments().get(name, ""))
+        if unit and unit[1] != "1":
+            units[name] = unit[1]
+    return units
 
 
 def comments_in_file(file: Path) -> Iterator[tuple[str, str]]:
-    """Names and comments of a file's settings."""
+    """Yield the full name and the comment of each commented setting in a file."""
     text = file.read_text(encoding="utf-8")
-    alone = file.parent == CONF_FOLDER or "@package _global_" in text
+    is_top_level = file.parent == CONF_FOLDER or "@package _global_" in text
+    block = "" if is_top_level else file.parent.relative_to(CONF_FOLDER).as_posix()
     name, comment = "", ""
-    for line, begun, said in named_lines(
-        text, "" if alone else file.parent.relative_to(CONF_FOLDER).as_posix()
-    ):
-        if begun:
-            yield from [(name, comment)] if comment else []
-            name, comment = begun, said
-        elif comment and (more := CONTINUED_COMMENT.match(line)):
-            comment += f" {more[1]}"
-    yield from [(name, comment)] if comment else []
+    for line, next_name, next_comment in named_lines(text, block):
+        if next_name:
+            if comment:
+                yield name, comment
+            name, comment = next_name, next_comment
+        elif comment and (continued := CONTINUED_COMMENT.match(line)):
+            comment += f" {continued[1]}"
+    if comment:
+        yield name, comment
 
 
 def annotate_settings(text: str) -> Iterator[str]:
-    """Lines of settings as YAML, each with what it means behind it."""
+    """Yield the lines of settings as YAML, each followed by the setting's comment."""
     for line, name, _ in named_lines(text):
-        meaning = setting_comments().get(name, "")
-        yield f"{line:<{COMMENT_COLUMN}}# {meaning}" if meaning else line
+        comment = setting_comments().get(name, "")
+        yield f"{line:<{COMMENT_COLUMN}}# {comment}" if comment else line
 
 
 def named_lines(text: str, block: str = "") -> Iterator[tuple[str, str, str]]:
-    """Lines of settings as YAML, each with the full name of the setting that begins
-    there, if any, and its comment. block: that they are in.
+    """Yield the lines of YAML with the full name and comment of the setting that begins there, if any.
+
+    Parameters
+    ----------
+    text : str
+        Settings as YAML.
+    block : str
+        Name of the block around them.
     """
-    above = [(-1, block)] if block else []
+    parents = (
+        [(-1, block)] if block else []
+    )  # indent and name of each block around the line
     for line in text.splitlines():
-        found = SETTING_LINE.match(line)
-        if found is None:
+        setting = SETTING_LINE.match(line)
+        if setting is None:
             yield line, "", ""
             continue
-        indent = len(found["indent"])
-        above = [(depth, part) for depth, part in above if depth < indent] + [
-            (indent, found["name"])
-        ]
-        yield line, ".".join(part for _, part in above), found["comment"] or ""
+        indent = len(setting["indent"])
+        parents = [(depth, name) for depth, name in parents if depth < indent]
+        parents.append((indent, setting["name"]))
+        full_name = ".".join(name for _, name in parents)
+        yield line, full_name, setting["comment"] or ""

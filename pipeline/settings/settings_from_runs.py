@@ -13,13 +13,12 @@ from stringcast.data import dataset
 from stringcast.data.file_checks import read_json, read_yaml, refuse_interpolation
 from stringcast.data.schema import DataError
 from stringcast.pipeline.settings.allowed_callables import VIRTUAL_HARDWARE
-from stringcast.pipeline.settings.typed_settings import (
+from stringcast.pipeline.settings.composition import (
     UserError,
-    build_chosen,
     flatten_settings,
-    require_allowed,
     setting_names,
 )
+from stringcast.pipeline.settings.typed_settings import build_chosen, require_allowed
 from stringcast.stages.calibrate import CAMERA
 from stringcast.stages.spec import EXTENDED
 

@@ -1,178 +1,131 @@
-"""From configuration blocks to validated settings and objects, with errors a person can
-act on.
-"""
+"""Turn blocks of settings into checked objects and functions, with errors that a person can act on."""
 
 from __future__ import annotations
 
-import copy
 import difflib
 import functools
 import inspect
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, Field, fields, is_dataclass
-from pathlib import Path
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
 from typing import Any, TypeVar, get_type_hints
 
-from hydra import compose, initialize_config_dir
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.utils import get_object
-from omegaconf import OmegaConf
 from pydantic import TypeAdapter, ValidationError
 
-from stringcast.data.errors import ExpectedError
 from stringcast.pipeline.settings.allowed_callables import allowed_names_by_role
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.common import SettingsGroup
 
-Built = TypeVar("Built")
-CONF_FOLDER = Path(__file__).resolve().parents[2] / "conf"
-RUN_ARGUMENTS = ("seed", "manipulation", "trial", "progress")
-
-
-class UserError(ExpectedError):
-    """A setting or an argument that cannot be used."""
-
-
-def compose_settings(overrides: Sequence[str] = ()) -> Any:
-    """All settings as configured, as plain values, outside a run. overrides: as on the
-    command line.
-    """
-    return copy.deepcopy(_compose_cached(tuple(overrides)))
-
-
-@functools.cache
-def _compose_cached(overrides: tuple[str, ...]) -> Any:
-    """The cached settings, not to be changed: Hydra takes 0.1 s, and each job of a
-    study asks for the same.
-    """
-    refuse_repeated_settings(overrides)
-    with initialize_config_dir(str(CONF_FOLDER), version_base="1.3"):
-        return OmegaConf.to_container(compose("config", list(overrides)))
-
-
-def given_names(overrides: Iterable[str]) -> set[str]:
-    """Names of the settings that overrides give."""
-    return {override.split("=")[0].lstrip("+~") for override in overrides}
-
-
-def refuse_repeated_settings(overrides: Iterable[str]) -> None:
-    """Refuse a setting or a group that is given twice, of which Hydra would take the
-    last in silence.
-    """
-    seen: dict[tuple[str, str | None], str] = {}
-    for override in OverridesParser.create().parse_overrides(list(overrides)):
-        place = override.key_or_group, override.package
-        if override.is_delete():
-            continue
-        if place in seen:
-            raise UserError(
-                f"{seen[place]} and {override.input_line} (command line): the setting is given twice. Leave one out."
-            )
-        seen[place] = str(override.input_line)
-
-
-def setting_names(block: Any, place: str = "") -> Iterator[str]:
-    """Names of all settings, with dots."""
-    for name, value in block.items():
-        yield f"{place}{name}"
-        if isinstance(value, dict):
-            yield from setting_names(value, f"{place}{name}.")
-
-
-def flatten_settings(block: Any, place: str = "") -> dict[str, Any]:
-    """Every value of nested settings by its full name."""
-    if not isinstance(block, dict) or not block:
-        return {place: block}
-    return {
-        name: value
-        for key, inside in block.items()
-        for name, value in flatten_settings(
-            inside, f"{place}.{key}" if place else key
-        ).items()
-    }
+BuiltT = TypeVar("BuiltT")
+RUN_ARGUMENTS = (
+    "seed",
+    "manipulation",
+    "trial",
+    "progress",
+)  # a run supplies these itself
 
 
 def bind_stage(block: Mapping[str, Any], place: str, where: str) -> Callable[..., Any]:
-    """The function a block names, with the block's settings checked and bound.
+    """Return the function that a block names, with the block's settings checked and bound.
 
-    place: name of the block; where: the file it comes from. The settings must be
-    exactly the function's keyword-only arguments, or the fields of those that are a
-    `SettingsGroup`, less what the run supplies.
+    Parameters
+    ----------
+    block : mapping
+        ``_target_``, and exactly the function's keyword-only arguments, or the fields of those
+        that are a `SettingsGroup`, without the arguments that the run supplies.
+    place : str
+        Name of the block.
+    where : str
+        File from which it comes, for messages.
+
+    Raises
+    ------
+    UserError
+        For a name or value that the function does not take.
     """
     function = load_callable(block["_target_"], place, where)
-    groups = {
-        name: kind
-        for name, kind in keyword_types(function).items()
-        if is_settings_group(kind)
-    }
-    flat = setting_types(function)
-    given = {key: value for key, value in block.items() if key != "_target_"}
-    check_names(given, flat, place, where)
-    known = {n: validate_value(flat[n], given[n], f"{place}.{n}", where) for n in flat}
-    for name, kind in groups.items():
-        known[name] = kind(
-            **{field: known.pop(field) for field in get_type_hints(kind)}
-        )
-    return functools.partial(function, **known)
+    types = setting_types(function)
+    given = {name: value for name, value in block.items() if name != "_target_"}
+    check_names(given, types, place, where)
+
+    arguments: dict[str, Any] = {}
+    for name, kind in types.items():
+        arguments[name] = validate_value(kind, given[name], f"{place}.{name}", where)
+    for name, kind in keyword_types(function).items():
+        if is_settings_group(kind):
+            field_values = {
+                field: arguments.pop(field) for field in get_type_hints(kind)
+            }
+            arguments[name] = kind(**field_values)
+    return functools.partial(function, **arguments)
 
 
 def setting_types(kind: Callable[..., Any]) -> dict[str, Any]:
-    """The type of each setting that a block takes which names this function or class."""
+    """Return the type of each setting of a block that names this function or class."""
     if inspect.isclass(kind):
         return get_type_hints(kind, include_extras=True)
-    inside = {
-        name: get_type_hints(hint, include_extras=True)
-        if is_settings_group(hint)
-        else {name: hint}
-        for name, hint in keyword_types(kind).items()
-    }
-    return {name: hint for one in inside.values() for name, hint in one.items()}
+    types: dict[str, Any] = {}
+    for name, hint in keyword_types(kind).items():
+        if is_settings_group(hint):
+            types |= get_type_hints(hint, include_extras=True)
+        else:
+            types[name] = hint
+    return types
 
 
 def keyword_types(function: Callable[..., Any]) -> dict[str, Any]:
-    """Types of a function's keyword-only arguments, less what the run itself supplies."""
+    """Return the types of a function's keyword-only arguments, except those that the run supplies."""
     hints = get_type_hints(function, include_extras=True)
-    return {
-        name: hints[name]
-        for name, parameter in inspect.signature(function).parameters.items()
-        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
-        and name not in RUN_ARGUMENTS
-    }
+    types = {}
+    for name, parameter in inspect.signature(function).parameters.items():
+        if (
+            parameter.kind is inspect.Parameter.KEYWORD_ONLY
+            and name not in RUN_ARGUMENTS
+        ):
+            types[name] = hints[name]
+    return types
 
 
 def is_settings_group(hint: Any) -> bool:
+    """Tell whether a type is a dataclass whose fields are settings of their own."""
     return isinstance(hint, type) and issubclass(hint, SettingsGroup)
 
 
 def build_dataclass(
-    kind: type[Built], block: Mapping[str, Any], place: str, where: str
-) -> Built:
-    """A validated dataclass from a block whose keys are its fields."""
-    assert is_dataclass(kind)
-    required = [f.name for f in fields(kind) if f.name in block or has_no_default(f)]
-    check_names(block, dict.fromkeys(required), place, where)
+    kind: type[BuiltT], block: Mapping[str, Any], place: str, where: str
+) -> BuiltT:
+    """Build a validated dataclass from a block whose names are its fields."""
+    check_names(block, expected_fields(kind, block), place, where)
     return validate_value(kind, block, place, where)
 
 
-def has_no_default(field: Field[Any]) -> bool:
-    return field.default is MISSING and field.default_factory is MISSING
+def expected_fields(kind: Any, block: Mapping[str, Any]) -> list[str]:
+    """Return the fields of a dataclass that a block gives or must give."""
+    names = []
+    for field in fields(kind):
+        is_required = field.default is MISSING and field.default_factory is MISSING
+        if is_required or field.name in block:
+            names.append(field.name)
+    return names
 
 
 def check_names(
-    given: Mapping[str, Any], wanted: Mapping[str, Any], place: str, where: str
+    given: Iterable[str], expected: Iterable[str], place: str, where: str
 ) -> None:
-    """Refuse settings that are unknown or missing."""
+    """Raise UserError for the first setting that is unknown or missing."""
+    expected = list(expected)
     for name in given:
-        if name not in wanted:
-            near = difflib.get_close_matches(name, list(wanted), 1)
+        if name not in expected:
+            near = difflib.get_close_matches(name, expected, 1)
             hint = (
                 f"Did you mean '{near[0]}'?"
                 if near
-                else f"Known are: {', '.join(wanted)}."
+                else f"Known are: {', '.join(expected)}."
             )
             raise UserError(
                 f"{place}.{name} ({where}): there is no such setting. {hint}"
             )
-    for name in wanted:
+    for name in expected:
         if name not in given:
             raise UserError(
                 f"{place}.{name} ({where}): the setting is missing. Give it a value."
@@ -180,22 +133,27 @@ def check_names(
 
 
 def load_callable(target: Any, place: str, where: str) -> Any:
-    """The function or class that fills a role; as `allowed`."""
+    """Return the function or class of a `_target_`; raise UserError if its role does not allow it."""
     return get_object(f"stringcast.{require_allowed(target, place, where)}")
 
 
 def require_allowed(target: Any, place: str, where: str) -> str:
-    """The name of what fills a role. place: of the setting, whose last name is the
-    role, such as `string.integrator`; where: the file it comes from. Raises UserError
-    for a name that the role does not list.
+    """Return a `_target_` that its role allows; raise UserError for any other.
+
+    Parameters
+    ----------
+    target : object
+        Value of the setting.
+    place : str
+        Full name of the setting, such as ``string.integrator``; its last name is the role.
+    where : str
+        File from which it comes, for messages.
     """
-    known = allowed_names_by_role().get(place.rpartition(".")[2], ())
-    if target not in known:
-        choices = (
-            f"Choose {' or '.join(known)}"
-            if known
-            else "Remove it: no code is chosen here"
-        )
+    allowed_names = allowed_names_by_role().get(place.rpartition(".")[2], ())
+    if target not in allowed_names:
+        choices = "Remove it: no code can be chosen here"
+        if allowed_names:
+            choices = f"Choose {' or '.join(allowed_names)}"
         raise UserError(
             f"{place}._target_ = {target!r} ({where}): it may not be named here. {choices}."
         )
@@ -203,48 +161,32 @@ def require_allowed(target: Any, place: str, where: str) -> str:
 
 
 def build_chosen(block: Mapping[str, Any], place: str, where: str) -> Any:
-    """The object of a class that a block names, one of several that fill the same role."""
+    """Build the object of the class that a block names, one of several that fill the same role."""
     if not isinstance(block, Mapping) or "_target_" not in block:
-        raise UserError(
-            f"{place} = {block!r} ({where}): it must hold `_target_` and its settings. Choose {place}=..."
-        )
+        remedy = f"it must hold `_target_` and its settings. Choose {place}=..."
+        raise UserError(f"{place} = {block!r} ({where}): {remedy}")
     kind = load_callable(block["_target_"], place, where)
-    return build_dataclass(
-        kind,
-        {name: value for name, value in block.items() if name != "_target_"},
-        place,
-        where,
-    )
+    settings = {name: value for name, value in block.items() if name != "_target_"}
+    return build_dataclass(kind, settings, place, where)
 
 
 def validate_value(kind: Any, value: Any, place: str, where: str) -> Any:
-    """`value` as `kind`, or an error that names the field, the file and the remedy."""
+    """Return a value as this type; raise UserError that names the setting, the file and the remedy."""
     if isinstance(value, Mapping) and "_target_" in value:
         value = build_chosen(value, place, where)
+    pydantic_config: Any = (
+        None if is_dataclass(kind) else {"arbitrary_types_allowed": True}
+    )
     if is_dataclass(kind) and isinstance(value, Mapping):
-        check_names(
-            value,
-            {
-                f.name: None
-                for f in fields(kind)
-                if f.name in value or has_no_default(f)
-            },
-            place,
-            where,
-        )
+        check_names(value, expected_fields(kind, value), place, where)
     try:
-        return TypeAdapter(
-            kind,
-            config=None if is_dataclass(kind) else {"arbitrary_types_allowed": True},
-        ).validate_python(value)
+        return TypeAdapter(kind, config=pydantic_config).validate_python(value)
     except ValidationError as error:
         first = error.errors()[0]
-        path = ".".join([place, *map(str, first["loc"])])
-        remedy = first["msg"].removeprefix("Value error, ")
-        if isinstance(first["input"], Mapping):
-            raise UserError(
-                f"{path} ({where}): {remedy}. Change it there or on the command line."
-            ) from error
-        raise UserError(
-            f"{path} = {first['input']!r} ({where}): {remedy}. Change it there or on the command line."
-        ) from error
+        name = ".".join([place, *map(str, first["loc"])])
+        wrong_value = (
+            "" if isinstance(first["input"], Mapping) else f" = {first['input']!r}"
+        )
+        fault = first["msg"].removeprefix("Value error, ")
+        remedy = "Change it there or on the command line."
+        raise UserError(f"{name}{wrong_value} ({where}): {fault}. {remedy}") from error

@@ -23,11 +23,8 @@ from rich.text import Text
 
 from stringcast.pipeline.cli.console import progress_bars
 from stringcast.pipeline.cli.terminal import Terminal
-from stringcast.pipeline.settings.typed_settings import (
-    UserError,
-    bind_stage,
-    load_callable,
-)
+from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.typed_settings import bind_stage, load_callable
 from stringcast.pipeline.sweep.attempt import Attempt
 from stringcast.pipeline.sweep.ledger import DONE_STATE, FAILED_STATE, Job, Ledger
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.sweep.attempt import Attempt
 
 ThreadCount = Annotated[int, Field(ge=1)]

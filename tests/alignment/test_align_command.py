@@ -8,8 +8,8 @@ import yaml
 from omegaconf import OmegaConf
 
 from stringcast.pipeline.run.experiment import prepare_experiment
+from stringcast.pipeline.settings.composition import UserError, compose_settings
 from stringcast.pipeline.settings.settings_from_runs import read_extended_model
-from stringcast.pipeline.settings.typed_settings import UserError, compose_settings
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from tests.alignment.stand import OFF, stand

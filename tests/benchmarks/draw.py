@@ -11,10 +11,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from stringcast.pipeline.settings.typed_settings import (
-    build_dataclass,
-    compose_settings,
-)
+from stringcast.pipeline.settings.composition import compose_settings
+from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from tests.benchmarks.simulators import laboratory

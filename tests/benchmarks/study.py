@@ -26,7 +26,7 @@ from omegaconf import OmegaConf
 from stringcast.data.schema import Table
 from stringcast.data.store import write_table, write_text
 from stringcast.pipeline.run.provenance import step_origin
-from stringcast.pipeline.settings.typed_settings import (
+from stringcast.pipeline.settings.composition import (
     UserError,
     compose_settings,
     flatten_settings,

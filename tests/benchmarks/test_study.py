@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from stringcast.data.schema import Column, Table
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 from tests.benchmarks import study
 from tests.benchmarks.study import Study, StudyJob, run_study
 

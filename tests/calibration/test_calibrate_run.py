@@ -17,15 +17,12 @@ from stringcast.data import store
 from stringcast.data.calibration import Calibration
 from stringcast.pipeline.commands import board
 from stringcast.pipeline.run.experiment import prepare_experiment
+from stringcast.pipeline.settings.composition import UserError, compose_settings
 from stringcast.pipeline.settings.settings_from_runs import (
     inherit_settings,
     read_measured_camera,
 )
-from stringcast.pipeline.settings.typed_settings import (
-    UserError,
-    build_dataclass,
-    compose_settings,
-)
+from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.calibrate.views import detect_board
 from stringcast.stages.model.camera import Camera
 

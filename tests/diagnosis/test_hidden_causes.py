@@ -13,7 +13,7 @@ import pytest
 import yaml
 from conftest import ROOT
 
-from stringcast.pipeline.settings.typed_settings import compose_settings
+from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.stages.model.library import find_effects
 from tests.benchmarks.diagnosis.study import diagnosis_document
 from tests.benchmarks.simulators.blind import LATEST, VERSIONS, draw

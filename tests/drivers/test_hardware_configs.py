@@ -9,7 +9,8 @@ from conftest import ROOT
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from stringcast.pipeline.settings.typed_settings import UserError, bind_stage
+from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.typed_settings import bind_stage
 
 CONF = ROOT / "conf"
 

@@ -12,7 +12,8 @@ from test_velocity_loop import Script
 from stringcast.hardware.arm import Driving, VelocityArm, clock, device, loop
 from stringcast.hardware.arm.limits import Workspace, check_movement
 from stringcast.hardware.arm.loop import DRAIN_S, Guard, play, reserve_log
-from stringcast.pipeline.settings.typed_settings import UserError, build_dataclass
+from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.execute.interfaces import HardwareError
 
 LOOK = 1e-6  # [s] that a look at the clock takes

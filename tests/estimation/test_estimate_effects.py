@@ -10,7 +10,7 @@ import pytest
 
 from stringcast.data.artifacts import MASKS, READINGS, Observation
 from stringcast.pipeline.run.experiment import add_effects
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.generate import MotionRanges, SearchBudget, generate

@@ -13,7 +13,7 @@ from conftest import TRUTH, ordinary, pipeline
 from stringcast.data.schema import DataError
 from stringcast.known import KnownString
 from stringcast.pipeline.commands import load_command
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.export.mjcf import CARRIAGE_MASS_KG, build_mjcf
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.simulate import simulate

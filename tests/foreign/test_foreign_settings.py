@@ -14,19 +14,19 @@ from stringcast.pipeline.commands import load_command
 from stringcast.pipeline.run import log
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings import allowed_callables
+from stringcast.pipeline.settings.composition import (
+    CONF_FOLDER,
+    UserError,
+    compose_settings,
+    refuse_repeated_settings,
+)
 from stringcast.pipeline.settings.settings_from_runs import (
     inherit_settings,
     read_extended_model,
     read_measured_camera,
     refuse_inherited_limits,
 )
-from stringcast.pipeline.settings.typed_settings import (
-    CONF_FOLDER,
-    UserError,
-    compose_settings,
-    load_callable,
-    refuse_repeated_settings,
-)
+from stringcast.pipeline.settings.typed_settings import load_callable
 from stringcast.stages.model.engine import module_cache
 from tests.faults.toy import toy_experiment, toy_run
 

@@ -69,5 +69,5 @@ def test_all_that_is_shown_is_shown_there():
             assert called != "Console", file
             if called == "print" and file.parent.name == "commands":
                 assert ast.unparse(node.args[0]).startswith(
-                    ("printable(", "json.dumps(")
+                    ("escape_control_characters(", "json.dumps(")
                 ), file

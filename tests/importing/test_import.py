@@ -24,7 +24,7 @@ from stringcast.pipeline.commands.dataset_import import (
     write_dataset,
 )
 from stringcast.pipeline.commands.import_options import argument_parser, expand_patterns
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 
 SAMPLE = ROOT / "data" / "sample"
 BENCH = ("--links", "0.25,0.20,0.135", "--base", "0.2,0.2", "--length", "304mm")

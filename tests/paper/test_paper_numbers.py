@@ -9,7 +9,7 @@ from hydra.utils import get_object
 
 from stringcast.pipeline.paper.finish import finish
 from stringcast.pipeline.paper.scores import numbers, of
-from stringcast.pipeline.settings.typed_settings import CONF_FOLDER, compose_settings
+from stringcast.pipeline.settings.composition import CONF_FOLDER, compose_settings
 from stringcast.stages.model.string import String
 from stringcast.stages.report.records import EXPERIMENT_LABELS
 

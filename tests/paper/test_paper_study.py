@@ -15,7 +15,7 @@ from stringcast.data import store
 from stringcast.data.artifacts import ARM, Estimate, Motion, Points
 from stringcast.pipeline.paper import scores, shown
 from stringcast.pipeline.paper.finish import TABLES, finish
-from stringcast.pipeline.settings.typed_settings import compose_settings
+from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.pipeline.sweep.attempt import Attempt
 from stringcast.pipeline.sweep.ledger import DONE_STATE, FAILED_STATE, Job, Ledger
 from stringcast.stages.report.pages.paper import paper_figures

@@ -5,7 +5,7 @@ from pathlib import Path
 from omegaconf import OmegaConf
 
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
-from stringcast.pipeline.settings.typed_settings import compose_settings
+from stringcast.pipeline.settings.composition import compose_settings
 
 SMALL = (
     "camera.width=320",

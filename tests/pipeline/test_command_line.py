@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from stringcast.data import store
-from stringcast.pipeline.settings import settings_from_runs, typed_settings
+from stringcast.pipeline.settings import composition, settings_from_runs
 
 BARE = "keep=[frames]"  # no report, where nobody asks for it
 # [m], as small as the paper's: two casts do not hit
@@ -250,7 +250,7 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(
         ),
         (
             ["+experiment=estimate"],
-            "looks at stored trials, and none are named. Try: .*trials=data/sample",
+            "needs stored trials, and none are given. Try: .*trials=data/sample",
         ),
         (["string.ranges.axial_stiffness.low=1e9"], "must be below"),
         (["string.tolerance=-1"], "metres above 0"),
@@ -266,7 +266,7 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(
         ),
         (
             ["estimate.beta=0.9"],
-            "there is no such setting. It is one of estimate=random_search[.]",
+            "there is no such setting. It belongs to estimate=random_search[.]",
         ),
         (["hardwear=virtual"], "Try: .* hardware=virtual"),
         (["hydra.run.dir=/proc/nope"], "cannot be written"),
@@ -365,12 +365,10 @@ def test_a_measured_string_is_as_long_as_it_is_however_it_is_simulated(quick, tm
 
     def used(folder, *more):
         config = OmegaConf.create(
-            typed_settings.compose_settings(
-                [f"trials={folder}", "mode=estimate", *more]
-            )
+            composition.compose_settings([f"trials={folder}", "mode=estimate", *more])
         )
         return settings_from_runs.inherit_settings(
-            config, typed_settings.given_names([f"trials={folder}", *more])
+            config, composition.given_names([f"trials={folder}", *more])
         )["string"]
 
     assert (used(tmp_path)["length"], used(tmp_path)["points"]) == (0.45, 20)

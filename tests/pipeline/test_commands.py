@@ -24,7 +24,7 @@ from stringcast.pipeline.commands.provenance import verify_run as computed_again
 from stringcast.pipeline.commands.stored_runs import walk_steps
 from stringcast.pipeline.modes import Batch, Calibrate
 from stringcast.pipeline.run import provenance
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 from tests.faults.toy import contents, rows, toy_experiment, toy_run
 
 PAGE = Path(commands.__file__).with_name("README.md")

@@ -6,11 +6,8 @@ import re
 
 from stringcast.pipeline.cli.help_page import help_text
 from stringcast.pipeline.settings import reference
+from stringcast.pipeline.settings.composition import compose_settings, flatten_settings
 from stringcast.pipeline.settings.setting_comments import setting_comments
-from stringcast.pipeline.settings.typed_settings import (
-    compose_settings,
-    flatten_settings,
-)
 
 
 def explained(name):

@@ -8,7 +8,7 @@ import pytest
 from stringcast.pipeline.cli.console import print_summary
 from stringcast.pipeline.cli.terminal import Terminal, with_program_name
 from stringcast.pipeline.run.result import RunResult
-from stringcast.pipeline.settings.typed_settings import compose_settings
+from stringcast.pipeline.settings.composition import compose_settings
 
 PAPERS = ("stringA", "stringB", "stringC", "stringD", "obstacle")
 

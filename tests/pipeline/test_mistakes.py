@@ -9,7 +9,7 @@ import pytest
 
 from stringcast.pipeline.cli.command_line_hints import refuse_mistakes
 from stringcast.pipeline.commands import COMMAND_NAMES
-from stringcast.pipeline.settings.typed_settings import UserError
+from stringcast.pipeline.settings.composition import UserError
 from tests.pipeline.test_readme_commands import CALLS, PLACEHOLDER
 
 MEANT = {
@@ -61,7 +61,7 @@ def test_a_mistake_is_answered_by_what_was_meant(typed, meant):
 
 
 def test_a_colon_is_not_said_twice():
-    with pytest.raises(UserError, match=r"^seed: name and value belong together\."):
+    with pytest.raises(UserError, match=r"^seed: write name and value together\."):
         refuse_mistakes(["seed:", "3"])
 
 
@@ -70,7 +70,7 @@ def test_what_nothing_is_like_says_what_there_is():
         refuse_mistakes(["xyzzy"])
     with pytest.raises(
         UserError,
-        match=r"\+nosuch=x: there is no setting 'nosuch'. All of them: .* --help",
+        match=r"\+nosuch=x: there is no setting 'nosuch'. All settings: .* --help",
     ):
         refuse_mistakes(["+nosuch=x"])  # which Hydra would take
     with pytest.raises(UserError, match="-x: there is no such option"):
@@ -84,7 +84,7 @@ def test_what_nothing_is_like_says_what_there_is():
         refuse_mistakes(["specimen=7"])
     with pytest.raises(
         UserError,
-        match=r"arm=ours: .*; there is paper; .*python.* -m pipeline new arm ours writes one",
+        match=r"arm=ours: .*; there is paper; .*python.* -m pipeline new arm ours writes your own",
     ):
         refuse_mistakes(["arm=ours"])
 

@@ -11,11 +11,8 @@ from matplotlib.figure import Figure
 from stringcast.data import dataset
 from stringcast.data.metadata import read_metadata
 from stringcast.pipeline.commands import check, new, template
-from stringcast.pipeline.settings.typed_settings import (
-    CONF_FOLDER,
-    UserError,
-    build_dataclass,
-)
+from stringcast.pipeline.settings.composition import CONF_FOLDER, UserError
+from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.check.check import collect_findings
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera

@@ -15,8 +15,8 @@ import pytest
 from hydra.utils import get_object
 
 from stringcast.pipeline.commands import new
+from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.pipeline.settings.stage_registry import stages
-from stringcast.pipeline.settings.typed_settings import compose_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("conf", "data", "hardware", "pipeline", "stages")

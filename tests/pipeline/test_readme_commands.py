@@ -13,7 +13,7 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from stringcast.pipeline.commands import COMMAND_NAMES
-from stringcast.pipeline.settings.typed_settings import compose_settings
+from stringcast.pipeline.settings.composition import compose_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 CALL = re.compile(r"python3? (?:-m pipeline|tasks\.py run)(?![.\w])(.*)")

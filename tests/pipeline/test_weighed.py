@@ -7,15 +7,15 @@ from omegaconf import OmegaConf
 
 from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
-from stringcast.pipeline.settings import settings_from_runs, typed_settings
+from stringcast.pipeline.settings import composition, settings_from_runs
 
 
 def composed(folder, string, *more):
     (folder / "dataset.yaml").write_text(f"format: 1\nstring: {string}\n")
     given = [f"trials={folder}", "mode=estimate", *more]
     return settings_from_runs.inherit_settings(
-        OmegaConf.create(typed_settings.compose_settings(given)),
-        typed_settings.given_names(given),
+        OmegaConf.create(composition.compose_settings(given)),
+        composition.given_names(given),
     )
 
 

@@ -13,7 +13,7 @@ from stringcast.pipeline.run import run_folder
 from stringcast.pipeline.run.experiment import SAVEABLE_OUTPUTS, check_run_settings
 from stringcast.pipeline.run.iterations import Iteration
 from stringcast.pipeline.run.result import RunResult
-from stringcast.pipeline.settings.typed_settings import UserError, compose_settings
+from stringcast.pipeline.settings.composition import UserError, compose_settings
 from stringcast.pipeline.sweep.launcher import remaining_time
 
 

@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from stringcast.data.artifacts import JOINTS
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
 from stringcast.pipeline.run.experiment import prepare_experiment
-from stringcast.pipeline.settings.typed_settings import compose_settings
+from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.stages.hit_test import hit_test
 from tests.benchmarks.casting.point_executor import PointExecutor, measure_points
 from tests.benchmarks.casting.runs import (

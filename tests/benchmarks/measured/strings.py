@@ -30,11 +30,8 @@ from stringcast.pipeline.run.provenance import (
     code_state,
     software_versions,
 )
-from stringcast.pipeline.settings.typed_settings import (
-    UserError,
-    build_dataclass,
-    compose_settings,
-)
+from stringcast.pipeline.settings.composition import UserError, compose_settings
+from stringcast.pipeline.settings.typed_settings import build_dataclass
 from tests.benchmarks.diagnosis.study import diagnose_dataset
 from tests.benchmarks.measured.family import Family
 from tests.benchmarks.measured.study import WHERE, MeasuredSettings

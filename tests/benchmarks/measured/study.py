@@ -18,12 +18,9 @@ from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.run.provenance import code_state, step_origin
 from stringcast.pipeline.run.single_run import perform_run
+from stringcast.pipeline.settings.composition import UserError, compose_settings
 from stringcast.pipeline.settings.settings_from_runs import inherit_settings
-from stringcast.pipeline.settings.typed_settings import (
-    UserError,
-    build_dataclass,
-    compose_settings,
-)
+from stringcast.pipeline.settings.typed_settings import build_dataclass
 from tests.benchmarks.measured.family import Family
 from tests.benchmarks.measured.pictures import draw_sets
 from tests.benchmarks.measured.scores import SETS, predicted_points, score_fit

@@ -11,13 +11,13 @@ import pytest
 from omegaconf import OmegaConf
 
 from stringcast.data.dataset import read_dataset
-from stringcast.pipeline.settings.settings_from_runs import inherit_settings
-from stringcast.pipeline.settings.typed_settings import (
+from stringcast.pipeline.settings.composition import (
     UserError,
-    build_dataclass,
     compose_settings,
     given_names,
 )
+from stringcast.pipeline.settings.settings_from_runs import inherit_settings
+from stringcast.pipeline.settings.typed_settings import build_dataclass
 from tests.benchmarks.measured.scores import SETS
 from tests.benchmarks.measured.strings import families_with_all_trials
 from tests.benchmarks.measured.study import (

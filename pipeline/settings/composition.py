@@ -1,0 +1,78 @@
+"""Compose settings from the files of `conf` and the overrides of a command line."""
+
+from __future__ import annotations
+
+import copy
+import functools
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
+
+from stringcast.data.errors import ExpectedError
+
+CONF_FOLDER = Path(__file__).resolve().parents[2] / "conf"
+
+
+class UserError(ExpectedError):
+    """A setting or an argument that cannot be used."""
+
+
+def compose_settings(overrides: Sequence[str] = ()) -> Any:
+    """Compose all settings outside a run, as plain values.
+
+    Parameters
+    ----------
+    overrides : sequence of str
+        Settings as on the command line, such as ``seed=3``.
+    """
+    return copy.deepcopy(_compose_cached(tuple(overrides)))
+
+
+@functools.cache
+def _compose_cached(overrides: tuple[str, ...]) -> Any:
+    # Hydra takes 0.1 s, and each job of a study composes the same settings.
+    refuse_repeated_settings(overrides)
+    with initialize_config_dir(str(CONF_FOLDER), version_base="1.3"):
+        return OmegaConf.to_container(compose("config", list(overrides)))
+
+
+def given_names(overrides: Iterable[str]) -> set[str]:
+    """Return the names of the settings that overrides give."""
+    return {override.split("=")[0].lstrip("+~") for override in overrides}
+
+
+def refuse_repeated_settings(overrides: Iterable[str]) -> None:
+    """Raise UserError for a setting or group that is given twice; Hydra would silently take the last."""
+    seen: dict[tuple[str, str | None], str] = {}
+    for override in OverridesParser.create().parse_overrides(list(overrides)):
+        if override.is_delete():
+            continue
+        key = override.key_or_group, override.package
+        if key in seen:
+            both = f"{seen[key]} and {override.input_line}"
+            raise UserError(
+                f"{both} (command line): the setting is given twice. Remove one."
+            )
+        seen[key] = str(override.input_line)
+
+
+def setting_names(block: Any, prefix: str = "") -> Iterator[str]:
+    """Yield the full names of all settings and blocks in nested settings."""
+    for name, value in block.items():
+        yield f"{prefix}{name}"
+        if isinstance(value, dict):
+            yield from setting_names(value, f"{prefix}{name}.")
+
+
+def flatten_settings(block: Any, prefix: str = "") -> dict[str, Any]:
+    """Return every value of nested settings by its full name."""
+    if not isinstance(block, dict) or not block:
+        return {prefix: block}
+    values: dict[str, Any] = {}
+    for name, inner_block in block.items():
+        values |= flatten_settings(inner_block, f"{prefix}.{name}" if prefix else name)
+    return values
