@@ -32,7 +32,7 @@ def trial(arm, camera):
     """A string let go, seen at eleven places."""
     t, seen = released(TURN, PLACES["eleven"], 200, NOISE)
     return prepare_trial(
-        Model(STRING, arm, camera), observed(t, seen, PLACES["eleven"], moving=True)
+        Model(STRING, arm, camera), observed(t, seen, PLACES["eleven"], starts_moving=True)
     )
 
 
