@@ -87,7 +87,7 @@ class LedgerLauncher:
         """Run what is missing of these jobs. Each returns E after its last estimation,
         NaN if there is none.
         """
-        ledger = Ledger(Path(self.config.hydra.current.dir).absolute())
+        ledger = Ledger(Path(self.config.hydra.sweep.dir).absolute())
         jobs = []
         for number, overrides in enumerate(job_overrides, start=initial_job_idx):
             # with its settings composed and resolved as its own run will

@@ -85,7 +85,7 @@ def told(plain):
 def test_a_camera_that_is_off_moves_the_tip_by_as_much(told):
     for axis in ("x", "y"):
         each = told[f"camera_offset.{axis}"]
-        assert each.tip == pytest.approx(each.find, rel=1e-6)
+        assert each.detectable_tip_shift_m == pytest.approx(each.detectable_value, rel=1e-6)
         assert each.most == pytest.approx(each.parameter.high, rel=1e-6)
 
 
@@ -106,13 +106,13 @@ def test_the_tip_moves_as_far_as_is_said_where_it_is_simulated(plain, told, name
     each, base = told[name], plain.base
     hypothesis = base.hypothesis.joined(each.effect)
     chi = hypothesis.carried(
-        base.named | {name: float(each.parameter.chi(np.asarray(each.find)))}
+        base.named | {name: float(each.parameter.chi(np.asarray(each.detectable_value)))}
     )
     there = [one[0] for one in plain.data.residuals(hypothesis.model, chi[None])]
     moved = plain.data.tip_rms(
         [a - b for a, b in zip(there, base.residuals, strict=True)]
     )
-    assert np.sqrt(np.mean(moved**2)) == pytest.approx(each.tip, rel=0.02)
+    assert np.sqrt(np.mean(moved**2)) == pytest.approx(each.detectable_tip_shift_m, rel=0.02)
 
 
 @pytest.mark.parametrize(("times", "found"), [(0.5, False), (2.0, True)])
@@ -123,7 +123,7 @@ def test_an_effect_is_evident_from_the_size_on_that_is_said(
     it.
     """
     windy, base = Hypothesis(model).with_cause(Wind), Hypothesis(model)
-    strength = {"wind.along_x": times * told["wind.along_x"].find, "wind.along_y": 0.0}
+    strength = {"wind.along_x": times * told["wind.along_x"].detectable_value, "wind.along_y": 0.0}
     evident = []
     for seed in range(1, 6):
         cases = seen(arm, windy.model, TRUTH | strength, seed)

@@ -231,7 +231,7 @@ def test_what_touches_an_obstacle_first_does_not_hit(model):
     assert made.hit.any()
     assert (entered & before[:, 1:]).any(axis=1)[made.hit[0]].all()
     assert (made.free_share[0][touched.any(axis=1)] < 1).all()
-    joints = model.arm.joints(motion.commands[["q1", "q2", "q3"]].to_numpy())
+    joints = model.arm.joint_positions(motion.commands[["q1", "q2", "q3"]].to_numpy())
     assert not wall.is_crossed_by(joints[:, :-1], joints[:, 1:]).any()
 
 
@@ -264,7 +264,7 @@ def test_an_arm_that_touches_something_does_not_hit_even_afterwards(model):
     long since.
     """
     motion = likeliest(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
-    joints = model.arm.joints(motion.commands[["q1", "q2", "q3"]].to_numpy())
+    joints = model.arm.joint_positions(motion.commands[["q1", "q2", "q3"]].to_numpy())
     x, y = joints[-1, -1]
     post = Box(float(x), float(y), 1e-3, 1e-3)
     assert motion.outcome["t_hit"].iloc[0] < motion.duration - 0.02
