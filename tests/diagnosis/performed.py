@@ -40,7 +40,7 @@ def performed(name, arm, model, values, angles, places, rng):
     these numbers are.
     """
     t = arm.tick * np.arange(len(angles))
-    seen = model.seen(
+    seen = model.simulate_observation(
         resample_joint_motion(t, angles), model.values(values)[None], t
     ).points[0][:, places]
     x, y = (seen + SIGMA * rng.standard_normal(seen.shape)).reshape(-1, 2).T
