@@ -21,7 +21,7 @@ from stringcast.stages.diagnose.predictions import (
     matching_rate,
     thin_frames,
 )
-from stringcast.stages.diagnose.prepared_data import usable_trials
+from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.inference.prepared_trial import prepare_trial

@@ -7,10 +7,8 @@ import pytest
 from conftest import TRUTH, ordinary
 from performed import performed, swings
 
-from stringcast.stages.diagnose.prepared_data import (
-    attach_discrepancy_model,
-    with_second_order_mesh,
-)
+from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -73,7 +71,7 @@ def test_sets_that_differ_are_told_with_the_one_that_they_share(arm, hypothesis)
     )
     less = fit_hypothesis(
         data,
-        hypothesis.without(effects_by_name()["rest_curvature"]),
+        hypothesis.without_cause(effects_by_name()["rest_curvature"]),
         plain.chi[None, hypothesis.base_indices],
         plain.sizes,
     )

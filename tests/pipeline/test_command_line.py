@@ -222,7 +222,11 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(
         ),
         (["method=paper", "estimate.beta=abc"], "valid number"),
         (
-            ["+experiment=diagnose", "trials=data/sample", "diagnose.without=[wnd]"],
+            [
+                "+experiment=diagnose",
+                "trials=data/sample",
+                "diagnose.excluded_effects=[wnd]",
+            ],
             "Did you mean 'wind'",
         ),
         (["camera.fps=-3"], "camera.fps"),

@@ -178,7 +178,7 @@ def diagnose_string(
     )
     started = time.process_time()
     settings = compose_settings(
-        ["+experiment=diagnose", f"diagnose.without=[{','.join(without)}]"]
+        ["+experiment=diagnose", f"diagnose.excluded_effects=[{','.join(without)}]"]
     )
     diagnosis = diagnose_dataset(
         out / "dataset", settings | {"string": family.settings["string"]}

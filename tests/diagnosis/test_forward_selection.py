@@ -13,11 +13,9 @@ from scipy.stats import cauchy, multivariate_normal
 
 from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose.candidate_motions import DesignSettings
-from stringcast.stages.diagnose.forward_selection import SelectionStep, is_supported
-from stringcast.stages.diagnose.prepared_data import (
-    attach_discrepancy_model as lacking_at,
-)
-from stringcast.stages.diagnose.prepared_data import with_second_order_mesh
+from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.rules import is_supported
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.discrepancy import (
     DISCREPANCY_SCALES_M,
@@ -151,7 +149,9 @@ def test_what_one_trial_says_alone_is_asked_of_the_others(arm, heavy, believed):
     chi = parameter_exponents(
         base.parameters, np.array([TRUTH[p.name] for p in base.parameters])
     )
-    data = lacking_at([prepare_trial(base.model, each) for each in observed], base, chi)
+    data = attach_discrepancy_model(
+        [prepare_trial(base.model, each) for each in observed], base, chi
+    )
     parent = fit_hypothesis(data, base, chi[None], np.full(3, 9))
     best = evaluate_fit(
         data,
@@ -164,7 +164,7 @@ def test_what_one_trial_says_alone_is_asked_of_the_others(arm, heavy, believed):
         log_likelihood_by_trial=parent.log_likelihood_by_trial + said,
         log_evidence=parent.log_evidence + said.sum(),
     )
-    assert is_supported(data, SelectionStep(parent, (), [best]), CRITERIA) is believed
+    assert is_supported(data, parent, best, CRITERIA) is believed
 
 
 def base_values(hypothesis, ratio):
@@ -204,8 +204,8 @@ def test_what_hardly_moves_the_tip_does_not_enter(trial):
         replace(heavier, residuals=tuple(each + off for each in still))
         for off in (10.0, 0.1)
     )
-    assert is_supported(data, SelectionStep(parent, (), [far]), CRITERIA)
-    assert not is_supported(data, SelectionStep(parent, (), [near]), CRITERIA)
+    assert is_supported(data, parent, far, CRITERIA)
+    assert not is_supported(data, parent, near, CRITERIA)
 
 
 def said_of(model, observations, monkeypatch, **asked):
@@ -310,7 +310,7 @@ def test_a_cause_that_cannot_be_at_work_is_no_candidate(arm, camera, monkeypatch
     made = said_of(
         *casts(arm, camera, ["tip_mass"], {"tip_mass.ratio": 0.05}),
         monkeypatch,
-        without=["tip_mass"],
+        excluded_effects=["tip_mass"],
     )
     assert not made.hypotheses["causes"].str.contains("tip_mass").any()
 
@@ -350,6 +350,6 @@ def test_one_trial_names_nothing_but_says_all_that_it_would(
 
 def test_a_cause_that_is_in_no_library_is_unknown(arm, camera, monkeypatch):
     model, observations = casts(arm, camera, ["wind"], {"wind.along_x": 2.0})
-    made = said_of(model, observations, monkeypatch, without=["wind"])
+    made = said_of(model, observations, monkeypatch, excluded_effects=["wind"])
     assert (made.verdict, len(made.causes)) == ("unknown", 0)
     assert yaml.safe_load(made.finding["extended"].iloc[0])["effects"] == []
