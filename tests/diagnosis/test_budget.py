@@ -14,15 +14,15 @@ def test_a_cause_that_explains_nothing_by_itself_has_zero_and_not_less(monkeypat
 
     def fit(*causes):
         names = tuple(cause.name for cause in causes)
-        hypothesis = SimpleNamespace(causes=causes, without=lambda cause: None)
+        hypothesis = SimpleNamespace(causes=causes, without_cause=lambda cause: None)
         return SimpleNamespace(
-            hypothesis=hypothesis, residuals=names, sizes=None, evidence=0.0
+            hypothesis=hypothesis, residuals=names, scale_indices=None, log_evidence=0.0
         )
 
     data = SimpleNamespace(
-        begun=lambda names, sizes: off_m[names], tip_rms=lambda off: np.full(2, off)
+        without_initial_state_error=lambda names, indices: off_m[names], tip_rms_by_trial=lambda off: np.full(2, off)
     )
-    data.of = lambda hypothesis: data
+    data.for_hypothesis = lambda hypothesis: data
     full = fit(clamp, curvature)
     state = SimpleNamespace(prepared=SimpleNamespace(data=data), fit=full)
     fits = [fit(), fit(clamp), full]

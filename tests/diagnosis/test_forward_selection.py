@@ -100,7 +100,7 @@ def test_coefficients_are_as_likely_as_a_dense_covariance_says(lacking):
 def test_white_coefficients_are_white(lacking):
     one, covariances = lacking
     told = one.coefficients(np.eye(len(covariances[0])))
-    white = one.white(told, 8)
+    white = one.whiten(told, 8)
     assert white.T @ covariances[8] @ white == pytest.approx(
         np.eye(white.shape[1]), abs=1e-6
     )

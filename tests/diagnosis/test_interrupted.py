@@ -48,7 +48,7 @@ def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
     """Of two that were accepted, the first was not needed in addition to the second."""
     weighed = []
     hypotheses = {
-        names: SimpleNamespace(names=names, base=None, causes=names)
+        names: SimpleNamespace(cause_names=names, base=None, causes=names)
         for names in (("a",), ("a", "b"), ("b",))
     }
     steps = []

@@ -23,10 +23,10 @@ from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 class Scaled:
     """Two trials whose residuals are white once divided by the size of each."""
 
-    def of(self, hypothesis: None) -> "Scaled":
+    def for_hypothesis(self, hypothesis: None) -> "Scaled":
         return self
 
-    def white_by_trial(
+    def whiten_by_trial(
         self, residuals: list[np.ndarray], sizes: np.ndarray
     ) -> list[np.ndarray]:
         return [each / size for each, size in zip(residuals, sizes, strict=True)]
@@ -45,7 +45,7 @@ def test_small_effects_are_as_likely_as_a_dense_covariance_says(weights):
         hypothesis=None,
         residuals=residuals,
         slopes=slopes,
-        sizes=sizes,
+        scale_indices=sizes,
         chi=np.zeros(2),
     )
     scale = np.repeat(sizes / np.sqrt(weights), 20)
@@ -66,7 +66,7 @@ def test_small_effects_are_as_likely_as_a_dense_covariance_says(weights):
 
 
 def named_fit(name, *causes):
-    hypothesis = SimpleNamespace(names=causes, causes=causes)
+    hypothesis = SimpleNamespace(cause_names=causes, causes=causes)
     return SimpleNamespace(hypothesis=hypothesis, name=name)
 
 
@@ -163,12 +163,12 @@ def test_what_one_trial_says_against_the_others_is_not_certain(
     monkeypatch.setattr(
         posteriors, "tip_shift_rms", lambda data, parent, fit: np.ones(4)
     )
-    parent = SimpleNamespace(evidence=0.0, by_trial=np.zeros(4))
+    parent = SimpleNamespace(log_evidence=0.0, log_likelihood_by_trial=np.zeros(4))
     fit = SimpleNamespace(
-        evidence=80.0,
-        by_trial=np.array(by_trial),
-        hypothesis=SimpleNamespace(names=("wind",)),
-        lost=False,
+        log_evidence=80.0,
+        log_likelihood_by_trial=np.array(by_trial),
+        hypothesis=SimpleNamespace(cause_names=("wind",)),
+        diverged=False,
     )
     rng = np.random.default_rng(0)
     weights = 4 * rng.dirichlet(np.ones(4), posteriors.BOOTSTRAP_SAMPLES)
@@ -218,7 +218,7 @@ def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
         hypothesis = SimpleNamespace(base=None, causes=causes)
         hypothesis.exponents_from = lambda known: np.zeros(1)
         return SimpleNamespace(
-            hypothesis=hypothesis, named={}, sizes=None, evidence=evidence
+            hypothesis=hypothesis, exponents={}, scale_indices=None, log_evidence=evidence
         )
 
     def fitted(data, hypothesis, *given):

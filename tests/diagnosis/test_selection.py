@@ -29,8 +29,8 @@ def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
     before, uncertain, misfit, best, monkeypatch
 ):
     fits = [
-        SimpleNamespace(evidence=60.0, name="uncertain"),
-        SimpleNamespace(evidence=50.0, name="resolved"),
+        SimpleNamespace(log_evidence=60.0, name="uncertain"),
+        SimpleNamespace(log_evidence=50.0, name="resolved"),
     ]
     uncertainty_m = {
         "uncertain": np.array(uncertain),
@@ -47,7 +47,7 @@ def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
     monkeypatch.setattr(
         forward_selection, "unexplained_tip_rms", lambda data, fit: np.array(misfit)
     )
-    compared = SelectionStep(SimpleNamespace(evidence=0.0), (), fits)
+    compared = SelectionStep(SimpleNamespace(log_evidence=0.0), (), fits)
     step = forward_selection._refine_rivals(prepared, compared, CRITERIA, None)
     assert (step.best.name, step.accepted) == (best, True)
 
@@ -65,18 +65,18 @@ def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
     gains, is_accepted, monkeypatch
 ):
     """Without it one trial is explained at the cost of the other."""
-    parent = SimpleNamespace(evidence=0.0, by_trial=np.zeros(2), gains=(0.0, 0.0))
+    parent = SimpleNamespace(log_evidence=0.0, log_likelihood_by_trial=np.zeros(2), gains=(0.0, 0.0))
     fit = SimpleNamespace(
-        evidence=122.0,
-        by_trial=np.array([-9.0, 135.0]),
+        log_evidence=122.0,
+        log_likelihood_by_trial=np.array([-9.0, 135.0]),
         gains=gains,
-        lost=False,
+        diverged=False,
         hypothesis=SimpleNamespace(causes=(None, "slip")),
     )
 
     def predict(data, fit):
         return [
-            SimpleNamespace(log_likelihood=gain) for gain in fit.log_likelihood_gains
+            SimpleNamespace(log_likelihood=gain) for gain in fit.gains
         ]
 
     def touched(*given):
@@ -108,15 +108,15 @@ def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
 
     def fit(*causes):
         names = tuple(cause.name for cause in causes)
-        hypothesis = SimpleNamespace(causes=causes, names=names)
-        hypothesis.without = lambda cause: fit().hypothesis
+        hypothesis = SimpleNamespace(causes=causes, cause_names=names)
+        hypothesis.without_cause = lambda cause: fit().hypothesis
         return SimpleNamespace(hypothesis=hypothesis)
 
     def refit(data, fit, hypothesis):
         return SimpleNamespace(hypothesis=hypothesis)
 
     def predict(data, fit):
-        values = log_likelihoods[fit.hypothesis.names]
+        values = log_likelihoods[fit.hypothesis.cause_names]
         return [SimpleNamespace(log_likelihood=value) for value in values]
 
     def touched(*given):
@@ -161,7 +161,7 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
         for number, proposal in enumerate(some):
             fitted.append(proposal.effect)
             value = evidence - number
-            fits.append(SimpleNamespace(hypothesis=proposal.hypothesis, evidence=value))
+            fits.append(SimpleNamespace(hypothesis=proposal.hypothesis, log_evidence=value))
         return fits
 
     def accept(prepared, step, *given):
@@ -174,7 +174,7 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
     monkeypatch.setattr(
         forward_selection, "unexplained_tip_rms", lambda data, fit: np.zeros(1)
     )
-    parent = SimpleNamespace(evidence=0.0, hypothesis=SimpleNamespace(causes=()))
+    parent = SimpleNamespace(log_evidence=0.0, hypothesis=SimpleNamespace(causes=()))
     effects = [f"e{k}" for k in range(10)]
     prepared = SimpleNamespace(data=None)
     forward_selection.compare_candidates(prepared, parent, effects, CRITERIA, 0)

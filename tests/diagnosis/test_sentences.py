@@ -26,8 +26,8 @@ def test_an_amplitude_at_an_end_of_its_range_is_remarked(name, chi, ends):
     indices = {p.name: k for k, p in enumerate(effect.parameters)}
     start = np.array([float(p.chi(np.asarray(p.start))) for p in effect.parameters])
     hypothesis = SimpleNamespace(
-        places=lambda cause, some: [indices[p.name] for p in some],
-        carried=lambda known: start,
+        parameter_indices=lambda cause, some: [indices[p.name] for p in some],
+        exponents_from=lambda known: start,
     )
     fit = SimpleNamespace(hypothesis=hypothesis, chi=np.array(chi))
     remark = range_end_remark(fit, effect)

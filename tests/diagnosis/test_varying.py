@@ -64,8 +64,8 @@ def test_sets_that_differ_are_told_with_the_one_that_they_share(arm, hypothesis)
     offsets = np.array([0.6, -0.5, 0.3, -0.4])
     data, plain = seen(arm, hypothesis, offsets)
     assert data.between_trial_tip_rms("rest_curvature") > 0
-    fit = fit_hypothesis(data, hypothesis, plain.chi[None], plain.sizes)
-    assert fit.log_likelihood_by_trial.sum() > plain.by_trial.sum() + 20
+    fit = fit_hypothesis(data, hypothesis, plain.chi[None], plain.scale_indices)
+    assert fit.log_likelihood_by_trial.sum() > plain.log_likelihood_by_trial.sum() + 20
     assert fit.values[CURVATURE] == pytest.approx(
         SET + offsets.mean(), abs=2 * offsets.std() / np.sqrt(TRIALS)
     )
@@ -73,7 +73,7 @@ def test_sets_that_differ_are_told_with_the_one_that_they_share(arm, hypothesis)
         data,
         hypothesis.without_cause(effects_by_name()["rest_curvature"]),
         plain.chi[None, hypothesis.base_indices],
-        plain.sizes,
+        plain.scale_indices,
     )
     # what differs about a size is no excuse for leaving that away
     assert fit.log_evidence > less.log_evidence + 20

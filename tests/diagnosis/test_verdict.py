@@ -207,14 +207,14 @@ def test_what_others_explain_beyond_the_largest_cause(
 
     def fit(*some):
         hypothesis = SimpleNamespace(causes=some, base=None)
-        hypothesis.names = tuple(cause.name for cause in some)
-        hypothesis.without = lambda cause: SimpleNamespace(
+        hypothesis.cause_names = tuple(cause.name for cause in some)
+        hypothesis.without_cause = lambda cause: SimpleNamespace(
             causes=[c for c in some if c is not cause]
         )
-        return SimpleNamespace(hypothesis=hypothesis, lost=False)
+        return SimpleNamespace(hypothesis=hypothesis, diverged=False)
 
     def misfit_m(data, fit):
-        present = fit.hypothesis.names
+        present = fit.hypothesis.cause_names
         misfit = {(): (90.0, 90.0), ("large",): alone, names: left}
         default = (6.0, 6.0) if "large" in present else (80.0, 80.0)
         return np.array(misfit.get(present, default)) / 1e3
