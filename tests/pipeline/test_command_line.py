@@ -474,7 +474,6 @@ def test_help_helps(called):
     assert shown.returncode == 0
     assert "+experiment=stringB" in shown.stdout
     assert "trials=" in shown.stdout
-    assert "experiment/paper: A_300_900, " in shown.stdout
     assert re.search(
         r"\nname: stringB +# names the run",
         pipeline("+experiment=stringB", "--help").stdout,

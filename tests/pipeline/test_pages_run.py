@@ -70,7 +70,6 @@ RUN = {
     "pipeline +experiment=stringB extended=outputs/...-align-...": Run(
         **CAST, of="aligned"
     ),
-    "pipeline +experiment/paper=wall seed=7": Run(**CAST),
     "pipeline +experiment=diagnose trials=data/sample": Run(
         r"report\.html$", **DIAGNOSED
     ),
@@ -115,16 +114,19 @@ RUN = {
     "pipeline +experiment=sweep": Run(
         leaves=("report.html",), rows=("sweep.parquet", 9), less="seed=0"
     ),
+    "pipeline +experiment=paper name=wall": Run(
+        leaves=PAPER, rows=("runs.parquet", 1), less="seed=0"
+    ),
     "pipeline +experiment=paper": Run(
         leaves=PAPER,
         rows=("runs.parquet", 2),
-        less="seed=0 +experiment/paper=A_300_900,wall",
+        less="seed=0 name=A_300_900,wall",
     ),  # of 450
     "pipeline +experiment=paper 'seed=range(2)'": Run(
-        leaves=PAPER, rows=("runs.parquet", 2), less="+experiment/paper=A_300_900"
+        leaves=PAPER, rows=("runs.parquet", 2), less="name=A_300_900"
     ),  # of 30
     "pipeline +experiment=paper 'seed=range(3)'": Run(
-        leaves=PAPER, rows=("runs.parquet", 3), less="+experiment/paper=A_300_900"
+        leaves=PAPER, rows=("runs.parquet", 3), less="name=A_300_900"
     ),  # of 45
     # Studies, each of hours.
     "tasks.py study diagnosis diagnosis.simulator=nodal seed=100": Run(
