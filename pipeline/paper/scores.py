@@ -165,7 +165,7 @@ def runs(ledger: Ledger, jobs: Sequence[Job]) -> pd.DataFrame:
             }
             row |= {"hit_at": min(hits, default=np.inf), "manipulations": len(made)}
             row |= {
-                "budget": job.settings["manipulations"],
+                "budget": job.settings["max_casts"],
                 "seconds": job.seconds,
                 "folder": job.key,
             }

@@ -34,7 +34,7 @@ STATE_COLOURS = {DONE_STATE: "green", FAILED_STATE: "red"}
 
 class LedgerLauncher:
     """by: the function that runs jobs. finish: the one that makes table and page of a
-    sweep's folder. retry: run those that failed again. ahead: jobs that run before the
+    sweep's folder. retry: run those that failed again. warm_up_jobs: jobs that run before the
     others, so that machine code is compiled once, not by many at a time. variants:
     overrides by name; each job runs once for every variant, or only for the one that
     `name=` gives. settings: of the function `by`.
@@ -45,18 +45,18 @@ class LedgerLauncher:
         by: str,
         finish: str,
         retry: bool,
-        ahead: int,
+        warm_up_jobs: int,
         variants: Mapping[str, Sequence[str]] | None = None,
         **settings: Any,
     ) -> None:
         """Take the settings unchecked; `setup` checks them, for Hydra hides what goes
         wrong here.
         """
-        self.by, self.finish, self.retry, self.ahead, self.settings = (
+        self.by, self.finish, self.retry, self.warm_up_jobs, self.settings = (
             by,
             finish,
             retry,
-            ahead,
+            warm_up_jobs,
             settings,
         )
         self.variants = variants or {}
@@ -77,10 +77,10 @@ class LedgerLauncher:
         self.config = config
         if (
             not isinstance(self.retry, bool)
-            or type(self.ahead) is not int
-            or self.ahead < 0
+            or type(self.warm_up_jobs) is not int
+            or self.warm_up_jobs < 0
         ):
-            wrong = f"retry = {self.retry!r}, ahead = {self.ahead!r}"
+            wrong = f"retry = {self.retry!r}, warm_up_jobs = {self.warm_up_jobs!r}"
             raise UserError(
                 f"hydra.launcher ({SETTINGS_PLACE}): {wrong}: give true or false, and a whole number from 0."
             )
@@ -137,7 +137,7 @@ class LedgerLauncher:
         first = (
             0
             if any(ledger.read(key).state == DONE_STATE for key in keys)
-            else self.ahead
+            else self.warm_up_jobs
         )
         console = Terminal(stderr=True)
         ended, begun, left_at_first = (

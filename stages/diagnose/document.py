@@ -280,7 +280,7 @@ def extended_model_settings(
         if not effect.parameters or "." in effect.qualified_name(effect.parameters[0]):
             names.add(effect.name)
     effects = sorted(names - {"gravity"})
-    return {"effects": effects, "string": string_settings, "known": known}
+    return {"effects": effects, "string": string_settings, "parameter_values": known}
 
 
 def widened_ranges(configured: String, string: String) -> dict[str, dict[str, float]]:

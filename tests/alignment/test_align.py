@@ -327,9 +327,10 @@ def test_the_arm_is_read_in_frames(model, arm_is):
 def taken_over(model, made):
     """The model as another experiment has it."""
     told = yaml.safe_load(made.extended_yaml)
-    known = {name: block["value"] for name, block in told["known"].items()}
+    known = {name: block["value"] for name, block in told["parameter_values"].items()}
     measured = {
-        name: (block["low"], block["high"]) for name, block in told["known"].items()
+        name: (block["low"], block["high"])
+        for name, block in told["parameter_values"].items()
     }
     return replace(
         model.with_effects(*find_effects(told["effects"])),

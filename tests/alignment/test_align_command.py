@@ -23,7 +23,7 @@ def made(known, effects=("time_offset",)):
         OmegaConf.create(compose_settings()), resolve=True
     )
     return prepare_experiment(
-        settings | {"effects": list(effects), "known": known},
+        settings | {"effects": list(effects), "parameter_values": known},
         lambda block: f"conf/{block}",
     )
 

@@ -528,7 +528,9 @@ def test_harmless_dirt_is_noted_and_no_more(dirty, tmp_path):
     dirty.grasp["theta"] = np.angle(np.exp(1j * dirty.grasp["theta"]))
     told = found(dirty.write(tmp_path))
     assert {f.severity for f in told} == {Severity.NOTE}
-    assert any("(1: y is not a finite number; 40: a row twice)" in f.statement for f in told)
+    assert any(
+        "(1: y is not a finite number; 40: a row twice)" in f.statement for f in told
+    )
 
 
 def long_running(dirty):

@@ -166,7 +166,7 @@ def paper_motions(letter: str) -> Iterator[HandMotion]:
     seeds: the first motion of an experiment, by the smallest parameters, and one by the
     true ones.
     """
-    true = KnownString({"known": specimen(letter)})
+    true = KnownString({"parameter_values": specimen(letter)})
     paper = yaml.safe_load(Path("conf/experiment/paper.yaml").read_text())
     variants = paper["hydra"]["launcher"]["variants"]
     for name in sorted(name for name in variants if name.startswith(f"{letter}_")):

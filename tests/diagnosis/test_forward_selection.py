@@ -283,9 +283,9 @@ def test_a_mass_that_is_hidden_at_the_tip_is_found_and_the_budget_adds_up(
     known = yaml.safe_load(made.finding["extended"].iloc[0])
     assert known["effects"] == ["tip_mass"]
     assert (
-        known["known"]["tip_mass.ratio"]["low"]
+        known["parameter_values"]["tip_mass.ratio"]["low"]
         < 0.05
-        < known["known"]["tip_mass.ratio"]["high"]
+        < known["parameter_values"]["tip_mass.ratio"]["high"]
     )
     # how it entered: in every trial, and by as much as the residuals become less
     by_trial = made.entries.groupby("trial")[["log_likelihood", "evidence"]].first()

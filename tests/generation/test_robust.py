@@ -49,9 +49,9 @@ TARGET = Box(0.4, 0.7, 0.02, 0.04)
 NONE = PlanningUncertainty(0.0, 0.0, 0.0)
 SETTINGS = {
     "motions": 200,
-    "strings": 12,
-    "rounds": 4,
-    "searches": 1,
+    "string_samples": 12,
+    "cma_iterations": 4,
+    "max_restarts": 1,
     "exploration": 0.0,
     "validation": 200,
     "shortest": 0.2,
@@ -369,8 +369,8 @@ def test_failures_say_why(model, monkeypatch):
 
 def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
     """The cast will teach what the string is like."""
-    tiny = SETTINGS | {"motions": 60, "rounds": 0, "validation": 10}
-    target, more = Box(0.4, 0.7, 1e-7, 1e-7), tiny | {"searches": 2}
+    tiny = SETTINGS | {"motions": 60, "cma_iterations": 0, "validation": 10}
+    target, more = Box(0.4, 0.7, 1e-7, 1e-7), tiny | {"max_restarts": 2}
     motion, first = (
         likeliest(model, target, (), None, None, seed=0, **some)
         for some in (tiny, more)

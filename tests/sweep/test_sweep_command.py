@@ -25,7 +25,7 @@ def sweep(folder, trials, threads, *overrides, betas="0.9,0.99", call=pipeline):
         f"trials={trials}",
         "estimate.candidates=32",
         f"estimate.beta={betas}",
-        "keep=[]",
+        "saved_outputs=[]",
     ]
     how = [f"hydra.sweep.dir={folder}", f"hydra.launcher.threads={threads}"]
     return call("--multirun", *asked, *how, *overrides)

@@ -79,7 +79,7 @@ def _tiles(alignment: Alignment) -> Tiles:
 def _parameters_section(alignment: Alignment) -> Section:
     lead = Markup(
         "Intervals are 95 %, from leaving out blocks of time in turn. "
-        "<code>extended=&lt;this folder&gt;</code> applies the alignment in any other "
+        "<code>model_from=&lt;this folder&gt;</code> applies the alignment in any other "
         "experiment."
     )
     columns = ("parameter", "meaning", "value", "from", "to", "part of the alignment")

@@ -67,7 +67,7 @@ def calibration_page(facts: StageRecord) -> str:
     if outcome["valid"]:
         result = Markup(
             "<code>camera.yaml</code> in this folder holds the camera; other experiments "
-            "use it by <code>calibrated=</code> and this folder."
+            "use it by <code>camera_from=</code> and this folder."
         )
     page = Page(
         kind="calibration",
