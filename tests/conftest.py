@@ -32,7 +32,7 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from tests.benchmarks.simulators.blind import VERSIONS, draw
+from tests.benchmarks.simulators import draw
 
 ROOT = Path(__file__).resolve().parents[1]
 if not Path(stringcast.__file__).resolve().is_relative_to(ROOT):
@@ -70,7 +70,7 @@ LONGEST = (
     *(
         "extraction/test_extract",
         "diagnosis/test_from_the_command_line",
-        "virtual_lab/test_blind",
+        "benchmarks/test_drawing",
     ),
     *(
         "faults/test_full_disk",
@@ -240,7 +240,7 @@ def camera() -> Camera:
 def null_trials(arm, camera, tmp_path_factory):
     """A folder of trials that hide nothing."""
     folder = tmp_path_factory.mktemp("theirs")
-    draw(VERSIONS[1].cases.index("none"), arm, camera, 1).write(folder)
+    draw("own_kernel", 1, "none").write(folder)
     return folder
 
 

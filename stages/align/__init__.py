@@ -31,7 +31,7 @@ def summary(made: Alignment) -> StageSummary:
             "": ""
             if not row.low <= 0 <= row.high
             else "may be 0"
-            if row.found
+            if row.find
             else "not seen",
         }
         for row in made.measured.itertuples()

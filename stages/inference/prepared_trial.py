@@ -1,4 +1,6 @@
-"""A trial prepared for estimation: its motion, its measured points, its error model."""
+"""What estimation asks of the forward model: candidates' strings at a trial's frame
+times.
+"""
 
 from __future__ import annotations
 
@@ -28,31 +30,22 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState
 
 INITIAL_MODES = 6  # of a trial's initial state, in shape and in turning rate each
-MAX_BATCH_CANDIDATES = 128  # candidates simulated at once: bounds the memory
-TIP_TOLERANCE_M = 1e-3  # [m]: points so near to the outermost are the tip
+# candidates simulated at once: keeps memory in hand, whatever their number
+MAX_BATCH_CANDIDATES = 128
+TIP_TOLERANCE_M = 1e-3  # [m] points so near to the outermost are the tip
 
 
 @dataclass(frozen=True)
 class PreparedTrial:
-    """One trial: the motion as the arm reports it, and what was measured.
+    """One trial made ready: the motion as the arm reports it, and what was measured.
 
-    Parameters
-    ----------
-    name : of the trial.
-    model : of the arm, the string and the camera.
-    motion : joint angles or poses of the grasp.
-    times : frame times with valid readings, (F,) [s].
-    frame, s : frame index and arc length [m] of each measured point, (N,).
-    points : measured, (N, 2) [m].
-    sigma : their standard deviations, (N,) [m].
-    initial : the state in which the trial begins, by the camera's clock; None if the
-        string is at rest before the hand moves.
-    turn : the side of the hand on which the string is at rest, as of
-        `equilibrium.hanging`.
-    change : how far the state is from that of the first frames, in modes
-        (`initial_modes`).
-    noise : the correlation of the points' noise.
-    error_model : what residuals over sigma may be.
+    times: (F,) frame times [s] with valid readings. points: (N, 2) measured [m] at
+    frame index `frame` (N,) and arc length `s` (N,); sigma: (N,) [m]. initial: the
+    state in which the trial begins, by the camera's clock; None if at rest before the
+    hand moves. turn: on which side of the hand it is at rest, as of
+    `equilibrium.hanging`. change: how far the state is from what the first frames say,
+    in modes (`initial_modes`). noise: how the points' is correlated. error_model: what
+    residuals are beyond that.
     """
 
     name: str
@@ -85,121 +78,114 @@ class PreparedTrial:
         return np.asarray(self.s > self.s.max() - TIP_TOLERANCE_M)
 
     def simulate(self, values: np.ndarray) -> Iterator[tuple[slice, StringMotion]]:
-        """Simulate candidates (C, P) at the frame times, chunk by chunk."""
+        """Strings of candidates (C, P) as the camera reports them at the frame times,
+        chunk by chunk.
+        """
         for first in range(0, len(values), MAX_BATCH_CANDIDATES):
-            chunk = slice(first, min(first + MAX_BATCH_CANDIDATES, len(values)))
-            start = (
+            some = slice(first, min(first + MAX_BATCH_CANDIDATES, len(values)))
+            begin = (
                 None
                 if self.initial_state is None
-                else self.initial_state.for_candidates(chunk)
+                else self.initial_state.for_candidates(some)
             )
             yield (
-                chunk,
+                some,
                 self.model.simulate_observation(
-                    self.motion, values[chunk], self.times, start, self.turn
+                    self.motion, values[some], self.times, begin, self.turn
                 ),
             )
 
     def sample_at_points(self, points: np.ndarray) -> np.ndarray:
-        """Interpolate strings (C, F, n, 2) at the measured points, (C, N, 2) [m]."""
+        """Where strings (C, F, n, 2) are at the measured arc lengths and times, (C, N,
+        2) [m].
+        """
         return interpolate_measurements(
             points, self.frame, self.s / self.model.string.segment_length
         )
 
     def cut_after(self, last: float) -> PreparedTrial:
-        """Cut the trial after a time [s]."""
+        """The first part of the trial, to this time [s]."""
         return self.first_frames(int(np.searchsorted(self.times, last + 1e-9)))
 
     def first_frames(self, frames: int) -> PreparedTrial:
-        """Cut the trial after so many frames."""
+        """So many of its frames, the first."""
         return replace(
             self.select_points(self.frame < frames), times=self.times[:frames]
         )
 
     def select_points(self, kept: np.ndarray) -> PreparedTrial:
         """Select points (N,). An error model is that of a whole trial, and is dropped."""
-        return replace(
-            self,
-            frame=self.frame[kept],
-            s=self.s[kept],
-            points=self.points[kept],
-            sigma=self.sigma[kept],
-            error_model=UNIT_ERRORS,
-        )
+        parts = {
+            name: getattr(self, name)[kept]
+            for name in ("frame", "s", "points", "sigma")
+        }
+        return replace(self, **parts, error_model=UNIT_ERRORS)
 
     def mean_square_distances(self, values: np.ndarray) -> tuple[float, float]:
-        """Compute mean square distances of one candidate (P,) from measured points
-        [m2].
-
-        Returns that of all points and that of those nearest the tip.
+        """Mean square distance of one candidate (P,) from the measured points, and from
+        those nearest the tip [m2].
         """
         _, motion = next(self.simulate(values[None]))
-        offset = self.sample_at_points(motion.points)[0] - self.points
-        squares = np.sum(offset**2, axis=-1)
-        outermost = self.s == self.s.max()
-        return float(squares.mean()), float(squares[outermost].mean())
+        squares = np.sum(
+            (self.sample_at_points(motion.points)[0] - self.points) ** 2, axis=-1
+        )
+        return float(squares.mean()), float(squares[self.s == self.s.max()].mean())
 
 
 def prepare_trial(model: Model, observation: Observation) -> PreparedTrial:
-    """Prepare one observation. Raises DataError where it cannot be used."""
+    """Make one observation ready; raises DataError where it cannot be used."""
     points = observation.valid_points
-    finite = np.isfinite(points[["t", "s", "x", "y"]]).all(axis=1)
-    points = points[finite].sort_values(["t", "s"], kind="stable")
+    points = points[np.isfinite(points[["t", "s", "x", "y"]]).all(axis=1)].sort_values(
+        ["t", "s"], kind="stable"
+    )
     if points.empty:
         raise DataError(
-            f"trial {observation.trial}: no valid point of the string. Look at its "
-            "readings' reasons."
+            f"trial {observation.trial}: no valid point of the string. Look at its readings' reasons."
         )
     times, frame = np.unique(points["t"].to_numpy(), return_inverse=True)
-    sigma_is_known = "sigma" in points
-    trial = PreparedTrial(
-        name=observation.trial,
-        model=model,
-        motion=observed_motion(observation).extended_until(times[-1]),
-        times=times,
-        frame=frame,
-        s=points["s"].to_numpy(),
-        points=points[["x", "y"]].to_numpy(),
-        sigma=points["sigma"].to_numpy() if sigma_is_known else np.ones(len(points)),
+    sigma = points["sigma"].to_numpy() if "sigma" in points else np.ones(len(points))
+    position = points[["x", "y"]].to_numpy()
+    s, motion = (
+        points["s"].to_numpy(),
+        observed_motion(observation).extended_until(times[-1]),
     )
-    hand = trial.motion.actual_hand_motion(model.arm, ())
+    ready = PreparedTrial(
+        observation.trial, model, motion, times, frame, s, position, sigma
+    )
+    hand, known = motion.actual_hand_motion(model.arm, ()), "sigma" in points
     if observation.starts_moving:
-        start = _estimate_start(trial, hand, sigma_is_known)
-        return replace(trial, initial_state=start, turn=_turn_from_hand(hand, start))
-    if not _hand_points_up(hand):
-        return trial
+        begun = _estimate_start(ready, hand, known)
+        return replace(ready, initial_state=begun, turn=_turn_from_hand(hand, begun))
     try:
-        return replace(
-            trial,
-            turn=_turn_from_hand(hand, _estimate_start(trial, hand, sigma_is_known)),
+        return (
+            replace(
+                ready, turn=_turn_from_hand(hand, _estimate_start(ready, hand, known))
+            )
+            if _hand_points_up(hand)
+            else ready
         )
-    except DataError:  # the first frames do not show the side
-        return trial
+    except DataError:  # the first frames do not show it
+        return ready
 
 
-def _estimate_start(
-    trial: PreparedTrial, hand: HandMotion, sigma_is_known: bool
-) -> StringState:
-    """Estimate the state in which a trial begins from its first frames."""
-    length = trial.model.string.length
-    sigma = float(np.median(trial.sigma)) if sigma_is_known else None
+def _estimate_start(ready: PreparedTrial, hand: HandMotion, known: bool) -> StringState:
+    """The state in which a trial begins. known: the points' sigma is."""
+    length = ready.model.string.length
+    first = (ready.times, ready.frame, ready.s, ready.points)
     try:
         seen = first_frame_kinematics(
-            trial.times, trial.frame, trial.s, trial.points, sigma, length
+            *first, float(np.median(ready.sigma)) if known else None, length
         )
     except DataError as error:
-        raise DataError(f"trial {trial.name}: {error}") from error
-    return estimate_initial_state(hand, length, trial.times, seen)
+        raise DataError(f"trial {ready.name}: {error}") from error
+    return estimate_initial_state(hand, length, ready.times, seen)
 
 
-def _turn_from_hand(hand: HandMotion, start: StringState) -> float:
-    """Compute how far the string turns from a hand that points up to its end [rad].
-
-    From a hand that points down there is only one way: 0.
+def _turn_from_hand(hand: HandMotion, begun: StringState) -> float:
+    """How far the string turns from a hand that points up to its end [rad]; 0 where the
+    hand points down, from where there is one way.
     """
-    if not _hand_points_up(hand):
-        return 0.0
-    return float(start.angle[-1] - hand.pose[0, 0, 2])
+    return float(begun.angle[-1] - hand.pose[0, 0, 2]) if _hand_points_up(hand) else 0.0
 
 
 def _hand_points_up(hand: HandMotion) -> bool:
@@ -207,14 +193,16 @@ def _hand_points_up(hand: HandMotion) -> bool:
 
 
 def observed_motion(observation: Observation) -> JointMotion | HandMotion:
-    """Read the motion that the arm reports: joint angles or poses of the grasp."""
-    arm, grasp = observation.arm, observation.grasp
-    if arm is not None:
-        return resample_joint_motion(arm["t"].to_numpy(), arm[list(JOINTS)].to_numpy())
-    if grasp is None:
-        raise DataError(
-            f"trial {observation.trial}: neither joint angles nor grasp poses. Add "
-            "arm.parquet or grasp.parquet."
+    """The motion as the arm reports it: joint angles or poses of the grasp."""
+    if observation.arm is not None:
+        return resample_joint_motion(
+            observation.arm["t"].to_numpy(), observation.arm[list(JOINTS)].to_numpy()
         )
-    pose = grasp[["x", "y", "theta"]].to_numpy()
-    return resample_hand_motion(grasp["t"].to_numpy(), pose)
+    if observation.grasp is None:
+        raise DataError(
+            f"trial {observation.trial}: neither joint angles nor grasp poses. Add arm.parquet or grasp.parquet."
+        )
+    return resample_hand_motion(
+        observation.grasp["t"].to_numpy(),
+        observation.grasp[["x", "y", "theta"]].to_numpy(),
+    )

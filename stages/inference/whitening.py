@@ -1,4 +1,6 @@
-"""Error models of a trial, and the whitening of residuals by them."""
+"""Whitening of correlated noise: residuals of one covariance become independent, with
+deviations of one.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,8 @@ class LowRankWhitening:
 
     Parameters
     ----------
-    basis : Q, (N, M). taken : the share (M,) of a residual along each direction of the
-    basis that whitening removes.
+    basis : Q, (N, M).
+    taken : the share (M,) of a residual along each direction of the basis that whitening removes.
     """
 
     basis: np.ndarray
@@ -43,9 +45,8 @@ class IndependentErrors:
 
     Parameters
     ----------
-    scale : the standard deviation of residuals, in the points' own sigma. nuisance : U
-    over sigma, (2 n, M): shapes whose amplitudes are N(0, 1), such as another initial
-    state; or None.
+    scale : the standard deviation of residuals, in the points' own sigma.
+    nuisance : U over sigma, (2 n, M): shapes whose amplitudes are N(0, 1), such as another initial state; or None.
     """
 
     scale: float = 1.0

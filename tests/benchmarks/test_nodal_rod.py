@@ -1,192 +1,188 @@
-"""The nodal laboratory's rod alone: rest, waves, energy, order, and a solver of SciPy.
-Compiling it takes 15 s.
-"""
+"""The nodal rod alone: rest, waves, energy, order, and SciPy. It compiles for 15 s."""
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.special import jn_zeros
 
-from tests.benchmarks.simulators.laboratory.hand import Path
-from tests.benchmarks.simulators.laboratory.nodal.dynamics import State, forces
-from tests.benchmarks.simulators.laboratory.nodal.elements import Mesh
-from tests.benchmarks.simulators.laboratory.nodal.motion import moved, rest
-from tests.benchmarks.simulators.laboratory.rod import Rod
+from tests.benchmarks.simulators.hand import GraspPath
+from tests.benchmarks.simulators.nodal.assembly import State, all_forces
+from tests.benchmarks.simulators.nodal.elements import Mesh
+from tests.benchmarks.simulators.nodal.motion import rest_coordinates, simulate_rod
+from tests.benchmarks.simulators.rod import Rod
 
 pytestmark = pytest.mark.long
-LENGTH, G = 0.3, 9.81
+LENGTH, GRAVITY = 0.3, 9.81
 PLAIN = Rod(LENGTH, 700.0, 0.03, 6e-3, 5e-6, 0.3, 0.2, 0.07, 1e-4)
-FREE = PLAIN._replace(
+LOSSLESS = PLAIN._replace(
     axial_damping=0.0,
     bending_damping=0.0,
     linear_drag=0.0,
     quadratic_drag=0.0,
     grasp_damping=0.0,
 )
+WITH_MEMORY = PLAIN._replace(
+    friction=0.01,
+    friction_curvature=2.0,
+    relaxing_stiffness=5e-3,
+    relaxation_time=0.05,
+)
 DOWN, LEVEL = -np.pi / 2, 0.0
 
 
-def held(theta):
+def still_hand(theta):
     return np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, theta, 0.0])
 
 
-def swung(until=0.5, reach=0.1, turn=0.8):
-    """A hand that moves for a fifth of a second, with the least jerk, and stops."""
+def swing(until=0.5, reach=0.1, turn=0.8):
+    """Move the hand for a fifth of a second, with the least jerk, and stop it."""
     t = np.linspace(0, until, round(until / 0.005) + 1)
     x = np.clip((t - 0.02) / 0.2, 0, 1)
-    way = 10 * x**3 - 15 * x**4 + 6 * x**5
-    return Path.through(t, np.stack([reach * way, 0 * way, DOWN + turn * way], axis=-1))
+    progress = 10 * x**3 - 15 * x**4 + 6 * x**5
+    pose = [reach * progress, 0 * progress, DOWN + turn * progress]
+    return GraspPath.fit(t, np.stack(pose, axis=-1))
+
+
+def grasp_angle(motion, path):
+    """Return the angle of the first tangent from the grasp's direction, (K,) [rad]."""
+    tangent = np.unwrap(np.arctan2(motion.q[:, 1, 1], motion.q[:, 1, 0]))
+    return tangent - path.states(motion.t)[:, 6]
 
 
 def energy(motion, path):
-    """Kinetic and potential energy over mass per length, (K,) [m3/s2], from the
-    definitions of stretch and turn.
+    """Return kinetic and potential energy over mass per length, (K,) [m3/s2].
+
+    From the definitions of stretch and turn.
     """
     mesh, rod = motion.mesh, motion.mesh.rod
     q, v = motion.q, motion.v
-    e = np.arange(mesh.elements)[:, None] * 2 + np.arange(4)
-    first, second = (
-        np.einsum("gi,keic->kegc", mesh.shapes[:, k], q[:, e]) for k in (1, 2)
-    )
+    coordinates = np.arange(mesh.elements)[:, None] * 2 + np.arange(4)
+    first = np.einsum("gi,keic->kegc", mesh.shapes[:, 1], q[:, coordinates])
+    second = np.einsum("gi,keic->kegc", mesh.shapes[:, 2], q[:, coordinates])
     square = np.sum(first**2, axis=-1)
-    turn = (first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]) / square
+    turn = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+    turn /= square
     inner = 0.5 * rod.axial * (np.sqrt(square) - 1) ** 2 + 0.5 * rod.bending * turn**2
-    angle = np.unwrap(np.arctan2(q[:, 1, 1], q[:, 1, 0]) - path.at(motion.t)[:, 6])
-    weight = -np.einsum("dc,kdc->k", mesh.weight, q)
+    elastic = inner @ mesh.weights @ np.ones(mesh.elements)
+    grasp = 0.5 * rod.grasp_stiffness * grasp_angle(motion, path) ** 2
+    height = -np.einsum("dc,kdc->k", mesh.weight, q)
     kinetic = 0.5 * np.einsum("kdc,de,kec->k", v, mesh.mass, v)
-    return (
-        kinetic
-        + inner @ mesh.weights @ np.ones(mesh.elements)
-        + 0.5 * rod.grasp_stiffness * angle**2
-        + weight
-    )
+    return kinetic + elastic + grasp + height
 
 
 def test_a_hanging_rod_is_as_much_longer_as_its_weight_stretches_it():
-    tip = rest(Mesh.of(PLAIN._replace(tip_mass=0.4), 6), held(DOWN))[-2]
-    assert tip == pytest.approx(
-        [0.0, -LENGTH - G * LENGTH**2 / PLAIN.axial * (0.5 + 0.4)], abs=1e-9
-    )
+    mesh = Mesh.of_rod(PLAIN._replace(tip_mass=0.4), 6)
+    tip = rest_coordinates(mesh, still_hand(DOWN))[-2]
+    stretch = GRAVITY * LENGTH**2 / PLAIN.axial * (0.5 + 0.4)
+    assert tip == pytest.approx([0.0, -LENGTH - stretch], abs=1e-9)
 
 
 @pytest.mark.parametrize("curvature", [0.0, 3.0])
 def test_a_rod_held_out_level_hangs_as_the_heavy_elastica_does(curvature):
-    stiff = PLAIN._replace(axial=1e5, bending=0.05, set_curvature=curvature)
+    rod = PLAIN._replace(axial=1e5, bending=0.05, rest_curvature=curvature)
 
     def elastica(s, y):  # angle, moment; beyond s hangs the weight of the rest
-        return np.stack(
-            [y[1] / stiff.bending + curvature, G * (LENGTH - s) * np.cos(y[0])]
-        )
+        weight = GRAVITY * (LENGTH - s) * np.cos(y[0])
+        return np.stack([y[1] / rod.bending + curvature, weight])
 
     def ends(a, b):
-        return np.array([a[1] - stiff.grasp_stiffness * a[0], b[1]])
+        return np.array([a[1] - rod.grasp_stiffness * a[0], b[1]])
 
     s = np.linspace(0, LENGTH, 41)
-    angle = solve_bvp(elastica, ends, s, np.stack([-s, 0 * s]), tol=1e-9).sol(
-        np.linspace(0, LENGTH, 2001)
-    )[0]
-    true = np.trapezoid([np.cos(angle), np.sin(angle)], dx=LENGTH / 2000, axis=1)
-    assert rest(Mesh.of(stiff, 12), held(LEVEL))[-2] == pytest.approx(true, abs=2e-5)
+    solution = solve_bvp(elastica, ends, s, np.stack([-s, 0 * s]), tol=1e-9).sol
+    angle = solution(np.linspace(0, LENGTH, 2001))[0]
+    tangent = [np.cos(angle), np.sin(angle)]
+    true_tip = np.trapezoid(tangent, dx=LENGTH / 2000, axis=1)
+    tip = rest_coordinates(Mesh.of_rod(rod, 12), still_hand(LEVEL))[-2]
+    assert tip == pytest.approx(true_tip, abs=2e-5)
 
 
 def test_a_limp_chain_swings_at_the_zeros_of_a_bessel_function():
-    # 1e-6 would raise the fourth tone by 0.3 %
-    limp = FREE._replace(bending=1e-7, grasp_stiffness=1e-6, axial=1e4)
-    motion = moved(limp, swung(2.5, reach=1e-4, turn=0.0), 10, 1e-3)
+    # A bending stiffness of 1e-6 would raise the fourth tone by 0.3 %.
+    limp = LOSSLESS._replace(bending=1e-7, grasp_stiffness=1e-6, axial=1e4)
+    motion = simulate_rod(limp, swing(2.5, reach=1e-4, turn=0.0), 10, 1e-3)
     t = np.linspace(0.3, 2.5, 1001)
     x = motion.points(t, np.array([LENGTH]))[:, 0, 0] - 1e-4
 
-    def left(gravity):
-        # the jerk sounds the fifth tone, too
-        phase = np.outer(jn_zeros(0, 6), t) / 2 * np.sqrt(gravity / LENGTH)
+    def residual(gravity):
+        tones = jn_zeros(0, 6)  # the jerk excites the fifth, too
+        phase = np.outer(tones, t) / 2 * np.sqrt(gravity / LENGTH)
         waves = np.concatenate([np.cos(phase), np.sin(phase)]).T
-        return np.std(x - waves @ np.linalg.lstsq(waves, x, rcond=None)[0]) / np.std(x)
+        fit = waves @ np.linalg.lstsq(waves, x, rcond=None)[0]
+        return np.std(x - fit) / np.std(x)
 
-    assert left(G) < 0.03
-    assert min(left(0.97 * G), left(1.03 * G)) > 5 * left(G)
+    assert residual(GRAVITY) < 0.03
+    wrong = min(residual(0.97 * GRAVITY), residual(1.03 * GRAVITY))
+    assert wrong > 5 * residual(GRAVITY)
 
 
 def test_energy_stays_without_losses_and_never_rises_with_them():
-    path = swung()
-    kept, lost = (energy(moved(rod, path, 8, 2e-4), path) for rod in (FREE, PLAIN))
-    after = slice(1150, None)  # the hand has stopped
-    floor = energy(moved(FREE, (still := swung(reach=0.0, turn=0.0)), 8, 2e-3), still)[
-        0
-    ]
-    assert np.ptp(kept[after]) < 2e-3 * (kept[after].max() - floor)
-    assert np.diff(lost[after]).max() < 1e-9
-    assert lost[-1] - floor < 0.9 * (lost[after][0] - floor)
+    path = swing()
+    kept = energy(simulate_rod(LOSSLESS, path, 8, 2e-4), path)
+    lost = energy(simulate_rod(PLAIN, path, 8, 2e-4), path)
+    stopped = slice(1150, None)
+    still = swing(reach=0.0, turn=0.0)
+    lowest = energy(simulate_rod(LOSSLESS, still, 8, 2e-3), still)[0]
+    assert np.ptp(kept[stopped]) < 2e-3 * (kept[stopped].max() - lowest)
+    assert np.diff(lost[stopped]).max() < 1e-9
+    assert lost[-1] - lowest < 0.9 * (lost[stopped][0] - lowest)
 
 
 def test_a_rod_that_winds_about_its_grasp_is_turned_back_by_all_of_it():
-    """The energy of the grasp's spring goes with the angle by which it was wound, more
-    than half a turn.
-    """
-    path, rod = swung(turn=5.5), FREE._replace(gravity_y=0.0)
-    motion = moved(rod, path, 8, 1e-4)
-    angle = np.unwrap(
-        np.arctan2(motion.q[:, 1, 1], motion.q[:, 1, 0]) - path.at(motion.t)[:, 6]
-    )
+    """The energy of the grasp's spring goes with an angle of more than half a turn."""
+    path, rod = swing(turn=5.5), LOSSLESS._replace(gravity_y=0.0)
+    motion = simulate_rod(rod, path, 8, 1e-4)
     kept = energy(motion, path)[2300:]  # the hand has stopped
-    assert np.abs(angle).max() > 3.3
+    assert np.abs(grasp_angle(motion, path)).max() > 3.3
     assert np.ptp(kept) < 2e-3 * kept.max()
 
 
 def test_the_order_in_elements_and_in_steps():
-    path, t = swung(), np.linspace(0, 0.5, 51)
+    path, t = swing(), np.linspace(0, 0.5, 51)
 
     def tip(elements, step):
-        return moved(PLAIN, path, elements, step).points(t, np.array([LENGTH]))[:, 0]
+        motion = simulate_rod(PLAIN, path, elements, step)
+        return motion.points(t, np.array([LENGTH]))[:, 0]
+
+    def error(tips, true):
+        return np.linalg.norm(tips - true, axis=1).max()
 
     true = tip(32, 2e-4)
-    coarse, fine = (np.linalg.norm(tip(n, 2e-4) - true, axis=1).max() for n in (8, 16))
+    coarse, fine = error(tip(8, 2e-4), true), error(tip(16, 2e-4), true)
     assert fine < 2e-5
     assert coarse / fine > 2**3.5
     true = tip(8, 1e-4)
-    coarse, fine = (
-        np.linalg.norm(tip(8, step) - true, axis=1).max() for step in (2e-3, 1e-3)
-    )
+    coarse, fine = error(tip(8, 2e-3), true), error(tip(8, 1e-3), true)
     assert coarse / fine > 2**2.5
 
 
-@pytest.mark.parametrize(
-    "rod",
-    [
-        PLAIN,
-        PLAIN._replace(rub=0.01, rub_curvature=2.0, relaxing=5e-3, relaxation=0.05),
-    ],
-)
+@pytest.mark.parametrize("rod", [PLAIN, WITH_MEMORY])
 def test_steps_follow_the_same_equations_as_a_solver_of_scipy(rod):
-    path, mesh = swung(0.3), Mesh.of(rod, 4)
-    parts, still = (rod.record, mesh.compiled), np.zeros((*mesh.places.shape, 2))
-    # [s], over which inner states are taken to change
-    begun, small = rest(mesh, path.at(np.zeros(1))[0]), 1e-9
+    path, mesh = swing(0.3), Mesh.of_rod(rod, 4)
+    string = rod.record, mesh.as_elements
+    no_memory = np.zeros((*mesh.places.shape, 2))
+    start = rest_coordinates(mesh, path.states(np.zeros(1))[0])
+    lapse = 1e-9  # [s] over which the memory is taken to change
 
     def rates(t, y):
-        q, v = y[: 2 * begun.size].reshape(2, *begun.shape)
-        state, after, hand = (
-            y[2 * begun.size :].reshape(still.shape),
-            still.copy(),
-            path.at(np.array([t]))[0],
-        )
+        q, v = y[: 2 * start.size].reshape(2, *start.shape)
+        memory = y[2 * start.size :].reshape(no_memory.shape)
+        after = memory.copy()
+        hand = path.states(np.array([t]))[0]
         q[0], v[0] = hand[:2], hand[2:4]
-        force = (
-            forces(t, State(q, v, state, small, 0.0), hand, *parts, after) + mesh.weight
-        )
+        state = State(q, v, memory, lapse, 0.0)
+        force = all_forces(t, state, hand, *string, after) + mesh.weight
         a = np.zeros_like(q)
         a[0] = hand[4:6]
-        a[1:] = np.linalg.solve(
-            mesh.mass[1:, 1:], force[1:] - np.outer(mesh.mass[1:, 0], a[0])
-        )
-        return np.concatenate([v.ravel(), a.ravel(), ((after - state) / small).ravel()])
+        free_force = force[1:] - np.outer(mesh.mass[1:, 0], a[0])
+        a[1:] = np.linalg.solve(mesh.mass[1:, 1:], free_force)
+        memory_rate = (after - memory) / lapse
+        return np.concatenate([v.ravel(), a.ravel(), memory_rate.ravel()])
 
     t = np.linspace(0, 0.3, 13)
-    y = np.concatenate([begun.ravel(), np.zeros(begun.size + still.size)])
-    solved = solve_ivp(rates, (0, 0.3), y, "LSODA", t, rtol=1e-8, atol=1e-9).y.T[
-        :, : begun.size
-    ]
-    tip = moved(rod, path, 4, 1e-4).points(t, np.array([LENGTH]))[:, 0]
-    assert (
-        np.linalg.norm(solved.reshape(-1, *begun.shape)[:, -2] - tip, axis=1).max()
-        < 5e-6
-    )
+    y = np.concatenate([start.ravel(), np.zeros(start.size + no_memory.size)])
+    solution = solve_ivp(rates, (0, 0.3), y, "LSODA", t, rtol=1e-8, atol=1e-9)
+    solved = solution.y.T[:, : start.size].reshape(-1, *start.shape)[:, -2]
+    motion = simulate_rod(rod, path, 4, 1e-4)
+    tip = motion.points(t, np.array([LENGTH]))[:, 0]
+    assert np.linalg.norm(solved - tip, axis=1).max() < 5e-6

@@ -18,7 +18,7 @@ SMALL = (
     "+experiment=quick",
     "hardware=emulator",
     "mode.stages=[generate,execute,extract]",
-    "saved_outputs=[]",
+    "keep=[]",
     "camera.fps=25",
 )
 

@@ -32,7 +32,7 @@ from tests.speed.trial import ROOT
 CASTS = 4
 DURATION = (0.5, 0.8)  # [s] of the movement; the string swings on until END
 END = 1.0  # [s]
-# [m/s] of the hand at its fastest, as in tests/benchmarks/simulators/blind
+# [m/s] of the hand at its fastest
 SPEEDS = (2.0, 10.0)
 ALPHA = 150.0  # [rad/s2], as conf/generate/bezier.yaml
 FRAMES = np.arange(201) / 200  # [s], at the rate of conf/camera/highspeed.yaml
@@ -60,7 +60,7 @@ class CastSet:
 
 @cache
 def model(points: int = FITTED[0], step: float = FITTED[1]) -> Model:
-    """The model that is fitted: as string=coarse, with the paper's arm."""
+    """The model that is fitted: as string=swift, with the paper's arm."""
     arm, camera = (
         Arm(**configured("arm/paper.yaml")),
         Camera(**configured("camera/highspeed.yaml")),

@@ -26,7 +26,6 @@ from tests.benchmarks.diagnosis.answers import (
 
 PROBABILITY_BINS = np.linspace(0.0, 1.0, 11)
 SIZE_BINS_SIGMAS = np.array([5.0, 8.0, 12.0, 20.0, 30.0, np.inf])
-OWN = "own_kernel"  # reference simulator: the library's own kernel
 # studies simulated for the calibration error that chance alone makes
 CHANCE_SAMPLES = 2000
 RUNTIME_GOAL_S = 120.0
@@ -232,7 +231,7 @@ def diagnosis_row(row: Row, two_sided: Set[str]) -> dict[str, object]:
     truth, diagnosis, groups = row["truth"], row["diagnosis"], named_groups(row)
     rms = (diagnosis.get("gain") or {}).get("rms_m") or {}
     return {
-        "simulator": truth.get("laboratory", OWN),
+        "simulator": truth["simulator"],
         "seed": row["seed"],
         "kind": truth["kind"],
         "truth": "+".join(truth["names"]) or "none",

@@ -35,15 +35,14 @@ class DiagnosisSettings:
     """Settings of the study.
 
     datasets: how many, from seed `first`. processes: 0 for one per core. simulator: the
-    reference simulator. kind: of all datasets of nodal and pyelastica, instead of each
-    seed's own.
+    reference simulator. kind: of all datasets, instead of each seed's own.
     """
 
     datasets: Annotated[int, Field(ge=1)]
     first: Annotated[int, Field(ge=0)]
     processes: Annotated[int, Field(ge=0)]
     simulator: Literal["own_kernel", "nodal", "pyelastica"]
-    kind: Literal["none", "single", "pair", "triple", "outside"] | None
+    kind: Literal["none", "effect", "pair", "triple", "outside"] | None
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,6 @@ from tests.benchmarks.diagnosis.scores import (
 )
 from tests.benchmarks.diagnosis.study import DatasetJob
 from tests.benchmarks.draw import draw_dataset
-from tests.benchmarks.simulators.blind import LATEST, VERSIONS
 from tests.benchmarks.study import run_jobs, stored_result
 
 
@@ -72,6 +71,7 @@ def row(
             "indistinguishable": [list(group) for group in groups],
         },
         "truth": {
+            "simulator": "own_kernel",
             "kind": kind,
             "names": list(names),
             "sizes": dict.fromkeys(names, size),
@@ -310,9 +310,9 @@ def test_a_diagnosis_that_fails_is_a_wrong_answer(tmp_path):
 def test_a_synthetic_dataset_that_hides_nothing(tmp_path):
     """The ground truth, read after a diagnosis that finds nothing."""
     made = draw_and_diagnose(
-        VERSIONS[LATEST].cases.index("none"),
+        1,
         tmp_path,
-        partial(draw_dataset, "own_kernel"),
+        partial(draw_dataset, "own_kernel", kind="none"),
         nothing,
     )
     assert made["truth"]["kind"] == "none"

@@ -19,7 +19,7 @@ from tests.benchmarks.extraction.conditions import (
     film_shot,
     prepare_shot,
 )
-from tests.benchmarks.simulators.blind.casts import random_cast
+from tests.benchmarks.simulators.motions import random_cast
 
 HAND_SPEEDS_M_S = (1.5, 4.0)  # tips reach about three times that
 Extract = Callable[[Footage, Camera], Points]
@@ -51,13 +51,11 @@ def perform_cast(
     string: str, specimen: Specimen, arm: Arm, camera: Camera, frames: int, seed: int
 ) -> StagedCast:
     """Perform a random cast and choose `frames` moments of it, spread evenly."""
-    cast = random_cast(
-        arm, np.random.default_rng([seed, 7]), camera.fps, HAND_SPEEDS_M_S
-    )
-    motion = cast.happened
-    times = motion.start + motion.tick * np.arange(motion.angles.shape[1])
+    rng = np.random.default_rng([seed, 7])
+    speed = float(np.exp(rng.uniform(*np.log(HAND_SPEEDS_M_S))))
+    cast = random_cast(arm, rng, camera.fps, speed)
     bench = VirtualBench(
-        arm, camera, specimen, seed, performed_motion=(times, motion.angles[0])
+        arm, camera, specimen, seed, performed_motion=(cast.fine, cast.angles)
     )
     chosen = np.unique(np.linspace(0, len(cast.frames) - 1, frames).astype(int))
     angles = dict(zip(JOINTS, cast.reported.T, strict=True))
