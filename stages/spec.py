@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from stringcast.stages.model.box import Box
     from stringcast.stages.model.model import Model
 
-EXTENDED = "extended.yaml"  # the model that a run made, for `extended=`
+EXTENDED = "extended.yaml"  # the model that a run made, for `model_from=`
 # settings of which the model is made
-MODEL = ("arm", "camera", "string", "effects", "known")
+MODEL = ("arm", "camera", "string", "effects", "parameter_values")
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class StageSetup(Protocol):
     @property
     def obstacles(self) -> tuple[Box, ...]: ...
     @property
-    def own(self) -> Sequence[str]: ...
+    def effects_per_recording(self) -> Sequence[str]: ...
 
     def lab(self, trial: int) -> Lab:
         """Arm and camera, as configured. trial: number of the iteration."""

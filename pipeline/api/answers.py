@@ -179,7 +179,7 @@ class EstimateResult:
             "string": self.experiment.config["string"],
             "effects": list(self.experiment.config["effects"]),
         }
-        return KnownString(settings | {"known": self.artifact.values()})
+        return KnownString(settings | {"parameter_values": self.artifact.values()})
 
     def __repr__(self) -> str:
         """How near, and what is determined."""

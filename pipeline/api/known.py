@@ -38,7 +38,7 @@ from stringcast.stages.model.model import Model
 
 @dataclass(frozen=True)
 class KnownString:
-    """Settings `string`, `effects` and `known`, as an extended.yaml holds them; none is
+    """Settings `string`, `effects` and `parameter_values`, as an extended.yaml holds them; none is
     what conf/ says.
     """
 
@@ -82,12 +82,12 @@ class KnownString:
             {
                 "string": settings["string"],
                 "effects": settings["effects"],
-                "known": known,
+                "parameter_values": known,
             }
         )
 
     def save(self, folder: str | Path) -> Path:
-        """Write extended.yaml, which `extended=<folder>` takes. Returns its path."""
+        """Write extended.yaml, which `model_from=<folder>` takes. Returns its path."""
         path = Path(folder) / EXTENDED
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, yaml.safe_dump(dict(self.settings), sort_keys=False))
@@ -101,7 +101,7 @@ class KnownString:
     @property
     def parameters(self) -> dict[str, Any]:
         """The known parameters by name: a number, or a value with its interval."""
-        return dict(self.settings.get("known", {}))
+        return dict(self.settings.get("parameter_values", {}))
 
     def mjcf(self, mass: float, step: float = 5e-4) -> str:
         """The string as a chain of links for MuJoCo, see stages/export/mjcf.py. mass:
@@ -144,7 +144,7 @@ def model_for_call(settings: Sequence[str], string: KnownString | None) -> Model
     takes twenty times as long as to simulate. settings, string: as in `prepared`.
     """
     # folders, in which something may change
-    if given_names(settings) & {"trials", "extended", "calibrated"}:
+    if given_names(settings) & {"trials", "model_from", "camera_from"}:
         return experiment_for_call(settings, string).model
     return _cached_model(
         tuple(settings),

@@ -177,9 +177,9 @@ def check_setting(word: Word) -> Iterator[Answer]:
         fault = f"{word.text}: lengths are in metres, without a unit."
         yield Answer(fault, [f"{word.name}={metres:g}"])
     is_list = re.fullmatch(r"[a-z_,\d]+", word.value) and word.value != "null"
-    if word.name in ("effects", "own") and is_list:
+    if word.name in ("effects", "effects_per_recording") and is_list:
         yield Answer(f"{word.text}: this is a list.", [f"{word.name}=[{word.value}]"])
-    if word.name.partition(".")[0] == "known":
+    if word.name.partition(".")[0] == "parameter_values":
         yield Answer(
             f"{word.text}: a value of a parameter has a plus sign before it.",
             [f"+{word.text}"],

@@ -28,9 +28,9 @@ Cast an unknown string at a target with a robot arm, and learn the string from e
   python -m pipeline +experiment=diagnose trials=outputs/...   what does the simulation get wrong, and why?
   python -m pipeline +experiment=decide trials=outputs/...     and perform the motion that decides between look-alikes
   python -m pipeline +experiment=calibrate source=images source.folder=tilted plane.folder=flat   measure the camera
-  python -m pipeline +experiment=stringB calibrated=outputs/...   with the camera that was measured
+  python -m pipeline +experiment=stringB camera_from=outputs/...   with the camera that was measured
   python -m pipeline +experiment=align                         measure camera and clock against the arm
-  python -m pipeline extended=outputs/...                      with the model that a diagnosis or an alignment made
+  python -m pipeline model_from=outputs/...                      with the model that a diagnosis or an alignment made
 
 Commands (python -m pipeline <command> --help says more):
 {commands}

@@ -20,11 +20,10 @@ from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings, given_names
 from stringcast.pipeline.settings.settings_from_runs import inherit_settings
 from stringcast.pipeline.settings.typed_settings import build_dataclass
-from stringcast.stages.diagnose.forward_selection import Criteria
 from stringcast.stages.diagnose.identifiability import DetectionLimit, detection_limits
-from stringcast.stages.diagnose.prepared_data import prepare_data
-from stringcast.stages.diagnose.prepared_data import usable_trials as can_begin
+from stringcast.stages.diagnose.preparation import prepare_data, usable_trials
 from stringcast.stages.diagnose.proposals import candidate_effects
+from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.estimate.trim import trim_at_contact
 from stringcast.stages.model.library import effects_by_name
 
@@ -49,7 +48,7 @@ def detectable_effects(folder: Path, overrides: Sequence[str]) -> list[dict[str,
         for name, trial in data.trials.items()
         if name not in held_out_trials(data)
     )
-    seen, _ = can_begin(
+    seen, _ = usable_trials(
         here.model, [trim_at_contact(trial, here.obstacles) for trial in asked_of]
     )
     if len(seen) < 2:
@@ -64,7 +63,7 @@ def detectable_effects(folder: Path, overrides: Sequence[str]) -> list[dict[str,
         ready = prepare_data(
             here.model,
             seen,
-            criteria.tolerance,
+            criteria.tip_tolerance_m,
             rng,
             asked["starts"],
             lambda share: progress(0.7 * share),
@@ -73,7 +72,7 @@ def detectable_effects(folder: Path, overrides: Sequence[str]) -> list[dict[str,
             ready.base_fit.hypothesis.model,
             effects_by_name(),
             ready.data.trials,
-            asked["without"],
+            asked["excluded_effects"],
         )
         told = detection_limits(
             ready,

@@ -76,7 +76,7 @@ class Calibrate(Mode):
             raise UserError(
                 f"the calibration cannot be used: {made.reason} See {folder / 'report.html'}"
             )
-        ahead = (f"Go on with it: calibrated={folder}", str(folder / "report.html"))
+        ahead = (f"Go on with it: camera_from={folder}", str(folder / "report.html"))
         lines = (Text(line, overflow="fold") for line in ahead)
         console.print(
             Group(Text(sentence), text_table(stage.summary(made).table), *lines),

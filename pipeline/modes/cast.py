@@ -50,7 +50,7 @@ class Cast(Stepwise):
             experiment.config["execute"]["_target_"], "execute", "config.json"
         )
         dry = by in DRY_RUNS
-        casts = 1 if dry else experiment.config["manipulations"]
+        casts = 1 if dry else experiment.config["max_casts"]
         while len(history.iterations) < casts and not (
             history.iterations and history.iterations[-1].has_hit
         ):

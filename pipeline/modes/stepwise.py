@@ -44,7 +44,7 @@ class Stepwise(Mode):
                 experiment, folder, bar, lambda words: console.print(escape(words))
             )
             result = self.run_steps(experiment, folder, kept)
-            if "report" in experiment.config["keep"]:
+            if "report" in experiment.config["saved_outputs"]:
                 with bar("report"):  # which draws: it takes a second and more to load
                     import_module("stringcast.pipeline.run.report").write_report(
                         experiment, result
@@ -52,7 +52,7 @@ class Stepwise(Mode):
             run_folder.write_stage_files(result)
             if not kept.interrupted:
                 run_folder.write_summary(result)
-        if "frames" not in experiment.config["keep"] and not kept.interrupted:
+        if "frames" not in experiment.config["saved_outputs"] and not kept.interrupted:
             run_folder.remove_frames(experiment, result)
         print_summary(result, console)
         if kept.interrupted:

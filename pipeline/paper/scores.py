@@ -23,11 +23,11 @@ NINE = tuple(
     for string in "ABC"
     for target in ("300_900", "400_700", "500_900")
 )
-CONDITION = "experiment/paper"  # the setting that names a job's experiment
+CONDITION = "name"  # the setting that names a job's experiment
 _EXPERIMENT = Column(
     "condition",
     "",
-    "experiment of conf/experiment/paper; nine: three strings to three targets",
+    "experiment of conf/experiment/paper.yaml; nine: three strings, three targets",
     "text",
 )
 SHARE_COLUMNS = (
@@ -165,7 +165,7 @@ def runs(ledger: Ledger, jobs: Sequence[Job]) -> pd.DataFrame:
             }
             row |= {"hit_at": min(hits, default=np.inf), "manipulations": len(made)}
             row |= {
-                "budget": job.settings["manipulations"],
+                "budget": job.settings["max_casts"],
                 "seconds": job.seconds,
                 "folder": job.key,
             }

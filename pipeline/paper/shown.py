@@ -20,7 +20,7 @@ from stringcast.stages.model.arm import Arm
 
 MOMENTS = 5  # at which strings are drawn, from the start to the closest approach
 CAST = (
-    Column("condition", "", "experiment of conf/experiment/paper", "text"),
+    Column("condition", "", "experiment of conf/experiment/paper.yaml", "text"),
     Column("seed", "1", "of the run", "int"),
     Column("manipulation", "1", "number of the cast", "int"),
 )

@@ -106,9 +106,9 @@ class Experiment:
         return int(self.config["seed"])
 
     @property
-    def own(self) -> list[str]:
+    def effects_per_recording(self) -> list[str]:
         """Effects whose values differ from one trial to another."""
-        return list(self.config["own"])
+        return list(self.config["effects_per_recording"])
 
     def lab(self, trial: int) -> Lab:
         """Arm and camera, real or virtual. trial: number of the iteration."""
@@ -141,8 +141,15 @@ def prepare_experiment(config: Mapping[str, Any], where: BlockLocation) -> Exper
     camera = build_dataclass(Camera, config["camera"], "camera", where("camera"))
     plain = Model(string, arm, camera)
     model = add_effects(plain, config["effects"], where("effects"))
-    add_effects(plain, config["own"], where("own"), "own")  # they need not be at work
-    known, measured = read_parameter_values(config["known"], model, where("known"))
+    add_effects(
+        plain,
+        config["effects_per_recording"],
+        where("effects_per_recording"),
+        "effects_per_recording",
+    )  # they need not be at work
+    known, measured = read_parameter_values(
+        config["parameter_values"], model, where("parameter_values")
+    )
     model = replace(model, start_values=known, measured_ranges=measured)
     boxes = config["obstacles"]["boxes"]
     experiment = Experiment(
@@ -170,7 +177,7 @@ ALL_TRIALS = "all"  # of the trials, which `trials_used` may be
 
 def check_run_settings(config: Mapping[str, Any], where: BlockLocation) -> None:
     """The few settings of the run itself."""
-    for name, other in (("manipulations", ""), ("trials_used", f", or {ALL_TRIALS}")):
+    for name, other in (("max_casts", ""), ("trials_used", f", or {ALL_TRIALS}")):
         if (type(config[name]) is not int or config[name] < 1) and not (
             other and config[name] == ALL_TRIALS
         ):
@@ -182,12 +189,12 @@ def check_run_settings(config: Mapping[str, Any], where: BlockLocation) -> None:
         raise UserError(
             f"seed = {config['seed']!r} ({where('seed')}): it must be a whole number from 0. Change it."
         )
-    if not isinstance(config["keep"], list) or not set(config["keep"]) <= set(
-        SAVEABLE_OUTPUTS
-    ):
+    if not isinstance(config["saved_outputs"], list) or not set(
+        config["saved_outputs"]
+    ) <= set(SAVEABLE_OUTPUTS):
         choices = ", ".join(SAVEABLE_OUTPUTS)
         raise UserError(
-            f"keep = {config['keep']} ({where('keep')}): it must be a list of {choices}. Change it."
+            f"saved_outputs = {config['saved_outputs']} ({where('saved_outputs')}): it must be a list of {choices}. Change it."
         )
 
 
@@ -214,7 +221,7 @@ def read_parameter_values(
     were measured.
     """
     by_name: dict[str, Any] = {}
-    # on the command line, +known.tip_mass.ratio=0.05 is a block in a block
+    # on the command line, +parameter_values.tip_mass.ratio=0.05 is a block in a block
     for name, given in block.items():
         apart = isinstance(given, Mapping) and "value" not in given
         by_name |= (
@@ -228,9 +235,9 @@ def read_parameter_values(
             effect = name.partition(".")[0]
             remedy = f"Known are: {', '.join(model.names)}"
             if effect in effect_files():
-                remedy = f"Model it: 'effects=[{effect}]' '+known.{effect}.<parameter>=<number>'"
+                remedy = f"Model it: 'effects=[{effect}]' '+parameter_values.{effect}.<parameter>=<number>'"
             raise UserError(
-                f"known.{name} ({where}): there is no such parameter of what is modelled. {remedy}."
+                f"parameter_values.{name} ({where}): there is no such parameter of what is modelled. {remedy}."
             )
         # a number, or a value with its interval where it was measured
         measured = isinstance(given, Mapping) and set(given) == {"value", "low", "high"}
@@ -239,7 +246,7 @@ def read_parameter_values(
             isinstance(part, float | int) and math.isfinite(part) for part in parts
         ):
             raise UserError(
-                f"known.{name} = {given!r} ({where}): it must be a number, or value, low and high if it was measured. "
+                f"parameter_values.{name} = {given!r} ({where}): it must be a number, or value, low and high if it was measured. "
                 "Change it."
             )
         values[name] = float(parts[0])
@@ -247,7 +254,9 @@ def read_parameter_values(
             value, low, high = parts
             if not (low < high and low <= value <= high):
                 ends = f"low = {low} < high = {high} must enclose value = {value}"
-                raise UserError(f"known.{name} ({where}): {ends}. Change it.")
+                raise UserError(
+                    f"parameter_values.{name} ({where}): {ends}. Change it."
+                )
             ranges[name] = float(low), float(high)
     return values, ranges
 

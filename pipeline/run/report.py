@@ -134,8 +134,8 @@ def commands_after_diagnosis(
         "Perform the motion that tells the look-alikes apart",
         f"+experiment=decide trials={config['trials']}",
     )
-    cast = ("Cast with the model that this diagnosis made", f"extended={HERE}")
-    words = f"+experiment=estimate estimate=least_squares extended={HERE} trials={config['trials']}"
+    cast = ("Cast with the model that this diagnosis made", f"model_from={HERE}")
+    words = f"+experiment=estimate estimate=least_squares model_from={HERE} trials={config['trials']}"
     fit = ("Estimate the string anew with the causes at work", words)
     by_verdict = {"effect": [cast, fit], "ambiguous": [decide, look], "none": [cast]}
     return by_verdict.get(made.verdict, [look])

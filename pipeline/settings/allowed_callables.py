@@ -1,6 +1,6 @@
 """The names that a setting `_target_` may hold, role by role.
 
-Settings come from other people's folders too (`trials=`, `extended=`, `calibrated=`,
+Settings come from other people's folders too (`trials=`, `model_from=`, `camera_from=`,
 `resume`, `index` ...), so a name is looked up here before anything is imported. Names
 are those within the package `stringcast`. An arm, a camera or a mode of your own needs
 its line here; what may fill a stage's role, the stage says itself.

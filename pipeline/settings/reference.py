@@ -44,7 +44,7 @@ folder and the library of effects. Settings are those of the default options; th
 EFFECTS_HEADING = """\
 ## Effects
 Effects beyond the paper's model (those of the paper come first and are always active), with the range of each parameter. A value is given by \
-`'+known.tip_mass.ratio=0.05'`, with an interval by `'+known.wind.along_x={value: 1, low: 0.8, high: 1.2}'`. \
+`'+parameter_values.tip_mass.ratio=0.05'`, with an interval by `'+parameter_values.wind.along_x={value: 1, low: 0.8, high: 1.2}'`. \
 [How they are simulated](../stages/model/README.md).
 """
 

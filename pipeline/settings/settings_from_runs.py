@@ -23,7 +23,7 @@ from stringcast.stages.calibrate import CAMERA
 from stringcast.stages.spec import EXTENDED
 
 # what an extended model may set, and as what
-MODEL_SETTINGS = {"string": dict, "effects": list, "known": dict}
+MODEL_SETTINGS = {"string": dict, "effects": list, "parameter_values": dict}
 # how an arm may move: a person's own word, where it is real
 ARM_BLOCKS = ("arm", "hardware", "execute")
 # that of the string that was measured, however it is simulated
@@ -50,10 +50,10 @@ RUN_SETTINGS = (
     "camera",
     "string",
     "effects",
-    "known",
+    "parameter_values",
     "seed",
     "trials_used",
-    "own",
+    "effects_per_recording",
     "estimate",
     "generate",
     "execute",
@@ -76,16 +76,16 @@ def inherit_settings(config: DictConfig, given: set[str]) -> dict[str, Any]:
     )
     for name, value in brought.items():
         OmegaConf.update(whole, name, value, merge=False)
-    if config.extended is not None:
-        for name, value in read_extended_model(Path(config.extended)).items():
+    if config.model_from is not None:
+        for name, value in read_extended_model(Path(config.model_from)).items():
             OmegaConf.update(whole, name, value, merge=True)
-    if config.calibrated is not None:
+    if config.camera_from is not None:
         OmegaConf.update(
-            whole, "camera", read_measured_camera(Path(config.calibrated)), merge=False
+            whole, "camera", read_measured_camera(Path(config.camera_from)), merge=False
         )
     if any(
         folder is not None
-        for folder in (config.trials, config.extended, config.calibrated)
+        for folder in (config.trials, config.model_from, config.camera_from)
     ):
         restore_given_settings(whole, config, given)
     if LENGTH_SETTING in brought:
@@ -103,7 +103,10 @@ def inherit_settings(config: DictConfig, given: set[str]) -> dict[str, Any]:
                 "high": (1 + WEIGHING_UNCERTAINTY) * ratio,
             }
             # what was said of it elsewhere stands above
-            whole.known = {"tip_mass.ratio": weighed, **whole.known}
+            whole.parameter_values = {
+                "tip_mass.ratio": weighed,
+                **whole.parameter_values,
+            }
     settings: Any = OmegaConf.to_container(whole, resolve=True)
     return dict(settings)
 
@@ -155,24 +158,24 @@ def run_moves_arm(settings: Any) -> bool:
 
 
 def read_extended_model(folder: Path) -> dict[str, Any]:
-    """Settings of the model that a run made: `string`, `effects`, `known`. folder: of a
+    """Settings of the model that a run made: `string`, `effects`, `parameter_values`. folder: of a
     diagnosis or an alignment.
     """
     made = read_run_settings(
         folder,
         EXTENDED,
-        "extended",
+        "model_from",
         "Name the run folder of a diagnosis or an alignment.",
     )
     for name, value in made.items():
         if name not in MODEL_SETTINGS:
             raise UserError(
-                f"extended={folder}: {EXTENDED} sets {name!r}; it may set {', '.join(MODEL_SETTINGS)}. Remove it."
+                f"model_from={folder}: {EXTENDED} sets {name!r}; it may set {', '.join(MODEL_SETTINGS)}. Remove it."
             )
         if not isinstance(value, MODEL_SETTINGS[name]):
             kind = "a list" if MODEL_SETTINGS[name] is list else "names and values"
             raise UserError(
-                f"extended={folder}: {name} in {EXTENDED} must hold {kind}. Correct or remove it."
+                f"model_from={folder}: {name} in {EXTENDED} must hold {kind}. Correct or remove it."
             )
     return made
 
@@ -182,7 +185,7 @@ def read_measured_camera(folder: Path) -> dict[str, Any]:
     run, or the file itself.
     """
     return read_run_settings(
-        folder, CAMERA, "calibrated", "Name the run folder of a good calibration."
+        folder, CAMERA, "camera_from", "Name the run folder of a good calibration."
     )
 
 

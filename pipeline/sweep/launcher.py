@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import timedelta
 from math import nan
 from pathlib import Path
@@ -34,24 +34,32 @@ STATE_COLOURS = {DONE_STATE: "green", FAILED_STATE: "red"}
 
 class LedgerLauncher:
     """by: the function that runs jobs. finish: the one that makes table and page of a
-    sweep's folder. retry: run those that failed again. ahead: jobs that run before the
-    others, so that machine code is compiled once, not by many at a time. settings: of
-    the function `by`.
+    sweep's folder. retry: run those that failed again. warm_up_jobs: jobs that run before the
+    others, so that machine code is compiled once, not by many at a time. variants:
+    overrides by name; each job runs once for every variant, or only for the one that
+    `name=` gives. settings: of the function `by`.
     """
 
     def __init__(
-        self, by: str, finish: str, retry: bool, ahead: int, **settings: Any
+        self,
+        by: str,
+        finish: str,
+        retry: bool,
+        warm_up_jobs: int,
+        variants: Mapping[str, Sequence[str]] | None = None,
+        **settings: Any,
     ) -> None:
         """Take the settings unchecked; `setup` checks them, for Hydra hides what goes
         wrong here.
         """
-        self.by, self.finish, self.retry, self.ahead, self.settings = (
+        self.by, self.finish, self.retry, self.warm_up_jobs, self.settings = (
             by,
             finish,
             retry,
-            ahead,
+            warm_up_jobs,
             settings,
         )
+        self.variants = variants or {}
         # the sweep's folder, what finishes it
         self.launched: tuple[Path, Callable[[Path], list[Job]]] | None = None
 
@@ -69,10 +77,10 @@ class LedgerLauncher:
         self.config = config
         if (
             not isinstance(self.retry, bool)
-            or type(self.ahead) is not int
-            or self.ahead < 0
+            or type(self.warm_up_jobs) is not int
+            or self.warm_up_jobs < 0
         ):
-            wrong = f"retry = {self.retry!r}, ahead = {self.ahead!r}"
+            wrong = f"retry = {self.retry!r}, warm_up_jobs = {self.warm_up_jobs!r}"
             raise UserError(
                 f"hydra.launcher ({SETTINGS_PLACE}): {wrong}: give true or false, and a whole number from 0."
             )
@@ -81,15 +89,31 @@ class LedgerLauncher:
             {"_target_": self.by} | plain, "hydra.launcher", SETTINGS_PLACE
         )
 
+    def expand_variants(self, overrides: Sequence[str]) -> list[list[str]]:
+        """Return the overrides of each variant of a job. Raises UserError."""
+        if not self.variants:
+            return [list(overrides)]
+        named = [word for word in overrides if word.startswith("name=")]
+        names = [word.removeprefix("name=") for word in named] or list(self.variants)
+        if unknown := set(names) - set(self.variants):
+            known = ", ".join(self.variants)
+            raise UserError(
+                f"name={unknown.pop()} (command line): there is no such experiment. "
+                f"There are {known}."
+            )
+        others = [word for word in overrides if word not in named]
+        return [[*others, f"name={name}", *self.variants[name]] for name in names]
+
     def launch(
         self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
     ) -> Sequence[JobReturn]:
         """Run what is missing of these jobs. Each returns E after its last estimation,
         NaN if there is none.
         """
-        ledger = Ledger(Path(self.config.hydra.current.dir).absolute())
+        ledger = Ledger(Path(self.config.hydra.sweep.dir).absolute())
         jobs = []
-        for number, overrides in enumerate(job_overrides, start=initial_job_idx):
+        variants = [one for job in job_overrides for one in self.expand_variants(job)]
+        for number, overrides in enumerate(variants, start=initial_job_idx):
             # with its settings composed and resolved as its own run will
             config = self.loader.load_sweep_config(self.config, list(overrides))
             settings = OmegaConf.masked_copy(
@@ -113,7 +137,7 @@ class LedgerLauncher:
         first = (
             0
             if any(ledger.read(key).state == DONE_STATE for key in keys)
-            else self.ahead
+            else self.warm_up_jobs
         )
         console = Terminal(stderr=True)
         ended, begun, left_at_first = (

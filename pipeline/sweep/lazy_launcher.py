@@ -47,7 +47,7 @@ def sweep_folder() -> str:
     return (
         "the run's folder"
         if LazyLauncher.current is None
-        else str(LazyLauncher.current.config.hydra.current.dir)
+        else str(LazyLauncher.current.config.hydra.sweep.dir)
     )
 
 

@@ -31,7 +31,7 @@ def summary(made: Alignment) -> StageSummary:
             "": ""
             if not row.low <= 0 <= row.high
             else "may be 0"
-            if row.find
+            if row.found
             else "not seen",
         }
         for row in made.measured.itertuples()

@@ -132,7 +132,7 @@ def build_alignment(
         "speed": max(max_hand_speed(model.arm, trial) for trial in problem.trials),
         "most_lag": lag,
         "extended": yaml.safe_dump(
-            {"effects": effects, "known": known}, sort_keys=False
+            {"effects": effects, "parameter_values": known}, sort_keys=False
         ),
     }
     parts = []

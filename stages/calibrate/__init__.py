@@ -12,7 +12,7 @@ import pandas as pd
 from stringcast.data.calibration import Calibration
 from stringcast.stages.spec import SameIteration, StageSpec, StageSummary
 
-CAMERA = "camera.yaml"  # the camera that a calibration measured, for `calibrated=`
+CAMERA = "camera.yaml"  # the camera that a calibration measured, for `camera_from=`
 
 
 def summary(made: Calibration) -> StageSummary:

@@ -1,6 +1,4 @@
-"""The error budget: what each cause, the numerical error, noise and the unknown are of
-the misfit at the tip.
-"""
+"""The error budget: how much each source moves the tip."""
 
 from __future__ import annotations
 
@@ -8,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stringcast.stages.diagnose.forward_selection import SelectionState, refit
+from stringcast.stages.diagnose.forward_selection import SelectionState
+from stringcast.stages.diagnose.measures import refit
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, sample_discrepancy_tip_rms
@@ -16,8 +15,15 @@ from stringcast.stages.inference.laplace import Fit, sample_discrepancy_tip_rms
 
 @dataclass(frozen=True)
 class BudgetEntry:
-    """One source. tip_rms: root mean square at the tip over all trials [m];
-    log_evidence: what is lost without a cause, NaN of what is none.
+    """One source of the misfit at the tip.
+
+    Attributes
+    ----------
+    source : str
+    tip_rms_m : float
+        Root mean square at the tip over all trials [m].
+    log_evidence : float
+        That the fit loses without a cause; NaN of what is no cause.
     """
 
     source: str
@@ -27,9 +33,16 @@ class BudgetEntry:
 
 @dataclass(frozen=True)
 class ErrorBudget:
-    """entries: whose squares add up to the square of the base model's misfit at the
-    tip. unexplained: value and 95 % interval of what is left [m]. by_cause: the fits
-    with the first causes, none first.
+    """The base model's misfit at the tip by its sources.
+
+    Attributes
+    ----------
+    entries : tuple of BudgetEntry
+        Their squares add up to the square of the misfit.
+    unexplained_m : tuple of float
+        Value and 95 % interval of what is left [m].
+    nested_fits : tuple of Fit
+        With no cause, with the first, and so on.
     """
 
     entries: tuple[BudgetEntry, ...]
@@ -38,72 +51,66 @@ class ErrorBudget:
 
 
 def error_budget(
-    found: SelectionState, base: Fit, rng: np.random.Generator
+    state: SelectionState, base: Fit, rng: np.random.Generator
 ) -> ErrorBudget:
-    """Causes share in the order in which they entered. What is left of the misfit
-    beside noise and numerical error, as these are known, is unexplained. base: the base
-    model's fit to the same data.
+    """Divide the base model's misfit among causes, numerical error, noise and the rest.
+
+    Causes share in the order of acceptance. What is left of the misfit in addition to
+    noise and numerical error, as far as these are known, is unexplained.
     """
-    data, fits = found.prepared.data, nested_fits(found, base)
-    begun = [
-        data.for_hypothesis(fit.hypothesis).without_initial_state_error(
+    data, fits = state.prepared.data, nested_fits(state, base)
+    mean_squares = []  # [m2], over trials
+    for fit in fits:
+        residuals = data.for_hypothesis(fit.hypothesis).without_initial_state_error(
             fit.residuals, fit.scale_indices
         )
-        for fit in fits
-    ]
-    # [m2], over trials
-    squares = np.minimum.accumulate(
-        [np.mean(data.tip_rms_by_trial(each) ** 2) for each in begun]
-    )
-    noise, numerical = _noise_and_numerical_mean_squares(found.prepared)
+        mean_squares.append(np.mean(data.tip_rms_by_trial(residuals) ** 2))
+    squares = np.minimum.accumulate(mean_squares)
+    shares = squares[:-1] - squares[1:]  # 0, not -0, of a cause that explains nothing
+
+    entries, full = [], fits[-1]
+    for number, cause in enumerate(full.hypothesis.causes):
+        without = refit(data, full, full.hypothesis.without_cause(cause))
+        lost = full.log_evidence - without.log_evidence
+        share_m = float(np.sqrt(shares[number]))
+        entries.append(BudgetEntry(cause.name, share_m, lost))
+
     left = float(squares[-1])
+    noise, numerical = _noise_and_numerical_mean_squares(state.prepared)
     numerical = min(numerical, left)
     noise = min(noise, left - numerical)
-    names, full = found.fit.hypothesis.cause_names, fits[-1]
-    lost = [
-        full.log_evidence
-        - refit(data, full, full.hypothesis.without_cause(c)).log_evidence
-        for c in full.hypothesis.causes
-    ]
-    shares = squares[:-1] - squares[1:]  # of what explains nothing 0, not -0
-    entries = [
-        BudgetEntry(n, float(np.sqrt(s)), e)
-        for n, s, e in zip(names, shares, lost, strict=True)
-    ]
-    rest = [
-        ("numerical error", numerical),
-        ("noise", noise),
-        ("unexplained", left - numerical - noise),
-    ]
-    entries += [
-        BudgetEntry(name, float(np.sqrt(max(square, 0.0)))) for name, square in rest
-    ]
-    drawn = np.sqrt(np.mean(sample_discrepancy_tip_rms(data, full, rng) ** 2, axis=0))
-    low, high = np.quantile(drawn, [0.025, 0.975]).tolist()
+    rest = {
+        "numerical error": numerical,
+        "noise": noise,
+        "unexplained": left - numerical - noise,
+    }
+    for name, square in rest.items():
+        entries.append(BudgetEntry(name, float(np.sqrt(max(square, 0.0)))))
+
     value = entries[-1].tip_rms_m
-    ends = (value, min(low, value), max(high, value))
-    return ErrorBudget(tuple(entries), ends, tuple(fits))
+    samples = np.sqrt(np.mean(sample_discrepancy_tip_rms(data, full, rng) ** 2, axis=0))
+    low, high = np.quantile(samples, [0.025, 0.975]).tolist()
+    interval = (value, min(low, value), max(high, value))
+    return ErrorBudget(tuple(entries), interval, tuple(fits))
 
 
-def nested_fits(found: SelectionState, base: Fit) -> list[Fit]:
-    """The fits with no cause, with the first, and so on, to the same data."""
-    data, full = found.prepared.data, found.fit
-    if not full.hypothesis.causes:
+def nested_fits(state: SelectionState, base: Fit) -> list[Fit]:
+    """Fit no cause, the first cause, the first two, and so on, to the same data."""
+    data, full = state.prepared.data, state.fit
+    causes = full.hypothesis.causes
+    if not causes:
         return [full]
-    some = [full.hypothesis.causes[:k] for k in range(1, len(full.hypothesis.causes))]
-    between = [
-        refit(data, full, Hypothesis(full.hypothesis.base, causes)) for causes in some
-    ]
-    return [base, *between, full]
+    fits = [base]
+    for count in range(1, len(causes)):
+        hypothesis = Hypothesis(full.hypothesis.base, causes[:count])
+        fits.append(refit(data, full, hypothesis))
+    return [*fits, full]
 
 
 def _noise_and_numerical_mean_squares(prepared: PreparedData) -> tuple[float, float]:
-    """Mean squares at the tip that noise, and what is in doubt of the numerical error,
-    leave [m2].
-    """
+    """Mean squares at the tip of noise and of uncertain numerical error [m2]."""
     noise = [
         2 * np.mean(trial.sigma[trial.is_tip] ** 2) for trial in prepared.data.trials
     ]
-    return float(np.mean(noise)), float(
-        np.mean(prepared.discretisation_uncertainty_m**2)
-    )
+    numerical = np.mean(prepared.discretisation_uncertainty_m**2)
+    return float(np.mean(noise)), float(numerical)

@@ -21,7 +21,7 @@ ACCELERATION_FACTORS = (1.0, 0.5, 0.25, 0.12)
 MOTIONS_PER_DRAW = 512  # at once
 MAX_DRAWS = 200  # such draws at most
 POINTS_PER_FRAME = 8  # on the string, that stand for all that are measured
-MAX_FRAME_RATE_HZ = 100  # a second, that stand for all that are filmed
+RATED_FRAMES = 100  # a second, that stand for all that are filmed
 
 PositiveNumber = Annotated[float, Field(gt=0)]
 RestSeconds = Annotated[float, Field(ge=0, le=10)]
@@ -89,7 +89,7 @@ def synthetic_trial(
             np.linspace(0, len(measured) - 1, POINTS_PER_FRAME).round().astype(int)
         )
     ]
-    rate = min(MAX_FRAME_RATE_HZ, model.camera.fps)
+    rate = min(RATED_FRAMES, model.camera.fps)
     times = (
         np.arange(
             -round(design.before * rate), round((duration + design.after) * rate) + 1

@@ -28,6 +28,7 @@ from stringcast.stages.diagnose import tables
 from stringcast.stages.diagnose.background_effects import posterior_with_background
 from stringcast.stages.diagnose.budget import ErrorBudget, error_budget, nested_fits
 from stringcast.stages.diagnose.candidate_motions import DesignSettings
+from stringcast.stages.diagnose.chaos import unresolvable_trials
 from stringcast.stages.diagnose.document import (
     diagnosis_document,
     extended_model_settings,
@@ -40,30 +41,34 @@ from stringcast.stages.diagnose.experiment_design import (
     Rivals,
     design_experiment,
 )
-from stringcast.stages.diagnose.forward_selection import (
-    Criteria,
-    SelectionState,
+from stringcast.stages.diagnose.forward_selection import SelectionState, select_causes
+from stringcast.stages.diagnose.measures import (
     mean_explained_fraction,
-    select_causes,
+    tip_shift_rms,
     unexplained_tip_rms,
 )
+from stringcast.stages.diagnose.posteriors import swap_lookalikes_until_stable
 from stringcast.stages.diagnose.predictions import (
     held_out_table,
     predict_trials,
     predicts_better,
 )
-from stringcast.stages.diagnose.prepared_data import (
-    PreparedData,
+from stringcast.stages.diagnose.preparation import (
     prepare_data,
-    unresolvable_trials,
+    prepare_further_trials,
     usable_trials,
 )
+from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.proposals import candidate_effects
+from stringcast.stages.diagnose.rules import Criteria, VerdictNumbers, has_evidence
 from stringcast.stages.diagnose.verdict import (
     RESOLUTION,
     Judgement,
+    decide_verdict,
+    fit_base_to,
     judge_interrupted_search,
-    swap_lookalikes_until_stable,
+    measure_verdict_numbers,
+    name_causes,
 )
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.trim import trim_at_contact
@@ -77,26 +82,39 @@ from stringcast.stages.spec import StageCall
 
 log = logging.getLogger(__name__)
 
-# times the deviations of a likelihood: 95 % of 165 values of earlier benches then lie
-# inside, 87 % without
+# Intervals are so much wider than the likelihood's: 95 % of 165 values of earlier
+# synthetic datasets then lie inside, 87 % without
 INTERVAL_WIDENING = 1.4
-DESIGN_RANDOM_STREAM = 1  # keeps the chance of the design apart from that of the fits
-CHAOTIC_REASON = (
-    "it is so sensitive that no simulation tells it to the tolerance; it was set aside"
-)
-SINGLE_TRIAL_REMARK = "Causes can be sought in one trial only: what is found in it could not be checked on another"
-BASE_MODEL_HEADER = (
-    "# There is no extended model, for no effect is named. This is the base model.\n"
-)
+# keeps the random motions apart from the random starts of fits
+DESIGN_RANDOM_STREAM = 1
+CHAOTIC_REASON = "too sensitive to be simulated to the tolerance; excluded"
+BASE_MODEL_HEADER = "# No effect is named: this is the base model.\n"
 
 
 def run(call: StageCall, trials: TrialSet) -> Diagnosis:
-    """The diagnosis of all trials until their string touches an obstacle, as a stage."""
-    setup = call.setup
-    seen = [trim_at_contact(trial, setup.obstacles) for trial in trials.observations]
-    given = (setup.model, seen, trials.rejected, trials.held_out, setup.obstacles)
-    made: Diagnosis = call.by(*given, seed=call.seed, progress=call.progress)
-    return made
+    """Diagnose all trials, up to where their string touches an obstacle, as a stage.
+
+    Parameters
+    ----------
+    call : StageCall
+    trials : TrialSet
+
+    Returns
+    -------
+    Diagnosis
+    """
+    obstacles = call.setup.obstacles
+    observations = [trim_at_contact(o, obstacles) for o in trials.observations]
+    diagnosis: Diagnosis = call.by(
+        call.setup.model,
+        observations,
+        trials.rejected,
+        trials.held_out,
+        obstacles,
+        seed=call.seed,
+        progress=call.progress,
+    )
+    return diagnosis
 
 
 def diagnose(
@@ -111,495 +129,463 @@ def diagnose(
     criteria: Criteria,
     matching: Matching,
     design: DesignSettings,
-    without: Annotated[Sequence[str], AfterValidator(check_effect_names)] = (),
+    excluded_effects: Annotated[Sequence[str], AfterValidator(check_effect_names)] = (),
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
-    """What the model gets wrong in these trials, and why.
+    """Find which effects the model lacks to explain the trials.
 
-    rejected: trials that cannot be used, with the reason. held_out: names of trials
-    kept for measuring the gain; where there are none, each is left out in turn. starts:
-    of the base model's search. matching: how E is counted. design: of the motion that
-    would decide between look-alikes, clear of the obstacles. without: effects that are
-    no candidates. Interrupted (`Enough`) after the base model, it ends with what it
-    knows. Raises DataError without a trial to use.
+    Parameters
+    ----------
+    model : Model
+    observations : sequence of Observation
+    rejected : dict
+        Names of trials that cannot be used, with the reason.
+    held_out : sequence of str
+        Names of trials in which the gain is measured. Without any, each trial is left
+        out in turn.
+    obstacles : sequence of Box
+        That the proposed motion avoids.
+    seed : int
+    starts : int
+        Number of starts of the base model's search.
+    criteria : Criteria
+    matching : Matching
+        How the matching rate is counted.
+    design : DesignSettings
+        Of the motion that would decide between look-alikes.
+    excluded_effects : sequence of str
+        Names of effects that are no candidates.
+    progress : callable
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    DataError
+        If no trial can be used.
+    InterruptRequest
+        If interrupted before there is a base model. An interruption after that ends
+        the search with what is known.
     """
-    asked, reached = (
-        _diagnosis_input(model, observations, rejected, held_out, criteria, matching),
-        None,
-    )
+    data = _separate_trials(model, observations, rejected, held_out, criteria, matching)
+    reached = None
     try:
+        # Base model, corrected data, and causes by forward selection
         for reached in _search_until_trials_settle(
-            asked, without, seed, starts, progress
+            data, excluded_effects, seed, starts, progress
         ):
-            given, ready, effects, found = reached
-        found, judgement = swap_lookalikes_until_stable(
-            found, effects, criteria, _mesh_is_too_coarse(ready, criteria), seed
+            pass
+        assert reached is not None
+        searched, prepared, effects, state = reached
+
+        # What cannot be told from the accepted causes
+        posteriors = swap_lookalikes_until_stable(state, effects, criteria, seed)
+        state = posteriors.state
+        base_fit = fit_base_to(state)
+
+        # The numbers that decide, and whether held-out trials show something else
+        numbers = measure_verdict_numbers(posteriors, base_fit, criteria, seed)
+        numbers = replace(
+            numbers, mesh_too_coarse=_mesh_is_too_coarse(prepared, criteria)
         )
+        is_named = bool(name_causes(numbers, criteria).causes)
         if (
-            given.heldout_indices
-            and not judgement.causes
-            and _heldout_trials_misfit(found, given.heldout_trials, criteria)
+            searched.held_out
+            and not is_named
+            and _heldout_trials_misfit(state, searched)
         ):
-            log.info(
-                "the trials set aside show what the others do not: they are looked at as well"
-            )
-            again = partial(
-                diagnose,
-                seed=seed,
-                starts=starts,
-                criteria=criteria,
-                matching=matching,
-                design=design,
-            )
-            return again(
+            log.info("held-out trials misfit: the search is repeated on all trials")
+            repeat = partial(diagnose, seed=seed, starts=starts, criteria=criteria)
+            return repeat(
                 model,
-                asked.observations,
-                asked.rejected,
+                data.observations,
+                data.rejected,
                 (),
                 obstacles,
-                without=without,
+                matching=matching,
+                design=design,
+                excluded_effects=excluded_effects,
                 progress=progress,
             )
-        gained = _heldout_gain(given, found, judgement.base_fit)
-        judgement = _require_predictive_gain(
-            judgement, gained, len(given.search_indices), criteria
+
+        # The gain on trials that were not fitted, and the verdict
+        gain = _measure_gain(searched, state, base_fit)
+        numbers = gain.added_to(numbers, criteria)
+        judgement = Judgement(
+            decide_verdict(numbers, criteria),
+            numbers,
+            posteriors.by_cause,
+            base_fit,
+            posteriors.background,
         )
-        proposal = _propose_experiment(
-            found, judgement, criteria, obstacles, design, seed
+        experiment = _propose_experiment(
+            state, judgement, criteria, obstacles, design, seed
         )
     except InterruptRequest:
         if reached is None:
             raise
         return _interrupted_diagnosis(reached, seed)
-    log.info("verdict: %s", judgement.verdict)
-    return build_diagnosis(given, found, judgement, gained, proposal, seed)
+    log.info("verdict: %s", judgement.verdict.kind)
+    return build_diagnosis(searched, state, judgement, gain, experiment, seed)
 
 
 @dataclass(frozen=True)
 class DiagnosisInput:
-    """What was given: trials, those rejected with the reason, numbers of those causes
-    are sought in and of the rest.
+    """Trials by their use.
+
+    Attributes
+    ----------
+    model : Model
+    observations : sequence of Observation
+        All trials that can be used.
+    rejected : dict
+        Names of other trials, with the reason.
+    searched, held_out : sequence of int
+        Indices of the trials in which causes are searched, and of those in which only
+        the gain is measured.
     """
 
     model: Model
     observations: Sequence[Observation]
     rejected: Mapping[str, str]
-    search_indices: Sequence[int]
-    heldout_indices: Sequence[int]
+    searched: Sequence[int]
+    held_out: Sequence[int]
     criteria: Criteria
     matching: Matching
 
     @property
-    def search_trials(self) -> list[Observation]:
-        """The trials in which causes are sought."""
-        return [self.observations[i] for i in self.search_indices]
+    def searched_trials(self) -> list[Observation]:
+        """The trials in which causes are searched."""
+        return [self.observations[index] for index in self.searched]
 
     @property
     def heldout_trials(self) -> list[Observation]:
-        """The rest."""
-        return [self.observations[i] for i in self.heldout_indices]
+        """The trials in which only the gain is measured."""
+        return [self.observations[index] for index in self.held_out]
 
     @property
     def interval_half_width(self) -> float:
-        """Half width of an interval, in standard deviations as the likelihood has them."""
-        return INTERVAL_WIDENING * float(norm.ppf(0.5 + self.criteria.coverage / 2))
+        """Half width of an interval in standard deviations of the likelihood."""
+        normal = float(norm.ppf(0.5 + self.criteria.coverage / 2))
+        return INTERVAL_WIDENING * normal
 
-    def without_chaotic(self, chaotic: Sequence[str]) -> DiagnosisInput:
-        """Causes are not sought in these trials."""
-        kept = [
-            i for i in self.search_indices if self.observations[i].trial not in chaotic
-        ]
-        return replace(
-            self,
-            search_indices=kept,
-            rejected={**self.rejected, **dict.fromkeys(chaotic, CHAOTIC_REASON)},
-        )
+    def without_chaotic(self, names: Sequence[str]) -> DiagnosisInput:
+        """Exclude chaotic trials from the search."""
+        searched = [k for k in self.searched if self.observations[k].trial not in names]
+        rejected = {**self.rejected, **dict.fromkeys(names, CHAOTIC_REASON)}
+        return replace(self, searched=searched, rejected=rejected)
 
 
 class SearchProgress(NamedTuple):
-    """How far a search has come. ready: the base model, before any cause."""
+    """How far a search has come; `prepared` is the base model, before any cause."""
 
-    diagnosis_input: DiagnosisInput
+    data: DiagnosisInput
     prepared: PreparedData
     effects: list[type[Effect]]
     state: SelectionState
 
 
-def _diagnosis_input(
+def _separate_trials(
     model: Model,
     observations: Sequence[Observation],
     rejected: Mapping[str, str],
-    held_out: Sequence[str],
+    held_out_names: Sequence[str],
     criteria: Criteria,
     matching: Matching,
 ) -> DiagnosisInput:
-    """The trials that can be used; all but those held out are asked, unless that is
-    none. Raises DataError where none can be used.
+    """Separate usable trials into searched and held-out ones.
+
+    All are searched where all are held out.
     """
-    good, faults = usable_trials(model, observations)
+    usable, faults = usable_trials(model, observations)
     rejected = {**rejected, **faults}
-    if not good:
+    if not usable:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
-        raise DataError(
-            f"there is no trial that can be used ({reasons}). Look at the files it names."
-        )
-    rest = [i for i, o in enumerate(good) if o.trial in held_out]
-    rest = rest if len(rest) < len(good) else []
-    kept = [i for i in range(len(good)) if i not in rest]
-    return DiagnosisInput(model, good, rejected, kept, rest, criteria, matching)
+        raise DataError(f"No trial can be used ({reasons}). Check the files it names.")
+    held_out = [k for k, o in enumerate(usable) if o.trial in held_out_names]
+    if len(held_out) == len(usable):
+        held_out = []
+    searched = [k for k in range(len(usable)) if k not in held_out]
+    return DiagnosisInput(
+        model, usable, rejected, searched, held_out, criteria, matching
+    )
 
 
 def _search_until_trials_settle(
-    given: DiagnosisInput,
-    without: Sequence[str],
+    data: DiagnosisInput,
+    excluded_effects: Sequence[str],
     seed: int,
     starts: int,
     progress: Progress,
 ) -> Iterator[SearchProgress]:
-    """Base model and candidates, without causes and with one after another. Trials that
-    no simulation with the causes tells are set aside, as those that none without them
-    does, unless it tells them with the causes; then the others, or they as well, are
-    asked anew.
+    """Search causes, and again while the causes change which trials are resolved.
+
+    A trial that is chaotic without causes is used from then on if a simulation with
+    causes resolves it; one that is chaotic with causes is excluded.
     """
-    criteria, trusted = given.criteria, list[str]()
+    criteria, keep_if_chaotic = data.criteria, list[str]()
     while True:
         log.info("fitting the base model")
         rng = np.random.default_rng(seed)
-        ready = prepare_data(
-            given.model,
-            given.search_trials,
-            criteria.tolerance,
+        prepared = prepare_data(
+            data.model,
+            data.searched_trials,
+            criteria.tip_tolerance_m,
             rng,
             starts,
             lambda share: progress(0.3 * share),
-            trusted,
+            keep_if_chaotic,
         )
+        base_model, trials = prepared.base_fit.hypothesis.model, prepared.data.trials
         effects = candidate_effects(
-            ready.base_fit.hypothesis.model,
-            effects_by_name(),
-            ready.data.trials,
-            without,
+            base_model, effects_by_name(), trials, excluded_effects
         )
-        good = given.without_chaotic(ready.chaotic_trials)
-        yield SearchProgress(
-            good, ready, effects, SelectionState(ready, ready.base_fit)
-        )
-        for number, found in enumerate(
-            select_causes(ready, effects, criteria, seed, starts), 1
-        ):
-            progress(0.3 + 0.5 * number / (criteria.causes + 1))
-            if told := _trials_resolved_with_causes(found, given):
+        resolved = data.without_chaotic(prepared.chaotic_trials)
+        state = SelectionState(prepared, prepared.base_fit)
+        yield SearchProgress(resolved, prepared, effects, state)
+
+        newly_resolved = list[str]()
+        states = select_causes(prepared, effects, criteria, seed, starts)
+        for number, state in enumerate(states, 1):
+            progress(0.3 + 0.5 * number / (criteria.max_causes + 1))
+            newly_resolved = _trials_resolved_with_causes(state, data)
+            if newly_resolved:
                 break
-            yield SearchProgress(good, ready, effects, found)
-        if told:
-            log.info("told with the causes found: %s", ", ".join(told))
-            trusted += told
-        elif chaotic := _trials_chaotic_with_causes(found, criteria):
-            log.info("chaotic with the causes found: %s", ", ".join(chaotic))
-            given = given.without_chaotic((*ready.chaotic_trials, *chaotic))
+            yield SearchProgress(resolved, prepared, effects, state)
+
+        chaotic = list[str]()
+        if state.fit.hypothesis.causes:
+            chaotic = unresolvable_trials(state.prepared, criteria.tip_tolerance_m)
+        if newly_resolved:
+            log.info("resolved with the causes: %s", ", ".join(newly_resolved))
+            keep_if_chaotic += newly_resolved
+        elif chaotic:
+            log.info("chaotic with the causes: %s", ", ".join(chaotic))
+            data = data.without_chaotic((*prepared.chaotic_trials, *chaotic))
         else:
             return
 
 
-def _interrupted_diagnosis(reached: SearchProgress, seed: int) -> Diagnosis:
-    """The diagnosis of a search that was interrupted."""
-    log.warning("interrupted: ending with what is known")
-    judgement = judge_interrupted_search(
-        reached.state, reached.effects, reached.diagnosis_input.criteria, seed
-    )
-    nothing = HeldOutGain(HELD_OUT.empty(), False)
-    return build_diagnosis(
-        reached.diagnosis_input,
-        reached.state,
-        judgement,
-        nothing,
-        ProposedExperiment(),
-        seed,
-    )
-
-
-def _trials_chaotic_with_causes(found: SelectionState, criteria: Criteria) -> list[str]:
-    """Trials that are chaotic with the causes; those that are without any were set
-    aside before.
-    """
-    return (
-        unresolvable_trials(found.prepared, criteria.tolerance)
-        if found.fit.hypothesis.causes
-        else []
-    )
-
-
 def _trials_resolved_with_causes(
-    found: SelectionState, given: DiagnosisInput
+    state: SelectionState, data: DiagnosisInput
 ) -> list[str]:
-    """Trials that are chaotic without the causes, and are not with them: numerical
-    error is large, too, where a string without them must be bent to what they do.
+    """Name trials that are chaotic without the causes and resolved with them.
+
+    Numerical error is also large where a string without the causes is bent to what
+    they do.
     """
-    aside = [
-        observation
-        for observation in given.search_trials
-        if observation.trial in found.prepared.chaotic_trials
-    ]
-    if not aside or not found.fit.hypothesis.causes:
+    chaotic_names = state.prepared.chaotic_trials
+    chaotic = [o for o in data.searched_trials if o.trial in chaotic_names]
+    if not chaotic or not state.fit.hypothesis.causes:
         return []
-    doubt = found.prepared.prepare_further_trials(aside, found.fit)[1]
+    _, uncertainty_m = prepare_further_trials(state.prepared, chaotic, state.fit)
+    is_resolved = uncertainty_m < data.criteria.tip_tolerance_m
     return [
-        o.trial
-        for o, each in zip(aside, doubt, strict=True)
-        if each < given.criteria.tolerance
+        o.trial for o, resolved in zip(chaotic, is_resolved, strict=True) if resolved
     ]
 
 
-def _require_predictive_gain(
-    judgement: Judgement, gained: HeldOutGain, trials: int, criteria: Criteria
-) -> Judgement:
-    """As far as it can be checked: what is found in one trial not at all, in several by
-    those left out. Where more is left than is tolerated, it must remove the least share
-    of what is lacking in those, too.
+def _mesh_is_too_coarse(prepared: PreparedData, criteria: Criteria) -> bool:
+    """Whether the configured mesh fits worse and displaces the tip noticeably."""
+    base, configured = prepared.base_fit, prepared.configured_mesh_fit
+    if configured is None or not has_evidence(configured, base, criteria):
+        return False
+    shift = tip_shift_rms(prepared.data, configured, base)
+    return bool(shift.max() > criteria.tip_tolerance_m)
+
+
+def _heldout_trials_misfit(state: SelectionState, data: DiagnosisInput) -> bool:
+    """Whether held-out trials misfit by more than the tolerance.
+
+    The model is fitted to them as well: what the searched trials leave open of its
+    parameters is no cause.
     """
-    if judgement.verdict in ("none", "insufficient") or judgement.causes == (
-        RESOLUTION,
-    ):
-        return judgement
-    if trials == 1:
-        likely = [
-            f"{name} ({chance:.2f})"
-            for name, chance in judgement.inclusion_probability.items()
-            if chance > 0.5
-        ]
-        said = (
-            f"{SINGLE_TRIAL_REMARK}; there it is {', '.join(likely)}"
-            if likely
-            else SINGLE_TRIAL_REMARK
+    known, fit = state.prepared.data, state.fit
+    further, _ = prepare_further_trials(state.prepared, data.heldout_trials, fit)
+    varying = {
+        name: known.random_effects[name] + further.random_effects[name]
+        for name in known.random_effects.keys() & further.random_effects.keys()
+    }
+    together = TrialData(known.trials + further.trials, varying)
+    sizes = np.concatenate(
+        [fit.scale_indices, np.zeros(len(further.trials), dtype=int)]
+    )
+    refit = fit_hypothesis(together, fit.hypothesis, fit.chi[None], sizes)
+    misfit_m = unexplained_tip_rms(together, refit)[len(known.trials) :]
+    return bool(misfit_m.max() > data.criteria.tip_tolerance_m)
+
+
+@dataclass(frozen=True)
+class HeldOutGain:
+    """The gain on trials that were not fitted.
+
+    Attributes
+    ----------
+    table : pandas.DataFrame
+        HELD_OUT, empty where nothing could be left out.
+    is_closer : bool
+        Whether the extended model predicts these trials better than the base model.
+    """
+
+    table: pd.DataFrame
+    is_closer: bool
+
+    def added_to(self, numbers: VerdictNumbers, criteria: Criteria) -> VerdictNumbers:
+        """Add the gain to the numbers of a verdict."""
+        if not len(self.table):
+            return replace(numbers, heldout_is_closer=self.is_closer)
+        fraction = mean_explained_fraction(
+            self.table["tip_rms_base"].to_numpy(),
+            self.table["tip_rms_extended"].to_numpy(),
+            criteria.tip_tolerance_m,
         )
         return replace(
-            judgement,
-            verdict="insufficient",
-            causes=(),
-            lookalike_groups=(),
-            remark=f"{said}.",
+            numbers,
+            heldout_is_closer=self.is_closer,
+            heldout_explained_fraction=fraction,
         )
-    enough = (
-        judgement.misfit_probability <= 0.5
-        or gained.explained_fraction(criteria.tolerance) >= criteria.least_share
-    )
-    return judgement if gained.predicts_better and enough else judgement.as_unknown
 
 
-def _mesh_is_too_coarse(ready: PreparedData, criteria: Criteria) -> bool:
-    """Whether the configured mesh is worse than one that does not matter, and has the
-    tip farther away than is tolerated.
-    """
-    own = ready.configured_mesh_fit
-    if (
-        own is None
-        or ready.base_fit.log_evidence - own.log_evidence
-        < criteria.min_log_bayes_factor
-    ):
-        return False
-    apart = [
-        each - base
-        for each, base in zip(own.residuals, ready.base_fit.residuals, strict=True)
-    ]
-    return bool(ready.data.tip_rms_by_trial(apart).max() > criteria.tolerance)
-
-
-def _heldout_trials_misfit(
-    found: SelectionState, observations: Sequence[Observation], criteria: Criteria
-) -> bool:
-    """Whether trials that were set aside lack more at the tip than is tolerated, the
-    model fitted to them as well: what the others leave open of its parameters is no
-    cause.
-    """
-    seen, aside = (
-        found.prepared.data,
-        found.prepared.prepare_further_trials(observations, found.fit)[0],
-    )
-    varying = {
-        name: seen.random_effects[name] + aside.random_effects[name]
-        for name in seen.random_effects.keys() & aside.random_effects.keys()
-    }
-    data = TrialData(seen.trials + aside.trials, varying)
-    sizes = np.concatenate(
-        [found.fit.scale_indices, np.zeros(len(aside.trials), dtype=int)]
-    )
-    fit = fit_hypothesis(data, found.fit.hypothesis, found.fit.chi[None], sizes)
-    return bool(
-        unexplained_tip_rms(data, fit)[len(seen.trials) :].max() > criteria.tolerance
-    )
+def _measure_gain(
+    data: DiagnosisInput, state: SelectionState, base_fit: Fit
+) -> HeldOutGain:
+    """Predict held-out trials, or else each trial by the fit to the others."""
+    if len(data.observations) == 1:
+        return HeldOutGain(HELD_OUT.empty(), False)
+    fit, trials = state.fit, state.prepared.data
+    if data.held_out:
+        observations = data.heldout_trials
+        trials, _ = prepare_further_trials(state.prepared, observations, fit)
+        extended = predict_trials(trials, fit, unseen=True)
+    else:
+        observations = data.searched_trials
+        extended = state.predictions
+    base = extended
+    if base_fit is not fit:
+        base = predict_trials(trials, base_fit, unseen=bool(data.held_out))
+    table = held_out_table(trials, base, extended, fit, observations, data.matching)
+    return HeldOutGain(table, predicts_better(base, extended))
 
 
 def _propose_experiment(
-    found: SelectionState,
+    state: SelectionState,
     judgement: Judgement,
     criteria: Criteria,
     obstacles: Sequence[Box],
     design: DesignSettings,
     seed: int,
 ) -> ProposedExperiment:
-    """The motion that would tell the first group of look-alikes apart."""
-    group = judgement.lookalike_groups[0] if judgement.lookalike_groups else ()
+    """Propose the motion that would tell the first group of look-alikes apart."""
+    groups = judgement.verdict.lookalike_groups
+    names = groups[0] if groups else ()
     fits = {
-        name: tables.fit_containing(found, judgement, name)
-        for name in group
+        name: tables.fit_containing(state, judgement, name)
+        for name in names
         if name != RESOLUTION
     }
-    odds = float(np.log(criteria.coverage / (1 - criteria.coverage)))
-    return design_experiment(
-        Rivals(fits, found.prepared.data, odds),
-        obstacles,
-        design,
-        np.random.default_rng([seed, DESIGN_RANDOM_STREAM]),
-    )
+    deciding_log_odds = float(np.log(criteria.coverage / (1 - criteria.coverage)))
+    rivals = Rivals(fits, state.prepared.data, deciding_log_odds)
+    rng = np.random.default_rng([seed, DESIGN_RANDOM_STREAM])
+    return design_experiment(rivals, obstacles, design, rng)
 
 
-@dataclass(frozen=True)
-class HeldOutGain:
-    """held_out: table HELD_OUT. better: whether the extended model predicts trials left
-    out better than the base.
-    """
-
-    table: pd.DataFrame
-    predicts_better: bool
-
-    def explained_fraction(self, tolerance: float) -> float:
-        """Share of what the base model lacks at the tips of trials left out that the
-        extended model does not.
-        """
-        before, after = (
-            self.table[f"tip_rms_{side}"].to_numpy() for side in ("base", "extended")
-        )
-        return mean_explained_fraction(before, after, tolerance)
+def _interrupted_diagnosis(reached: SearchProgress, seed: int) -> Diagnosis:
+    """Build the diagnosis of a search that was interrupted."""
+    log.warning("interrupted: ending with what is known")
+    data, _, effects, state = reached
+    judgement = judge_interrupted_search(state, effects, data.criteria, seed)
+    gain = HeldOutGain(HELD_OUT.empty(), False)
+    return build_diagnosis(data, state, judgement, gain, ProposedExperiment(), seed)
 
 
 def build_diagnosis(
-    given: DiagnosisInput,
-    found: SelectionState,
+    data: DiagnosisInput,
+    state: SelectionState,
     judgement: Judgement,
-    gained: HeldOutGain,
-    proposal: ProposedExperiment,
+    gain: HeldOutGain,
+    experiment: ProposedExperiment,
     seed: int,
 ) -> Diagnosis:
-    """The artifact: of the base model alone, beside all hypotheses, where none of the
-    causes found is named.
-    """
-    data, named = (
-        found.prepared.data,
-        set(judgement.causes) & set(found.fit.hypothesis.cause_names),
+    """Assemble the artifact; it shows the base model where no found cause is named."""
+    trials, base_fit = state.prepared.data, judgement.base_fit
+    is_named = bool(
+        set(judgement.verdict.causes) & set(state.fit.hypothesis.cause_names)
     )
-    shown = found if named else replace(found, fit=judgement.base_fit)
-    budget = error_budget(
-        shown, judgement.base_fit, np.random.default_rng([seed, len(data.trials)])
-    )
-    causes = tables.causes_table(shown, judgement, given.interval_half_width)
+    shown = state if is_named else replace(state, fit=base_fit)
+    rng = np.random.default_rng([seed, len(trials.trials)])
+    budget = error_budget(shown, base_fit, rng)
+    nested = budget.nested_fits if is_named else nested_fits(state, base_fit)
+    causes = tables.causes_table(shown, judgement, data.interval_half_width)
+    finding = _finding_table(data, shown, judgement, gain, experiment, budget, causes)
+    tolerance_m = data.criteria.tip_tolerance_m
     return Diagnosis(
-        _finding_table(given, shown, judgement, gained, proposal, budget, causes),
-        causes,
-        gained.table,
-        tables.residuals_table(found.prepared, judgement.base_fit, shown.fit),
-        tables.hypotheses_table(
-            found, budget.nested_fits, judgement, given.criteria.tolerance
+        finding=finding,
+        causes=causes,
+        held_out=gain.table,
+        residuals=tables.residuals_table(state.prepared, base_fit, shown.fit),
+        hypotheses=tables.hypotheses_table(
+            state, budget.nested_fits, judgement, tolerance_m
         ),
-        tables.entries_table(
-            data,
-            budget.nested_fits if named else nested_fits(found, judgement.base_fit),
-        ),
-        tables.screening_table(found),
-        tables.likeness_table(found),
-        tables.missing_table(data, shown.fit, given.criteria),
-        proposal.commands,
-        proposal.control_points,
-        proposal.predicted,
+        entries=tables.entries_table(trials, nested),
+        screening=tables.screening_table(state),
+        likeness=tables.likeness_table(state),
+        missing=tables.missing_table(trials, shown.fit, data.criteria),
+        commands=experiment.commands,
+        control_points=experiment.control_points,
+        predicted=experiment.predicted,
     )
 
 
 def _finding_table(
-    given: DiagnosisInput,
-    found: SelectionState,
+    data: DiagnosisInput,
+    shown: SelectionState,
     judgement: Judgement,
-    gained: HeldOutGain,
-    proposal: ProposedExperiment,
+    gain: HeldOutGain,
+    experiment: ProposedExperiment,
     budget: ErrorBudget,
-    named: pd.DataFrame,
+    causes: pd.DataFrame,
 ) -> pd.DataFrame:
-    """Table FINDING. named: table CAUSES."""
-    data, base, z = found.prepared.data, judgement.base_fit, given.interval_half_width
-    left = unexplained_document(
-        data, found.fit, base, judgement, budget, given.criteria
-    )
-    plain = posterior_with_background(data, base, judgement.background)
-    more = posterior_with_background(data, found.fit, judgement.background)
-    sure = {
-        "base": tables.parameter_uncertainty(base, plain, z),
-        "extended": tables.parameter_uncertainty(found.fit, more, z),
-    }
-    evidence = (
+    """Build the table FINDING: the verdict, diagnosis.json and extended.yaml."""
+    trials, fit, base_fit = shown.prepared.data, shown.fit, judgement.base_fit
+    certainty = {}
+    for name, one in (("base", base_fit), ("extended", fit)):
+        tempered_fit = posterior_with_background(trials, one, judgement.background)
+        half_width = data.interval_half_width
+        certainty[name] = tables.parameter_uncertainty(one, tempered_fit, half_width)
+    left = unexplained_document(trials, fit, base_fit, judgement, budget, data.criteria)
+    text = diagnosis_document(
+        shown.prepared,
+        base_fit,
+        judgement,
         budget,
-        named,
-        gained.table,
-        given.rejected,
+        causes,
+        gain.table,
+        data.rejected,
         left,
-        proposal.next_experiment,
-        sure,
+        experiment.next_experiment,
+        certainty,
     )
-    text = diagnosis_document(found.prepared, base, judgement, *evidence)
-    said = " ".join(
-        filter(None, (verdict_sentence(judgement, named), str(left["sentence"])))
-    )
+    sentences = (verdict_sentence(judgement, causes), str(left["sentence"]))
     row = {
-        "verdict": judgement.verdict,
-        "sentence": said,
+        "verdict": judgement.verdict.kind,
+        "sentence": " ".join(filter(None, sentences)),
         "diagnosis": json.dumps(replace_non_finite(text), indent=2),
-    }
-    row |= {
-        "extended": _extended_model_yaml(
-            given, found.fit, sure["extended"]["intervals"]
-        )
+        "extended": _extended_model_yaml(data, fit, certainty["extended"]["intervals"]),
     }
     return DIAGNOSIS_SUMMARY.check(pd.DataFrame([row]))
 
 
-def _heldout_gain(
-    given: DiagnosisInput, found: SelectionState, base: Fit
-) -> HeldOutGain:
-    """What the causes gain on trials left out: nothing where there is one trial."""
-    if len(given.observations) == 1:
-        return HeldOutGain(HELD_OUT.empty(), False)
-    seen = given.heldout_trials or given.search_trials
-    data = (
-        found.prepared.prepare_further_trials(seen, found.fit)[0]
-        if given.heldout_indices
-        else found.prepared.data
-    )
-    more = (
-        predict_trials(data, found.fit, unseen=True)
-        if given.heldout_indices
-        else found.predictions
-    )
-    plain = (
-        more
-        if base is found.fit
-        else predict_trials(data, base, unseen=bool(given.heldout_indices))
-    )
-    return HeldOutGain(
-        held_out_table(data, plain, more, found.fit, seen, given.matching),
-        predicts_better(plain, more),
-    )
-
-
 def _extended_model_yaml(
-    given: DiagnosisInput, fit: Fit, ends: Mapping[str, Sequence[float]]
+    data: DiagnosisInput, fit: Fit, intervals: Mapping[str, Sequence[float]]
 ) -> str:
-    """extended.yaml: the model with its causes, else the base model, which it says.
-    ends: of the intervals of all parameters.
-    """
-    own = [
-        cause.qualified_name(p)
-        for cause in fit.hypothesis.causes
-        for p in cause.parameters
+    """Write the model with its causes as settings; without a cause it says so."""
+    parameters = [
+        c.qualified_name(p) for c in fit.hypothesis.causes for p in c.parameters
     ]
+    known = {name: intervals[name] for name in parameters}
     text = yaml.safe_dump(
-        extended_model_settings(given.model, fit, {name: ends[name] for name in own}),
-        sort_keys=False,
+        extended_model_settings(data.model, fit, known), sort_keys=False
     )
-    return text if own else BASE_MODEL_HEADER + text
+    return text if parameters else BASE_MODEL_HEADER + text

@@ -1,18 +1,17 @@
-"""The verdict in words, as diagnosis.json (shared format, version 1), and the extended
-model as settings.
-"""
+"""diagnosis.json (shared format, version 1), the verdict in words, and extended.yaml."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from stringcast.stages.diagnose.budget import ErrorBudget
-from stringcast.stages.diagnose.forward_selection import Criteria, unexplained_tip_rms
+from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.diagnose.rules import Criteria, misfit_remains
 from stringcast.stages.diagnose.verdict import Judgement
 from stringcast.stages.inference.laplace import Fit, mean_discrepancy
 from stringcast.stages.inference.trial_data import TrialData
@@ -31,115 +30,115 @@ def diagnosis_document(
     causes: pd.DataFrame,
     held_out: pd.DataFrame,
     rejected: Mapping[str, str],
-    left: Mapping[str, Any],
+    unexplained: Mapping[str, Any],
     next_experiment: Mapping[str, Any] | None,
-    certainty: Mapping[str, Mapping[str, Any]],
+    uncertainty: Mapping[str, Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """diagnosis.json. certainty: intervals and correlations of parameters, of the
-    `base` and the `extended` model.
+    """Build diagnosis.json.
+
+    Parameters
+    ----------
+    causes, held_out : pandas.DataFrame
+        Tables CAUSES and HELD_OUT.
+    uncertainty : dict
+        Intervals and correlations of parameters, of `base` and `extended` model.
     """
-    used, listed = [trial.name for trial in prepared.data.trials], [*judgement.causes]
-    others = sorted(
-        set(judgement.inclusion_probability) - set(listed),
-        key=lambda name: (-judgement.inclusion_probability[name], name),
-    )
-    # that what is at work is in the library
-    known = 1 - judgement.misfit_probability if judgement.verdict == "unknown" else 1.0
-    # that no effect is at work
-    none = known * float(
-        np.prod([slot.probabilities.get("", 0.0) for slot in judgement.posteriors])
-    )
-    rest = ({"none": none} if judgement.posteriors else {}) | {
-        "unknown": judgement.misfit_probability
+    verdict = judgement.verdict
+    used = [trial.name for trial in prepared.data.trials]
+    measured_gain: dict[str, Any] = gain_document(held_out)
+    selected_from_them = len(held_out) > 0 and set(held_out["trial"]) <= set(used)
+    measured_gain["causes_chosen_from_them"] = selected_from_them
+    points_left_out = {
+        "outliers": prepared.outlier_count,
+        "at_rest": prepared.resting_points,
     }
-    alternatives = [
-        {"effect": name, "probability": known * judgement.inclusion_probability[name]}
-        for name in others
-    ]
     return {
         "format": FORMAT_VERSION,
-        "verdict": judgement.verdict,
+        "verdict": verdict.kind,
         "interrupted": judgement.interrupted,
-        "causes": [cause_document(causes[causes["effect"] == name]) for name in listed],
-        "alternatives": alternatives
-        + [{"effect": n, "probability": p} for n, p in rest.items() if n not in listed],
-        "indistinguishable": [list(group) for group in judgement.lookalike_groups],
-        "base": {"parameters": base.values, **certainty["base"]},
-        "extended": certainty["extended"],
-        "gain": gain_document(held_out)
-        | {
-            "causes_chosen_from_them": bool(len(held_out))
-            and set(held_out["trial"]) <= set(used)
-        },
-        "unexplained": dict(left),
+        "causes": [cause_document(causes, name) for name in verdict.causes],
+        "alternatives": _alternatives(judgement),
+        "indistinguishable": [list(group) for group in verdict.lookalike_groups],
+        "base": {"parameters": base.values, **uncertainty["base"]},
+        "extended": uncertainty["extended"],
+        "gain": measured_gain,
+        "unexplained": dict(unexplained),
         "budget": _budget_rows(budget),
         "trials": {
             "used": used,
             "rejected": dict(rejected),
-            "points_left_out": {
-                "outliers": prepared.outlier_count,
-                "at_rest": prepared.resting_points,
-            },
+            "points_left_out": points_left_out,
         },
         "next_experiment": next_experiment,
     }
 
 
-def _budget_rows(budget: ErrorBudget) -> list[dict[str, Any]]:
-    """The budget; only causes have evidence."""
+def _alternatives(judgement: Judgement) -> list[dict[str, Any]]:
+    """List what is not named, with its probability: effects, none, and unknown."""
+    verdict, inclusion = judgement.verdict, judgement.inclusion_probability
+    in_library = 1.0  # probability that what is active is in the library
+    if verdict.kind == "unknown":
+        in_library = 1 - verdict.misfit_probability
+
+    others = set(inclusion) - set(verdict.causes)
+    probabilities = {}
+    for name in sorted(others, key=lambda name: (-inclusion[name], name)):
+        probabilities[name] = in_library * inclusion[name]
+    if judgement.posteriors:
+        absent = [each.probabilities.get("", 0.0) for each in judgement.posteriors]
+        probabilities["none"] = in_library * float(np.prod(absent))
+    probabilities["unknown"] = verdict.misfit_probability
     rows = []
-    for entry in budget.entries:
-        row = {"source": entry.source, "tip_rms_m": entry.tip_rms_m}
-        rows.append(
-            row
-            | (
-                {"log_evidence": entry.log_evidence}
-                if np.isfinite(entry.log_evidence)
-                else {}
-            )
-        )
+    for name, probability in probabilities.items():
+        rows.append({"effect": name, "probability": probability})
     return rows
 
 
-def cause_document(rows: pd.DataFrame) -> dict[str, Any]:
-    """A cause as it stands in diagnosis.json. rows: of table CAUSES."""
+def _budget_rows(budget: ErrorBudget) -> list[dict[str, Any]]:
+    """List the budget; only causes have evidence."""
+    rows = []
+    for entry in budget.entries:
+        row = {"source": entry.source, "tip_rms_m": entry.tip_rms_m}
+        if np.isfinite(entry.log_evidence):
+            row["log_evidence"] = entry.log_evidence
+        rows.append(row)
+    return rows
+
+
+def cause_document(causes: pd.DataFrame, name: str) -> dict[str, Any]:
+    """Describe a cause of the table CAUSES as in diagnosis.json."""
+    rows = causes[causes["effect"] == name]
+    parameters = {}
+    for row in rows.itertuples():
+        if row.parameter:
+            interval = {"value": row.value, "low": row.low, "high": row.high}
+            parameters[row.parameter] = {**interval, "unit": row.unit}
     first = rows.iloc[0]
-    parameters = {
-        row.parameter: {
-            "value": row.value,
-            "low": row.low,
-            "high": row.high,
-            "unit": row.unit,
-        }
-        for row in rows.itertuples()
-        if row.parameter
-    }
-    found = {
+    return {
         "effect": first["effect"],
         "probability": float(first["probability"]),
         "parameters": parameters,
+        "sentence": first["sentence"],
     }
-    return found | {"sentence": first["sentence"]}
 
 
 def gain_document(held_out: pd.DataFrame) -> dict[str, Any]:
-    """Base against extended over all trials left out; NaN for what no trial tells."""
+    """Compare base and extended model over all trials left out.
 
-    def sides(column: str, mean: Callable[[pd.Series], float]) -> dict[str, float]:
-        return {
-            side: float(mean(held_out[f"{column}_{side}"]))
-            for side in ("base", "extended")
-        }
-
+    Numbers that no trial determines are NaN.
+    """
+    rms, tip_rms, rate = {}, {}, {}
+    for side in ("base", "extended"):
+        rms[side] = _rms_over_trials(held_out[f"rms_{side}"])
+        tip_rms[side] = _rms_over_trials(held_out[f"tip_rms_{side}"])
+        rate[side] = float(held_out[f"E_{side}"].mean())
+    rms["noise_floor"] = _rms_over_trials(held_out["noise_floor"])
     difference = held_out["log_likelihood_difference"]
     return {
         "held_out_trials": held_out["trial"].tolist(),
-        "rms_m": {
-            **sides("rms", _rms_over_trials),
-            "noise_floor": _rms_over_trials(held_out["noise_floor"]),
-        },
-        "tip_rms_m": sides("tip_rms", _rms_over_trials),
-        "matching_rate": sides("E", pd.Series.mean),
+        "rms_m": rms,
+        "tip_rms_m": tip_rms,
+        "matching_rate": rate,
         "log_likelihood_per_trial": {
             "difference": float(difference.mean()),
             "standard_error": float(difference.sem()),
@@ -151,15 +150,14 @@ def _rms_over_trials(values: pd.Series) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def replace_non_finite(said: Any) -> Any:
-    """The same with None for every number that is not finite, of which JSON knows
-    nothing.
-    """
-    if isinstance(said, Mapping):
-        return {name: replace_non_finite(value) for name, value in said.items()}
-    if isinstance(said, list | tuple):
-        return [replace_non_finite(value) for value in said]
-    return None if isinstance(said, float) and not np.isfinite(said) else said
+def replace_non_finite(document: Any) -> Any:
+    """Replace every number that is not finite by None: JSON knows no other."""
+    if isinstance(document, Mapping):
+        return {name: replace_non_finite(value) for name, value in document.items()}
+    if isinstance(document, list | tuple):
+        return [replace_non_finite(value) for value in document]
+    is_number = isinstance(document, float)
+    return None if is_number and not np.isfinite(document) else document
 
 
 def unexplained_document(
@@ -170,152 +168,126 @@ def unexplained_document(
     budget: ErrorBudget,
     criteria: Criteria,
 ) -> dict[str, Any]:
-    """What diagnosis.json says of what is left."""
+    """Describe the misfit that is left, as in diagnosis.json."""
     value, low, high = budget.unexplained_m
-    square, before = (
-        unexplained_tip_rms(data, fit) ** 2,
-        unexplained_tip_rms(data, base) ** 2,
-    )
-    fraction = float(
-        np.clip(square.sum() / max(before.sum(), np.finfo(float).tiny), 0, 1)
-    )
-    rms = {"value": value, "low": low, "high": high}
-    where = (
-        _largest_misfit_sentence(data, fit)
-        if judgement.misfit_probability > 0.5
-        else ""
-    )
-    rest = (
-        f"What is left is {MM_PER_M * value:.1f} mm at the tip; {where}."
-        if where
-        else ""
-    )
-    said = " ".join(filter(None, (judgement.remark, rest)))
-    found = {
-        "fraction": fraction if judgement.verdict != "none" else 0.0,
-        "tip_rms_m": rms,
+    fraction = 0.0
+    if judgement.verdict.kind != "none":
+        square = unexplained_tip_rms(data, fit) ** 2
+        base_square = unexplained_tip_rms(data, base) ** 2
+        base_sum = max(base_square.sum(), np.finfo(float).tiny)
+        fraction = float(np.clip(square.sum() / base_sum, 0, 1))
+    where, sentences = "", [judgement.verdict.remark]
+    if misfit_remains(judgement.verdict.misfit_probability):
+        where = _largest_misfit_sentence(data, fit)
+        misfit = f"{MM_PER_M * value:.1f} mm"
+        sentences.append(f"A misfit of {misfit} is left at the tip; {where}.")
+    return {
+        "fraction": fraction,
+        "tip_rms_m": {"value": value, "low": low, "high": high},
+        "tolerance_m": criteria.tip_tolerance_m,
+        "where": where,
+        "sentence": " ".join(filter(None, sentences)),
     }
-    return found | {"tolerance_m": criteria.tolerance, "where": where, "sentence": said}
 
 
 def _largest_misfit_sentence(data: TrialData, fit: Fit) -> str:
-    """In which trial, when and where along the string most is left."""
-    sizes = unexplained_tip_rms(data, fit)
-    k = int(np.argmax(sizes))
-    trial = data.trials[k]
-    off = (
-        np.linalg.norm(mean_discrepancy(data, fit)[k].reshape(-1, 2), axis=1)
-        * trial.sigma
-    )
-    worst, share = int(np.argmax(off)), sizes[k] ** 2 / np.sum(sizes**2)
+    """Say in which trial, when and where along the string the misfit is largest."""
+    tip_rms = unexplained_tip_rms(data, fit)
+    k = int(np.argmax(tip_rms))
+    trial, share = data.trials[k], tip_rms[k] ** 2 / np.sum(tip_rms**2)
+    discrepancy = mean_discrepancy(data, fit)[k].reshape(-1, 2)
+    misfit_m = np.linalg.norm(discrepancy, axis=1) * trial.sigma
+    worst = int(np.argmax(misfit_m))
     return (
-        f"most in trial {trial.name} ({100 * share:.0f} % of it), {MM_PER_M * off[worst]:.1f} mm at "
-        f"{trial.times[trial.frame[worst]]:.2f} s, {trial.s[worst]:.2f} m along the string"
+        f"most of it in trial {trial.name} ({100 * share:.0f} %), "
+        f"{MM_PER_M * misfit_m[worst]:.1f} mm at "
+        f"{trial.times[trial.frame[worst]]:.2f} s, "
+        f"{trial.s[worst]:.2f} m along the string"
     )
 
 
 def verdict_sentence(judgement: Judgement, causes: pd.DataFrame) -> str:
-    """The verdict in one or two sentences."""
-    fixed = {
-        "none": [
-            "The simulation agrees with what was measured, within noise and tolerance: there is nothing to name."
-        ],
-        "unknown": [
-            "The simulation disagrees with what was measured, and nothing in the library explains it."
-        ],
-        "insufficient": [] if judgement.interrupted else ["This data cannot answer."],
-    }
-    stated = cause_sentences(
-        judgement.causes,
-        judgement.lookalike_groups,
-        judgement.inclusion_probability,
-        causes,
-    )
-    return " ".join(fixed.get(judgement.verdict, stated))
-
-
-def cause_sentences(
-    names: Sequence[str],
-    groups: Sequence[Sequence[str]],
-    probability: Mapping[str, float],
-    causes: pd.DataFrame,
-) -> list[str]:
-    """Sentences that state the causes of these names, look-alikes together. causes:
-    table CAUSES.
-    """
-    said = causes.drop_duplicates("effect").set_index("effect")["sentence"]
-    stated = {
-        name: f"{said[name]} (probability {probability[name]:.2f})" for name in names
-    }
-    alike = {name for group in groups for name in group}
-    sure = [words for name, words in stated.items() if name not in alike]
-    said = [f"What the simulation lacks: {_join_with_and(sure)}."] if sure else []
-    for group in groups:
-        either = ", or ".join(stated[name] for name in group)
-        said.append(
-            f"This data cannot tell {_join_with_and(list(group))} apart: either {either}."
+    """State the verdict in one or two sentences."""
+    verdict = judgement.verdict
+    if verdict.kind == "none":
+        return (
+            "The simulation agrees with the measured trials within noise and tolerance."
         )
-    return said
+    if verdict.kind == "unknown":
+        return (
+            "The simulation disagrees with the measured trials, "
+            "and no effect of the library explains it."
+        )
+    if verdict.kind == "insufficient":
+        return "" if judgement.interrupted else "These trials cannot answer."
+    return " ".join(_cause_sentences(judgement, causes))
+
+
+def _cause_sentences(judgement: Judgement, causes: pd.DataFrame) -> list[str]:
+    """State the named causes, look-alikes together."""
+    verdict, inclusion = judgement.verdict, judgement.inclusion_probability
+    by_effect = causes.drop_duplicates("effect").set_index("effect")["sentence"]
+    stated = {}
+    for name in verdict.causes:
+        stated[name] = f"{by_effect[name]} (probability {inclusion[name]:.2f})"
+    lookalikes = {name for group in verdict.lookalike_groups for name in group}
+    certain = [stated[name] for name in verdict.causes if name not in lookalikes]
+    sentences = []
+    if certain:
+        sentences.append(f"The simulation lacks: {_join_with_and(certain)}.")
+    for group in verdict.lookalike_groups:
+        either = ", or ".join(stated[name] for name in group)
+        names = _join_with_and(list(group))
+        sentences.append(f"These trials cannot tell {names} apart: either {either}.")
+    return sentences
 
 
 def _join_with_and(words: Sequence[str]) -> str:
-    return (
-        words[0]
-        if len(words) == 1
-        else f"{', '.join(words[:-1])} and {words[-1]}"
-        if words
-        else ""
-    )
+    if len(words) == 1:
+        return words[0]
+    return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def extended_model_settings(
     model: Model, fit: Fit, intervals: Mapping[str, Sequence[float]]
 ) -> dict[str, object]:
-    """A fit as settings that other stages take: what is at work, and what is known of
-    it.
+    """Write a fit as settings of other stages.
 
-    intervals: of what stages that come after must not leave, by qualified name; or of
-    what was measured beforehand.
+    Parameters
+    ----------
+    intervals : dict
+        Of parameters that later stages must not leave, by qualified name. Those that
+        were measured beforehand are added.
     """
     string, values = fit.hypothesis.model.string, fit.values
     kind = type(string.integrator)
-    integrator = {
-        "_target_": f"{kind.__module__}.{kind.__qualname__}".removeprefix("stringcast.")
-    }
-    told: dict[str, object] = {
+    target = f"{kind.__module__}.{kind.__qualname__}".removeprefix("stringcast.")
+    string_settings: dict[str, object] = {
         "length": float(f"{string.length:.8g}"),
         "points": string.points,
-    }
-    told |= {"tip_cell": string.tip_cell, "grasp_cell": string.grasp_cell}
-    told |= {
+        "tip_cell": string.tip_cell,
+        "grasp_cell": string.grasp_cell,
         "largest_step": string.largest_step,
         "ranges": widened_ranges(model.string, string),
-        "integrator": integrator,
+        "integrator": {"_target_": target},
     }
-    known: dict[str, object] = {
-        name: float(f"{value:.8g}") for name, value in values.items()
-    }
+    known: dict[str, object] = {n: float(f"{v:.8g}") for n, v in values.items()}
     for name, (low, high) in {**intervals, **model.measured_ranges}.items():
-        known[name] = {
-            "value": float(np.clip(values[name], low, high)),
-            "low": low,
-            "high": high,
-        }
-    at_work = [
-        e.name
-        for e in model.effects
-        if not e.parameters or "." in e.qualified_name(e.parameters[0])
-    ]
-    effects = sorted({*at_work, *fit.hypothesis.cause_names} - {"gravity"})
-    return {"effects": effects, "string": told, "known": known}
+        value = float(np.clip(values[name], low, high))
+        known[name] = {"value": value, "low": low, "high": high}
+    names = {*fit.hypothesis.cause_names}
+    for effect in model.effects:
+        if not effect.parameters or "." in effect.qualified_name(effect.parameters[0]):
+            names.add(effect.name)
+    effects = sorted(names - {"gravity"})
+    return {"effects": effects, "string": string_settings, "parameter_values": known}
 
 
 def widened_ranges(configured: String, string: String) -> dict[str, dict[str, float]]:
-    """Ranges that the data asked to be wider than they are configured."""
-    known = {p.name: p for p in configured.parameters}
-    changed = {
-        n: p
-        for n, p in string.ranges.items()
-        if (p.low, p.high) != (known[n].low, known[n].high)
-    }
-    return {name: {"low": p.low, "high": p.high} for name, p in changed.items()}
+    """Collect the ranges that the data required to be wider than configured."""
+    before = {p.name: (p.low, p.high) for p in configured.parameters}
+    widened = {}
+    for name, p in string.ranges.items():
+        if (p.low, p.high) != before[name]:
+            widened[name] = {"low": p.low, "high": p.high}
+    return widened

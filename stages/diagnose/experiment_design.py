@@ -29,7 +29,7 @@ from stringcast.stages.diagnose.candidate_motions import (
     sample_motions_within_limits,
     synthetic_trial,
 )
-from stringcast.stages.diagnose.prepared_data import subtract_discretisation_error
+from stringcast.stages.diagnose.discretisation import subtract_discretisation_error
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.generate import command_table, control_point_table
 from stringcast.stages.inference import solver

@@ -1,11 +1,8 @@
-"""The search: one single effect after another, each chosen by its evidence beside those
-already at work.
+"""Forward selection of causes by Bayes factors, as a sum of single effects (SuSiE).
 
-A sum of single effects (SuSiE) is forward choice done as Bayes: for every effect in the
-sum all candidates compete, none among them, and what cannot be told from the winner
-stays beside it. An effect enters that has evidence whichever trial is left out of it
-(jackknife), and moves the tip; what entered earlier leaves again if what came later
-does without, and what does not help to predict trials left out.
+For every cause in the sum all candidates compete, and none among them; what cannot be
+told from the best stays as its look-alike (Wang, Sarkar, Carbonetto, Stephens, J. R.
+Stat. Soc. B 82, 1273, 2020). The rules are in `rules`.
 """
 
 from __future__ import annotations
@@ -14,83 +11,68 @@ import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
+from stringcast.stages.diagnose.base_model import refit_from_new_starts
+from stringcast.stages.diagnose.discretisation import (
+    correct_data_on_one_finer_mesh,
+    correct_discretisation_once,
+)
+from stringcast.stages.diagnose.measures import (
+    refit,
+    trials_touched_by,
+    unexplained_tip_rms,
+)
+from stringcast.stages.diagnose.noise import reestimate_noise
 from stringcast.stages.diagnose.predictions import (
     Prediction,
     log_likelihood_gains,
     predict_trials,
 )
-from stringcast.stages.diagnose.prepared_data import (
-    MIN_RESOLVED_TRIALS,
-    NEGLIGIBLE_LOG_EVIDENCE,
-    STRONG_LOG_EVIDENCE,
-    PreparedData,
-    correct_discretisation_once,
-    refit_from_new_starts,
-)
+from stringcast.stages.diagnose.prepared_data import PreparedData, RefinedFit
 from stringcast.stages.diagnose.proposals import (
     Proposal,
     alternative_parameter_starts,
     propose_causes,
 )
-from stringcast.stages.inference.hypothesis import Hypothesis
-from stringcast.stages.inference.laplace import (
-    Fit,
-    evaluate_fit,
-    fit_hypothesis,
-    mean_discrepancy,
+from stringcast.stages.diagnose.rules import (
+    MIN_RESOLVED_TRIALS,
+    NEGLIGIBLE_LOG_EVIDENCE,
+    STRONG_LOG_EVIDENCE,
+    Criteria,
+    has_evidence,
+    is_needed,
+    is_resolved,
+    is_supported,
+    predicts_heldout,
 )
+from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.model.effect import (
-    Effect,
-    amplitude_parameters,
-    is_position_dependent,
-)
+from stringcast.stages.model.effect import Effect
 
 log = logging.getLogger(__name__)
 
-# proposals fitted first; the others, if none of these explains what is left
-INITIAL_PROPOSALS = 6
-MAX_RIVALS = 3  # fitted to the end, at most
-
-Fraction = Annotated[float, Field(gt=0, lt=1)]
-Metres = Annotated[float, Field(gt=0, lt=0.1)]
-
-
-@dataclass(frozen=True)
-class Criteria:
-    """The seven numbers that decide. causes: at most. coverage: of credible sets and
-    intervals. alpha: an effect enters with a Bayes factor of more than one over it.
-    tolerance: [m] at the tip that may be left unexplained. least_size: [m] by which a
-    cause must move the tip. least_share: of what is unexplained that the causes must
-    remove; where they leave more than is tolerated, all but the largest of what that
-    leaves. explained: the same there of all together.
-    """
-
-    causes: Annotated[int, Field(ge=1, le=8)]
-    coverage: Fraction
-    alpha: Fraction
-    tolerance: Metres
-    least_size: Metres
-    least_share: Fraction
-    explained: Fraction
-
-    @property
-    def min_log_bayes_factor(self) -> float:
-        """Logarithm of the Bayes factor from which an effect enters."""
-        return float(-np.log(self.alpha))
+INITIAL_PROPOSALS = 6  # the others are fitted if none of these explains what is left
+MAX_RIVALS = 3  # that are refined in one step
 
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """One choice. parent: the fit beside which it is made. proposals: of all
-    candidates. tried: those fitted, the most evident first. to_the_end: those of them
-    that came near to the most evident, and were fitted to the end. entered: whether the
-    best of them is there beyond doubt.
+    """One choice among all candidates.
+
+    Attributes
+    ----------
+    parent : Fit
+        Without the cause to be chosen.
+    proposals : sequence of Proposal
+        Of all candidates, the most promising first.
+    fits : sequence of Fit
+        Of those fitted, the most evident first.
+    refined : sequence of Fit
+        Those of them near the most evident, with their own discretisation error.
+    accepted : bool
+        Whether the best is accepted.
     """
 
     parent: Fit
@@ -101,40 +83,31 @@ class SelectionStep:
 
     @property
     def best(self) -> Fit | None:
-        """The most evident."""
+        """The fit with most evidence."""
         return self.fits[0] if self.fits else None
-
-    def refit_to(self, data: TrialData) -> SelectionStep:
-        """The same of data with other points: those fitted to the end are so anew."""
-        parent, *ended = (
-            refit(data, fit, fit.hypothesis) for fit in (self.parent, *self.refined)
-        )
-        others = [
-            fit for fit in self.fits if not any(fit is other for other in self.refined)
-        ]
-        tried = _by_evidence(
-            [*ended, *(evaluate_fit(data, fit.hypothesis, fit.chi) for fit in others)]
-        )
-        return replace(self, parent=parent, fits=tried, refined=ended)
 
 
 @dataclass(frozen=True)
 class SelectionState:
-    """Where a search ended. prepared: data about the last fit. fit: with all causes.
-    path: what was chosen on the way, the last step being that which chose none.
+    """Where a search stands.
+
+    Attributes
+    ----------
+    prepared : PreparedData
+        Corrected at the fit.
+    fit : Fit
+        With all causes accepted so far.
+    steps : sequence of SelectionStep
+        The choices on the way; the last one may have accepted nothing.
     """
 
     prepared: PreparedData
     fit: Fit
     steps: Sequence[SelectionStep] = ()
 
-    def with_fit(self, fit: Fit) -> SelectionState:
-        """With another fit, gone to its end."""
-        return SelectionState(*refine_fit(self.prepared, fit), self.steps)
-
     @cached_property
     def predictions(self) -> list[Prediction]:
-        """Each trial by the fit to the others."""
+        """Each trial as the fit to the others predicts it."""
         return predict_trials(self.prepared.data, self.fit)
 
 
@@ -145,59 +118,25 @@ def select_causes(
     seed: int,
     starts: int,
 ) -> Iterator[SelectionState]:
-    """With each of the causes that enter, one after another; in the end without those
-    that do not help.
+    """Add one cause at a time while the evidence supports it.
+
+    Yields the state after each cause, and at the end the state without causes that do
+    not help to predict trials left out.
     """
-    found = SelectionState(prepared, prepared.base_fit)
-    for number in range(criteria.causes):
-        step = compare_candidates(found.prepared, found.fit, effects, criteria, seed)
-        found = replace(found, steps=(*found.steps, step))
+    state = SelectionState(prepared, prepared.base_fit)
+    for number in range(criteria.max_causes):
+        step = compare_candidates(state.prepared, state.fit, effects, criteria, seed)
+        state = replace(state, steps=(*state.steps, step))
         if step.best is None or not step.accepted:
             break
-        found = add_cause(
-            found, step.best, criteria, np.random.default_rng([seed, number]), starts
-        )
-        log.info(
-            "enters: %s, evidence %+.1f",
-            step.best.hypothesis.cause_names[-1],
-            step.best.log_evidence - step.parent.log_evidence,
-        )
-        yield found
-    yield drop_unpredictive_causes(found, criteria)
-
-
-def drop_unpredictive_causes(
-    found: SelectionState, criteria: Criteria
-) -> SelectionState:
-    """Without causes that do not help to predict trials left out, the last that entered
-    first.
-
-    The log-likelihood of what was not seen must rise (cross-validation by trials:
-    Vehtari, Gelman and Gabry 2017, Stat. Comput. 27, 1413), in the median trial: one
-    that is foretold badly, such as a chaotic one 150 mm off by the right cause, would
-    outvote all others. Of what acts in one trial alone no other trial can tell.
-    """
-    if len(found.prepared.data.trials) < 2:
-        return found
-    for cause in reversed(found.fit.hypothesis.causes):
-        data = found.prepared.data
-        if len(_trials_touched_by(data, found.fit, cause, criteria.least_size)) == 1:
-            continue
-        less = replace(
-            found, fit=refit(data, found.fit, found.fit.hypothesis.without_cause(cause))
-        )
-        gains = log_likelihood_gains(less.predictions, found.predictions)
-        log.info(
-            "without %s trials left out are %s likelier",
-            cause.name,
-            np.round(-gains, 1),
-        )
-        if np.median(gains) <= 0:
-            log.info(
-                "%s leaves: it does not help to predict trials left out", cause.name
-            )
-            found = found.with_fit(less.fit)
-    return found
+        rng = np.random.default_rng([seed, number])
+        state = add_cause(state, step.best, criteria, rng, starts)
+        state = drop_redundant_causes(state, step.best, criteria)
+        name = step.best.hypothesis.cause_names[-1]
+        gain = step.best.log_evidence - step.parent.log_evidence
+        log.info("accepted: %s, log evidence %+.1f", name, gain)
+        yield state
+    yield drop_unpredictive_causes(state, criteria)
 
 
 def compare_candidates(
@@ -206,376 +145,218 @@ def compare_candidates(
     effects: Sequence[type[Effect]],
     criteria: Criteria,
     seed: int,
-    at_its_end: Fit | None = None,
+    accepted: Fit | None = None,
 ) -> SelectionStep:
-    """Every effect beside those of a fit, the promising ones fitted, and those like the
-    best of them; all of them where something is to be explained and none of these does.
-    Those that come near to the most evident are fitted to the end: little tells
-    look-alikes. at_its_end: the fit of one of them, where that is known.
+    """Fit what each effect may add to a parent, and decide on the best of them.
+
+    The most promising proposals are fitted, then the look-alikes of the best, and all
+    others if none of these is accepted and something is left to explain.
+
+    Parameters
+    ----------
+    accepted : Fit, optional
+        The refined fit of an accepted cause whose place is contested.
     """
-    data, known = prepared.data, [] if at_its_end is None else [at_its_end]
-    ranked = propose_causes(
-        data, parent, [e for e in effects if e not in parent.hypothesis.causes], seed
-    )
-    rest = [
-        p for p in ranked if not any(p.effect in fit.hypothesis.causes for fit in known)
-    ]
-    first = [p for p in rest[:INITIAL_PROPOSALS] if p.gain > STRONG_LOG_EVIDENCE]
-    step = SelectionStep(
-        parent, ranked, _by_evidence([*known, *_fit_proposals(prepared, parent, first)])
-    )
-    alike = _lookalikes_of_best(step, [p for p in rest if p not in first], criteria)
-    step = replace(
-        step, fits=_by_evidence([*step.fits, *_fit_proposals(prepared, parent, alike)])
-    )
-    step = _refine_top_rivals(prepared, step, criteria, at_its_end)
-    if (
-        not step.accepted
-        and unexplained_tip_rms(data, parent).max() > criteria.least_size
-    ):
-        others = [p for p in rest if p not in first and p not in alike]
-        step = replace(
-            step,
-            fits=_by_evidence([*step.fits, *_fit_proposals(prepared, parent, others)]),
-        )
-        step = _refine_top_rivals(prepared, step, criteria, at_its_end)
+    candidates = [e for e in effects if e not in parent.hypothesis.causes]
+    ranked = propose_causes(prepared.data, parent, candidates, seed)
+    known, remaining = [], ranked
+    if accepted is not None:
+        known, causes = [accepted], accepted.hypothesis.causes
+        remaining = [p for p in ranked if p.effect not in causes]
+
+    first = [p for p in remaining[:INITIAL_PROPOSALS] if p.gain > STRONG_LOG_EVIDENCE]
+    fits = [*known, *_fit_proposals(prepared, parent, first)]
+    step = SelectionStep(parent, ranked, _by_evidence(fits))
+    remaining = [p for p in remaining if p not in first]
+
+    lookalikes = _lookalikes_of_best(step, remaining, criteria)
+    fits = [*step.fits, *_fit_proposals(prepared, parent, lookalikes)]
+    step = replace(step, fits=_by_evidence(fits))
+    step = _refine_rivals(prepared, step, criteria, accepted)
+
+    misfit_m = unexplained_tip_rms(prepared.data, parent).max()
+    if not step.accepted and misfit_m > criteria.min_tip_shift_m:
+        others = [p for p in remaining if p not in lookalikes]
+        fits = [*step.fits, *_fit_proposals(prepared, parent, others)]
+        step = replace(step, fits=_by_evidence(fits))
+        step = _refine_rivals(prepared, step, criteria, accepted)
     return step
 
 
 def _lookalikes_of_best(
     step: SelectionStep, others: Sequence[Proposal], criteria: Criteria
 ) -> list[Proposal]:
-    """Those of other proposals that could explain the least share of what the best
-    does, to first order: promises may rank a look-alike lower.
-    """
-    if (
-        step.best is None
-        or step.best.log_evidence
-        < step.parent.log_evidence + criteria.min_log_bayes_factor
-    ):
+    """Find proposals that to first order explain much of what the best fit does."""
+    if step.best is None or not has_evidence(step.parent, step.best, criteria):
         return []
-    best = [p for p in step.proposals if p.effect is step.best.hypothesis.causes[-1]]
-    return [
-        p
-        for p in others
-        if any(p.cosine_similarity(each) ** 2 > criteria.least_share for each in best)
-    ]
+    effect, lookalikes = step.best.hypothesis.causes[-1], []
+    best = [proposal for proposal in step.proposals if proposal.effect is effect]
+    for proposal in others:
+        shared = [proposal.cosine_similarity(each) ** 2 for each in best]
+        if any(share > criteria.min_explained_fraction for share in shared):
+            lookalikes.append(proposal)
+    return lookalikes
 
 
-def _refine_top_rivals(
+def _refine_rivals(
     prepared: PreparedData,
     step: SelectionStep,
     criteria: Criteria,
-    at_its_end: Fit | None = None,
+    accepted: Fit | None,
 ) -> SelectionStep:
-    """With those fitted to the end that come near to the most evident, if that is
-    evident at all, and whether the best then enters. Without one by which simulation
-    tells fewer than two trials, or, in the place of a cause that is there, not all of
-    them: what is in doubt in the others may explain anything.
+    """Refine the fits near the best one, and decide whether the best is accepted.
+
+    Rivals by which simulation resolves too few trials are removed: what is uncertain in
+    the others may explain anything.
     """
     parent = step.parent
-    if (
-        step.best is None
-        or step.best.log_evidence < parent.log_evidence + criteria.min_log_bayes_factor
-    ):
+    if step.best is None or not has_evidence(parent, step.best, criteria):
         return step
-    near = parent.log_evidence + criteria.least_share * (
-        step.best.log_evidence - parent.log_evidence
-    )
+    gain = step.best.log_evidence - parent.log_evidence
+    near = parent.log_evidence + criteria.min_explained_fraction * gain
     count = sum(fit.log_evidence > near for fit in step.fits[:MAX_RIVALS])
-    rivals = [
-        (prepared, fit) if fit is at_its_end else refine_fit(prepared, fit)
-        for fit in step.fits[:count]
-    ]
-    enough, least = (
-        len(prepared.discretisation_uncertainty_m),
-        np.zeros(len(prepared.discretisation_uncertainty_m)),
-    )
-    if at_its_end is None:
-        enough, least = (
-            min(MIN_RESOLVED_TRIALS, enough),
-            np.sqrt(1 - criteria.explained)
-            * unexplained_tip_rms(prepared.data, parent),
-        )
-    told = [
-        fit
-        for made, fit in rivals
-        if _count_resolved_trials(made, prepared, criteria, least) >= enough
-    ]
-    step = replace(step, fits=_by_evidence([*told, *step.fits[count:]]), refined=told)
-    return replace(
-        step,
-        accepted=step.best is not None and is_supported(prepared.data, step, criteria),
-    )
+
+    trials = len(prepared.discretisation_uncertainty_m)
+    needed, allowance_m = trials, np.zeros(trials)
+    if accepted is None:
+        needed = min(MIN_RESOLVED_TRIALS, trials)
+        unexplained = 1 - criteria.min_explained_fraction_if_misfit
+        misfit_m = unexplained_tip_rms(prepared.data, parent)
+        allowance_m = np.sqrt(unexplained) * misfit_m
+
+    refined = []
+    for fit in step.fits[:count]:
+        rival = RefinedFit(prepared, fit)
+        if fit is not accepted:
+            rival = refine_fit(prepared, fit)
+        if is_resolved(rival.prepared, prepared, criteria, needed, allowance_m):
+            refined.append(rival.fit)
+    fits = _by_evidence([*refined, *step.fits[count:]])
+    is_accepted = bool(fits) and is_supported(prepared.data, parent, fits[0], criteria)
+    return replace(step, fits=fits, refined=refined, accepted=is_accepted)
 
 
-def _count_resolved_trials(
-    made: PreparedData,
-    before: PreparedData,
-    criteria: Criteria,
-    least: np.ndarray | float = 0.0,
-) -> int:
-    """How many trials simulation tells to the tolerance, or as well as the worst of
-    them before, or to what may be left of what is to be explained in each [m], (K,).
-    """
-    return int(
-        (
-            made.discretisation_uncertainty_m
-            <= np.maximum(
-                max(before.discretisation_uncertainty_m.max(), criteria.tolerance),
-                least,
-            )
-        ).sum()
-    )
+def refine_fit(prepared: PreparedData, fit: Fit) -> RefinedFit:
+    """Correct the data at a fit, and try other values of its causes' parameters."""
+    log.info("refining: %s", " + ".join(fit.hypothesis.cause_names))
+    refined = correct_discretisation_once(prepared, fit)
+    data, fit = refined.prepared.data, refined.fit
+    starts = alternative_parameter_starts(data, fit)
+    if not len(starts):
+        return refined
+    other = fit_hypothesis(data, fit.hypothesis, starts, fit.scale_indices)
+    if other.log_evidence > fit.log_evidence:
+        return correct_discretisation_once(refined.prepared, other)
+    return refined
 
 
-def is_supported(data: TrialData, step: SelectionStep, criteria: Criteria) -> bool:
-    """Whether the best of a step is there beyond doubt: without any one trial, and
-    large enough to matter.
-
-    What touches the string in one trial alone, all the others cannot say: it must
-    explain that one.
-    """
-    best = step.best
-    assert best is not None
-    gain = best.log_evidence - step.parent.log_evidence
-    if (
-        gain < criteria.min_log_bayes_factor
-        or best.diverged
-        or tip_shift_rms(data, step.parent, best).max() < criteria.least_size
-    ):
-        return False
-    touched = _trials_touched_by(
-        data, best, best.hypothesis.causes[-1], criteria.least_size
-    )
-    if len(touched) == 1:
-        parts = explained_fractions(
-            unexplained_tip_rms(data, step.parent), unexplained_tip_rms(data, best)
-        )
-        return bool(parts[touched[0]] > criteria.least_share)
-    # which nothing could confirm: it is only said what would be asked of more trials
-    if len(data.trials) == 1:
-        return True
-    return (
-        min_leave_one_out_gain(step.parent, best) > criteria.min_log_bayes_factor
-        or _jackknife_gain(data, step) > criteria.min_log_bayes_factor
-        or _cross_validated_gain(data, step) > criteria.min_log_bayes_factor
-    )
-
-
-def min_leave_one_out_gain(parent: Fit, fit: Fit) -> float:
-    """Gain of the evidence, whichever trial is left out, both fits staying where they
-    are.
-    """
-    return float(
-        fit.log_evidence
-        - parent.log_evidence
-        - (fit.log_likelihood_by_trial - parent.log_likelihood_by_trial).max()
-    )
-
-
-def _jackknife_gain(data: TrialData, step: SelectionStep) -> float:
-    """Gain of the evidence without the trial that says most for the best of a step,
-    fitted anew to the others: that one may have taken the fit along.
-    """
-    best = step.best
-    assert best is not None
-    most = int(
-        np.argmax(best.log_likelihood_by_trial - step.parent.log_likelihood_by_trial)
-    )
-    rest = [k for k in range(len(data.trials)) if k != most]
-    if not rest:
-        return -np.inf
-    fits = (best, step.parent)
-    others = [
-        fit_hypothesis(
-            data.subset(rest), f.hypothesis, f.chi[None], f.scale_indices[rest]
-        )
-        for f in fits
-    ]
-    return others[0].log_evidence - others[1].log_evidence
-
-
-def _cross_validated_gain(data: TrialData, step: SelectionStep) -> float:
-    """Gain of the log-likelihood of trials, each foretold by the fit to the others, but
-    for the one that gains most: a parent may explain one trial at the cost of another,
-    which alone then speaks for what explains both.
-    """
-    assert step.best is not None
-    gains = log_likelihood_gains(
-        predict_trials(data, step.parent), predict_trials(data, step.best)
-    )
-    return float(gains.sum() - gains.max())
-
-
-def _trials_touched_by(
-    data: TrialData, fit: Fit, cause: type[Effect], least_size: float
-) -> np.ndarray:
-    """Numbers of the trials in which a cause of a fit that depends on place moves the
-    tip by that much [m].
-    """
-    if not is_position_dependent(cause):
-        return np.zeros(0, dtype=int)
-    sizes = {
-        cause.qualified_name(parameter) for parameter in amplitude_parameters(cause)
-    }
-    absent = fit.hypothesis.exponents_from(
-        {name: chi for name, chi in fit.exponents.items() if name not in sizes}
-    )
-    others = [each[0] for each in data.residuals(fit.hypothesis.model, absent[None])]
-    acts = data.tip_rms_by_trial(
-        [a - b for a, b in zip(fit.residuals, others, strict=True)]
-    )
-    return np.flatnonzero(acts > least_size)
-
-
-def unexplained_tip_rms(data: TrialData, fit: Fit) -> np.ndarray:
-    """Root mean square at the tip of what a fit most likely lacks in each trial [m],
-    (K,).
-    """
-    return data.tip_rms_by_trial(mean_discrepancy(data, fit))
-
-
-def mean_explained_fraction(
-    before: np.ndarray, after: np.ndarray, tolerance: float
-) -> float:
-    """Share of what one fit lacks in each trial [m], (K,), as of `unexplained`, that
-    another does not: the mean of the trials in which either lacks more than is
-    tolerated [m], one vote each, for one that is far off says nothing of the others,
-    nor do they of it.
-    """
-    lacking = np.maximum(before, after)
-    return float(
-        explained_fractions(before, after)[
-            lacking >= min(tolerance, lacking.max())
-        ].mean()
-    )
-
-
-def explained_fractions(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """By how much less a fit lacks in each trial than another [m], (K,) each, in mean
-    square at the tip, over the larger of both, (K,): 1 where it lacks nothing, -1 where
-    the other does not.
-    """
-    before, after = before**2, after**2
-    return np.asarray(
-        (before - after) / np.maximum(np.maximum(before, after), np.finfo(float).tiny)
-    )
-
-
-def tip_shift_rms(data: TrialData, one: Fit, other: Fit) -> np.ndarray:
-    """Root mean square by which two fits differ at the tip of each trial [m], (K,)."""
-    return data.tip_rms_by_trial(
-        [a - b for a, b in zip(one.residuals, other.residuals, strict=True)]
-    )
-
-
-def refine_fit(prepared: PreparedData, fit: Fit) -> tuple[PreparedData, Fit]:
-    """Data with the numerical error of a fit, and the fit to these: with other values
-    of its causes' parameters, if these suit better.
-    """
-    log.info("to the end: %s", " + ".join(fit.hypothesis.cause_names))
-    prepared, fit = correct_discretisation_once(prepared, fit)
-    others = alternative_parameter_starts(prepared.data, fit)
-    if not len(others):
-        return prepared, fit
-    other = fit_hypothesis(prepared.data, fit.hypothesis, others, fit.scale_indices)
-    return (
-        correct_discretisation_once(prepared, other)
-        if other.log_evidence > fit.log_evidence
-        else (prepared, fit)
-    )
+def with_fit(state: SelectionState, fit: Fit) -> SelectionState:
+    """Replace the fit of a state by another one, refined."""
+    refined = refine_fit(state.prepared, fit)
+    return SelectionState(refined.prepared, refined.fit, state.steps)
 
 
 def add_cause(
-    found: SelectionState,
+    state: SelectionState,
     best: Fit,
     criteria: Criteria,
     rng: np.random.Generator,
     starts: int,
 ) -> SelectionState:
-    """With one more cause, numerical error as it is there, and without causes that are
-    not needed any more. Other strings are no better whose trials cannot be simulated as
-    well: what is in doubt of these may explain anything.
-    """
-    heard = found.prepared.with_reestimated_noise(best)
-    prepared, fit = correct_discretisation_once(heard, best)
-    if heard.point_counts != found.prepared.point_counts:
-        log.info(
-            "%d outliers instead of %d",
-            heard.outlier_count,
-            found.prepared.outlier_count,
-        )
-        found = replace(
-            found, steps=[step.refit_to(prepared.data) for step in found.steps]
-        )
-    if unexplained_tip_rms(prepared.data, fit).max() > criteria.least_size:
-        again = refine_fit(
-            prepared, refit_from_new_starts(prepared.data, fit, rng, starts)
-        )
-        if again[1].log_evidence > fit.log_evidence and _count_resolved_trials(
-            again[0], prepared, criteria
-        ) == len(prepared.discretisation_uncertainty_m):
-            prepared, fit = again
-    joined = SelectionState(prepared, fit, found.steps)
-    # the new one, too: where it led, the others may do without it
+    """Take the best fit of a step, with noise and numerical error as they are there."""
+    prepared, steps = reestimate_noise(state.prepared, best), state.steps
+    current = correct_discretisation_once(prepared, best)
+    if prepared.point_counts != state.prepared.point_counts:
+        counts = prepared.outlier_count, state.prepared.outlier_count
+        log.info("%d outliers instead of %d", *counts)
+        steps = [_refit_step(current.prepared.data, step) for step in steps]
+
+    # Search more widely if much is left. Other strings are no better if their trials
+    # are resolved worse: what is uncertain in these may explain anything.
+    prepared, fit = current.prepared, current.fit
+    if unexplained_tip_rms(prepared.data, fit).max() > criteria.min_tip_shift_m:
+        other = refit_from_new_starts(prepared.data, fit, rng, starts)
+        again = refine_fit(prepared, other)
+        all_trials = len(prepared.discretisation_uncertainty_m)
+        is_better = again.fit.log_evidence > fit.log_evidence
+        if is_better and is_resolved(again.prepared, prepared, criteria, all_trials):
+            current = again
+    return SelectionState(current.prepared, current.fit, steps)
+
+
+def _refit_step(data: TrialData, step: SelectionStep) -> SelectionStep:
+    """Move a step to data with other points: refined fits are refitted."""
+    parent = refit(data, step.parent, step.parent.hypothesis)
+    refined = [refit(data, fit, fit.hypothesis) for fit in step.refined]
+    was_refined = {id(fit) for fit in step.refined}
+    others = [fit for fit in step.fits if id(fit) not in was_refined]
+    moved = [evaluate_fit(data, fit.hypothesis, fit.chi) for fit in others]
+    fits = _by_evidence([*refined, *moved])
+    return replace(step, parent=parent, fits=fits, refined=refined)
+
+
+def drop_redundant_causes(
+    state: SelectionState, best: Fit, criteria: Criteria
+) -> SelectionState:
+    """Drop causes that the evidence does not need any more, the new one included."""
     for cause in best.hypothesis.causes:
-        less = refit(
-            joined.prepared.data, joined.fit, joined.fit.hypothesis.without_cause(cause)
+        data, hypothesis = (
+            state.prepared.data,
+            state.fit.hypothesis.without_cause(cause),
         )
-        if less.log_evidence > joined.fit.log_evidence - criteria.min_log_bayes_factor:
-            log.info("%s leaves: it is not needed", cause.name)
-            joined = joined.with_fit(less)
-    return joined
+        without = refit(data, state.fit, hypothesis)
+        if not is_needed(without, state.fit, criteria):
+            log.info("%s is dropped: the evidence does not need it", cause.name)
+            state = with_fit(state, without)
+    return state
 
 
-def refit(data: TrialData, fit: Fit, hypothesis: Hypothesis) -> Fit:
-    """Another hypothesis at its best, from where a fit is."""
-    return fit_hypothesis(
-        data,
-        hypothesis,
-        hypothesis.exponents_from(fit.exponents)[None],
-        fit.scale_indices,
-    )
+def drop_unpredictive_causes(
+    state: SelectionState, criteria: Criteria
+) -> SelectionState:
+    """Drop causes that do not help to predict trials left out, the last one first.
+
+    No other trial can confirm what acts in one trial alone: such a cause stays.
+    """
+    if len(state.prepared.data.trials) < 2:
+        return state
+    for cause in reversed(state.fit.hypothesis.causes):
+        data, fit = state.prepared.data, state.fit
+        if len(trials_touched_by(data, fit, cause, criteria.min_tip_shift_m)) == 1:
+            continue
+        without = replace(
+            state, fit=refit(data, fit, fit.hypothesis.without_cause(cause))
+        )
+        gains = log_likelihood_gains(without.predictions, state.predictions)
+        log.info("%s: predictive log-likelihoods %s", cause.name, np.round(gains, 1))
+        if not predicts_heldout(gains):
+            log.info("%s is dropped: it does not predict trials left out", cause.name)
+            state = with_fit(state, without.fit)
+    return state
 
 
 def _fit_proposals(
     prepared: PreparedData, parent: Fit, some: Sequence[Proposal]
 ) -> list[Fit]:
-    """Proposals fitted, those that gain with their own numerical error: a strip in a
-    clamp gained 128 without that, and 637 with.
-    """
+    """Fit proposals, those that gain also with their own discretisation error."""
     fits: list[Fit] = []
     for number, proposal in enumerate(some, 1):
-        best = (
-            max((fit.log_evidence for fit in fits), default=parent.log_evidence)
-            - parent.log_evidence
-        )
-        log.info(
-            "%d of %d: %s, best %+.1f", number, len(some), proposal.effect.name, best
-        )
+        name, precision = proposal.effect.name, NEGLIGIBLE_LOG_EVIDENCE
+        best = max((fit.log_evidence for fit in fits), default=parent.log_evidence)
+        progress = (number, len(some), name, best - parent.log_evidence)
+        log.info("%d of %d: %s, best %+.1f", *progress)
+        starts, hypothesis = proposal.starts, proposal.hypothesis
         fit = fit_hypothesis(
-            prepared.data,
-            proposal.hypothesis,
-            proposal.starts,
-            parent.scale_indices,
-            NEGLIGIBLE_LOG_EVIDENCE,
+            prepared.data, hypothesis, starts, parent.scale_indices, precision
         )
-        first = fit.log_evidence - parent.log_evidence
-        if first > 0:
+        first_gain = fit.log_evidence - parent.log_evidence
+        if first_gain > 0:
+            data = correct_data_on_one_finer_mesh(prepared, fit)
             fit = fit_hypothesis(
-                prepared.one_mesh_corrected_data(fit),
-                fit.hypothesis,
-                fit.chi[None],
-                fit.scale_indices,
-                NEGLIGIBLE_LOG_EVIDENCE,
+                data, hypothesis, fit.chi[None], fit.scale_indices, precision
             )
-        gains = (fit.log_evidence - parent.log_evidence, first, proposal.gain)
-        log.info(
-            "%s: evidence %+.1f, at first %+.1f, promised %.1f",
-            proposal.effect.name,
-            *gains,
-        )
+        gains = (fit.log_evidence - parent.log_evidence, first_gain, proposal.gain)
+        log.info("%s: log evidence %+.1f, at first %+.1f, proposed %.1f", name, *gains)
         fits.append(fit)
     return _by_evidence(fits)
 

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stringcast.stages.common import Progress
-from stringcast.stages.diagnose.forward_selection import Criteria
 from stringcast.stages.diagnose.linearisation import LinearisedFit
 from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.inference.discrepancy import Discrepancy, marginal_log_likelihood
 from stringcast.stages.inference.laplace import Fit, tip_shift_density
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
@@ -122,7 +122,7 @@ def _detection_limit(
     found, tip = _detection_threshold(
         own,
         trials.expected_log_evidence(own, siblings) - criteria.min_log_bayes_factor,
-        criteria.least_size,
+        criteria.min_tip_shift_m,
     )
     said = (
         own.effect,

@@ -1,4 +1,4 @@
-"""Base and extended model on trials left out of the fit."""
+"""Predictions of trials by fits that have not seen them."""
 
 from __future__ import annotations
 
@@ -21,13 +21,21 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 
-RATED_FRAMES = 20  # of a trial, from which E is counted
+RATED_FRAMES = 20  # of a trial, from which the matching rate is counted
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """One trial as a fit to others has it. fit: that. residual: over sigma, (2 n,).
-    log_likelihood: of the trial.
+    """One trial as a fit to others predicts it.
+
+    Attributes
+    ----------
+    fit : Fit
+        To the other trials.
+    residual : numpy.ndarray, shape (2 n,)
+        Predicted minus measured points over sigma.
+    log_likelihood : float
+        Of the trial.
     """
 
     fit: Fit
@@ -36,37 +44,38 @@ class Prediction:
 
 
 def predict_trials(data: TrialData, fit: Fit, unseen: bool = False) -> list[Prediction]:
-    """Each trial of the data by a fit that has not seen it: by this one if all are
-    unseen, or by one to the others.
+    """Predict each trial by a fit that has not seen it.
+
+    Parameters
+    ----------
+    unseen : bool
+        Whether the fit has seen none of the trials. Otherwise each trial is predicted
+        by a fit to the others.
     """
     numbers = range(len(data.trials))
     if unseen:
         return [_predict_trial(data, fit, number) for number in numbers]
-    found = []
+    predictions = []
     for number in numbers:
         others = data.subset([k for k in numbers if k != number])
-        # those of the trial left out are in none
+        # The discrepancy scale of the trial left out is not known: start from the
+        # median
         sizes = np.full(len(others.trials), int(np.median(fit.scale_indices)))
-        found.append(
-            _predict_trial(
-                data,
-                fit_hypothesis(others, fit.hypothesis, fit.chi[None], sizes),
-                number,
-            )
-        )
-    return found
+        refit = fit_hypothesis(others, fit.hypothesis, fit.chi[None], sizes)
+        predictions.append(_predict_trial(data, refit, number))
+    return predictions
 
 
 def _predict_trial(data: TrialData, fit: Fit, number: int) -> Prediction:
-    own = with_initial_states_at(data.subset([number]), fit).for_hypothesis(
+    trial = with_initial_states_at(data.subset([number]), fit).for_hypothesis(
         fit.hypothesis
     )
-    residuals = own.residuals(fit.hypothesis.model, fit.chi[None])
-    told = own.log_likelihood_by_scale(residuals)[:, 0]
-    (residual,) = own.without_initial_state_error(
-        [residuals[0][0]], best_scale_index(told)
+    residuals = trial.residuals(fit.hypothesis.model, fit.chi[None])
+    log_likelihoods = trial.log_likelihood_by_scale(residuals)[:, 0]
+    (residual,) = trial.without_initial_state_error(
+        [residuals[0][0]], best_scale_index(log_likelihoods)
     )
-    return Prediction(fit, residual, float(marginal_log_likelihood(told)[0]))
+    return Prediction(fit, residual, float(marginal_log_likelihood(log_likelihoods)[0]))
 
 
 def held_out_table(
@@ -77,71 +86,61 @@ def held_out_table(
     observations: Sequence[Observation],
     matching: Matching,
 ) -> pd.DataFrame:
-    """Table HELD_OUT. known: the extended model fitted to all that causes were chosen
-    from.
+    """Build the table HELD_OUT.
+
+    Parameters
+    ----------
+    base, extended : sequence of Prediction, length K
+    known : Fit
+        The extended model fitted to all trials from which causes were selected.
+    observations : sequence of Observation, length K
     """
     rows = []
-    for number, (plain, more, rise) in enumerate(
-        zip(base, extended, log_likelihood_gains(base, extended), strict=True)
-    ):
-        trial = data.trials[number]
-        row: dict[str, object] = {
-            "trial": trial.name,
-            "log_likelihood_difference": rise,
-        }
+    gains = log_likelihood_gains(base, extended)
+    for number, trial in enumerate(data.trials):
+        row: dict[str, object] = {"trial": trial.name}
+        row["log_likelihood_difference"] = gains[number]
         row["noise_floor"] = float(np.sqrt(2 * np.mean(trial.sigma**2)))
-        for name, one in (("base", plain), ("extended", more)):
+        for name, predictions in (("base", base), ("extended", extended)):
+            one = predictions[number]
+            model, chi = one.fit.hypothesis.model, one.fit.chi
             row |= rms_distances(trial, one.residual, name)
             row[f"E_{name}"] = matching_rate(
-                one.fit.hypothesis.model,
-                one.fit.chi,
-                trial,
-                observations[number],
-                matching,
+                model, chi, trial, observations[number], matching
             )
-        own = _predict_trial(data, known, number).residual
-        rows.append(
-            row | {"rms_known": rms_distances(trial, own, "known")["rms_known"]}
-        )
+        residual = _predict_trial(data, known, number).residual
+        row["rms_known"] = rms_distances(trial, residual, "known")["rms_known"]
+        rows.append(row)
     return HELD_OUT.check(pd.DataFrame(rows)) if rows else HELD_OUT.empty()
 
 
 def log_likelihood_gains(
     base: Sequence[Prediction], extended: Sequence[Prediction]
 ) -> np.ndarray:
-    """By how much likelier each trial is by the extended model's predictions than by
-    the base's, (K,).
-    """
-    return np.array(
-        [
-            m.log_likelihood - p.log_likelihood
-            for p, m in zip(base, extended, strict=True)
-        ]
-    )
+    """Gain of each trial's log-likelihood by the extended model's prediction, (K,)."""
+    pairs = zip(base, extended, strict=True)
+    return np.array([more.log_likelihood - less.log_likelihood for less, more in pairs])
 
 
 def predicts_better(base: Sequence[Prediction], extended: Sequence[Prediction]) -> bool:
-    """Whether the extended model predicts the trials better, by its distance from them
-    and by its likelihood.
-    """
-    squares = [
-        sum(float(np.sum(p.residual**2)) for p in side) for side in (base, extended)
-    ]
-    said = [sum(p.log_likelihood for p in side) for side in (base, extended)]
-    return squares[1] < squares[0] and said[1] > said[0]
+    """Whether the extended model is closer to the trials, and makes them likelier."""
+    squares, log_likelihoods = [], []
+    for predictions in (base, extended):
+        squares.append(sum(float(np.sum(p.residual**2)) for p in predictions))
+        log_likelihoods.append(sum(p.log_likelihood for p in predictions))
+    return squares[1] < squares[0] and log_likelihoods[1] > log_likelihoods[0]
 
 
 def rms_distances(
     trial: PreparedTrial, residual: np.ndarray, name: str
 ) -> dict[str, float]:
-    """Root mean squares of a trial's residual over sigma, of all of it and of the tip
+    """Compute the root mean squares of a residual over sigma, of all and tip points
     [m].
     """
-    off = np.linalg.norm(residual.reshape(-1, 2), axis=1) * trial.sigma
-    parts = {"rms": off, "tip_rms": off[trial.is_tip]}
+    distance = np.linalg.norm(residual.reshape(-1, 2), axis=1) * trial.sigma
     return {
-        f"{what}_{name}": float(np.sqrt(np.mean(part**2)))
-        for what, part in parts.items()
+        f"rms_{name}": float(np.sqrt(np.mean(distance**2))),
+        f"tip_rms_{name}": float(np.sqrt(np.mean(distance[trial.is_tip] ** 2))),
     }
 
 
@@ -152,20 +151,19 @@ def matching_rate(
     observation: Observation,
     matching: Matching,
 ) -> float:
-    """Matching rate E (Eq. 5) of an observation that begins as a trial does."""
-    goal = matching_targets(model, [thin_frames(observation)], matching)[0]
-    goal = replace(
-        goal,
-        trial=replace(goal.trial, initial_state=trial.initial_state, turn=trial.turn),
-    )
+    """Matching rate E (Eq. 5) of an observation that begins as a prepared trial does."""
+    target = matching_targets(model, [thin_frames(observation)], matching)[0]
+    case = replace(target.trial, initial_state=trial.initial_state, turn=trial.turn)
+    target = replace(target, trial=case)
     return float(
-        np.mean(goal.rates_by_frame(parameter_values(model.parameters, chi[None]))[0])
+        np.mean(target.rates_by_frame(parameter_values(model.parameters, chi[None]))[0])
     )
 
 
 def thin_frames(observation: Observation) -> Observation:
-    """With some FRAMES frames, which are too far apart to tell how it begins: that is
-    not asked of them.
+    """Keep some RATED_FRAMES frames of an observation.
+
+    They are too far apart to estimate the initial state from.
     """
     points = observation.valid_points
     times = np.unique(points["t"])

@@ -84,11 +84,11 @@ def candidate_effects(
     base: Model,
     library: Mapping[str, type[Effect]],
     trials: Sequence[PreparedTrial],
-    without: Sequence[str] = (),
+    excluded_effects: Sequence[str] = (),
 ) -> list[type[Effect]]:
     """Effects with parameters that are not in the base model and not excluded; of those
     on joints, only where there are joints; of those of a lens, only where it was not
-    measured. without: names of those that cannot be at work.
+    measured. excluded_effects: names of those that cannot be at work.
     """
     grasp_only = any(isinstance(trial.motion, HandMotion) for trial in trials)
     return [
@@ -96,7 +96,7 @@ def candidate_effects(
         for e in library.values()
         if e not in base.effects
         and not e.excluded_from_search
-        and e.name not in without
+        and e.name not in excluded_effects
         and not issubclass(e, ModelChange)
         and not (
             base.camera.lens

@@ -65,17 +65,17 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class SearchEffort(SettingsGroup):
-    """Effort of the search. motions: random ones that race. strings: draws on which
-    winners are refined, for `rounds` of CMA-ES. searches: from other random motions
+    """Effort of the search. motions: random ones that race. string_samples: draws on which
+    winners are refined, for `cma_iterations` of CMA-ES. max_restarts: from other random motions
     each, at most, while none found hits half of the draws; before the first trial, one.
     exploration: closeness (see `Outcome`) that may be given up for a more informative
     cast. validation: draws that had no part in the choice, for its hit probability.
     """
 
     motions: Annotated[int, Field(ge=16)]
-    strings: Annotated[int, Field(ge=4)]
-    rounds: Annotated[int, Field(ge=0)]
-    searches: Annotated[int, Field(ge=1)]
+    string_samples: Annotated[int, Field(ge=4)]
+    cma_iterations: Annotated[int, Field(ge=0)]
+    max_restarts: Annotated[int, Field(ge=1)]
     exploration: Annotated[float, Field(ge=0, le=1)]
     validation: Annotated[int, Field(ge=10)]
 
@@ -107,9 +107,9 @@ def generate(
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
     task = CastTask(model, target, obstacles)
-    draws = sample_uncertainty(model, estimate, uncertainty, search.strings, rng)
+    draws = sample_uncertainty(model, estimate, uncertainty, search.string_samples, rng)
     # half of all strings there may be are not hit by any motion
-    most = 1 if estimate is None else search.searches
+    most = 1 if estimate is None else search.max_restarts
     found: list[SearchResult] = []
     while len(found) < most and not any(
         each.share >= SUFFICIENT_HIT_SHARE for each in found
@@ -123,7 +123,7 @@ def generate(
                 space,
                 random,
                 draws,
-                search.rounds,
+                search.cma_iterations,
                 seed,
                 partial_progress(progress, len(found), most),
             )
@@ -133,7 +133,7 @@ def generate(
     best = _choose_motion(
         task,
         final,
-        sample_uncertainty(model, estimate, uncertainty, search.strings, rng),
+        sample_uncertainty(model, estimate, uncertainty, search.string_samples, rng),
         search.exploration,
     )
     progress(1.0)
@@ -216,7 +216,7 @@ def build_motion_artifact(
     if np.isinf(distance).all():
         raise MotionNotFoundError(
             f"on the best motion found, each of {len(hit)} likely strings touches an obstacle or cannot be simulated. "
-            "Allow more generate.motions and generate.rounds, or move the obstacles."
+            "Allow more generate.motions and generate.cma_iterations, or move the obstacles."
         )
     order = np.lexsort((distance, ~hit))  # those that hit come first, the nearest first
     typical = int(order[hit.sum() // 2])

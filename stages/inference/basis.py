@@ -1,8 +1,8 @@
-"""Smooth functions of time and place, in which the motion of a string is told.
+"""Smooth functions of time and place, in which the motion of a string is expanded.
 
 A film has thousands of numbers, the motion of a string some hundred: cubic B-splines in
-time, and along the string functions that are zero at the grasp, whose products are a
-squared exponential kernel.
+time, and functions of place that are zero at the grasp. The products of the latter are
+a squared exponential kernel.
 """
 
 from __future__ import annotations
@@ -14,68 +14,64 @@ from scipy.interpolate import BSpline
 from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csr_array, hstack
 
-# of the length: of a string's first modes, which a hand moves most
+# of the length: as of a string's first modes, which a hand moves most
 PLACE_CORRELATION_SHARE = 0.35
 PLACE_FUNCTIONS = 6  # nodes along the string: two for each correlation length
 KNOT_SPACING_S = 0.015  # [s] from spline to spline: motion up to 30 Hz
-MAX_SPLINES = 64  # splines at most: longer trials are told more coarsely
-MIN_FRAMES_PER_SPLINE = 2  # frames from spline to spline, at least, where noise is told
+MAX_SPLINES = 64  # longer trials have coarser splines
+MIN_FRAMES_PER_SPLINE = 2  # frames from spline to spline where the noise is estimated
 RANK_TOLERANCE = 1e-8  # of the largest eigenvalue: less is no direction of its own
 
 
 def knot_spacing(times: np.ndarray) -> float:
-    """Time from spline to spline [s] beside which something is left of frames at these
-    times (F,).
-    """
+    """Choose a knot spacing [s] that leaves some noise of frames at times (F,)."""
     frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     return max(KNOT_SPACING_S, MIN_FRAMES_PER_SPLINE * frame)
 
 
 def time_nodes(times: np.ndarray, every: float) -> np.ndarray:
-    """Where splines in time are [s], one every so many seconds [s]."""
+    """Place nodes [s] over times (F,), one every so many seconds."""
     span = float(np.ptp(times))
-    return np.linspace(
-        times[0], times[-1], min(int(np.ceil(span / every)) + 1, MAX_SPLINES)
-    )
+    count = min(int(np.ceil(span / every)) + 1, MAX_SPLINES)
+    return np.linspace(times[0], times[-1], count)
 
 
 def time_splines(times: np.ndarray, every: float = KNOT_SPACING_S) -> csr_array:
-    """Cubic B-splines at frames (F,), one every so many seconds, (F, B)."""
-    at = time_nodes(times, every)
-    knots = np.concatenate([[at[0]] * 3, at, [at[-1]] * 3])
+    """Evaluate cubic B-splines at times (F,), one every so many seconds, (F, B)."""
+    inner = time_nodes(times, every)
+    knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
     return BSpline.design_matrix(times, knots, 3)
 
 
 def place_functions(s: np.ndarray, length: float) -> np.ndarray:
-    """Functions of place that are zero at the grasp, at arc lengths (n,) of a string
-    [m], (n, PLACES).
+    """Evaluate functions that are zero at the grasp at arc lengths (n,) [m], (n, K).
+
+    length: of the string [m]. K: PLACES.
     """
     places = length * np.arange(1, PLACE_FUNCTIONS + 1) / PLACE_FUNCTIONS
-    found = nystrom_root(
-        s,
-        places,
-        lambda gap: np.exp(-0.5 * (gap / (PLACE_CORRELATION_SHARE * length)) ** 2),
-    )
-    return np.asarray(found * (s / length)[:, None])
+
+    def squared_exponential(gap: np.ndarray) -> np.ndarray:
+        return np.asarray(
+            np.exp(-0.5 * (gap / (PLACE_CORRELATION_SHARE * length)) ** 2)
+        )
+
+    return nystrom_root(s, places, squared_exponential) * (s / length)[:, None]
 
 
 def tensor_products(time: csr_array, place: np.ndarray) -> csr_array:
-    """Functions of time (n, B) times functions of place (n, K), (n, K B)."""
-    return csr_array(
-        hstack(
-            [csr_array(time.multiply(column[:, None])) for column in place.T],
-            format="csr",
-        )
-    )
+    """Multiply functions of time (n, B) by functions of place (n, K), (n, K B)."""
+    blocks = [csr_array(time.multiply(column[:, None])) for column in place.T]
+    return csr_array(hstack(blocks, format="csr"))
 
 
 def nystrom_root(
     where: np.ndarray, at: np.ndarray, kernel: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Square root of a kernel told by its nodes, (n, M) (Nystrom)."""
-    root = cholesky(
-        kernel(np.abs(at[:, None] - at)) + 1e-9 * np.eye(len(at)), lower=True
-    )
-    return np.asarray(
-        solve_triangular(root, kernel(np.abs(where[:, None] - at)).T, lower=True).T
-    )
+    """Compute a root (n, M) of a kernel's covariance of points (n,) from nodes (M,).
+
+    It is the Nystrom approximation: root @ root.T is about kernel(|where - where'|).
+    """
+    among_nodes = kernel(np.abs(at[:, None] - at)) + 1e-9 * np.eye(len(at))
+    to_nodes = kernel(np.abs(where[:, None] - at))
+    root = cholesky(among_nodes, lower=True)
+    return np.asarray(solve_triangular(root, to_nodes.T, lower=True).T)

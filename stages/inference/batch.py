@@ -1,10 +1,14 @@
-"""Candidates in several trials as one batch: what a simulation costs before its first
-step is paid once, and few candidates fill the vector units and the cores.
+"""Candidates in several trials as one batch.
+
+The fixed cost of a simulation is paid once, and few candidates fill the vector units
+and the cores.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numba import get_num_threads
@@ -28,160 +32,158 @@ SEPARATE_HANDS_COST = 1.15
 def normalised_residuals(
     model: Model, cases: Sequence[PreparedTrial], values: np.ndarray
 ) -> list[np.ndarray]:
-    """How far candidates (C, P) are from what was measured in each trial, over sigma:
-    both coordinates of each point, (C, 2 n); NaN where a run was rejected.
+    """Compute simulated less measured points over sigma of candidates (C, P).
+
+    Returns both coordinates of each point of each trial, (C, 2 n); NaN where a run was
+    rejected.
     """
-    parts = []
+    parts: list[list[np.ndarray]] = [[] for _ in cases]
     for first in range(0, len(values), MAX_BATCH_CANDIDATES):
-        seen = simulate_trials(
-            model, cases, values[first : first + MAX_BATCH_CANDIDATES]
-        )
-        pairs = zip(cases, seen, strict=True)
-        parts.append(
-            [
-                ((c.sample_at_points(p) - c.points) / c.sigma[:, None]).reshape(
-                    len(p), -1
-                )
-                for c, p in pairs
-            ]
-        )
-    return [np.concatenate(own) for own in zip(*parts, strict=True)]
+        chunk = values[first : first + MAX_BATCH_CANDIDATES]
+        simulated = simulate_trials(model, cases, chunk)
+        for part, trial, strings in zip(parts, cases, simulated, strict=True):
+            distance = trial.sample_at_points(strings) - trial.points
+            normalised = distance / trial.sigma[:, None]
+            part.append(normalised.reshape(len(chunk), -1))
+    return [np.concatenate(part) for part in parts]
 
 
 def simulate_trials(
     model: Model, cases: Sequence[PreparedTrial], values: np.ndarray
 ) -> list[np.ndarray]:
-    """What the camera reports of candidates (C, P) in each trial, (C, F, n, 2) [m]; NaN
-    where a run was rejected.
+    """Simulate candidates (C, P) in each trial.
+
+    Returns what the camera reports, (C, F, n, 2) [m] of each trial; NaN where a run was
+    rejected. Trials at rest can share a batch, and those that move at the same time of
+    their clocks.
     """
-    # side by side go those at rest, and those moving at the same time of a clock
-    alike: dict[object, list[int]] = {}
-    begins = [
-        case.motion.start if case.initial_state is None else case.initial_state.t
-        for case in cases
-    ]
-    for i, (case, begin) in enumerate(zip(cases, begins, strict=True)):
-        alike.setdefault(
-            (case.initial_state is None, begin, case.motion.tick), []
-        ).append(i)
+    groups: defaultdict[object, list[int]] = defaultdict(list)
+    starts = []
+    for i, trial in enumerate(cases):
+        at_rest = trial.initial_state is None
+        starts.append(
+            trial.motion.start if trial.initial_state is None else trial.initial_state.t
+        )
+        groups[at_rest, starts[i], trial.motion.tick].append(i)
+
+    rounds = len(values) / kernel_codegen.LANES / get_num_threads()
     result: dict[int, np.ndarray] = {}
-    for numbers in alike.values():
-        seconds = [float(cases[i].times[-1] - begins[i]) for i in numbers]
-        for chosen in _plan_batches(
-            seconds, len(values) / kernel_codegen.LANES / get_num_threads()
-        ):
-            some = [numbers[place] for place in chosen]
-            result |= zip(
-                some,
-                _simulate_batch(model, [cases[i] for i in some], values),
-                strict=True,
-            )
+    for numbers in groups.values():
+        seconds = [float(cases[i].times[-1] - starts[i]) for i in numbers]
+        for batch in _plan_batches(seconds, rounds):
+            members = [numbers[i] for i in batch]
+            points = _simulate_batch(model, [cases[i] for i in members], values)
+            result |= zip(members, points, strict=True)
     return [result[i] for i in range(len(cases))]
 
 
 def _plan_batches(seconds: Sequence[float], rounds: float) -> list[list[int]]:
-    """Places of trials that go together, for the least time in all: a batch lasts as
-    long as its longest trial.
+    """Split trials into batches of the least total time (dynamic programming).
 
-    seconds: how long each is. rounds: how often the candidates of one would fill the
-    vector units of all cores.
+    A batch lasts as long as its longest trial.
+
+    seconds: the length of each trial. rounds: how often the candidates of one would
+    fill the vector units of all cores.
     """
     order = [int(i) for i in np.argsort(seconds, kind="stable")]
-    best: list[tuple[float, list[list[int]]]] = [(0.0, [])]
+    best: list[tuple[float, list[list[int]]]] = [(0.0, [])]  # of the shortest trials
     for last in range(1, len(order) + 1):
-        tried = []
+        options = []
         for first in range(last):
             batch = order[first:last]
-            dearer = SEPARATE_HANDS_COST if len(batch) > 1 else 1.0
-            price = (
-                BATCH_OVERHEAD_S
-                + dearer * np.ceil(len(batch) * rounds) * seconds[batch[-1]]
-            )
-            tried.append((best[first][0] + price, [*best[first][1], batch]))
-        best.append(min(tried, key=lambda one: one[0]))
+            cost = SEPARATE_HANDS_COST if len(batch) > 1 else 1.0
+            steps = cost * np.ceil(len(batch) * rounds) * seconds[batch[-1]]
+            price, batches = best[first]
+            options.append((price + (BATCH_OVERHEAD_S + steps), [*batches, batch]))
+        best.append(min(options, key=lambda option: option[0]))
     return best[-1][1]
 
 
 def _simulate_batch(
     model: Model, cases: Sequence[PreparedTrial], values: np.ndarray
 ) -> list[np.ndarray]:
-    """Of trials that are simulated side by side. Clocks of strings that move count from
-    there, shorter trials stay at their last moment, and hands that end earlier rest.
+    """Simulate candidates in trials that share a batch.
+
+    Clocks of strings that move count from their first moment, shorter trials stay at
+    their last moment, and hands that end earlier rest.
     """
     if len(cases) == 1:
-        return [
-            model.simulate_observation(
-                case.motion, values, case.times, case.initial_state, case.turn
-            ).points
-            for case in cases
-        ]
+        (trial,) = cases
+        motion = model.simulate_observation(
+            trial.motion, values, trial.times, trial.initial_state, trial.turn
+        )
+        return [motion.points]
+
+    lanes = [_lane(model, trial, values) for trial in cases]
+    frames = max(lane.times.shape[1] for lane in lanes)
+    ticks = max(lane.hand.pose.shape[1] for lane in lanes)
     count = len(values)
-    begun = [
-        model.initial_state_on_arm_clock(case.initial_state, values) for case in cases
-    ]
-    moments = [
-        np.atleast_2d(model.required_times(values, case.times)) for case in cases
-    ]
-    counted = [
-        m if begin is None else begin.times_since_start(m)
-        for m, begin in zip(moments, begun, strict=True)
-    ]
-    frames = max(own.shape[1] for own in counted)
-    lasting = [
-        np.pad(own, ((0, 0), (0, frames - own.shape[1])), mode="edge")
-        for own in counted
-    ]
 
-    pairs = zip(
-        (model.hand_motion(case.motion, values) for case in cases), begun, strict=True
+    times, poses, rates = [], [], []
+    for lane in lanes:
+        missing = frames - lane.times.shape[1]
+        times.append(np.pad(lane.times, ((0, 0), (0, missing)), mode="edge"))
+        hand = lane.hand
+        pose, rate = append_rest_ticks(hand.pose, hand.rate, ticks - hand.pose.shape[1])
+        poses.append(pose)
+        rates.append(rate)
+
+    first = lanes[0].hand
+    hand = HandMotion(
+        first.start, first.tick, _stack_rows(poses, count), _stack_rows(rates, count)
     )
-    hands = [
-        hand if begin is None else hand.starting_at(begin.t) for hand, begin in pairs
-    ]
-    longest = max(hand.pose.shape[1] for hand in hands)
-    moved = [
-        append_rest_ticks(hand.pose, hand.rate, longest - hand.pose.shape[1])
-        for hand in hands
-    ]
-    pose, rate = (_stack_rows(rows, count) for rows in zip(*moved, strict=True))
-    hand = HandMotion(hands[0].start, hands[0].tick, pose, rate)
-
     string = np.tile(values[:, : len(model.string.parameters)], (len(cases), 1))
-    states = _stack_states([begin for begin in begun if begin is not None], count)
-    turn = np.repeat([case.turn for case in cases], count)
-    points = simulate(
-        model.string, hand, string, _stack_rows(lasting, count), states, turn
-    ).points
-    told = zip(np.split(points, len(cases)), moments, cases, strict=True)
-    return [
-        model.observed_points(own[:, : m.shape[-1]], values, case.times)
-        for own, m, case in told
-    ]
+    states = _stack_states(
+        [lane.start for lane in lanes if lane.start is not None], count
+    )
+    turn = np.repeat([trial.turn for trial in cases], count)
+    motion = simulate(
+        model.string, hand, string, _stack_rows(times, count), states, turn
+    )
+
+    reported = []
+    strings = np.split(motion.points, len(cases))
+    for trial, lane, points in zip(cases, lanes, strings, strict=True):
+        own = points[:, : lane.times.shape[-1]]
+        reported.append(model.observed_points(own, values, trial.times))
+    return reported
+
+
+@dataclass(frozen=True)
+class _Lane:
+    """A trial as a batch simulates it: hand, moments (1 or C, M) [s], initial state."""
+
+    hand: HandMotion
+    times: np.ndarray
+    start: StringState | None
+
+
+def _lane(model: Model, trial: PreparedTrial, values: np.ndarray) -> _Lane:
+    start = model.initial_state_on_arm_clock(trial.initial_state, values)
+    hand = model.hand_motion(trial.motion, values)
+    moments = np.atleast_2d(model.required_times(values, trial.times))
+    if start is None:
+        return _Lane(hand, moments, None)
+    return _Lane(hand.starting_at(start.t), start.times_since_start(moments), start)
 
 
 def _stack_states(states: Sequence[StringState], count: int) -> StringState | None:
-    """The states of several trials, for so many candidates of each, whose time counts
-    from there; None of those at rest.
+    """Stack the states of several trials for so many candidates of each.
+
+    Time counts from their first moment. None of trials at rest.
     """
     if not states:
         return None
-    rows = zip(*((state.s, state.angle, state.rate) for state in states), strict=True)
-    s, angle, rate = (
-        _stack_rows([np.atleast_2d(part) for part in parts], count) for parts in rows
+    s = _stack_rows([np.atleast_2d(state.s) for state in states], count)
+    angle = _stack_rows([np.atleast_2d(state.angle) for state in states], count)
+    rate = _stack_rows([np.atleast_2d(state.rate) for state in states], count)
+    let_back = _stack_rows(
+        [np.atleast_1d(state.memory_reversal) for state in states], count
     )
-    return StringState(
-        0.0,
-        s,
-        angle,
-        rate,
-        _stack_rows([np.atleast_1d(state.memory_reversal) for state in states], count),
-    )
+    return StringState(0.0, s, angle, rate, let_back)
 
 
 def _stack_rows(parts: Sequence[np.ndarray], count: int) -> np.ndarray:
-    """Rows (1 or C, ...) of several trials for `count` candidates of each, below one
-    another, (C', ...).
-    """
-    return np.concatenate(
-        [np.broadcast_to(part, (count, *part.shape[1:])) for part in parts]
-    )
+    """Stack rows (1 or C, ...) of several trials, `count` candidates each, (C', ...)."""
+    rows = [np.broadcast_to(part, (count, *part.shape[1:])) for part in parts]
+    return np.concatenate(rows)

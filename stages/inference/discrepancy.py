@@ -1,17 +1,19 @@
-"""What a model lacks in a trial, as a smooth random displacement of the string (Kennedy
-and O'Hagan 2001).
+"""The discrepancy of a model in a trial: a Gaussian process.
 
-    simulated - measured = U a + s d + e,        d ~ GP,   a ~ N(0, 1),   e: noise
+    simulated - measured = U a + s d + e,      d ~ GP,   a ~ N(0, 1),   e: noise
 
 d is zero at the grasp, smooth along the string (squared exponential, 0.35 L) and in
-time (Matern 3/2), and grows over the trial as any small change of the model's
-parameters does. Its size s [m], root mean square at the tip, is unknown for every
-trial: half-Cauchy, on a grid. U are the modes of the trial's beginning.
+time (Matern 3/2), and grows over the trial as any small change of the parameters does.
+Its scale s [m], the root mean square at the tip, is unknown in every trial:
+half-Cauchy, on a grid. U are the modes of the trial's initial state.
 
-A trial is told by its coefficients in a basis of smooth functions of time and place
-(Higdon et al. 2008, JASA 103, 570), turned such that noise (`noise`) is white and the
-discrepancy diagonal: a size s then costs nothing to try. What is left beside them is
-noise, whose size it tells.
+A trial is expanded in a basis of smooth functions of time and place, turned such that
+noise (`noise`) is white and the discrepancy diagonal. Trying a scale then costs
+nothing. What the basis does not reach is noise, and gives its size.
+
+References
+----------
+Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425. Higdon et al. 2008, JASA 103, 570.
 """
 
 from __future__ import annotations
@@ -42,24 +44,27 @@ from stringcast.stages.inference.whitening import LowRankWhitening
 if TYPE_CHECKING:
     from stringcast.stages.inference.prepared_trial import PreparedTrial
 
-# [s] of the Matern kernel: in the middle of 0.05 to 0.12, which suited nine fits of
-# strings of 0.3 m
-MATERN_TIME_S = 0.08
-# [m] of s: each 1.56 times the last; no string is as far
+MATERN_TIME_S = 0.08  # [s]: 0.05 to 0.12 suited nine fits of strings of 0.3 m
+# Scales s [m], each 1.56 times the last; no string is farther off.
 DISCREPANCY_SCALES_M = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])
 MEDIAN_SCALE_M = 5e-4  # [m] of s: half of all trials have less (half-Cauchy)
-# of all points: with fewer beside what splines tell, they do not tell the noise
+# of all numbers: fewer beyond what splines reach do not give the noise
 MIN_FREE_SHARE = 0.2
 
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """Of one trial, in M coefficients for each coordinate.
+    """The discrepancy of one trial, in M coefficients for each coordinate.
 
-    splines: (n, B) at the measured points. turn: (M, B) from sums over points, of
-    residuals over sigma times splines, to coefficients; unturn: (B, M) back to splines.
-    variance: (M,) of the discrepancy for s = 1 m. nuisance: U in coefficients, (2 M,
-    m); modes: as it is, (2 n, m).
+    Parameters
+    ----------
+    splines : basis functions at the measured points, (n, B).
+    turn : from sums over points of residuals over sigma times splines to coefficients,
+        (M, B).
+    unturn : from coefficients back to splines, (B, M).
+    variance : of the coefficients of a discrepancy of s = 1 m, (M,).
+    nuisance : U in coefficients, (2 M, m).
+    modes : U at the points over sigma, (2 n, m).
     """
 
     splines: csr_array
@@ -74,50 +79,51 @@ class Discrepancy:
     def for_trial(
         cls, trial: PreparedTrial, growth: np.ndarray, nuisance: np.ndarray
     ) -> Discrepancy:
-        """growth: of d at each frame, (F,). nuisance: U over sigma, (2 n, m)."""
-        time, place = (
-            time_splines(trial.times),
-            place_functions(trial.s, trial.model.string.length),
-        )
+        """Build the basis of a trial in which noise and discrepancy are diagonal.
+
+        Parameters
+        ----------
+        trial : times, places and noise matter.
+        growth : of d at each frame, (F,).
+        nuisance : U over sigma, (2 n, m).
+        """
+        time = time_splines(trial.times)
+        place = place_functions(trial.s, trial.model.string.length)
         splines = tensor_products(time[trial.frame], place)
-        spread = trial.noise.covariance(
-            time, gram_roots(place, trial.frame, len(trial.times))
-        )
-        values, vectors = eigh(spread)
+        roots = gram_roots(place, trial.frame, len(trial.times))
+        values, vectors = eigh(trial.noise.covariance(time, roots))
         kept = values > RANK_TOLERANCE * values[-1]
-        # of sums over points to coefficients of what splines tell, in which noise is
-        # white
-        told = (vectors[:, kept] / np.sqrt(values[kept])).T
-        smooth = told @ (splines.T @ _kernel_root(trial, growth))
+        vectors = vectors[:, kept]
+
+        # from sums over points to coefficients in which noise is white
+        whitened = (vectors / np.sqrt(values[kept])).T
+        smooth = whitened @ (splines.T @ _kernel_root(trial, growth))
         variance, turn = eigh(smooth @ smooth.T)
-        of_splines = told @ (splines.T @ splines).toarray() @ vectors[:, kept]
-        unturn = vectors[:, kept] @ np.linalg.solve(of_splines, turn)
-        none = (np.zeros((2 * len(variance), 0)), np.zeros((2 * len(trial.s), 0)))
-        return cls(
-            splines, turn.T @ told, unturn, np.maximum(variance, 0.0), *none
-        ).with_nuisance(nuisance)
+        of_splines = whitened @ (splines.T @ splines).toarray() @ vectors
+        unturn = vectors @ np.linalg.solve(of_splines, turn)
+
+        no_coefficients = np.zeros((2 * len(variance), 0))
+        no_shapes = np.zeros((2 * len(trial.s), 0))
+        variance = np.maximum(variance, 0.0)
+        plain = cls(
+            splines, turn.T @ whitened, unturn, variance, no_coefficients, no_shapes
+        )
+        return plain.with_nuisance(nuisance)
 
     def coefficients(self, residual: np.ndarray) -> np.ndarray:
-        """(C, 2 M) of residuals over sigma (C, 2 n)."""
+        """Expand residuals over sigma (C, 2 n) in the basis, (C, 2 M)."""
         count, points, number = (
             len(residual),
             self.splines.shape[0],
             len(self.to_coefficients),
         )
-        by_point = (
-            residual.reshape(count, points, 2)
-            .transpose(1, 0, 2)
-            .reshape(points, 2 * count)
-        )
-        found = self.to_coefficients @ (self.splines.T @ by_point)
-        return np.asarray(
-            found.reshape(number, count, 2)
-            .transpose(1, 0, 2)
-            .reshape(count, 2 * number)
-        )
+        by_point = residual.reshape(count, points, 2).transpose(1, 0, 2)
+        sums = self.splines.T @ by_point.reshape(points, 2 * count)
+        found = (self.to_coefficients @ sums).reshape(number, count, 2)
+        return np.asarray(found.transpose(1, 0, 2).reshape(count, 2 * number))
 
     def with_nuisance(self, modes: np.ndarray) -> Discrepancy:
-        """With more nuisance: U over sigma (2 n, m)."""
+        """Add nuisance shapes: U over sigma, (2 n, m)."""
         nuisance = np.hstack([self.nuisance_coefficients, self.coefficients(modes.T).T])
         return replace(
             self,
@@ -126,54 +132,53 @@ class Discrepancy:
         )
 
     def replace_leading_nuisance(self, modes: np.ndarray, count: int) -> Discrepancy:
-        """With other nuisance, U over sigma (2 n, m), in the place of its first so many
-        columns.
-        """
+        """Replace the first `count` nuisance shapes by U over sigma, (2 n, m)."""
+        later = replace(
+            self,
+            nuisance_coefficients=self.nuisance_coefficients[:, count:],
+            nuisance_shapes=self.nuisance_shapes[:, count:],
+        )
         nuisance = np.hstack(
-            [self.coefficients(modes.T).T, self.nuisance_coefficients[:, count:]]
+            [self.coefficients(modes.T).T, later.nuisance_coefficients]
         )
         return replace(
             self,
             nuisance_coefficients=nuisance,
-            nuisance_shapes=np.hstack([modes, self.nuisance_shapes[:, count:]]),
+            nuisance_shapes=np.hstack([modes, later.nuisance_shapes]),
         )
 
     def whiten(self, residual: np.ndarray, size: int) -> np.ndarray:
-        """Compute white coefficients (C, 2 M) of residuals over sigma (C, 2 n), at a
-        number of SIZES.
-        """
+        """Whiten residuals over sigma (C, 2 n) at a number of SIZES, (C, 2 M)."""
         return self.whiten_coefficients(self.coefficients(residual), size)
 
     def whiten_coefficients(self, coefficients: np.ndarray, size: int) -> np.ndarray:
-        """V(s)^(-1/2) of coefficients (C, 2 M), at a number of SIZES."""
+        """Compute V(s)^(-1/2) of coefficients (C, 2 M), at a number of SIZES."""
         deviation, rank = self._whitening_by_scale[size]
         return rank(coefficients / deviation)
 
     def log_likelihood_by_scale(self, coefficients: np.ndarray) -> np.ndarray:
-        """Of coefficients (C, 2 M) at all SIZES, (C, S)."""
+        """Compute the log-likelihood of coefficients (C, 2 M) at all SIZES, (C, S)."""
         found = []
         for deviation, rank in self._whitening_by_scale:
             square = np.sum(rank(coefficients / deviation) ** 2, axis=1)
+            log_volume = np.log(deviation).sum()
             found.append(
-                -0.5 * square
-                - np.log(deviation).sum()
-                + np.log1p(-rank.removed_share).sum()
+                -0.5 * square - log_volume + np.log1p(-rank.removed_share).sum()
             )
         return np.stack(found, axis=1)
 
     def posterior_mean(self, coefficients: np.ndarray, size: int) -> np.ndarray:
-        """The discrepancy over sigma (2 n,) that coefficients (2 M,) leave most likely."""
+        """Compute the most likely discrepancy over sigma (2 n,), given coefficients."""
         variance = np.repeat(DISCREPANCY_SCALES_M[size] ** 2 * self.variance, 2)
-        known = coefficients - self.nuisance_coefficients @ self._nuisance_amplitudes(
+        explained = self.nuisance_coefficients @ self._nuisance_amplitudes(
             coefficients, size
         )
-        told = (known * variance / (1.0 + variance)).reshape(-1, 2)
-        return np.asarray((self.splines @ (self.to_splines @ told)).ravel())
+        smooth = (coefficients - explained) * variance / (1.0 + variance)
+        by_spline = self.to_splines @ smooth.reshape(-1, 2)
+        return np.asarray((self.splines @ by_spline).ravel())
 
     def nuisance_mean(self, coefficients: np.ndarray, size: int) -> np.ndarray:
-        """What another beginning most likely explains of coefficients (2 M,), over
-        sigma, (2 n,).
-        """
+        """Compute what the nuisance most likely explains of coefficients, (2 n,)."""
         return np.asarray(
             self.nuisance_shapes @ self._nuisance_amplitudes(coefficients, size)
         )
@@ -181,119 +186,90 @@ class Discrepancy:
     def _nuisance_amplitudes(self, coefficients: np.ndarray, size: int) -> np.ndarray:
         deviation, _ = self._whitening_by_scale[size]
         root = self.nuisance_coefficients / deviation[:, None]
-        return np.asarray(
-            np.linalg.solve(
-                np.eye(root.shape[1]) + root.T @ root,
-                root.T @ (coefficients / deviation),
-            )
-        )
+        normal = np.eye(root.shape[1]) + root.T @ root
+        return np.asarray(np.linalg.solve(normal, root.T @ (coefficients / deviation)))
 
     def sample_posterior(
         self, coefficients: np.ndarray, size: int, count: int, rng: np.random.Generator
     ) -> np.ndarray:
-        """Discrepancies over sigma (count, 2 n) as likely as coefficients (2 M,) leave
-        them.
-        """
+        """Draw discrepancies over sigma (count, 2 n) given coefficients (2 M,)."""
         variance = np.repeat(DISCREPANCY_SCALES_M[size] ** 2 * self.variance, 2)
-        scatter = rng.standard_normal((count, len(variance))) * np.sqrt(
-            variance / (1.0 + variance)
-        )
-        told = scatter.reshape(count, -1, 2).transpose(1, 0, 2).reshape(-1, 2 * count)
-        off = (
-            (self.splines @ (self.to_splines @ told))
-            .reshape(-1, count, 2)
-            .transpose(1, 0, 2)
-            .reshape(count, -1)
-        )
-        return np.asarray(self.posterior_mean(coefficients, size) + off)
+        normal = rng.standard_normal((count, len(variance)))
+        scatter = normal * np.sqrt(variance / (1.0 + variance))
+        by_basis = scatter.reshape(count, -1, 2).transpose(1, 0, 2)
+        by_point = self.splines @ (self.to_splines @ by_basis.reshape(-1, 2 * count))
+        offset = by_point.reshape(-1, count, 2).transpose(1, 0, 2).reshape(count, -1)
+        return np.asarray(self.posterior_mean(coefficients, size) + offset)
 
     @cached_property
     def _whitening_by_scale(self) -> list[tuple[np.ndarray, LowRankWhitening]]:
-        """Deviations (2 M,) of coefficients without nuisance, and what whitens them
-        then, at each of SIZES.
-        """
-        deviations = [
-            np.repeat(np.sqrt(1.0 + size**2 * self.variance), 2)
-            for size in DISCREPANCY_SCALES_M
-        ]
-        return [
-            (
-                each,
-                LowRankWhitening.from_columns(
-                    self.nuisance_coefficients / each[:, None]
-                ),
+        """At each of SIZES, deviations (2 M,) without nuisance, and the rest of V."""
+        whitening = []
+        for size in DISCREPANCY_SCALES_M:
+            deviation = np.repeat(np.sqrt(1.0 + size**2 * self.variance), 2)
+            rank = LowRankWhitening.from_columns(
+                self.nuisance_coefficients / deviation[:, None]
             )
-            for each in deviations
-        ]
+            whitening.append((deviation, rank))
+        return whitening
 
 
 def remove_smooth_motion(
     trial: PreparedTrial, residual: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """What residuals (n, 2) over sigma have beside smooth motion, and the noise over
-    sigma that it tells, robustly; all of them where there are too few to tell.
+    """Remove smooth motion from residuals (n, 2) over sigma.
+
+    Returns the rest and the noise over sigma, estimated robustly from it. Where too few
+    numbers are left to do that, nothing is removed.
     """
+    time = time_splines(trial.times, knot_spacing(trial.times))
     place = place_functions(trial.s, trial.model.string.length)
-    splines = tensor_products(
-        time_splines(trial.times, knot_spacing(trial.times))[trial.frame], place
-    )
+    splines = tensor_products(time[trial.frame], place)
     gram = (splines.T @ splines).toarray()
     free = 1 - np.linalg.matrix_rank(gram) / len(residual)
     if free < MIN_FREE_SHARE:
         return residual, float(mad_sigma(residual))
-    beside = (
-        residual
-        - splines @ np.linalg.lstsq(gram, splines.T @ residual, rcond=RANK_TOLERANCE)[0]
-    )
-    return beside, float(mad_sigma(beside) / np.sqrt(free))
+    smooth = np.linalg.lstsq(gram, splines.T @ residual, rcond=RANK_TOLERANCE)[0]
+    rest = residual - splines @ smooth
+    return rest, float(mad_sigma(rest) / np.sqrt(free))
 
 
 def noise_track_of_trial(trial: PreparedTrial, residual: np.ndarray) -> NoiseTrack:
-    """What residuals (n, 2) over their noise tell of that."""
+    """Project residuals (n, 2) over their noise on what the noise is estimated from."""
     time = time_splines(trial.times, knot_spacing(trial.times))
-    return noise_track(
-        time, place_functions(trial.s, trial.model.string.length), trial.frame, residual
-    )
+    place = place_functions(trial.s, trial.model.string.length)
+    return noise_track(time, place, trial.frame, residual)
 
 
 def log_scale_prior() -> np.ndarray:
-    """Of SIZES, half-Cauchy: what lies between the middles of neighbours, (S,)."""
-    edges = np.concatenate(
-        [
-            [0.0, DISCREPANCY_SCALES_M[1] / 2],
-            np.sqrt(DISCREPANCY_SCALES_M[1:-1] * DISCREPANCY_SCALES_M[2:]),
-            [np.inf],
-        ]
-    )
+    """Compute the log prior of SIZES, (S,): half-Cauchy between midpoints."""
+    midpoints = np.sqrt(DISCREPANCY_SCALES_M[1:-1] * DISCREPANCY_SCALES_M[2:])
+    edges = np.concatenate([[0.0, DISCREPANCY_SCALES_M[1] / 2], midpoints, [np.inf]])
     return np.asarray(np.log(np.diff(2 / np.pi * np.arctan(edges / MEDIAN_SCALE_M))))
 
 
 def marginal_log_likelihood(log_likelihoods: np.ndarray) -> np.ndarray:
-    """Log-likelihood whatever s is, of (..., S)."""
+    """Integrate the scale out of log-likelihoods (..., S)."""
     return np.asarray(logsumexp(log_likelihoods + log_scale_prior(), axis=-1))
 
 
 def best_scale_index(log_likelihoods: np.ndarray) -> np.ndarray:
-    """Number of the likeliest of SIZES, of (..., S)."""
+    """Find the number of the most likely of SIZES, given log-likelihoods (..., S)."""
     return np.asarray(np.argmax(log_likelihoods + log_scale_prior(), axis=-1))
 
 
 def _kernel_root(trial: PreparedTrial, growth: np.ndarray) -> np.ndarray:
-    """Columns (n, K) whose products are the covariance of the discrepancy, of unit mean
-    square at the tip.
-    """
-    at = time_nodes(trial.times, KNOT_SPACING_S)
-    memory = max(MATERN_TIME_S, 2 * (at[1] - at[0]))
-    rate = np.sqrt(3) / memory  # of a Matern kernel of order 3/2
-    time = nystrom_root(
-        trial.times, at, lambda gap: (1 + rate * gap) * np.exp(-rate * gap)
-    )[trial.frame]
-    # there is none where a trial cannot be simulated
+    """Compute a root (n, K) of the discrepancy's covariance, of unit rms at the tip."""
+    knots = time_nodes(trial.times, KNOT_SPACING_S)
+    rate = np.sqrt(3) / max(MATERN_TIME_S, 2 * (knots[1] - knots[0]))
+
+    def matern(gap: np.ndarray) -> np.ndarray:
+        return np.asarray((1 + rate * gap) * np.exp(-rate * gap))
+
+    time = nystrom_root(trial.times, knots, matern)[trial.frame]
+    place = place_functions(trial.s, trial.model.string.length)
+    # a trial that cannot be simulated has no growth
     typical = max(rms(growth), np.finfo(float).tiny)
     grown = (growth / typical)[trial.frame] / trial.sigma
-    place = place_functions(trial.s, trial.model.string.length)
-    return np.asarray(
-        ((grown[:, None] * time)[:, :, None] * place[:, None, :]).reshape(
-            len(trial.s), -1
-        )
-    )
+    both = (grown[:, None] * time)[:, :, None] * place[:, None, :]
+    return np.asarray(both.reshape(len(trial.s), -1))

@@ -1,5 +1,6 @@
-"""Huber's loss: squares within a limit, and straight lines beyond it, so that outliers
-count less (Huber 1964).
+"""Huber's loss: squares within a limit and straight lines beyond it.
+
+Outliers then count less (Huber 1964).
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ HUBER_LIMIT = 2.0  # standard deviations: 98.9 % efficient on normal noise
 
 
 def huber_loss(residual: np.ndarray, limit: float) -> np.ndarray:
-    """Mean over the last axis, (...): the mean square where nothing is beyond the
-    limit. residual: (..., N).
+    """Average the loss of residuals (..., N) over the last axis, (...).
+
+    It is the mean square where no residual exceeds the limit.
     """
     size = np.abs(residual)
     within = np.minimum(size, limit)
@@ -19,7 +21,9 @@ def huber_loss(residual: np.ndarray, limit: float) -> np.ndarray:
 
 
 def huber_weights(residual: np.ndarray, limit: float) -> np.ndarray:
-    """With which squares have the same slope as the loss, (..., N): 1 within the limit,
-    less beyond.
+    """Compute the weights (..., N) by which squares have the slope of the loss.
+
+    They are 1 within the limit and less beyond it.
     """
-    return np.minimum(1.0, limit / np.maximum(np.abs(residual), np.finfo(float).tiny))
+    size = np.maximum(np.abs(residual), np.finfo(float).tiny)
+    return np.minimum(1.0, limit / size)

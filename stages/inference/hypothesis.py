@@ -1,6 +1,4 @@
-"""Hypotheses: a base model together with the causes that may be active in addition to
-it.
-"""
+"""Hypotheses: a base model and the causes that are active in addition to it."""
 
 from __future__ import annotations
 
@@ -59,12 +57,6 @@ class Hypothesis:
         return [self.model.names.index(name) for name in self.base.names]
 
     def exponents_from(self, known: Mapping[str, float]) -> np.ndarray:
-        """Collect exponents (P,) known by name; others are at their start, where a
-        cause is absent.
-        """
-        return np.array(
-            [
-                known.get(p.name, float(p.chi(np.asarray(p.start))))
-                for p in self.parameters
-            ]
-        )
+        """Collect exponents (P,) known by name; others are where a cause is absent."""
+        starts = {p.name: float(p.chi(np.asarray(p.start))) for p in self.parameters}
+        return np.array([known.get(name, start) for name, start in starts.items()])

@@ -27,11 +27,14 @@ PARABOLA_FRAMES = 4
 MAX_GAP_SHARE = 0.05
 OUTLIER_RATIO = 5.0  # times the usual residual: a place beyond that has an outlier
 MIN_NOISE_SHARE = 3e-4  # of the length: no place is known better
-# [rad] by which the direction wanders over the length
-DIRECTION_WANDERS_RAD = np.geomspace(0.03, 10.0, 12)
+DIRECTION_WANDERS_RAD = np.geomspace(
+    0.03, 10.0, 12
+)  # [rad] by which the direction wanders over the length
 RATE_WANDERS_RAD_S = np.geomspace(0.1, 100.0, 12)  # [rad/s] by which its rate does
-# the same at the grasp alone, as shares of those: clamped, or loose
-HINGE_SHARES = (0.0, 1.0)
+HINGE_SHARES = (
+    0.0,
+    1.0,
+)  # the same at the grasp alone, as shares of those: clamped, or loose
 MIN_GAIN_LOG_EVIDENCE = 3.0  # gain in log evidence from which the string moves: 20 to 1
 GAUSS_NEWTON_STEPS = 12  # of Gauss-Newton to the shape
 # of the line that they begin with: nearer places are as far apart by noise as along the

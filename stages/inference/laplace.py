@@ -1,14 +1,18 @@
-"""Model hypotheses fitted to trials, and the evidence for each (Laplace's
-approximation: MacKay 2003, chapter 27).
+"""Hypotheses fitted to trials, and the evidence for each by Laplace's approximation.
 
-    ln p(y | h) = sum_k ln p(y_k | theta, h) + ln p(theta | h) + P/2 ln 2 pi - 1/2 ln
-    |H|
+    ln p(y | h) = sum_k ln p(y_k | theta, h)      log likelihood of the trials
+                + ln p(theta | h)                 log prior of the causes' amplitudes
+                + P/2 ln 2 pi - 1/2 ln |H|        log volume of the posterior
 
-y_k are the coefficients of trial k, with the size of its discrepancy integrated out
-(`discrepancy`); H the curvature at the best theta. Before the data speak every exponent
-in its range is equally likely, but for the size of a cause: of that it is how far it
-moves the tip [m], half-normal of several widths. So a cause of whatever unit pays the
-same for being there, and one that moves nothing is no worse than none.
+y_k are the coefficients of trial k, with the scale of its discrepancy integrated out
+(`discrepancy`); H is the curvature at the best theta. Before the data speak every
+exponent in its range is equally likely, except the amplitude of a cause. The prior of
+an amplitude is one of how far it moves the tip [m]: half-normal of several widths. So
+causes of any unit are equally likely, and one that moves nothing is no worse than none.
+
+References
+----------
+MacKay 2003, Information Theory, Inference, and Learning Algorithms, chapter 27.
 """
 
 from __future__ import annotations
@@ -28,22 +32,29 @@ from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect, amplitude_parameters
+from stringcast.stages.model.parameter import Parameter
 
-# [m] by which a cause may well move the tip, each as likely
+# Widths of the prior of how far a cause moves the tip [m], each as likely
 TIP_SHIFT_WIDTHS_M = np.array([1e-3, 3e-3, 1e-2, 3e-2])
-# at most, in turns with the sizes of discrepancies: it mostly takes three
-MAX_SCALE_ROUNDS = 6
+MAX_SCALE_ROUNDS = 6  # of parameters and scales in turn, at most; it mostly takes three
 SCREENING_ITERATIONS = 4  # iterations of several starts, before the best alone goes on
-DISCREPANCY_DRAWS = 400  # of what may be lacking: a probability is told to 0.025
-ABSENCE_TOLERANCE = 1e-9  # of a range: nearer than that is not there
+DISCREPANCY_DRAWS = 400  # of a discrepancy: a probability is known to 0.025
+ABSENCE_TOLERANCE = 1e-9  # of a range: an amplitude so near to its start is absent
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A hypothesis at its best. chi: (P,). residuals: over sigma, of each trial (2 n,);
-    slopes: of them with chi, (P, 2 n). sizes: (K,) likeliest number of SIZES of each
-    discrepancy. by_trial: (K,) log-likelihood of each trial, whatever that is.
-    evidence: ln p(y | h).
+    """A hypothesis at its best.
+
+    Parameters
+    ----------
+    hypothesis : that was fitted.
+    chi : exponents, (P,).
+    residuals : of each trial, over sigma, (2 n,).
+    slopes : of the residuals with chi, (P, 2 n) of each trial.
+    sizes : the number of the most likely scale of each trial's discrepancy, (K,).
+    by_trial : log-likelihood of each trial, whatever that scale, (K,).
+    evidence : ln p(y | h).
     """
 
     hypothesis: Hypothesis
@@ -56,28 +67,24 @@ class Fit:
 
     @property
     def exponents(self) -> dict[str, float]:
-        """Exponents by name."""
-        return {
-            p.name: float(chi)
-            for p, chi in zip(self.hypothesis.parameters, self.chi, strict=True)
-        }
+        """The exponents by parameter name."""
+        return dict(zip(self.hypothesis.model.names, self.chi.tolist(), strict=True))
 
     @property
     def values(self) -> dict[str, float]:
-        """Parameters by name."""
-        return {
-            p.name: float(p.value(chi))
-            for p, chi in zip(self.hypothesis.parameters, self.chi, strict=True)
-        }
+        """The parameters' values by name."""
+        pairs = zip(self.hypothesis.parameters, self.chi, strict=True)
+        return {p.name: float(p.value(chi)) for p, chi in pairs}
 
     def cause_parameters(self, cause: type[Effect]) -> dict[str, float]:
-        """A cause's parameters by their own names."""
-        return {p.name: self.values[cause.qualified_name(p)] for p in cause.parameters}
+        """Look up a cause's parameters by their own names."""
+        values = self.values
+        return {p.name: values[cause.qualified_name(p)] for p in cause.parameters}
 
     @property
     def diverged(self) -> bool:
         """Whether a trial could not be simulated."""
-        return any((each == DIVERGED_RESIDUAL).any() for each in self.residuals)
+        return any((residual == DIVERGED_RESIDUAL).any() for residual in self.residuals)
 
 
 def fit_hypothesis(
@@ -87,10 +94,13 @@ def fit_hypothesis(
     sizes: np.ndarray,
     enough: float = solver.MIN_GAIN,
 ) -> Fit:
-    """A hypothesis at its best from these starts (C, P), in turns with the sizes of the
-    discrepancies, from (K,) on.
+    """Fit a hypothesis: its parameters and the discrepancies' scales in turn.
 
-    enough: a step that gains less of the log-likelihood is the last of its turn.
+    Parameters
+    ----------
+    starts : exponents, (C, P).
+    sizes : numbers of the scales to start with, (K,).
+    enough : a step that gains less of the log-likelihood ends its turn.
     """
     return evaluate_fit(
         data, hypothesis, best_exponents(data, hypothesis, starts, sizes, enough)
@@ -104,62 +114,106 @@ def best_exponents(
     sizes: np.ndarray,
     enough: float = solver.MIN_GAIN,
 ) -> np.ndarray:
-    """Exponents (P,) of `fitted`."""
-    data = data.for_hypothesis(hypothesis)
-    first = solver.fit_least_squares(
-        _likelihood_of(data, hypothesis, sizes), starts, SCREENING_ITERATIONS, enough
-    )
-    told = data.log_likelihood_by_scale(data.residuals(hypothesis.model, first.chi))
-    best = int(np.argmax(marginal_log_likelihood(told).sum(axis=0)))
-    chi, sizes = first.chi[best], best_scale_index(told[:, best])
+    """Find the exponents (P,) of a fit. Parameters: as of `fitted`."""
+    data, model = data.for_hypothesis(hypothesis), hypothesis.model
+
+    def likelihood() -> Likelihood:
+        return Likelihood(data, model, sizes, uniform_indices=hypothesis.base_indices)
+
+    first = solver.fit_least_squares(likelihood(), starts, SCREENING_ITERATIONS, enough)
+    # (K, C, S)
+    by_scale = data.log_likelihood_by_scale(data.residuals(model, first.chi))
+    best = int(np.argmax(marginal_log_likelihood(by_scale).sum(axis=0)))
+    chi, sizes = first.chi[best], best_scale_index(by_scale[:, best])
     for _ in range(MAX_SCALE_ROUNDS - 1):
-        chi = solver.fit_least_squares(
-            _likelihood_of(data, hypothesis, sizes), chi[None], enough=enough
-        ).chi[0]
-        new = best_scale_index(
-            data.log_likelihood_by_scale(data.residuals(hypothesis.model, chi[None]))[
-                :, 0
-            ]
-        )
-        if (new == sizes).all():
+        chi = solver.fit_least_squares(likelihood(), chi[None], enough=enough).chi[0]
+        residuals = data.residuals(model, chi[None])
+        updated = best_scale_index(data.log_likelihood_by_scale(residuals)[:, 0])
+        if (updated == sizes).all():
             break
-        sizes = new
+        sizes = updated
     return np.asarray(chi)
 
 
 def evaluate_fit(data: TrialData, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
-    """What a hypothesis says of the data where it is, exponents (P,)."""
+    """Evaluate a hypothesis and its log evidence at exponents (P,)."""
     data = data.for_hypothesis(hypothesis)
-    raw = [each[0] for each in data.residuals(hypothesis.model, chi[None])]
-    told = data.log_likelihood_by_scale([each[None] for each in raw])[:, 0]
-    sizes, by_trial = best_scale_index(told), marginal_log_likelihood(told)
-    places = [
-        place
-        for cause in hypothesis.causes
-        for place in hypothesis.parameter_indices(cause, amplitude_parameters(cause))
-    ]
-    # one size each
-    absent = np.where(
-        np.eye(len(chi), dtype=bool)[places], hypothesis.exponents_from({}), chi
+    rows = data.residuals(hypothesis.model, chi[None])
+    by_scale = data.log_likelihood_by_scale(rows)[:, 0]
+    sizes, by_trial = best_scale_index(by_scale), marginal_log_likelihood(by_scale)
+    residuals = [row[0] for row in rows]
+
+    amplitudes: list[int] = []
+    for cause in hypothesis.causes:
+        amplitudes += hypothesis.parameter_indices(cause, amplitude_parameters(cause))
+    start = hypothesis.exponents_from({})
+    without_one = np.where(np.eye(len(chi), dtype=bool)[amplitudes], start, chi)
+    slopes, others = _residual_slopes(
+        data, hypothesis, chi, residuals, sizes, without_one
     )
-    slopes, without = _residual_slopes(data, hypothesis, chi, raw, sizes, absent)
+
+    shifts = [r - other for r, other in zip(residuals, others, strict=True)]
+    tip_shifts = data.overall_tip_rms(shifts)
+    tip_slopes = data.overall_tip_rms([slope[amplitudes] for slope in slopes])
+    prior = 0.0
+    for number, index in enumerate(amplitudes):
+        distance = abs(chi[index] - start[index])
+        shift, slope = tip_shifts[number], tip_slopes[number]
+        prior += log_prior(hypothesis.parameters[index], distance, shift, slope)
+
+    precision = np.full(len(chi), PRIOR_PRECISION)
+    precision[amplitudes] = ABSENCE_TOLERANCE
     white = data.whiten(slopes, sizes)
-    moved = [r - w for r, w in zip(raw, without, strict=True)]
-    prior, bounded = _log_prior(data, hypothesis, chi, places, moved, slopes)
-    normal = white @ white.T + np.diag(bounded)
-    occam = 0.5 * (len(chi) * np.log(2 * np.pi) - np.linalg.slogdet(normal)[1])
-    evidence = float(by_trial.sum() + prior + occam)
-    return Fit(hypothesis, chi, tuple(raw), tuple(slopes), sizes, by_trial, evidence)
+    volume = log_volume(white @ white.T + np.diag(precision))
+    evidence = float(by_trial.sum() + prior + volume)
+    return Fit(
+        hypothesis, chi, tuple(residuals), tuple(slopes), sizes, by_trial, evidence
+    )
+
+
+def log_prior(
+    amplitude: Parameter, distance: float, tip_shift: float, tip_slope: float
+) -> float:
+    """Compute the log density of a cause's amplitude in its exponent.
+
+    It is the density of how far the tip moves, times how far it moves by the exponent.
+
+    Parameters
+    ----------
+    distance : of the exponent from where the cause is absent.
+    tip_shift : how far the cause moves the tip [m].
+    tip_slope : the same by the exponent, where it is absent [m].
+    """
+    two_sided = amplitude.low < amplitude.start < amplitude.high
+    shift, slope = 0.0, tip_slope
+    if distance > ABSENCE_TOLERANCE:
+        shift, slope = tip_shift, tip_shift / distance
+    density = float(tip_shift_density(np.asarray(shift), two_sided) * slope)
+    return float(np.log(max(density, np.finfo(float).tiny)))
+
+
+def tip_shift_density(moves: np.ndarray, two_sided: bool) -> np.ndarray:
+    """Compute the prior density [1/m] of how far a cause moves the tip (...) [m].
+
+    Of a cause that can have either sign it is half to either side.
+    """
+    normal = np.exp(-0.5 * (moves[..., None] / TIP_SHIFT_WIDTHS_M) ** 2)
+    density = np.sqrt(2 / np.pi) / TIP_SHIFT_WIDTHS_M * normal
+    return np.asarray(density.mean(axis=-1) * (0.5 if two_sided else 1.0))
+
+
+def log_volume(curvature: np.ndarray) -> float:
+    """Compute the log volume of a normal posterior of this curvature (P, P)."""
+    log_determinant = np.linalg.slogdet(curvature)[1]
+    return float(0.5 * (len(curvature) * np.log(2 * np.pi) - log_determinant))
 
 
 def mean_discrepancy(data: TrialData, fit: Fit) -> list[np.ndarray]:
     """Compute the most likely discrepancy of each trial, over sigma, (2 n,)."""
+    trials = data.for_hypothesis(fit.hypothesis).trials
     means = []
     for trial, residual, size in zip(
-        data.for_hypothesis(fit.hypothesis).trials,
-        fit.residuals,
-        fit.scale_indices,
-        strict=True,
+        trials, fit.residuals, fit.scale_indices, strict=True
     ):
         coefficients = trial.discrepancy.coefficients(residual[None])[0]
         means.append(trial.discrepancy.posterior_mean(coefficients, int(size)))
@@ -169,105 +223,49 @@ def mean_discrepancy(data: TrialData, fit: Fit) -> list[np.ndarray]:
 def sample_discrepancy_tip_rms(
     data: TrialData, fit: Fit, rng: np.random.Generator
 ) -> np.ndarray:
-    """Draw discrepancies as likely as the data leave them, and compute their root mean
-    squares at each tip [m], (K, DRAWS).
+    """Draw discrepancies given the data, and compute their size at each tip.
+
+    Returns root mean squares [m], (K, DRAWS).
     """
     data = data.for_hypothesis(fit.hypothesis)
     draws = []
-    for trial, residual, size in zip(
-        data.trials, fit.residuals, fit.scale_indices, strict=True
-    ):
+    for number, trial in enumerate(data.trials):
+        residual, size = fit.residuals[number], int(fit.scale_indices[number])
         coefficients = trial.discrepancy.coefficients(residual[None])[0]
         draws.append(
             trial.discrepancy.sample_posterior(
-                coefficients, int(size), DISCREPANCY_DRAWS, rng
+                coefficients, size, DISCREPANCY_DRAWS, rng
             )
         )
     return data.tip_rms_by_trial(draws)
-
-
-def _likelihood_of(
-    data: TrialData, hypothesis: Hypothesis, sizes: np.ndarray
-) -> Likelihood:
-    """The trials as a hypothesis explains them. sizes: (K,) of the discrepancies."""
-    return Likelihood(
-        data, hypothesis.model, sizes, uniform_indices=hypothesis.base_indices
-    )
 
 
 def _residual_slopes(
     data: TrialData,
     hypothesis: Hypothesis,
     chi: np.ndarray,
-    raw: Sequence[np.ndarray],
+    residuals: Sequence[np.ndarray],
     sizes: np.ndarray,
     more: np.ndarray,
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Slopes (P, 2 n) of each trial's residuals (2 n,): forward differences as wide as
-    the solver's. Beside them residuals at more exponents (A, P), (A, 2 n): lanes of a
-    batch cost next to nothing.
+    """Difference each trial's residuals (2 n,) by the exponents (P,), as the solver
+    does.
+
+    Returns slopes (P, 2 n), and residuals (A, 2 n) at more exponents (A, P): further
+    lanes of a batch cost little.
     """
     width = np.full(len(chi), solver.FIRST_DIFFERENCE)
     for _ in range(2):  # the first differences say how wide the second should be
         offset = np.where(chi > 0.5, -width, width)
-        found = data.residuals(
-            hypothesis.model, np.concatenate([chi + np.diag(offset), more])
-        )
-        beside, others = zip(
-            *((each[: len(chi)], each[len(chi) :]) for each in found), strict=True
-        )
-        pairs = zip(beside, raw, strict=True)
-        slopes = [
-            np.where((b == DIVERGED_RESIDUAL) | (r == DIVERGED_RESIDUAL), 0.0, b - r)
-            / offset[:, None]
-            for b, r in pairs
-        ]
+        points = np.concatenate([chi + np.diag(offset), more])
+        slopes, others = [], []
+        simulated = data.residuals(hypothesis.model, points)
+        for rows, residual in zip(simulated, residuals, strict=True):
+            moved = rows[: len(chi)]
+            lost = (moved == DIVERGED_RESIDUAL) | (residual == DIVERGED_RESIDUAL)
+            slopes.append(np.where(lost, 0.0, moved - residual) / offset[:, None])
+            others.append(rows[len(chi) :])
         width = solver.difference_widths(data.whiten(slopes, sizes)[None], np.ones(1))[
             0
         ]
-    return slopes, list(others)
-
-
-def _log_prior(
-    data: TrialData,
-    hypothesis: Hypothesis,
-    chi: np.ndarray,
-    places: Sequence[int],
-    moved: Sequence[np.ndarray],
-    slopes: Sequence[np.ndarray],
-) -> tuple[float, np.ndarray]:
-    """Log density of the causes' sizes at exponents (P,), and the curvature (P,) that
-    stands for the ranges of all other parameters. places: of the causes' sizes, (A,).
-    moved: what each of them does in each trial, (A, 2 n).
-    """
-    total, bounded = 0.0, np.full(len(chi), PRIOR_PRECISION)
-    bounded[places] = ABSENCE_TOLERANCE
-    far, by_slope = (
-        np.abs(chi - hypothesis.exponents_from({}))[places],
-        data.overall_tip_rms([slope[places] for slope in slopes]),
-    )
-    for place, off, moves, rise in zip(
-        places, far, data.overall_tip_rms(moved), by_slope, strict=True
-    ):
-        size = hypothesis.parameters[place]
-        there, per_chi = (
-            (moves, moves / off) if off > ABSENCE_TOLERANCE else (0.0, rise)
-        )
-        density = (
-            tip_shift_density(np.asarray(there), size.low < size.start < size.high)
-            * per_chi
-        )
-        total += float(np.log(max(density, np.finfo(float).tiny)))
-    return total, bounded
-
-
-def tip_shift_density(moves: np.ndarray, two_sided: bool) -> np.ndarray:
-    """Density, before the data speak, of how far a cause moves the tip [m], (...)
-    [1/m]; to either side it is half.
-    """
-    each = (
-        np.sqrt(2 / np.pi)
-        / TIP_SHIFT_WIDTHS_M
-        * np.exp(-0.5 * (moves[..., None] / TIP_SHIFT_WIDTHS_M) ** 2)
-    )
-    return np.asarray(each.mean(axis=-1) * (0.5 if two_sided else 1.0))
+    return slopes, others

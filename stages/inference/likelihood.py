@@ -1,12 +1,11 @@
-"""How far candidates are from what was measured, in standard deviations and white: the
-solver's least squares.
+"""The likelihood of candidates as the solver's least squares.
 
     residual_k = V_k^(-1/2) (simulated - measured) / sigma
 
-for trial k, whose error model says V_k: independent noise of some scale, or a smooth
+for trial k, whose error model gives V_k: independent noise of some scale, or a smooth
 discrepancy of some size (`discrepancy`), and displacements U_k a with unknown a ~ N(0,
-1), such as by another initial state. Integrated over a, that is noise of covariance
-V_k: what U_k could explain counts for less, and what is found is sure only of the rest.
+1), such as by another initial state. Integrated over a, these are noise of covariance
+V_k. What U_k could explain counts for less.
 """
 
 from __future__ import annotations
@@ -23,8 +22,7 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
 
 BLOCK_S = 0.05  # [s] of time taken as one independent piece
-# of the string's length, from which the hand has moved, or a string has from where it
-# ends
+# of the string's length: hands and strings that move less are still
 MOTION_SHARE = 0.01
 PRIOR_PRECISION = 12.0  # one over the variance of a chi that may lie anywhere in [0, 1]
 
@@ -36,11 +34,13 @@ class Likelihood:
     Parameters
     ----------
     data : the trials with their error models.
-    model : the model that is fitted to them.
-    sizes : of each trial, the number of its discrepancy's size, (K,); none where no trial has a discrepancy.
+    model : that is fitted to them.
+    sizes : the number of the scale of each trial's discrepancy, (K,); none where no
+        trial has a discrepancy.
     limit : standard deviations beyond which a residual counts less (Huber), or infinite.
-    uniform : indices of parameters that may lie anywhere in their range. Each has a normal prior of a uniform one's
-        variance, which keeps those about the middle that the trials do not determine.
+    uniform : indices of parameters that may lie anywhere in their range. Each has a
+        normal prior of a uniform one's variance, which keeps it in the middle if the
+        trials do not determine it.
     """
 
     data: TrialData
@@ -56,67 +56,61 @@ class Likelihood:
 
     @property
     def noise_scales(self) -> tuple[float, ...]:
-        """The standard deviation of each trial's noise, in the points' own sigma, (K,)."""
+        """The standard deviation of each trial's noise, in its points' sigma, (K,)."""
         return tuple(trial.error_model.scale for trial in self.data.trials)
 
     def residuals(self, chi: np.ndarray) -> np.ndarray:
-        """Compute white residuals of candidates (C, P), those of the prior last, (C,
-        N); LOST in a trial that diverged.
+        """Compute white residuals of candidates (C, P), (C, N).
+
+        Those of the prior come last. In a trial that diverged they are LOST.
         """
         prior = np.sqrt(PRIOR_PRECISION) * (chi[:, list(self.uniform_indices)] - 0.5)
         return np.concatenate([*self.residuals_by_trial(chi), prior], axis=1)
 
     def residuals_by_trial(self, chi: np.ndarray) -> list[np.ndarray]:
         """Compute white residuals of each trial, (C, N_k)."""
-        raw = self.data.residuals(self.model, chi)
-        sizes = (
-            np.asarray(self.scale_indices)
-            if len(self.scale_indices)
-            else np.zeros(len(raw), dtype=int)
-        )
-        white = self.data.whiten_by_trial(raw, sizes)
-        return [
-            np.where(
-                (r == DIVERGED_RESIDUAL).any(axis=1, keepdims=True),
-                DIVERGED_RESIDUAL,
-                w,
-            )
-            for r, w in zip(raw, white, strict=True)
-        ]
+        residuals = self.data.residuals(self.model, chi)
+        sizes = np.asarray(self.scale_indices)
+        if not len(sizes):
+            sizes = np.zeros(len(residuals), dtype=int)
+        white = self.data.whiten_by_trial(residuals, sizes)
+        for number, residual in enumerate(residuals):
+            lost = (residual == DIVERGED_RESIDUAL).any(axis=1, keepdims=True)
+            white[number] = np.where(lost, DIVERGED_RESIDUAL, white[number])
+        return white
 
     def cut_after_onset(self, seconds: float) -> Likelihood:
         """Cut each trial this long after its hand moved, or after it began moving."""
-        trials = [
-            t.cut_after(max(_motion_onset(t) + seconds, t.times[:2][-1]))
-            for t in self.data.trials
-        ]
+        trials = []
+        for trial in self.data.trials:
+            second_frame = trial.times[:2][-1]
+            trials.append(
+                trial.cut_after(max(_motion_onset(trial) + seconds, second_frame))
+            )
         return self.with_trials(trials)
 
     def with_trials(self, trials: Sequence[PreparedTrial]) -> Likelihood:
-        """Replace the trials by the same ones made ready otherwise."""
+        """Replace the trials by the same ones prepared otherwise."""
         return replace(self, data=replace(self.data, trials=tuple(trials)))
 
 
 def time_blocks(trials: Sequence[PreparedTrial]) -> np.ndarray:
-    """Number of the block of time of each residual, (N,), counted through all trials."""
-    pieces, first = [], 0
+    """Number the block of time of each residual, (N,), through all trials."""
+    blocks, first = [], 0
     for trial in trials:
-        _, own = np.unique(
-            np.floor(trial.times[trial.frame] / BLOCK_S).astype(int),
-            return_inverse=True,
-        )
-        pieces.append(np.repeat(first + own, 2))
-        first += own.max() + 1
-    return np.concatenate(pieces)
+        block = np.floor(trial.times[trial.frame] / BLOCK_S).astype(int)
+        _, number = np.unique(block, return_inverse=True)
+        blocks.append(np.repeat(first + number, 2))
+        first += number.max() + 1
+    return np.concatenate(blocks)
 
 
 def _motion_onset(trial: PreparedTrial) -> float:
-    """When a trial's string begins to move, with its hand or before [s]."""
+    """Find when a trial's string begins to move, with its hand or before [s]."""
     if trial.initial_state is not None:
         return float(trial.times[0])
-    hand, length = (
-        trial.motion.actual_hand_motion(trial.model.arm, ()),
-        trial.model.string.length,
-    )
-    away = np.abs((hand.pose[0] - hand.pose[0, 0]) * [1.0, 1.0, length]).max(axis=1)
-    return hand.start + hand.tick * float(np.argmax(away > MOTION_SHARE * length))
+    hand = trial.motion.actual_hand_motion(trial.model.arm, ())
+    length = trial.model.string.length
+    moved = np.abs((hand.pose[0] - hand.pose[0, 0]) * [1.0, 1.0, length])
+    onset = np.argmax(moved.max(axis=1) > MOTION_SHARE * length)
+    return hand.start + hand.tick * float(onset)

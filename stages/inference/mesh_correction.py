@@ -17,14 +17,13 @@ MESH_CORRECTION_RADIUS = 0.05  # of a range: beyond this distance the slopes do 
 
 @dataclass(frozen=True)
 class MeshCorrection:
-    """The first-order change of residuals between this mesh and its limit, about one
-    point.
+    """How the step from this mesh to its limit changes residuals, to first order.
 
     Parameters
     ----------
-    names : names of the parameters, (P,).
-    chi : exponents (P,) at which the discretisation error was subtracted from the measured points.
-    slopes : of each trial, the slopes (P, 2 n) of the change of its residuals over sigma.
+    names : names of the parameters, (P,). chi : exponents (P,) at which the
+    discretisation error was subtracted from the measured points. slopes : of each
+    trial, the slopes (P, 2 n) of the change of its residuals over sigma.
     """
 
     parameter_names: tuple[str, ...]
@@ -43,11 +42,12 @@ class MeshCorrection:
         return replace(self, slopes=tuple(self.slopes[k] for k in chosen))
 
     def correction_at(self, names: Sequence[str], chi: np.ndarray) -> list[np.ndarray]:
-        """Compute the change of each trial's residuals (C, 2 n) at exponents (C, P') of
-        these names.
+        """Compute the change of each trial's residuals (C, 2 n) at exponents (C, P').
 
         Parameters that the correction does not know change nothing; distances beyond
         its radius are cut there.
+
+        names: of the parameters, (P',).
         """
         known = [i for i, name in enumerate(self.parameter_names) if name in names]
         places = [names.index(self.parameter_names[i]) for i in known]

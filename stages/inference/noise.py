@@ -1,14 +1,17 @@
-"""Noise of a camera: neighbours along the string share a part of it, and so do frames
-that follow one another.
+"""Correlated noise of a camera.
 
-Centre-lines are read from images with widths, and trackers smooth. Thousands of
-readings that are not independent say less than as many that are: smooth motion, which
-is what they are asked for, is then known worse than each reading by itself. So noise is
-told in the functions of place of `basis`, made orthonormal in each frame: their
-covariance, the same in all frames, and the correlation with the frame before (AR(1)).
-Both are told by what residuals have beside smooth motion; restricted likelihood knows
-what the smooth part has taken of them (Patterson and Thompson 1971, Biometrika 58,
-545).
+Neighbours along the string share a part of their noise, and so do frames that follow
+one another: centre-lines are read from images with widths, and trackers smooth.
+Correlated readings say less about smooth motion than as many independent ones. So noise
+is modelled in the functions of place of `basis`, made orthonormal in each frame: by
+their covariance, the same in all frames, and by the correlation with the frame before
+(AR(1)). Both are estimated from residuals after smooth motion is removed, by restricted
+likelihood, which knows what the smooth part has taken of them.
+
+References
+----------
+Patterson and Thompson 1971, Biometrika 58, 545 (restricted likelihood).
+Rousseeuw 1984, JASA 79, 871 (least trimmed estimation).
 """
 
 from __future__ import annotations
@@ -23,14 +26,17 @@ from scipy.sparse import csr_array
 
 from stringcast.stages.inference.basis import PLACE_FUNCTIONS, RANK_TOLERANCE
 
-# correlation with the frame before, as of means over two frames: more is motion
-MAX_FRAME_CORRELATION = 0.5
+MAX_FRAME_CORRELATION = 0.5  # as of means over two frames: more is motion
 
 
 @dataclass(frozen=True)
 class Noise:
-    """places: covariance of functions of place, over that of white noise, (PLACES,
-    PLACES). before: correlation with the frame before.
+    """The correlation of noise along the string and in time.
+
+    Parameters
+    ----------
+    places : covariance of functions of place over that of white noise, (K, K).
+    before : correlation with the frame before.
     """
 
     place_covariance: np.ndarray
@@ -38,31 +44,31 @@ class Noise:
 
     @property
     def variance_of_means(self) -> float:
-        """Variance of means over many frames, over that of white noise."""
-        return float(
-            np.trace(self.place_covariance)
-            / PLACE_FUNCTIONS
-            * (1 + self.frame_correlation)
-            / (1 - self.frame_correlation)
-        )
+        """The variance of means over many frames, over that of white noise."""
+        in_time = (1 + self.frame_correlation) / (1 - self.frame_correlation)
+        return float(np.trace(self.place_covariance) / PLACE_FUNCTIONS * in_time)
 
     def covariance(self, time: csr_array, place: np.ndarray) -> np.ndarray:
-        """Of sums over points of noise times products of functions of time and place,
-        (K B, K B).
+        """Compute the covariance (K B, K B) of noise projected on smooth functions.
 
-        time: at each frame (F, B). place: roots of the Gram matrix of functions of
-        place in each frame, (F, K, K).
+        A projection is a sum over points of noise times a product of functions.
+
+        Parameters
+        ----------
+        time : functions of time at each frame, (F, B).
+        place : roots of the Gram matrices of functions of place, (F, K, K).
         """
         frames = time.shape[0]
-        parts = np.einsum("fij,fb->fijb", place, time.toarray()).reshape(frames, -1)
-        together = lfilter([1.0], [1.0, -self.frame_correlation], parts[::-1], axis=0)[
-            ::-1
-        ]
-        together[1:] *= np.sqrt(1 - self.frame_correlation**2)
+        products = np.einsum("fij,fb->fijb", place, time.toarray())
+        rows = products.reshape(frames, -1)[::-1]
+        filtered = lfilter([1.0], [1.0, -self.frame_correlation], rows, axis=0)[::-1]
+        filtered[1:] *= np.sqrt(1 - self.frame_correlation**2)
+
         root = np.linalg.cholesky(self.place_covariance).T
-        mixed = np.einsum(
-            "ki,fij->fkj", root, together.reshape(frames, PLACE_FUNCTIONS, -1)
-        ).reshape(frames * PLACE_FUNCTIONS, -1)
+        by_place = filtered.reshape(frames, PLACE_FUNCTIONS, -1)
+        mixed = np.einsum("ki,fij->fkj", root, by_place).reshape(
+            frames * PLACE_FUNCTIONS, -1
+        )
         return np.asarray(mixed.T @ mixed)
 
 
@@ -71,9 +77,13 @@ WHITE_NOISE = Noise(np.eye(PLACE_FUNCTIONS), 0.0)
 
 @dataclass(frozen=True)
 class NoiseTrack:
-    """What is told of a trial's noise. smooth: functions of time (F, B). told:
-    residuals in functions of place, orthonormal in each frame, of both coordinates, (F,
-    2 PLACES).
+    """The residuals of a trial that its noise is estimated from.
+
+    Parameters
+    ----------
+    smooth : functions of time, (F, B).
+    told : residuals in functions of place that are orthonormal in each frame, of both
+        coordinates, (F, 2 K).
     """
 
     time_splines: np.ndarray
@@ -81,32 +91,30 @@ class NoiseTrack:
 
 
 def gram_roots(place: np.ndarray, frame: np.ndarray, frames: int) -> np.ndarray:
-    """Roots of the Gram matrices of functions of place (n, K) in each frame, (F, K, K)."""
+    """Compute roots (F, K, K) of the Gram matrix of functions (n, K) in each frame."""
     gram = np.zeros((frames, place.shape[1], place.shape[1]))
     np.add.at(gram, frame, place[:, :, None] * place[:, None, :])
     values, vectors = np.linalg.eigh(gram)
-    return np.asarray(
-        np.einsum("fik,fk,fjk->fij", vectors, np.sqrt(np.maximum(values, 0.0)), vectors)
-    )
+    roots = np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(np.einsum("fik,fk,fjk->fij", vectors, roots, vectors))
 
 
 def noise_track(
     time: csr_array, place: np.ndarray, frame: np.ndarray, residual: np.ndarray
 ) -> NoiseTrack:
-    """Of residuals (n, 2) at functions of place (n, K) in frames (n,)."""
+    """Project residuals (n, 2) in frames (n,) on functions of place (n, K)."""
     frames = time.shape[0]
     sums = np.zeros((frames, place.shape[1], 2))
     np.add.at(sums, frame, place[:, :, None] * residual[:, None, :])
-    inverse = np.linalg.pinv(
-        gram_roots(place, frame, frames), rcond=np.sqrt(RANK_TOLERANCE), hermitian=True
-    )
+    roots = gram_roots(place, frame, frames)
+    inverse = np.linalg.pinv(roots, rcond=np.sqrt(RANK_TOLERANCE), hermitian=True)
     return NoiseTrack(time.toarray(), (inverse @ sums).reshape(frames, -1))
 
 
 def fit_noise_model(tracks: Sequence[NoiseTrack]) -> Noise:
-    """The noise of all trials. What a model lacks in a trial looks like more noise,
-    never like less, so the quieter half of them is asked (least trimmed: Rousseeuw
-    1984, JASA 79, 871).
+    """Estimate the noise of all trials from the quieter half of them.
+
+    Misfit of a model looks like more noise, never like less.
     """
     quiet = sorted(
         tracks, key=lambda each: _most_likely_noise([each]).variance_of_means
@@ -115,50 +123,47 @@ def fit_noise_model(tracks: Sequence[NoiseTrack]) -> Noise:
 
 
 def _most_likely_noise(tracks: Sequence[NoiseTrack]) -> Noise:
-    """That of some trials together. Before they speak it is white, which counts as much
-    as PLACES frames.
+    """Maximise the restricted likelihood of some trials together.
+
+    Their noise is white before they speak, which counts as much as PLACES frames.
     """
-    found = minimize_scalar(
-        lambda before: -_restricted_likelihood(tracks, before)[0],
-        bounds=(0.0, MAX_FRAME_CORRELATION),
-        method="bounded",
-    )
+
+    def cost(before: float) -> float:
+        return -_restricted_likelihood(tracks, before)[0]
+
+    found = minimize_scalar(cost, bounds=(0.0, MAX_FRAME_CORRELATION), method="bounded")
     return Noise(_restricted_likelihood(tracks, found.x)[1], float(found.x))
 
 
 def _restricted_likelihood(
     tracks: Sequence[NoiseTrack], before: float
 ) -> tuple[float, np.ndarray]:
-    """Restricted log-likelihood of a correlation with the frame before, and the
-    covariance that is likeliest then.
+    """Compute the restricted log-likelihood of a correlation with the frame before.
+
+    Returns it and the most likely covariance of functions of place, (K, K).
     """
-    scatter, free, log_volume = (
-        PLACE_FUNCTIONS * np.eye(PLACE_FUNCTIONS),
-        PLACE_FUNCTIONS,
-        0.0,
-    )
+    scatter = PLACE_FUNCTIONS * np.eye(PLACE_FUNCTIONS)
+    degrees, log_volume = PLACE_FUNCTIONS, 0.0
     for each in tracks:
-        smooth, seen = (
-            _innovations(each.time_splines, before),
-            _innovations(each.place_residuals, before),
-        )
+        smooth = _innovations(each.time_splines, before)
+        noisy = _innovations(each.place_residuals, before)
         q, r = np.linalg.qr(smooth)
-        kept = np.abs(np.diag(r)) > np.sqrt(RANK_TOLERANCE) * np.abs(r).max()
-        left = (seen - q[:, kept] @ (q[:, kept].T @ seen)).reshape(
-            -1, PLACE_FUNCTIONS, 2
-        )
-        scatter += np.einsum("fic,fjc->ij", left, left)
-        free += 2 * (len(seen) - kept.sum())
-        log_volume += (len(seen) - 1) * np.log1p(-(before**2)) + 2 * np.log(
-            np.abs(np.diag(r)[kept])
-        ).sum()
-    places = scatter / free
-    return -0.5 * (
-        2 * PLACE_FUNCTIONS * log_volume + free * np.linalg.slogdet(places)[1]
-    ), places
+        diagonal = np.abs(np.diag(r))
+        kept = diagonal > np.sqrt(RANK_TOLERANCE) * np.abs(r).max()
+
+        residual = noisy - q[:, kept] @ (q[:, kept].T @ noisy)
+        by_place = residual.reshape(-1, PLACE_FUNCTIONS, 2)
+        scatter += np.einsum("fic,fjc->ij", by_place, by_place)
+        degrees += 2 * (len(noisy) - kept.sum())
+        of_innovations = (len(noisy) - 1) * np.log1p(-(before**2))
+        log_volume += of_innovations + 2 * np.log(diagonal[kept]).sum()
+    places = scatter / degrees
+    log_determinant = np.linalg.slogdet(places)[1]
+    value = -0.5 * (2 * PLACE_FUNCTIONS * log_volume + degrees * log_determinant)
+    return value, places
 
 
 def _innovations(values: np.ndarray, before: float) -> np.ndarray:
-    """What each frame has beyond the one before, of unit size, (F, ...)."""
+    """Compute what each frame adds to the one before, of unit size, (F, ...)."""
     new = (values[1:] - before * values[:-1]) / np.sqrt(1 - before**2)
     return np.concatenate([values[:1], new])

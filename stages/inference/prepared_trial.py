@@ -1,6 +1,4 @@
-"""What estimation asks of the forward model: candidates' strings at a trial's frame
-times.
-"""
+"""A trial prepared for estimation: its motion, its measured points, its error model."""
 
 from __future__ import annotations
 
@@ -30,22 +28,31 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState
 
 INITIAL_MODES = 6  # of a trial's initial state, in shape and in turning rate each
-# candidates simulated at once: keeps memory in hand, whatever their number
-MAX_BATCH_CANDIDATES = 128
-TIP_TOLERANCE_M = 1e-3  # [m] points so near to the outermost are the tip
+MAX_BATCH_CANDIDATES = 128  # candidates simulated at once: bounds the memory
+TIP_TOLERANCE_M = 1e-3  # [m]: points so near to the outermost are the tip
 
 
 @dataclass(frozen=True)
 class PreparedTrial:
-    """One trial made ready: the motion as the arm reports it, and what was measured.
+    """One trial: the motion as the arm reports it, and what was measured.
 
-    times: (F,) frame times [s] with valid readings. points: (N, 2) measured [m] at
-    frame index `frame` (N,) and arc length `s` (N,); sigma: (N,) [m]. initial: the
-    state in which the trial begins, by the camera's clock; None if at rest before the
-    hand moves. turn: on which side of the hand it is at rest, as of
-    `equilibrium.hanging`. change: how far the state is from what the first frames say,
-    in modes (`initial_modes`). noise: how the points' is correlated. error_model: what
-    residuals are beyond that.
+    Parameters
+    ----------
+    name : of the trial.
+    model : of the arm, the string and the camera.
+    motion : joint angles or poses of the grasp.
+    times : frame times with valid readings, (F,) [s].
+    frame, s : frame index and arc length [m] of each measured point, (N,).
+    points : measured, (N, 2) [m].
+    sigma : their standard deviations, (N,) [m].
+    initial : the state in which the trial begins, by the camera's clock; None if the
+        string is at rest before the hand moves.
+    turn : the side of the hand on which the string is at rest, as of
+        `equilibrium.hanging`.
+    change : how far the state is from that of the first frames, in modes
+        (`initial_modes`).
+    noise : the correlation of the points' noise.
+    error_model : what residuals over sigma may be.
     """
 
     name: str
@@ -78,114 +85,121 @@ class PreparedTrial:
         return np.asarray(self.s > self.s.max() - TIP_TOLERANCE_M)
 
     def simulate(self, values: np.ndarray) -> Iterator[tuple[slice, StringMotion]]:
-        """Strings of candidates (C, P) as the camera reports them at the frame times,
-        chunk by chunk.
-        """
+        """Simulate candidates (C, P) at the frame times, chunk by chunk."""
         for first in range(0, len(values), MAX_BATCH_CANDIDATES):
-            some = slice(first, min(first + MAX_BATCH_CANDIDATES, len(values)))
-            begin = (
+            chunk = slice(first, min(first + MAX_BATCH_CANDIDATES, len(values)))
+            start = (
                 None
                 if self.initial_state is None
-                else self.initial_state.for_candidates(some)
+                else self.initial_state.for_candidates(chunk)
             )
             yield (
-                some,
+                chunk,
                 self.model.simulate_observation(
-                    self.motion, values[some], self.times, begin, self.turn
+                    self.motion, values[chunk], self.times, start, self.turn
                 ),
             )
 
     def sample_at_points(self, points: np.ndarray) -> np.ndarray:
-        """Where strings (C, F, n, 2) are at the measured arc lengths and times, (C, N,
-        2) [m].
-        """
+        """Interpolate strings (C, F, n, 2) at the measured points, (C, N, 2) [m]."""
         return interpolate_measurements(
             points, self.frame, self.s / self.model.string.segment_length
         )
 
     def cut_after(self, last: float) -> PreparedTrial:
-        """The first part of the trial, to this time [s]."""
+        """Cut the trial after a time [s]."""
         return self.first_frames(int(np.searchsorted(self.times, last + 1e-9)))
 
     def first_frames(self, frames: int) -> PreparedTrial:
-        """So many of its frames, the first."""
+        """Cut the trial after so many frames."""
         return replace(
             self.select_points(self.frame < frames), times=self.times[:frames]
         )
 
     def select_points(self, kept: np.ndarray) -> PreparedTrial:
         """Select points (N,). An error model is that of a whole trial, and is dropped."""
-        parts = {
-            name: getattr(self, name)[kept]
-            for name in ("frame", "s", "points", "sigma")
-        }
-        return replace(self, **parts, error_model=UNIT_ERRORS)
+        return replace(
+            self,
+            frame=self.frame[kept],
+            s=self.s[kept],
+            points=self.points[kept],
+            sigma=self.sigma[kept],
+            error_model=UNIT_ERRORS,
+        )
 
     def mean_square_distances(self, values: np.ndarray) -> tuple[float, float]:
-        """Mean square distance of one candidate (P,) from the measured points, and from
-        those nearest the tip [m2].
+        """Compute mean square distances of one candidate (P,) from measured points
+        [m2].
+
+        Returns that of all points and that of those nearest the tip.
         """
         _, motion = next(self.simulate(values[None]))
-        squares = np.sum(
-            (self.sample_at_points(motion.points)[0] - self.points) ** 2, axis=-1
-        )
-        return float(squares.mean()), float(squares[self.s == self.s.max()].mean())
+        offset = self.sample_at_points(motion.points)[0] - self.points
+        squares = np.sum(offset**2, axis=-1)
+        outermost = self.s == self.s.max()
+        return float(squares.mean()), float(squares[outermost].mean())
 
 
 def prepare_trial(model: Model, observation: Observation) -> PreparedTrial:
-    """Make one observation ready; raises DataError where it cannot be used."""
+    """Prepare one observation. Raises DataError where it cannot be used."""
     points = observation.valid_points
-    points = points[np.isfinite(points[["t", "s", "x", "y"]]).all(axis=1)].sort_values(
-        ["t", "s"], kind="stable"
-    )
+    finite = np.isfinite(points[["t", "s", "x", "y"]]).all(axis=1)
+    points = points[finite].sort_values(["t", "s"], kind="stable")
     if points.empty:
         raise DataError(
-            f"trial {observation.trial}: no valid point of the string. Look at its readings' reasons."
+            f"trial {observation.trial}: no valid point of the string. Look at its "
+            "readings' reasons."
         )
     times, frame = np.unique(points["t"].to_numpy(), return_inverse=True)
-    sigma = points["sigma"].to_numpy() if "sigma" in points else np.ones(len(points))
-    position = points[["x", "y"]].to_numpy()
-    s, motion = (
-        points["s"].to_numpy(),
-        observed_motion(observation).extended_until(times[-1]),
+    sigma_is_known = "sigma" in points
+    trial = PreparedTrial(
+        name=observation.trial,
+        model=model,
+        motion=observed_motion(observation).extended_until(times[-1]),
+        times=times,
+        frame=frame,
+        s=points["s"].to_numpy(),
+        points=points[["x", "y"]].to_numpy(),
+        sigma=points["sigma"].to_numpy() if sigma_is_known else np.ones(len(points)),
     )
-    ready = PreparedTrial(
-        observation.trial, model, motion, times, frame, s, position, sigma
-    )
-    hand, known = motion.actual_hand_motion(model.arm, ()), "sigma" in points
+    hand = trial.motion.actual_hand_motion(model.arm, ())
     if observation.starts_moving:
-        begun = _estimate_start(ready, hand, known)
-        return replace(ready, initial_state=begun, turn=_turn_from_hand(hand, begun))
+        start = _estimate_start(trial, hand, sigma_is_known)
+        return replace(trial, initial_state=start, turn=_turn_from_hand(hand, start))
+    if not _hand_points_up(hand):
+        return trial
     try:
-        return (
-            replace(
-                ready, turn=_turn_from_hand(hand, _estimate_start(ready, hand, known))
-            )
-            if _hand_points_up(hand)
-            else ready
+        return replace(
+            trial,
+            turn=_turn_from_hand(hand, _estimate_start(trial, hand, sigma_is_known)),
         )
-    except DataError:  # the first frames do not show it
-        return ready
+    except DataError:  # the first frames do not show the side
+        return trial
 
 
-def _estimate_start(ready: PreparedTrial, hand: HandMotion, known: bool) -> StringState:
-    """The state in which a trial begins. known: the points' sigma is."""
-    length = ready.model.string.length
-    first = (ready.times, ready.frame, ready.s, ready.points)
+def _estimate_start(
+    trial: PreparedTrial, hand: HandMotion, sigma_is_known: bool
+) -> StringState:
+    """Estimate the state in which a trial begins from its first frames."""
+    length = trial.model.string.length
+    sigma = float(np.median(trial.sigma)) if sigma_is_known else None
     try:
         seen = first_frame_kinematics(
-            *first, float(np.median(ready.sigma)) if known else None, length
+            trial.times, trial.frame, trial.s, trial.points, sigma, length
         )
     except DataError as error:
-        raise DataError(f"trial {ready.name}: {error}") from error
-    return estimate_initial_state(hand, length, ready.times, seen)
+        raise DataError(f"trial {trial.name}: {error}") from error
+    return estimate_initial_state(hand, length, trial.times, seen)
 
 
-def _turn_from_hand(hand: HandMotion, begun: StringState) -> float:
-    """How far the string turns from a hand that points up to its end [rad]; 0 where the
-    hand points down, from where there is one way.
+def _turn_from_hand(hand: HandMotion, start: StringState) -> float:
+    """Compute how far the string turns from a hand that points up to its end [rad].
+
+    From a hand that points down there is only one way: 0.
     """
-    return float(begun.angle[-1] - hand.pose[0, 0, 2]) if _hand_points_up(hand) else 0.0
+    if not _hand_points_up(hand):
+        return 0.0
+    return float(start.angle[-1] - hand.pose[0, 0, 2])
 
 
 def _hand_points_up(hand: HandMotion) -> bool:
@@ -193,16 +207,14 @@ def _hand_points_up(hand: HandMotion) -> bool:
 
 
 def observed_motion(observation: Observation) -> JointMotion | HandMotion:
-    """The motion as the arm reports it: joint angles or poses of the grasp."""
-    if observation.arm is not None:
-        return resample_joint_motion(
-            observation.arm["t"].to_numpy(), observation.arm[list(JOINTS)].to_numpy()
-        )
-    if observation.grasp is None:
+    """Read the motion that the arm reports: joint angles or poses of the grasp."""
+    arm, grasp = observation.arm, observation.grasp
+    if arm is not None:
+        return resample_joint_motion(arm["t"].to_numpy(), arm[list(JOINTS)].to_numpy())
+    if grasp is None:
         raise DataError(
-            f"trial {observation.trial}: neither joint angles nor grasp poses. Add arm.parquet or grasp.parquet."
+            f"trial {observation.trial}: neither joint angles nor grasp poses. Add "
+            "arm.parquet or grasp.parquet."
         )
-    return resample_hand_motion(
-        observation.grasp["t"].to_numpy(),
-        observation.grasp[["x", "y", "theta"]].to_numpy(),
-    )
+    pose = grasp[["x", "y", "theta"]].to_numpy()
+    return resample_hand_motion(grasp["t"].to_numpy(), pose)

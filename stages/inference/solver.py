@@ -1,15 +1,18 @@
-"""Damped least squares of many runs side by side, within bounds (Levenberg 1944,
-Marquardt 1963).
+"""Damped least squares of many runs side by side, within bounds.
 
 An iteration is two batches: the forward differences of every run, then its trial steps.
-Parameters are exponents chi in [0, 1] (Eq. 3). Two drags, or two dampings, that can
-take each other's place leave a valley: bent in exponents, along which steps are short,
+Parameters are exponents chi in [0, 1] (Eq. 3). Two parameters that can take each
+other's place leave a valley: bent in exponents, along which steps are short, and
 straight in values. So each step is tried along both lines: of 48 random starts in the
 six hardest of 32 sets, 12 reached the best minimum by steps in exponents alone, 38 by
 both.
 
-The noise need not be known: an improvement is counted in the log-likelihood whose scale
-is at its best, N/2 log(loss).
+The noise need not be known. An improvement is counted in the log-likelihood at the best
+scale of the noise, N/2 log(loss).
+
+References
+----------
+Levenberg 1944, Q. Appl. Math. 2, 164. Marquardt 1963, J. SIAM 11, 431.
 """
 
 from __future__ import annotations
@@ -30,56 +33,63 @@ from stringcast.stages.model.parameter import (
 
 # standard deviations: each residual of what cannot be simulated
 DIVERGED_RESIDUAL = 1e3
-MIN_GAIN = 0.05  # of the log-likelihood: an improvement that matters to nobody
+MIN_GAIN = 0.05  # of the log-likelihood: a smaller gain ends a run
 MAX_ITERATIONS = 60  # at most; it mostly takes fewer than ten
 
-# Differences of chi. A tenth of what is left keeps their error, half their width times
-# the curvature, far below it. Rounding, 1e-13 of the points, is 1e-6 of a difference
-# over the narrowest; over the widest any string is curved.
-# of what is left: how far they should move the points, root mean square
-DIFFERENCE_SHARE = 0.1
-FIRST_DIFFERENCE, MIN_DIFFERENCE, MAX_DIFFERENCE = 1e-4, 1e-6, 1e-3
+# Widths of differences of chi. One that moves the points by a tenth of the residual
+# keeps the error, half the width times the curvature, far below it. Rounding, 1e-13 of
+# the points, is 1e-6 of a difference over the narrowest; over the widest any string is
+# curved.
+DIFFERENCE_SHARE = 0.1  # of the residual's root mean square
+FIRST_DIFFERENCE = 1e-4
+MIN_DIFFERENCE = 1e-6
+MAX_DIFFERENCE = 1e-3
 
 # Marquardt's damping, a share of the diagonal. Three are tried at once, as lanes of a
-# batch cost next to nothing: with two, 0.05 and 3, a stiff strip's search crept along
-# its valley, and ended 3,600 of the log-likelihood short.
+# batch cost little: with two, 0.05 and 3, a search for a stiff strip crept along its
+# valley and ended 3,600 of the log-likelihood short.
 INITIAL_DAMPING = 1e-2  # at first
-# times the last that was right: one is within ten times the best
-DAMPING_FACTORS = (1e-3, 0.1, 10.0)
+DAMPING_FACTORS = (1e-3, 0.1, 10.0)  # times the last that was right
 DAMPING_INCREASE = 1e3  # times as much where none was right
-# below which it does nothing, and above which no step is worth one
-MIN_DAMPING, MAX_DAMPING = 1e-8, 1e4
+MIN_DAMPING = 1e-8  # below which it has no effect
+MAX_DAMPING = 1e4  # above which no step is worth one
 # of the mean curvature, added to all: a direction without any stays put
 FLAT_CURVATURE_SHARE = 1e-9
 
-# of chi: the longest step straight in exponents, and in values
-MAX_EXPONENT_STEP, MAX_VALUE_STEP = 0.3, 0.5
+MAX_EXPONENT_STEP = 0.3  # of chi: the longest step straight in exponents
+MAX_VALUE_STEP = 0.5  # of chi: the longest step straight in values
 SMALLEST_FLOAT = float(np.finfo(float).tiny)
 
 
 class Problem(Protocol):
-    """What is fitted."""
+    """A least-squares problem."""
 
     @property
     def parameters(self) -> Sequence[Parameter]:
-        """Those of which chi (P,) are exponents."""
+        """The parameters whose exponents chi (P,) are fitted."""
 
     @property
     def limit(self) -> float:
-        """Size from which a residual counts less (Huber), or infinite."""
+        """The size from which a residual counts less (Huber), or infinite."""
 
     def residuals(self, chi: np.ndarray) -> np.ndarray:
-        """Of candidates (C, P), white, (C, N); LOST where one cannot be simulated."""
+        """Compute white residuals (C, N) of candidates (C, P); LOST if diverged."""
 
 
 @dataclass
 class SolverRuns:
-    """Runs as far as they came.
+    """The state of K runs.
 
-    chi: (K, P). residual: (K, N). loss: (K,), as `huber.loss`. normal, gradient: of
-    half the loss, (K, P, P) and (K, P); stale: (K,) where they are those of another
-    place. width: (K, P) of chi, over which the next differences are taken. damping:
-    (K,) that was right last. active: (K,) which may still gain.
+    Parameters
+    ----------
+    chi : (K, P).
+    residual : (K, N).
+    loss : of the residuals, as `huber.loss`, (K,).
+    width : of chi, over which the next differences are taken, (K, P).
+    damping : that was right last, (K,).
+    stale : runs whose curvature and gradient are those of an earlier place, (K,).
+    active : runs that may still gain, (K,).
+    normal, gradient : curvature (K, P, P) and gradient (K, P) of half the loss.
     """
 
     chi: np.ndarray
@@ -94,25 +104,19 @@ class SolverRuns:
 
     @classmethod
     def start(cls, problem: Problem, chi: np.ndarray) -> SolverRuns:
-        """At their starts (K, P)."""
+        """Place the runs at their starts (K, P)."""
         count, size = chi.shape
         residual = problem.residuals(chi)
-        width, damping = (
-            np.full(chi.shape, FIRST_DIFFERENCE),
-            np.full(count, INITIAL_DAMPING),
-        )
-        stale, active = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
-        normal, gradient = np.zeros((count, size, size)), np.zeros((count, size))
         return cls(
-            chi.copy(),
-            residual,
-            huber_loss(residual, problem.limit),
-            width,
-            damping,
-            stale,
-            active,
-            normal,
-            gradient,
+            chi=chi.copy(),
+            residual=residual,
+            loss=huber_loss(residual, problem.limit),
+            width=np.full(chi.shape, FIRST_DIFFERENCE),
+            damping=np.full(count, INITIAL_DAMPING),
+            stale=np.ones(count, dtype=bool),
+            active=np.ones(count, dtype=bool),
+            normal=np.zeros((count, size, size)),
+            gradient=np.zeros((count, size)),
         )
 
 
@@ -122,8 +126,13 @@ def fit_least_squares(
     most: int = MAX_ITERATIONS,
     enough: float = MIN_GAIN,
 ) -> SolverRuns:
-    """Each run from its start (K, P), `most` iterations at most, until one gains less
-    than `enough`.
+    """Minimise the loss from several starts side by side.
+
+    Parameters
+    ----------
+    starts : exponents, (K, P).
+    most : iterations at most.
+    enough : a run that gains less of the log-likelihood ends.
     """
     fits = SolverRuns.start(problem, starts)
     for _ in range(most):
@@ -138,42 +147,39 @@ def fit_least_squares(
 def forward_differences(
     problem: Problem, chi: np.ndarray, residual: np.ndarray, width: np.ndarray
 ) -> np.ndarray:
-    """Slopes (K, P, N) of the residuals (K, N) with chi (K, P): differences of this
-    width (K, P), away from the nearer bound; none where a residual is lost.
+    """Difference the residuals (K, N) at chi (K, P) over widths (K, P), (K, P, N).
+
+    Differences point away from the nearer bound. Where a residual is LOST they are
+    zero.
     """
     count, size = chi.shape
     offset = np.where(chi > 0.5, -width, width)
-    beside = chi[:, None] + offset[..., None] * np.eye(size)
-    moved = problem.residuals(beside.reshape(-1, size)).reshape(count, size, -1)
-    here = residual[:, None]
-    lost = (moved == DIVERGED_RESIDUAL) | (here == DIVERGED_RESIDUAL)
-    return np.where(lost, 0.0, moved - here) / offset[..., None]
+    points = chi[:, None] + offset[..., None] * np.eye(size)
+    moved = problem.residuals(points.reshape(-1, size)).reshape(count, size, -1)
+    start = residual[:, None]
+    lost = (moved == DIVERGED_RESIDUAL) | (start == DIVERGED_RESIDUAL)
+    return np.where(lost, 0.0, moved - start) / offset[..., None]
 
 
 def difference_widths(slope: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Widths of differences (K, P) that move the points by a tenth of what is left.
-    slope: (K, P, N). left: loss of each run, (K,).
+    """Choose widths (K, P) over which points move by a tenth of the residual.
+
+    slope: (K, P, N). left: the loss of each run, (K,).
     """
     size = np.sqrt(np.mean(slope**2, axis=-1))
     wanted = DIFFERENCE_SHARE * np.sqrt(left)[:, None]
-    return np.clip(
-        wanted / np.maximum(size, wanted / MAX_DIFFERENCE + SMALLEST_FLOAT),
-        MIN_DIFFERENCE,
-        MAX_DIFFERENCE,
-    )
+    width = wanted / np.maximum(size, wanted / MAX_DIFFERENCE + SMALLEST_FLOAT)
+    return np.clip(width, MIN_DIFFERENCE, MAX_DIFFERENCE)
 
 
 def _linearise_runs(problem: Problem, fits: SolverRuns, runs: np.ndarray) -> None:
-    """Curvature and gradient of these runs where they are, and the width of their next
-    differences.
-    """
+    """Update curvature, gradient and width of some runs where they are."""
     if not runs.size:
         return
     residual = fits.residual[runs]
     slope = forward_differences(problem, fits.chi[runs], residual, fits.width[runs])
-    weighted = (
-        slope * huber_weights(residual, problem.limit)[:, None] / residual.shape[1]
-    )
+    weight = huber_weights(residual, problem.limit)[:, None]
+    weighted = slope * weight / residual.shape[1]
     fits.normal[runs] = weighted @ slope.transpose(0, 2, 1)
     fits.gradient[runs] = np.einsum("kpn,kn->kp", weighted, residual)
     fits.width[runs] = difference_widths(slope, fits.loss[runs])
@@ -183,102 +189,103 @@ def _linearise_runs(problem: Problem, fits: SolverRuns, runs: np.ndarray) -> Non
 def _step_runs(
     problem: Problem, fits: SolverRuns, active: np.ndarray, enough: float
 ) -> None:
-    """Each active run to the best of its trial steps, if that is better than where it
-    is.
-    """
-    trials = np.stack([_trial_points(problem.parameters, fits, run) for run in active])
-    count, size = trials.shape[1:]
-    residuals = problem.residuals(trials.reshape(-1, size)).reshape(
-        len(active), count, -1
-    )
+    """Move each active run to the best of its trial steps, if that is an improvement."""
+    points = np.stack([_trial_points(problem.parameters, fits, run) for run in active])
+    residuals = problem.residuals(points.reshape(-1, points.shape[-1]))
+    residuals = residuals.reshape(*points.shape[:2], -1)
     losses = huber_loss(residuals, problem.limit)
-    for run, place, residual, cost in zip(
-        active, trials, residuals, losses, strict=True
-    ):
-        best = int(np.argmin(cost))
-        gain = (
-            0.5
-            * residual.shape[1]
-            * np.log(fits.loss[run] / max(cost[best], SMALLEST_FLOAT))
-        )
-        if gain > 0:
-            fits.chi[run], fits.residual[run], fits.loss[run] = (
-                place[best],
-                residual[best],
-                cost[best],
-            )
-        fits.stale[run] = gain > 0
+    for number, run in enumerate(active):
+        best = int(np.argmin(losses[number]))
+        lowest = losses[number, best]
+        ratio = fits.loss[run] / max(lowest, SMALLEST_FLOAT)
+        gain = 0.5 * residuals.shape[-1] * np.log(ratio)
+        improved = gain > 0
+        if improved:
+            fits.chi[run] = points[number, best]
+            fits.residual[run] = residuals[number, best]
+            fits.loss[run] = lowest
         factor = (
             DAMPING_FACTORS[best % len(DAMPING_FACTORS)]
-            if gain > 0
+            if improved
             else DAMPING_INCREASE
         )
         fits.damping[run] = max(fits.damping[run] * factor, MIN_DAMPING)
+        fits.stale[run] = improved
         fits.active[run] = (
-            gain > enough if gain > 0 else fits.damping[run] < MAX_DAMPING
+            gain > enough if improved else fits.damping[run] < MAX_DAMPING
         )
 
 
 def _trial_points(
     parameters: Sequence[Parameter], fits: SolverRuns, run: int
 ) -> np.ndarray:
-    """Where damped steps of a run lead, (2 DAMPINGS, P): straight in exponents, then
-    straight in values.
+    """Compute trial steps of a run, straight in exponents, then straight in values.
+
+    Returns points (2 len(DAMPINGS), P).
     """
     chi, normal, gradient = fits.chi[run], fits.normal[run], fits.gradient[run]
     diagonal = np.diag(normal)
     flat = FLAT_CURVATURE_SHARE * diagonal.mean() + SMALLEST_FLOAT
-    damped = [
-        normal + np.diag(fits.damping[run] * share * diagonal + flat)
-        for share in DAMPING_FACTORS
-    ]
-    low, high = (
-        np.maximum(chi - MAX_EXPONENT_STEP, 0.0),
-        np.minimum(chi + MAX_EXPONENT_STEP, 1.0),
-    )
-    in_exponents = [
-        chi + minimise_in_box(each, gradient, low - chi, high - chi) for each in damped
-    ]
-    value, rise = (
-        parameter_values(parameters, chi),
-        np.maximum(parameter_slopes(parameters, chi), SMALLEST_FLOAT),
-    )
-    ends = [np.clip(chi + way, 0.0, 1.0) for way in (-MAX_VALUE_STEP, MAX_VALUE_STEP)]
-    with np.errstate(over="ignore"):  # where a value hardly rises there, no end is near
-        low, high = ((parameter_values(parameters, end) - value) / rise for end in ends)
-    in_values = [
-        parameter_exponents(
-            parameters, value + rise * minimise_in_box(each, gradient, low, high)
-        )
-        for each in damped
-    ]
+
+    low = np.maximum(chi - MAX_EXPONENT_STEP, 0.0) - chi
+    high = np.minimum(chi + MAX_EXPONENT_STEP, 1.0) - chi
+
+    value = parameter_values(parameters, chi)
+    slope = np.maximum(parameter_slopes(parameters, chi), SMALLEST_FLOAT)
+    lowest = parameter_values(parameters, np.clip(chi - MAX_VALUE_STEP, 0.0, 1.0))
+    highest = parameter_values(parameters, np.clip(chi + MAX_VALUE_STEP, 0.0, 1.0))
+    with np.errstate(over="ignore"):  # where a value hardly rises, no end is near
+        low_in_values = (lowest - value) / slope
+        high_in_values = (highest - value) / slope
+
+    in_exponents, in_values = [], []
+    for share in DAMPING_FACTORS:
+        damped = normal + np.diag(fits.damping[run] * share * diagonal + flat)
+        in_exponents.append(chi + minimise_in_box(damped, gradient, low, high))
+        step = minimise_in_box(damped, gradient, low_in_values, high_in_values)
+        in_values.append(parameter_exponents(parameters, value + slope * step))
     return np.clip([*in_exponents, *in_values], 0.0, 1.0)
 
 
 def minimise_in_box(
     normal: np.ndarray, gradient: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
-    """The step (P,) to the least of a quadratic between low <= 0 and high >= 0, by an
-    active set.
+    """Minimise a quadratic within bounds by an active set.
 
-    To the least of what is free, or as far as the first side, which then holds; in the
-    end what would rather be off its side is let go (Nocedal and Wright 2006, Algorithm
-    16.3).
+    Steps go to the minimum of the free parameters or to the first bound, which then
+    holds. At the end a bound that the gradient points away from is released.
+
+    Parameters
+    ----------
+    normal, gradient : curvature (P, P) and gradient (P,) at zero.
+    low, high : bounds of the step, low <= 0 <= high, (P,).
+
+    Returns
+    -------
+    The step, (P,).
+
+    References
+    ----------
+    Nocedal and Wright 2006, Numerical Optimization, Algorithm 16.3.
     """
-    # side: -1 at low, 1 at high, 0 where free
-    step, side = np.zeros(len(gradient)), np.zeros(len(gradient))
-    for _ in range(4 * len(gradient)):  # mostly two; each may be held and let go twice
-        free, pull = side == 0, -gradient - normal @ step
-        move = np.zeros(len(gradient))
-        move[free] = np.linalg.solve(normal[np.ix_(free, free)], pull[free])
+    size = len(gradient)
+    step = np.zeros(size)
+    side = np.zeros(size)  # -1 at the lower bound, 1 at the upper, 0 where free
+    for _ in range(4 * size):  # mostly two; each bound may hold and be released twice
+        free = side == 0
+        descent = -gradient - normal @ step
+        move = np.zeros(size)
+        move[free] = np.linalg.solve(normal[np.ix_(free, free)], descent[free])
         room = np.where(move > 0, high - step, step - low)
-        share = np.divide(
-            room, np.abs(move), out=np.full(len(move), np.inf), where=move != 0
-        )
+        share = np.full(size, np.inf)
+        np.divide(room, np.abs(move), out=share, where=move != 0)
+
         first = int(np.argmin(share))
         if share[first] < 1:
-            step, side[first] = step + share[first] * move, np.sign(move[first])
+            step = step + share[first] * move
+            side[first] = np.sign(move[first])
             continue
+
         step = step + move
         inwards = -side * (-gradient - normal @ step)
         first = int(np.argmax(inwards))

@@ -21,35 +21,26 @@ CACHED_CANDIDATES = 64  # candidates: those of some iterations
 
 
 class ResidualCache:
-    """The residuals of the last candidates, by the values of their model and exponents."""
+    """The residuals of the last candidates, by the values of model and exponents."""
 
     def __init__(self) -> None:
-        self._entries: deque[tuple[bytes, Model, list[np.ndarray]]] = deque(
-            maxlen=CACHED_CANDIDATES
-        )
+        self._keys: deque[tuple[bytes, Model]] = deque(maxlen=CACHED_CANDIDATES)
+        self._residuals: deque[list[np.ndarray]] = deque(maxlen=CACHED_CANDIDATES)
 
     def find(self, model: Model, chi: np.ndarray) -> list[np.ndarray] | None:
-        """Look up the residuals (1, 2 n) of each trial at exponents (P,); None if they
-        are not there.
-        """
-        key = chi.tobytes()
-        for exponents, simulated, residuals in reversed(self._entries):
-            if exponents == key and simulated == model:
-                return list(residuals)
-        return None
+        """Look up the residuals (1, 2 n) of each trial at exponents (P,), or None."""
+        key = (chi.tobytes(), model)
+        if key not in self._keys:
+            return None
+        return list(self._residuals[self._keys.index(key)])
 
     def store(
         self, model: Model, chi: np.ndarray, residuals: Sequence[np.ndarray]
     ) -> None:
         """Keep the residuals (C, 2 n) of each trial at exponents (C, P)."""
         for k in range(max(len(chi) - CACHED_CANDIDATES, 0), len(chi)):
-            self._entries.append(
-                (
-                    chi[k].tobytes(),
-                    model,
-                    [rows[k : k + 1].copy() for rows in residuals],
-                )
-            )
+            self._keys.append((chi[k].tobytes(), model))
+            self._residuals.append([rows[k : k + 1].copy() for rows in residuals])
 
 
 @dataclass(frozen=True)
@@ -59,8 +50,8 @@ class TrialData:
     Parameters
     ----------
     trials : each with its error model.
-    varying : by the name of a cause that differs from trial to trial, how it moves each trial, over sigma, (2 n, m),
-        by shapes whose amplitudes are N(0, 1).
+    varying : by the name of a cause that differs from trial to trial, the shapes of each
+        trial's random effect, over sigma, (2 n, m). Their amplitudes are N(0, 1).
     finer : the mesh correction that residuals have, or None.
     """
 
@@ -69,7 +60,7 @@ class TrialData:
     mesh_correction: MeshCorrection | None = None
 
     def for_hypothesis(self, hypothesis: Hypothesis) -> TrialData:
-        """Add the random effects of a hypothesis's causes to the trials' discrepancies."""
+        """Add the random effects of a hypothesis to the trials' discrepancies."""
         names = tuple(
             name for name in hypothesis.cause_names if name in self.random_effects
         )
@@ -79,9 +70,8 @@ class TrialData:
             trials = []
             for k, trial in enumerate(self.trials):
                 shapes = np.hstack([self.random_effects[name][k] for name in names])
-                trials.append(
-                    replace(trial, error_model=trial.discrepancy.with_nuisance(shapes))
-                )
+                extended = trial.discrepancy.with_nuisance(shapes)
+                trials.append(replace(trial, error_model=extended))
             self._data_by_random_effects[names] = TrialData(
                 tuple(trials), mesh_correction=self.mesh_correction
             )
@@ -92,23 +82,22 @@ class TrialData:
         return {}
 
     def between_trial_tip_rms(self, name: str) -> float:
-        """Compute by how much the tip differs from trial to trial because of a cause
-        [m]; 0 where it does not.
+        """Compute how far the tip differs between trials because of a cause [m].
+
+        It is 0 where trials do not differ.
         """
-        columns = self.random_effects.get(name, ())
-        return (
-            float(self.overall_tip_rms([each.T for each in columns])[0])
-            if columns
-            else 0.0
+        if name not in self.random_effects:
+            return 0.0
+        return float(
+            self.overall_tip_rms([shapes.T for shapes in self.random_effects[name]])[0]
         )
 
     def subset(self, chosen: Sequence[int]) -> TrialData:
         """Select some of the trials by number."""
         trials = tuple(self.trials[k] for k in chosen)
-        varying = {
-            name: tuple(columns[k] for k in chosen)
-            for name, columns in self.random_effects.items()
-        }
+        varying = {}
+        for name, shapes in self.random_effects.items():
+            varying[name] = tuple(shapes[k] for k in chosen)
         return TrialData(
             trials,
             varying,
@@ -116,28 +105,29 @@ class TrialData:
         )
 
     def residuals(self, model: Model, chi: np.ndarray) -> list[np.ndarray]:
-        """Compute simulated less measured over sigma of each trial, (C, 2 n), at
-        exponents (C, P).
+        """Compute simulated less measured over sigma of each trial, (C, 2 n).
 
         A run that diverged is LOST throughout. A single candidate that was simulated a
         moment ago is looked up: a fit ends where the next begins.
+
+        chi: exponents, (C, P).
         """
         if len(chi) == 1:
             cached = self._residual_cache.find(model, chi[0])
             if cached is not None:
                 return cached
+        residuals = normalised_residuals(
+            model, self.trials, parameter_values(model.parameters, chi)
+        )
         residuals = [
-            np.nan_to_num(r, nan=DIVERGED_RESIDUAL)
-            for r in normalised_residuals(
-                model, self.trials, parameter_values(model.parameters, chi)
-            )
+            np.nan_to_num(residual, nan=DIVERGED_RESIDUAL) for residual in residuals
         ]
         if self.mesh_correction is not None:
-            changes = self.mesh_correction.correction_at(model.names, chi)
-            residuals = [
-                np.where(r == DIVERGED_RESIDUAL, DIVERGED_RESIDUAL, r + change)
-                for r, change in zip(residuals, changes, strict=True)
-            ]
+            for k, change in enumerate(
+                self.mesh_correction.correction_at(model.names, chi)
+            ):
+                lost = residuals[k] == DIVERGED_RESIDUAL
+                residuals[k] = np.where(lost, DIVERGED_RESIDUAL, residuals[k] + change)
         self._residual_cache.store(model, chi, residuals)
         return residuals
 
@@ -147,64 +137,64 @@ class TrialData:
 
     def whiten(self, residuals: Sequence[np.ndarray], sizes: np.ndarray) -> np.ndarray:
         """Whiten residuals (C, 2 n) of each trial and put them side by side, (C, N).
-        sizes: as of `white_by_trial`.
+
+        sizes: the number of the scale of each trial's discrepancy, (K,).
         """
         return np.concatenate(self.whiten_by_trial(residuals, sizes), axis=1)
 
     def whiten_by_trial(
         self, residuals: Sequence[np.ndarray], sizes: np.ndarray
     ) -> list[np.ndarray]:
-        """Whiten residuals (C, 2 n) of each trial by its error model, with its
-        discrepancy of this size (K,).
-        """
-        pairs = zip(self.trials, residuals, sizes, strict=True)
-        return [
-            trial.error_model.whiten(residual, int(size))
-            for trial, residual, size in pairs
-        ]
+        """Whiten residuals (C, 2 n) of each trial by its error model, (C, N_k)."""
+        white = []
+        for trial, residual, size in zip(self.trials, residuals, sizes, strict=True):
+            white.append(trial.error_model.whiten(residual, int(size)))
+        return white
 
     def log_likelihood_by_scale(self, residuals: Sequence[np.ndarray]) -> np.ndarray:
-        """Compute the log-likelihood of residuals (C, 2 n) of each trial at all sizes
-        of its discrepancy, (K, C, S).
+        """Compute the log-likelihood of residuals (C, 2 n) of each trial, (K, C, S).
+
+        It is that at all scales of the trial's discrepancy.
         """
-        found = []
+        by_trial = []
         for trial, residual in zip(self.trials, residuals, strict=True):
-            discrepancy = trial.discrepancy
-            found.append(
-                discrepancy.log_likelihood_by_scale(discrepancy.coefficients(residual))
-            )
-        return np.stack(found)
+            coefficients = trial.discrepancy.coefficients(residual)
+            by_trial.append(trial.discrepancy.log_likelihood_by_scale(coefficients))
+        return np.stack(by_trial)
 
     def without_initial_state_error(
         self, residuals: Sequence[np.ndarray], sizes: np.ndarray
     ) -> list[np.ndarray]:
-        """Subtract from residuals (2 n,) of each trial what another initial state most
-        likely explains. sizes: (K,).
+        """Subtract what other initial states most likely explain of residuals (2 n,).
+
+        sizes: the number of the scale of each trial's discrepancy, (K,).
         """
-        left = []
+        rest = []
         for trial, residual, size in zip(self.trials, residuals, sizes, strict=True):
-            discrepancy = trial.discrepancy
-            coefficients = discrepancy.coefficients(residual[None])[0]
-            left.append(residual - discrepancy.nuisance_mean(coefficients, int(size)))
-        return left
+            coefficients = trial.discrepancy.coefficients(residual[None])[0]
+            explained = trial.discrepancy.nuisance_mean(coefficients, int(size))
+            rest.append(residual - explained)
+        return rest
 
     def tip_rms_by_trial(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
-        """Compute the root mean square at the tip of each trial of displacements (...,
-        2 n) over sigma [m], (K, ...).
+        """Compute the root mean square at each trial's tip [m], (K, ...).
+
+        displacements: over sigma, (..., 2 n) of each trial.
         """
-        found = []
+        by_trial = []
         for trial, displacement in zip(self.trials, displacements, strict=True):
             points = displacement.reshape(*displacement.shape[:-1], len(trial.s), 2)
             at_tip = (
                 points.compress(trial.is_tip, axis=-2) * trial.sigma[trial.is_tip, None]
             )
-            found.append(np.sqrt(np.mean(np.sum(at_tip**2, axis=-1), axis=-1)))
-        return np.array(found)
+            squares = np.sum(at_tip**2, axis=-1)
+            by_trial.append(np.sqrt(np.mean(squares, axis=-1)))
+        return np.array(by_trial)
 
     def overall_tip_rms(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
-        """Compute the root mean square over all trials of displacements (C, 2 n) over
-        sigma at the tip [m], (C,).
+        """Compute the root mean square at the tip over all trials [m], (C,).
+
+        displacements: over sigma, (C, 2 n) of each trial.
         """
-        return np.asarray(
-            np.sqrt(np.mean(self.tip_rms_by_trial(displacements) ** 2, axis=0))
-        )
+        by_trial = self.tip_rms_by_trial(displacements)
+        return np.asarray(np.sqrt(np.mean(by_trial**2, axis=0)))

@@ -1,6 +1,4 @@
-"""Whitening of correlated noise: residuals of one covariance become independent, with
-deviations of one.
-"""
+"""Error models of a trial, and the whitening of residuals by them."""
 
 from __future__ import annotations
 
@@ -18,8 +16,8 @@ class LowRankWhitening:
 
     Parameters
     ----------
-    basis : Q, (N, M).
-    taken : the share (M,) of a residual along each direction of the basis that whitening removes.
+    basis : Q, (N, M). taken : the share (M,) of a residual along each direction of the
+    basis that whitening removes.
     """
 
     basis: np.ndarray
@@ -45,8 +43,9 @@ class IndependentErrors:
 
     Parameters
     ----------
-    scale : the standard deviation of residuals, in the points' own sigma.
-    nuisance : U over sigma, (2 n, M): shapes whose amplitudes are N(0, 1), such as another initial state; or None.
+    scale : the standard deviation of residuals, in the points' own sigma. nuisance : U
+    over sigma, (2 n, M): shapes whose amplitudes are N(0, 1), such as another initial
+    state; or None.
     """
 
     scale: float = 1.0

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.colors import get_named_colors_mapping
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -32,6 +33,7 @@ THEME = {
     "wall": ("#8a8f98", "#6f7885"),
 }
 LIGHT_COLOURS = {name: light for name, (light, _) in THEME.items()}
+get_named_colors_mapping().update(LIGHT_COLOURS)  # figures use the names of the theme
 FRAME_COLOURS = {name: dark for name, (_, dark) in THEME.items()}  # frames are dark
 
 

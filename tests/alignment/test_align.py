@@ -91,7 +91,7 @@ def test_known_values_are_recovered_within_what_is_stated(
 ):
     true = OFF | {"time_offset.offset": offset}
     made = aligned(bench, bench.observation(true, fps, correlation=correlation))
-    assert abs(made.find()["time_offset.offset"] - offset) < 1e-3
+    assert abs(made.aligned_values()["time_offset.offset"] - offset) < 1e-3
     for name, value in true.items():
         found, reach = interval(made, name)
         assert abs(found - value) < MISSED * reach, name
@@ -100,13 +100,13 @@ def test_known_values_are_recovered_within_what_is_stated(
 
 def test_what_is_aligned_is_found_aligned(bench):
     made = aligned(bench, bench.observation({}))
-    assert not {name.split(".")[0] for name in made.find()} - {
+    assert not {name.split(".")[0] for name in made.aligned_values()} - {
         "time_offset",
         "camera_rotation",
         "pixel_scale",
         "camera_offset",
     }
-    for name in made.find():
+    for name in made.aligned_values():
         found, reach = interval(made, name)
         assert abs(found) < MISSED * reach, name
 
@@ -122,7 +122,7 @@ def test_turning_the_scene_turns_the_result_and_another_clock_sets_it_off(bench)
         t=seen.points["t"] + later,
     )
     before, after = (
-        aligned(bench, o).find() for o in (seen, replace(seen, points=turned))
+        aligned(bench, o).aligned_values() for o in (seen, replace(seen, points=turned))
     )
     assert after["camera_rotation.angle"] - before[
         "camera_rotation.angle"
@@ -147,7 +147,7 @@ def test_noise_that_nobody_states_is_found(bench):
     seen = bench.observation(OFF, sigma=2e-3)
     made = aligned(bench, replace(seen, points=seen.points.drop(columns="sigma")))
     assert made.seen["sigma"].iloc[0] == pytest.approx(2e-3, rel=0.2)
-    assert made.find()["time_offset.offset"] == pytest.approx(
+    assert made.aligned_values()["time_offset.offset"] == pytest.approx(
         OFF["time_offset.offset"], abs=1e-3
     )
 
@@ -159,7 +159,7 @@ def test_noise_that_nobody_states_is_found(bench):
 def test_a_lag_that_shows_is_told_from_the_offset(bench):
     true = OFF | {"arm_lag.time_constant": 0.012}
     made = aligned(bench, bench.observation(true, fps=100, sigma=3e-4))
-    assert "arm_lag.time_constant" in made.find()
+    assert "arm_lag.time_constant" in made.aligned_values()
     for name in ("time_offset.offset", "arm_lag.time_constant"):
         found, reach = interval(made, name)
         assert abs(found - true[name]) < MISSED * reach
@@ -169,8 +169,8 @@ def test_a_lag_that_shows_is_told_from_the_offset(bench):
 def test_a_lag_that_does_not_show_is_left_open_and_said(bench):
     """Offset and lag together are measured; neither is named for the other."""
     made = aligned(bench, bench.observation(OFF | {"arm_lag.time_constant": 0.002}))
-    assert "arm_lag.time_constant" not in made.find()
-    assert made.find()["time_offset.offset"] == pytest.approx(
+    assert "arm_lag.time_constant" not in made.aligned_values()
+    assert made.aligned_values()["time_offset.offset"] == pytest.approx(
         OFF["time_offset.offset"] - 0.002, abs=1e-3
     )
     assert made.aligned["most_lag"].iloc[0] > 0.002
@@ -245,7 +245,7 @@ def test_it_refuses_with_the_reason(bench, wrong):
 
 def test_points_that_the_joints_told_show_nothing(bench):
     seen = bench.observation({})
-    hand = bench.model.arm.joints(
+    hand = bench.model.arm.joint_positions(
         np.stack(
             [np.interp(seen.points["t"], bench.arm["t"], bench.arm[q]) for q in JOINTS],
             axis=-1,
@@ -326,10 +326,11 @@ def test_the_arm_is_read_in_frames(model, arm_is):
 
 def taken_over(model, made):
     """The model as another experiment has it."""
-    told = yaml.safe_load(made.extended)
-    known = {name: block["value"] for name, block in told["known"].items()}
+    told = yaml.safe_load(made.extended_yaml)
+    known = {name: block["value"] for name, block in told["parameter_values"].items()}
     measured = {
-        name: (block["low"], block["high"]) for name, block in told["known"].items()
+        name: (block["low"], block["high"])
+        for name, block in told["parameter_values"].items()
     }
     return replace(
         model.with_effects(*find_effects(told["effects"])),
@@ -531,13 +532,13 @@ def test_the_motion_is_slow_begins_at_rest_and_keeps_the_strings_length_from_obs
     made = excite(model, (box,), seed=3, **SWING)
     angles, arm = made.commands[list(JOINTS)].to_numpy(), model.arm
     speeds = np.gradient(angles, arm.tick, axis=0)
-    hand = arm.joints(angles)[:, -1]
+    hand = arm.joint_positions(angles)[:, -1]
     assert 0.9 * SWING["speed"] < hand_speed(arm, angles) < 1.001 * SWING["speed"]
     assert np.abs(speeds[[0, -1]]).max() < 0.05
     assert min(box.distance_to(x, y) for x, y in hand) > 0.29
     assert (angles > arm.lowest).all()
     assert (angles < arm.highest).all()
-    pixels = model.camera.pixels(arm.joints(angles)[:, 1:])
+    pixels = model.camera.pixels(arm.joint_positions(angles)[:, 1:])
     assert (pixels > 0).all()
     assert (pixels < 639).all()
 

@@ -23,7 +23,7 @@ def made(known, effects=("time_offset",)):
         OmegaConf.create(compose_settings()), resolve=True
     )
     return prepare_experiment(
-        settings | {"effects": list(effects), "known": known},
+        settings | {"effects": list(effects), "parameter_values": known},
         lambda block: f"conf/{block}",
     )
 
@@ -74,8 +74,8 @@ def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(
     assert ended.returncode == 0, ended.stderr
     told = read_extended_model(tmp_path / "run")
     taken = made(**told).model
-    assert set(taken.measured) == set(OFF)
+    assert set(taken.measured_ranges) == set(OFF)
     for name, value in OFF.items():
-        low, high = taken.measured[name]
+        low, high = taken.measured_ranges[name]
         assert low - 0.5 * (high - low) < value < high + 0.5 * (high - low), name
     assert "would look the same" in (tmp_path / "run" / "report.html").read_text()

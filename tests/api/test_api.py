@@ -117,7 +117,7 @@ def test_a_known_string_is_another_and_words_stand_above_it(motion, tmp_path):
     known = sc.KnownString(
         {
             "effects": ["tip_mass"],
-            "known": {"tip_mass.ratio": 0.2},
+            "parameter_values": {"tip_mass.ratio": 0.2},
             "string": {"points": 12},
         }
     )

@@ -18,7 +18,6 @@ ALLOWED = {
 }
 GUARDED = set(ALLOWED) | {"hydra", "omegaconf", "serial", "dynamixel_sdk"}
 # lines of a function's body, and of all of it: more are not read at a glance
-LONGEST, WHOLE = 32, 40
 
 
 def imported(file: Path) -> set[str]:
@@ -140,23 +139,6 @@ def beneath(known: dict, room: str) -> set[str]:
     return set().union(
         *({one} | beneath(known, one) for one in known.get(room, set()) - {room})
     )
-
-
-@pytest.mark.parametrize("room", ALLOWED)
-def test_a_function_is_read_at_a_glance(room):
-    """Its body, without the docstring, and the whole of it."""
-    for file in (ROOT / room).rglob("*.py"):
-        for made in ast.walk(ast.parse(file.read_text())):
-            if isinstance(made, ast.FunctionDef):
-                body = made.body[bool(ast.get_docstring(made)) :]
-                lines = body[-1].end_lineno - body[0].lineno + 1 if body else 0
-                assert lines <= LONGEST, (
-                    f"{file}:{made.lineno}: {made.name} has {lines} lines"
-                )
-                whole = made.end_lineno - made.lineno + 1
-                assert whole <= WHOLE, (
-                    f"{file}:{made.lineno}: {made.name} has {whole} lines with its signature"
-                )
 
 
 def name(file: Path) -> str:

@@ -64,7 +64,7 @@ def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_pa
     assert re.search(
         r"The camera is known: reprojection error 0\.\d+ px", said.file.getvalue()
     )
-    assert f"calibrated={tmp_path}" in said.file.getvalue()
+    assert f"camera_from={tmp_path}" in said.file.getvalue()
     camera = build_dataclass(
         Camera, read_measured_camera(tmp_path), "camera", "camera.yaml"
     )
@@ -98,9 +98,9 @@ def test_a_measured_camera_takes_the_place_of_the_configured_and_the_command_lin
     }
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump(measured))
     config = OmegaConf.create(
-        compose_settings([f"calibrated={tmp_path}", "camera.fps=60"])
+        compose_settings([f"camera_from={tmp_path}", "camera.fps=60"])
     )
-    assert inherit_settings(config, {"calibrated", "camera.fps"})[
+    assert inherit_settings(config, {"camera_from", "camera.fps"})[
         "camera"
     ] == measured | {"fps": 60}
     assert (

@@ -812,7 +812,9 @@ def test_what_the_sample_can_tell(called):
     """Half a metre of string, thousands of readings: of an offset of the camera, half a
     millimetre, for less does not count; and of the clocks, a small part of a frame.
     """
-    done = called("check", SAMPLE, "--effects", "--json", "diagnose.without=[wind]")
+    done = called(
+        "check", SAMPLE, "--effects", "--json", "diagnose.excluded_effects=[wind]"
+    )
     told = {
         f"{each['effect']}.{each['parameter']}": each
         for each in json.loads(done.stdout)["effects"]

@@ -166,12 +166,14 @@ def paper_motions(letter: str) -> Iterator[HandMotion]:
     seeds: the first motion of an experiment, by the smallest parameters, and one by the
     true ones.
     """
-    true = KnownString({"known": specimen(letter)})
-    for file in sorted(Path("conf/experiment/paper").glob(f"{letter}_*.yaml")):
+    true = KnownString({"parameter_values": specimen(letter)})
+    paper = yaml.safe_load(Path("conf/experiment/paper.yaml").read_text())
+    variants = paper["hydra"]["launcher"]["variants"]
+    for name in sorted(name for name in variants if name.startswith(f"{letter}_")):
         for seed, known in product(range(4), (None, true)):
-            here = experiment_for_call(
-                (f"+experiment/paper={file.stem}", "string.reference_points=10"), known
-            )
+            overrides = [o for o in variants[name] if "reference_points" not in o]
+            overrides = ["+experiment=paper", *overrides, "string.reference_points=10"]
+            here = experiment_for_call(tuple(overrides), known)
             made = here.stages["generate"](
                 here.model, here.target, here.obstacles, None, None, seed=seed
             )

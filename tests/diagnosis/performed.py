@@ -6,20 +6,20 @@ import pandas as pd
 from stringcast.data.artifacts import JOINTS, MASKS, READINGS, Observation
 from stringcast.stages.diagnose.candidate_motions import DesignSettings
 from stringcast.stages.diagnose.diagnose import diagnose
-from stringcast.stages.diagnose.forward_selection import Criteria
+from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.model.hand import resample_joint_motion
 
 SIGMA = 7e-4
 CRITERIA = Criteria(
-    causes=3,
+    max_causes=3,
     coverage=0.95,
     alpha=0.01,
-    tolerance=2e-3,
-    least_size=5e-4,
-    least_share=0.5,
-    explained=0.9,
+    tip_tolerance_m=2e-3,
+    min_tip_shift_m=5e-4,
+    min_explained_fraction=0.5,
+    min_explained_fraction_if_misfit=0.9,
 )
 
 
@@ -40,7 +40,7 @@ def performed(name, arm, model, values, angles, places, rng):
     these numbers are.
     """
     t = arm.tick * np.arange(len(angles))
-    seen = model.seen(
+    seen = model.simulate_observation(
         resample_joint_motion(t, angles), model.values(values)[None], t
     ).points[0][:, places]
     x, y = (seen + SIGMA * rng.standard_normal(seen.shape)).reshape(-1, 2).T

@@ -10,7 +10,7 @@ from performed import SIGMA, said_of
 
 from stringcast.data.artifacts import JOINTS, MASKS, READINGS, Observation
 from stringcast.stages.diagnose import diagnose as module
-from stringcast.stages.diagnose.prepared_data import with_second_order_mesh
+from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.state import StringState
@@ -47,7 +47,7 @@ def released(model, wind):
     # the grasp points down
     angles = np.zeros((len(t), 3)) + [0.6, -0.5, -np.pi / 2 - 0.1]
     for number, turn in enumerate((0.5, -0.4, 0.3)):
-        seen = blown.seen(
+        seen = blown.simulate_observation(
             resample_joint_motion(t, angles), values, t, leaning(turn)
         ).points[0][:, 10::10]
         x, y = (seen + SIGMA * rng.standard_normal(seen.shape)).reshape(-1, 2).T

@@ -8,10 +8,8 @@ from conftest import TRUTH, ordinary
 from performed import performed, swings
 
 from stringcast.stages.diagnose.contact_search import contact_candidates
-from stringcast.stages.diagnose.prepared_data import (
-    attach_discrepancy_model,
-    with_second_order_mesh,
-)
+from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.proposals import candidate_effects, propose_causes
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
@@ -43,7 +41,7 @@ def names(model, trials):
 
 
 def test_grasp_poses_leave_out_what_acts_on_joints(arm, model, trials):
-    posed = [replace(trial, motion=trial.motion.grasp(arm)) for trial in trials]
+    posed = [replace(trial, motion=trial.motion.hand_motion(arm)) for trial in trials]
     assert "joint_gain" in names(model, trials)
     assert "joint_gain" not in names(model, posed)
     assert "arm_lag" in names(model, posed)

@@ -11,14 +11,12 @@ from stringcast.stages.diagnose.candidate_motions import (
     sample_motions_within_limits,
     synthetic_trial,
 )
+from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.experiment_design import (
     Rivals,
     _most_different_motions,
     design_experiment,
-)
-from stringcast.stages.diagnose.prepared_data import (
-    attach_discrepancy_model,
-    with_second_order_mesh,
 )
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.generate import arm_faults
@@ -78,7 +76,7 @@ def slow(model):
         np.random.default_rng(0),
     )
     seen = [
-        case.sample_at_points(late.seen(case.motion, values, case.times).points)[0]
+        case.sample_at_points(late.simulate_observation(case.motion, values, case.times).points)[0]
         for case in cases
     ]
     pairs = zip(cases, seen, strict=True)
@@ -146,12 +144,12 @@ def test_joints_that_lag_arrive_where_they_are_sent(model, curves):
     """Or a lag would be told from an offset by a hand that stops short, which none
     does.
     """
-    curve = curves.only(np.array([2]))
+    curve = curves.select(np.array([2]))
     case = synthetic_trial(model, curve, _Like(np.array([0.3])), DESIGN)
     late = case.motion.actual_hand_motion(
         model.arm, [(ArmLag, {"time_constant": np.full((1, 1, 1), 0.008)})]
     )
-    there = model.arm.grasp(
+    there = model.arm.grasp_pose(
         curve.sample(model.arm.tick, float(curve.duration[0]))[0][0, -1]
     )
     assert late.end > case.times[-1] - model.arm.tick
@@ -164,7 +162,7 @@ def test_no_motion_takes_any_part_of_the_string_through_an_obstacle(
     """Not even where the tip alone is measured, which passes by it."""
     cases = [
         synthetic_trial(
-            model, curves.only(np.array([i])), _Like(np.array([0.3])), DESIGN
+            model, curves.select(np.array([i])), _Like(np.array([0.3])), DESIGN
         )
         for i in range(3)
     ]
@@ -192,7 +190,7 @@ def test_the_motion_proposed_tells_more_than_others_and_than_what_was_done(
         said["already_performed"]["expected_log_odds"] < 0.5 * said["expected_log_odds"]
     )
     cases = [
-        synthetic_trial(model, curves.only(np.array([i])), slow[0], DESIGN)
+        synthetic_trial(model, curves.select(np.array([i])), slow[0], DESIGN)
         for i in range(0, DESIGN.motions, 4)
     ]
     base = Hypothesis(model)

@@ -79,7 +79,7 @@ def test_other_experiments_take_the_extended_model(places, called):
     wanted = (
         "+experiment=estimate",
         f"trials={places / 'data'}",
-        f"extended={places / 'run'}",
+        f"model_from={places / 'run'}",
     )
     done = called(
         *wanted, "estimate.candidates=20", f"hydra.run.dir={places / 'again'}"
@@ -89,14 +89,14 @@ def test_other_experiments_take_the_extended_model(places, called):
     assert settings["effects"] == extended["effects"]
     assert settings["string"]["points"] == extended["string"]["points"]
     assert settings["string"]["length"] == pytest.approx(extended["string"]["length"])
-    assert settings["known"] == extended["known"]
+    assert settings["parameter_values"] == extended["parameter_values"]
 
 
 def test_what_is_not_a_diagnosis_is_refused_by_name(places, called, tmp_path):
     wanted = (
         "+experiment=estimate",
         f"trials={places / 'data'}",
-        f"extended={tmp_path}",
+        f"model_from={tmp_path}",
     )
     done = called(*wanted, f"hydra.run.dir={tmp_path / 'run'}")
     assert done.returncode == 1

@@ -9,13 +9,11 @@ import pytest
 from conftest import TRUTH, ordinary
 
 from stringcast.stages.check.overview import detection_limit_text
-from stringcast.stages.diagnose.forward_selection import min_leave_one_out_gain
+from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.identifiability import detection_limits
-from stringcast.stages.diagnose.prepared_data import (
-    PreparedData,
-    attach_discrepancy_model,
-    with_second_order_mesh,
-)
+from stringcast.stages.diagnose.measures import fixed_leave_one_out_gain
+from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -26,7 +24,7 @@ from stringcast.stages.model.effects.time_offset import TimeOffset
 from stringcast.stages.model.effects.wind import Wind
 from tests.diagnosis.performed import CRITERIA, performed, swings
 
-ANY_SIZE = replace(CRITERIA, least_size=1e-6)
+ANY_SIZE = replace(CRITERIA, min_tip_shift_m=1e-6)
 ASKED = (ArmLag, CameraOffset, Contact, TimeOffset, Wind)
 
 
@@ -48,7 +46,7 @@ def seen(arm, model, values, seed):
 def start(hypothesis):
     """Exponents (P,) of the string as it is, without causes."""
     base = hypothesis.base.parameters
-    return hypothesis.carried(
+    return hypothesis.exponents_from(
         {p.name: float(p.chi(np.asarray(TRUTH[p.name]))) for p in base}
     )
 
@@ -85,8 +83,8 @@ def told(plain):
 def test_a_camera_that_is_off_moves_the_tip_by_as_much(told):
     for axis in ("x", "y"):
         each = told[f"camera_offset.{axis}"]
-        assert each.tip == pytest.approx(each.find, rel=1e-6)
-        assert each.most == pytest.approx(each.parameter.high, rel=1e-6)
+        assert each.detectable_tip_shift_m == pytest.approx(each.detectable_value, rel=1e-6)
+        assert each.max_tip_shift_m == pytest.approx(each.parameter.high, rel=1e-6)
 
 
 def test_what_depends_on_place_is_not_asked_and_all_else_is(told):
@@ -103,16 +101,16 @@ def test_what_depends_on_place_is_not_asked_and_all_else_is(told):
 
 @pytest.mark.parametrize("name", ["wind.along_x", "time_offset.offset"])
 def test_the_tip_moves_as_far_as_is_said_where_it_is_simulated(plain, told, name):
-    each, base = told[name], plain.base
-    hypothesis = base.hypothesis.joined(each.effect)
-    chi = hypothesis.carried(
-        base.named | {name: float(each.parameter.chi(np.asarray(each.find)))}
+    each, base = told[name], plain.base_fit
+    hypothesis = base.hypothesis.with_cause(each.effect)
+    chi = hypothesis.exponents_from(
+        base.exponents | {name: float(each.parameter.chi(np.asarray(each.detectable_value)))}
     )
     there = [one[0] for one in plain.data.residuals(hypothesis.model, chi[None])]
-    moved = plain.data.tip_rms(
+    moved = plain.data.tip_rms_by_trial(
         [a - b for a, b in zip(there, base.residuals, strict=True)]
     )
-    assert np.sqrt(np.mean(moved**2)) == pytest.approx(each.tip, rel=0.02)
+    assert np.sqrt(np.mean(moved**2)) == pytest.approx(each.detectable_tip_shift_m, rel=0.02)
 
 
 @pytest.mark.parametrize(("times", "found"), [(0.5, False), (2.0, True)])
@@ -123,7 +121,7 @@ def test_an_effect_is_evident_from_the_size_on_that_is_said(
     it.
     """
     windy, base = Hypothesis(model).with_cause(Wind), Hypothesis(model)
-    strength = {"wind.along_x": times * told["wind.along_x"].find, "wind.along_y": 0.0}
+    strength = {"wind.along_x": times * told["wind.along_x"].detectable_value, "wind.along_y": 0.0}
     evident = []
     for seed in range(1, 6):
         cases = seen(arm, windy.model, TRUTH | strength, seed)
@@ -136,7 +134,7 @@ def test_an_effect_is_evident_from_the_size_on_that_is_said(
             for h in (base, windy)
         )
         evident.append(
-            min_leave_one_out_gain(plain, fit) > CRITERIA.min_log_bayes_factor
+            fixed_leave_one_out_gain(plain, fit) > CRITERIA.min_log_bayes_factor
         )
     assert (np.mean(evident) > 0.5) == found
 
@@ -144,12 +142,12 @@ def test_an_effect_is_evident_from_the_size_on_that_is_said(
 def test_a_least_size_is_asked_for_beside_the_evidence(plain, told):
     name = "camera_offset.x"
     (each, *_) = detection_limits(
-        plain, [CameraOffset], replace(CRITERIA, least_size=0.05), 0
+        plain, [CameraOffset], replace(CRITERIA, min_tip_shift_m=0.05), 0
     )
-    assert told[name].tip < 0.05
+    assert told[name].detectable_tip_shift_m < 0.05
     assert each.detectable_tip_shift_m == pytest.approx(0.05, rel=1e-6)
     (none, *_) = detection_limits(
-        plain, [CameraOffset], replace(CRITERIA, least_size=0.2), 0
+        plain, [CameraOffset], replace(CRITERIA, min_tip_shift_m=0.2), 0
     )
     assert np.isnan([none.detectable_value, none.detectable_tip_shift_m]).all()
 
@@ -171,14 +169,10 @@ def test_sizes_are_said_in_plain_units(told):
         == "0.11 ms"
     )
     assert (
-        detection_limit_text(
-            {"unit": "1", "absent": 1.0, "found_from": 1.02, "most_tip_m": 0.2}
-        )
+        detection_limit_text({"unit": "1", "absent": 1.0, "found_from": 1.02, "most_tip_m": 0.2})
         == "100 % to 102 %"
     )
     assert (
-        detection_limit_text(
-            {"unit": "m", "absent": 0.0, "found_from": None, "most_tip_m": 2e-4}
-        )
+        detection_limit_text({"unit": "m", "absent": 0.0, "found_from": None, "most_tip_m": 2e-4})
         == "never: 0.2 mm at most"
     )

@@ -10,9 +10,9 @@ from stringcast.stages.common import InterruptRequest
 from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose import verdict
 from stringcast.stages.diagnose.forward_selection import SelectionState, SelectionStep
-from stringcast.stages.diagnose.verdict import SingleEffectPosterior
+from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from tests.diagnosis.performed import CRITERIA
-from tests.diagnosis.test_single_effects import casts, said_of
+from tests.diagnosis.test_forward_selection import casts, said_of
 
 
 def interrupt(*given):
@@ -31,7 +31,7 @@ def test_what_had_entered_is_said_and_nothing_is_named(arm, camera, monkeypatch)
         [],
     )
     assert (
-        "interrupted, when it had come to tip_mass (1.00)"
+        "interrupted; so far it had found tip_mass (1.00)"
         in said["unexplained"]["sentence"]
     )
     assert "cannot answer" not in made.sentence
@@ -44,37 +44,34 @@ def test_what_had_entered_is_said_and_nothing_is_named(arm, camera, monkeypatch)
     assert set(made.entries["cause"]) == {"tip_mass"}
 
 
-def test_what_left_again_is_not_said_to_be_at_work(monkeypatch):
-    """Of two that entered, the first was not needed beside the second."""
-    asked = []
+def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
+    """Of two that were accepted, the first was not needed in addition to the second."""
+    weighed = []
     hypotheses = {
-        n: SimpleNamespace(names=n, base=None, causes=n)
-        for n in (("a",), ("a", "b"), ("b",))
+        names: SimpleNamespace(cause_names=names, base=None, causes=names)
+        for names in (("a",), ("a", "b"), ("b",))
     }
+    steps = []
+    for names in (("a",), ("a", "b")):
+        fit = SimpleNamespace(hypothesis=hypotheses[names])
+        steps.append(SelectionStep(None, (), [fit], accepted=True))
+    data = SimpleNamespace(trials=(1, 2))
+    prepared = SimpleNamespace(data=data, base_fit=None)
     fit = SimpleNamespace(hypothesis=hypotheses["b",])
-    steps = [
-        SelectionStep(
-            None, (), [SimpleNamespace(hypothesis=hypotheses[n])], accepted=True
-        )
-        for n in (("a",), ("a", "b"))
-    ]
-    found = SelectionState(
-        SimpleNamespace(data=SimpleNamespace(trials=(1, 2)), base=None), fit, steps
-    )
+    state = SelectionState(prepared, fit, steps)
+
+    def posterior(data, step, *given):
+        weighed.append(step)
+        return SingleEffectPosterior({"b": 0.9, "": 0.1}, {}, None)
+
     monkeypatch.setattr(verdict, "background_responses", lambda *given: ())
     monkeypatch.setattr(verdict, "refit", lambda *given: None)
     monkeypatch.setattr(verdict, "Hypothesis", lambda base: None)
     monkeypatch.setattr(verdict, "misfit_probability", lambda *given: 1.0)
-    monkeypatch.setattr(
-        verdict,
-        "_single_effect_posterior",
-        lambda data, step, *given: (
-            asked.append(step) or SingleEffectPosterior({"b": 0.9, "": 0.1}, {}, None)
-        ),
-    )
-    known = verdict.judge_interrupted_search(found, (), CRITERIA, 0)
-    assert asked == steps[1:]
-    assert known.remark.endswith("when it had come to b (0.90).")
+    monkeypatch.setattr(verdict, "single_effect_posterior", posterior)
+    judgement = verdict.judge_interrupted_search(state, (), CRITERIA, 0)
+    assert weighed == steps[1:]
+    assert judgement.verdict.remark.endswith("so far it had found b (0.90).")
 
 
 def test_before_there_is_a_base_model_nothing_is_known(arm, camera, monkeypatch):

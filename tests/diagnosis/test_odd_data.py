@@ -21,7 +21,7 @@ from stringcast.stages.diagnose.predictions import (
     matching_rate,
     thin_frames,
 )
-from stringcast.stages.diagnose.prepared_data import usable_trials
+from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -51,7 +51,7 @@ def begun(arm, model):
     motion = prepare_trial(
         model, replace(whole, points=at(t, np.zeros((len(t), len(S), 2))))
     ).motion
-    seen = model.seen(motion, model.values(TRUTH)[None], t).points[0]
+    seen = model.simulate_observation(motion, model.values(TRUTH)[None], t).points[0]
     places = np.searchsorted(model.string.arc_lengths(), S - 1e-9)
     return replace(
         whole, points=at(t, seen[:, places]).query("t > 0.2"), starts_moving=True

@@ -9,19 +9,24 @@ import pytest
 from conftest import TRUTH, ordinary
 from performed import performed, swings
 
-from stringcast.stages.diagnose.prepared_data import (
-    KEPT_REST_S,
+from stringcast.stages.diagnose.base_model import (
     MAX_SEARCH_ITERATIONS,
-    PreparedData,
-    _remove_trial_outliers,
-    attach_discrepancy_model,
-    exclude_chaotic_trials,
+    widen_range_if_supported,
+)
+from stringcast.stages.diagnose.chaos import exclude_chaotic_trials
+from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.discretisation import (
     fit_mesh_correction,
     subtract_discretisation_error,
-    trim_trailing_rest,
-    widen_range_if_supported,
     with_second_order_mesh,
 )
+from stringcast.stages.diagnose.noise import (
+    KEPT_REST_S,
+    _remove_trial_outliers,
+    reestimate_noise,
+    trim_trailing_rest,
+)
+from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.inference.discrepancy import remove_smooth_motion
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit
@@ -193,7 +198,8 @@ def test_what_a_poorer_model_took_for_outliers_is_looked_at_again(prepared):
     }
     poorer = replace(prepared, trials=(replace(some, **parts), *prepared.trials[1:]))
     assert poorer.outlier_count == 40
-    assert poorer.heard(prepared.base).counts == prepared.counts
+    reconsidered = reestimate_noise(poorer, prepared.base_fit)
+    assert reconsidered.point_counts == prepared.point_counts
 
 
 def test_a_search_is_not_taken_along_by_the_trial_that_another_string_made(arm, model):
@@ -237,7 +243,7 @@ def test_a_range_that_ends_too_early_is_widened_where_the_data_press(model, prep
     bending, axial = (
         squeezed.names.index(name) for name in ("bending_stiffness", "axial_stiffness")
     )
-    chi = np.clip(prepared.base.chi, 0.1, 0.9)
+    chi = np.clip(prepared.base_fit.chi, 0.1, 0.9)
     assert widen_range_if_supported(likelihood, chi, bending)[0] is likelihood
     chi[[bending, axial]] = 1.0
     # as good anywhere

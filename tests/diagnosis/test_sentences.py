@@ -1,4 +1,4 @@
-"""What is said of a cause beside its values."""
+"""What is remarked on a cause in addition to its values."""
 
 from types import SimpleNamespace
 
@@ -17,22 +17,18 @@ from stringcast.stages.model.library import effects_by_name
         ("wind", (0.01, 0.4), ""),
         ("tip_mass", (1.0,), "tip_mass.ratio"),
         ("tip_mass", (0.0,), ""),  # absent
-        # as stiff as that at least; friction and loss are not its size
+        # a stiffness is known from below; friction and loss are no amplitudes
         ("contact", (1.0, 0.5, 0.5, 1.0, 1.0), ""),
     ],
 )
-def test_a_size_at_an_end_of_its_range_is_said_to_be_there(name, chi, ends):
+def test_an_amplitude_at_an_end_of_its_range_is_remarked(name, chi, ends):
     effect = effects_by_name()[name]
-    places = {p.name: k for k, p in enumerate(effect.parameters)}
+    indices = {p.name: k for k, p in enumerate(effect.parameters)}
     start = np.array([float(p.chi(np.asarray(p.start))) for p in effect.parameters])
     hypothesis = SimpleNamespace(
-        places=lambda cause, some: [places[p.name] for p in some],
-        carried=lambda known: start,
+        parameter_indices=lambda cause, some: [indices[p.name] for p in some],
+        exponents_from=lambda known: start,
     )
     fit = SimpleNamespace(hypothesis=hypothesis, chi=np.array(chi))
-    said = (
-        f", with {ends} at the end of the range: it may stand for what the library does not hold"
-        if ends
-        else ""
-    )
-    assert range_end_remark(fit, effect) == said
+    remark = range_end_remark(fit, effect)
+    assert remark.startswith(f", with {ends} at the end") if ends else remark == ""

@@ -9,7 +9,7 @@ import pytest
 from conftest import TRUTH, ordinary
 from performed import performed, said_of, swings
 
-from stringcast.stages.diagnose.prepared_data import with_second_order_mesh
+from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.model.library import effects_by_name
 
 S = np.linspace(0.03, 0.3, 10)

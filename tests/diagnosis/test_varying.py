@@ -7,10 +7,8 @@ import pytest
 from conftest import TRUTH, ordinary
 from performed import performed, swings
 
-from stringcast.stages.diagnose.prepared_data import (
-    attach_discrepancy_model,
-    with_second_order_mesh,
-)
+from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -66,16 +64,16 @@ def test_sets_that_differ_are_told_with_the_one_that_they_share(arm, hypothesis)
     offsets = np.array([0.6, -0.5, 0.3, -0.4])
     data, plain = seen(arm, hypothesis, offsets)
     assert data.between_trial_tip_rms("rest_curvature") > 0
-    fit = fit_hypothesis(data, hypothesis, plain.chi[None], plain.sizes)
-    assert fit.log_likelihood_by_trial.sum() > plain.by_trial.sum() + 20
+    fit = fit_hypothesis(data, hypothesis, plain.chi[None], plain.scale_indices)
+    assert fit.log_likelihood_by_trial.sum() > plain.log_likelihood_by_trial.sum() + 20
     assert fit.values[CURVATURE] == pytest.approx(
         SET + offsets.mean(), abs=2 * offsets.std() / np.sqrt(TRIALS)
     )
     less = fit_hypothesis(
         data,
-        hypothesis.without(effects_by_name()["rest_curvature"]),
+        hypothesis.without_cause(effects_by_name()["rest_curvature"]),
         plain.chi[None, hypothesis.base_indices],
-        plain.sizes,
+        plain.scale_indices,
     )
     # what differs about a size is no excuse for leaving that away
     assert fit.log_evidence > less.log_evidence + 20

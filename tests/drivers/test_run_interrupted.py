@@ -18,7 +18,7 @@ SMALL = (
     "+experiment=quick",
     "hardware=emulator",
     "mode.stages=[generate,execute,extract]",
-    "keep=[]",
+    "saved_outputs=[]",
     "camera.fps=25",
 )
 

@@ -84,7 +84,7 @@ class Magnet(StringEffect):
 def observed(model, size, noise=7e-4):
     """A swing as the camera of a model reports it, with noise."""
     t = T[::4] + 0.0013
-    seen = model.seen(
+    seen = model.simulate_observation(
         resample_hand_motion(T, POSE), model.values(TRUTH | size)[None], t
     ).points[0]
     s = np.tile(STRING.arc_lengths(), len(t))

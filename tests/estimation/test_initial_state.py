@@ -188,7 +188,7 @@ def test_a_string_too_little_seen_is_refused(model):
         DataError,
         match=r"trial r: it begins moving, but no place .* 3 of its first 4 frames",
     ):
-        prepare_trial(model, observed(t, seen, PLACES["two"], moving=True))
+        prepare_trial(model, observed(t, seen, PLACES["two"], starts_moving=True))
 
 
 @pytest.mark.parametrize(
@@ -203,7 +203,7 @@ def test_the_motion_that_follows_corrects_the_state(
     markers at 30 Hz from 15.8 to 3.9.
     """
     t, seen = released(turn, PLACES[where], fps, noise)
-    trial = observed(t, seen, PLACES[where], moving=True)
+    trial = observed(t, seen, PLACES[where], starts_moving=True)
     ready = prepare_trial(
         model, replace(trial, points=trial.points.assign(sigma=noise))
     )
@@ -219,7 +219,7 @@ def test_a_state_stays_where_the_string_cannot_be_simulated(model):
     would do.
     """
     t, seen = released(TURN, PLACES["two"], 30, 3e-3)
-    ready = prepare_trial(model, observed(t, seen, PLACES["two"], moving=True))
+    ready = prepare_trial(model, observed(t, seen, PLACES["two"], starts_moving=True))
     nowhere = model.values(NAMED) * np.nan
     assert refine_initial_state(ready, nowhere) is ready
     assert not initial_mode_slopes(ready, nowhere).any()

@@ -125,7 +125,9 @@ def test_the_command_writes_a_chain_and_a_card(tmp_path, capsys):
         "bending_stiffness": 4.0,
         "tip_mass.ratio": {"value": 0.2, "low": 0.1, "high": 0.3},
     }
-    KnownString({"effects": ["tip_mass", "arm_lag"], "known": known}).save(tmp_path)
+    KnownString({"effects": ["tip_mass", "arm_lag"], "parameter_values": known}).save(
+        tmp_path
+    )
     export = load_command("export")
     assert export([str(tmp_path), str(tmp_path / "string.xml"), "--mass", "0.01"]) == 0
     text = (tmp_path / "string.xml").read_text()
@@ -147,7 +149,7 @@ def test_a_card_of_casts_has_the_intervals_that_they_found(tmp_path):
     done = pipeline(
         "+experiment=quick",
         "estimate=least_squares",
-        "keep=[]",
+        "saved_outputs=[]",
         f"hydra.run.dir={tmp_path / 'run'}",
     )
     assert done.returncode == 0, done.stderr

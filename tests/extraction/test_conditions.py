@@ -143,7 +143,7 @@ def test_a_film_is_steadied_to_a_tenth_of_a_pixel(cast):
 
 def test_flicker_is_measured_and_a_steady_film_is_left_alone(cast):
     flickering, _ = stabilise_film(film_shot(cast.shot, [Flicker(0.2)], seed=1))
-    true = 1 + 0.2 * np.sin(2 * np.pi * 101.3 * cast.shot.t + 0.5)
+    true = 1 + 0.2 * np.sin(2 * np.pi * 101.3 * cast.shot.frame_times + 0.5)
     np.testing.assert_allclose(
         flickering.gain / flickering.gain[0], true / true[0], rtol=0.02
     )

@@ -46,7 +46,7 @@ CHANCE = ["attempts", "seconds", "host"]  # of a job: no two sweeps have them al
 class Run:
     """One cast."""
 
-    arguments = (*TINY, "manipulations=1")
+    arguments = (*TINY, "max_casts=1")
 
     def again(self, folder):
         """The command that makes it, or goes on with it."""
@@ -67,9 +67,9 @@ class Sweep:
     arguments = (
         "--multirun",
         *TINY,
-        "manipulations=1",
+        "max_casts=1",
         "mode.stages=[generate,execute,extract]",
-        "keep=[frames]",
+        "saved_outputs=[frames]",
         "seed=0,1",
     )
 

@@ -114,7 +114,7 @@ def strike(patch_context, n, kind, here, folder, whole):
         there = finished(folder)
         made, _ = toy_run(folder, here)
         assert sorted(there + made) == sorted(
-            [*here.mode.stages] * here.config["manipulations"]
+            [*here.mode.stages] * here.config["max_casts"]
         ), "work was lost"
         assert contents(folder) == whole
         litter = [

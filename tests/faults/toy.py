@@ -48,7 +48,7 @@ def toy_experiment(casts=2, pause=0.0, estimate_by=None, mode=None, **changed):
     """casts: manipulations. pause: how long each stage takes [s]. estimate_by: instead
     of the toy estimation. mode: instead of casting. changed: settings, whole blocks.
     """
-    whole = composed(*TINY, f"manipulations={casts}")
+    whole = composed(*TINY, f"max_casts={casts}")
     stages = STAGES if estimate_by is None else STAGES | {"estimate": estimate_by}
     stages = {name: slow(stage, pause) for name, stage in stages.items()}
     return replace(

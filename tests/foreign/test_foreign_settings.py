@@ -124,7 +124,7 @@ def test_index_and_why_build_no_model(settings, tmp_path, monkeypatch, capsys):
 def test_an_extended_model_runs_no_code(settings, canary, tmp_path):
     made = {"string": {"integrator": poisons(canary)["string.integrator"]}}
     (tmp_path / "extended.yaml").write_text(yaml.safe_dump(made))
-    config = OmegaConf.create({**settings, "extended": str(tmp_path)})
+    config = OmegaConf.create({**settings, "model_from": str(tmp_path)})
     with pytest.raises(UserError, match=r"string\.integrator"):
         prepare_experiment(
             inherit_settings(config, set()), lambda block: "extended.yaml"
@@ -159,7 +159,7 @@ def test_an_extended_model_sets_the_model_and_nothing_else(tmp_path, name):
         ("effects: null", "effects in extended.yaml must hold a list"),
         ("effects: tip_mass", "effects in extended.yaml must hold a list"),
         ("string: [1]", "string in extended.yaml must hold names and values"),
-        ("known: !!set {wind}", "not valid YAML"),
+        ("parameter_values: !!set {wind}", "not valid YAML"),
     ],
 )
 def test_an_extended_model_of_another_shape_is_refused(tmp_path, said, message):
@@ -189,7 +189,7 @@ def test_what_would_fill_the_memory_or_is_no_number_is_refused(words, message):
 
 def test_what_is_known_is_finite():
     settings = resolved("effects=[tip_mass]") | {
-        "known": {"tip_mass.ratio": float("nan")}
+        "parameter_values": {"tip_mass.ratio": float("nan")}
     }
     with pytest.raises(
         UserError, match=r"known\.tip_mass\.ratio = nan .* must be a number"
@@ -225,7 +225,7 @@ def test_steps_are_not_made_through_a_link(tmp_path):
 @pytest.mark.parametrize("read", [read_extended_model, read_measured_camera])
 def test_what_refers_elsewhere_is_refused(tmp_path, read):
     for file in ("extended.yaml", "camera.yaml"):
-        (tmp_path / file).write_text("known: {a: [1, '${oc.env:HOME}']}\n")
+        (tmp_path / file).write_text("parameter_values: {a: [1, '${oc.env:HOME}']}\n")
     with pytest.raises(UserError, match=r"known\.a\.1 holds '\$\{'"):
         read(tmp_path)
 

@@ -128,7 +128,7 @@ def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
         np.linalg.norm(arm.grasp_velocity(q, w)[:, :2], axis=1).max()
         <= arm.hand_speed * 1.01
     )
-    joints = arm.joints(q)
+    joints = arm.joint_positions(q)
     assert not wall.is_crossed_by(joints[:, :-1], joints[:, 1:]).any()
     times = np.arange(0, motion.duration, 0.0007)
     hand = resample_joint_motion(commands["t"].to_numpy(), q).hand_motion(arm)

@@ -49,9 +49,9 @@ TARGET = Box(0.4, 0.7, 0.02, 0.04)
 NONE = PlanningUncertainty(0.0, 0.0, 0.0)
 SETTINGS = {
     "motions": 200,
-    "strings": 12,
-    "rounds": 4,
-    "searches": 1,
+    "string_samples": 12,
+    "cma_iterations": 4,
+    "max_restarts": 1,
     "exploration": 0.0,
     "validation": 200,
     "shortest": 0.2,
@@ -231,7 +231,7 @@ def test_what_touches_an_obstacle_first_does_not_hit(model):
     assert made.hit.any()
     assert (entered & before[:, 1:]).any(axis=1)[made.hit[0]].all()
     assert (made.free_share[0][touched.any(axis=1)] < 1).all()
-    joints = model.arm.joints(motion.commands[["q1", "q2", "q3"]].to_numpy())
+    joints = model.arm.joint_positions(motion.commands[["q1", "q2", "q3"]].to_numpy())
     assert not wall.is_crossed_by(joints[:, :-1], joints[:, 1:]).any()
 
 
@@ -264,7 +264,7 @@ def test_an_arm_that_touches_something_does_not_hit_even_afterwards(model):
     long since.
     """
     motion = likeliest(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
-    joints = model.arm.joints(motion.commands[["q1", "q2", "q3"]].to_numpy())
+    joints = model.arm.joint_positions(motion.commands[["q1", "q2", "q3"]].to_numpy())
     x, y = joints[-1, -1]
     post = Box(float(x), float(y), 1e-3, 1e-3)
     assert motion.outcome["t_hit"].iloc[0] < motion.duration - 0.02
@@ -369,8 +369,8 @@ def test_failures_say_why(model, monkeypatch):
 
 def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
     """The cast will teach what the string is like."""
-    tiny = SETTINGS | {"motions": 60, "rounds": 0, "validation": 10}
-    target, more = Box(0.4, 0.7, 1e-7, 1e-7), tiny | {"searches": 2}
+    tiny = SETTINGS | {"motions": 60, "cma_iterations": 0, "validation": 10}
+    target, more = Box(0.4, 0.7, 1e-7, 1e-7), tiny | {"max_restarts": 2}
     motion, first = (
         likeliest(model, target, (), None, None, seed=0, **some)
         for some in (tiny, more)

@@ -47,7 +47,7 @@ def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(given)
     as far as points without noise are from a chain of 77.
     """
     chi = parameter_exponents(model().parameters, given.truth)
-    meshes = [likelihood(given, *mesh).until(0.4) for mesh in ((20, 1e-3), (39, 5e-4))]
+    meshes = [likelihood(given, *mesh).cut_after_onset(0.4) for mesh in ((20, 1e-3), (39, 5e-4))]
     coarse, fine = (discretisation_error(mesh, chi) for mesh in meshes)
     assert coarse / fine == pytest.approx(4.0, rel=0.05)
     trial = given.held_out

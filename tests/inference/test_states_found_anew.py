@@ -13,7 +13,7 @@ from estimation.test_initial_state import (
     released,
 )
 
-from stringcast.stages.diagnose.prepared_data import attach_discrepancy_model
+from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_modes import (
     with_initial_amplitudes,
@@ -32,7 +32,7 @@ def trial(arm, camera):
     """A string let go, seen at eleven places."""
     t, seen = released(TURN, PLACES["eleven"], 200, NOISE)
     return prepare_trial(
-        Model(STRING, arm, camera), observed(t, seen, PLACES["eleven"], moving=True)
+        Model(STRING, arm, camera), observed(t, seen, PLACES["eleven"], starts_moving=True)
     )
 
 

@@ -631,7 +631,7 @@ def test_other_clocks_show_the_string_at_other_moments(name, size, there):
     model, known, motion = views(name.split(".")[0])
     t = np.linspace(0.05, 0.9, 23)
     values = np.stack([model.values(known), model.values(known | {name: size})])
-    seen = model.seen(motion, values, t).points
+    seen = model.simulate_observation(motion, values, t).points
     np.testing.assert_allclose(
         seen[0], model.simulate_string(motion, values[:1], t).points[0], atol=1e-12
     )
@@ -640,7 +640,7 @@ def test_other_clocks_show_the_string_at_other_moments(name, size, there):
         model.simulate_string(motion, values[:1], there(t)).points[0],
         atol=1e-12,
     )
-    np.testing.assert_array_equal(seen[1], model.seen(motion, values[1:], t).points[0])
+    np.testing.assert_array_equal(seen[1], model.simulate_observation(motion, values[1:], t).points[0])
 
 
 REAL = {
@@ -659,7 +659,7 @@ def test_cameras_that_are_not_what_they_are_taken_for(name):
         REAL[name].pixels(model.simulate_string(motion, values, t).points)
     )
     np.testing.assert_allclose(
-        model.seen(motion, values, t).points, expected, atol=1e-12
+        model.simulate_observation(motion, values, t).points, expected, atol=1e-12
     )
 
 
@@ -669,7 +669,7 @@ def test_a_rolled_camera_turns_the_picture_about_its_middle():
     values = model.values(known | {"camera_rotation.angle": 0.1})[None]
     true, seen = (
         VIEW.pixels(find(motion, values, t).points) - [319.5, 239.5]
-        for find in (model.simulate_string, model.seen)
+        for find in (model.simulate_string, model.simulate_observation)
     )
     c, s = np.cos(0.1), np.sin(0.1)  # v points down: counter-clockwise to the eye
     np.testing.assert_allclose(seen, true @ np.array([[c, -s], [s, c]]), atol=1e-9)
@@ -715,7 +715,7 @@ def test_the_camera_knows_how_fast_the_string_goes():
     errors = []
     for readout in (0.002, 0.001):
         values = model.values(known | {"rolling_shutter.readout": readout})[None]
-        seen = model.seen(motion, values, t).points[0]
+        seen = model.simulate_observation(motion, values, t).points[0]
         when = t[:, None] + readout * (VIEW.pixels(seen)[..., 1] / 480 - 0.5)
         exact = np.stack(
             [

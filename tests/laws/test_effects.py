@@ -468,7 +468,7 @@ def test_effects_act_as_they_stand_in_the_world_whatever_is_named_first(swung):
     for named in ((gain, play), (play, gain)):
         model = plain.with_effects(*named)
         known = NAMED | {"joint_gain.gain": 0.1, "backlash.gap_1": 0.1}
-        ends.append(model.joints(motion, model.values(known)[None]).angles[0, -1, 0])
+        ends.append(model.joint_motion(motion, model.values(known)[None]).angles[0, -1, 0])
     turned = np.ptp(motion.angles[0, :, 0])
     np.testing.assert_allclose(
         ends, motion.angles[0, 0, 0] + 1.1 * turned - 0.05, atol=1e-12

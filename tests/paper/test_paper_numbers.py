@@ -4,15 +4,21 @@ said to take from the paper.
 
 import pandas as pd
 import pytest
-from hydra import compose, initialize_config_dir
+import yaml
 from hydra.utils import get_object
 
 from stringcast.pipeline.paper.finish import finish
 from stringcast.pipeline.paper.scores import numbers, of
-from stringcast.pipeline.settings.composition import CONF_FOLDER, compose_settings
+from stringcast.pipeline.settings.composition import (
+    CONF_FOLDER,
+    UserError,
+    compose_settings,
+)
+from stringcast.pipeline.sweep.launcher import LedgerLauncher
 from stringcast.stages.model.string import String
 from stringcast.stages.report.records import EXPERIMENT_LABELS
 
+PAPER = CONF_FOLDER / "experiment" / "paper.yaml"
 EXPERIMENTS = [name for name in EXPERIMENT_LABELS if name != "nine"]
 SYMBOLS = {p.name: p.symbol for p in String(0.3, points=10).parameters}
 
@@ -99,17 +105,15 @@ def test_settings_are_those_of_the_paper():
 
 
 def test_every_experiment_is_swept_shown_and_what_its_name_says():
-    with initialize_config_dir(str(CONF_FOLDER), version_base="1.3"):
-        hydra = compose("config", ["+experiment=paper"], return_hydra_config=True).hydra
-    swept = hydra.sweeper.params
-    assert get_object(f"stringcast.{hydra.launcher.finish}") is finish
-    assert swept["+experiment/paper"].replace(" ", "").split(",") == EXPERIMENTS
-    assert {
-        file.stem for file in (CONF_FOLDER / "experiment" / "paper").glob("*.yaml")
-    } == set(EXPERIMENTS)
-    for name in EXPERIMENTS:
-        config = compose_settings([f"+experiment/paper={name}"])
-        assert config["name"] == name
+    launcher = yaml.safe_load(PAPER.read_text())["hydra"]["launcher"]
+    variants = launcher["variants"]
+    assert get_object(f"stringcast.{launcher['finish']}") is finish
+    assert list(variants) == EXPERIMENTS
+    settings = {
+        name: compose_settings(["+experiment=paper", *overrides])
+        for name, overrides in variants.items()
+    }
+    for name, config in settings.items():
         assert config["string"]["integrator"]["_target_"].endswith(".SemiImplicitEuler")
         if name[1:2] == "_":
             letter, x, y = name.split("_")
@@ -121,9 +125,18 @@ def test_every_experiment_is_swept_shown_and_what_its_name_says():
                 config["specimen"]
                 == compose_settings([f"specimen={letter}"])["specimen"]
             )
-    assert (
-        compose_settings(["+experiment/paper=D_500_500"])["string"]["points"]
-        == of("points")["string D"]
-    )
-    assert len(compose_settings(["+experiment/paper=wall"])["obstacles"]["boxes"]) == 1
+    assert settings["D_500_500"]["string"]["points"] == of("points")["string D"]
+    assert len(settings["wall"]["obstacles"]["boxes"]) == 1
     assert pd.Series(of("hit_at")).index.isin(EXPERIMENTS).all()
+
+
+def test_a_job_runs_for_every_experiment_or_for_the_one_that_is_named():
+    variants = {"calm": ["target.x=1"], "wild": ["target.x=2"]}
+    launcher = LedgerLauncher("", "", False, 0, variants)
+    calm, wild = (
+        ["seed=0", f"name={name}", *given] for name, given in variants.items()
+    )
+    assert launcher.expand_variants(["seed=0"]) == [calm, wild]
+    assert launcher.expand_variants(["name=wild", "seed=0"]) == [wild]
+    with pytest.raises(UserError, match="There are calm, wild"):
+        launcher.expand_variants(["name=other"])

@@ -126,7 +126,9 @@ def strings(lift):
 
 def leave_run(place, hits):
     """What a run leaves whose casts hit or not."""
-    config = compose_settings(["+experiment/paper=wall"])
+    config = compose_settings(
+        ["+experiment=paper", "obstacles=wall", "target=at_900_500"]
+    )
     place.mkdir(parents=True)
     (place / "config.json").write_text(json.dumps(config))
     casts = [
@@ -179,8 +181,8 @@ def study(tmp_path):
     (tmp_path / "stand_in.py").write_text(STAND_IN)
     ledger = Ledger(tmp_path / "study")
     for seed in range(3):
-        overrides = (f"seed={seed}", "+experiment/paper=wall", "+experiment=paper")
-        ledger.add(Job(seed, overrides, {"seed": seed, "manipulations": 5}))
+        overrides = (f"seed={seed}", "+experiment=paper", "name=wall")
+        ledger.add(Job(seed, overrides, {"name": "wall", "seed": seed, "max_casts": 5}))
     return ledger, (sys.executable, "-S", str(tmp_path / "stand_in.py"))
 
 

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from stringcast.data import store
 from stringcast.pipeline.settings import composition, settings_from_runs
 
-BARE = "keep=[frames]"  # no report, where nobody asks for it
+BARE = "saved_outputs=[frames]"  # no report, where nobody asks for it
 # [m], as small as the paper's: two casts do not hit
 MISSED = ("target.w=0.02", "target.h=0.04")
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
@@ -30,7 +30,7 @@ def quick(tmp_path_factory):
     """A finished smoke run."""
     folder = tmp_path_factory.mktemp("runs") / "quick"
     done = pipeline(
-        "-v", "+experiment=quick", "manipulations=2", *MISSED, f"hydra.run.dir={folder}"
+        "-v", "+experiment=quick", "max_casts=2", *MISSED, f"hydra.run.dir={folder}"
     )
     assert done.returncode == 0, done.stderr
     assert "pipeline.run.run_folder: iterations/02/motion made in" in done.stderr
@@ -150,7 +150,7 @@ def test_an_interrupted_run_goes_on_to_the_same_result(quick, called, tmp_path):
         assert (part / name).read_bytes() == (quick / name).read_bytes(), name
     other = called(
         "+experiment=quick",
-        "manipulations=2",
+        "max_casts=2",
         *MISSED,
         "seed=9",
         f"hydra.run.dir={part}",
@@ -222,7 +222,11 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(
         ),
         (["method=paper", "estimate.beta=abc"], "valid number"),
         (
-            ["+experiment=diagnose", "trials=data/sample", "diagnose.without=[wnd]"],
+            [
+                "+experiment=diagnose",
+                "trials=data/sample",
+                "diagnose.excluded_effects=[wnd]",
+            ],
             "Did you mean 'wind'",
         ),
         (["camera.fps=-3"], "camera.fps"),
@@ -470,7 +474,6 @@ def test_help_helps(called):
     assert shown.returncode == 0
     assert "+experiment=stringB" in shown.stdout
     assert "trials=" in shown.stdout
-    assert "experiment/paper: A_300_900, " in shown.stdout
     assert re.search(
         r"\nname: stringB +# names the run",
         pipeline("+experiment=stringB", "--help").stdout,

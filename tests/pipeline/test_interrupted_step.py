@@ -28,7 +28,7 @@ def heard():
 
 
 def performed(trials, folder, diagnose):
-    here = about(trials, "+experiment=diagnose", "keep=[]")
+    here = about(trials, "+experiment=diagnose", "saved_outputs=[]")
     here = replace(here, stages={**here.stages, "diagnose": diagnose})
     console = Terminal(record=True, file=open(os.devnull, "w"), width=200)  # noqa: SIM115
     try:

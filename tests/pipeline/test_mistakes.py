@@ -47,7 +47,7 @@ MEANT = {
     "--seed=3 stringB": "seed=3 +experiment=stringB",
     "effects=wind": "'effects=[wind]'",
     "effects=wind,tip_mass": "'effects=[wind,tip_mass]'",
-    "known.tip_mass.ratio=0.05": "+known.tip_mass.ratio=0.05",
+    "parameter_values.tip_mass.ratio=0.05": "+parameter_values.tip_mass.ratio=0.05",
 }
 
 

@@ -66,11 +66,10 @@ RUN = {
     "pipeline target.x=0.45 target.y=0.65 seed=3": Run(**CAST),
     "pipeline 'effects=[tip_mass,arm_lag]'": Run(**CAST),
     "pipeline +experiment=stringB seed=0 hydra.run.dir=outputs/gallery": Run(**CAST),
-    "pipeline extended=outputs/...": Run(**CAST, of="diagnosed"),
-    "pipeline +experiment=stringB extended=outputs/...-align-...": Run(
+    "pipeline model_from=outputs/...": Run(**CAST, of="diagnosed"),
+    "pipeline +experiment=stringB model_from=outputs/...-align-...": Run(
         **CAST, of="aligned"
     ),
-    "pipeline +experiment/paper=wall seed=7": Run(**CAST),
     "pipeline +experiment=diagnose trials=data/sample": Run(
         r"report\.html$", **DIAGNOSED
     ),
@@ -90,8 +89,8 @@ RUN = {
         for words in (
             "trials_used=all",
             "trials_used=all 'effects=[rest_curvature,maxwell_slip]'",
-            "'effects=[tip_mass]' +known.tip_mass.ratio=0.05",
-            "'+known.bending_stiffness={value: 20, low: 15, high: 25}'",
+            "'effects=[tip_mass]' +parameter_values.tip_mass.ratio=0.05",
+            "'+parameter_values.bending_stiffness={value: 20, low: 15, high: 25}'",
         )
     },
     "pipeline +experiment=align": Run(leaves=("report.html", "extended.yaml")),
@@ -115,16 +114,19 @@ RUN = {
     "pipeline +experiment=sweep": Run(
         leaves=("report.html",), rows=("sweep.parquet", 9), less="seed=0"
     ),
+    "pipeline +experiment=paper name=wall": Run(
+        leaves=PAPER, rows=("runs.parquet", 1), less="seed=0"
+    ),
     "pipeline +experiment=paper": Run(
         leaves=PAPER,
         rows=("runs.parquet", 2),
-        less="seed=0 +experiment/paper=A_300_900,wall",
+        less="seed=0 name=A_300_900,wall",
     ),  # of 450
     "pipeline +experiment=paper 'seed=range(2)'": Run(
-        leaves=PAPER, rows=("runs.parquet", 2), less="+experiment/paper=A_300_900"
+        leaves=PAPER, rows=("runs.parquet", 2), less="name=A_300_900"
     ),  # of 30
     "pipeline +experiment=paper 'seed=range(3)'": Run(
-        leaves=PAPER, rows=("runs.parquet", 3), less="+experiment/paper=A_300_900"
+        leaves=PAPER, rows=("runs.parquet", 3), less="name=A_300_900"
     ),  # of 45
     # Studies, each of hours.
     "tasks.py study diagnosis diagnosis.simulator=nodal seed=100": Run(
@@ -164,7 +166,7 @@ ELSEWHERE = {  # which test runs it, or why none can
     "tests/sweep/test_sweep_command.py::test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request",
     "tasks.py study draw 7 riddle riddle.json": "tests/benchmarks/test_drawing.py",
     "pipeline +experiment=calibrate source=device source@plane=device": "needs a camera and a person with a board",
-    "pipeline +experiment=stringB hardware=serial calibrated=outputs/...": "needs an arm on a serial port; with an "
+    "pipeline +experiment=stringB hardware=serial camera_from=outputs/...": "needs an arm on a serial port; with an "
     "emulated one: tests/drivers/test_run_interrupted.py",
     "stringcast.hardware.serial.clear PORT": "asks a person; typed in for him: tests/drivers/test_serial_link.py",
     "stringcast.hardware.dynamixel.clear PORT ID ...": "asks a person; typed in: tests/drivers/test_dynamixel.py",
@@ -264,7 +266,7 @@ def made(place, name):
     words = {
         "cast": [
             "+experiment=quick",
-            "manipulations=2",
+            "max_casts=2",
             "target.w=0.02",
             "target.h=0.04",
         ],

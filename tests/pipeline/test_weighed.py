@@ -26,7 +26,7 @@ def test_what_hangs_at_the_tip_is_known(tmp_path):
         "effects=[rest_curvature]",
     )
     assert found["effects"] == ["rest_curvature", "tip_mass"]
-    known = found["known"]["tip_mass.ratio"]
+    known = found["parameter_values"]["tip_mass.ratio"]
     assert known["value"] == pytest.approx(0.03 / 0.42)
     assert known["low"] < known["value"] < known["high"]
     assert known["high"] - known["low"] < 0.01 * known["value"]
@@ -37,7 +37,7 @@ def test_what_hangs_at_the_tip_is_known(tmp_path):
 )
 def test_where_nothing_hangs_there_nothing_is_said(tmp_path, string):
     found = composed(tmp_path, string)
-    assert (found["effects"], found["known"]) == ([], {})
+    assert (found["effects"], found["parameter_values"]) == ([], {})
 
 
 @pytest.mark.parametrize(

@@ -217,7 +217,7 @@ def diagnosed(verdict, names=(), sentence="So it is.", **tables):
             "points_left_out": {"outliers": 0},
         }
     }
-    extended = f"effects: [{', '.join(names)}]\nstring: {{points: 17}}\nknown: {{linear_drag: 0.37}}\n"
+    extended = f"effects: [{', '.join(names)}]\nstring: {{points: 17}}\nparameter_values: {{linear_drag: 0.37}}\n"
     row = {
         "verdict": verdict,
         "sentence": sentence,

@@ -137,7 +137,7 @@ def texts(arm, camera):
     return {
         "cast": cast_page(
             record_of(
-                arm, camera, casts, following=[("Again", "pipeline verify {here} <&>")]
+                arm, camera, casts, next_commands=[("Again", "pipeline verify {here} <&>")]
             )
         ),
         "diagnosis": diagnosis_page(

@@ -70,7 +70,7 @@ def strings(arm, t, lag):
         STRING.segment_length
         * np.stack([np.cos(angle), np.sin(angle)], axis=-1)[:, :-1]
     )
-    return arm.joints(q)[:, -1:] + np.concatenate(
+    return arm.joint_positions(q)[:, -1:] + np.concatenate(
         [np.zeros((len(t), 1, 2)), np.cumsum(steps, axis=1)], axis=1
     )
 
@@ -224,8 +224,8 @@ def record_of(arm, camera, casts, **other):
         "hit": hit,
         "obstacles": (Box(0.9, 0.3, 0.05, 0.3),),
         "estimates": tuple(c.estimate for c in casts if c.estimate is not None),
-        "config": {"estimate": {"beta": 0.995}, "trials": None},
-        "made_by": {
+        "settings": {"estimate": {"beta": 0.995}, "trials": None},
+        "provenance": {
             "seed": 7,
             "code": {"commit": "0123456789abcdef", "source": "ff"},
             "packages": {"numpy": "2"},
@@ -413,7 +413,7 @@ def test_what_data_say_cannot_become_code(arm, small):
     cast = manipulation(arm, small)
     cast.points.readings.loc[5, "reason"] = evil
     text = cast_page(
-        record_of(arm, small, [cast], name=evil, sentence=evil, config={evil: evil})
+        record_of(arm, small, [cast], name=evil, sentence=evil, settings={evil: evil})
     )
     assert not [a for _, a in Page(text).elements if "onerror" in a]
     assert evil in Page(text).text

@@ -70,7 +70,7 @@ def record(table, given=("experiment", BETA, "target", "seed")):
     origin = {"seed": "of each job", "code": {"commit": "0123456789abcdef"}}
     estimated = dict([STIFFNESS])
     return SweepRecord(
-        "demo", "all done", table, given, estimated, {"manipulations": "5"}, origin, {}
+        "demo", "all done", table, given, estimated, {"max_casts": "5"}, origin, {}
     )
 
 

@@ -60,7 +60,7 @@ class CastSet:
 
 @cache
 def model(points: int = FITTED[0], step: float = FITTED[1]) -> Model:
-    """The model that is fitted: as string=swift, with the paper's arm."""
+    """The model that is fitted: as string=coarse, with the paper's arm."""
     arm, camera = (
         Arm(**configured("arm/paper.yaml")),
         Camera(**configured("camera/highspeed.yaml")),

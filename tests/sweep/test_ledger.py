@@ -236,13 +236,13 @@ def test_a_setting_that_is_called_like_an_outcome_has_a_column_of_its_own(
         ledger.add(
             Job(
                 many,
-                (f"manipulations={many}",),
-                {"manipulations": many, "name": "x", "seed": 0},
+                (f"max_casts={many}",),
+                {"max_casts": many, "name": "x", "seed": 0},
             )
         )
     finish(tmp_path)
     table = pd.read_parquet(tmp_path / "sweep.parquet")
-    assert list(table["setting.manipulations"]) == [1, 2]
+    assert list(table["max_casts"]) == [1, 2]
     assert table["manipulations"].isna().all()  # none was made
 
 
@@ -272,7 +272,7 @@ def whole_sweep(folder, keys, command, said):
     for its words.
     """
     every(folder, keys, command)
-    sweep = LedgerLauncher("", "", retry=False, ahead=0)
+    sweep = LedgerLauncher("", "", retry=False, warm_up_jobs=0)
     sweep.launched = folder, finish
     with said.open("w") as sys.stderr:
         os._exit(sweep.finish_sweep())

@@ -25,7 +25,7 @@ def sweep(folder, trials, threads, *overrides, betas="0.9,0.99", call=pipeline):
         f"trials={trials}",
         "estimate.candidates=32",
         f"estimate.beta={betas}",
-        "keep=[]",
+        "saved_outputs=[]",
     ]
     how = [f"hydra.sweep.dir={folder}", f"hydra.launcher.threads={threads}"]
     return call("--multirun", *asked, *how, *overrides)
@@ -42,7 +42,7 @@ def trials(tmp_path_factory, arm):
     pd.DataFrame(
         {"trial": "t00", "t": t, "q1": q[:, 0], "q2": q[:, 1], "q3": q[:, 2]}
     ).to_parquet(folder / "arm.parquet")
-    hand, angle = arm.joints(q)[:, -1], 0.3 * np.cos(6 * t)
+    hand, angle = arm.joint_positions(q)[:, -1], 0.3 * np.cos(6 * t)
     at = (
         hand[:, None]
         + s[None, :, None] * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)[:, None]

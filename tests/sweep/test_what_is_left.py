@@ -59,11 +59,11 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
 
 def test_what_a_run_may_leave_is_named():
     config = compose_settings()
-    assert config["keep"] == list(SAVEABLE_OUTPUTS)
+    assert config["saved_outputs"] == list(SAVEABLE_OUTPUTS)
     for wrong in (["pictures"], "frames"):
         with pytest.raises(
-            UserError, match=r"keep = .*\[?.*frames, report\. Change it"
+            UserError, match=r"saved_outputs = .*\[?.*frames, report\. Change it"
         ):
             check_run_settings(
-                config | {"keep": wrong}, lambda block: "conf/config.yaml"
+                config | {"saved_outputs": wrong}, lambda block: "conf/config.yaml"
             )

@@ -7,7 +7,7 @@ STAGE = StageSpec(
     name="predict",
     makes=Prediction,
     folder="prediction",
-    uses=(*MODEL, "obstacles", "own"),
+    uses=(*MODEL, "obstacles", "effects_per_recording"),
     run="stages.estimate.prediction.predict.run",
     inputs={"trials": SameIteration(TrialSet), "estimate": LatestIteration(Estimate)},
 )

@@ -49,7 +49,9 @@ def run(call: StageCall, trials: TrialSet, estimate: Estimate) -> Prediction:
     (observation,) = (
         trim_at_contact(trial, call.setup.obstacles) for trial in trials.observations
     )
-    return predict(call.setup.model, estimate, observation, call.setup.own)
+    return predict(
+        call.setup.model, estimate, observation, call.setup.effects_per_recording
+    )
 
 
 def predict(

@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from stringcast.stages.model.box import Box
 from stringcast.stages.report.formatting import format_gain, superscript
-from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M
+from stringcast.stages.report.theme import MM_PER_M
 
 
 def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
@@ -83,4 +83,4 @@ def draw_box(axes: Axes, box: Box, **style: Any) -> None:
 def label_bars(axes: Axes, bars: BarContainer, gains: Iterable[float]) -> None:
     """Label bars by the log-likelihoods that they show."""
     labels = [format_gain(gain) for gain in gains]
-    axes.bar_label(bars, labels, padding=4, fontsize=8, color=LIGHT_COLOURS["soft"])
+    axes.bar_label(bars, labels, padding=4, fontsize=8, color="soft")

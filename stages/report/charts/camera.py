@@ -212,8 +212,9 @@ def closest_approach_picture(record: RunRecord, cast: CastRecord) -> Picture | N
     path = path[np.isfinite(path).all(axis=1)]
     draw_line(axes, record, path, lw=0.9, ls=(0, (2, 2)), **measured)
     closest = cast.tip_path(np.array([verdict.t]))
-    ring = {"color": FRAME_COLOURS["ink"], "marker": "o", "ms": 8, "mfc": "none"}
-    draw_line(axes, record, closest, **ring)
+    draw_line(
+        axes, record, closest, color=FRAME_COLOURS["ink"], marker="o", ms=8, mfc="none"
+    )
     draw_grid(axes, record, region)
 
     position = "not visible"

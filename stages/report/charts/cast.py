@@ -24,7 +24,6 @@ from stringcast.stages.report.formatting import (
 from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import (
-    LIGHT_COLOURS,
     MM_PER_M,
     Picture,
     figure_with_margins,
@@ -50,13 +49,13 @@ def cast_path_picture(record: RunRecord, cast: CastRecord) -> Picture | None:
     closest_tick = int(np.argmin(np.abs(arm_table["t"].to_numpy() - closest)))
     for tick, alpha in ((0, 0.35), (closest_tick, 1.0)):
         axes.plot(
-            *joints[tick].T, "-o", color=LIGHT_COLOURS["soft"], lw=3, ms=4, alpha=alpha
+            *joints[tick].T, "-o", color="soft", lw=3, ms=4, alpha=alpha
         )
     hand = joints[:, -1]
-    axes.plot(*hand.T, color=LIGHT_COLOURS["after"], label="hand")
+    axes.plot(*hand.T, color="after", label="hand")
     tip = cast.tip_path(np.arange(0, cast.motion.duration, 0.001)) * MM_PER_M
     if np.isfinite(tip).any():
-        axes.plot(*tip.T, color=LIGHT_COLOURS["measured"], lw=1, label="string's tip")
+        axes.plot(*tip.T, color="measured", lw=1, label="string's tip")
     _add_wide_legend(figure, axes)
     length = format_mm(float(np.hypot(*np.diff(hand, axis=0).T).sum() / MM_PER_M))
     words = (
@@ -76,13 +75,18 @@ def hand_paths_picture(record: RunRecord) -> Picture | None:
         zip(record.casts, strengths, strict=True), 1
     ):
         hand = cast.joint_positions(record.model.arm)[:, -1] * MM_PER_M
-        look = {"alpha": 0.25 + 0.75 * strength, "lw": 1 + strength}
-        axes.plot(*hand.T, color=LIGHT_COLOURS["after"], label=f"cast {number}", **look)
+        axes.plot(
+            *hand.T,
+            color="after",
+            label=f"cast {number}",
+            alpha=0.25 + 0.75 * strength,
+            lw=1 + strength,
+        )
     axes.plot(
         *np.array(record.model.arm.base) * MM_PER_M,
         "s",
         ms=6,
-        color=LIGHT_COLOURS["soft"],
+        color="soft",
     )
     _add_wide_legend(figure, axes)
     words = f"Path of the hand in {len(casts)} casts; {_describe_target(record)}."
@@ -95,21 +99,23 @@ def _plane_with_boxes(record: RunRecord) -> tuple[Figure, Axes]:
     axes = figure.subplots()
     axes.margins(0.08)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
-    target = {
-        "fill": False,
-        "edgecolor": LIGHT_COLOURS["target"],
-        "lw": 1.8,
-        "label": "target",
-    }
-    draw_box(axes, record.target, **target)
+    draw_box(
+        axes,
+        record.target,
+        fill=False,
+        edgecolor="target",
+        lw=1.8,
+        label="target",
+    )
     for obstacle in record.obstacles:
-        look = {
-            "facecolor": LIGHT_COLOURS["wall"],
-            "alpha": 0.5,
-            "lw": 0,
-            "label": "obstacle",
-        }
-        draw_box(axes, obstacle, **look)
+        draw_box(
+            axes,
+            obstacle,
+            facecolor="wall",
+            alpha=0.5,
+            lw=0,
+            label="obstacle",
+        )
     return figure, axes
 
 
@@ -306,13 +312,13 @@ def distance_map(
     axes.axvspan(
         0,
         cast.motion.duration * MM_PER_M,
-        color=LIGHT_COLOURS["axis"],
+        color="axis",
         alpha=0.16,
         lw=0,
     )
     if np.isfinite(cast.verdict.t):
         axes.axvline(
-            cast.verdict.t * MM_PER_M, color=LIGHT_COLOURS["target"], lw=1.2, ls="--"
+            cast.verdict.t * MM_PER_M, color="target", lw=1.2, ls="--"
         )
     size = format_mm(rms(table["distance"]), 1)
     words = f"Distance of the simulated from the measured string after estimation: RMS {size}."
@@ -350,14 +356,20 @@ def progress_picture(record: RunRecord) -> Picture:
     distance = np.array([cast.verdict.distance for cast in record.casts]) * MM_PER_M
     is_hit = np.array([cast.verdict.hit for cast in record.casts])
     numbers = np.arange(1, len(distance) + 1)
-    top.plot(numbers, distance, color=LIGHT_COLOURS["target"])
+    top.plot(numbers, distance, color="target")
     for chosen, label, fill in (
         (~is_hit, "missed", "none"),
-        (is_hit, "hit", LIGHT_COLOURS["target"]),
+        (is_hit, "hit", "target"),
     ):
         if chosen.any():
-            look = {"color": LIGHT_COLOURS["target"], "mfc": fill, "label": label}
-            top.plot(numbers[chosen], distance[chosen], "o", **look)
+            top.plot(
+                numbers[chosen],
+                distance[chosen],
+                "o",
+                color="target",
+                mfc=fill,
+                label=label,
+            )
     top.set(ylabel="closest to centre [mm]", ylim=(0, None))
 
     for number, cast in zip(numbers, record.casts, strict=True):
@@ -365,12 +377,12 @@ def progress_picture(record: RunRecord) -> Picture:
             continue
         rates = cast.estimate.fit.iloc[0][list(STATES)].astype(float)
         bottom.plot(
-            [number, number], rates, color=LIGHT_COLOURS["axis"], lw=1.2, zorder=1
+            [number, number], rates, color="axis", lw=1.2, zorder=1
         )
         for state in STATES:
             label = f"{state} estimation" if number == 1 else ""
             bottom.plot(
-                number, rates[state], "o", color=LIGHT_COLOURS[state], label=label
+                number, rates[state], "o", color=state, label=label
             )
     bottom.set(xlabel="cast", ylabel="matching rate E [1]", ylim=(0, 1.02))
     bottom.set(xticks=numbers, xlim=(0.6, len(numbers) + 0.4))
@@ -390,11 +402,11 @@ def history_picture(parameter: Parameter, estimates: Sequence[Estimate]) -> Pict
     tables = [estimate.parameters.set_index("name") for estimate in estimates]
     rows = pd.DataFrame([table.loc[parameter.name] for table in tables])
     rows.index = range(1, len(rows) + 1)
-    blue = LIGHT_COLOURS["after"]
+    blue = "after"
     figure = figure_with_margins(2.5, 1.55, left=0.5, top=0.16)
     axes = figure.subplots()
     lowest, highest = rows["minimum"].min(), rows["maximum"].max()
-    axes.axhspan(lowest, highest, color=LIGHT_COLOURS["axis"], alpha=0.16, lw=0)
+    axes.axhspan(lowest, highest, color="axis", alpha=0.16, lw=0)
     axes.plot([0, *rows.index], [parameter.start, *rows["value"]], color=blue, lw=1.2)
     axes.vlines(rows.index, rows["low"], rows["high"], color=blue, lw=4, alpha=0.35)
     for number, row in rows.iterrows():

@@ -18,7 +18,7 @@ from stringcast.stages.report.formatting import (
 )
 from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import MAX_DRAWN_TRIALS, DiagnosisRecord
-from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M, Picture, svg_picture
+from stringcast.stages.report.theme import MM_PER_M, Picture, svg_picture
 
 MAX_BARS = 14
 LONGEST_ARROW_IN = 0.28
@@ -34,9 +34,9 @@ def law_picture(effect: type[Effect], values: Mapping[str, float]) -> Picture:
             "0.6",
             "0.7",
         ):  # effects draw grey, which has no dark side
-            line.set_color(LIGHT_COLOURS["axis"])
+            line.set_color("axis")
     for arrows in axes.collections:
-        arrows.set_facecolor(LIGHT_COLOURS["after"])
+        arrows.set_facecolor("after")
     words = f"The law of {effect_title(effect.name)}: {effect.describe(values)}."
     return svg_picture(figure, words)
 
@@ -62,7 +62,7 @@ def screening_pictures(record: DiagnosisRecord) -> list[tuple[str, Picture]]:
         names = [effect_title(name) for name in best["effect"]]
         gains = best["predicted_gain"].to_numpy()
         colours = np.where(
-            best["effect"].isin(named), LIGHT_COLOURS["after"], LIGHT_COLOURS["axis"]
+            best["effect"].isin(named), "after", "axis"
         )
         figure, axes = new_axes(5.4, 0.7 + 0.23 * len(best))
         bars = axes.barh(names, gains, height=0.7, color=colours.tolist())
@@ -89,13 +89,26 @@ def similarity_matrix(record: DiagnosisRecord) -> Picture | None:
     figure, axes = new_axes(5.4, 1.6 + 0.34 * len(names))
     for row in table.itertuples():
         x, y = sorted((names.index(row.effect), names.index(row.other)))
-        colour = {"facecolor": LIGHT_COLOURS["after"], "alpha": 0.75 * row.cosine**2}
-        axes.add_patch(Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, lw=0, **colour))
+        axes.add_patch(
+            Rectangle(
+                (x - 0.48, y - 0.46),
+                0.96,
+                0.92,
+                lw=0,
+                facecolor="after",
+                alpha=0.75 * row.cosine**2,
+            )
+        )
         axes.text(x, y, f"{row.cosine:.2f}", ha="center", va="center", fontsize=8)
     count = len(names)
     axes.set(xlim=(-0.5, count - 1.5), ylim=(count - 0.5, 0.5))
-    tilted = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
-    axes.set_xticks(np.arange(count - 1), labels[:-1], **tilted)
+    axes.set_xticks(
+        np.arange(count - 1),
+        labels[:-1],
+        rotation=40,
+        ha="right",
+        rotation_mode="anchor",
+    )
     axes.set_yticks(np.arange(1, count), labels[1:])
     axes.grid(visible=False)
     top = table.loc[table["cosine"].idxmax()]
@@ -116,21 +129,30 @@ def unexplained_picture(record: DiagnosisRecord) -> Picture | None:
     figure = Figure(figsize=(6.0, 0.7 + 1.25 * len(rows)))
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)
     # the angles of arrows are those in the plane, whatever the scales of the axes
-    look = {
-        "angles": "uv",
-        "scale_units": "inches",
-        "scale": float(size.max()) / LONGEST_ARROW_IN,
-        "width": 0.0022,
-        "color": LIGHT_COLOURS["target"],
-    }
     for axes, (trial, points) in zip(panels[:, 0], rows, strict=True):
         places = points["t"] * MM_PER_M, points["s"] * MM_PER_M
-        axes.plot(*places, ".", ms=1.5, color=LIGHT_COLOURS["axis"])
-        axes.quiver(*places, points["x"], points["y"], **look)
+        axes.plot(*places, ".", ms=1.5, color="axis")
+        axes.quiver(
+            *places,
+            points["x"],
+            points["y"],
+            angles="uv",
+            scale_units="inches",
+            scale=float(size.max()) / LONGEST_ARROW_IN,
+            width=0.0022,
+            color="target",
+        )
         axes.margins(0.06, 0.3)
         axes.set_ylabel("s [mm]")
-        style = {"ha": "right", "va": "bottom", "color": LIGHT_COLOURS["soft"]}
-        axes.text(1.0, 1.0, trial, transform=axes.transAxes, **style)
+        axes.text(
+            1.0,
+            1.0,
+            trial,
+            transform=axes.transAxes,
+            ha="right",
+            va="bottom",
+            color="soft",
+        )
     axes.set_xlabel("time [ms]")
     top = table.loc[size.idxmax()]
     words = (
@@ -190,13 +212,15 @@ def proposal_picture(record: DiagnosisRecord) -> Picture | None:
         hypotheses.items(), HYPOTHESIS_STYLES, strict=False
     ):
         string = rows[rows["t"] == t].sort_values("s")
-        look = {
-            "marker": ".",
-            "ms": 4,
-            "color": LIGHT_COLOURS[colour],
-            "label": effect_title(name),
-        }
-        left.plot(string["x"] * MM_PER_M, string["y"] * MM_PER_M, dashes, **look)
+        left.plot(
+            string["x"] * MM_PER_M,
+            string["y"] * MM_PER_M,
+            dashes,
+            marker=".",
+            ms=4,
+            color=colour,
+            label=effect_title(name),
+        )
         if name in distance:
             over_time = distance[name] * MM_PER_M
             right.plot(
@@ -204,16 +228,22 @@ def proposal_picture(record: DiagnosisRecord) -> Picture | None:
                 over_time,
                 dashes,
                 lw=1.2,
-                color=LIGHT_COLOURS[colour],
+                color=colour,
             )
     left.set(xlabel="x [mm]", ylabel="y [mm]", title=f"at {format_ms(t)}")
     left.set(aspect="equal", adjustable="datalim")
     floor = float(record.diagnosis.residuals["sigma"].median() * MM_PER_M)
-    right.axhspan(0, floor, color=LIGHT_COLOURS["grid"], lw=0)
-    place = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
-    right.annotate("noise floor", (1, floor), fontsize=8, **place)
+    right.axhspan(0, floor, color="grid", lw=0)
+    right.annotate(
+        "noise floor",
+        (1, floor),
+        fontsize=8,
+        xycoords=("axes fraction", "data"),
+        ha="right",
+        va="bottom",
+    )
     right.set(xlabel="time [ms]", ylabel="largest distance [mm]", ylim=(0, None))
-    right.axvline(t * MM_PER_M, color=LIGHT_COLOURS["axis"], lw=1)
+    right.axvline(t * MM_PER_M, color="axis", lw=1)
     add_legend_above(figure, 4)
     largest = [
         f"{effect_title(name)} {format_mm(d.max(), 1)}" for name, d in distance.items()

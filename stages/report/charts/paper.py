@@ -20,7 +20,7 @@ from stringcast.stages.report.charts.axes import (
 from stringcast.stages.report.charts.cast import break_at_gaps
 from stringcast.stages.report.formatting import format_mm, format_rate, format_value
 from stringcast.stages.report.records import EXPERIMENT_LABELS, PaperFigure, PaperRecord
-from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M
+from stringcast.stages.report.theme import MM_PER_M
 
 # --- how often it hits
 HIT_RATE_MARKERS = {
@@ -48,13 +48,20 @@ def hit_rates_figure(record: PaperRecord) -> PaperFigure | None:
                 y,
                 rate["low"],
                 rate["high"],
-                color=LIGHT_COLOURS[colour],
+                color=colour,
                 lw=2.5,
                 alpha=0.3,
             )
-            look = {"color": LIGHT_COLOURS[colour], "ms": 4.5, "ls": "none"}
             label = f"within {within}" if row == 0 else None
-            axes.plot(rate["share"], y, marker, label=label, **look)
+            axes.plot(
+                rate["share"],
+                y,
+                marker,
+                label=label,
+                color=colour,
+                ms=4.5,
+                ls="none",
+            )
         last = table.loc[table.index.max()]
         labels.append(f"{EXPERIMENT_LABELS[condition]}  (n = {last['count']:.0f})")
         summary.append(
@@ -75,9 +82,9 @@ def hit_rates_figure(record: PaperRecord) -> PaperFigure | None:
 
 # --- shapes of the string
 LINE_STYLES: dict[str, dict[str, Any]] = {
-    "arm": {"color": LIGHT_COLOURS["soft"], "lw": 2.2, "marker": "o", "ms": 3},
-    "foretold": {"color": LIGHT_COLOURS["before"], "lw": 1.5, "ls": (0, (3, 1.5))},
-    "measured": {"color": LIGHT_COLOURS["measured"], "lw": 1.7},
+    "arm": {"color": "soft", "lw": 2.2, "marker": "o", "ms": 3},
+    "foretold": {"color": "before", "lw": 1.5, "ls": (0, (3, 1.5))},
+    "measured": {"color": "measured", "lw": 1.7},
 }
 LINE_LABELS = {
     "arm": "arm",
@@ -125,8 +132,8 @@ def _draw_shapes(axes: Axes, lines: pd.DataFrame) -> None:
 
 
 def _draw_boxes(axes: Axes, record: PaperRecord, condition: str) -> None:
-    target = {"fill": False, "ec": LIGHT_COLOURS["target"], "lw": 1.6}
-    obstacle = {"fc": LIGHT_COLOURS["wall"], "alpha": 0.5}
+    target = {"fill": False, "ec": "target", "lw": 1.6}
+    obstacle = {"fc": "wall", "alpha": 0.5}
     for row in record.rows_of("boxes", condition).itertuples():
         style = target if row.kind == "target" else obstacle
         draw_box(axes, Box(row.x, row.y, row.w, row.h), zorder=3, **style)
@@ -151,8 +158,8 @@ def hand_paths_figure(
         number = record.cast_numbers(name)[-1]
         hand = record.cast_rows("hands", name, number).sort_values("t")
         x, y = hand["x"].to_numpy() * MM_PER_M, hand["y"].to_numpy() * MM_PER_M
-        axes.plot(x, y, color=LIGHT_COLOURS[colour], label=EXPERIMENT_LABELS[name])
-        axes.plot(x[0], y[0], "o", color=LIGHT_COLOURS[colour], ms=5)
+        axes.plot(x, y, color=colour, label=EXPERIMENT_LABELS[name])
+        axes.plot(x[0], y[0], "o", color=colour, ms=5)
         _draw_boxes(axes, record, name)
         side = "above" if y[-1] > y[0] else "below"
         rises.append(
@@ -188,11 +195,11 @@ def matching_figure(record: PaperRecord, condition: str) -> PaperFigure | None:
         axes.plot(
             t * MM_PER_M,
             break_at_gaps(t, rates),
-            color=LIGHT_COLOURS[colour],
+            color=colour,
             label=label,
         )
         closest = record.cast_verdict(condition, number)["t_closest"]
-        axes.axvline(closest * MM_PER_M, color=LIGHT_COLOURS[colour], lw=1, ls="--")
+        axes.axvline(closest * MM_PER_M, color=colour, lw=1, ls="--")
         means[number] = float(
             np.nanmean(rates[np.abs(t - closest) <= HIT_HALF_WINDOW_S])
         )
@@ -253,20 +260,29 @@ def table_4_figure(
 def _draw_parameter(axes: Axes, ours: pd.DataFrame, paper: dict[str, float]) -> None:
     low, high = ours["minimum"].min(), ours["maximum"].max()
     axes.axvspan(
-        low, high, color=LIGHT_COLOURS["axis"], alpha=0.16, lw=0, label="range"
+        low, high, color="axis", alpha=0.16, lw=0, label="range"
     )
     for row, (condition, printed) in enumerate(paper.items()):
         labels = ("a run of ours", "the paper") if row == 0 else (None, None)
         values = ours.loc[ours["condition"] == condition, "value"]
-        look = {
-            "color": LIGHT_COLOURS["after"],
-            "alpha": 0.6,
-            "ms": 5,
-            "label": labels[0],
-        }
-        axes.plot(values, [row - 0.12] * len(values), "o", **look)
-        look = {"color": LIGHT_COLOURS["before"], "ms": 7, "mew": 2, "label": labels[1]}
-        axes.plot([printed], [row + 0.18], "x", **look)
+        axes.plot(
+            values,
+            [row - 0.12] * len(values),
+            "o",
+            color="after",
+            alpha=0.6,
+            ms=5,
+            label=labels[0],
+        )
+        axes.plot(
+            [printed],
+            [row + 0.18],
+            "x",
+            color="before",
+            ms=7,
+            mew=2,
+            label=labels[1],
+        )
     axes.set_xscale("log")
     label_decades(axes.xaxis)
     axes.set_yticks(range(len(paper)), [condition[-1] for condition in paper])

@@ -20,7 +20,6 @@ from stringcast.stages.report.formatting import format_gain, format_mm
 from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import DiagnosisRecord, model_distances, trial_rms
 from stringcast.stages.report.theme import (
-    LIGHT_COLOURS,
     MM_PER_M,
     Picture,
     figure_with_margins,
@@ -195,7 +194,7 @@ def trial_rms_picture(record: DiagnosisRecord) -> Picture | None:
     figure, (axes,) = rows_figure(len(names))
     label = "noise and numerical error"
     axes.barh(
-        rows, expected["doubt"], height=0.7, color=LIGHT_COLOURS["grid"], label=label
+        rows, expected["doubt"], height=0.7, color="grid", label=label
     )
     _draw_noise_floor(axes, expected["sigma"])
     for model, residual in residuals.items():
@@ -214,17 +213,26 @@ def trial_rms_picture(record: DiagnosisRecord) -> Picture | None:
 
 
 def _draw_noise_floor(axes: Axes, values: pd.Series) -> None:
-    look = {"ms": 14, "mew": 1.6, "color": LIGHT_COLOURS["ink"]}
-    axes.plot(values, np.arange(len(values)), "|", label="noise floor", **look)
+    axes.plot(
+        values,
+        np.arange(len(values)),
+        "|",
+        label="noise floor",
+        ms=14,
+        mew=1.6,
+        color="ink",
+    )
 
 
 def _draw_model(axes: Axes, values: pd.Series, model: str) -> None:
-    look = {
-        "ms": 6,
-        "color": LIGHT_COLOURS[MODEL_COLOURS[model]],
-        "label": MODEL_LABELS[model],
-    }
-    axes.plot(values, np.arange(len(values)), "o", **look)
+    axes.plot(
+        values,
+        np.arange(len(values)),
+        "o",
+        ms=6,
+        color=MODEL_COLOURS[model],
+        label=MODEL_LABELS[model],
+    )
 
 
 def held_out_picture(record: DiagnosisRecord) -> Picture:
@@ -236,21 +244,27 @@ def held_out_picture(record: DiagnosisRecord) -> Picture:
         panels, ("rms", "tip_rms"), ("whole string", "tip"), strict=True
     ):
         sides = table[[f"{column}_{model}" for model in record.models]] * MM_PER_M
-        look = {"color": LIGHT_COLOURS["axis"], "lw": 1.2}
-        axes.hlines(rows, sides.min(axis=1), sides.max(axis=1), **look)
+        axes.hlines(
+            rows,
+            sides.min(axis=1),
+            sides.max(axis=1),
+            color="axis",
+            lw=1.2,
+        )
         _draw_noise_floor(axes, table["noise_floor"] * MM_PER_M)
         for model in record.models:
             _draw_model(axes, sides[f"{column}_{model}"], model)
         axes.set(title=title, xlabel="RMS [mm]", xlim=(0, None))
     left = panels[0]
     if record.is_extended and not record.has_excluded_trials:
-        look = {
-            "ms": 10,
-            "mfc": "none",
-            "color": LIGHT_COLOURS[MODEL_COLOURS["extended"]],
-        }
         left.plot(
-            table["rms_known"] * MM_PER_M, rows, "o", label="fitted to all", **look
+            table["rms_known"] * MM_PER_M,
+            rows,
+            "o",
+            label="fitted to all",
+            ms=10,
+            mfc="none",
+            color=MODEL_COLOURS["extended"],
         )
     left.set_yticks(rows, table["trial"])
     left.invert_yaxis()
@@ -271,20 +285,21 @@ def likelihood_gain_picture(record: DiagnosisRecord) -> Picture | None:
     figure, (axes,) = rows_figure(len(table))
     gains = table["log_likelihood_difference"]
     bars = axes.barh(
-        table["trial"], gains, height=0.6, color=LIGHT_COLOURS["after"], alpha=0.6
+        table["trial"], gains, height=0.6, color="after", alpha=0.6
     )
     label_bars(axes, bars, gains)
     mean, error = gains.mean(), gains.sem()
-    axes.axvline(mean, color=LIGHT_COLOURS["ink"], lw=1.4, label="mean")
+    axes.axvline(mean, color="ink", lw=1.4, label="mean")
     if np.isfinite(error):
-        look = {
-            "color": LIGHT_COLOURS["axis"],
-            "alpha": 0.3,
-            "lw": 0,
-            "label": "its standard error",
-        }
-        axes.axvspan(mean - error, mean + error, **look)
-    axes.axvline(0, color=LIGHT_COLOURS["axis"], lw=1)
+        axes.axvspan(
+            mean - error,
+            mean + error,
+            color="axis",
+            alpha=0.3,
+            lw=0,
+            label="its standard error",
+        )
+    axes.axvline(0, color="axis", lw=1)
     axes.set(xlabel="log-likelihood, extended minus base")
     axes.margins(x=0.15)
     axes.invert_yaxis()

@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from stringcast.stages.report.charts.axes import label_decades, new_axes
 from stringcast.stages.report.formatting import format_mean, format_value
 from stringcast.stages.report.outcomes import Outcome, mean_response
-from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M, Picture, svg_picture
+from stringcast.stages.report.theme import MM_PER_M, Picture, svg_picture
 
 MIN_LOG_AXIS_RATIO = 20  # of the levels of a setting on a logarithmic axis
 EQUAL_VALUES_TOLERANCE = 1e-9  # relative: a geometric mean is off by 1e-15
@@ -81,9 +81,16 @@ def outcome_curve(
     position = label_levels(axes, jobs[factor])
     known = jobs[jobs[outcome.name].notna()]
     values = known[outcome.name] * outcome.scale
-    grey = {"ms": 3, "mew": 0, "color": LIGHT_COLOURS["wall"], "alpha": 0.5}
-    axes.plot(position(known[factor]), values, "o", **grey)
-    x, blue = position(means[factor]), LIGHT_COLOURS["after"]
+    axes.plot(
+        position(known[factor]),
+        values,
+        "o",
+        ms=3,
+        mew=0,
+        color="wall",
+        alpha=0.5,
+    )
+    x, blue = position(means[factor]), "after"
     is_number = pd.api.types.is_numeric_dtype(jobs[factor])
     axes.plot(
         x, means["mean"], "o", ls="-" if is_number else "none", ms=4.5, color=blue
@@ -137,8 +144,16 @@ def outcome_map(
     for _, row in means.iterrows():
         x, y = x_levels.index(row[pair[0]]), y_levels.index(row[pair[1]])
         shade = MAX_OPACITY * (row["mean"] - low) / (high - low) if high > low else 0.0
-        colour = {"facecolor": LIGHT_COLOURS["after"], "alpha": shade}
-        axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, lw=0, **colour))
+        axes.add_patch(
+            Rectangle(
+                (x - 0.5, y - 0.5),
+                1,
+                1,
+                lw=0,
+                facecolor="after",
+                alpha=shade,
+            )
+        )
         axes.text(x, y, format_value(row["mean"]), ha="center", va="center", fontsize=8)
     axes.set_xticks(range(len(x_levels)), list(x_labels.values()), **TILTED_LABELS)
     axes.set_yticks(range(len(y_levels)), list(y_labels.values()))
@@ -173,16 +188,22 @@ def target_map(jobs: pd.DataFrame, most: int) -> Picture:
     for place, casts in median.items():
         x, y = np.array(place) * MM_PER_M
         if np.isnan(casts):
-            axes.plot(x, y, "x", color=LIGHT_COLOURS["wall"], ms=7)
+            axes.plot(x, y, "x", color="wall", ms=7)
         elif np.isinf(casts):
-            axes.plot(x, y, "s", mfc="none", mec=LIGHT_COLOURS["before"], ms=17)
+            axes.plot(x, y, "s", mfc="none", mec="before", ms=17)
         else:
             shade = 1 - (1 - MIN_OPACITY) * (casts - 1) / max(most - 1, 1)
             axes.plot(
-                x, y, "s", color=LIGHT_COLOURS["after"], alpha=shade, mew=0, ms=18
+                x, y, "s", color="after", alpha=shade, mew=0, ms=18
             )
-            centre = {"ha": "center", "va": "center", "fontsize": 8}
-            axes.annotate(f"{casts:.0f}", (x, y), color=LIGHT_COLOURS["ink"], **centre)
+            axes.annotate(
+                f"{casts:.0f}",
+                (x, y),
+                color="ink",
+                ha="center",
+                va="center",
+                fontsize=8,
+            )
     axes.set(xlabel="x of the target [mm]", ylabel="y of the target [mm]")
     axes.set(aspect="equal", adjustable="datalim")
     axes.margins(0.12)

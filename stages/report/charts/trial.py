@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stringcast.stages.check.measured import CheckedTrial
-from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M, STYLE_SHEET
+from stringcast.stages.report.theme import MM_PER_M, STYLE_SHEET
 
 POSE_COUNT = 5  # evenly over the time in which both arm and string are visible
 LATER_POSE_OPACITY = 0.25
@@ -41,8 +41,13 @@ def describe_trial(seen: CheckedTrial) -> str:
 
 def _draw_plane(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) -> None:
     """Draw arm and string at a few times, the first darkest, and the path of the tip."""
-    look = {"lw": 0.8, "alpha": 0.5, "label": "path of the tip"}
-    axes.plot(*(tip * MM_PER_M).T, color=LIGHT_COLOURS["measured"], **look)
+    axes.plot(
+        *(tip * MM_PER_M).T,
+        color="measured",
+        lw=0.8,
+        alpha=0.5,
+        label="path of the tip",
+    )
     low, high = max(t[0], seen.hand_t[0]), min(t[-1], seen.hand_t[-1])
     for number, moment in enumerate(np.linspace(low, max(high, low), POSE_COUNT)):
         frame_time = seen.frame_t[np.argmin(np.abs(seen.frame_t - moment))]
@@ -50,14 +55,23 @@ def _draw_plane(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) 
         arm = _arm_at(seen, moment)
         alpha = LATER_POSE_OPACITY if number else 1.0
         labels = (None, None) if number else ("arm", "string, as measured")
-        look = {"ms": 3, "lw": 2.4, "alpha": alpha, "label": labels[0]}
-        axes.plot(*(arm * MM_PER_M).T, "o-", color=LIGHT_COLOURS["axis"], **look)
-        look = {"ms": 4, "lw": 1.2, "alpha": alpha, "label": labels[1]}
+        axes.plot(
+            *(arm * MM_PER_M).T,
+            "o-",
+            color="axis",
+            ms=3,
+            lw=2.4,
+            alpha=alpha,
+            label=labels[0],
+        )
         axes.plot(
             *(np.vstack([arm[-1], string]) * MM_PER_M).T,
             ".-",
-            color=LIGHT_COLOURS["after"],
-            **look,
+            color="after",
+            ms=4,
+            lw=1.2,
+            alpha=alpha,
+            label=labels[1],
         )
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
     _add_legend(axes, 3)
@@ -75,7 +89,7 @@ def _arm_at(seen: CheckedTrial, t: float) -> np.ndarray:
 def _draw_positions(
     axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray
 ) -> None:
-    hand, grey, green = seen.pose, LIGHT_COLOURS["axis"], LIGHT_COLOURS["measured"]
+    hand, grey, green = seen.pose, "axis", "measured"
     for number, (name, dashes) in enumerate((("x", "-"), ("y", "--"))):
         axes.plot(
             seen.hand_t,
@@ -103,12 +117,15 @@ def _draw_speeds(
         fastest = float(np.quantile(speed, 0.99)) if len(speed) else 0.0
         if fastest > 0:
             share = np.minimum(speed / fastest, 1.2)
-            look = {"lw": 1, "label": f"{label}: {fastest:.1f} m/s"}
             axes.plot(
-                (times[1:] + times[:-1]) / 2, share, color=LIGHT_COLOURS[colour], **look
+                (times[1:] + times[:-1]) / 2,
+                share,
+                color=colour,
+                lw=1,
+                label=f"{label}: {fastest:.1f} m/s",
             )
         if onset is not None:
-            axes.axvline(onset, color=LIGHT_COLOURS[colour], ls=":", lw=1)
+            axes.axvline(onset, color=colour, ls=":", lw=1)
     axes.set(xlabel="time [s]", ylabel="speed [of fastest]")
     _add_legend(axes, 2)
 

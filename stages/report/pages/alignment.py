@@ -26,7 +26,6 @@ from stringcast.stages.report.page import (
 )
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.report.theme import (
-    LIGHT_COLOURS,
     MM_PER_M,
     STYLE_SHEET,
     Picture,
@@ -80,7 +79,7 @@ def _tiles(alignment: Alignment) -> Tiles:
 def _parameters_section(alignment: Alignment) -> Section:
     lead = Markup(
         "Intervals are 95 %, from leaving out blocks of time in turn. "
-        "<code>extended=&lt;this folder&gt;</code> applies the alignment in any other "
+        "<code>model_from=&lt;this folder&gt;</code> applies the alignment in any other "
         "experiment."
     )
     columns = ("parameter", "meaning", "value", "from", "to", "part of the alignment")
@@ -130,11 +129,23 @@ def _positions_picture(seen: pd.DataFrame) -> Picture:
     for state in STATES:
         x = outer["x"] + outer[state] * outer["along_x"]
         y = outer["y"] + outer[state] * outer["along_y"]
-        look = {"ms": 2.5, "color": LIGHT_COLOURS[state], "label": f"reported, {state}"}
-        axes.plot(x * MM_PER_M, y * MM_PER_M, ".", **look)
+        axes.plot(
+            x * MM_PER_M,
+            y * MM_PER_M,
+            ".",
+            ms=2.5,
+            color=state,
+            label=f"reported, {state}",
+        )
         sizes.append(format_mm(rms(outer[state]), 2))
-    look = {"ms": 1.2, "color": LIGHT_COLOURS["measured"], "label": "filmed"}
-    axes.plot(outer["x"] * MM_PER_M, outer["y"] * MM_PER_M, ".", **look)
+    axes.plot(
+        outer["x"] * MM_PER_M,
+        outer["y"] * MM_PER_M,
+        ".",
+        ms=1.2,
+        color="measured",
+        label="filmed",
+    )
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
     axes.legend(loc="best", markerscale=3)
     words = f"The hand as filmed and as reported: {sizes[0]} apart before, {sizes[1]} after."
@@ -146,9 +157,16 @@ def _residuals_picture(seen: pd.DataFrame) -> Picture:
     figure = Drawing(figsize=(7.2, 3.4))
     panels = figure.subplots(2, 1, sharex=True)
     for axes, state in zip(panels, STATES, strict=True):
-        look = {"ms": 1.2, "color": LIGHT_COLOURS[state], "alpha": 0.5}
-        axes.plot(seen["t"], seen[state] * MM_PER_M, ".", rasterized=True, **look)
-        axes.axhline(0.0, lw=0.6, color=LIGHT_COLOURS["axis"])
+        axes.plot(
+            seen["t"],
+            seen[state] * MM_PER_M,
+            ".",
+            rasterized=True,
+            ms=1.2,
+            color=state,
+            alpha=0.5,
+        )
+        axes.axhline(0.0, lw=0.6, color="axis")
         axes.set_ylabel(f"{state} [mm]")
     limit = 1.5 * float(np.quantile(np.abs(seen["after"]), 0.995)) * MM_PER_M
     axes.set(xlabel="time on the camera's clock [s]", ylim=(-limit, limit))
@@ -164,9 +182,9 @@ def _likelihood_picture(table: pd.DataFrame) -> Picture:
     for column, label, colour in curves:
         drawn = table[table[column] < 2 * MAX_DRAWN_DEVIANCE]
         offset = drawn["offset"] * MM_PER_M
-        axes.plot(offset, drawn[column], ".-", color=LIGHT_COLOURS[colour], label=label)
+        axes.plot(offset, drawn[column], ".-", color=colour, label=label)
     axes.axhline(
-        DEVIANCE_95, ls="--", lw=0.8, color=LIGHT_COLOURS["axis"], label="95 %"
+        DEVIANCE_95, ls="--", lw=0.8, color="axis", label="95 %"
     )
     axes.set(
         xlabel="arm's clock minus camera's clock [ms]", ylabel="rise of the deviance"

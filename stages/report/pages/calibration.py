@@ -34,7 +34,6 @@ from stringcast.stages.report.page import (
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.report.theme import (
     FRAME_COLOURS,
-    LIGHT_COLOURS,
     STYLE_SHEET,
     Picture,
     svg_picture,
@@ -68,7 +67,7 @@ def calibration_page(facts: StageRecord) -> str:
     if outcome["valid"]:
         result = Markup(
             "<code>camera.yaml</code> in this folder holds the camera; other experiments "
-            "use it by <code>calibrated=</code> and this folder."
+            "use it by <code>camera_from=</code> and this folder."
         )
     page = Page(
         kind="calibration",
@@ -168,8 +167,9 @@ def _draw_error_arrows(
     """Draw arrows from the projection of each corner towards where it was detected."""
     u, v = corners["fit_u"], corners["fit_v"]
     du, dv = magnification * (corners["u"] - u), magnification * (corners["v"] - v)
-    to_scale = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004}
-    axes.quiver(u, v, du, dv, color=colour, **to_scale)
+    axes.quiver(
+        u, v, du, dv, color=colour, angles="xy", scale_units="xy", scale=1, width=0.004
+    )
 
 
 def _coverage_picture(
@@ -178,9 +178,9 @@ def _coverage_picture(
     width, height = outcome["width"], outcome["height"]
     figure, axes = new_axes(COVERAGE_WIDTH_IN, COVERAGE_WIDTH_IN * height / width)
     axes.plot(
-        corners["fit_u"], corners["fit_v"], ".", ms=2, color=LIGHT_COLOURS["after"]
+        corners["fit_u"], corners["fit_v"], ".", ms=2, color="after"
     )
-    _draw_error_arrows(axes, corners, magnification, LIGHT_COLOURS["before"])
+    _draw_error_arrows(axes, corners, magnification, "before")
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
     axes.set(xlabel="u / px", ylabel="v / px")
     words = f"{len(corners)} corners over the picture; errors enlarged {magnification:g} times."
@@ -190,13 +190,20 @@ def _coverage_picture(
 def _view_errors_picture(views: pd.DataFrame) -> Picture:
     figure, axes = new_axes(6.0, 2.8)
     places = np.arange(len(views))
-    all_views = {"color": LIGHT_COLOURS["after"], "label": "with the lens of all views"}
-    others = {
-        "color": LIGHT_COLOURS["before"],
-        "label": "with the lens of the other views",
-    }
-    axes.bar(places - 0.2, views["rms"], 0.38, **all_views)
-    axes.bar(places + 0.2, views["held_out_rms"], 0.38, **others)
+    axes.bar(
+        places - 0.2,
+        views["rms"],
+        0.38,
+        color="after",
+        label="with the lens of all views",
+    )
+    axes.bar(
+        places + 0.2,
+        views["held_out_rms"],
+        0.38,
+        color="before",
+        label="with the lens of the other views",
+    )
     axes.set_xticks(places, views["view"].astype(str))
     axes.set(xlabel="view", ylabel="error / px, rms")
     axes.legend()
@@ -217,10 +224,23 @@ def _view_picture(
     axes = figure.add_axes((0, 0, 1, 1))
     axes.imshow(image, cmap="gray", vmin=0, vmax=255)
     axes.axis("off")
-    circles = {"mfc": "none", "mec": FRAME_COLOURS["measured"], "mew": 0.8}
-    crosses = {"color": FRAME_COLOURS["after"], "mew": 0.8}
-    axes.plot(corners["u"], corners["v"], "o", ms=4, **circles)
-    axes.plot(corners["fit_u"], corners["fit_v"], "+", ms=4, **crosses)
+    axes.plot(
+        corners["u"],
+        corners["v"],
+        "o",
+        ms=4,
+        mfc="none",
+        mec=FRAME_COLOURS["measured"],
+        mew=0.8,
+    )
+    axes.plot(
+        corners["fit_u"],
+        corners["fit_v"],
+        "+",
+        ms=4,
+        color=FRAME_COLOURS["after"],
+        mew=0.8,
+    )
     _draw_error_arrows(axes, corners, magnification, FRAME_COLOURS["before"])
     axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))
     return webp_picture(figure, f"{name}: {len(corners)} corners detected.")

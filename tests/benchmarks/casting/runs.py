@@ -50,7 +50,7 @@ def run_settings(
         "specimen": settings["specimen"],
         "obstacles": obstacles,
     }
-    return settings | {"seed": seed, "manipulations": casts}
+    return settings | {"seed": seed, "max_casts": casts}
 
 
 def merge_change(block: Any, change: Any) -> Any:
@@ -123,7 +123,7 @@ def perform_training(executor: PointExecutor, count: int) -> list[Iteration]:
 
 
 def diagnosed_model(experiment: Experiment, casts: list[Iteration]) -> dict[str, Any]:
-    """Return the settings of the model of a diagnosis of the casts, as `extended=<its
+    """Return the settings of the model of a diagnosis of the casts, as `model_from=<its
     folder>` gives them.
     """
     copies = [*casts[:-1], replace(casts[-1], artifacts=dict(casts[-1].artifacts))]

@@ -128,7 +128,7 @@ def test_a_run_takes_its_settings_from_case_and_method():
         == study["cases"]["D"]["specimen"]
         == ours["hardware"]["specimen"]
     )
-    assert (paper["seed"], paper["manipulations"], paper["target"]["x"]) == (7, 4, 0.5)
+    assert (paper["seed"], paper["max_casts"], paper["target"]["x"]) == (7, 4, 0.5)
     assert paper["generate"]["_target_"] == "stages.generate.generate.generate"
     assert ours["generate"]["_target_"] == "stages.generate.robust.generate"
     assert paper["string"]["points"] == paper["string"]["reference_points"] == 25
@@ -230,7 +230,7 @@ def test_a_diagnosis_of_the_training_casts_makes_the_model_that_casts(
     """
     said = {
         "effects": ["camera_rotation"],
-        "known": {"camera_rotation.angle": 0.1},
+        "parameter_values": {"camera_rotation.angle": 0.1},
         "string": {"points": 15},
     }
     asked = []

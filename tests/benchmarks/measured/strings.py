@@ -178,7 +178,7 @@ def diagnose_string(
     )
     started = time.process_time()
     settings = compose_settings(
-        ["+experiment=diagnose", f"diagnose.without=[{','.join(without)}]"]
+        ["+experiment=diagnose", f"diagnose.excluded_effects=[{','.join(without)}]"]
     )
     diagnosis = diagnose_dataset(
         out / "dataset", settings | {"string": family.settings["string"]}
@@ -201,7 +201,7 @@ def summarise(document: Mapping[str, Any], diagnosis: Diagnosis) -> dict[str, An
     alternatives = {
         other["effect"]: other["probability"] for other in document["alternatives"]
     }
-    known = yaml.safe_load(diagnosis.finding["extended"].iloc[0])["known"]
+    known = yaml.safe_load(diagnosis.finding["extended"].iloc[0])["parameter_values"]
     explained = {name.split(".")[0] for name in known if "." in name}
     rms = {
         name: float("nan") if value is None else value

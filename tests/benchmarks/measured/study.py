@@ -184,5 +184,9 @@ def fit_settings(job: FitJob, dataset: Path) -> dict[str, Any]:
         | family["settings"]
         | family["sets"][job.effect_set]
     )
-    settings |= {"seed": job.config["seed"], "keep": [], "trials": str(dataset)}
+    settings |= {
+        "seed": job.config["seed"],
+        "saved_outputs": [],
+        "trials": str(dataset),
+    }
     return inherit_settings(OmegaConf.create(settings), {"string"})

@@ -162,9 +162,9 @@ def test_a_set_is_fitted_as_a_person_would_do_it_by_hand(config, tmp_path):
     ]
     by_hand += [
         "effects=[rest_curvature]",
-        "own=[rest_curvature]",
+        "effects_per_recording=[rest_curvature]",
         "trials_used=all",
-        "keep=[]",
+        "saved_outputs=[]",
     ]
     by_hand += ["string.points=6", "string.largest_step=2e-3"]
     by_hand += [f"estimate.{name}=1" for name in ("starts", "screening", "iterations")]

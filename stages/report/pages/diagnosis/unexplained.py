@@ -87,7 +87,7 @@ def parameters_section(record: DiagnosisRecord) -> Section | None:
     """Compare the string's parameters fitted without and with the causes."""
     document = record.document
     base = document["base"]["parameters"]
-    extended = record.extension.get("known", {})
+    extended = record.extension.get("parameter_values", {})
     sides = [(base, document["base"]), (extended, document["extended"])]
     rows = []
     for parameter in record.model.parameters:

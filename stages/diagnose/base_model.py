@@ -1,0 +1,118 @@
+"""The base model: a string without causes, fitted from many starts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stringcast.stages.common import Progress
+from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
+from stringcast.stages.inference import solver
+from stringcast.stages.inference.laplace import Fit, fit_hypothesis
+from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.search import (
+    refine_solution,
+    screen_candidates,
+    search_parameters,
+    with_estimated_noise,
+)
+from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.parameter import parameter_exponents, parameter_values
+
+RANGE_END_FRACTION = 0.02  # of a range: nearer to its end, the data press against it
+RANGE_WIDENING_FACTOR = 30.0
+MAX_WIDENING_ROUNDS = 3
+MAX_SEARCH_ITERATIONS = 20  # before the last horizon
+SCREENED_PER_START = 8
+
+
+def fit_base_model(
+    likelihood: Likelihood, rng: np.random.Generator, starts: int, progress: Progress
+) -> tuple[Likelihood, np.ndarray]:
+    """Fit the base model from many starts, in ranges as wide as the data ask for.
+
+    Returns
+    -------
+    likelihood : Likelihood
+        With the final ranges and initial states.
+    chi : numpy.ndarray, shape (P,)
+        Exponents of the best fit.
+    """
+    parameters = likelihood.parameters
+    configured = parameter_exponents(
+        parameters, np.array([p.start for p in parameters])
+    )
+    drawn = rng.uniform(size=(SCREENED_PER_START * starts, len(configured)))
+    candidates = np.concatenate([configured[None], drawn])
+    best = screen_candidates(likelihood, candidates, starts)
+    chi = search_parameters(likelihood, best, MAX_SEARCH_ITERATIONS, progress)
+    for _ in range(MAX_WIDENING_ROUNDS):
+        before = likelihood
+        for index in range(len(chi)):
+            likelihood, chi = widen_range_if_supported(likelihood, chi, index)
+        if likelihood is before:
+            break
+    return refine_solution(likelihood, chi)
+
+
+def widen_range_if_supported(
+    likelihood: Likelihood, chi: np.ndarray, index: int
+) -> tuple[Likelihood, np.ndarray]:
+    """Widen the range of a parameter that lies at its end, if that explains much more.
+
+    Only ranges of the string are widened. A parameter that the data do not determine
+    may lie at an end as well: there a wider range gains nothing.
+    """
+    model, parameter = likelihood.model, likelihood.parameters[index]
+    ranges = dict(model.string.ranges)
+    at_end = not RANGE_END_FRACTION < chi[index] < 1 - RANGE_END_FRACTION
+    is_free = parameter.name in ranges and parameter.low > 0
+    if not at_end or not is_free or parameter.name in model.measured_ranges:
+        return likelihood, chi
+
+    low, high = parameter.low, parameter.high
+    if chi[index] < 0.5:
+        low = low / RANGE_WIDENING_FACTOR
+    else:
+        high = high * RANGE_WIDENING_FACTOR
+    ranges[parameter.name] = replace(ranges[parameter.name], low=low, high=high)
+    wider = replace(model, string=replace(model.string, ranges=ranges))
+    trials = [replace(trial, model=wider) for trial in likelihood.data.trials]
+    start = parameter_exponents(
+        wider.parameters, parameter_values(likelihood.parameters, chi[None])
+    )
+    problem = with_estimated_noise(
+        replace(likelihood.with_trials(trials), model=wider), start[0]
+    )
+
+    before, after = (
+        problem.residuals(start)[0],
+        solver.fit_least_squares(problem, start),
+    )
+    gain = 0.5 * len(before) * np.log(np.mean(before**2) / after.loss[0])
+    if gain > STRONG_LOG_EVIDENCE:
+        return problem, after.chi[0]
+    return likelihood, chi
+
+
+def refit_from_new_starts(
+    data: TrialData, fit: Fit, rng: np.random.Generator, starts: int
+) -> Fit:
+    """Refit a hypothesis from other strings, the causes' parameters staying.
+
+    The optimum of the base model may be a poor start for a model with a cause.
+    """
+    hypothesis = fit.hypothesis
+    is_cause = np.zeros(len(fit.chi), dtype=bool)
+    for cause in hypothesis.causes:
+        is_cause[hypothesis.parameter_indices(cause, cause.parameters)] = True
+    drawn = rng.uniform(size=(SCREENED_PER_START * starts, len(fit.chi)))
+    candidates = np.where(is_cause, fit.chi, drawn)
+    trials = tuple(replace(trial, model=hypothesis.model) for trial in data.trials)
+    likelihood = Likelihood(TrialData(trials), hypothesis.model)
+    best = screen_candidates(likelihood, candidates, starts - 1)
+    tried = np.concatenate([fit.chi[None], best])
+    chi = search_parameters(likelihood, tried, MAX_SEARCH_ITERATIONS)
+    refit = fit_hypothesis(data, hypothesis, chi[None], fit.scale_indices)
+    return refit if refit.log_evidence > fit.log_evidence else fit

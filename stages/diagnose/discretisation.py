@@ -1,0 +1,251 @@
+"""Discretisation error: extrapolated from finer meshes and subtracted from the data.
+
+Deferred correction [1]_: the error of the mesh at a fit is subtracted from what was
+measured, so that simulations of candidates stay cheap. How the error changes with the
+parameters follows from differences about the fit (manifold mapping [2]_).
+
+References
+----------
+.. [1] Stetter, Numer. Math. 29, 425 (1978).
+.. [2] Echeverria, Hemker, Comput. Methods Appl. Math. 5, 107 (2005).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.prepared_data import (
+    PreparedData,
+    RefinedFit,
+    with_initial_states_of,
+)
+from stringcast.stages.diagnose.rules import NEGLIGIBLE_LOG_EVIDENCE
+from stringcast.stages.inference import solver
+from stringcast.stages.inference.batch import simulate_trials
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.initial_modes import (
+    reset_initial_state_linear,
+    trials_with_reestimated_start,
+)
+from stringcast.stages.inference.laplace import (
+    Fit,
+    best_exponents,
+    evaluate_fit,
+    fit_hypothesis,
+)
+from stringcast.stages.inference.mesh import refine_mesh
+from stringcast.stages.inference.mesh_correction import MeshCorrection
+from stringcast.stages.inference.prepared_trial import PreparedTrial
+from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
+from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.engine.accuracy import richardson_limit
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import parameter_values
+
+# 1 mm of error at the tip in a plain cast, which is corrected
+SEGMENTS = 20
+STEP_S = 1e-3
+MAX_CORRECTION_PASSES = 8  # it mostly takes two
+# |4 / 2^p - 1| / 4 of an extrapolated error is uncertain where halving is of order p
+MAX_UNCERTAINTY_RATIO = 0.25
+
+
+def with_second_order_mesh(model: Model) -> Model:
+    """Replace the mesh by half cells at the ends and implicit steps.
+
+    The error of the mass points is then of second order, and extrapolates.
+    """
+    string = replace(model.string, points=SEGMENTS + 1, tip_cell=0.5, grasp_cell=0.5)
+    integrator = ImplicitLeapfrog()
+    return replace(
+        model, string=replace(string, integrator=integrator, largest_step=STEP_S)
+    )
+
+
+def correct_data_at(prepared: PreparedData, fit: Fit) -> PreparedData:
+    """Redo the corrections of the measured trials at the optimum of a fit.
+
+    Each correction is linear about those before it, so the order is fixed. The noise
+    was estimated before; it changes only when a cause is added (`reestimate_noise`).
+    """
+    # 1. The initial state of each trial that is most probable given the fit
+    initial = trials_with_reestimated_start(prepared.data, fit)
+    trials = with_initial_states_of(prepared.trials, initial)
+
+    # 2. Discretisation error at the fit, 3. discrepancy model about the corrected data
+    data, uncertainty_m = corrected_data_of(prepared, trials, fit)
+
+    # How the discretisation error changes with the parameters, about the fit
+    data = replace(data, mesh_correction=_centred_mesh_correction(prepared, fit))
+    return replace(
+        prepared, trials=trials, data=data, discretisation_uncertainty_m=uncertainty_m
+    )
+
+
+def corrected_data_of(
+    prepared: PreparedData, trials: Sequence[PreparedTrial], fit: Fit
+) -> tuple[TrialData, np.ndarray]:
+    """Correct any trials at a fit, by the same mesh as the prepared ones.
+
+    Returns
+    -------
+    data : TrialData
+    uncertainty_m : numpy.ndarray, shape (K,)
+        Of the discretisation error at each tip [m].
+    """
+    if prepared.mesh_is_model:
+        own = [replace(trial, model=fit.hypothesis.model) for trial in trials]
+        data = attach_discrepancy_model(own, fit.hypothesis, fit.chi)
+        return data, np.zeros(len(own))
+    return subtract_discretisation_error(trials, fit.hypothesis, fit.chi)
+
+
+def subtract_discretisation_error(
+    trials: Sequence[PreparedTrial], hypothesis: Hypothesis, chi: np.ndarray
+) -> tuple[TrialData, np.ndarray]:
+    """Subtract the discretisation error of a hypothesis from measured trials.
+
+    The uncertain part keeps its shape and gets a standard normal amplitude.
+
+    Returns
+    -------
+    data : TrialData
+    uncertainty_m : numpy.ndarray, shape (K,)
+        Of the discretisation error at each tip [m].
+    """
+    own = [replace(trial, model=hypothesis.model) for trial in trials]
+    moved, shapes = [], []
+    meshes = _simulate_on_meshes(own, hypothesis, chi, (1, 2, 4))
+    for trial, (coarse, finer, finest) in zip(own, meshes, strict=True):
+        limit = richardson_limit(finer, finest)
+        error = np.nan_to_num(limit - coarse)
+        uncertainty = np.nan_to_num(limit - richardson_limit(coarse, finer))
+        moved.append(replace(trial, points=trial.points - error))
+        shapes.append((uncertainty / trial.sigma[:, None]).ravel())
+    columns = [shape[:, None] for shape in shapes]
+    data = attach_discrepancy_model(moved, hypothesis, chi, columns)
+    return data, data.tip_rms_by_trial(shapes)
+
+
+def correct_data_on_one_finer_mesh(prepared: PreparedData, fit: Fit) -> TrialData:
+    """Subtract the discretisation error of a fit as one finer mesh estimates it.
+
+    The discrepancy model stays as it is. At a tenth of the cost of `correct_data_at`
+    this shows whether a fit is worth the full correction.
+    """
+    if prepared.mesh_is_model:
+        return prepared.data
+    meshes = _simulate_on_meshes(prepared.trials, fit.hypothesis, fit.chi, (1, 2))
+    trials = []
+    for k, (coarse, finer) in enumerate(meshes):
+        error = np.nan_to_num(richardson_limit(coarse, finer) - coarse)
+        trial = replace(
+            prepared.data.trials[k], points=prepared.trials[k].points - error
+        )
+        trials.append(
+            reset_initial_state_linear(trial, trial.discrepancy.nuisance_shapes)
+        )
+    mesh_correction = _centred_mesh_correction(prepared, fit)
+    return replace(prepared.data, trials=tuple(trials), mesh_correction=mesh_correction)
+
+
+def _centred_mesh_correction(prepared: PreparedData, fit: Fit) -> MeshCorrection | None:
+    if prepared.mesh_is_model or prepared.data.mesh_correction is None:
+        return None
+    return prepared.data.mesh_correction.centred_at(fit.exponents)
+
+
+def refine_to_convergence(prepared: PreparedData, fit: Fit) -> RefinedFit:
+    """Alternate correction and fit until the evidence gains no more.
+
+    Where a string whips, its discretisation error differs at every step on the way.
+    """
+    for _ in range(MAX_CORRECTION_PASSES):
+        before = fit.log_evidence
+        refined = correct_discretisation_once(prepared, fit)
+        prepared, fit = refined.prepared, refined.fit
+        if fit.log_evidence < before + NEGLIGIBLE_LOG_EVIDENCE:
+            break
+    return RefinedFit(prepared, fit)
+
+
+def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
+    """Correct the data at a fit, refit, and correct again, unless that leads away."""
+    corrected = correct_data_at(prepared, fit)
+    if prepared.mesh_is_model:
+        refit = fit_hypothesis(
+            corrected.data, fit.hypothesis, fit.chi[None], fit.scale_indices
+        )
+        return RefinedFit(corrected, refit)
+
+    # The fit follows the error as it changes with the parameters ...
+    unmoved = evaluate_fit(corrected.data, fit.hypothesis, fit.chi)
+    mesh_correction = fit_mesh_correction(corrected, unmoved)
+    followed = replace(corrected.data, mesh_correction=mesh_correction)
+    chi = best_exponents(followed, fit.hypothesis, fit.chi[None], unmoved.scale_indices)
+
+    # ... and the error is then computed where the fit ended
+    moved = correct_data_at(corrected, replace(unmoved, chi=chi))
+    mesh_correction = replace(mesh_correction, chi=chi)
+    moved = replace(moved, data=replace(moved.data, mesh_correction=mesh_correction))
+    refit = evaluate_fit(moved.data, fit.hypothesis, chi)
+    if refit.log_evidence > unmoved.log_evidence:
+        return RefinedFit(moved, refit)
+    return RefinedFit(corrected, unmoved)
+
+
+def fit_mesh_correction(prepared: PreparedData, fit: Fit) -> MeshCorrection:
+    """Measure how the discretisation error changes with the parameters of a fit.
+
+    Differences on this mesh and on one of half the size are extrapolated. Trials whose
+    error is not seen to be of first order at least get none: slopes of chaotic motion
+    lead astray.
+    """
+    hypothesis, data = fit.hypothesis, prepared.data
+    white_slopes = data.for_hypothesis(hypothesis).whiten(fit.slopes, fit.scale_indices)
+    width = solver.difference_widths(white_slopes[None], np.ones(1))[0]
+    offset = np.where(fit.chi > 0.5, -width, width)
+    chi = np.concatenate([fit.chi[None], fit.chi + np.diag(offset)])
+    residuals = []  # of each mesh, of each trial, (1 + P, 2 n)
+    for factor in (1, 2):
+        model, trials = refine_mesh(hypothesis.model, data.trials, factor)
+        residuals.append(TrialData(trials).residuals(model, chi))
+
+    errors = []  # of each trial, (1 + P, 2 n)
+    for coarse, fine in zip(*residuals, strict=True):
+        diverged = ((coarse == DIVERGED_RESIDUAL) | (fine == DIVERGED_RESIDUAL)).any(
+            axis=0
+        )
+        errors.append(np.where(diverged, 0.0, richardson_limit(coarse, fine) - coarse))
+    error_m = data.tip_rms_by_trial([error[0] for error in errors])
+    uncertainty_m = prepared.discretisation_uncertainty_m
+    is_known = uncertainty_m <= MAX_UNCERTAINTY_RATIO * error_m
+    slopes = []
+    for error, known in zip(errors, is_known, strict=True):
+        slopes.append((error[1:] - error[0]) / offset[:, None] * known)
+    return MeshCorrection(tuple(hypothesis.model.names), fit.chi, tuple(slopes))
+
+
+def _simulate_on_meshes(
+    trials: Sequence[PreparedTrial],
+    hypothesis: Hypothesis,
+    chi: np.ndarray,
+    factors: Sequence[int],
+) -> list[tuple[np.ndarray, ...]]:
+    """Simulate the measured points of each trial, (n, 2) [m], on meshes so much finer.
+
+    Steps are shorter by the same factor.
+    """
+    values = parameter_values(hypothesis.parameters, chi[None])
+    by_mesh = []
+    for factor in factors:
+        model, own = refine_mesh(hypothesis.model, trials, factor)
+        simulated = simulate_trials(model, own, values)
+        pairs = zip(own, simulated, strict=True)
+        by_mesh.append([trial.sample_at_points(strings)[0] for trial, strings in pairs])
+    return list(zip(*by_mesh, strict=True))

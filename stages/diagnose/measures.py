@@ -1,0 +1,121 @@
+"""Numbers by which fits are compared: at the tip, in evidence, trial by trial."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stringcast.stages.diagnose.predictions import log_likelihood_gains, predict_trials
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.laplace import Fit, fit_hypothesis, mean_discrepancy
+from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.effect import (
+    Effect,
+    amplitude_parameters,
+    is_position_dependent,
+)
+
+
+def refit(data: TrialData, fit: Fit, hypothesis: Hypothesis) -> Fit:
+    """Fit another hypothesis from the parameters of a fit."""
+    return fit_hypothesis(
+        data,
+        hypothesis,
+        hypothesis.exponents_from(fit.exponents)[None],
+        fit.scale_indices,
+    )
+
+
+def unexplained_tip_rms(data: TrialData, fit: Fit) -> np.ndarray:
+    """Most probable discrepancy at the tip of each trial, root mean square [m], (K,)."""
+    return data.tip_rms_by_trial(mean_discrepancy(data, fit))
+
+
+def tip_shift_rms(data: TrialData, one: Fit, other: Fit) -> np.ndarray:
+    """Difference of two fits at the tip of each trial, root mean square [m], (K,)."""
+    pairs = zip(one.residuals, other.residuals, strict=True)
+    return data.tip_rms_by_trial([a - b for a, b in pairs])
+
+
+def mean_explained_fraction(
+    before: np.ndarray, after: np.ndarray, tolerance_m: float
+) -> float:
+    """Average the explained fraction over trials that misfit by more than a tolerance.
+
+    Every trial has one vote: a trial with a large misfit says nothing of the others.
+
+    Parameters
+    ----------
+    before, after : numpy.ndarray, shape (K,)
+        Unexplained tip displacement of each trial by two fits [m].
+    tolerance_m : float
+        Trials in which neither fit exceeds it do not count. If none does, the trial
+        with the largest misfit counts.
+    """
+    misfit = np.maximum(before, after)
+    counted = misfit >= min(tolerance_m, misfit.max())
+    return float(explained_fractions(before, after)[counted].mean())
+
+
+def explained_fractions(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Compute how much of the mean square misfit [m] a second fit removes, (K,).
+
+    Divided by the larger of both: 1 if nothing is left, -1 if nothing was there before.
+    """
+    before, after = before**2, after**2
+    larger = np.maximum(np.maximum(before, after), np.finfo(float).tiny)
+    return np.asarray((before - after) / larger)
+
+
+def fixed_leave_one_out_gain(parent: Fit, fit: Fit) -> float:
+    """Gain of log evidence without the most supportive trial, both fits staying."""
+    by_trial = fit.log_likelihood_by_trial - parent.log_likelihood_by_trial
+    return float(fit.log_evidence - parent.log_evidence - by_trial.max())
+
+
+def refitted_leave_one_out_gain(data: TrialData, parent: Fit, fit: Fit) -> float:
+    """Gain of log evidence without the most supportive trial, both fits refitted.
+
+    That trial may have led the fit astray.
+    """
+    strongest = int(
+        np.argmax(fit.log_likelihood_by_trial - parent.log_likelihood_by_trial)
+    )
+    others = [k for k in range(len(data.trials)) if k != strongest]
+    if not others:
+        return -np.inf
+    rest = data.subset(others)
+    more, less = (
+        fit_hypothesis(rest, one.hypothesis, one.chi[None], one.scale_indices[others])
+        for one in (fit, parent)
+    )
+    return more.log_evidence - less.log_evidence
+
+
+def cross_validated_gain(data: TrialData, parent: Fit, fit: Fit) -> float:
+    """Gain of the predictive log-likelihood, but for the trial that gains most.
+
+    Each trial is predicted by the fit to the others: a parent may explain one trial at
+    the cost of another, which alone then supports a cause that explains both.
+    """
+    predictions = predict_trials(data, parent), predict_trials(data, fit)
+    gains = log_likelihood_gains(*predictions)
+    return float(gains.sum() - gains.max())
+
+
+def trials_touched_by(
+    data: TrialData, fit: Fit, cause: type[Effect], min_tip_shift_m: float
+) -> np.ndarray:
+    """Indices of trials in which a cause that depends on place moves the tip enough."""
+    if not is_position_dependent(cause):
+        return np.zeros(0, dtype=int)
+    amplitudes = {
+        cause.qualified_name(parameter) for parameter in amplitude_parameters(cause)
+    }
+    others = {
+        name: chi for name, chi in fit.exponents.items() if name not in amplitudes
+    }
+    without_cause = fit.hypothesis.exponents_from(others)
+    residuals = data.residuals(fit.hypothesis.model, without_cause[None])
+    pairs = zip(fit.residuals, residuals, strict=True)
+    shift = data.tip_rms_by_trial([residual - absent[0] for residual, absent in pairs])
+    return np.flatnonzero(shift > min_tip_shift_m)

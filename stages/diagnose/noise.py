@@ -1,0 +1,162 @@
+"""Outliers, noise, and the rest at the end of a trial."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stringcast.data.dataset import MIN_FRAMES
+from stringcast.stages.common import track_places
+from stringcast.stages.diagnose.prepared_data import (
+    PreparedData,
+    with_initial_states_of,
+)
+from stringcast.stages.inference.discrepancy import (
+    noise_track_of_trial,
+    remove_smooth_motion,
+)
+from stringcast.stages.inference.initial_modes import trials_with_reestimated_start
+from stringcast.stages.inference.laplace import Fit
+from stringcast.stages.inference.likelihood import MOTION_SHARE, Likelihood
+from stringcast.stages.inference.noise import WHITE_NOISE, fit_noise_model
+from stringcast.stages.inference.prepared_trial import PreparedTrial
+from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.model import Model
+
+OVERRULING_NOISE_RATIO = 1.3  # of estimated to given noise: from there the data decide
+OUTLIER_SIGMAS = 6.0  # from smooth motion: one point in 5e8 by chance
+OUTLIER_PASSES = 3  # one outlier may hide another
+OUTLIER_RETENTION = 0.5  # if a better fit leaves fewer, the poorer fit made them
+KEPT_REST_S = 0.2  # of a string at rest
+
+
+def estimate_initial_noise(
+    likelihood: Likelihood, chi: np.ndarray, noise_is_given: bool
+) -> tuple[tuple[PreparedTrial, ...], tuple[PreparedTrial, ...]]:
+    """Set the noise of all trials from the residuals of the base model.
+
+    Noise is what residuals have in addition to smooth motion; smooth misfit of the
+    model does not count.
+
+    Returns
+    -------
+    trials_with_outliers, trials : tuple of PreparedTrial
+    """
+    measured = likelihood.data.trials
+    kept, residuals, levels = remove_outliers(measured, likelihood.model, chi)
+    level = float(np.median(levels))
+    if noise_is_given and not level > OVERRULING_NOISE_RATIO:
+        level = 1.0
+    trials_with_outliers = _scale_sigma(measured, level)
+    trials = _scale_sigma(kept, level)
+    scaled_residuals = [residual / level for residual in residuals]
+    return trials_with_outliers, estimate_noise(
+        trials, scaled_residuals, noise_is_given
+    )
+
+
+def _scale_sigma(
+    trials: Sequence[PreparedTrial], factor: float
+) -> tuple[PreparedTrial, ...]:
+    return tuple(replace(trial, sigma=factor * trial.sigma) for trial in trials)
+
+
+def reestimate_noise(prepared: PreparedData, fit: Fit) -> PreparedData:
+    """Re-estimate the noise, and reconsider outliers, from a better fit's residuals.
+
+    Misfit of a poorer model inflates the noise estimate, and fast motion that it
+    misses looks like outliers. Outliers are restored if the better fit explains at
+    least half of them.
+    """
+    if prepared.outlier_count:
+        initial = trials_with_reestimated_start(prepared.data, fit)
+        measured = with_initial_states_of(prepared.trials_with_outliers, initial)
+        kept, residuals, _ = remove_outliers(measured, fit.hypothesis.model, fit.chi)
+        reconsidered = replace(
+            prepared,
+            trials_with_outliers=measured,
+            trials=kept,
+            data=replace(prepared.data, mesh_correction=None),
+        )
+        if reconsidered.outlier_count < OUTLIER_RETENTION * prepared.outlier_count:
+            trials = estimate_noise(kept, residuals, prepared.noise_is_given)
+            return replace(reconsidered, trials=trials)
+    trials = estimate_noise(prepared.trials, fit.residuals, prepared.noise_is_given)
+    return replace(prepared, trials=trials)
+
+
+def estimate_noise(
+    trials: Sequence[PreparedTrial],
+    residuals: Sequence[np.ndarray],
+    noise_is_given: bool,
+) -> tuple[PreparedTrial, ...]:
+    """Set the correlated noise of trials from residuals over sigma.
+
+    Parameters
+    ----------
+    residuals : sequence of numpy.ndarray, shape (n, 2) or (2 n,)
+    noise_is_given : bool
+        Whether to keep white noise where less noise is found than is given.
+    """
+    tracks = []
+    for trial, residual in zip(trials, residuals, strict=True):
+        tracks.append(noise_track_of_trial(trial, residual.reshape(-1, 2)))
+    noise = fit_noise_model(tracks)
+    if noise_is_given and noise.variance_of_means < 1:
+        noise = WHITE_NOISE
+    return tuple(replace(trial, noise=noise) for trial in trials)
+
+
+def remove_outliers(
+    trials: Sequence[PreparedTrial], model: Model, chi: np.ndarray
+) -> tuple[tuple[PreparedTrial, ...], list[np.ndarray], list[float]]:
+    """Remove points far from smooth motion about a model at exponents (P,).
+
+    Returns
+    -------
+    trials : tuple of PreparedTrial
+    residuals : list of numpy.ndarray, shape (n, 2)
+        Of the remaining points, over sigma.
+    levels : list of float
+        Noise of each trial over sigma.
+    """
+    all_residuals = TrialData(tuple(trials)).residuals(model, chi[None])
+    kept, residuals, levels = [], [], []
+    for trial, residual in zip(trials, all_residuals, strict=True):
+        trial, residual, level = _remove_trial_outliers(trial, residual.reshape(-1, 2))
+        kept.append(trial)
+        residuals.append(residual)
+        levels.append(level)
+    return tuple(kept), residuals, levels
+
+
+def _remove_trial_outliers(
+    trial: PreparedTrial, residual: np.ndarray
+) -> tuple[PreparedTrial, np.ndarray, float]:
+    level = float("nan")
+    for _ in range(OUTLIER_PASSES):
+        rough, level = remove_smooth_motion(trial, residual)
+        near = np.linalg.norm(rough, axis=1) < OUTLIER_SIGMAS * level
+        if near.all() or len(np.unique(trial.frame[near])) < MIN_FRAMES:
+            break
+        trial, residual = trial.select_points(near), residual[near]
+    return trial, residual, level
+
+
+def trim_trailing_rest(trial: PreparedTrial) -> PreparedTrial:
+    """Cut the end of a trial in which the string hangs still.
+
+    A thousand frames of rest say no more than a few, but would weigh more.
+    """
+    distance = np.zeros(len(trial.times))  # of each frame from the final rest [m]
+    late = trial.times[trial.frame] > trial.times[-1] - KEPT_REST_S
+    for track in track_places(trial.frame, trial.s):
+        if late[track].any():
+            end = np.median(trial.points[track[late[track]]], axis=0)
+            track_distance = np.linalg.norm(trial.points[track] - end, axis=1)
+            np.maximum.at(distance, trial.frame[track], track_distance)
+    moving = np.flatnonzero(distance > MOTION_SHARE * trial.model.string.length)
+    last = trial.times[moving[-1]] if moving.size else trial.times[0]
+    return trial.cut_after(max(last + KEPT_REST_S, trial.times[:MIN_FRAMES][-1]))

@@ -1,0 +1,208 @@
+"""From observed trials to corrected data with a fitted base model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stringcast.data.artifacts import Observation
+from stringcast.data.schema import DataError
+from stringcast.stages.common import Progress
+from stringcast.stages.diagnose.base_model import fit_base_model
+from stringcast.stages.diagnose.chaos import exclude_chaotic_trials
+from stringcast.stages.diagnose.discretisation import (
+    correct_data_at,
+    corrected_data_of,
+    refine_to_convergence,
+    subtract_discretisation_error,
+    with_second_order_mesh,
+)
+from stringcast.stages.diagnose.noise import (
+    estimate_initial_noise,
+    remove_outliers,
+    trim_trailing_rest,
+)
+from stringcast.stages.diagnose.prepared_data import (
+    PreparedData,
+    with_initial_states_of,
+)
+from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
+from stringcast.stages.inference.discrepancy import best_scale_index
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.initial_modes import (
+    reset_initial_state_linear,
+    trials_with_reestimated_start,
+)
+from stringcast.stages.inference.laplace import Fit, fit_hypothesis, mean_discrepancy
+from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
+from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.model import Model
+
+INITIAL_NOISE_M = 1e-3  # before anything is known
+
+
+def usable_trials(
+    model: Model, observations: Sequence[Observation]
+) -> tuple[list[Observation], dict[str, str]]:
+    """Separate trials that can be prepared from those that cannot.
+
+    Returns
+    -------
+    usable : list of Observation
+    faults : dict
+        For each other trial, by name, why it cannot be used.
+    """
+    usable, faults = [], {}
+    for observation in observations:
+        try:
+            prepare_trial(model, observation)
+            usable.append(observation)
+        except DataError as error:
+            prefix = f"trial {observation.trial}: "
+            faults[observation.trial] = str(error).removeprefix(prefix)
+    return usable, faults
+
+
+def prepare_data(
+    model: Model,
+    observations: Sequence[Observation],
+    tolerance_m: float,
+    rng: np.random.Generator,
+    starts: int,
+    progress: Progress,
+    keep_if_chaotic: Sequence[str] = (),
+) -> PreparedData:
+    """Fit the base model to the trials and correct their noise and numerical error.
+
+    Parameters
+    ----------
+    model : Model
+    observations : sequence of Observation, length K
+    tolerance_m : float
+        To which the tip of a trial must be resolved by simulation [m].
+    rng : numpy.random.Generator
+    starts : int
+        Number of starts of the search for the base model's parameters.
+    progress : callable
+    keep_if_chaotic : sequence of str
+        Names of trials that need not be resolved.
+
+    Raises
+    ------
+    DataError
+        If a trial cannot be used.
+    """
+    # Trials without the rest at their end
+    simulated = with_second_order_mesh(model)
+    noise_is_given = all("sigma" in o.points for o in observations)
+    measured = [prepare_trial(simulated, o) for o in observations]
+    moving = [trim_trailing_rest(_with_noise(t, noise_is_given)) for t in measured]
+    resting_points = sum(len(t.s) for t in measured) - sum(len(t.s) for t in moving)
+
+    # Base model; its residuals determine outliers and noise
+    likelihood = Likelihood(TrialData(tuple(moving)), simulated)
+    likelihood, chi = fit_base_model(likelihood, rng, starts, progress)
+    with_outliers, trials = estimate_initial_noise(likelihood, chi, noise_is_given)
+
+    # Discretisation error, discrepancy model, and the fit by its evidence
+    hypothesis = Hypothesis(likelihood.model)
+    data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
+    residuals = data.residuals(hypothesis.model, chi[None])
+    sizes = best_scale_index(data.log_likelihood_by_scale(residuals))[:, 0]
+    base_fit = fit_hypothesis(data, hypothesis, chi[None], sizes)
+    prepared = PreparedData(
+        data=data,
+        base_fit=base_fit,
+        trials_with_outliers=with_outliers,
+        trials=trials,
+        resting_points=resting_points,
+        discretisation_uncertainty_m=uncertainty_m,
+        noise_is_given=noise_is_given,
+        keep_if_chaotic=tuple(keep_if_chaotic),
+    )
+    refined = refine_to_convergence(prepared, base_fit)
+    prepared = replace(refined.prepared, base_fit=refined.fit)
+
+    prepared = exclude_chaotic_trials(prepared, tolerance_m)
+    return keep_configured_mesh_if_supported(prepared, model, tolerance_m)
+
+
+def _with_noise(trial: PreparedTrial, noise_is_given: bool) -> PreparedTrial:
+    if noise_is_given:
+        return trial
+    return replace(trial, sigma=np.full(len(trial.s), INITIAL_NOISE_M))
+
+
+def prepare_further_trials(
+    prepared: PreparedData, observations: Sequence[Observation], fit: Fit
+) -> tuple[TrialData, np.ndarray]:
+    """Correct further trials at a fit, with the noise of the prepared ones.
+
+    Returns
+    -------
+    data : TrialData
+    uncertainty_m : numpy.ndarray, shape (K,)
+        Of the discretisation error at each tip [m].
+    """
+    base = prepared.base_fit
+    model, noise = base.hypothesis.model, prepared.trials[0].noise
+    sigma = float(np.median(np.concatenate([t.sigma for t in prepared.trials])))
+    measured = []
+    for observation in observations:
+        trial = trim_trailing_rest(prepare_trial(model, observation))
+        trial = replace(trial, sigma=np.full(len(trial.s), sigma), noise=noise)
+        measured.append(trial)
+    trials, _, _ = remove_outliers(measured, model, base.chi)
+
+    data, uncertainty_m = corrected_data_of(prepared, trials, fit)
+    initial = trials_with_reestimated_start(data, fit)
+    if initial is data.trials:
+        return data, uncertainty_m
+    return corrected_data_of(prepared, with_initial_states_of(trials, initial), fit)
+
+
+def keep_configured_mesh_if_supported(
+    prepared: PreparedData, model: Model, tolerance_m: float
+) -> PreparedData:
+    """Make the configured mesh part of the model if the data clearly come from it.
+
+    Data of a simulated chain of mass points are nearer to that chain than to a
+    continuous string, and it leaves nothing to explain.
+    """
+    configured = _fit_configured_mesh(prepared, model)
+    gain_needed = prepared.base_fit.log_evidence + STRONG_LOG_EVIDENCE
+    if configured is None or configured.log_evidence < gain_needed:
+        return replace(prepared, configured_mesh_fit=configured)
+
+    hypothesis = configured.hypothesis
+    trials = tuple(replace(t, model=hypothesis.model) for t in prepared.trials)
+    on_its_mesh = replace(prepared, mesh_is_model=True, trials=trials)
+    on_its_mesh = correct_data_at(on_its_mesh, configured)
+    data = on_its_mesh.data
+    fit = fit_hypothesis(
+        data, hypothesis, configured.chi[None], configured.scale_indices
+    )
+    if data.tip_rms_by_trial(mean_discrepancy(data, fit)).max() > tolerance_m:
+        return replace(prepared, configured_mesh_fit=configured)
+    return replace(on_its_mesh, base_fit=fit)
+
+
+def _fit_configured_mesh(prepared: PreparedData, model: Model) -> Fit | None:
+    """Fit the base model on the configured mesh; None where that is the finer one."""
+    base = prepared.base_fit
+    string, fine = model.string, base.hypothesis.model.string
+    if string.points > fine.points and string.tip_cell == fine.tip_cell:
+        return None
+    own = Hypothesis(replace(model, string=replace(string, ranges=fine.ranges)))
+    trials = []
+    for trial, corrected in zip(prepared.trials, prepared.data.trials, strict=True):
+        discrepancy = corrected.discrepancy
+        trial = replace(trial, model=own.model, error_model=discrepancy)
+        trials.append(reset_initial_state_linear(trial, discrepancy.nuisance_shapes))
+    data = TrialData(tuple(trials))
+    return fit_hypothesis(
+        data, own, own.exponents_from(base.exponents)[None], base.scale_indices
+    )

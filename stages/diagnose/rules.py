@@ -1,0 +1,272 @@
+"""The rules that decide whether a cause is accepted and what the verdict is.
+
+A **candidate** is compared with the fit without it (its parent):
+
+=========================  =========================================================
+rule                       passes if
+=========================  =========================================================
+`is_resolved`              simulation with it resolves at least two trials, or all
+                           trials if it would replace an accepted cause
+`has_evidence`             its Bayes factor is at least 1/alpha
+`moves_tip_enough`         it moves the tip of a trial by `min_tip_shift_m`
+`explains_its_only_trial`  it touches the string in a single trial, and removes
+                           `min_explained_fraction` of the misfit there
+`survives_leave_one_out`   its Bayes factor exceeds 1/alpha whichever trial is left
+                           out: with both fits kept, refitted, or cross-validated
+=========================  =========================================================
+
+An **accepted cause** stays while later causes are added:
+
+=========================  =========================================================
+`is_needed`                without it the Bayes factor drops by more than 1/alpha
+`predicts_heldout`         it raises the likelihood of the median trial, predicted
+                           by the fit to the other trials
+=========================  =========================================================
+
+The **verdict** names the accepted causes only if all of these pass:
+
+=========================  =========================================================
+`can_be_simulated`         no trial diverges with the fitted parameters
+`can_be_confirmed`         there is a second trial
+`explains_enough`          the causes remove `min_explained_fraction` of the misfit;
+                           if misfit remains, `min_explained_fraction_if_misfit`, and
+                           those in addition to the largest remove
+                           `min_explained_fraction` of what that one leaves
+`predicts_better`          the extended model predicts trials that it was not fitted
+                           to better; if misfit remains, it removes
+                           `min_explained_fraction` of their misfit
+=========================  =========================================================
+
+"Misfit remains" (`misfit_remains`) if the tip of some trial is off by more than
+`tip_tolerance_m` with a probability above one half.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from stringcast.stages.diagnose.measures import (
+    cross_validated_gain,
+    explained_fractions,
+    fixed_leave_one_out_gain,
+    refitted_leave_one_out_gain,
+    tip_shift_rms,
+    trials_touched_by,
+    unexplained_tip_rms,
+)
+from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.inference.laplace import Fit
+from stringcast.stages.inference.trial_data import TrialData
+
+STRONG_LOG_EVIDENCE = 5.0  # by Jeffreys' scale
+NEGLIGIBLE_LOG_EVIDENCE = 1.0  # not worth a mention, by the same
+MIN_RESOLVED_TRIALS = 2  # what is found in one could not be confirmed by another
+
+Fraction = Annotated[float, Field(gt=0, lt=1)]
+Metres = Annotated[float, Field(gt=0, lt=0.1)]
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """The numbers that decide.
+
+    Attributes
+    ----------
+    max_causes : int
+    coverage : float
+        Probability of credible sets and of intervals.
+    alpha : float
+        A cause is accepted with a Bayes factor of at least its inverse.
+    tip_tolerance_m : float
+        Misfit at the tip that may remain, and to which trials must be resolved [m].
+    min_tip_shift_m : float
+        By which a cause must move the tip [m].
+    min_explained_fraction : float
+        Fraction of the mean square misfit that causes must remove.
+    min_explained_fraction_if_misfit : float
+        The same for all causes together, where more than the tolerance remains.
+    """
+
+    max_causes: Annotated[int, Field(ge=1, le=8)]
+    coverage: Fraction
+    alpha: Fraction
+    tip_tolerance_m: Metres
+    min_tip_shift_m: Metres
+    min_explained_fraction: Fraction
+    min_explained_fraction_if_misfit: Fraction
+
+    @property
+    def min_log_bayes_factor(self) -> float:
+        """Logarithm of the Bayes factor from which a cause is accepted."""
+        return float(-np.log(self.alpha))
+
+
+@dataclass(frozen=True)
+class VerdictNumbers:
+    """The numbers on which the verdict depends.
+
+    Attributes
+    ----------
+    trials : int
+        Number of trials in which causes were searched.
+    causes : tuple of str
+        Causes that were accepted.
+    credible_sets : tuple of tuple of str
+        For each accepted cause, the effects that it cannot be told from, itself too.
+    inclusion_probability : dict
+        Probability that each effect is active.
+    diverged : bool
+        Whether a trial cannot be simulated with the fitted parameters.
+    misfit_probability, base_misfit_probability : float
+        That the extended or the base model is off by more than the tolerance.
+    explained_fraction : float
+        Of the base model's mean square misfit, by the causes together.
+    largest_cause : str
+        The cause without which most misfit is left, if that was asked.
+    explained_beyond_largest : float
+        Fraction of what the largest cause leaves that the others remove.
+    mesh_too_coarse : bool
+        Whether the configured mesh alone displaces the tip by more than the tolerance.
+    heldout_is_closer : bool
+        Whether the extended model predicts trials better that it was not fitted to.
+    heldout_explained_fraction : float
+        Of the base model's misfit in these trials.
+    """
+
+    trials: int
+    causes: tuple[str, ...] = ()
+    credible_sets: tuple[tuple[str, ...], ...] = ()
+    inclusion_probability: Mapping[str, float] = field(default_factory=dict)
+    diverged: bool = False
+    misfit_probability: float = 0.0
+    base_misfit_probability: float = 0.0
+    explained_fraction: float = 1.0
+    largest_cause: str = ""
+    explained_beyond_largest: float = 1.0
+    mesh_too_coarse: bool = False
+    heldout_is_closer: bool = True
+    heldout_explained_fraction: float = 1.0
+
+
+def is_resolved(
+    refined: PreparedData,
+    before: PreparedData,
+    criteria: Criteria,
+    needed: int,
+    misfit_allowance_m: np.ndarray | float = 0.0,
+) -> bool:
+    """Whether simulation resolves enough trials once a candidate is fitted.
+
+    The uncertainty of a trial may reach the tolerance, that of the worst trial before,
+    or a misfit that may remain there anyway [m], (K,).
+    """
+    worst_before = before.discretisation_uncertainty_m.max()
+    allowed = max(worst_before, criteria.tip_tolerance_m)
+    allowed = np.maximum(allowed, misfit_allowance_m)
+    resolved = (refined.discretisation_uncertainty_m <= allowed).sum()
+    return bool(resolved >= needed)
+
+
+def has_evidence(parent: Fit, fit: Fit, criteria: Criteria) -> bool:
+    """Whether the Bayes factor of a fit over its parent is at least 1/alpha."""
+    return fit.log_evidence - parent.log_evidence >= criteria.min_log_bayes_factor
+
+
+def moves_tip_enough(
+    data: TrialData, parent: Fit, fit: Fit, criteria: Criteria
+) -> bool:
+    """Whether the tip of some trial differs enough between a fit and its parent."""
+    shift = tip_shift_rms(data, parent, fit)
+    return bool(shift.max() >= criteria.min_tip_shift_m)
+
+
+def explains_its_only_trial(
+    data: TrialData, parent: Fit, fit: Fit, touched: int, criteria: Criteria
+) -> bool:
+    """Whether a contact removes enough misfit of the only trial that it touches."""
+    before, after = unexplained_tip_rms(data, parent), unexplained_tip_rms(data, fit)
+    fraction = explained_fractions(before, after)[touched]
+    return bool(fraction > criteria.min_explained_fraction)
+
+
+def survives_leave_one_out(
+    data: TrialData, parent: Fit, fit: Fit, criteria: Criteria
+) -> bool:
+    """Whether the evidence for a fit does not rest on a single trial."""
+    needed = criteria.min_log_bayes_factor
+    return (
+        fixed_leave_one_out_gain(parent, fit) > needed
+        or refitted_leave_one_out_gain(data, parent, fit) > needed
+        or cross_validated_gain(data, parent, fit) > needed
+    )
+
+
+def is_supported(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> bool:
+    """Whether the last cause of a fit is accepted in addition to its parent's."""
+    if not has_evidence(parent, fit, criteria) or fit.diverged:
+        return False
+    if not moves_tip_enough(data, parent, fit, criteria):
+        return False
+    cause, min_tip_shift_m = fit.hypothesis.causes[-1], criteria.min_tip_shift_m
+    touched = trials_touched_by(data, fit, cause, min_tip_shift_m)
+    if len(touched) == 1:
+        return explains_its_only_trial(data, parent, fit, touched[0], criteria)
+    if len(data.trials) == 1:  # a verdict on one trial names nothing
+        return True
+    return survives_leave_one_out(data, parent, fit, criteria)
+
+
+def is_needed(without: Fit, fit: Fit, criteria: Criteria) -> bool:
+    """Whether the evidence falls by the needed Bayes factor without a cause."""
+    return has_evidence(without, fit, criteria)
+
+
+def predicts_heldout(gains: np.ndarray) -> bool:
+    """Whether a cause raises the log-likelihood of the median trial left out.
+
+    The sum over trials, (K,), would follow one that is predicted badly, such as a
+    chaotic one (cross-validation by trials: Vehtari, Gelman, Gabry, Stat. Comput. 27,
+    1413, 2017).
+    """
+    return bool(np.median(gains) > 0)
+
+
+def misfit_remains(probability: float) -> bool:
+    """Whether the tip of some trial is more likely off by the tolerance than not."""
+    return probability > 0.5
+
+
+def can_be_simulated(numbers: VerdictNumbers) -> bool:
+    """Whether the simulation of no trial diverges with the fitted parameters."""
+    return not numbers.diverged
+
+
+def can_be_confirmed(numbers: VerdictNumbers) -> bool:
+    """Whether there is a second trial to confirm what is found in the first."""
+    return numbers.trials > 1
+
+
+def explains_enough(numbers: VerdictNumbers, criteria: Criteria) -> bool:
+    """Whether the accepted causes remove enough of the base model's misfit."""
+    least = criteria.min_explained_fraction
+    if not misfit_remains(numbers.misfit_probability):
+        return numbers.explained_fraction >= least
+    # A large cause must not carry one that stands in for a cause nobody knows
+    return (
+        numbers.explained_fraction >= criteria.min_explained_fraction_if_misfit
+        and numbers.explained_beyond_largest >= least
+    )
+
+
+def predicts_better(numbers: VerdictNumbers, criteria: Criteria) -> bool:
+    """Whether the accepted causes help to predict trials that were not fitted."""
+    if not numbers.heldout_is_closer:
+        return False
+    if not misfit_remains(numbers.misfit_probability):
+        return True
+    return numbers.heldout_explained_fraction >= criteria.min_explained_fraction

@@ -1,0 +1,239 @@
+"""Posterior probabilities in the place of each cause, and how look-alikes are swapped."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from performed import CRITERIA
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+
+from stringcast.stages.diagnose import forward_selection, posteriors
+from stringcast.stages.diagnose.background_effects import (
+    BACKGROUND_SCALES_M,
+    background_log_evidence_gains,
+)
+from stringcast.stages.diagnose.forward_selection import SelectionState, SelectionStep
+from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
+from stringcast.stages.diagnose.prepared_data import RefinedFit
+from stringcast.stages.inference.discrepancy import log_scale_prior
+from stringcast.stages.inference.likelihood import PRIOR_PRECISION
+
+
+class Scaled:
+    """Two trials whose residuals are white once divided by the size of each."""
+
+    def for_hypothesis(self, hypothesis: None) -> "Scaled":
+        return self
+
+    def whiten_by_trial(
+        self, residuals: list[np.ndarray], sizes: np.ndarray
+    ) -> list[np.ndarray]:
+        return [each / size for each, size in zip(residuals, sizes, strict=True)]
+
+
+@pytest.mark.parametrize("weights", [(1.0, 1.0), (0.5, 1.5)])
+def test_small_effects_are_as_likely_as_a_dense_covariance_says(weights):
+    """A trial that counts half has twice the variance."""
+    rng, sizes = np.random.default_rng(0), np.array([1.0, 3.0])
+    slopes, small = (
+        [rng.standard_normal((rows, 20)) * scale for _ in range(2)]
+        for rows, scale in ((2, 1.0), (3, 1e3))
+    )
+    residuals = [rng.standard_normal(20) + 1e-3 * each[0] for each in small]
+    fit = SimpleNamespace(
+        hypothesis=None,
+        residuals=residuals,
+        slopes=slopes,
+        scale_indices=sizes,
+        chi=np.zeros(2),
+    )
+    scale = np.repeat(sizes / np.sqrt(weights), 20)
+    a, s, r = (
+        np.concatenate(each, axis=-1) / scale for each in (slopes, small, residuals)
+    )
+
+    def log_density(size: float) -> float:
+        covariance = np.eye(40) + a.T @ a / PRIOR_PRECISION + size**2 * s.T @ s
+        return float(multivariate_normal(np.zeros(40), covariance).logpdf(r))
+
+    by_size = np.array([log_density(size) for size in BACKGROUND_SCALES_M])
+    expected = logsumexp(
+        by_size + log_scale_prior()[: len(BACKGROUND_SCALES_M)]
+    ) - log_density(0.0)
+    gain = background_log_evidence_gains(Scaled(), fit, small, np.array([weights]))
+    assert gain == pytest.approx([expected], abs=1e-6)
+
+
+def named_fit(name, *causes):
+    hypothesis = SimpleNamespace(cause_names=causes, causes=causes)
+    return SimpleNamespace(hypothesis=hypothesis, name=name)
+
+
+class CorrectedAt(SimpleNamespace):
+    """Prepared data that list the fits at which they were corrected."""
+
+    def at(self, fit):
+        return CorrectedAt(data=f"{self.data} {fit.name}")
+
+
+def swap(monkeypatch, by_fit, fit):
+    """Swap look-alikes among posteriors that are given for each fit."""
+    monkeypatch.setattr(
+        forward_selection,
+        "refine_fit",
+        lambda prepared, fit: RefinedFit(prepared.at(fit), fit),
+    )
+    monkeypatch.setattr(
+        posteriors,
+        "background_responses",
+        lambda data, fit, effects: f"small at {fit.name}",
+    )
+    monkeypatch.setattr(
+        posteriors,
+        "_single_effect_posteriors",
+        lambda state, *rest: by_fit[state.fit.name],
+    )
+    state = SelectionState(CorrectedAt(data=""), fit)
+    return posteriors.swap_lookalikes_until_stable(state, (), CRITERIA, 0)
+
+
+def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch):
+    """The second cause's look-alike is likelier, then none in the place of the first."""
+    fits = {
+        "one": named_fit("one", "a", "x"),
+        "two": named_fit("two", "b", "x"),
+        "three": named_fit("three", "b"),
+    }
+    by_fit = {  # the last accepted cause first
+        "one": [
+            SingleEffectPosterior({"x": 1.0}, {}, None),
+            SingleEffectPosterior({"a": 0.02, "b": 0.98}, {"b": fits["two"]}, None),
+        ],
+        "two": [SingleEffectPosterior({"x": 0.2, "": 0.8}, {}, fits["three"]), None],
+        "three": [SingleEffectPosterior({"b": 0.9, "": 0.1}, {}, None)],
+    }
+    settled = swap(monkeypatch, by_fit, fits["one"])
+    assert settled.state.fit is fits["three"]
+    assert settled.state.prepared.data == " two three"
+    assert settled.background == "small at three"
+    assert list(settled.by_cause) == by_fit["three"]
+
+
+def test_look_alikes_that_follow_each_other_end_in_what_the_model_holds(monkeypatch):
+    """Each is likelier in the place of the other."""
+    fits = {name: named_fit(name, name) for name in "ab"}
+    by_fit = {}
+    for name, other in ("ab", "ba"):
+        probabilities = {name: 0.02, other: 0.98}
+        posterior = SingleEffectPosterior(probabilities, {other: fits[other]}, None)
+        by_fit[name] = [posterior]
+    settled = swap(monkeypatch, by_fit, fits["a"])
+    name = settled.state.fit.name
+    assert settled.background == f"small at {name}"
+    (posterior,) = settled.by_cause
+    assert posterior.credible_set(0.8) == (name,)
+
+
+def test_a_look_alike_within_the_credible_set_is_no_reason_to_change(monkeypatch):
+    fit = named_fit("one", "a")
+    posterior = SingleEffectPosterior({"a": 0.3, "b": 0.7}, {"b": None}, None)
+    settled = swap(monkeypatch, {"one": [posterior]}, fit)
+    assert settled.state.fit is fit
+    assert settled.by_cause == (posterior,)
+
+
+@pytest.mark.parametrize(
+    ("by_trial", "is_certain"),
+    [
+        ((20.0, 20.0, 20.0, 20.0), True),
+        ((100.0, -6.0, -7.0, -7.0), False),
+        ((80.0, 0.0, 0.0, 0.0), True),
+    ],
+)
+def test_what_one_trial_says_against_the_others_is_not_certain(
+    by_trial, is_certain, monkeypatch
+):
+    """All gain 80, which without the bootstrap is certain."""
+    monkeypatch.setattr(
+        posteriors,
+        "background_log_evidence_gains",
+        lambda data, fit, small, weights: np.zeros(len(weights)),
+    )
+    monkeypatch.setattr(
+        posteriors, "tip_shift_rms", lambda data, parent, fit: np.ones(4)
+    )
+    parent = SimpleNamespace(log_evidence=0.0, log_likelihood_by_trial=np.zeros(4))
+    fit = SimpleNamespace(
+        log_evidence=80.0,
+        log_likelihood_by_trial=np.array(by_trial),
+        hypothesis=SimpleNamespace(cause_names=("wind",)),
+        diverged=False,
+    )
+    rng = np.random.default_rng(0)
+    weights = 4 * rng.dirichlet(np.ones(4), posteriors.BOOTSTRAP_SAMPLES)
+    step = SelectionStep(parent, (), [fit])
+    posterior = posteriors.single_effect_posterior(None, step, (), weights, 20, 1e-3)
+    assert sum(posterior.probabilities.values()) == pytest.approx(1.0)
+    assert (posterior.probabilities["wind"] > 0.9) == is_certain
+
+
+SET_AND_SOFTENING = ({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1})
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "evidence", "causes"),
+    [
+        (SET_AND_SOFTENING, 5.0, ("set", "softening")),
+        (SET_AND_SOFTENING, -5.0, ("tilt", "play")),
+        (
+            ({"set": 0.3, "tilt": 0.7}, {"softening": 0.9, "play": 0.1}),
+            5.0,
+            ("tilt", "softening"),
+        ),
+        (
+            ({"set": 0.3, "tilt": 0.7}, {"softening": 0.1, "play": 0.9}),
+            5.0,
+            ("tilt", "play"),
+        ),
+        # one effect cannot be in both places
+        (
+            ({"play": 0.6, "tilt": 0.4}, {"softening": 0.1, "play": 0.9}),
+            5.0,
+            ("tilt", "play"),
+        ),
+        (
+            ({"": 0.6, "tilt": 0.4}, {"softening": 0.9, "play": 0.1}),
+            5.0,
+            ("tilt", "play"),
+        ),
+    ],
+)
+def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
+    probabilities, evidence, causes, monkeypatch
+):
+    """In the place of a tilt and a play without evidence."""
+
+    def fit(*causes, evidence=0.0):
+        hypothesis = SimpleNamespace(base=None, causes=causes)
+        hypothesis.exponents_from = lambda known: np.zeros(1)
+        return SimpleNamespace(
+            hypothesis=hypothesis, exponents={}, scale_indices=None, log_evidence=evidence
+        )
+
+    def fitted(data, hypothesis, *given):
+        return fit(*hypothesis.causes, evidence=evidence)
+
+    def hypothesis(base, causes):
+        return fit(*causes).hypothesis
+
+    monkeypatch.setattr(posteriors, "Hypothesis", hypothesis)
+    monkeypatch.setattr(posteriors, "fit_hypothesis", fitted)
+    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
+    by_cause = []
+    for each in probabilities:
+        fits = {name: fit("other", name) for name in each if name}
+        by_cause.append(SingleEffectPosterior(each, fits, fit()))
+    state = SelectionState(SimpleNamespace(data=None), fit("tilt", "play"))
+    likeliest = posteriors.with_most_probable_causes(state, by_cause)
+    assert likeliest.fit.hypothesis.causes == causes

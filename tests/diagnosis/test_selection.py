@@ -1,0 +1,181 @@
+"""Which fits are compared, which causes are accepted, and which leave again."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from performed import CRITERIA
+
+from stringcast.stages.diagnose import forward_selection, measures, rules
+from stringcast.stages.diagnose.forward_selection import SelectionState, SelectionStep
+from stringcast.stages.diagnose.prepared_data import RefinedFit
+from stringcast.stages.diagnose.proposals import Proposal
+
+
+@pytest.mark.parametrize(
+    ("before", "uncertain", "misfit", "best"),
+    [
+        ((0.0, 1e-3), (0.0, 4e-3), (5e-3, 5e-3), "resolved"),
+        # the trial was as uncertain before
+        ((0.0, 5e-3), (0.0, 4e-3), (5e-3, 5e-3), "uncertain"),
+        # two other trials are resolved
+        ((0.0, 1e-3, 0.0), (0.0, 4e-3, 0.0), (5e-3, 5e-3, 5e-3), "uncertain"),
+        # there is much more to explain
+        ((0.0, 1e-3), (0.0, 4e-3), (5e-3, 0.02), "uncertain"),
+    ],
+)
+def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
+    before, uncertain, misfit, best, monkeypatch
+):
+    fits = [
+        SimpleNamespace(log_evidence=60.0, name="uncertain"),
+        SimpleNamespace(log_evidence=50.0, name="resolved"),
+    ]
+    uncertainty_m = {
+        "uncertain": np.array(uncertain),
+        "resolved": np.zeros(len(before)),
+    }
+
+    def refine(prepared, fit):
+        own = SimpleNamespace(discretisation_uncertainty_m=uncertainty_m[fit.name])
+        return RefinedFit(own, fit)
+
+    prepared = SimpleNamespace(discretisation_uncertainty_m=np.array(before), data=None)
+    monkeypatch.setattr(forward_selection, "refine_fit", refine)
+    monkeypatch.setattr(forward_selection, "is_supported", lambda *given: True)
+    monkeypatch.setattr(
+        forward_selection, "unexplained_tip_rms", lambda data, fit: np.array(misfit)
+    )
+    compared = SelectionStep(SimpleNamespace(log_evidence=0.0), (), fits)
+    step = forward_selection._refine_rivals(prepared, compared, CRITERIA, None)
+    assert (step.best.name, step.accepted) == (best, True)
+
+    # In the place of an accepted cause all trials must be resolved
+    step = forward_selection._refine_rivals(prepared, compared, CRITERIA, fits[1])
+    all_as_before = before == (0.0, 5e-3)
+    assert step.best.name == ("uncertain" if all_as_before else "resolved")
+
+
+@pytest.mark.parametrize(
+    ("gains", "is_accepted"),
+    [((76.0, 41.0), True), ((150.0, -5.0), False), ((150.0, 4.0), False)],
+)
+def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
+    gains, is_accepted, monkeypatch
+):
+    """Without it one trial is explained at the cost of the other."""
+    parent = SimpleNamespace(log_evidence=0.0, log_likelihood_by_trial=np.zeros(2), gains=(0.0, 0.0))
+    fit = SimpleNamespace(
+        log_evidence=122.0,
+        log_likelihood_by_trial=np.array([-9.0, 135.0]),
+        gains=gains,
+        diverged=False,
+        hypothesis=SimpleNamespace(causes=(None, "slip")),
+    )
+
+    def predict(data, fit):
+        return [
+            SimpleNamespace(log_likelihood=gain) for gain in fit.gains
+        ]
+
+    def touched(*given):
+        return np.zeros(0)
+
+    monkeypatch.setattr(rules, "tip_shift_rms", lambda *given: np.full(2, 0.06))
+    monkeypatch.setattr(rules, "trials_touched_by", touched)
+    monkeypatch.setattr(rules, "refitted_leave_one_out_gain", lambda *given: -1.0)
+    monkeypatch.setattr(measures, "predict_trials", predict)
+    data = SimpleNamespace(trials=range(2))
+    assert rules.is_supported(data, parent, fit, CRITERIA) is is_accepted
+
+
+@pytest.mark.parametrize(
+    ("gains", "remaining"),
+    [
+        ([353.5, 265.4, 128.9, -22785.6, -225.6], ("wind",)),
+        ([-353.5, -265.4, -128.9, 22785.6, 225.6], ()),
+    ],
+)
+def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
+    gains, remaining, monkeypatch
+):
+    """One chaotic trial is predicted badly, by 23,000 of the log-likelihood."""
+    wind = SimpleNamespace(name="wind")
+    trials = [SimpleNamespace(name=f"t{k}") for k in range(5)]
+    prepared = SimpleNamespace(data=SimpleNamespace(trials=trials))
+    log_likelihoods = {(): np.zeros(5), ("wind",): np.array(gains)}
+
+    def fit(*causes):
+        names = tuple(cause.name for cause in causes)
+        hypothesis = SimpleNamespace(causes=causes, cause_names=names)
+        hypothesis.without_cause = lambda cause: fit().hypothesis
+        return SimpleNamespace(hypothesis=hypothesis)
+
+    def refit(data, fit, hypothesis):
+        return SimpleNamespace(hypothesis=hypothesis)
+
+    def predict(data, fit):
+        values = log_likelihoods[fit.hypothesis.cause_names]
+        return [SimpleNamespace(log_likelihood=value) for value in values]
+
+    def touched(*given):
+        return np.zeros(0)
+
+    monkeypatch.setattr(forward_selection, "trials_touched_by", touched)
+    monkeypatch.setattr(forward_selection, "refit", refit)
+    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
+    monkeypatch.setattr(forward_selection, "predict_trials", predict)
+    state = SelectionState(prepared, fit(wind))
+    state = forward_selection.drop_unpredictive_causes(state, CRITERIA)
+    assert state.fit.hypothesis.cause_names == remaining
+
+
+SIX = ["e0", "e1", "e2", "e3", "e4", "e5"]
+
+
+@pytest.mark.parametrize(
+    ("evidence", "angle", "expected"),
+    [
+        (50.0, 0.2, [*SIX, "e8"]),
+        (50.0, 1.0, SIX),  # it could explain three tenths of what the best does
+        (1.0, 0.2, SIX),  # nothing is accepted
+    ],
+)
+def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
+    evidence, angle, expected, monkeypatch
+):
+    directions = {"e0": (1.0, 0.0), "e8": (np.cos(angle), np.sin(angle))}
+
+    def propose(data, parent, effects, seed):
+        proposals = []
+        for number, effect in enumerate(effects):
+            hypothesis = SimpleNamespace(causes=(effect,))
+            direction = np.array(directions.get(effect, (0.0, 1.0)))
+            start, gain = np.zeros((1, 1)), 20.0 - number
+            proposals.append(Proposal(hypothesis, start, gain, direction))
+        return proposals
+
+    def fit_proposals(prepared, parent, some):
+        fits = []
+        for number, proposal in enumerate(some):
+            fitted.append(proposal.effect)
+            value = evidence - number
+            fits.append(SimpleNamespace(hypothesis=proposal.hypothesis, log_evidence=value))
+        return fits
+
+    def accept(prepared, step, *given):
+        return replace(step, accepted=True)
+
+    fitted = []
+    monkeypatch.setattr(forward_selection, "propose_causes", propose)
+    monkeypatch.setattr(forward_selection, "_fit_proposals", fit_proposals)
+    monkeypatch.setattr(forward_selection, "_refine_rivals", accept)
+    monkeypatch.setattr(
+        forward_selection, "unexplained_tip_rms", lambda data, fit: np.zeros(1)
+    )
+    parent = SimpleNamespace(log_evidence=0.0, hypothesis=SimpleNamespace(causes=()))
+    effects = [f"e{k}" for k in range(10)]
+    prepared = SimpleNamespace(data=None)
+    forward_selection.compare_candidates(prepared, parent, effects, CRITERIA, 0)
+    assert fitted == expected

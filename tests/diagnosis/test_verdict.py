@@ -1,0 +1,241 @@
+"""The verdict as a pure function of a few numbers, and how these are measured."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from performed import CRITERIA
+
+from stringcast.stages.diagnose import verdict
+from stringcast.stages.diagnose.measures import mean_explained_fraction
+from stringcast.stages.diagnose.rules import VerdictNumbers
+from stringcast.stages.diagnose.verdict import (
+    RESOLUTION,
+    decide_verdict,
+    measure_verdict_numbers,
+    name_causes,
+)
+
+FOUND = VerdictNumbers(
+    trials=4,
+    causes=("wind",),
+    credible_sets=(("wind",),),
+    inclusion_probability={"wind": 0.97, "clamp": 0.02},
+    misfit_probability=0.1,
+    base_misfit_probability=1.0,
+    explained_fraction=0.8,
+    heldout_is_closer=True,
+    heldout_explained_fraction=0.8,
+)
+NOTHING = VerdictNumbers(trials=4, base_misfit_probability=0.1, explained_fraction=0.0)
+PAIR = ("wind", "clamp")
+
+TABLE = {
+    # numbers that differ, verdict, named causes
+    "a cause that explains enough": (FOUND, {}, "effect", ("wind",)),
+    "with a look-alike": (FOUND, {"credible_sets": (PAIR,)}, "ambiguous", PAIR),
+    "two causes, one look-alike": (
+        FOUND,
+        {"causes": ("wind", "tilt"), "credible_sets": (("wind",), ("tilt", "clamp"))},
+        "ambiguous",
+        ("wind", "tilt", "clamp"),
+    ),
+    "explains too little": (FOUND, {"explained_fraction": 0.49}, "unknown", ()),
+    "explains too little of little": (
+        FOUND,
+        {"explained_fraction": 0.49, "base_misfit_probability": 0.5},
+        "none",
+        (),
+    ),
+    "misfit remains": (FOUND, {"misfit_probability": 0.6}, "unknown", ()),
+    "misfit remains, nearly all explained": (
+        FOUND,
+        {"misfit_probability": 0.6, "explained_fraction": 0.9},
+        "effect",
+        ("wind",),
+    ),
+    "misfit remains, others add little": (
+        FOUND,
+        {
+            "misfit_probability": 0.6,
+            "explained_fraction": 0.97,
+            "explained_beyond_largest": 0.36,
+        },
+        "unknown",
+        (),
+    ),
+    "others add little, no misfit": (
+        FOUND,
+        {"explained_beyond_largest": 0.36},
+        "effect",
+        ("wind",),
+    ),
+    "predicts no trial left out": (FOUND, {"heldout_is_closer": False}, "unknown", ()),
+    "predicts little of them": (
+        FOUND,
+        {"heldout_explained_fraction": 0.4},
+        "effect",
+        ("wind",),
+    ),
+    "misfit remains, predicts little": (
+        FOUND,
+        {
+            "misfit_probability": 0.6,
+            "explained_fraction": 0.95,
+            "heldout_explained_fraction": 0.4,
+        },
+        "unknown",
+        (),
+    ),
+    "one trial": (FOUND, {"trials": 1}, "insufficient", ()),
+    "one trial, unexplained": (
+        FOUND,
+        {"trials": 1, "explained_fraction": 0.1},
+        "insufficient",
+        (),
+    ),
+    "a trial diverges": (FOUND, {"diverged": True}, "insufficient", ()),
+    "nothing to explain": (NOTHING, {}, "none", ()),
+    "nothing found": (NOTHING, {"base_misfit_probability": 0.6}, "unknown", ()),
+    "one trial, nothing": (NOTHING, {"trials": 1}, "none", ()),
+    "a coarse mesh": (NOTHING, {"mesh_too_coarse": True}, "effect", (RESOLUTION,)),
+    "a coarse mesh in one trial": (
+        NOTHING,
+        {"mesh_too_coarse": True, "trials": 1},
+        "effect",
+        (RESOLUTION,),
+    ),
+    "a coarse mesh, and misfit": (
+        NOTHING,
+        {"mesh_too_coarse": True, "base_misfit_probability": 0.6},
+        "unknown",
+        (),
+    ),
+    "a coarse mesh, and a cause": (
+        FOUND,
+        {"mesh_too_coarse": True},
+        "effect",
+        ("wind",),
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("numbers", "changed", "kind", "causes"), TABLE.values(), ids=TABLE
+)
+def test_verdict_follows_from_numbers(numbers, changed, kind, causes):
+    decided = decide_verdict(replace(numbers, **changed), CRITERIA)
+    assert (decided.kind, decided.causes) == (kind, causes)
+
+
+def test_verdict_keeps_the_probability_of_the_model_that_it_leaves():
+    assert decide_verdict(FOUND, CRITERIA).misfit_probability == 0.1
+    poor = replace(FOUND, explained_fraction=0.2)
+    assert decide_verdict(poor, CRITERIA).misfit_probability == 1.0
+    unpredictive = replace(FOUND, heldout_is_closer=False)
+    assert decide_verdict(unpredictive, CRITERIA).misfit_probability == 0.1
+
+
+def test_look_alikes_stand_in_groups():
+    sets = (("wind",), ("tilt", "clamp"))
+    numbers = replace(FOUND, causes=("wind", "tilt"), credible_sets=sets)
+    assert decide_verdict(numbers, CRITERIA).lookalike_groups == (("tilt", "clamp"),)
+
+
+def test_causes_are_named_before_they_are_confirmed():
+    """Held-out trials are only searched if no cause is named in the others."""
+    assert name_causes(replace(FOUND, trials=1), CRITERIA).causes == ("wind",)
+
+
+def test_remark_states_the_closest_explanation():
+    numbers = replace(
+        FOUND,
+        causes=("large", "small"),
+        misfit_probability=0.6,
+        explained_fraction=0.97,
+        largest_cause="large",
+        explained_beyond_largest=0.36,
+    )
+    assert decide_verdict(numbers, CRITERIA).remark == (
+        "The closest explanation, large with small, removes 97 % of the mean square "
+        "misfit; small removes 36 % of what large leaves."
+    )
+    worse = replace(FOUND, explained_fraction=-0.1)
+    assert decide_verdict(worse, CRITERIA).remark == ""
+
+
+def test_remark_on_one_trial_states_what_it_would_be():
+    remark = decide_verdict(replace(FOUND, trials=1), CRITERIA).remark
+    assert remark.endswith("In this trial it would be wind (0.97).")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "share"),
+    [
+        # a trial that is far off and stays so has one vote
+        ((40.0, 4.0, 4.0, 4.0), (40.0, 0.1, 0.1, 0.1), 0.75),
+        # and so has one that alone is explained
+        ((40.0, 4.0, 4.0, 4.0), (1.0, 4.0, 4.0, 4.0), 0.25),
+        # trials within the tolerance do not count
+        ((4.0, 4.0, 1.0, 1.0), (0.1, 0.1, 1.5, 1.5), 1.0),
+        # what gets worse counts as what gets better
+        ((4.0, 1.0), (0.1, 4.0), 0.03),
+        # where all are within the tolerance, the largest misfit counts
+        ((1.0, 0.5), (0.5, 0.5), 0.75),
+    ],
+)
+def test_each_trial_has_one_vote_on_what_is_explained(before, after, share):
+    misfit_m = np.array(before) / 1e3, np.array(after) / 1e3
+    assert mean_explained_fraction(*misfit_m, 2e-3) == pytest.approx(share, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("alone", "left", "names", "beyond"),
+    [
+        ((20.0, 20.0), (5.0, 5.0), ("large", "small"), 0.94),
+        ((20.0, 20.0), (16.0, 16.0), ("large", "small"), 0.36),
+        ((20.0, 20.0), (5.0, 5.0), ("large", "small", "least"), 0.94),
+        # not asked where no more than the tolerance is left
+        ((2.1, 2.2), (1.9, 1.9), ("large", "small"), 1.0),
+    ],
+)
+def test_what_others_explain_beyond_the_largest_cause(
+    alone, left, names, beyond, monkeypatch
+):
+    causes = [SimpleNamespace(name=name) for name in names]
+
+    def fit(*some):
+        hypothesis = SimpleNamespace(causes=some, base=None)
+        hypothesis.cause_names = tuple(cause.name for cause in some)
+        hypothesis.without_cause = lambda cause: SimpleNamespace(
+            causes=[c for c in some if c is not cause]
+        )
+        return SimpleNamespace(hypothesis=hypothesis, diverged=False)
+
+    def misfit_m(data, fit):
+        present = fit.hypothesis.cause_names
+        misfit = {(): (90.0, 90.0), ("large",): alone, names: left}
+        default = (6.0, 6.0) if "large" in present else (80.0, 80.0)
+        return np.array(misfit.get(present, default)) / 1e3
+
+    def draws(data, fit, rng):
+        return misfit_m(data, fit)[:, None]
+
+    def hypothesis(base, causes=()):
+        return SimpleNamespace(causes=causes)
+
+    def refit(data, near, hypothesis):
+        return fit(*hypothesis.causes)
+
+    monkeypatch.setattr(verdict, "unexplained_tip_rms", misfit_m)
+    monkeypatch.setattr(verdict, "sample_discrepancy_tip_rms", draws)
+    monkeypatch.setattr(verdict, "Hypothesis", hypothesis)
+    monkeypatch.setattr(verdict, "refit", refit)
+    data = SimpleNamespace(trials=(1, 2))
+    state = SimpleNamespace(prepared=SimpleNamespace(data=data), fit=fit(*causes))
+    posteriors = SimpleNamespace(state=state, by_cause=())
+    numbers = measure_verdict_numbers(posteriors, fit(), CRITERIA, 0)
+    assert numbers.explained_beyond_largest == pytest.approx(beyond, abs=0.01)
+    assert numbers.largest_cause == ("large" if beyond < 1 else "")
+    assert numbers.base_misfit_probability == 1.0

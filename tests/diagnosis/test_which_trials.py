@@ -1,0 +1,93 @@
+"""Which trials are searched, and whether they confirm what is found."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import TRUTH, ordinary
+from performed import CRITERIA, performed, said_of, swings
+
+from stringcast.stages.diagnose import diagnose as module
+from stringcast.stages.diagnose.chaos import unresolvable_trials
+from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.forward_selection import SelectionState
+from stringcast.stages.model.library import effects_by_name
+
+
+@pytest.mark.parametrize(
+    ("predicts", "verdict"), [(True, "effect"), (False, "unknown")]
+)
+def test_causes_that_predict_no_trial_left_out_are_not_named(
+    arm, monkeypatch, predicts, verdict
+):
+    """Joints that turn 3 % further than they say."""
+    monkeypatch.setattr(module, "predicts_better", lambda base, extended: predicts)
+    real = with_second_order_mesh(ordinary(arm))
+    real = real.with_effects(effects_by_name()["joint_gain"]).with_segments(80)
+    values, rng = TRUTH | {"joint_gain.gain": 0.03}, np.random.default_rng(5)
+    places, trials = np.arange(8, 81, 8), []
+    for k, angles in enumerate(swings(arm, 2)):
+        trials.append(performed(f"t{k}", arm, real, values, angles, places, rng))
+    diagnosis = said_of(ordinary(arm), trials, 4)
+    assert diagnosis.finding["verdict"].iloc[0] == verdict
+    named = list(diagnosis.causes["effect"].unique())
+    assert named == (["joint_gain"] if predicts else [])
+    assert ("joint_gain" in diagnosis.finding["extended"].iloc[0]) == predicts
+
+
+@pytest.mark.parametrize(
+    ("uncertainty_m", "kept_each_time", "rejected"),
+    [(1e-3, [(), ("t2",)], []), (9e-3, [()], ["t2"])],
+)
+def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
+    uncertainty_m, kept_each_time, rejected, monkeypatch
+):
+    """The third trial is chaotic without a cause, and so uncertain with one [m]."""
+    kept = []
+
+    def prepare(model, observations, tolerance_m, rng, starts, progress, keep):
+        kept.append(tuple(keep))
+        hypothesis = SimpleNamespace(model=None)
+        return SimpleNamespace(
+            chaotic_trials=() if keep else ("t2",),
+            data=SimpleNamespace(trials=()),
+            trials=[],
+            discretisation_uncertainty_m=np.zeros(0),
+            base_fit=SimpleNamespace(hypothesis=hypothesis),
+        )
+
+    def prepare_further(prepared, trials, fit):
+        return None, np.full(len(trials), uncertainty_m)
+
+    def fit(*causes):
+        return SimpleNamespace(hypothesis=SimpleNamespace(causes=causes))
+
+    def select(prepared, *given):
+        yield SelectionState(prepared, fit("wind"))
+        # where a cause resolves the trial, no more are sought without it
+        assert prepared.chaotic_trials == tuple(rejected)
+        yield SelectionState(prepared, fit("wind", "clamp"))
+
+    monkeypatch.setattr(module, "prepare_data", prepare)
+    monkeypatch.setattr(module, "prepare_further_trials", prepare_further)
+    monkeypatch.setattr(module, "candidate_effects", lambda *given: [])
+    monkeypatch.setattr(module, "select_causes", select)
+    observations = [SimpleNamespace(trial=f"t{k}") for k in range(3)]
+    given = module.DiagnosisInput(None, observations, {}, [0, 1, 2], [], CRITERIA, None)
+    progress = module._search_until_trials_settle(given, (), 0, 4, lambda share: None)
+    *_, (data, prepared, _, _) = progress
+    assert kept == kept_each_time
+    assert [*data.rejected] == rejected == [*prepared.chaotic_trials]
+
+
+@pytest.mark.parametrize(
+    ("uncertainties_mm", "chaotic"),
+    [((0.1, 15.0, 0.1), ["t1"]), ((0.1, 15.0), [])],
+)
+def test_a_chaotic_trial_is_excluded_while_two_others_remain(uncertainties_mm, chaotic):
+    trials = [SimpleNamespace(name=f"t{k}") for k in range(len(uncertainties_mm))]
+    uncertainty_m = np.array(uncertainties_mm) / 1e3
+    prepared = SimpleNamespace(
+        trials=trials, discretisation_uncertainty_m=uncertainty_m
+    )
+    assert unresolvable_trials(prepared, CRITERIA.tip_tolerance_m) == chaotic
