@@ -18,7 +18,7 @@ ROOMS = ("conf", "data", "hardware", "pipeline", "stages")
 LEFT_OUT = (
     "data/results/",
     "data/tutorial/",
-    "data/envelopes/",
+    "data/ground_truth/",
     "hardware/serial/device/",
     "pipeline/api/",
 )
