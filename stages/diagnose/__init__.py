@@ -1,6 +1,4 @@
-"""Diagnose: what the simulation gets wrong, its cause, the extended model, and the
-gain.
-"""
+"""The diagnosis as a stage: causes of misfit, the extended model, and the gain."""
 
 from __future__ import annotations
 
@@ -21,48 +19,38 @@ from stringcast.stages.spec import (
 )
 
 
-def summary(made: Diagnosis) -> StageSummary:
-    """The verdict, and what each cause is and does."""
-    return StageSummary(
-        made.verdict,
-        made.sentence,
-        pd.DataFrame([_cause_summary(cause) for cause in made.causes.itertuples()]),
-    )
+def summary(diagnosis: Diagnosis) -> StageSummary:
+    """Summarise the verdict, and what each cause is."""
+    rows = [_cause_summary(cause) for cause in diagnosis.causes.itertuples()]
+    return StageSummary(diagnosis.verdict, diagnosis.sentence, pd.DataFrame(rows))
 
 
 def _cause_summary(cause: Any) -> dict[str, str]:
-    ends = (
-        f"at least {cause.low:.4g}"
-        if getattr(cause, "at_least", False)
-        else f"{cause.low:.4g} to {cause.high:.4g}"
-    )
-    known = (
-        {"value": f"{cause.value:.4g}", "95 % interval": ends}
-        if cause.parameter
-        else {}
-    )
-    # which cause's, the first column says
-    parameter = cause.parameter.rpartition(".")[2]
-    row = {
+    value, interval = "", ""
+    if cause.parameter:
+        value = f"{cause.value:.4g}"
+        interval = f"{cause.low:.4g} to {cause.high:.4g}"
+        if getattr(cause, "at_least", False):
+            interval = f"at least {cause.low:.4g}"
+    return {
         "cause": cause.effect,
         "probability": f"{cause.probability:.2f}",
-        "parameter": parameter,
+        "parameter": cause.parameter.rpartition(".")[2],
+        "value": value,
+        "95 % interval": interval,
+        "unit": cause.unit,
     }
-    return row | {"value": "", "95 % interval": ""} | known | {"unit": cause.unit}
 
 
-def files(made: Diagnosis, ahead: Path) -> Mapping[str, str]:
-    """diagnosis.json, which also says where the motion lies that is to be performed
-    next, and the extended model.
-    """
-    found = json.loads(made.finding["diagnosis"].iloc[0])
-    if found["next_experiment"] is not None:
-        found["next_experiment"]["motion"] = (
-            (ahead / "motion").as_posix() if made.motion else None
-        )
+def files(diagnosis: Diagnosis, folder: Path) -> Mapping[str, str]:
+    """Write diagnosis.json, with the next motion's folder, and the extended model."""
+    document = json.loads(diagnosis.finding["diagnosis"].iloc[0])
+    if document["next_experiment"] is not None:
+        motion = (folder / "motion").as_posix() if diagnosis.motion else None
+        document["next_experiment"]["motion"] = motion
     return {
-        "diagnosis.json": json.dumps(found, indent=2),
-        EXTENDED: str(made.finding["extended"].iloc[0]),
+        "diagnosis.json": json.dumps(document, indent=2),
+        EXTENDED: str(diagnosis.finding["extended"].iloc[0]),
     }
 
 

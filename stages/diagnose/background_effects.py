@@ -1,11 +1,10 @@
-"""Everything may be a little wrong everywhere: what that leaves of evidence and
-intervals.
+"""Every effect may be a little wrong everywhere: evidence and intervals with that.
 
-A library's other effects are never exactly absent. So beside the causes of a hypothesis
-every effect, its own included, may move the tip by a normal deviation of W0 [m], the
-same in all trials, which the data tell (SuSiE-inf: Cui et al. 2024, Nature Genetics 56,
-162: a sparse sum and many small effects). It is linear about a fit, so it costs no
-further one.
+The effects of a library are never exactly absent. In addition to the causes of a
+hypothesis, every effect may move the tip by a normal deviate of one small scale [m]
+that all trials share and the data determine (SuSiE-inf: Cui et al., Nature Genetics 56,
+162, 2024: a sparse sum and many small effects). This is linear about a fit and costs no
+further fit.
 """
 
 from __future__ import annotations
@@ -30,15 +29,18 @@ from stringcast.stages.model.effect import (
     is_position_dependent,
 )
 
-# [m] of W0: more is not small
 BACKGROUND_SCALES_M = DISCREPANCY_SCALES_M[DISCREPANCY_SCALES_M < 2e-3]
 PROBE_FRACTION = 0.01  # of the way from absent to the end of a range: about linear
 
 
 @dataclass(frozen=True)
 class BackgroundPosterior:
-    """A fit with every effect a little wrong. centre, covariance: of its exponents
-    (P,), (P, P).
+    """The exponents of a fit with every effect a little wrong.
+
+    Attributes
+    ----------
+    mean : numpy.ndarray, shape (P,)
+    covariance : numpy.ndarray, shape (P, P)
     """
 
     mean: np.ndarray
@@ -46,134 +48,150 @@ class BackgroundPosterior:
 
     @property
     def standard_deviation(self) -> np.ndarray:
-        """(P,)."""
+        """Standard deviation of each exponent, (P,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def correlation(self) -> np.ndarray:
-        """(P, P)."""
-        return self.covariance / np.outer(
-            self.standard_deviation, self.standard_deviation
-        )
+        """Correlation of each pair of exponents, (P, P)."""
+        deviation = self.standard_deviation
+        return self.covariance / np.outer(deviation, deviation)
 
 
 def background_responses(
     data: TrialData, fit: Fit, effects: Sequence[type[Effect]]
 ) -> list[np.ndarray]:
-    """What each effect does in each trial when it moves the tip by 1 m, over sigma, (E,
-    2 n); none of those that depend on place, which do nothing but where they touch.
+    """Simulate what each effect does about a fit, scaled to 1 m at the tip.
+
+    Effects that depend on place are left out: they do nothing but where they touch.
+
+    Returns
+    -------
+    list of numpy.ndarray, shape (E, 2 n)
+        Of each trial, over sigma.
     """
-    found = [[np.zeros((0, 2 * len(trial.s))) for trial in data.trials]]
+    responses = [[np.zeros((0, 2 * len(trial.s)))] for trial in data.trials]
     for effect in effects:
         if is_position_dependent(effect) or effect in fit.hypothesis.causes:
             continue
         hypothesis = fit.hypothesis.with_cause(effect)
         start = hypothesis.exponents_from(fit.exponents)
-        size = hypothesis.parameter_indices(effect, amplitude_parameters(effect))
-        end = np.where(start[size] > 0.5, 0.0, 1.0)
-        chi = np.repeat(start[None], len(size), axis=0)
-        chi[range(len(size)), size] += PROBE_FRACTION * (end - start[size])
-        moved = [
-            each - own
-            for each, own in zip(
-                data.residuals(hypothesis.model, chi), fit.residuals, strict=True
-            )
-        ]
-        found.append(_per_metre_at_tip(data, moved))
+        amplitudes = hypothesis.parameter_indices(effect, amplitude_parameters(effect))
+        absent = start[amplitudes]
+        end = np.where(absent > 0.5, 0.0, 1.0)
+        chi = np.repeat(start[None], len(amplitudes), axis=0)
+        chi[range(len(amplitudes)), amplitudes] += PROBE_FRACTION * (end - absent)
+        residuals = data.residuals(hypothesis.model, chi)
+        pairs = zip(residuals, fit.residuals, strict=True)
+        changes = [residual - before for residual, before in pairs]
+        _append_scaled(responses, data, changes)
     for cause in fit.hypothesis.causes:
-        size = fit.hypothesis.parameter_indices(cause, amplitude_parameters(cause))
-        found.append(_per_metre_at_tip(data, [slope[size] for slope in fit.slopes]))
-    return [np.concatenate(each) for each in zip(*found, strict=True)]
+        parameters = amplitude_parameters(cause)
+        amplitudes = fit.hypothesis.parameter_indices(cause, parameters)
+        _append_scaled(responses, data, [slope[amplitudes] for slope in fit.slopes])
+    return [np.concatenate(each) for each in responses]
 
 
-def _per_metre_at_tip(data: TrialData, moved: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Displacements (C, 2 n) of each trial as if they moved the tip by 1 m, of those
-    that can be simulated.
-    """
-    sizes = data.overall_tip_rms(moved)
-    lost = np.any(
-        [np.abs(each).max(axis=1) > DIVERGED_RESIDUAL / 2 for each in moved], axis=0
-    )
-    seen = ~lost & (sizes > 0)
-    return [each[seen] / sizes[seen, None] for each in moved]
+def _append_scaled(
+    responses: Sequence[list[np.ndarray]],
+    data: TrialData,
+    changes: Sequence[np.ndarray],
+) -> None:
+    """Append displacements (C, 2 n) per metre at the tip, if they can be simulated."""
+    shift_m = data.overall_tip_rms(changes)
+    largest = [np.abs(change).max(axis=1) for change in changes]
+    diverged = np.any(np.array(largest) > DIVERGED_RESIDUAL / 2, axis=0)
+    kept = ~diverged & (shift_m > 0)
+    for trial_responses, change in zip(responses, changes, strict=True):
+        trial_responses.append(change[kept] / shift_m[kept, None])
 
 
 def posterior_with_background(
-    data: TrialData, fit: Fit, small: Sequence[np.ndarray]
+    data: TrialData, fit: Fit, background: Sequence[np.ndarray]
 ) -> BackgroundPosterior:
-    """A fit with what small effects, (E, 2 n) over sigma in each trial, leave of it."""
-    products, along = (
-        np.sum(each, axis=0) for each in _normal_equations_by_trial(data, fit, small)
-    )
-    own = len(fit.chi)
-    told, steps, normals = zip(
-        *(_solve_at_scale(products, along, own, size) for size in BACKGROUND_SCALES_M),
-        strict=True,
-    )
-    evidence = np.array(told) + log_scale_prior()[: len(BACKGROUND_SCALES_M)]
-    weight = np.exp(evidence - logsumexp(evidence))
-    shift = np.array(steps)[:, :own]
-    centre = weight @ shift
-    apart = shift - centre
-    spread = (
-        np.tensordot(weight, np.linalg.inv(normals)[:, :own, :own], 1)
-        + (weight * apart.T) @ apart
-    )
-    return BackgroundPosterior(fit.chi + centre, spread)
+    """Compute the posterior of a fit's exponents, averaged over background scales."""
+    by_trial = _normal_equations_by_trial(data, fit, background)
+    products, gradient = (np.sum(each, axis=0) for each in by_trial)
+    count = len(fit.chi)
+    log_evidence, shifts, covariances = [], [], []
+    for scale_m in BACKGROUND_SCALES_M:
+        value, step, normal = _solve_at_scale(products, gradient, count, scale_m)
+        log_evidence.append(value)
+        shifts.append(step[:count])
+        covariances.append(np.linalg.inv(normal)[:count, :count])
+    log_weight = np.array(log_evidence) + log_scale_prior()[: len(shifts)]
+    weight = np.exp(log_weight - logsumexp(log_weight))
+    shift = np.array(shifts)
+    mean = weight @ shift
+    spread = shift - mean
+    within = np.tensordot(weight, np.array(covariances), 1)
+    covariance = within + (weight * spread.T) @ spread
+    return BackgroundPosterior(fit.chi + mean, covariance)
 
 
 def background_log_evidence_gains(
-    data: TrialData, fit: Fit, small: Sequence[np.ndarray], often: np.ndarray
+    data: TrialData, fit: Fit, background: Sequence[np.ndarray], weights: np.ndarray
 ) -> np.ndarray:
-    """By how much small effects raise a fit's log evidence if each trial counts so
-    often (D, K), (D,).
+    """Gain of a fit's log evidence by the background, (D,).
+
+    Parameters
+    ----------
+    weights : numpy.ndarray, shape (D, K)
+        How often each trial counts.
     """
-    parts, along_parts = _normal_equations_by_trial(data, fit, small)
-    products, along = np.tensordot(often, parts, 1), often @ along_parts
-    said = np.array(
+    by_trial, gradient_by_trial = _normal_equations_by_trial(data, fit, background)
+    products = np.tensordot(weights, by_trial, 1)
+    gradient = weights @ gradient_by_trial
+    log_evidence = np.array(
         [
-            _solve_at_scale(products, along, len(fit.chi), size)[0]
-            for size in BACKGROUND_SCALES_M
+            _solve_at_scale(products, gradient, len(fit.chi), scale_m)[0]
+            for scale_m in BACKGROUND_SCALES_M
         ]
     )
-    return np.asarray(
-        logsumexp(said + log_scale_prior()[: len(BACKGROUND_SCALES_M), None], axis=0)
-        - said[0]
-    )
+    prior = log_scale_prior()[: len(BACKGROUND_SCALES_M), None]
+    return np.asarray(logsumexp(log_evidence + prior, axis=0) - log_evidence[0])
 
 
 def _normal_equations_by_trial(
-    data: TrialData, fit: Fit, small: Sequence[np.ndarray]
+    data: TrialData, fit: Fit, background: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Products of what parameters and small effects do in each trial, white, (K, M, M),
-    and with what is left, (K, M): the fit's parameters first.
+    """Multiply white slopes of parameters and background, the parameters first.
+
+    Returns
+    -------
+    products : numpy.ndarray, shape (K, M, M)
+    gradients : numpy.ndarray, shape (K, M)
+        Slopes times the white residual.
     """
-    data = data.for_hypothesis(fit.hypothesis)
-    residual = data.whiten_by_trial([r[None] for r in fit.residuals], fit.scale_indices)
-    parts = data.whiten_by_trial(
-        [np.concatenate(pair) for pair in zip(fit.slopes, small, strict=True)],
-        fit.scale_indices,
-    )
-    along = [part @ left[0] for part, left in zip(parts, residual, strict=True)]
-    return np.array([part @ part.T for part in parts]), np.array(along)
+    data, scales = data.for_hypothesis(fit.hypothesis), fit.scale_indices
+    residuals = data.whiten_by_trial([r[None] for r in fit.residuals], scales)
+    pairs = zip(fit.slopes, background, strict=True)
+    slopes = [np.concatenate(pair) for pair in pairs]
+    products, gradients = [], []
+    for white, residual in zip(
+        data.whiten_by_trial(slopes, scales), residuals, strict=True
+    ):
+        products.append(white @ white.T)
+        gradients.append(white @ residual[0])
+    return np.array(products), np.array(gradients)
 
 
 def _solve_at_scale(
-    products: np.ndarray, along: np.ndarray, own: int, size: float
+    products: np.ndarray, gradient: np.ndarray, parameters: int, scale_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Log evidence (...), step (..., M) and curvature (..., M, M) with small effects of
-    a size [m], after the first `own` parameters. products: (..., M, M). along: (...,
-    M).
+    """Solve the normal equations (..., M, M) with a background of one scale.
+
+    Returns
+    -------
+    log_evidence : numpy.ndarray, shape (...)
+    step : numpy.ndarray, shape (..., M)
+    normal : numpy.ndarray, shape (..., M, M)
     """
-    rest = along.shape[-1] - own
-    scale, prior = (
-        np.repeat([1.0, size], [own, rest]),
-        np.repeat([PRIOR_PRECISION, 1.0], [own, rest]),
-    )
-    normal, pull = products * np.outer(scale, scale) + np.diag(prior), scale * along
-    step = -np.linalg.solve(normal, pull[..., None])[..., 0]
-    return (
-        -0.5 * np.sum(step * pull, axis=-1) - 0.5 * np.linalg.slogdet(normal)[1],
-        step,
-        normal,
-    )
+    counts = [parameters, gradient.shape[-1] - parameters]
+    scale = np.repeat([1.0, scale_m], counts)
+    prior = np.repeat([PRIOR_PRECISION, 1.0], counts)
+    normal = products * np.outer(scale, scale) + np.diag(prior)
+    scaled = scale * gradient
+    step = -np.linalg.solve(normal, scaled[..., None])[..., 0]
+    occam = 0.5 * np.linalg.slogdet(normal)[1]
+    return -0.5 * np.sum(step * scaled, axis=-1) - occam, step, normal

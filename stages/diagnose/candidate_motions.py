@@ -1,27 +1,27 @@
-"""Movements that the arm could make, as trials that nobody has made yet."""
+"""Random motions of the arm, and the trials that they would make."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
-from stringcast.stages.generate.curves import Curves, first_curves
+from stringcast.stages.generate.curves import Curves, first_curves, join_curves
 from stringcast.stages.generate.generate import arm_faults
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 
-# of the accelerations: a violent cast says little where its simulation is uncertain
+# A violent cast says little where its simulation is uncertain
 ACCELERATION_FACTORS = (1.0, 0.5, 0.25, 0.12)
-MOTIONS_PER_DRAW = 512  # at once
-MAX_DRAWS = 200  # such draws at most
-POINTS_PER_FRAME = 8  # on the string, that stand for all that are measured
-RATED_FRAMES = 100  # a second, that stand for all that are filmed
+MOTIONS_PER_DRAW = 512
+MAX_DRAWS = 200
+POINTS_PER_FRAME = 8  # they stand for all that are measured
+MAX_FRAME_RATE_HZ = 100
 
 PositiveNumber = Annotated[float, Field(gt=0)]
 RestSeconds = Annotated[float, Field(ge=0, le=10)]
@@ -29,9 +29,17 @@ RestSeconds = Annotated[float, Field(ge=0, le=10)]
 
 @dataclass(frozen=True)
 class DesignSettings:
-    """Which movements are considered. motions: how many. shortest, longest: range of T
-    [s]. alpha: limit of the random accelerations [rad/s^2]. before, after: rest filmed
-    around the movement [s].
+    """Which motions are considered.
+
+    Attributes
+    ----------
+    motions : int
+    shortest, longest : float
+        Range of the movement time [s].
+    alpha : float
+        Limit of the random accelerations [rad/s^2].
+    before, after : float
+        Rest that is filmed around the movement [s].
     """
 
     motions: Annotated[int, Field(ge=1)]
@@ -48,64 +56,60 @@ def sample_motions_within_limits(
     design: DesignSettings,
     rng: np.random.Generator,
 ) -> Curves:
-    """Random movements within the arm's limits, fewer than wanted where hardly any is."""
-    arm, found, count = model.arm, [], 0
+    """Sample random motions within the arm's limits.
+
+    There are fewer than wanted where hardly any motion is allowed.
+    """
+    arm, kept, count = model.arm, [], 0
+    durations, factors = (design.shortest, design.longest), ACCELERATION_FACTORS
+    share = -(-design.motions // len(factors))
     for number in range(MAX_DRAWS):
-        alpha = design.alpha * ACCELERATION_FACTORS[number % len(ACCELERATION_FACTORS)]
-        curves = first_curves(
-            arm, rng, MOTIONS_PER_DRAW, (design.shortest, design.longest), alpha
-        )
+        alpha = design.alpha * factors[number % len(factors)]
+        curves = first_curves(arm, rng, MOTIONS_PER_DRAW, durations, alpha)
         sampled = curves.sample(arm.tick, float(curves.duration.max()))
-        share = -(-design.motions // len(ACCELERATION_FACTORS))
-        allowed = np.flatnonzero(arm_faults(arm, obstacles, *sampled) == "")[:share]
-        found.append(curves.select(allowed))
+        is_allowed = arm_faults(arm, obstacles, *sampled) == ""
+        allowed = np.flatnonzero(is_allowed)[:share]
+        kept.append(curves.select(allowed))
         count += len(allowed)
         if count >= design.motions:
             break
-    return Curves(
-        *(
-            np.concatenate([getattr(c, part) for c in found])
-            for part in ("start", "duration", "control")
-        )
-    )
+    return join_curves(kept)
 
 
 def synthetic_trial(
     model: Model, curve: Curves, like: PreparedTrial, design: DesignSettings
 ) -> PreparedTrial:
-    """The trial that a movement would make: where points would be measured, and all of
-    them at the origin.
+    """Make the trial that a motion would make, with all points at the origin.
 
-    like: a trial that was made, whose places on the string and noise the new one has.
-    Few points stand for many, and are as much more certain.
+    Parameters
+    ----------
+    curve : Curves
+        Of one motion.
+    like : PreparedTrial
+        A measured trial whose places along the string and noise the new one has.
     """
     tick, duration = model.arm.tick, float(curve.duration[0])
-    # joints that lag arrive later
+    # Sampled beyond the end: joints that lag arrive later
     motion = JointMotion(0.0, tick, *curve.sample(tick, duration + design.after))
     fullest = like.frame == np.argmax(np.bincount(like.frame))
     measured = like.s[fullest]
-    places = measured[
-        np.unique(
-            np.linspace(0, len(measured) - 1, POINTS_PER_FRAME).round().astype(int)
-        )
-    ]
-    rate = min(RATED_FRAMES, model.camera.fps)
-    times = (
-        np.arange(
-            -round(design.before * rate), round((duration + design.after) * rate) + 1
-        )
-        / rate
-    )
-    frame, s = (
-        a.ravel() for a in np.meshgrid(np.arange(len(times)), places, indexing="ij")
-    )
+    numbers = np.linspace(0, len(measured) - 1, POINTS_PER_FRAME).round().astype(int)
+    places = measured[np.unique(numbers)]
+
+    rate = min(MAX_FRAME_RATE_HZ, model.camera.fps)
+    first = -round(design.before * rate)
+    last = round((duration + design.after) * rate)
+    times = np.arange(first, last + 1) / rate
+    frame, s = np.meshgrid(np.arange(len(times)), places, indexing="ij")
+    frame, s = frame.ravel(), s.ravel()
+    points = np.zeros((len(s), 2))
     sigma = np.full(len(s), float(np.median(like.sigma)))
-    return PreparedTrial(
-        "proposed", model, motion, times, frame, s, np.zeros((len(s), 2)), sigma
-    )
+    return PreparedTrial("proposed", model, motion, times, frame, s, points, sigma)
 
 
-def points_represented(model: Model, case: PreparedTrial, like: PreparedTrial) -> float:
-    """How many points that would be measured one of an imagined trial stands for."""
-    each = len(like.s) / len(like.times) / (len(case.s) / len(case.times))
-    return each * model.camera.fps * (case.times[1] - case.times[0])
+def with_represented_points(trial: PreparedTrial, like: PreparedTrial) -> PreparedTrial:
+    """Make each point of a synthetic trial as certain as all those it stands for."""
+    points_per_frame = len(like.s) / len(like.times) / (len(trial.s) / len(trial.times))
+    frame_time = trial.times[1] - trial.times[0]
+    represented = points_per_frame * trial.model.camera.fps * frame_time
+    return replace(trial, sigma=trial.sigma / np.sqrt(max(represented, 1.0)))

@@ -1,7 +1,7 @@
-"""Where an effect that depends on place could act: on the string's way, not on all of
-it, and not on the hand's.
+"""Where an effect that depends on place may act: on the string's path.
 
-Asked of the effect's own law, without any simulation.
+It must not act on all of that path, nor on the hand's. Only the effect's own law is
+evaluated; nothing is simulated.
 """
 
 from __future__ import annotations
@@ -21,31 +21,38 @@ from stringcast.stages.model.effect import Effect, StringEffect, amplitude_param
 from stringcast.stages.model.engine.stability import load_sum
 from stringcast.stages.model.parameter import Parameter, parameter_values
 
-LOG2_CANDIDATES = 13  # places of which it is asked, as a power of two
-MAX_SIMULATED = 48  # of these that are simulated
-# of the range of its size: a cushion's stiffness of a plane's
-INITIAL_SIZE_FRACTION = 0.1
-# of the string's places on its way, at most: what acts on more is no touch
-MAX_TOUCHED_FRACTION = 0.1
-# places on the string's way in a trial, and on the hand's in all
-STRING_PATH_POINTS, HAND_PATH_POINTS = 1500, 300
-REFINEMENT_CANDIDATES = 256  # places of which it is asked about the best ones
-# candidates of which it is asked: what their law takes stays in the processor's cache
-CANDIDATES_PER_BATCH = 64
-DEPARTURE_SIGMAS = 3.0  # noises by which a string that was touched is somewhere else
-# of the largest departure in any trial: what others lack besides is no touch
-MIN_DEPARTURE_FRACTION = 0.3
-# [s] between touch and departure, from which one is not the other: what is lacking is
-# told as smoothly
+LOG2_CANDIDATES = 13
+MAX_SIMULATED = 48  # of the candidates
+INITIAL_SIZE_FRACTION = 0.1  # of the range of a stiffness: a cushion rather than a wall
+MAX_TOUCHED_FRACTION = 0.1  # of the string's path: what acts on more is no contact
+STRING_PATH_POINTS = 1500  # in a trial
+HAND_PATH_POINTS = 300  # in all trials
+REFINEMENT_CANDIDATES = 256
+CANDIDATES_PER_BATCH = 64  # their laws' arguments stay in the processor's cache
+DEPARTURE_SIGMAS = 3.0
+MIN_DEPARTURE_FRACTION = 0.3  # of the largest in any trial: smaller ones are no contact
+# Between contact and departure: the discrepancy is smooth and follows not sooner
 CONTACT_DELAY_S = 0.1
 
 
 @dataclass(frozen=True)
 class ContactCandidates:
-    """start: exponents (P,) with the effect absent. own: places of its size and of what
-    says where. strings: the string's way in each trial, hand: all the hand's, arguments
-    of laws (M,) each. departs: when what was measured departs from the string in each
-    trial [s], infinite where it does not, (K,).
+    """Places where the last cause of a hypothesis may touch the string.
+
+    Attributes
+    ----------
+    hypothesis : Hypothesis
+    start : numpy.ndarray, shape (P,)
+        Exponents with the cause absent.
+    parameter_indices : list of int
+        Of the cause's size, then of what says where it is.
+    string_paths : sequence of dict
+        Of each trial, the fitted string's path as arguments of laws, (M,) each.
+    hand_path : dict
+        The hand's path in all trials.
+    departure_times : numpy.ndarray, shape (K,)
+        When the measured string departs from the fitted one [s]; infinite if never.
+    seed : int
     """
 
     hypothesis: Hypothesis
@@ -56,178 +63,162 @@ class ContactCandidates:
     departure_times: np.ndarray
     seed: int
 
-    @property
-    def effect(self) -> type[Effect]:
-        """Whose places they are."""
-        return self.hypothesis.causes[-1]
-
     def sample(self) -> np.ndarray:
-        """Exponents (C, P) at which it acts, anywhere."""
+        """Sample plausible exponents (C, P) anywhere in the range."""
+        indices, size = self.parameter_indices, self.parameter_indices[0]
         chi = np.repeat(self.start[None], 2**LOG2_CANDIDATES, axis=0)
-        chi[:, self.parameter_indices] = qmc.Sobol(
-            len(self.parameter_indices), seed=self.seed
-        ).random_base2(LOG2_CANDIDATES)
-        chi[:, self.parameter_indices[0]] = self.start[
-            self.parameter_indices[0]
-        ] + INITIAL_SIZE_FRACTION * (1 - self.start[self.parameter_indices[0]])
+        sobol = qmc.Sobol(len(indices), seed=self.seed)
+        chi[:, indices] = sobol.random_base2(LOG2_CANDIDATES)
+        absent = self.start[size]
+        chi[:, size] = absent + INITIAL_SIZE_FRACTION * (1 - absent)
         return self._most_plausible(chi)
 
     def sample_near(
-        self, chi: np.ndarray, reach: float, rng: np.random.Generator
+        self, chi: np.ndarray, radius: float, rng: np.random.Generator
     ) -> np.ndarray:
-        """Exponents (C', P) at which it acts, within reach of those given."""
-        near, where = (
-            np.repeat(chi, REFINEMENT_CANDIDATES // len(chi), axis=0),
-            self.parameter_indices[1:],
-        )
-        near[:, where] = np.clip(
-            near[:, where] + rng.uniform(-reach, reach, (len(near), len(where))), 0, 1
-        )
+        """Sample plausible exponents (C', P) within a radius of given ones (C, P)."""
+        near = np.repeat(chi, REFINEMENT_CANDIDATES // len(chi), axis=0)
+        where = self.parameter_indices[1:]
+        offset = rng.uniform(-radius, radius, (len(near), len(where)))
+        near[:, where] = np.clip(near[:, where] + offset, 0, 1)
         return self._most_plausible(near)
 
     def _most_plausible(self, chi: np.ndarray) -> np.ndarray:
-        """Those by which the string is touched first when it departs, in each trial,
-        and the hand never.
-        """
-        # first: the hand's way is short
+        """Select candidates that touch the string as it departs, and never the hand."""
         chi = chi[~self._force_is_nonzero(chi, self.hand_path).any(axis=1)]
-        apart, shares = np.zeros(len(chi)), []
-        for way, departs in zip(self.string_paths, self.departure_times, strict=True):
-            pushed = self._force_is_nonzero(chi, way)
-            end = way["t"][-1] + CONTACT_DELAY_S  # stands for never
-            first = np.where(pushed.any(axis=1), way["t"][pushed.argmax(axis=1)], end)
-            apart += np.minimum(np.abs(first - min(departs, end)), CONTACT_DELAY_S) ** 2
-            shares.append(pushed.mean(axis=1))
-        share = np.mean(shares, axis=0)
-        touches = np.flatnonzero((share > 0) & (share < MAX_TOUCHED_FRACTION))
-        return chi[touches[np.argsort(apart[touches], kind="stable")[:MAX_SIMULATED]]]
+        distance, fractions = np.zeros(len(chi)), []
+        for path, departure in zip(
+            self.string_paths, self.departure_times, strict=True
+        ):
+            touches = self._force_is_nonzero(chi, path)
+            never = path["t"][-1] + CONTACT_DELAY_S
+            first = path["t"][touches.argmax(axis=1)]
+            first = np.where(touches.any(axis=1), first, never)
+            delay = np.abs(first - min(departure, never))
+            distance += np.minimum(delay, CONTACT_DELAY_S) ** 2
+            fractions.append(touches.mean(axis=1))
+        fraction = np.mean(fractions, axis=0)
+        is_contact = (fraction > 0) & (fraction < MAX_TOUCHED_FRACTION)
+        contacts = np.flatnonzero(is_contact)
+        order = np.argsort(distance[contacts], kind="stable")
+        return chi[contacts[order[:MAX_SIMULATED]]]
 
     def _force_is_nonzero(
-        self, chi: np.ndarray, way: Mapping[str, np.ndarray]
+        self, chi: np.ndarray, path: Mapping[str, np.ndarray]
     ) -> np.ndarray:
-        """Whether it acts there, (C, M)."""
-        string, parts = (
-            self.hypothesis.model.string,
-            [np.zeros((0, len(way["x"])), dtype=bool)],
-        )
-        for some in (
-            np.array_split(chi, -(-len(chi) // CANDIDATES_PER_BATCH))
-            if len(chi)
-            else []
-        ):
-            material = string.material(
-                parameter_values(self.hypothesis.parameters, some)[
-                    :, : len(string.parameters)
-                ]
-            )
-            alone = string.with_only_effects(
-                (cast("type[StringEffect]", self.effect),), material
-            )
-            parts.append(
-                np.any(
-                    load_sum(*alone, {name: each[None] for name, each in way.items()})
-                    != 0,
-                    axis=-1,
-                )
-            )
-        return np.concatenate(parts)
+        """Evaluate whether each candidate acts at each point of a path, (C, M)."""
+        string, parameters = self.hypothesis.model.string, self.hypothesis.parameters
+        effect = cast("type[StringEffect]", self.hypothesis.causes[-1])
+        arguments = {name: values[None] for name, values in path.items()}
+        is_nonzero = [np.zeros((0, len(path["x"])), dtype=bool)]
+        for first in range(0, len(chi), CANDIDATES_PER_BATCH):
+            batch = chi[first : first + CANDIDATES_PER_BATCH]
+            values = parameter_values(parameters, batch)
+            material = string.material(values[:, : len(string.parameters)])
+            alone = string.with_only_effects((effect,), material)
+            force = load_sum(*alone, arguments)
+            is_nonzero.append(np.any(force != 0, axis=-1))
+        return np.concatenate(is_nonzero)
 
 
 def varied_parameters(effect: type[Effect]) -> list[Parameter]:
-    """An effect's size, other components of that, and what says where or when: those
-    with which it is tried.
+    """List an effect's amplitudes, and what says where or when it acts.
 
-    Others that start at an end of their range are sizes too (of friction, say), and
-    stay absent.
+    Other parameters that start at an end of their range, such as friction, stay there.
     """
-    return [
-        p
-        for p in effect.parameters
-        if p in amplitude_parameters(effect) or p.low < p.start < p.high
-    ]
+    amplitudes = amplitude_parameters(effect)
+    return [p for p in effect.parameters if p in amplitudes or p.low < p.start < p.high]
 
 
 def contact_candidates(
     data: TrialData, parent: Fit, hypothesis: Hypothesis, seed: int
 ) -> ContactCandidates:
-    """Of the last cause of a hypothesis, on the way of its parent's string."""
-    effect = hypothesis.causes[-1]
-    own = hypothesis.parameter_indices(effect, varied_parameters(effect))
+    """Prepare the search of contacts of a hypothesis' last cause about its parent."""
+    effect, model = hypothesis.causes[-1], parent.hypothesis.model
     values = parameter_values(parent.hypothesis.parameters, parent.chi[None])
-    strings = [
-        _thin_path(_string_path(trial, parent, values), STRING_PATH_POINTS)
-        for trial in data.trials
-    ]
-    poses = np.concatenate(
-        [
-            parent.hypothesis.model.hand_motion(trial.motion, values).pose[0]
-            for trial in data.trials
-        ]
-    )
-    hand = _thin_path({"x": poses[:, 0], "y": poses[:, 1]}, HAND_PATH_POINTS)
-    departs = _departure_times(data.trials, mean_discrepancy(data, parent))
+    string_paths, poses = [], []
+    for trial in data.trials:
+        path = _string_path(trial, parent, values)
+        string_paths.append(_thin_path(path, STRING_PATH_POINTS))
+        poses.append(model.hand_motion(trial.motion, values).pose[0])
+    pose = np.concatenate(poses)
+    hand_path = _thin_path({"x": pose[:, 0], "y": pose[:, 1]}, HAND_PATH_POINTS)
+    indices = hypothesis.parameter_indices(effect, varied_parameters(effect))
     return ContactCandidates(
         hypothesis,
         hypothesis.exponents_from(parent.exponents),
-        own,
-        strings,
-        hand,
-        departs,
+        indices,
+        string_paths,
+        hand_path,
+        _departure_times(data.trials, mean_discrepancy(data, parent)),
         seed,
     )
 
 
 def _departure_times(
-    trials: Sequence[PreparedTrial], lacking: Sequence[np.ndarray]
+    trials: Sequence[PreparedTrial], discrepancies: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """When what a string lacks, (2 n,) over sigma of each trial, is first more than
-    noise, and more than a share of the most in any trial [s]; infinite where it never
-    is, (K,).
+    """Find when the discrepancy of each trial, (2 n,) over sigma, is first large [s].
+
+    It must exceed noise, and a fraction of the largest in any trial; the time is
+    infinite where it never does.
     """
-    far = [
-        np.linalg.norm(own.reshape(-1, 2), axis=1) * t.sigma
-        for own, t in zip(lacking, trials, strict=True)
-    ]
-    least = MIN_DEPARTURE_FRACTION * max(each.max() for each in far)
-    moments = [
-        t.times[t.frame[own > np.maximum(DEPARTURE_SIGMAS * t.sigma, least)]]
-        for own, t in zip(far, trials, strict=True)
-    ]
-    return np.array([each.min() if len(each) else np.inf for each in moments])
+    distances_m = []
+    for trial, discrepancy in zip(trials, discrepancies, strict=True):
+        distance = np.linalg.norm(discrepancy.reshape(-1, 2), axis=1)
+        distances_m.append(distance * trial.sigma)
+    least_m = MIN_DEPARTURE_FRACTION * max(each.max() for each in distances_m)
+    departures = []
+    for trial, distance_m in zip(trials, distances_m, strict=True):
+        is_large = distance_m > np.maximum(DEPARTURE_SIGMAS * trial.sigma, least_m)
+        times = trial.times[trial.frame[is_large]]
+        departures.append(times.min(initial=np.inf))
+    return np.array(departures)
 
 
 def _string_path(
     trial: PreparedTrial, parent: Fit, values: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Of the fitted string through a trial: arguments of laws, (M,) each."""
+    """Simulate the fitted string's path as arguments of laws, (M,) each."""
     model = parent.hypothesis.model
-    points = model.simulate_string(
-        trial.motion, values, trial.times, trial.initial_state, trial.turn
-    ).points[0]
-    return path_arguments(points, model.string.arc_lengths(), trial.times)
+    state, turn = trial.initial_state, trial.turn
+    simulated = model.simulate_string(trial.motion, values, trial.times, state, turn)
+    arc_lengths = model.string.arc_lengths()
+    return path_arguments(simulated.points[0], arc_lengths, trial.times)
 
 
 def path_arguments(
     points: np.ndarray, s: np.ndarray, times: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Arguments of laws, (M,) each, where a string's points (F, n, 2) [m] are but that
-    in the hand. s: (n,) arc lengths [m]; times: (F,) [s].
+    """Compute arguments of laws, (M,) each, along the path of a string.
+
+    Parameters
+    ----------
+    points : numpy.ndarray, shape (F, n, 2)
+        Mass points [m]; the one in the hand is left out.
+    s : numpy.ndarray, shape (n,)
+        Arc lengths [m].
+    times : numpy.ndarray, shape (F,)
+        [s].
     """
-    velocity = (
-        np.gradient(points, times, axis=0) if len(times) > 1 else np.zeros_like(points)
-    )
+    velocity = np.zeros_like(points)
+    if len(times) > 1:
+        velocity = np.gradient(points, times, axis=0)
     tangent = np.gradient(points, axis=1)
     tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
-    along, moment = np.meshgrid(s, times)
-    axes = {"x": points, "vx": velocity, "ux": velocity, "tx": tangent}
-    known = {name: array[..., 0] for name, array in axes.items()}
-    known |= {name.replace("x", "y"): array[..., 1] for name, array in axes.items()} | {
-        "s": along,
-        "t": moment,
-    }
-    return {name: array[:, 1:].ravel() for name, array in known.items()}
+    arguments = {}
+    for prefix, vectors in (
+        ("", points),
+        ("v", velocity),
+        ("u", velocity),
+        ("t", tangent),
+    ):
+        arguments[f"{prefix}x"] = vectors[..., 0]
+        arguments[f"{prefix}y"] = vectors[..., 1]
+    arguments["s"], arguments["t"] = np.meshgrid(s, times)
+    return {name: values[:, 1:].ravel() for name, values in arguments.items()}
 
 
-def _thin_path(way: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-    """Some places of a way, evenly, about `count`."""
-    return {name: each[:: max(len(each) // count, 1)] for name, each in way.items()}
+def _thin_path(path: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+    """Keep about `count` points of a path, evenly."""
+    return {name: each[:: max(len(each) // count, 1)] for name, each in path.items()}

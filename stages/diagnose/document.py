@@ -1,4 +1,4 @@
-"""diagnosis.json (shared format, version 1), the verdict in words, and extended.yaml."""
+"""Write diagnosis.json (format 1), the verdict in words, and extended.yaml."""
 
 from __future__ import annotations
 

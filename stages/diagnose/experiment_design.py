@@ -1,21 +1,22 @@
-"""The motion that would tell look-alikes apart: of many random ones, that with the
-largest expected log odds.
+"""The motion that would decide between look-alikes.
 
-Each rival may move its parameters as far as the trials made allow, and may lack as much
-as it does there. To first order in these the log odds of the true one over another, on
-one more trial, are normal with mean m, variance 2 m:
+Of many random motions it is the one with the largest expected log odds. Each rival may
+move its parameters as far as the measured trials allow, and may leave as much
+unexplained as it does there. To first order the log odds of the true rival over
+another, on one more trial, are normal with mean m and variance 2 m:
 
-    m = 1/2 d' (V + J N^(-1) J')^(-1) d,        d what the rivals differ by, J the other's slopes, N what is known of it
+    m = 1/2 d' (V + J N^(-1) J')^(-1) d
 
-All motions are compared by d alone; the most promising with what the rivals could do
-about it.
+d is the difference of the rivals, J the slopes of the other one, N the information of
+the measured trials about its parameters, and V the covariance of noise and discrepancy.
+All motions are compared by d alone, the most different ones by m.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import combinations
+from dataclasses import dataclass, field
+from itertools import combinations, permutations
 from typing import Any
 
 import numpy as np
@@ -25,16 +26,14 @@ from scipy.stats import norm
 from stringcast.data.artifacts import COMMANDS, CONTROL_POINTS, PREDICTED_STRINGS
 from stringcast.stages.diagnose.candidate_motions import (
     DesignSettings,
-    points_represented,
     sample_motions_within_limits,
     synthetic_trial,
+    with_represented_points,
 )
 from stringcast.stages.diagnose.discretisation import subtract_discretisation_error
-from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.generate import command_table, control_point_table
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import simulate_trials
-from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 from stringcast.stages.inference.prepared_trial import PreparedTrial
@@ -43,14 +42,20 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.parameter import parameter_values
 
-MAX_COMPARED_MOTIONS = 24  # motions of which it is asked what rivals could do
+MAX_COMPARED_MOTIONS = 24
+INSEPARABLE_LOG_ODDS = 1.0  # two rivals with less stay alike
 
 
 @dataclass(frozen=True)
 class ProposedExperiment:
-    """next_experiment: as in diagnosis.json, None where nothing is left to be decided.
-    The motion's tables, and where each rival has the string in it; all empty where no
-    motion would help.
+    """The motion to perform next, empty where none would help.
+
+    Attributes
+    ----------
+    next_experiment : dict or None
+        As in diagnosis.json; None where nothing is left to decide.
+    commands, control_points, predicted : pandas.DataFrame
+        The motion, and the string in it by each rival.
     """
 
     next_experiment: Mapping[str, Any] | None = None
@@ -61,8 +66,15 @@ class ProposedExperiment:
 
 @dataclass(frozen=True)
 class Rivals:
-    """Hypotheses that stand against one another, the likeliest first, by what differs
-    in them. data: the trials made. enough: log odds that decide.
+    """Hypotheses that cannot be told apart.
+
+    Attributes
+    ----------
+    fits : dict
+        By the cause that differs, the likeliest first.
+    data : TrialData
+        The measured trials.
+    deciding_log_odds : float
     """
 
     fits: Mapping[str, Fit]
@@ -72,49 +84,48 @@ class Rivals:
     def expected_log_odds(
         self, trial: TrialData
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Expected log odds (R, R) of each rival, if it is true, over each other in a
-        further trial; and what each would show at its points as near to the likeliest
-        as it can come, (2 n,) over sigma.
-        """
-        size = int(np.median(next(iter(self.fits.values())).scale_indices))
-        shown, slopes = {}, {}
-        for name, fit in self.fits.items():
-            offset = np.where(
-                fit.chi > 0.5, -solver.FIRST_DIFFERENCE, solver.FIRST_DIFFERENCE
-            )
-            many = trial.residuals(
-                fit.hypothesis.model,
-                np.concatenate([fit.chi[None], fit.chi + np.diag(offset)]),
-            )[0]
-            if (many == solver.DIVERGED_RESIDUAL).any():
-                return np.zeros((len(self.fits), len(self.fits))), {}
-            shown[name], slopes[name] = many[0], (many[1:] - many[0]) / offset[:, None]
-        names, one = list(self.fits), np.array([size])
-        odds, near = (
-            np.full((len(names), len(names)), np.inf),
-            {names[0]: shown[names[0]]},
-        )
-        for a, b in (
-            (a, b) for a in range(len(names)) for b in range(len(names)) if a != b
-        ):
-            apart = shown[names[b]] - shown[names[a]]
-            d, j = (
-                trial.whiten([each], one) for each in (apart[None], slopes[names[b]])
-            )
-            step = -np.linalg.solve(
-                self._parameter_information(names[b]) + j @ j.T, j @ d[0]
-            )
-            odds[a, b] = 0.5 * float(d[0] @ (d[0] + step @ j))
-            if a == 0:
-                near[names[b]] = shown[names[b]] + step @ slopes[names[b]]
-        return odds, near
+        """Compute the expected log odds of the rivals in one further trial.
 
-    def _parameter_information(self, name: str) -> np.ndarray:
-        """What the trials made tell of a rival's parameters, (P, P)."""
-        fit = self.fits[name]
-        white = self.data.for_hypothesis(fit.hypothesis).whiten(
-            fit.slopes, fit.scale_indices
-        )
+        Returns
+        -------
+        log_odds : numpy.ndarray, shape (R, R)
+            Of each rival, if it is true, over each other.
+        predicted : dict of numpy.ndarray, shape (2 n,)
+            Points of each rival over sigma, as near to the likeliest as it can come.
+        """
+        names, fits = list(self.fits), list(self.fits.values())
+        scale = np.array([int(np.median(fits[0].scale_indices))])
+        step = solver.FIRST_DIFFERENCE
+        residuals, slopes = [], []
+        for fit in fits:
+            offset = np.where(fit.chi > 0.5, -step, step)
+            chi = np.concatenate([fit.chi[None], fit.chi + np.diag(offset)])
+            simulated = trial.residuals(fit.hypothesis.model, chi)[0]
+            if (simulated == solver.DIVERGED_RESIDUAL).any():
+                return np.zeros((len(fits), len(fits))), {}
+            residuals.append(simulated[0])
+            slopes.append((simulated[1:] - simulated[0]) / offset[:, None])
+
+        log_odds = np.full((len(fits), len(fits)), np.inf)
+        predicted = {names[0]: residuals[0]}
+        for true, other in permutations(range(len(fits)), 2):
+            difference = residuals[other] - residuals[true]
+            white = trial.whiten([difference[None]], scale)[0]
+            white_slopes = trial.whiten([slopes[other]], scale)
+            normal = self._parameter_information(fits[other])
+            normal = normal + white_slopes @ white_slopes.T
+            adapted = -np.linalg.solve(normal, white_slopes @ white)
+            log_odds[true, other] = 0.5 * float(
+                white @ (white + adapted @ white_slopes)
+            )
+            if true == 0:
+                predicted[names[other]] = residuals[other] + adapted @ slopes[other]
+        return log_odds, predicted
+
+    def _parameter_information(self, fit: Fit) -> np.ndarray:
+        """Information (P, P) of the measured trials about a rival's parameters."""
+        data = self.data.for_hypothesis(fit.hypothesis)
+        white = data.whiten(fit.slopes, fit.scale_indices)
         return np.asarray(white @ white.T + PRIOR_PRECISION * np.eye(len(fit.chi)))
 
 
@@ -124,187 +135,139 @@ def design_experiment(
     design: DesignSettings,
     rng: np.random.Generator,
 ) -> ProposedExperiment:
-    """The motion to perform next, and what it will do; nothing where one hypothesis
-    stands alone or the arm is unknown.
+    """Design the motion to perform next.
+
+    None is proposed where one hypothesis stands alone or the arm's joints are unknown.
     """
-    if len(rivals.fits) < 2 or not all(
-        isinstance(t.motion, JointMotion) for t in rivals.data.trials
-    ):
+    measured = rivals.data.trials
+    has_joints = all(isinstance(trial.motion, JointMotion) for trial in measured)
+    if len(rivals.fits) < 2 or not has_joints:
         return ProposedExperiment()
     likeliest = next(iter(rivals.fits.values()))
-    curves = sample_motions_within_limits(
-        likeliest.hypothesis.base, obstacles, design, rng
-    )
-    if not len(curves.duration):
-        return ProposedExperiment()
-    like = max(rivals.data.trials, key=lambda trial: len(trial.s))
-    cases = [
-        _candidate_trial(likeliest.hypothesis, curves, i, like, design)
-        for i in range(len(curves.duration))
-    ]
-    few = _most_different_motions(rivals, cases, obstacles)
-    tried = {
-        i: rivals.expected_log_odds(
-            subtract_discretisation_error(
-                [cases[i]], likeliest.hypothesis, likeliest.chi
-            )[0]
+    hypothesis = likeliest.hypothesis
+    curves = sample_motions_within_limits(hypothesis.base, obstacles, design, rng)
+    like = max(measured, key=lambda trial: len(trial.s))
+    trials = []
+    for number in range(len(curves.duration)):
+        curve = curves.select(np.array([number]))
+        trial = synthetic_trial(hypothesis.model, curve, like, design)
+        trials.append(with_represented_points(trial, like))
+
+    best, best_odds, best_predicted = -1, np.zeros(0), dict[str, np.ndarray]()
+    for number in _most_different_motions(rivals, trials, obstacles):
+        data, _ = subtract_discretisation_error(
+            [trials[number]], hypothesis, likeliest.chi
         )
-        for i in few
-    }
-    best = max(few, key=lambda i: tried[i][0].min(), default=None)
-    if best is None:
+        log_odds, predicted = rivals.expected_log_odds(data)
+        if best < 0 or log_odds.min() > best_odds.min():
+            best, best_odds, best_predicted = number, log_odds, predicted
+    if best < 0:
         return ProposedExperiment()
-    odds, near = tried[best]
-    text = _experiment_document(rivals, odds, len(cases))
-    if odds.min() < 1:
-        return ProposedExperiment(text)
+    document = _experiment_document(rivals, best_odds, len(trials))
+    if best_odds.min() < INSEPARABLE_LOG_ODDS:
+        return ProposedExperiment(document)
     curve = curves.select(np.array([best]))
-    arm = likeliest.hypothesis.model.arm
     return ProposedExperiment(
-        text,
-        command_table(arm, curve),
+        document,
+        command_table(hypothesis.model.arm, curve),
         control_point_table(curve),
-        _predicted_table(cases[best], near),
-    )
-
-
-def _candidate_trial(
-    hypothesis: Hypothesis,
-    curves: Curves,
-    number: int,
-    like: PreparedTrial,
-    design: DesignSettings,
-) -> PreparedTrial:
-    """The trial that a motion would make, each point as certain as those it stands for."""
-    case = synthetic_trial(
-        hypothesis.model, curves.select(np.array([number])), like, design
-    )
-    return replace(
-        case,
-        sigma=case.sigma
-        / np.sqrt(max(points_represented(hypothesis.model, case, like), 1.0)),
+        _predicted_table(trials[best], best_predicted),
     )
 
 
 def _most_different_motions(
-    rivals: Rivals, cases: Sequence[PreparedTrial], obstacles: Sequence[Box]
+    rivals: Rivals, trials: Sequence[PreparedTrial], obstacles: Sequence[Box]
 ) -> list[int]:
-    """Motions on which the rivals as they were fitted differ most, none of those in
-    which the string touches an obstacle or cannot be simulated.
+    """Select the motions in which the fitted rivals differ most.
+
+    Motions in which the likeliest string crosses an obstacle, or any cannot be
+    simulated, are left out.
     """
-    seen = []
+    if not trials:
+        return []
+    by_rival = []
     for fit in rivals.fits.values():
         values = parameter_values(fit.hypothesis.parameters, fit.chi[None])
-        seen.append(
-            [
-                points[0]
-                for points in simulate_trials(fit.hypothesis.model, cases, values)
-            ]
-        )
-    apart = np.array(
-        [
-            _min_mean_square_difference([each[i] for each in seen])
-            for i in range(len(cases))
-        ]
-    )
-    struck = [
-        any(bool(box.is_crossed_by(p[:, :-1], p[:, 1:]).any()) for box in obstacles)
-        for p in seen[0]
-    ]
-    allowed = np.flatnonzero(np.isfinite(apart) & ~np.array(struck))
-    return [
-        int(i)
-        for i in allowed[np.argsort(-apart[allowed], kind="stable")][
-            :MAX_COMPARED_MOTIONS
-        ]
-    ]
+        by_rival.append(simulate_trials(fit.hypothesis.model, trials, values))
+    differences, crosses = [], []
+    for strings in zip(*by_rival, strict=True):  # (1, F, n, 2) of each rival
+        squares = [np.mean((a[0] - b[0]) ** 2) for a, b in combinations(strings, 2)]
+        differences.append(float(min(squares)))
+        inner, outer = strings[0][0][:, :-1], strings[0][0][:, 1:]
+        crossed = [box.is_crossed_by(inner, outer).any() for box in obstacles]
+        crosses.append(any(crossed))
+    difference = np.array(differences)
+    allowed = np.flatnonzero(np.isfinite(difference) & ~np.array(crosses))
+    order = np.argsort(-difference[allowed], kind="stable")
+    return [int(number) for number in allowed[order][:MAX_COMPARED_MOTIONS]]
 
 
-def _min_mean_square_difference(strings: Sequence[np.ndarray]) -> float:
-    """The least mean square by which two of several strings (F, n, 2) differ over a
-    motion [m2].
-    """
-    return float(min(np.mean((a - b) ** 2) for a, b in combinations(strings, 2)))
-
-
-def _odds_summary(odds: float, enough: float) -> dict[str, float]:
-    """Log odds of this mean, and twice that variance, and the probability that they
-    exceed what decides.
-    """
-    decide = float(norm.cdf((odds - enough) / np.sqrt(2 * max(odds, 1e-12))))
-    numbers = {
-        "probability_to_decide": decide,
-        "expected_log_odds": odds,
-        "spread": float(np.sqrt(2 * odds)),
+def _odds_summary(log_odds: float, deciding: float) -> dict[str, float]:
+    """Summarise log odds of a mean, and twice that variance."""
+    deviation = np.sqrt(2 * max(log_odds, 1e-12))
+    return {
+        "probability_to_decide": round(
+            float(norm.cdf((log_odds - deciding) / deviation)), 3
+        ),
+        "expected_log_odds": round(log_odds, 3),
+        "spread": round(float(np.sqrt(2 * log_odds)), 3),
     }
-    return {name: round(value, 3) for name, value in numbers.items()}
 
 
 def _experiment_document(
-    rivals: Rivals, odds: np.ndarray, count: int
+    rivals: Rivals, log_odds: np.ndarray, motions: int
 ) -> dict[str, Any]:
-    """next_experiment, but for the place where the motion will be."""
-    made = [
-        float(rivals.expected_log_odds(rivals.data.subset([k]))[0].min())
-        for k in range(len(rivals.data.trials))
-    ]
-    again = int(np.argmax(made))
-    old = {
-        "trial": rivals.data.trials[again].name,
-        **_odds_summary(made[again], rivals.deciding_log_odds),
-    }
-    found, names = (
-        _odds_summary(float(odds.min()), rivals.deciding_log_odds),
-        list(rivals.fits),
-    )
-    pairs = combinations(range(len(names)), 2)
-    alike = [[names[a], names[b]] for a, b in pairs if min(odds[a, b], odds[b, a]) < 1]
-    text = {
-        "sentence": _experiment_sentence(
-            names, alike, found, old, count, rivals.deciding_log_odds
-        ),
+    """Build next_experiment of diagnosis.json, without the motion's folder."""
+    names, deciding, trials = list(rivals.fits), rivals.deciding_log_odds, rivals.data
+    repeated = []
+    for k in range(len(trials.trials)):
+        again, _ = rivals.expected_log_odds(trials.subset([k]))
+        repeated.append(float(again.min()))
+    best = int(np.argmax(repeated))
+    inseparable = []
+    for a, b in combinations(range(len(names)), 2):
+        if min(log_odds[a, b], log_odds[b, a]) < INSEPARABLE_LOG_ODDS:
+            inseparable.append([names[a], names[b]])
+    summary = _odds_summary(float(log_odds.min()), deciding)
+    already = {"trial": trials.trials[best].name}
+    already_performed = {**already, **_odds_summary(repeated[best], deciding)}
+
+    sentence = f"Of {motions} motions within the arm's limits, "
+    if inseparable:
+        pairs = "; ".join(" and ".join(pair) for pair in inseparable)
+        sentence += f"none tells all of them apart; the best one leaves alike: {pairs}."
+    else:
+        sentence += (
+            f"one tells {', '.join(names)} apart with a probability of "
+            f"{summary['probability_to_decide']:.2f} (expected log odds "
+            f"{summary['expected_log_odds']:.1f}, spread {summary['spread']:.1f}; "
+            f"{deciding:.1f} decides). Repeating trial {already['trial']} would decide "
+            f"with {already_performed['probability_to_decide']:.2f}."
+        )
+    return {
+        "sentence": sentence,
         "between": names,
+        **summary,
+        "already_performed": already_performed,
+        "inseparable": inseparable,
+        "motions_compared": motions,
     }
-    return (
-        text
-        | found
-        | {"already_performed": old, "inseparable": alike, "motions_compared": count}
-    )
-
-
-def _experiment_sentence(
-    names: Sequence[str],
-    alike: Sequence[Sequence[str]],
-    found: Mapping[str, float],
-    old: Mapping[str, Any],
-    count: int,
-    enough: float,
-) -> str:
-    pairs = "; ".join(" and ".join(pair) for pair in alike)
-    if alike:
-        return f"Of {count} motions within the arm's limits none tells all of them apart; on the best, alike stay {pairs}."
-    return (
-        f"Of {count} motions within the arm's limits, one tells {', '.join(names)} apart with a probability of "
-        f"{found['probability_to_decide']:.2f} (expected log odds {found['expected_log_odds']:.1f}, spread "
-        f"{found['spread']:.1f}; {enough:.1f} decides). Trial {old['trial']} made once more would with "
-        f"{old['probability_to_decide']:.2f}."
-    )
 
 
 def _predicted_table(
-    case: PreparedTrial, shown: Mapping[str, np.ndarray]
+    trial: PreparedTrial, predicted: Mapping[str, np.ndarray]
 ) -> pd.DataFrame:
-    """Table PREDICTED_STRINGS."""
+    """Build the table PREDICTED_STRINGS."""
     frames = []
-    for name, each in shown.items():
-        x, y = (case.points + each.reshape(-1, 2) * case.sigma[:, None]).T
+    for name, residual in predicted.items():
+        points = trial.points + residual.reshape(-1, 2) * trial.sigma[:, None]
         table = {
             "hypothesis": name,
-            "t": case.times[case.frame],
-            "s": case.s,
-            "x": x,
-            "y": y,
-            "sigma": case.sigma,
+            "t": trial.times[trial.frame],
+            "s": trial.s,
+            "x": points[:, 0],
+            "y": points[:, 1],
+            "sigma": trial.sigma,
         }
         frames.append(pd.DataFrame(table))
     return PREDICTED_STRINGS.check(pd.concat(frames, ignore_index=True))

@@ -1,17 +1,17 @@
-"""What trials can tell, before causes are sought in them: from which size on each
-effect would be found, and which effects would be taken for one another.
+"""What trials can show before causes are searched in them.
 
-Beside the base model, fitted to the trials, each effect is simulated from little to the
-end of its range. What it moves that the string's parameters cannot imitate, to first
-order, would have to be evident as a diagnosis asks it: by a Bayes factor above 1/alpha,
-whichever trial is left out, where a smooth discrepancy of unknown size may explain it
-as well (`stages.inference.discrepancy`). That is the mean for data with the noise that
-these have.
+From which size on would each effect be found, and with which other effects would it be
+confused? About the base model, fitted to the trials, each effect is simulated from
+little to the end of its range. What it moves that the string's parameters cannot
+imitate, to first order, must be evident by the rule of a diagnosis: a Bayes factor
+above 1/alpha, whichever trial is left out, where a smooth discrepancy of unknown scale
+may explain it as well. That is the mean for data with the noise of these trials.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,24 +31,32 @@ from stringcast.stages.model.effect import (
 )
 from stringcast.stages.model.parameter import Parameter
 
-# of the way from absent to the end of a range: each twice the last
+# Of the way from absent to the end of a range: each twice the last
 RANGE_FRACTIONS = np.geomspace(1e-5, 1.0, 18)
-# cosine between what two effects do, below which they are not taken for one another
-MIN_CONFUSABLE_COSINE = 0.5
-NOISE_DRAWS = 3  # of noise, each with its opposite
-NEGLIGIBLE_RESPONSE = 1e-9  # [m] at the tip, or of noises: it does nothing
+MIN_CONFUSABLE_COSINE = 0.5  # between what two effects do
+NOISE_DRAWS = 3  # each with its opposite
+NEGLIGIBLE_RESPONSE = 1e-9  # [m] at the tip, or of noises
 
 
 @dataclass(frozen=True)
 class DetectionLimit:
-    """What trials would say of one parameter that is an effect's size.
+    """What trials can show of one amplitude of an effect.
 
-    absent: its value where the effect does nothing. found: the nearest value at which
-    it would be found, and tip: how far that moves the string's tip, root mean square
-    over all trials [m]; both NaN where no value of its range would be. most: how far
-    the end of its range moves the tip [m]. imitated: share of what it does, in noises
-    squared, that the string's parameters can imitate, and alike: names of effects for
-    which it may be taken, both at the size found.
+    Attributes
+    ----------
+    effect : type of Effect
+    parameter : Parameter
+    absent_value : float
+        At which the effect does nothing.
+    detectable_value, detectable_tip_shift_m : float
+        The nearest value that would be found, and its tip shift, root mean square over
+        all trials [m]; both NaN where no value of the range would be found.
+    max_tip_shift_m : float
+        At the end of the range [m].
+    imitated_fraction : float
+        Of its square over noise, that the string's parameters can imitate.
+    lookalikes : tuple of str
+        Effects with which it may be confused at the detectable value.
     """
 
     effect: type[Effect]
@@ -63,10 +71,15 @@ class DetectionLimit:
 
 @dataclass(frozen=True)
 class _EffectResponse:
-    """A parameter of an effect at some SHARES of its range. chi: its exponents (C,).
-    tip: how far they move it [m], (C,). left: what the string's parameters leave of
-    that, over sigma, of each trial (C, 2 n). white: the same, white, (C, N). imitated:
-    share of it that they do not leave, (C,).
+    """What an amplitude of an effect does at some fractions of its range.
+
+    Attributes
+    ----------
+    chi, tip_shifts_m, imitated_fractions : numpy.ndarray, shape (C,)
+    unimitated : list of numpy.ndarray, shape (C, 2 n)
+        Displacement of each trial over sigma that the string's parameters leave.
+    whitened : numpy.ndarray, shape (C, N)
+        The same, white.
     """
 
     effect: type[Effect]
@@ -78,13 +91,10 @@ class _EffectResponse:
     whitened: np.ndarray
     imitated_fractions: np.ndarray
 
-    def index_near(self, tip: float) -> int:
-        """The number at which it moves the tip about that far [m]."""
-        return int(
-            np.argmin(
-                np.abs(np.log(np.maximum(self.tip_shifts_m, NEGLIGIBLE_RESPONSE) / tip))
-            )
-        )
+    def index_near(self, tip_shift_m: float) -> int:
+        """Find the fraction at which the tip moves about that far [m]."""
+        shifts_m = np.maximum(self.tip_shifts_m, NEGLIGIBLE_RESPONSE)
+        return int(np.argmin(np.abs(np.log(shifts_m / tip_shift_m))))
 
 
 def detection_limits(
@@ -94,243 +104,225 @@ def detection_limits(
     seed: int,
     progress: Progress = lambda share: None,
 ) -> list[DetectionLimit]:
-    """What prepared trials would say of each effect that acts wherever the string is,
-    by name; none of those that cannot be simulated. criteria: what decides in a
-    diagnosis. seed: of noise.
+    """Compute the detection limit of each effect that acts wherever the string is.
+
+    Effects that cannot be simulated are left out.
+
+    Parameters
+    ----------
+    prepared : PreparedData
+    effects : sequence of type of Effect
+    criteria : Criteria
+        Of the diagnosis.
+    seed : int
+        Of the noise.
     """
-    trials = _SensitivityAnalysis(
-        prepared.data, prepared.base_fit, np.random.default_rng(seed)
-    )
-    anywhere = [effect for effect in effects if not is_position_dependent(effect)]
-    acting: list[_EffectResponse] = []
-    for number, effect in enumerate(anywhere, 1):
-        acting += trials.effect_responses(effect)
-        progress(number / len(anywhere))
-    return [_detection_limit(trials, each, acting, criteria) for each in acting]
+    rng = np.random.default_rng(seed)
+    analysis = _SensitivityAnalysis(prepared.data, prepared.base_fit, rng)
+    everywhere = [effect for effect in effects if not is_position_dependent(effect)]
+    by_effect: dict[type[Effect], list[_EffectResponse]] = defaultdict(list)
+    for number, effect in enumerate(everywhere, 1):
+        for response in analysis.effect_responses(effect):
+            by_effect[effect].append(response)
+        progress(number / len(everywhere))
+    limits = []
+    for responses in by_effect.values():
+        for response in responses:
+            limits.append(_detection_limit(analysis, response, by_effect, criteria))
+    return limits
 
 
 def _detection_limit(
-    trials: _SensitivityAnalysis,
-    own: _EffectResponse,
-    acting: Sequence[_EffectResponse],
+    analysis: _SensitivityAnalysis,
+    response: _EffectResponse,
+    by_effect: dict[type[Effect], list[_EffectResponse]],
     criteria: Criteria,
 ) -> DetectionLimit:
-    """What is said of one of them."""
-    siblings = [
-        each for each in acting if each.effect is own.effect and each is not own
-    ]
-    found, tip = _detection_threshold(
-        own,
-        trials.expected_log_evidence(own, siblings) - criteria.min_log_bayes_factor,
-        criteria.min_tip_shift_m,
-    )
-    said = (
-        own.effect,
-        own.parameter,
-        float(own.parameter.value(np.asarray(own.absent_chi))),
-        found,
-        tip,
-        float(own.tip_shifts_m[-1]),
-    )
-    if np.isnan(found):
-        return DetectionLimit(*said, float(own.imitated_fractions[-1]), ())
-    others = {
-        each.effect: [o for o in acting if o.effect is each.effect] for each in acting
-    }
-    rivals = [
-        e.name
-        for e, o in others.items()
-        if e is not own.effect and trials.is_confusable(own, tip, o, criteria)
-    ]
+    siblings = [r for r in by_effect[response.effect] if r is not response]
+    log_evidence = analysis.expected_log_evidence(response, siblings)
+    excess = log_evidence - criteria.min_log_bayes_factor
+    value, shift_m = _detection_threshold(response, excess, criteria.min_tip_shift_m)
+    index, lookalikes = -1, list[str]()
+    if not np.isnan(value):
+        index = response.index_near(shift_m)
+        for effect, others in by_effect.items():
+            if effect is not response.effect and analysis.is_confusable(
+                response, shift_m, others, criteria
+            ):
+                lookalikes.append(effect.name)
+    parameter = response.parameter
     return DetectionLimit(
-        *said, float(own.imitated_fractions[own.index_near(tip)]), tuple(sorted(rivals))
+        effect=response.effect,
+        parameter=parameter,
+        absent_value=float(parameter.value(np.asarray(response.absent_chi))),
+        detectable_value=value,
+        detectable_tip_shift_m=shift_m,
+        max_tip_shift_m=float(response.tip_shifts_m[-1]),
+        imitated_fraction=float(response.imitated_fractions[index]),
+        lookalikes=tuple(sorted(lookalikes)),
     )
 
 
 def _detection_threshold(
-    own: _EffectResponse, evident: np.ndarray, least: float
+    response: _EffectResponse, excess: np.ndarray, min_tip_shift_m: float
 ) -> tuple[float, float]:
-    """The value from which on it is evident (C,) and moves the tip by the least that
-    counts [m], and how far it moves the tip there; NaN where it never does.
+    """Interpolate where both the evidence and the tip shift are and stay sufficient.
+
+    Parameters
+    ----------
+    excess : numpy.ndarray, shape (C,)
+        Log evidence beyond what is needed.
+
+    Returns
+    -------
+    value, tip_shift_m : float
+        NaN if they are sufficient nowhere.
     """
-    place = np.arange(len(evident), dtype=float)
-    if evident[-1] < 0 or own.tip_shifts_m[-1] < least:
+    chi, shifts_m = response.chi, response.tip_shifts_m
+    is_insufficient = (excess < 0) | (shifts_m < min_tip_shift_m)
+    if is_insufficient[-1]:
         return np.nan, np.nan
-    # number that is not enough
-    last = (
-        int(
-            np.flatnonzero(np.append(True, (evident < 0) | (own.tip_shifts_m < least)))[
-                -1
-            ]
-        )
-        - 1
-    )
-    if last < 0:
-        return float(own.parameter.value(own.chi[0])), float(own.tip_shifts_m[0])
-    rises = [
-        (-evident[last], evident[last + 1] - evident[last]),
-        (
-            least - own.tip_shifts_m[last],
-            own.tip_shifts_m[last + 1] - own.tip_shifts_m[last],
-        ),
-    ]
-    at = last + max(np.clip(way / rise, 0.0, 1.0) for way, rise in rises if rise > 0)
-    return float(own.parameter.value(np.interp(at, place, own.chi))), float(
-        np.interp(at, place, own.tip_shifts_m)
-    )
+    position, parameter = 0.0, response.parameter
+    if is_insufficient.any():
+        last = int(np.flatnonzero(is_insufficient)[-1])
+        position = float(last)
+        for values, needed in ((excess, 0.0), (shifts_m, min_tip_shift_m)):
+            rise = values[last + 1] - values[last]
+            if rise > 0:
+                share = (needed - values[last]) / rise
+                crossing = last + np.clip(share, 0.0, 1.0)
+                position = max(position, float(crossing))
+    numbers = np.arange(len(chi), dtype=float)
+    value = parameter.value(np.interp(position, numbers, chi))
+    return float(value), float(np.interp(position, numbers, shifts_m))
 
 
 class _SensitivityAnalysis:
-    """Trials at the base model's best, with noise and nothing lacking."""
+    """Trials at the base model's optimum, with noise and no discrepancy."""
 
     def __init__(self, data: TrialData, base: Fit, rng: np.random.Generator) -> None:
-        self.data, self.base = (
-            data,
-            replace(base, scale_indices=np.zeros(len(data.trials), dtype=int)),
-        )
+        no_discrepancy = np.zeros(len(data.trials), dtype=int)
+        self.data, self.base = data, replace(base, scale_indices=no_discrepancy)
         self.linear = LinearisedFit(data, self.base)
-        self.noise = [
-            _noise_coefficients(trial.discrepancy, rng) for trial in data.trials
-        ]
+        self.noise = [_noise_coefficients(t.discrepancy, rng) for t in data.trials]
 
-    def effect_responses(self, effect: type[Effect]) -> Iterator[_EffectResponse]:
-        """Each parameter that is an effect's size, at SHARES of its range; up to where
-        it cannot be simulated.
-        """
+    def effect_responses(self, effect: type[Effect]) -> list[_EffectResponse]:
+        """Simulate each amplitude of an effect, up to where it diverges."""
         hypothesis = self.base.hypothesis.with_cause(effect)
         start = hypothesis.exponents_from(self.base.exponents)
-        for place, parameter in zip(
-            hypothesis.parameter_indices(effect, amplitude_parameters(effect)),
-            amplitude_parameters(effect),
-            strict=True,
-        ):
+        parameters, responses = amplitude_parameters(effect), []
+        indices = hypothesis.parameter_indices(effect, parameters)
+        for index, parameter in zip(indices, parameters, strict=True):
+            absent = start[index]
+            end = 0.0 if absent > 0.5 else 1.0
             chi = np.repeat(start[None], len(RANGE_FRACTIONS), axis=0)
-            chi[:, place] += RANGE_FRACTIONS * (
-                (0.0 if start[place] > 0.5 else 1.0) - start[place]
-            )
-            responses = self.linear.responses(hypothesis, chi)
-            good = np.logical_and.accumulate(
-                (responses[0] != DIVERGED_RESIDUAL).all(axis=1)
-            )
-            moved = [each[good] for each in responses]
-            tip = self.data.overall_tip_rms(moved)
-            if len(tip) and tip[-1] > NEGLIGIBLE_RESPONSE:
-                yield _EffectResponse(
-                    effect,
-                    parameter,
-                    start[place],
-                    chi[good, place],
-                    tip,
-                    *self._unimitated_part(moved),
-                )
+            chi[:, index] += RANGE_FRACTIONS * (end - absent)
+            changes = self.linear.responses(hypothesis, chi)
+            is_finite = (changes[0] != DIVERGED_RESIDUAL).all(axis=1)
+            kept = np.logical_and.accumulate(is_finite)
+            changes = [change[kept] for change in changes]
+            shifts_m = self.data.overall_tip_rms(changes)
+            if not len(shifts_m) or shifts_m[-1] <= NEGLIGIBLE_RESPONSE:
+                continue
 
-    def _unimitated_part(
-        self, moved: Sequence[np.ndarray]
-    ) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
-        """What the string's parameters leave of displacements, the same white, and the
-        share that they do not.
-        """
-        step, left = self.linear.parameter_steps(moved)
-        parts = [
-            each + step @ slope
-            for each, slope in zip(moved, self.base.slopes, strict=True)
-        ]
-        whole = np.maximum(
-            np.sum((left - step @ self.linear.white_slopes) ** 2, axis=1),
-            NEGLIGIBLE_RESPONSE**2,
-        )
-        return parts, left, 1.0 - np.minimum(np.sum(left**2, axis=1) / whole, 1.0)
+            steps, remainder = self.linear.parameter_steps(changes)
+            whole = remainder - steps @ self.linear.white_slopes
+            square = np.maximum(np.sum(whole**2, axis=1), NEGLIGIBLE_RESPONSE**2)
+            left = np.minimum(np.sum(remainder**2, axis=1) / square, 1.0)
+            pairs = zip(changes, self.base.slopes, strict=True)
+            response = _EffectResponse(
+                effect,
+                parameter,
+                absent_chi=absent,
+                chi=chi[kept, index],
+                tip_shifts_m=shifts_m,
+                unimitated=[change + steps @ slope for change, slope in pairs],
+                whitened=remainder,
+                imitated_fractions=1.0 - left,
+            )
+            responses.append(response)
+        return responses
 
     def expected_log_evidence(
-        self, own: _EffectResponse, siblings: Sequence[_EffectResponse]
+        self, response: _EffectResponse, siblings: Sequence[_EffectResponse]
     ) -> np.ndarray:
-        """Mean gain of the log evidence by an effect that is there, without the trial
-        that says most, (C,). siblings: the effect's other components, which are not,
-        and cost what they could explain of noise.
+        """Mean log evidence for an active effect without the strongest trial, (C,).
+
+        Its other amplitudes are absent and cost what they could explain of noise.
         """
-        gains = self._expected_gains(own.unimitated)
-        return np.asarray(
-            gains.sum(axis=0)
-            - gains.max(axis=0)
-            + _log_prior_cost(own)
-            + sum(_log_prior_cost(each)[0] for each in siblings)
-        )
+        gains = self._expected_gains(response.unimitated)
+        sibling_cost = sum(_log_prior_cost(each)[0] for each in siblings)
+        left_one_out = gains.sum(axis=0) - gains.max(axis=0)
+        return np.asarray(left_one_out + _log_prior_cost(response) + sibling_cost)
 
     def is_confusable(
         self,
-        own: _EffectResponse,
-        tip: float,
-        theirs: Sequence[_EffectResponse],
+        response: _EffectResponse,
+        tip_shift_m: float,
+        others: Sequence[_EffectResponse],
         criteria: Criteria,
     ) -> bool:
-        """Whether another effect, all of its components at the size that suits, is as
-        likely as one that moves the tip that far [m]: outside a credible set it has no
-        more than what that leaves.
+        """Whether another effect explains a response about as well.
+
+        Its amplitudes take the best sizes. Outside a credible set it has no more
+        probability than the set leaves.
         """
-        here, there = own.index_near(tip), [each.index_near(tip) for each in theirs]
-        others = np.array(
-            [each.whitened[at] for each, at in zip(theirs, there, strict=True)]
-        )
-        size = np.linalg.lstsq(others.T, own.whitened[here], rcond=None)[0]
-        if np.linalg.norm(size @ others) < MIN_CONFUSABLE_COSINE * np.linalg.norm(
-            own.whitened[here]
-        ):
+        index = response.index_near(tip_shift_m)
+        other_indices = [other.index_near(tip_shift_m) for other in others]
+        pairs = list(zip(others, other_indices, strict=True))
+        white = response.whitened[index]
+        other_white = np.array([other.whitened[k] for other, k in pairs])
+        sizes = np.linalg.lstsq(other_white.T, white, rcond=None)[0]
+        explained_norm = np.linalg.norm(sizes @ other_white)
+        if explained_norm < MIN_CONFUSABLE_COSINE * np.linalg.norm(white):
             return False
-        pairs = list(zip(size, theirs, there, strict=True))
-        explained = [
-            sum(s * each.unimitated[k][[at]] for s, each, at in pairs)
-            for k in range(len(own.unimitated))
-        ]
-        apart = [
-            part[[here]] - other
-            for part, other in zip(own.unimitated, explained, strict=True)
-        ]
-        return bool(
-            self._expected_gains(apart).sum()
-            < np.log(criteria.coverage / (1 - criteria.coverage))
-        )
+        differences = []
+        for number, displacement in enumerate(response.unimitated):
+            explained = np.zeros(displacement.shape[1])
+            for size, (other, k) in zip(sizes, pairs, strict=True):
+                explained = explained + size * other.unimitated[number][k]
+            differences.append((displacement[index] - explained)[None])
+        least = np.log(criteria.coverage / (1 - criteria.coverage))
+        return bool(self._expected_gains(differences).sum() < least)
 
-    def _expected_gains(self, left: Sequence[np.ndarray]) -> np.ndarray:
-        """Mean log-likelihood that each trial loses with displacements (C, 2 n) over
-        sigma that nobody explains, (K, C).
-        """
-        found = []
-        for trial, noise, part in zip(self.data.trials, self.noise, left, strict=True):
-            told = trial.discrepancy
-            seen = told.coefficients(part)[:, None] + noise
-            likely = marginal_log_likelihood(
-                told.log_likelihood_by_scale(seen.reshape(-1, seen.shape[-1]))
-            ).reshape(seen.shape[:2])
-            found.append(
-                marginal_log_likelihood(told.log_likelihood_by_scale(noise)).mean()
-                - likely.mean(axis=1)
+    def _expected_gains(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
+        """Mean log-likelihood lost by unexplained displacements (C, 2 n), (K, C)."""
+        gains = []
+        for k, trial in enumerate(self.data.trials):
+            noise = self.noise[k]
+            before = _log_likelihood(trial.discrepancy, noise)
+            coefficients = trial.discrepancy.coefficients(displacements[k])
+            displaced = coefficients[:, None] + noise  # (C, draws, 2 M)
+            after = _log_likelihood(
+                trial.discrepancy, displaced.reshape(-1, displaced.shape[-1])
             )
-        return np.array(found)
+            by_draw = after.reshape(displaced.shape[:2])
+            gains.append(before.mean() - by_draw.mean(axis=1))
+        return np.array(gains)
 
 
-def _log_prior_cost(own: _EffectResponse) -> np.ndarray:
-    """Log evidence that an effect of these sizes has before the data speak of it, (C,);
-    as of `stages.inference.laplace`.
-    """
-    # noises by one metre at the tip
-    rise = (
-        np.maximum(np.linalg.norm(own.whitened, axis=1), NEGLIGIBLE_RESPONSE)
-        / own.tip_shifts_m
-    )
-    two_sided = own.parameter.low < own.parameter.start < own.parameter.high
-    prior = np.maximum(
-        tip_shift_density(own.tip_shifts_m, two_sided), np.finfo(float).tiny
-    )
-    return np.asarray(np.log(prior * np.sqrt(2 * np.pi) / rise))
+def _log_likelihood(discrepancy: Discrepancy, coefficients: np.ndarray) -> np.ndarray:
+    by_scale = discrepancy.log_likelihood_by_scale(coefficients)
+    return marginal_log_likelihood(by_scale)
 
 
-def _noise_coefficients(told: Discrepancy, rng: np.random.Generator) -> np.ndarray:
-    """Coefficients (2 DRAWS, 2 M) of a trial's noise and beginning, each draw with its
-    opposite.
-    """
-    size, modes = told.nuisance_coefficients.shape
-    drawn = (
-        rng.standard_normal((NOISE_DRAWS, size))
-        + rng.standard_normal((NOISE_DRAWS, modes)) @ told.nuisance_coefficients.T
-    )
-    return np.concatenate([drawn, -drawn])
+def _log_prior_cost(response: _EffectResponse) -> np.ndarray:
+    """Log evidence of an effect before the data count, as of `laplace`, (C,)."""
+    norm = np.maximum(np.linalg.norm(response.whitened, axis=1), NEGLIGIBLE_RESPONSE)
+    sigmas_per_metre = norm / response.tip_shifts_m
+    parameter = response.parameter
+    is_two_sided = parameter.low < parameter.start < parameter.high
+    density = tip_shift_density(response.tip_shifts_m, is_two_sided)
+    density = np.maximum(density, np.finfo(float).tiny)
+    return np.asarray(np.log(density * np.sqrt(2 * np.pi) / sigmas_per_metre))
+
+
+def _noise_coefficients(
+    discrepancy: Discrepancy, rng: np.random.Generator
+) -> np.ndarray:
+    """Draw coefficients (2 NOISE_DRAWS, 2 M) of a trial's noise and initial state."""
+    size, modes = discrepancy.nuisance_coefficients.shape
+    noise = rng.standard_normal((NOISE_DRAWS, size))
+    amplitudes = rng.standard_normal((NOISE_DRAWS, modes))
+    noise = noise + amplitudes @ discrepancy.nuisance_coefficients.T
+    return np.concatenate([noise, -noise])

@@ -1,6 +1,4 @@
-"""Trials about a fit, to first order: what else would move them, and what the fitted
-parameters would do about that.
-"""
+"""Trials about a fit, to first order in the fitted parameters."""
 
 from __future__ import annotations
 
@@ -17,86 +15,99 @@ from stringcast.stages.inference.trial_data import TrialData
 
 
 class LinearisedFit:
-    """Data about a fit, to first order."""
+    """A fit whose parameters follow any further displacement by a Gauss-Newton step."""
 
     def __init__(self, data: TrialData, parent: Fit) -> None:
         self.data, self.parent = data.for_hypothesis(parent.hypothesis), parent
-        self.white_slopes = self.data.whiten(parent.slopes, parent.scale_indices)
-        self.white_residual = self.data.whiten(
-            [r[None] for r in parent.residuals], parent.scale_indices
-        )[0]
-        self.covariance = np.linalg.inv(
-            self.white_slopes @ self.white_slopes.T
-            + PRIOR_PRECISION * np.eye(len(parent.chi))
-        )
+        scales, residuals = parent.scale_indices, [r[None] for r in parent.residuals]
+        self.white_slopes = self.data.whiten(parent.slopes, scales)  # (P, N)
+        self.white_residual = self.data.whiten(residuals, scales)[0]  # (N,)
+        prior = PRIOR_PRECISION * np.eye(len(parent.chi))
+        normal_matrix = self.white_slopes @ self.white_slopes.T + prior
+        self.covariance = np.linalg.inv(normal_matrix)
 
     def responses(self, hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:
-        """What exponents (C, P) change in each trial, (C, 2 n); LOST where they cannot
-        be simulated.
+        """Simulate how exponents (C, P) change the residuals of each trial, (C, 2 n).
+
+        A candidate that diverges in any trial is DIVERGED_RESIDUAL in all of them.
         """
-        raw = self.data.residuals(hypothesis.model, chi)
-        lost = np.any([(each == DIVERGED_RESIDUAL).any(axis=1) for each in raw], axis=0)
-        pairs = zip(raw, self.parent.residuals, strict=True)
-        return [
-            np.where(lost[:, None], DIVERGED_RESIDUAL, each - own)
-            for each, own in pairs
-        ]
+        residuals = self.data.residuals(hypothesis.model, chi)
+        by_trial = [(each == DIVERGED_RESIDUAL).any(axis=1) for each in residuals]
+        diverged = np.any(by_trial, axis=0)[:, None]
+        responses = []
+        for residual, before in zip(residuals, self.parent.residuals, strict=True):
+            change = residual - before
+            responses.append(np.where(diverged, DIVERGED_RESIDUAL, change))
+        return responses
 
     def parameter_steps(
         self, responses: Sequence[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What the fitted parameters do about responses, (C, P), and what is left of
-        these, white, (C, N).
+        """Compute how the fitted parameters follow responses.
+
+        Returns
+        -------
+        steps : numpy.ndarray, shape (C, P)
+        remainder : numpy.ndarray, shape (C, N)
+            White responses that the steps leave.
         """
         white = self.data.whiten(responses, self.parent.scale_indices)
-        step = -(white @ self.white_slopes.T) @ self.covariance
-        return step, white + step @ self.white_slopes
+        steps = -(white @ self.white_slopes.T) @ self.covariance
+        return steps, white + steps @ self.white_slopes
 
     def refit_at_values(
-        self, place: int, values: np.ndarray
+        self, index: int, values: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Exponents (C, P) with one at other values (C,), and the others as they suit
-        that, to first order; with the gain of the log-likelihood, (C,).
+        """Set one parameter to other values (C,), and let the others follow.
+
+        Returns
+        -------
+        chi : numpy.ndarray, shape (C, P)
+        gains : numpy.ndarray, shape (C,)
+            Of the log-likelihood, to first order.
         """
-        parent = self.parent
-        chi = np.repeat(parent.chi[None], len(values), axis=0)
-        chi[:, place] = values
-        responses = self.responses(parent.hypothesis, chi)
-        step, held = self.parameter_steps(responses)[0], self.covariance[place]
-        # the least with that one held
-        step = step - step[:, [place]] * held / held[place]
-        return np.clip(chi + step, 0.0, 1.0), self.log_likelihood_gains(
-            responses, step, np.ones(len(chi))
-        )
+        chi = np.repeat(self.parent.chi[None], len(values), axis=0)
+        chi[:, index] = values
+        responses = self.responses(self.parent.hypothesis, chi)
+        steps, _ = self.parameter_steps(responses)
+        # The smallest step with the parameter held
+        column = self.covariance[index]
+        steps = steps - steps[:, [index]] * column / column[index]
+        gains = self.log_likelihood_gains(responses, steps, np.ones(len(chi)))
+        return np.clip(chi + steps, 0.0, 1.0), gains
 
     def early_gains(
-        self, responses: Sequence[np.ndarray], ends: np.ndarray
+        self, responses: Sequence[np.ndarray], end_times: np.ndarray
     ) -> np.ndarray:
-        """Of half the sum of squares by responses until a time in each trial [s], (K,);
-        (C,).
+        """Gain of half the sum of squares until a time in each trial [s], (C,).
+
+        Parameters
+        ----------
+        responses : sequence of numpy.ndarray, shape (C, 2 n)
+        end_times : numpy.ndarray, shape (K,)
         """
         gain = np.zeros(len(responses[0]))
-        for trial, own, each, end in zip(
-            self.data.trials, self.parent.residuals, responses, ends, strict=True
-        ):
-            seen = np.repeat(trial.times[trial.frame] <= end, 2)
-            gain += 0.5 * (
-                np.sum(own[seen] ** 2) - np.sum((own + each)[:, seen] ** 2, axis=1)
-            )
+        for k, trial in enumerate(self.data.trials):
+            is_early = np.repeat(trial.times[trial.frame] <= end_times[k], 2)
+            before = self.parent.residuals[k]
+            after = (before + responses[k])[:, is_early]
+            before = before[is_early]
+            gain += 0.5 * (np.sum(before**2) - np.sum(after**2, axis=1))
         return gain
 
     def log_likelihood_gains(
-        self, responses: Sequence[np.ndarray], step: np.ndarray, times: np.ndarray
+        self, responses: Sequence[np.ndarray], steps: np.ndarray, factors: np.ndarray
     ) -> np.ndarray:
-        """Of the log-likelihood by so many times (C,) a response and what is done about
-        it, (C,).
+        """Gain of the log-likelihood by multiples (C,) of responses and steps, (C,).
+
+        It is minus infinity for candidates that diverge.
         """
-        told = zip(self.parent.residuals, responses, self.parent.slopes, strict=True)
-        moved = [
-            own + times[:, None] * (each + step @ slope) for own, each, slope in told
-        ]
-        gain = (
-            marginal_log_likelihood(self.data.log_likelihood_by_scale(moved))
-            - self.parent.log_likelihood_by_trial[:, None]
-        ).sum(axis=0)
-        return np.where((responses[0] == DIVERGED_RESIDUAL).any(axis=1), -np.inf, gain)
+        moved = []
+        for k, residual in enumerate(self.parent.residuals):
+            change = responses[k] + steps @ self.parent.slopes[k]
+            moved.append(residual + factors[:, None] * change)
+        by_scale = self.data.log_likelihood_by_scale(moved)
+        before = self.parent.log_likelihood_by_trial[:, None]
+        gain = (marginal_log_likelihood(by_scale) - before).sum(axis=0)
+        diverged = (responses[0] == DIVERGED_RESIDUAL).any(axis=1)
+        return np.where(diverged, -np.inf, gain)

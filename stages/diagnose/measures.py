@@ -26,12 +26,12 @@ def refit(data: TrialData, fit: Fit, hypothesis: Hypothesis) -> Fit:
 
 
 def unexplained_tip_rms(data: TrialData, fit: Fit) -> np.ndarray:
-    """Most probable discrepancy at the tip of each trial, root mean square [m], (K,)."""
+    """Compute the root mean square discrepancy at the tip of each trial [m], (K,)."""
     return data.tip_rms_by_trial(mean_discrepancy(data, fit))
 
 
 def tip_shift_rms(data: TrialData, one: Fit, other: Fit) -> np.ndarray:
-    """Difference of two fits at the tip of each trial, root mean square [m], (K,)."""
+    """Compute the root mean square distance of two fits at each tip [m], (K,)."""
     pairs = zip(one.residuals, other.residuals, strict=True)
     return data.tip_rms_by_trial([a - b for a, b in pairs])
 
@@ -105,7 +105,7 @@ def cross_validated_gain(data: TrialData, parent: Fit, fit: Fit) -> float:
 def trials_touched_by(
     data: TrialData, fit: Fit, cause: type[Effect], min_tip_shift_m: float
 ) -> np.ndarray:
-    """Indices of trials in which a cause that depends on place moves the tip enough."""
+    """Find the trials in which a cause that depends on place moves the tip enough."""
     if not is_position_dependent(cause):
         return np.zeros(0, dtype=int)
     amplitudes = {

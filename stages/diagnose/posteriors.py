@@ -120,7 +120,7 @@ def swap_lookalikes_until_stable(
 def with_most_probable_causes(
     state: SelectionState, posteriors: Sequence[SingleEffectPosterior]
 ) -> SelectionState:
-    """Put the likeliest effect into each place, if the evidence of all is then higher."""
+    """Put the likeliest effect into each place if the evidence is then higher."""
     fits = [each.fits.get(each.credible_set(0.0)[0]) for each in posteriors]
     likeliest = {fit.hypothesis.causes[-1]: fit for fit in fits if fit is not None}
     causes, data = state.fit.hypothesis.causes, state.prepared.data

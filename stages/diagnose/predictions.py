@@ -134,8 +134,9 @@ def predicts_better(base: Sequence[Prediction], extended: Sequence[Prediction]) 
 def rms_distances(
     trial: PreparedTrial, residual: np.ndarray, name: str
 ) -> dict[str, float]:
-    """Compute the root mean squares of a residual over sigma, of all and tip points
-    [m].
+    """Compute root mean squares [m] of a residual over sigma, of all and tip points.
+
+    The keys end with a name.
     """
     distance = np.linalg.norm(residual.reshape(-1, 2), axis=1) * trial.sigma
     return {
@@ -151,7 +152,7 @@ def matching_rate(
     observation: Observation,
     matching: Matching,
 ) -> float:
-    """Matching rate E (Eq. 5) of an observation that begins as a prepared trial does."""
+    """Compute the matching rate E (Eq. 5) from a prepared trial's initial state."""
     target = matching_targets(model, [thin_frames(observation)], matching)[0]
     case = replace(target.trial, initial_state=trial.initial_state, turn=trial.turn)
     target = replace(target, trial=case)

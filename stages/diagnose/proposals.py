@@ -1,10 +1,8 @@
-"""Where a fit of one more cause may start: what each effect would explain of the
-residual, to first order.
+"""Which causes are worth a fit, and from where: what each explains to first order.
 
-Every effect is tried at a few sizes and places of its range. What the fitted parameters
-would do about it is counted in (a Gauss-Newton step), and its size is taken where it
-explains most. Such scores say what is worth a fit, never what is named: of 26 causes
-that proved right they were 0.02 to 1.1 times what a fit then gained.
+Every effect is tried at a few sizes and places of its range. The fitted parameters
+follow by a Gauss-Newton step, and the size is taken where the effect explains most.
+Such scores decide what is fitted, never what is named.
 """
 
 from __future__ import annotations
@@ -36,28 +34,32 @@ from stringcast.stages.model.effect import (
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.model import Model
 
-# of the way from absent to the end of the range, where it is looked how far an effect
-# moves the tip
+# Of the way from absent to the end of a range: where the tip shift is measured
 PROBE_FRACTION = 0.03
-PROBE_TIP_SHIFTS_M = TIP_SHIFT_WIDTHS_M[1:3]  # [m] at the tip that it is tried at
-NEGLIGIBLE_TIP_SHIFT_M = 1e-7  # [m] at the tip: it does nothing
-# times a probe's size that it may be taken at, where it is still about linear
-MAX_EXTRAPOLATION = 2.0
-STARTS_PER_EFFECT = 3  # of an effect's fit
-# of its range, at which a parameter of a cause is tried anew
-PARAMETER_GRID = (np.arange(8) + 0.5) / 8
-# of a range, within which places are tried about the best ones
-REFINEMENT_RADII = (0.06, 0.03, 0.015)
-REFINED_CANDIDATES = 4  # how many of these
-# standard deviations: what moves nothing explains nothing
+PROBE_TIP_SHIFTS_M = TIP_SHIFT_WIDTHS_M[1:3]
+NEGLIGIBLE_TIP_SHIFT_M = 1e-7
+MAX_EXTRAPOLATION = 2.0  # of a probe's size, where it is still about linear
+STARTS_PER_EFFECT = 3
+PARAMETER_GRID = (np.arange(8) + 0.5) / 8  # other values of a cause's parameter
+REFINEMENT_RADII = (0.06, 0.03, 0.015)  # of a range, about the best contacts
+REFINED_CANDIDATES = 4
 NEGLIGIBLE_RESPONSE_SIGMAS = 1e-6
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """One more cause. starts: (C, P) exponents, the most promising first. gain: of the
-    log-likelihood there, to first order. direction: what it does for a unit of it that
-    the fitted parameters cannot, white, (N,).
+    """One more cause.
+
+    Attributes
+    ----------
+    hypothesis : Hypothesis
+        With the cause last.
+    starts : numpy.ndarray, shape (C, P)
+        Exponents, the most promising first.
+    gain : float
+        Of the log-likelihood at the first start, to first order.
+    direction : numpy.ndarray, shape (N,)
+        What the cause does that the fitted parameters cannot, white.
     """
 
     hypothesis: Hypothesis
@@ -67,201 +69,184 @@ class Proposal:
 
     @property
     def effect(self) -> type[Effect]:
-        """The cause."""
+        """The cause that is proposed."""
         return self.hypothesis.causes[-1]
 
     def cosine_similarity(self, other: Proposal) -> float:
-        """Cosine between what both do that the fitted parameters cannot: its square is
-        the share of what one explains that the other could, to first order.
+        """Compare what both do that the fitted parameters cannot.
+
+        The square is the share of what one explains that the other could, to first
+        order.
         """
         size = float(np.linalg.norm(self.direction) * np.linalg.norm(other.direction))
-        return abs(float(self.direction @ other.direction)) / max(
-            size, np.finfo(float).tiny
-        )
+        product = abs(float(self.direction @ other.direction))
+        return product / max(size, np.finfo(float).tiny)
 
 
 def candidate_effects(
     base: Model,
     library: Mapping[str, type[Effect]],
     trials: Sequence[PreparedTrial],
-    excluded_effects: Sequence[str] = (),
+    excluded: Sequence[str] = (),
 ) -> list[type[Effect]]:
-    """Effects with parameters that are not in the base model and not excluded; of those
-    on joints, only where there are joints; of those of a lens, only where it was not
-    measured. excluded_effects: names of those that cannot be at work.
+    """Select the effects of the library that these trials can show.
+
+    Parameters
+    ----------
+    excluded : sequence of str
+        Names of effects that cannot be active.
     """
-    grasp_only = any(isinstance(trial.motion, HandMotion) for trial in trials)
-    return [
-        e
-        for e in library.values()
-        if e not in base.effects
-        and not e.excluded_from_search
-        and e.name not in excluded_effects
-        and not issubclass(e, ModelChange)
-        and not (
-            base.camera.lens
-            and issubclass(e, CameraEffect)
-            and e.corrected_by_calibration
-        )
-        and not (grasp_only and issubclass(e, HandEffect) and "grasp" not in e.laws())
-    ]
+    has_no_joints = any(isinstance(trial.motion, HandMotion) for trial in trials)
+    candidates = []
+    for effect in library.values():
+        is_known = effect in base.effects or effect.name in excluded
+        is_calibrated = False
+        if issubclass(effect, CameraEffect):
+            is_calibrated = bool(base.camera.lens) and effect.corrected_by_calibration
+        acts_on_joints = issubclass(effect, HandEffect) and "grasp" not in effect.laws()
+        if (
+            is_known
+            or is_calibrated
+            or effect.excluded_from_search
+            or issubclass(effect, ModelChange)
+            or (has_no_joints and acts_on_joints)
+        ):
+            continue
+        candidates.append(effect)
+    return candidates
 
 
 def propose_causes(
     data: TrialData, parent: Fit, effects: Sequence[type[Effect]], seed: int
 ) -> list[Proposal]:
-    """Of each effect beside those at work, the most promising first; none of what can
-    act nowhere in these trials.
+    """Propose effects in addition to those of a fit, the most promising first.
+
+    Effects that can act nowhere in these trials are left out.
     """
-    linear = LinearisedFit(data, parent)
-    found = [
-        _propose_contact(linear, e, seed)
-        if is_position_dependent(e)
-        else _propose_global_effect(linear, e, seed)
-        for e in effects
-    ]
-    return sorted(
-        (each for each in found if each is not None), key=lambda each: -each.gain
-    )
+    linear, proposals = LinearisedFit(data, parent), []
+    for effect in effects:
+        propose = _propose_global_effect
+        if is_position_dependent(effect):
+            propose = _propose_contact
+        proposal = propose(linear, effect, seed)
+        if proposal is not None:
+            proposals.append(proposal)
+    return sorted(proposals, key=lambda proposal: -proposal.gain)
 
 
 def alternative_parameter_starts(data: TrialData, fit: Fit) -> np.ndarray:
-    """Exponents (C, P) at which a parameter of a cause has another value, where that
-    promises more: the most promising first. What says when or where leaves ridges and
-    plains, on which a search by slopes ends.
+    """Find other values of the causes' parameters that promise more, (C, P).
+
+    Parameters that say when or where an effect acts have many local optima.
     """
     linear, hypothesis = LinearisedFit(data, fit), fit.hypothesis
-    places = [
-        place
-        for cause in hypothesis.causes
-        for place in hypothesis.parameter_indices(cause, cause.parameters)
-    ]
-    found = [
-        (np.zeros((0, len(fit.chi))), np.zeros(0)),
-        *(linear.refit_at_values(place, PARAMETER_GRID) for place in places),
-    ]
-    chi, gain = (np.concatenate(each) for each in zip(*found, strict=True))
-    return np.asarray(
-        chi[np.argsort(-gain, kind="stable")][: int((gain > 0).sum())][
-            :STARTS_PER_EFFECT
-        ]
-    )
+    starts, gains = [np.zeros((0, len(fit.chi)))], [np.zeros(0)]
+    for cause in hypothesis.causes:
+        for index in hypothesis.parameter_indices(cause, cause.parameters):
+            chi, gain = linear.refit_at_values(index, PARAMETER_GRID)
+            starts.append(chi)
+            gains.append(gain)
+    gain = np.concatenate(gains)
+    count = min(int((gain > 0).sum()), STARTS_PER_EFFECT)
+    best = np.argsort(-gain, kind="stable")[:count]
+    return np.asarray(np.concatenate(starts)[best])
 
 
 def _propose_global_effect(
     linear: LinearisedFit, effect: type[Effect], seed: int
 ) -> Proposal | None:
-    """Of an effect that acts wherever the string is: at several sizes to both sides, at
-    any time.
-    """
+    """Propose an effect that acts wherever the string is, at any time."""
     hypothesis = linear.parent.hypothesis.with_cause(effect)
     start = hypothesis.exponents_from(linear.parent.exponents)
-    size, chi = (
-        hypothesis.parameter_indices(effect, amplitude_parameters(effect)),
-        _probe_exponents(linear, hypothesis, effect, seed),
-    )
+    amplitudes = hypothesis.parameter_indices(effect, amplitude_parameters(effect))
+    chi = _probe_exponents(linear, hypothesis, effect, seed)
     responses = linear.responses(hypothesis, chi)
-    step, beyond = linear.parameter_steps(responses)
-    square = np.sum(beyond**2, axis=1)
+    steps, remainder = linear.parameter_steps(responses)
+
+    # The multiple of each probe that explains most
+    square = np.sum(remainder**2, axis=1)
+    negligible = NEGLIGIBLE_RESPONSE_SIGMAS**2
     first = effect.parameters[0]
-    least = -MAX_EXTRAPOLATION if first.low < first.start < first.high else 0.0
-    times = np.clip(
-        -(beyond @ linear.white_residual)
-        / np.maximum(square, NEGLIGIBLE_RESPONSE_SIGMAS**2),
-        least,
-        MAX_EXTRAPOLATION,
-    )
-    gain = np.where(
-        square > NEGLIGIBLE_RESPONSE_SIGMAS**2,
-        linear.log_likelihood_gains(responses, step, times),
-        -np.inf,
-    )
+    is_two_sided = first.low < first.start < first.high
+    least = -MAX_EXTRAPOLATION if is_two_sided else 0.0
+    best = -(remainder @ linear.white_residual) / np.maximum(square, negligible)
+    factors = np.clip(best, least, MAX_EXTRAPOLATION)
+    gain = linear.log_likelihood_gains(responses, steps, factors)
+    gain = np.where(square > negligible, gain, -np.inf)
+
     order = np.argsort(-gain, kind="stable")[:STARTS_PER_EFFECT]
     if not np.isfinite(gain[order[0]]):
         return None
-    starts, times = chi[order], times[order, None]
-    starts[:, size] = start[size] + times * (starts[:, size] - start[size])
-    # and the fitted parameters as they suit that
-    fitted = [hypothesis.model.names.index(name) for name in linear.parent.exponents]
-    starts[:, fitted] += times * step[order]
-    return Proposal(
-        hypothesis, np.clip(starts, 0.0, 1.0), float(gain[order[0]]), beyond[order[0]]
-    )
+    starts, factors = chi[order], factors[order, None]
+    size = starts[:, amplitudes] - start[amplitudes]
+    starts[:, amplitudes] = start[amplitudes] + factors * size
+    names = hypothesis.model.names
+    fitted = [names.index(name) for name in linear.parent.exponents]
+    starts[:, fitted] += factors * steps[order]
+    starts, best_gain = np.clip(starts, 0.0, 1.0), float(gain[order[0]])
+    return Proposal(hypothesis, starts, best_gain, remainder[order[0]])
 
 
 def _probe_exponents(
     linear: LinearisedFit, hypothesis: Hypothesis, effect: type[Effect], seed: int
 ) -> np.ndarray:
-    """Exponents (C, P) at which an effect is tried: such that it moves the tip as far
-    as causes may well do.
-    """
+    """Choose exponents (C, P) by which an effect moves the tip as far as causes may."""
     start = hypothesis.exponents_from(linear.parent.exponents)
-    own, size = (
-        hypothesis.parameter_indices(effect, varied_parameters(effect)),
-        hypothesis.parameter_indices(effect, amplitude_parameters(effect)),
-    )
+    varied = hypothesis.parameter_indices(effect, varied_parameters(effect))
+    amplitudes = hypothesis.parameter_indices(effect, amplitude_parameters(effect))
     ends = np.array([[0.0], [1.0]])
-    if len(own) > 1:
-        ends = qmc.Sobol(len(own), seed=seed).random_base2(len(own) + 1)
+    if len(varied) > 1:
+        ends = qmc.Sobol(len(varied), seed=seed).random_base2(len(varied) + 1)
         ends[:, 0] = np.round(ends[:, 0])
-    rows = np.repeat(start[None], len(ends), axis=0)
-    rows[:, own] = ends
-    away = rows[:, size] - start[size]
-    rows, away = rows[np.abs(away).max(axis=1) > 0], away[np.abs(away).max(axis=1) > 0]
-    rows[:, size] = start[size] + PROBE_FRACTION * away
-    moves = linear.data.overall_tip_rms(linear.responses(hypothesis, rows))
-    found = []
-    for width in PROBE_TIP_SHIFTS_M:
-        share = np.clip(
-            PROBE_FRACTION * width / np.maximum(moves, NEGLIGIBLE_TIP_SHIFT_M),
-            PROBE_FRACTION**2,
-            1.0,
-        )
-        rows[:, size] = start[size] + share[:, None] * away
-        found.append(rows.copy())
-    return np.unique(np.concatenate(found), axis=0)
+    probes = np.repeat(start[None], len(ends), axis=0)
+    probes[:, varied] = ends
+    distance = probes[:, amplitudes] - start[amplitudes]
+    is_active = np.abs(distance).max(axis=1) > 0
+    probes, distance = probes[is_active], distance[is_active]
+
+    probes[:, amplitudes] = start[amplitudes] + PROBE_FRACTION * distance
+    shift_m = linear.data.overall_tip_rms(linear.responses(hypothesis, probes))
+    shift_m = np.maximum(shift_m, NEGLIGIBLE_TIP_SHIFT_M)
+    scaled = []
+    for wanted_m in PROBE_TIP_SHIFTS_M:
+        fraction = PROBE_FRACTION * wanted_m / shift_m
+        fraction = np.clip(fraction, PROBE_FRACTION**2, 1.0)
+        probes[:, amplitudes] = start[amplitudes] + fraction[:, None] * distance
+        scaled.append(probes.copy())
+    return np.unique(np.concatenate(scaled), axis=0)
 
 
 def _propose_contact(
     linear: LinearisedFit, effect: type[Effect], seed: int
 ) -> Proposal | None:
-    """Of an effect that depends on place: where it touches the string when that
-    departs, ever closer about the places that explain most until shortly after. What
-    happens later depends on everything; the parameters stay as they are.
+    """Propose an effect that depends on place, such as a plane that the string hits.
+
+    Candidates touch the string when it departs from the fit. The search goes closer
+    about those that explain most until shortly after: what happens later depends on
+    everything. The fitted parameters stay.
     """
-    hypothesis, rng = (
-        linear.parent.hypothesis.with_cause(effect),
-        np.random.default_rng(seed),
-    )
-    places = contact_candidates(linear.data, linear.parent, hypothesis, seed)
-    chi, found = places.sample(), []
-    for reach in (*REFINEMENT_RADII, 0.0):
+    hypothesis = linear.parent.hypothesis.with_cause(effect)
+    rng = np.random.default_rng(seed)
+    contacts = contact_candidates(linear.data, linear.parent, hypothesis, seed)
+    end_times = contacts.departure_times + CONTACT_DELAY_S
+    chi, tried, gains = contacts.sample(), [], []
+    for radius in (*REFINEMENT_RADII, 0.0):
         if not len(chi):
             return None
-        found.append(
-            (
-                chi,
-                linear.early_gains(
-                    linear.responses(hypothesis, chi),
-                    places.departure_times + CONTACT_DELAY_S,
-                ),
-            )
-        )
-        starts, early = (np.concatenate(each) for each in zip(*found, strict=True))
-        starts = starts[np.argsort(-early, kind="stable")]
-        chi = (
-            places.sample_near(starts[:REFINED_CANDIDATES], reach, rng)
-            if reach
-            else chi
-        )
-    responses = linear.responses(hypothesis, starts[:STARTS_PER_EFFECT])
-    same = np.zeros((len(responses[0]), len(linear.parent.chi)))
-    gain = linear.log_likelihood_gains(responses, same, np.ones(len(same))).max()
+        tried.append(chi)
+        responses = linear.responses(hypothesis, chi)
+        gains.append(linear.early_gains(responses, end_times))
+        order = np.argsort(-np.concatenate(gains), kind="stable")
+        best = np.concatenate(tried)[order]
+        if radius:
+            chi = contacts.sample_near(best[:REFINED_CANDIDATES], radius, rng)
+
+    starts = best[:STARTS_PER_EFFECT]
+    responses = linear.responses(hypothesis, starts)
+    no_steps = np.zeros((len(starts), len(linear.parent.chi)))
+    factors = np.ones(len(starts))
+    gain = linear.log_likelihood_gains(responses, no_steps, factors).max()
     if not np.isfinite(gain):
         return None
-    return Proposal(
-        hypothesis,
-        starts[:STARTS_PER_EFFECT],
-        float(gain),
-        linear.parameter_steps(responses)[1][0],
-    )
+    _, remainder = linear.parameter_steps(responses)
+    return Proposal(hypothesis, starts, float(gain), remainder[0])

@@ -1,11 +1,9 @@
-"""Causes that differ from trial to trial: the string was picked up anew, or handled in
-between.
+"""Causes that differ from trial to trial, as when the string is picked up again.
 
-A cause that comes with that has a size that all trials share, and one of each trial
-about it (random effects: Laird and Ware 1982, Biometrics 38, 963). To first order a
-trial's own is a displacement of known shape, and its amplitude is integrated out. How
-far apart trials are, at the tip, is told by the data; where they are no different, that
-is zero.
+Such a cause has an amplitude that all trials share, and one of each trial about it
+(random effects: Laird and Ware, Biometrics 38, 963, 1982). To first order the latter is
+a displacement of known shape whose amplitude is integrated out. The data determine how
+far trials differ at the tip; that may be zero.
 """
 
 from __future__ import annotations
@@ -25,48 +23,43 @@ from stringcast.stages.model.effect import Effect, amplitude_parameters
 def with_random_effects(
     data: TrialData, hypothesis: Hypothesis, chi: np.ndarray
 ) -> TrialData:
-    """Data with what differs from trial to trial of a hypothesis at exponents (P,), as
-    far as is likeliest.
-    """
+    """Add random effects of a hypothesis at exponents (P,), of the likeliest widths."""
     for cause in hypothesis.causes:
-        if cause.varies_between_trials:
-            here, moved = _responses_per_metre(data, hypothesis, cause, chi)
-            widths = [
-                tuple(width * each for each in moved) for width in TIP_SHIFT_WIDTHS_M
-            ]
-            tried = [
-                data,
-                *(
-                    replace(
-                        data, random_effects={**data.random_effects, cause.name: each}
-                    )
-                    for each in widths
-                ),
-            ]
-            data = max(
-                tried,
-                key=lambda each: marginal_log_likelihood(
-                    each.for_hypothesis(hypothesis).log_likelihood_by_scale(here)
-                ).sum(),
-            )
+        if not cause.varies_between_trials:
+            continue
+        residuals, shapes = _shapes_per_metre(data, hypothesis, cause, chi)
+        candidates = [data]
+        for width_m in TIP_SHIFT_WIDTHS_M:
+            widened = tuple(width_m * shape for shape in shapes)
+            effects = {**data.random_effects, cause.name: widened}
+            candidates.append(replace(data, random_effects=effects))
+        log_likelihoods = []
+        for candidate in candidates:
+            extended = candidate.for_hypothesis(hypothesis)
+            by_scale = extended.log_likelihood_by_scale(residuals)
+            log_likelihoods.append(marginal_log_likelihood(by_scale).sum())
+        data = candidates[int(np.argmax(log_likelihoods))]
     return data
 
 
-def _responses_per_metre(
+def _shapes_per_metre(
     data: TrialData, hypothesis: Hypothesis, cause: type[Effect], chi: np.ndarray
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Residuals of each trial, (1, 2 n), and how it moves, over sigma, with the
-    components of a cause that move all tips by 1 m, (2 n, m).
+    """Simulate how the amplitudes of a cause move each trial by 1 m at the tip.
+
+    Returns
+    -------
+    residuals : list of numpy.ndarray, shape (1, 2 n)
+    shapes : list of numpy.ndarray, shape (2 n, m)
+        Over sigma.
     """
-    places = hypothesis.parameter_indices(cause, amplitude_parameters(cause))
-    beside = np.repeat(chi[None], len(places) + 1, axis=0)
-    beside[range(len(places)), places] += np.where(
-        chi[places] > 0.5, -solver.FIRST_DIFFERENCE, solver.FIRST_DIFFERENCE
-    )
-    residuals = data.residuals(hypothesis.model, beside)
-    here, moved = (
-        [each[-1:] for each in residuals],
-        [each[:-1] - each[-1] for each in residuals],
-    )
-    sizes = np.maximum(data.overall_tip_rms(moved), np.finfo(float).tiny)
-    return here, [(each / sizes[:, None]).T for each in moved]
+    indices = hypothesis.parameter_indices(cause, amplitude_parameters(cause))
+    step = solver.FIRST_DIFFERENCE
+    exponents = np.repeat(chi[None], len(indices) + 1, axis=0)
+    signed_steps = np.where(chi[indices] > 0.5, -step, step)
+    exponents[range(len(indices)), indices] += signed_steps
+    simulated = data.residuals(hypothesis.model, exponents)
+    residuals = [each[-1:] for each in simulated]
+    changes = [each[:-1] - each[-1] for each in simulated]
+    shift_m = np.maximum(data.overall_tip_rms(changes), np.finfo(float).tiny)
+    return residuals, [(change / shift_m[:, None]).T for change in changes]

@@ -146,7 +146,7 @@ def hypotheses_table(
 
 
 def entries_table(data: TrialData, nested: Sequence[Fit]) -> pd.DataFrame:
-    """Build the table ENTRIES from the fits with no cause, with the first, and so on."""
+    """Build the table ENTRIES from the fits with no cause, the first, and so on."""
     frames = []
     for number, (less, more) in enumerate(pairwise(nested), 1):
         gains = more.log_likelihood_by_trial - less.log_likelihood_by_trial
@@ -178,9 +178,7 @@ def entries_table(data: TrialData, nested: Sequence[Fit]) -> pd.DataFrame:
 def _average_in_cells(
     trial: PreparedTrial, columns: Mapping[str, np.ndarray]
 ) -> pd.DataFrame:
-    """Average columns (n,) of a trial's points over short times and parts of the
-    string.
-    """
+    """Average columns (n,) of a trial's points over cells in time and along it."""
     table = pd.DataFrame({"t": trial.times[trial.frame], "s": trial.s, **columns})
     part = np.ceil(trial.s / trial.s.max() * CELLS_ALONG_STRING)
     part = part.clip(1, CELLS_ALONG_STRING)
@@ -249,7 +247,7 @@ def causes_table(
 
 
 def fit_containing(state: SelectionState, judgement: Judgement, name: str) -> Fit:
-    """Find the fit that contains a named cause: all causes, or in a look-alike's place."""
+    """Find the fit with a named cause: of all causes, or in a look-alike's place."""
     if name in state.fit.hypothesis.cause_names:
         return state.fit
     posteriors = judgement.posteriors

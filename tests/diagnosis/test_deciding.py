@@ -76,7 +76,9 @@ def slow(model):
         np.random.default_rng(0),
     )
     seen = [
-        case.sample_at_points(late.simulate_observation(case.motion, values, case.times).points)[0]
+        case.sample_at_points(
+            late.simulate_observation(case.motion, values, case.times).points
+        )[0]
         for case in cases
     ]
     pairs = zip(cases, seen, strict=True)

@@ -83,7 +83,9 @@ def told(plain):
 def test_a_camera_that_is_off_moves_the_tip_by_as_much(told):
     for axis in ("x", "y"):
         each = told[f"camera_offset.{axis}"]
-        assert each.detectable_tip_shift_m == pytest.approx(each.detectable_value, rel=1e-6)
+        assert each.detectable_tip_shift_m == pytest.approx(
+            each.detectable_value, rel=1e-6
+        )
         assert each.max_tip_shift_m == pytest.approx(each.parameter.high, rel=1e-6)
 
 
@@ -104,13 +106,16 @@ def test_the_tip_moves_as_far_as_is_said_where_it_is_simulated(plain, told, name
     each, base = told[name], plain.base_fit
     hypothesis = base.hypothesis.with_cause(each.effect)
     chi = hypothesis.exponents_from(
-        base.exponents | {name: float(each.parameter.chi(np.asarray(each.detectable_value)))}
+        base.exponents
+        | {name: float(each.parameter.chi(np.asarray(each.detectable_value)))}
     )
     there = [one[0] for one in plain.data.residuals(hypothesis.model, chi[None])]
     moved = plain.data.tip_rms_by_trial(
         [a - b for a, b in zip(there, base.residuals, strict=True)]
     )
-    assert np.sqrt(np.mean(moved**2)) == pytest.approx(each.detectable_tip_shift_m, rel=0.02)
+    assert np.sqrt(np.mean(moved**2)) == pytest.approx(
+        each.detectable_tip_shift_m, rel=0.02
+    )
 
 
 @pytest.mark.parametrize(("times", "found"), [(0.5, False), (2.0, True)])
@@ -121,7 +126,10 @@ def test_an_effect_is_evident_from_the_size_on_that_is_said(
     it.
     """
     windy, base = Hypothesis(model).with_cause(Wind), Hypothesis(model)
-    strength = {"wind.along_x": times * told["wind.along_x"].detectable_value, "wind.along_y": 0.0}
+    strength = {
+        "wind.along_x": times * told["wind.along_x"].detectable_value,
+        "wind.along_y": 0.0,
+    }
     evident = []
     for seed in range(1, 6):
         cases = seen(arm, windy.model, TRUTH | strength, seed)
@@ -169,10 +177,14 @@ def test_sizes_are_said_in_plain_units(told):
         == "0.11 ms"
     )
     assert (
-        detection_limit_text({"unit": "1", "absent": 1.0, "found_from": 1.02, "most_tip_m": 0.2})
+        detection_limit_text(
+            {"unit": "1", "absent": 1.0, "found_from": 1.02, "most_tip_m": 0.2}
+        )
         == "100 % to 102 %"
     )
     assert (
-        detection_limit_text({"unit": "m", "absent": 0.0, "found_from": None, "most_tip_m": 2e-4})
+        detection_limit_text(
+            {"unit": "m", "absent": 0.0, "found_from": None, "most_tip_m": 2e-4}
+        )
         == "never: 0.2 mm at most"
     )

@@ -218,7 +218,10 @@ def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
         hypothesis = SimpleNamespace(base=None, causes=causes)
         hypothesis.exponents_from = lambda known: np.zeros(1)
         return SimpleNamespace(
-            hypothesis=hypothesis, exponents={}, scale_indices=None, log_evidence=evidence
+            hypothesis=hypothesis,
+            exponents={},
+            scale_indices=None,
+            log_evidence=evidence,
         )
 
     def fitted(data, hypothesis, *given):

@@ -65,7 +65,9 @@ def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
     gains, is_accepted, monkeypatch
 ):
     """Without it one trial is explained at the cost of the other."""
-    parent = SimpleNamespace(log_evidence=0.0, log_likelihood_by_trial=np.zeros(2), gains=(0.0, 0.0))
+    parent = SimpleNamespace(
+        log_evidence=0.0, log_likelihood_by_trial=np.zeros(2), gains=(0.0, 0.0)
+    )
     fit = SimpleNamespace(
         log_evidence=122.0,
         log_likelihood_by_trial=np.array([-9.0, 135.0]),
@@ -75,9 +77,7 @@ def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
     )
 
     def predict(data, fit):
-        return [
-            SimpleNamespace(log_likelihood=gain) for gain in fit.gains
-        ]
+        return [SimpleNamespace(log_likelihood=gain) for gain in fit.gains]
 
     def touched(*given):
         return np.zeros(0)
@@ -161,7 +161,9 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
         for number, proposal in enumerate(some):
             fitted.append(proposal.effect)
             value = evidence - number
-            fits.append(SimpleNamespace(hypothesis=proposal.hypothesis, log_evidence=value))
+            fits.append(
+                SimpleNamespace(hypothesis=proposal.hypothesis, log_evidence=value)
+            )
         return fits
 
     def accept(prepared, step, *given):

@@ -1,4 +1,4 @@
-"""Propose: the motion that decides between look-alikes, as the last diagnosis found it."""
+"""The motion that decides between look-alikes, taken from the last diagnosis."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from stringcast.stages.spec import LatestIteration, StageCall, StageSpec
 
 
 def run(call: StageCall, diagnosis: Diagnosis) -> Motion:
-    """The motion of a diagnosis that has one."""
+    """Take the motion that the last diagnosis proposed."""
     assert diagnosis.motion is not None
     return diagnosis.motion
 
