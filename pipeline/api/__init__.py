@@ -45,7 +45,7 @@ __all__ = [
     "trials",
 ]
 HOMES = {
-    "answers": ("Diagnosed", "Estimated", "diagnose", "estimate"),
+    "answers": ("DiagnosisResult", "EstimateResult", "diagnose", "estimate"),
     "casting": ("cast", "generate", "simulate"),
     "known": ("KnownString",),
     "measured": ("Trials", "read", "sample", "trials"),

@@ -185,7 +185,7 @@ def print_overview(found: Mapping[str, Any], console: Terminal) -> None:
             else ""
         )
         words = (
-            f"{place}{where}: {finding['said']}."
+            f"{place}{where}: {finding['statement']}."
             if place or where
             else finding["statement"] + "."
         )

@@ -8,7 +8,7 @@ import pytest
 
 from stringcast.data.dataset import read_dataset
 from stringcast.data.store import content_hash
-from stringcast.stages.check.check import findings
+from stringcast.stages.check.check import collect_findings
 from stringcast.stages.check.measured import Measured
 from tests.benchmarks import draw as command
 from tests.benchmarks.simulators import SIMULATORS, draw, load_simulator
@@ -159,7 +159,7 @@ def test_a_dataset_can_be_read_and_does_not_tell(drifting, arm, tmp_path):
     scene = drifting.scene
     assert not dataset.rejection_reasons
     measured = Measured(dataset, arm, scene.camera, scene.rod.length)
-    assert findings(measured) == []  # no false alarm
+    assert collect_findings(measured) == []  # no false alarm
     assert 4 <= len(dataset.trials) <= 6
     for trial in dataset.trials.values():
         assert 12 <= trial.points["s"].nunique() <= 20
