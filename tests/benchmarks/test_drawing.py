@@ -9,7 +9,7 @@ import pytest
 from stringcast.data.dataset import read_dataset
 from stringcast.data.store import content_hash
 from stringcast.stages.check.check import collect_findings
-from stringcast.stages.check.measured import Measured
+from stringcast.stages.check.measured import CheckedDataset
 from tests.benchmarks import draw as command
 from tests.benchmarks.simulators import SIMULATORS, draw, load_simulator
 from tests.benchmarks.simulators.causes import LIBRARY_CAUSES, Cause, HiddenCause
@@ -158,7 +158,7 @@ def test_a_dataset_can_be_read_and_does_not_tell(drifting, arm, tmp_path):
     dataset = read_dataset(folder)
     scene = drifting.scene
     assert not dataset.rejection_reasons
-    measured = Measured(dataset, arm, scene.camera, scene.rod.length)
+    measured = CheckedDataset(dataset, arm, scene.camera, scene.rod.length)
     assert collect_findings(measured) == []  # no false alarm
     assert 4 <= len(dataset.trials) <= 6
     for trial in dataset.trials.values():

@@ -744,7 +744,7 @@ def test_a_page_shows_what_was_measured_and_found(dirty, called, undrawn, tmp_pa
     done = called("check", dirty.write(tmp_path), "--report", tmp_path / "page.html")
     assert done.stdout.strip().endswith("page.html")
     page = (tmp_path / "page.html").read_text()
-    assert "These trials cannot be used as they are" in page
+    assert "These trials are not usable yet" in page
     assert "Multiply x and y by 0.001" in page
     assert page.count("<img") == 2 * len(TRIALS)
     assert 'class="wide"' not in page, "on a phone the clocks would lie beyond the edge"
@@ -795,7 +795,7 @@ def test_what_the_trials_can_tell_is_said_where_it_is_asked(
     assert re.search(r"wind.along_x +0.021 m/s +0.7 +52% +tip_mass", done.stdout)
     assert done.stdout.index("Found from:") < done.stdout.index("Usable: 3 trials")
     page = (tmp_path / "page.html").read_text()
-    assert "What these trials can tell" in page
+    assert "Detectable effects" in page
     assert "0.021 m/s" in page
     assert json.loads(called("check", folder, "--effects", "--json").stdout)[
         "effects"

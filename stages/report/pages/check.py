@@ -83,7 +83,7 @@ def check_page(
         heading="These trials are usable"
         if usable
         else "These trials are not usable yet",
-        lead=f"CheckedDataset data in {found['folder']}: contents, findings and remedies.",
+        lead=f"Measured data in {found['folder']}: contents, findings and remedies.",
         sections=sections,
         origin=origin,
         settings={},
