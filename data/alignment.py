@@ -1,5 +1,5 @@
-"""The artifact of `align`: position, rotation and clock of the camera relative to the
-arm, with intervals.
+"""The artifact of `align`: the camera's pose and clock relative to the arm, with
+intervals.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from stringcast.data.schema import Column, Table
 
 MEASURED_PARAMETERS = Table(
     "measured",
-    "what was measured, a row for each parameter; effects that were looked for and not seen have found = false",
+    "the measured parameters; effects that were tried and not seen have found = false",
     (
         Column("name", "", "qualified name of the parameter", "text"),
         Column("unit", "", "its unit", "text"),
@@ -78,7 +78,7 @@ ALIGNMENT_SUMMARY = Table(
 
 @dataclass(frozen=True)
 class Alignment:
-    """The artifact of `align`: pose and clock of the camera relative to the arm's."""
+    """Pose and clock of the camera relative to the arm's: the artifact of `align`."""
 
     measured: pd.DataFrame
     seen: pd.DataFrame
@@ -99,10 +99,10 @@ class Alignment:
 
     @property
     def extended_yaml(self) -> str:
-        """The model with the alignment, as settings that other experiments take, YAML."""
+        """Settings of the model with the alignment, for other experiments (YAML)."""
         return str(self.aligned["extended"].iloc[0])
 
     def aligned_values(self) -> dict[str, float]:
-        """Values of what is part of the alignment, by qualified name."""
+        """Return the values that are part of the alignment, by qualified name."""
         rows = self.measured[self.measured["found"]]
         return dict(zip(rows["name"], rows["value"], strict=True))

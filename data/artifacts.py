@@ -1,5 +1,6 @@
-"""The artifacts that stages hand to one another: frozen dataclasses of a few tables
-each.
+"""The artifacts that stages exchange: frozen dataclasses of a few tables each.
+
+The field `TABLES` of each maps its tables' names to their schemas.
 """
 
 from __future__ import annotations
@@ -24,6 +25,14 @@ SPEED_COLUMNS = tuple(
     Column(f"w{j}", "rad/s", f"commanded velocity of joint {j}") for j in (1, 2, 3)
 )
 TRIAL_COLUMN = Column("trial", "", "name of the trial", "text")
+_FRAME = Column("frame", "1", "number of the frame", "int")
+_S = Column("s", "m", "arc length from the grasp")
+_MEASURED_POINT = (
+    TIME_COLUMN,
+    _S,
+    Column("x", "m", "measured position"),
+    Column("y", "m", "measured position"),
+)
 
 # --- motion
 # -----------------------------------------------------------------------------
@@ -54,7 +63,7 @@ PREDICTED_STRING = Table(
 )
 ATTEMPTS = Table(
     "attempts",
-    "what became of the motions that were tried",
+    "outcomes of the motions that were tried",
     (
         Column("outcome", "", "why a motion was rejected, or 'hit'", "text"),
         Column("count", "1", "how many motions", "int"),
@@ -62,7 +71,7 @@ ATTEMPTS = Table(
 )
 MOTION_OUTCOME = Table(
     "outcome",
-    "one row: the motion that was chosen; NaN for a target where there is none",
+    "one row: the chosen motion; NaN if there is no target",
     (
         Column("duration", "s", "movement time T"),
         Column(
@@ -80,7 +89,7 @@ MOTION_OUTCOME = Table(
         Column(
             "chance",
             "1",
-            "predicted chance of hitting; only where it was asked",
+            "predicted probability of a hit, where it was computed",
             optional=True,
         ),
         Column("chance_low", "1", "lower end of its 95 % interval", optional=True),
@@ -91,7 +100,7 @@ MOTION_OUTCOME = Table(
 
 @dataclass(frozen=True)
 class Motion:
-    """A planned movement: what `generate` makes and `execute` performs."""
+    """A planned movement, which `generate` makes and `execute` performs."""
 
     commands: pd.DataFrame
     control_points: pd.DataFrame
@@ -109,7 +118,7 @@ class Motion:
 
     @property
     def duration(self) -> float:
-        """Movement time T [s]."""
+        """The movement time T [s]."""
         return float(self.outcome["duration"].iloc[0])
 
 
@@ -152,9 +161,9 @@ TICKS = Table(
 )
 FRAMES = Table(
     "frames",
-    "camera frames",
+    "frames of the camera",
     (
-        Column("frame", "1", "number of the frame", "int"),
+        _FRAME,
         Column(
             "t",
             "s",
@@ -164,15 +173,15 @@ FRAMES = Table(
         Column(
             "number",
             "1",
-            "its number on the camera's schedule: what is skipped was dropped",
+            "number on the camera's schedule: skipped ones were dropped",
             "int",
             optional=True,
         ),
-        Column("late", "s", "by which it was later than the schedule", optional=True),
+        Column("late", "s", "lateness against the schedule", optional=True),
         Column(
             "repeats",
             "1",
-            "how often the camera gave it again, which was left out",
+            "repetitions by the camera, which were left out",
             "int",
             optional=True,
         ),
@@ -195,21 +204,21 @@ LINK = Table(
         Column(
             "frames_due",
             "1",
-            "frames that the camera's schedule has until the end",
+            "frames on the camera's schedule until the end",
             "int",
             optional=True,
         ),
         Column(
             "frames_dropped",
             "1",
-            "of those, the ones that are not there",
+            "missing frames of the schedule",
             "int",
             optional=True,
         ),
         Column(
             "frames_repeated",
             "1",
-            "frames given again instead of new ones",
+            "frames repeated instead of new ones",
             "int",
             optional=True,
         ),
@@ -220,23 +229,17 @@ LINK = Table(
         Column("frame_jitter_p50", "s", "median lateness of a frame", optional=True),
         Column("frame_jitter_p99", "s", "99th percentile of lateness", optional=True),
         Column("frame_jitter_max", "s", "largest lateness", optional=True),
-        Column(
-            "remarks",
-            "",
-            "what of the camera could not be made sure of",
-            "text",
-            optional=True,
-        ),
+        Column("remarks", "", "unverified facts of the camera", "text", optional=True),
     ),
 )
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One execution: what `execute` brings back from the arm and the camera.
+    """The record of one execution by arm and camera, which `execute` makes.
 
-    `images` is a sequence of grey uint8 arrays (height, width), in the
-    order of `frames`; from disk it is read image by image.
+    `images` is a sequence of grey uint8 arrays (height, width), in the order of
+    `frames`; from disk they are read one by one.
     """
 
     arm: pd.DataFrame
@@ -260,10 +263,16 @@ class Trial:
 
 @dataclass(frozen=True)
 class Film:
-    """The frames of one trial, ours or others', and the motion of the hand.
+    """The frames of one trial and the motion of the hand.
 
-    t: (F,) times of the frames [s]. images: F uint8 arrays (height, width). Exactly one
-    of `arm` (joint angles, table ARM) and `grasp` (poses, table GRASP) is given.
+    Attributes
+    ----------
+    t : (F,)
+        Times of the frames [s].
+    images
+        F uint8 arrays (height, width).
+    arm, grasp
+        Joint angles (table ARM) or poses (table GRASP); exactly one is given.
     """
 
     t: np.ndarray
@@ -278,19 +287,16 @@ POINTS = Table(
     "points",
     "measured points of the string",
     (
-        TIME_COLUMN,
-        Column("s", "m", "arc length from the grasp"),
-        Column("x", "m", "measured position"),
-        Column("y", "m", "measured position"),
+        *_MEASURED_POINT,
         Column("sigma", "m", "one standard deviation of a coordinate", optional=True),
         Column("valid", "", "the point can be used", "bool", optional=True),
     ),
 )
 READINGS = Table(
     "readings",
-    "what was read in each frame",
+    "readings of each frame",
     (
-        Column("frame", "1", "number of the frame", "int"),
+        _FRAME,
         TIME_COLUMN,
         Column("valid", "", "the frame could be read", "bool"),
         Column("reason", "", "why it could not; empty if it could", "text"),
@@ -304,7 +310,7 @@ MASKS = Table(
     "masks",
     "binarised string of each valid frame",
     (
-        Column("frame", "1", "number of the frame", "int"),
+        _FRAME,
         TIME_COLUMN,
         Column("png", "", "1-bit PNG, camera pixels", "bytes"),
     ),
@@ -313,7 +319,7 @@ MASKS = Table(
 
 @dataclass(frozen=True)
 class Points:
-    """The string seen in each frame: what `extract` makes of a trial's images."""
+    """The string in each frame, which `extract` reads from a trial's images."""
 
     points: pd.DataFrame
     readings: pd.DataFrame
@@ -327,7 +333,7 @@ class Points:
 
     @property
     def valid_points(self) -> pd.DataFrame:
-        """The points that were read; all where it is not said which were."""
+        """The valid points; all of them if the table does not state it."""
         return _valid_rows(self.points)
 
 
@@ -351,11 +357,22 @@ GRASP = Table(
 
 @dataclass(frozen=True)
 class Observation:
-    """One trial as estimation and diagnosis see it, ours or anybody's.
+    """One trial as estimation and diagnosis see it.
 
-    Exactly one of `arm` (joint angles, table ARM) and `grasp` (poses, table GRASP) is
-    given. `masks` is empty where only points were measured, `points` where they are yet
-    to be read from frames. moving: the string is not at rest when the trial begins.
+    Attributes
+    ----------
+    trial
+        Its name.
+    points
+        Measured points; empty where they are yet to be read from frames.
+    readings
+        What was read in each frame.
+    masks
+        The binarised string of each frame; empty where only points were measured.
+    arm, grasp
+        Joint angles (table ARM) or poses (table GRASP); exactly one is given.
+    moving
+        The string is not at rest when the trial begins.
     """
 
     trial: str
@@ -368,15 +385,26 @@ class Observation:
 
     @property
     def valid_points(self) -> pd.DataFrame:
-        """The points that were read; all where it is not said which were."""
+        """The valid points; all of them if the table does not state it."""
         return _valid_rows(self.points)
 
 
 @dataclass(frozen=True)
 class TrialSet:
-    """Trials that are looked at together. films: of those that were filmed, by name.
-    rejected: trials that cannot be used, with the reason. held_out: names of those that
-    are to measure a gain. numbers: of the iterations of a run in which they were read.
+    """Trials that are used together.
+
+    Attributes
+    ----------
+    observations
+        The trials.
+    films
+        Frames of those that were filmed, by name.
+    rejected
+        Reasons why other trials cannot be used, by name.
+    held_out
+        Names of the trials that only measure a gain.
+    numbers
+        Iterations of a run in which they were read.
     """
 
     observations: Sequence[Observation]
@@ -411,12 +439,12 @@ PARAMETERS = Table(
         Column("maximum", "", "upper end of the search range, in `unit`"),
         Column("chi", "1", "exponent of the best value within its range, Eq. 3"),
         Column("at_bound", "", "the value sits at an end of its range", "bool"),
-        Column("determined", "", "this data determines it", "bool"),
+        Column("determined", "", "the data determine it", "bool"),
     ),
 )
 CANDIDATES = Table(
     "candidates",
-    "every candidate tried; beside these columns one for each parameter, named after it",
+    "all candidates that were tried; one more column for each parameter",
     (
         Column("candidate", "1", "number of the candidate, in the order tried", "int"),
         Column("matching_rate", "1", "E, Eq. 5; NaN if the run was rejected"),
@@ -426,7 +454,7 @@ CANDIDATES = Table(
 )
 DRAWS = Table(
     "draws",
-    "strings that the trials leave possible, each as likely as another: a column for each parameter, named after it",
+    "equally likely strings given the trials; one more column for each parameter",
     (Column("draw", "1", "number of the draw", "int"),),
 )
 MATCHING = Table(
@@ -456,16 +484,14 @@ ESTIMATION_SUMMARY = Table(
             "candidates rejected because they did not stay finite",
             "int",
         ),
-        Column(
-            "sentence", "", "what this data can and cannot determine, in words", "text"
-        ),
+        Column("sentence", "", "what the data determine, in words", "text"),
     ),
 )
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """String parameters found from trials: what `estimate` makes."""
+    """Parameters of the string, which `estimate` fits to trials."""
 
     parameters: pd.DataFrame
     candidates: pd.DataFrame
@@ -482,43 +508,41 @@ class Estimate:
     }
 
     def tables(self) -> dict[str, Table]:
-        """TABLES, with the columns that `candidates` and `draws` have for the
-        parameters.
-        """
-        rows = self.parameters[["name", "unit", "meaning"]].itertuples(index=False)
-        own = tuple(Column(name, unit, meaning) for name, unit, meaning in rows)
-        if_drawn = tuple(replace(column, optional=True) for column in own)
-        candidates = replace(CANDIDATES, columns=(*CANDIDATES.columns, *own))
-        draws = replace(DRAWS, columns=(*DRAWS.columns, *if_drawn))
-        return self.TABLES | {"candidates": candidates, "draws": draws}
+        """Return TABLES with columns of the parameters in `candidates` and `draws`."""
+        candidates, draws = list(CANDIDATES.columns), list(DRAWS.columns)
+        rows = self.parameters[["name", "unit", "meaning"]]
+        for name, unit, meaning in rows.itertuples(index=False):
+            candidates.append(Column(name, unit, meaning))
+            draws.append(Column(name, unit, meaning, optional=True))
+        return self.TABLES | {
+            "candidates": replace(CANDIDATES, columns=tuple(candidates)),
+            "draws": replace(DRAWS, columns=tuple(draws)),
+        }
 
     def values(self) -> dict[str, float]:
-        """Best value of each parameter, by name."""
+        """Return the best value of each parameter, by name."""
         return dict(zip(self.parameters["name"], self.parameters["value"], strict=True))
 
 
 PREDICTED = Table(
     "predicted",
-    "every measured point of a trial that nothing was fitted to, and where the model has it",
+    "every measured point of a trial that nothing was fitted to, and its prediction",
     (
         TRIAL_COLUMN,
-        TIME_COLUMN,
-        Column("s", "m", "arc length from the grasp"),
-        Column("x", "m", "measured position"),
-        Column("y", "m", "measured position"),
+        *_MEASURED_POINT,
         Column("predicted_x", "m", "position in the model"),
         Column("predicted_y", "m", "position in the model"),
     ),
 )
 SCORE = Table(
     "score",
-    "one row: how far the model is off in a trial that nothing was fitted to",
+    "one row: the error in a trial that nothing was fitted to",
     (
         TRIAL_COLUMN,
         Column(
             "free",
             "1",
-            "values of this trial alone: of the state in which it begins, or of where it rests",
+            "parameters of this trial alone: of its initial state or rest position",
             "int",
         ),
         Column("rms", "m", "centre-line residual, root mean square"),
@@ -529,9 +553,7 @@ SCORE = Table(
 
 @dataclass(frozen=True)
 class Prediction:
-    """The artifact of `predict`: a fitted model's prediction of a trial that nothing
-    was fitted to, and its error.
-    """
+    """The prediction of a trial that nothing was fitted to, which `predict` makes."""
 
     predicted: pd.DataFrame
     score: pd.DataFrame
@@ -543,15 +565,12 @@ class Prediction:
 # --------------------------------------------------------------------------
 RESIDUALS = Table(
     "residuals",
-    "every measured point that was used, and where the base and the extended model have it",
+    "every used measured point, and its position in the base and the extended model",
     (
         TRIAL_COLUMN,
-        TIME_COLUMN,
-        Column("s", "m", "arc length from the grasp"),
-        Column("x", "m", "measured position"),
-        Column("y", "m", "measured position"),
+        *_MEASURED_POINT,
         Column("sigma", "m", "noise floor of a coordinate"),
-        Column("doubt", "m", "noise and the simulation's own error together"),
+        Column("doubt", "m", "noise and numerical error together"),
         Column("base_x", "m", "the base model fitted to the trials that were used"),
         Column("base_y", "m", "the base model fitted to the trials that were used"),
         Column(
@@ -579,52 +598,46 @@ HYPOTHESES = Table(
         Column(
             "causes",
             "",
-            "effects at work beyond the base model, joined by ' + '; empty for none",
+            "active effects, joined by ' + '; empty for the base model",
             "text",
         ),
         Column("parameters", "1", "parameters fitted", "int"),
         Column(
             "mean_square",
             "1",
-            "of the residual over noise and doubt; 1 or less is noise",
+            "of the residual over noise and numerical error; 1 or less is noise",
         ),
         Column("fit_gain", "1", "log evidence over the base model"),
         Column(
             "held_out_gain",
             "1",
-            "the same without the trial that says most; NaN where it was not evaluated",
+            "the same without the trial that gains most; NaN if not evaluated",
         ),
         Column(
             "moved",
             "m",
-            "how far these causes move the tip, root mean square, in the trial where it is most",
+            "tip displacement by these causes, root mean square, largest trial",
         ),
         Column(
             "unexplained",
             "1",
-            "share of what the base model lacks at the tip that is left, in mean square",
+            "unexplained share of the base model's mean-square tip residual",
         ),
-        Column(
-            "probability", "1", "of the last cause in its place, all others staying"
-        ),
+        Column("probability", "1", "of the last cause against its alternatives"),
     ),
 )
 ENTRIES = Table(
     "entries",
-    "what each cause explains beside those that entered before it: in which trial, when, and where along the string",
+    "what each cause explains given those added before: by trial, time and arc length",
     (
-        Column("number", "1", "of the cause, as they entered, from 1", "int"),
+        Column("number", "1", "of the cause in the order of addition, from 1", "int"),
         Column("cause", "", "name", "text"),
-        Column("evidence", "1", "log evidence of the cause beside those before it"),
+        Column("evidence", "1", "log evidence of the cause given those before it"),
         TRIAL_COLUMN,
-        Column("log_likelihood", "1", "by how much it raises that of the trial"),
+        Column("log_likelihood", "1", "increase of the trial's log-likelihood"),
         TIME_COLUMN,
-        Column("s", "m", "arc length from the grasp"),
-        Column(
-            "before",
-            "m",
-            "how far the string without the cause lies from the measured one, root mean square",
-        ),
+        _S,
+        Column("before", "m", "residual without the cause, root mean square"),
         Column("after", "m", "the same with it"),
     ),
 )
@@ -632,27 +645,27 @@ SCREENING = Table(
     "screening",
     "what each effect would explain to first order",
     (
-        Column("context", "", "causes already at work, joined by ' + '", "text"),
+        Column("context", "", "active causes, joined by ' + '", "text"),
         Column("effect", "", "name", "text"),
         Column("predicted_gain", "1", "of the log-likelihood"),
     ),
 )
 LIKENESS = Table(
     "likeness",
-    "how alike two effects are in this data, once the fitted parameters have done what they can",
+    "similarity of two effects in this data, after the fitted parameters are projected out",
     (
         Column("effect", "", "name", "text"),
         Column("other", "", "name", "text"),
-        Column("cosine", "1", "between what they do: 1 cannot be told apart"),
+        Column("cosine", "1", "between their displacements: 1 is indistinguishable"),
     ),
 )
 CAUSES = Table(
     "causes",
-    "the causes named, a row for each of their parameters",
+    "the reported causes, one row for each of their parameters",
     (
         Column("effect", "", "name", "text"),
-        Column("probability", "1", "that it is so"),
-        Column("sentence", "", "what is so", "text"),
+        Column("probability", "1", "of the cause"),
+        Column("sentence", "", "the cause in words", "text"),
         Column("parameter", "", "qualified name; empty if it has none", "text"),
         Column("meaning", "", "what it is", "text"),
         Column("unit", "", "its unit", "text"),
@@ -673,52 +686,46 @@ HELD_OUT = Table(
         TRIAL_COLUMN,
         Column("rms_base", "m", "centre-line residual"),
         Column("rms_extended", "m", "centre-line residual"),
-        Column("noise_floor", "m", "what noise alone leaves"),
+        Column("noise_floor", "m", "residual of noise alone"),
         Column("tip_rms_base", "m", "residual at the largest arc length measured"),
         Column("tip_rms_extended", "m", "residual at the largest arc length measured"),
         Column("E_base", "1", "matching rate, Eq. 5"),
         Column("E_extended", "1", "matching rate, Eq. 5"),
+        Column("log_likelihood_difference", "1", "extended less base"),
         Column(
-            "log_likelihood_difference",
-            "1",
-            "extended less base, in units of the residual's own chance",
-        ),
-        Column(
-            "rms_known",
-            "m",
-            "of the extended model fitted to all trials that causes were chosen from",
+            "rms_known", "m", "of the extended model fitted to all trials of the search"
         ),
     ),
 )
 MISSING = Table(
     "missing",
-    "how far the measured string lies from the extended model beyond noise, where that is more than is tolerated",
+    "residual of the extended model beyond noise, where it exceeds the tolerance",
     (
         TRIAL_COLUMN,
         TIME_COLUMN,
-        Column("s", "m", "arc length from the grasp"),
+        _S,
         Column("x", "m", "along x"),
         Column("y", "m", "along y"),
     ),
 )
 PREDICTED_STRINGS = Table(
     "predicted",
-    "the string on the motion proposed: under the likeliest hypothesis, and as near to that as each other can come",
+    "the string on the proposed motion by each hypothesis, fitted to the likeliest one",
     (
         Column(
             "hypothesis",
             "",
-            "what differs in it, joined by ' + '; the likeliest comes first",
+            "its causes, joined by ' + '; the likeliest comes first",
             "text",
         ),
         TIME_COLUMN,
-        Column("s", "m", "arc length from the grasp"),
+        _S,
         Column("x", "m", "position"),
         Column("y", "m", "position"),
         Column(
             "sigma",
             "m",
-            "noise and the simulation's own error of all points that this one stands for",
+            "noise and numerical error of all points that this one represents",
         ),
     ),
 )
@@ -738,8 +745,9 @@ DIAGNOSIS_SUMMARY = Table(
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The artifact of `diagnose`: the discrepancy between simulation and trials, its
-    causes, and the evidence for them.
+    """The causes of the discrepancy between simulation and trials, and their evidence.
+
+    `diagnose` makes it.
     """
 
     finding: pd.DataFrame
@@ -772,7 +780,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """none, effect, ambiguous, unknown or insufficient."""
+        """The verdict: none, effect, ambiguous, unknown or insufficient."""
         return str(self.finding["verdict"].iloc[0])
 
     @property
@@ -782,28 +790,26 @@ class Diagnosis:
 
     @property
     def was_interrupted(self) -> bool:
-        """Whether somebody ended it before all was asked."""
+        """Whether the user ended the diagnosis early."""
         return bool(json.loads(self.finding["diagnosis"].iloc[0]).get("interrupted"))
 
     @property
     def motion(self) -> Motion | None:
-        """The motion that would tell look-alikes apart, ready to be performed; None
-        where none is proposed.
+        """The motion that would distinguish look-alikes, ready to be performed.
+
+        It is None if no motion is proposed.
         """
         if self.commands.empty:
             return None
-        likeliest = self.predicted[
-            self.predicted["hypothesis"] == self.predicted["hypothesis"].iloc[0]
-        ]
-        outcome = {c.name: [np.nan] for c in MOTION_OUTCOME.columns}
-        outcome |= {"duration": [self.commands["t"].max()], "tried": [0]}
-        tables = (
-            PREDICTED_STRING.check(likeliest[["t", "s", "x", "y"]]),
-            ATTEMPTS.empty(),
-        )
+        hypothesis = self.predicted["hypothesis"]
+        likeliest = self.predicted[hypothesis == hypothesis.iloc[0]]
+        outcome = {column.name: [np.nan] for column in MOTION_OUTCOME.columns}
+        outcome["duration"] = [self.commands["t"].max()]
+        outcome["tried"] = [0]
         return Motion(
             self.commands,
             self.control_points,
-            *tables,
+            PREDICTED_STRING.check(likeliest[["t", "s", "x", "y"]]),
+            ATTEMPTS.empty(),
             MOTION_OUTCOME.check(pd.DataFrame(outcome)),
         )

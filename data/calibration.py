@@ -1,6 +1,4 @@
-"""The artifact of `calibrate`: the lens, the plane of motion, and the errors by which
-to judge them.
-"""
+"""The artifact of `calibrate`: the lens, the plane of motion, and their errors."""
 
 from __future__ import annotations
 
@@ -102,6 +100,6 @@ class Calibration:
 
     @property
     def camera(self) -> dict[str, Any]:
-        """The camera as settings."""
+        """Settings of the camera."""
         settings: dict[str, Any] = yaml.safe_load(self.outcome["camera"].iloc[0])
         return settings

@@ -1,5 +1,6 @@
-"""How the content of stored files differs, to the bit: what `verify` and `diff` say of
-tables and pictures.
+"""Differences in the content of stored files, compared to the bit.
+
+`verify` and `diff` report them for tables and pictures.
 """
 
 from __future__ import annotations
@@ -20,117 +21,115 @@ MAX_VALUE_CHARACTERS = 60  # characters of a value that are shown
 def folder_differences(
     a: Path, b: Path, leave_out: frozenset[str] = frozenset()
 ) -> list[str]:
-    """Differences of two folders, a line each; hidden files and the names in
-    `leave_out` do not count.
+    """Describe the differences of two folders, one line each.
+
+    Hidden files and files whose name is in `leave_out` are ignored.
     """
-    inside = {
-        path.relative_to(home)
-        for home in (a, b)
-        for path in home.rglob("*")
-        if path.is_file()
-    }
-    names = [
-        p
-        for p in inside
-        if p.name not in leave_out and not any(part.startswith(".") for part in p.parts)
-    ]
-    return [
-        f"{name.as_posix()}: {words}"
-        for name in sorted(names)
-        for words in file_differences(a / name, b / name)
-    ]
+    names: set[Path] = set()
+    for folder in (a, b):
+        for path in folder.rglob("*"):
+            name = path.relative_to(folder)
+            is_hidden = any(part.startswith(".") for part in name.parts)
+            if path.is_file() and name.name not in leave_out and not is_hidden:
+                names.add(name)
+    lines: list[str] = []
+    for name in sorted(names):
+        for words in file_differences(a / name, b / name):
+            lines.append(f"{name.as_posix()}: {words}")
+    return lines
 
 
 def file_differences(a: Path, b: Path) -> list[str]:
-    """Differences in the content of two files, a line each; none if they are the same.
-    The origin in a footer does not count.
+    """Describe the differences in content of two files, one line each.
+
+    The origin in the footer of a table is ignored.
     """
-    for path, which in ((a, "the second"), (b, "the first")):
-        if not path.is_file():
-            return [f"it is only in {which}"]
+    if not a.is_file():
+        return ["it is only in the second"]
+    if not b.is_file():
+        return ["it is only in the first"]
     if a.suffix == ".parquet":
         return _table_differences(a, b)
     if a.read_bytes() == b.read_bytes():
         return []
-    if a.suffix != ".png":
-        return ["it has another content"]
-    one, other = (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in (a, b))
-    if one is None or other is None or one.shape != other.shape:
+    if a.suffix == ".png":
+        return _of_images(a, b)
+    return ["it has another content"]
+
+
+def _of_images(a: Path, b: Path) -> list[str]:
+    first = cv2.imread(str(a), cv2.IMREAD_UNCHANGED)
+    second = cv2.imread(str(b), cv2.IMREAD_UNCHANGED)
+    if first is None or second is None or first.shape != second.shape:
         return ["the image has another size or cannot be read"]
-    # the same picture may be packed otherwise
-    apart = np.abs(one.astype(int) - other.astype(int))
-    return (
-        [
-            f"{np.count_nonzero(apart)} pixels differ, at most by {apart.max()} grey levels"
-        ]
-        if apart.any()
-        else []
-    )
+    distance = np.abs(first.astype(int) - second.astype(int))
+    if not distance.any():  # the same picture may be compressed differently
+        return []
+    count = np.count_nonzero(distance)
+    return [f"{count} pixels differ, at most by {distance.max()} grey levels"]
 
 
 def _table_differences(a: Path, b: Path) -> list[str]:
-    """Columns, their order and types, rows, and every value to the bit."""
+    """Compare columns with their order and types, rows, and every value to the bit."""
     try:
         if store.content_hash(a) == store.content_hash(b):
             return []
-        one, other = (
+        first, second = (
             pq.read_table(path, partitioning=None, page_checksum_verification=True)
             for path in (a, b)
         )
     except store.READ_ERRORS as error:
         return [f"it is not a whole Parquet file ({error})"]
-    if one.column_names != other.column_names:
-        return [
-            f"columns are {', '.join(one.column_names)} and {', '.join(other.column_names)}"
-        ]
-    both = [(name, one[name], other[name]) for name in one.column_names]
-    types = [
-        f"column {name} is {x.type} and {y.type}"
-        for name, x, y in both
-        if x.type != y.type
-    ]
-    if types or one.num_rows != other.num_rows:
-        return types or [f"it has {one.num_rows} and {other.num_rows} rows"]
-    return [
-        f"column {name}: {words}"
-        for name, x, y in both
-        if (words := _column_difference(x, y))
-    ]
+    names = first.column_names
+    if names != second.column_names:
+        return [f"columns are {', '.join(names)} and {', '.join(second.column_names)}"]
+    lines: list[str] = []
+    for name in names:
+        kinds = first[name].type, second[name].type
+        if kinds[0] != kinds[1]:
+            lines.append(f"column {name} is {kinds[0]} and {kinds[1]}")
+    if lines:
+        return lines
+    if first.num_rows != second.num_rows:
+        return [f"it has {first.num_rows} and {second.num_rows} rows"]
+    for name in names:
+        words = _column_difference(first[name], second[name])
+        if words:
+            lines.append(f"column {name}: {words}")
+    return lines
 
 
 def _column_difference(a: pa.ChunkedArray, b: pa.ChunkedArray) -> str:
-    """Where two columns of one type first differ, and numbers how much at most; empty
-    if nowhere. Of floating point the bits count, so that 0 is not -0, and NaN is NaN.
+    """Describe where two columns of one type first differ, and by how much at most.
+
+    Floating-point numbers are compared by their bits: 0 differs from -0, and NaN equals
+    NaN. The result is empty for equal columns.
     """
-    if not (floating := pa.types.is_floating(a.type)):
-        x, y = a.to_pylist(), b.to_pylist()
-        rows = [
-            row
-            for row, (one, other) in enumerate(zip(x, y, strict=True))
-            if one != other
-        ]
-    else:
+    if pa.types.is_floating(a.type):
         x, y = a.to_numpy(), b.to_numpy()
-        rows = np.flatnonzero(
-            x.view(f"u{x.itemsize}") != y.view(f"u{y.itemsize}")
-        ).tolist()
+        bits = f"u{x.itemsize}"
+        rows = np.flatnonzero(x.view(bits) != y.view(bits)).tolist()
+        with np.errstate(invalid="ignore"):
+            distances = np.abs(x[rows] - y[rows])
+    else:
+        x, y = a.to_pylist(), b.to_pylist()
+        rows = [row for row in range(len(x)) if x[row] != y[row]]
+        distances = np.array([])
     if not rows:
         return ""
-    words = f"{len(rows)} of {len(x)} rows differ, first row {rows[0]}: {_abbreviate(x[rows[0]])} and {_abbreviate(y[rows[0]])}"
-    with np.errstate(invalid="ignore"):
-        apart = np.abs(x[rows] - y[rows]) if floating else np.array([np.nan])
-    at = (
-        ""
-        if np.isnan(apart).all()
-        else f", at most {np.nanmax(apart):.3g} apart (row {rows[np.nanargmax(apart)]})"
-    )
-    return words + at
+    row = rows[0]
+    words = f"{len(rows)} of {len(x)} rows differ, "
+    words += f"first row {row}: {_abbreviate(x[row])} and {_abbreviate(y[row])}"
+    if not np.isnan(distances).all():
+        farthest = rows[np.nanargmax(distances)]
+        words += f", at most {np.nanmax(distances):.3g} apart (row {farthest})"
+    return words
 
 
 def _abbreviate(value: object) -> str:
-    said = repr(float(value)) if isinstance(value, np.floating) else repr(value)
-    return (
-        said
-        if len(said) <= MAX_VALUE_CHARACTERS
-        else said[: MAX_VALUE_CHARACTERS - 3] + "..."
-    )
+    if isinstance(value, np.floating):
+        value = float(value)
+    text = repr(value)
+    if len(text) > MAX_VALUE_CHARACTERS:
+        text = text[: MAX_VALUE_CHARACTERS - 3] + "..."
+    return text

@@ -1,5 +1,6 @@
-"""The few file operations by which everything is written, in one place so that tests
-can make any of them fail.
+"""The file operations by which everything is written.
+
+They stand in one place so that tests can make any of them fail.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ def make_folder(path: Path) -> None:
 
 
 def write(path: Path, content: bytes) -> None:
-    """Write a new file and see it onto the disk."""
+    """Write a new file and sync it to the disk."""
     with open(path, "xb") as file:
         file.write(content)
         file.flush()
@@ -32,8 +33,9 @@ def write(path: Path, content: bytes) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """See a folder's names onto the disk (POSIX; where folders cannot be opened, the
-    system does so itself).
+    """Sync a folder's names to the disk.
+
+    Only POSIX needs it; where folders cannot be opened, the system syncs by itself.
     """
     if os.name != "posix":
         return
@@ -45,12 +47,12 @@ def sync_folder(path: Path) -> None:
 
 
 def rename(source: Path, target: Path) -> None:
-    """Give a file or folder another name at once; a file of that name is replaced."""
+    """Rename a file or folder atomically; a file of that name is replaced."""
     os.replace(source, target)
 
 
 def remove(path: Path) -> None:
-    """Remove a file or folder, if it is there, as far as that is possible."""
+    """Remove a file or folder as far as possible; a missing one is no error."""
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
         return
@@ -60,17 +62,17 @@ def remove(path: Path) -> None:
 
 @contextmanager
 def hold_lock(path: Path) -> Iterator[None]:
-    """Hold a lock file; raises BlockingIOError where another process holds it.
+    """Hold a lock file inside the block.
 
-    The system lets go of it when a process ends, however it ends: a dead one leaves no
-    lock behind, only the file.
+    Raises BlockingIOError if another process holds it. The system releases the lock
+    when a process ends, however it ends: a dead one leaves only the file.
     """
     with open(path, "a+b") as file:
         _lock(file)
         if not path.exists() or not os.path.samestat(
             os.fstat(file.fileno()), path.stat()
         ):
-            # which held it until now
+            # by the process that held it until now
             raise BlockingIOError(f"{path} was removed by another process")
         yield
 

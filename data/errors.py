@@ -1,5 +1,6 @@
-"""Errors that are no bugs, and how a person is told of them. Every command loads this:
-it needs nothing itself.
+"""Errors that a user can correct, and their messages.
+
+Every command loads this module, which needs nothing itself.
 """
 
 from __future__ import annotations
@@ -17,18 +18,26 @@ REMEDIES = {
 
 
 class ExpectedError(Exception):
-    """An error that the user can correct: the message names the place, what is wrong
-    there and the remedy.
+    """An error that the user can correct.
+
+    The message names the place, what is wrong there, and the remedy.
     """
 
 
 def remedy_for(error: BaseException) -> str:
-    """The remedy for a place that cannot be written, from the error's number."""
+    """Choose the remedy for a place that cannot be written by the error's number."""
     return REMEDIES.get(getattr(error, "errno", None) or 0, DEFAULT_REMEDY)
 
 
 def escape_control_characters(text: str) -> str:
-    """A text that others wrote, its control characters spelt out: an escape sequence
-    would steer the terminal.
+    """Spell out the control characters of a text that others wrote.
+
+    An escape sequence would steer the terminal.
     """
-    return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
+    return "".join(map(_printable_character, text))
+
+
+def _printable_character(character: str) -> str:
+    if character.isprintable() or character in "\n\t":
+        return character
+    return repr(character)[1:-1]

@@ -1,6 +1,4 @@
-"""Sequences of images that are read one by one, from image files or from a video, and
-those of a dataset.
-"""
+"""Sequences of images that are read one by one, from image files or from a video."""
 
 from __future__ import annotations
 
@@ -24,10 +22,10 @@ VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv")
 # [bytes] of an image file: more than twice the largest sensors' 16-bit colours unpacked
 MAX_IMAGE_BYTES = 1 << 28
 MAX_VIDEO_FRAMES = 1 << 20  # of a video: a quarter of an hour at 1000 a second
-VIDEO_SIGNATURES = (b"RIFF", b"\x1aE\xdf\xa3")  # how AVI and Matroska begin
-# how MP4 and QuickTime do, from byte 4
+VIDEO_SIGNATURES = (b"RIFF", b"\x1aE\xdf\xa3")  # first bytes of AVI and Matroska
+# bytes 4 to 8 of MP4 and QuickTime
 MP4_ATOMS = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")
-CACHE_BYTES = 1 << 29  # [bytes] of images that are held at a time
+CACHE_BYTES = 1 << 29  # [bytes] of images that are cached
 
 
 class Images(Sequence[np.ndarray]):
@@ -35,12 +33,10 @@ class Images(Sequence[np.ndarray]):
 
     @abstractmethod
     def read(self, index: int) -> np.ndarray:
-        """The image at 0 <= index < len; raises DataError where it is missing or
-        damaged.
-        """
+        """Read the image at 0 <= index < len; raise DataError if it cannot be read."""
 
     def __getitem__(self, index: Any) -> Any:
-        """One image, or a list of them for a slice."""
+        """Return one image, or a list of them for a slice."""
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         if not -len(self) <= index < len(self):
@@ -60,22 +56,25 @@ class ImageFiles(Images):
         return _image_size(self.folder / self.files[0])
 
     def __len__(self) -> int:
-        """Number of images."""
+        """Return the number of images."""
         return len(self.files)
 
     def read(self, index: int) -> np.ndarray:
-        """The image of the file number `index`, uint8 (height, width)."""
+        """Read an image file, uint8 (height, width)."""
         path = self.folder / self.files[index]
-        if _image_size(path) != self._first_size:
+        size = _image_size(path)
+        if size != self._first_size:
             raise DataError(
-                f"{path}: it has {_image_size(path)} pixels, the first frame of its trial has {self._first_size}. Store all alike."
+                f"{path}: it has {size} pixels, the first frame of its trial has "
+                f"{self._first_size}. Store all alike."
             )
         # imread opens no name beyond ASCII on Windows
-        packed = np.frombuffer(path.read_bytes(), np.uint8)
-        image = cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)
+        content = np.frombuffer(path.read_bytes(), np.uint8)
+        image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)
         if image is None:
             raise DataError(
-                f"{path}: the frame is missing or damaged. Restore it or leave its trial out."
+                f"{path}: the frame is missing or damaged. "
+                "Restore it or leave its trial out."
             )
         return image
 
@@ -89,64 +88,64 @@ class Video(Images):
     @cached_property
     def _capture(self) -> Any:
         with require_plain_file(self.path).open("rb") as file:
-            begins = file.read(8)
-        # OpenCV follows lists of addresses, too
-        if not (begins.startswith(VIDEO_SIGNATURES) or begins[4:] in MP4_ATOMS):
+            head = file.read(8)
+        # OpenCV would also follow lists of addresses
+        if not (head.startswith(VIDEO_SIGNATURES) or head[4:] in MP4_ATOMS):
             raise DataError(
-                f"{self.path}: no MP4, QuickTime, AVI or Matroska file. Convert it, or store PNGs."
+                f"{self.path}: no MP4, QuickTime, AVI or Matroska file. "
+                "Convert it, or store PNGs."
             )
         capture = cv2.VideoCapture(str(self.path))
         if not capture.isOpened():
             raise DataError(
-                f"{self.path}: not a video that OpenCV can read. Convert it, or store frames as PNG."
+                f"{self.path}: not a video that OpenCV can read. "
+                "Convert it, or store frames as PNG."
             )
-        _refuse_size(
-            self.path,
-            *(
-                capture.get(key)
-                for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
-            ),
-        )
+        width = capture.get(cv2.CAP_PROP_FRAME_WIDTH)
+        height = capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
+        _refuse_size(self.path, width, height)
         frames = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         if frames > MAX_VIDEO_FRAMES:
             raise DataError(
-                f"{self.path}: it says it has {frames:.0f} frames, at most {MAX_VIDEO_FRAMES} are read. Cut it."
+                f"{self.path}: it says it has {frames:.0f} frames, at most "
+                f"{MAX_VIDEO_FRAMES} are read. Cut it."
             )
         return capture
 
     @property
     def fps(self) -> float:
-        """Frames per second, as the file says; of slow motion that may be the speed of
-        playing [1/s].
-        """
+        """Frame rate that the file states; of slow motion, maybe of playing [1/s]."""
         return float(self._capture.get(cv2.CAP_PROP_FPS))
 
     def __len__(self) -> int:
-        """Number of frames, as the file says."""
+        """Return the number of frames that the file states."""
         return int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
 
     def read(self, index: int) -> np.ndarray:
-        """The frame number `index` in grey, uint8 (height, width)."""
+        """Read a frame in grey, uint8 (height, width)."""
         if int(self._capture.get(cv2.CAP_PROP_POS_FRAMES)) != index:
             self._capture.set(cv2.CAP_PROP_POS_FRAMES, index)
         good, image = self._capture.read()
         if not good:
             raise DataError(
-                f"{self.path}: frame {index} cannot be read. Restore the file or leave its trial out."
+                f"{self.path}: frame {index} cannot be read. "
+                "Restore the file or leave its trial out."
             )
         return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
 def _image_size(path: Path) -> str:
-    """Width x height of an image by its first bytes; raises DataError where these would
-    unpack to gigabytes.
+    """Read width x height of an image from its first bytes.
+
+    Raises DataError if it would unpack to gigabytes.
     """
     try:
         with Image.open(require_plain_file(path, MAX_IMAGE_BYTES)) as header:
             width, height = header.size
     except (Image.DecompressionBombError, OSError, ValueError, SyntaxError) as error:
         raise DataError(
-            f"{path}: the frame is missing or damaged ({error}). Restore it or leave its trial out."
+            f"{path}: the frame is missing or damaged ({error}). "
+            "Restore it or leave its trial out."
         ) from error
     _refuse_size(path, width, height)
     return f"{width} x {height}"
@@ -155,63 +154,61 @@ def _image_size(path: Path) -> str:
 def _refuse_size(path: Path, width: float, height: float) -> None:
     if width * height > MAX_PIXELS:
         raise DataError(
-            f"{path}: it has {width:.0f} x {height:.0f} pixels, at most {MAX_PIXELS:.0f} are read. Store it smaller."
+            f"{path}: it has {width:.0f} x {height:.0f} pixels, at most "
+            f"{MAX_PIXELS:.0f} are read. Store it smaller."
         )
 
 
 class CachedImages(Images):
-    """Images that are read or unpacked once where they are looked at often: as many as
-    `ROOM` holds, the latest.
-    """
+    """Images cached for repeated use: the last ones read, as many as `ROOM` holds."""
 
     def __init__(self, images: Sequence[np.ndarray]) -> None:
-        """images: uint8 arrays (height, width), at least one."""
+        """Cache images, uint8 (height, width), at least one."""
         self._count = len(images)
-        self._held = lru_cache(max(CACHE_BYTES // images[0].nbytes, 1))(
-            images.__getitem__
-        )
+        capacity = max(CACHE_BYTES // images[0].nbytes, 1)
+        self._held = lru_cache(capacity)(images.__getitem__)
 
     def __len__(self) -> int:
-        """Number of images."""
+        """Return the number of images."""
         return self._count
 
     def read(self, index: int) -> np.ndarray:
-        """The image number `index`, uint8 (height, width), not to be written to."""
+        """Read an image, uint8 (height, width), not to be written to."""
         return self._held(index)
 
 
 class RecentImages(Images):
-    """Images that were written a moment ago: each is given from memory the first time,
-    and then read from its file.
-    """
+    """Images that were just written: the first time from memory, then from the file."""
 
     def __init__(self, files: Images, images: Sequence[np.ndarray]) -> None:
-        """files: where they were written. images: what was."""
+        """Hold `images` until they are read; later reads use `files`."""
         self._files, self._kept = files, dict(enumerate(images))
 
     def __len__(self) -> int:
-        """Number of images."""
+        """Return the number of images."""
         return len(self._files)
 
     def read(self, index: int) -> np.ndarray:
-        """The image number `index`, uint8 (height, width), made by who was handed over."""
+        """Read an image, uint8 (height, width)."""
         image = self._kept.pop(index, None)
         return self._files.read(index) if image is None else image
 
 
 def encode_png(image: np.ndarray) -> bytes:
-    """An image as PNG, without loss, packed fast rather than small: of a sensor's noise
-    nothing repeats.
+    """Encode an image as PNG without loss, fast rather than small.
+
+    The noise of a sensor does not compress.
     """
-    fast = (
-        *(cv2.IMWRITE_PNG_COMPRESSION, 1),
-        *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),
-        *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP),
+    options = (
+        cv2.IMWRITE_PNG_COMPRESSION,
+        1,
+        cv2.IMWRITE_PNG_STRATEGY,
+        cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
+        cv2.IMWRITE_PNG_FILTER,
+        cv2.IMWRITE_PNG_FILTER_UP,
     )
-    good, content = cv2.imencode(".png", image, fast)
-    assert good, (
-        f"an image of shape {image.shape} and type {image.dtype} cannot be a PNG"
-    )
+    good, content = cv2.imencode(".png", image, options)
+    assert good, f"an image {image.shape} of {image.dtype} cannot be a PNG"
     return content.tobytes()
 
 
@@ -219,8 +216,10 @@ TimedImages = tuple[np.ndarray, Images]
 
 
 def video_files(folder: Path) -> list[Path]:
-    """Video files of a dataset, in the order of their names."""
-    found = sorted(
-        p for p in (folder / "videos").glob("*") if p.suffix.lower() in VIDEO_SUFFIXES
-    )
-    return [require_inside(folder, path) for path in found]
+    """List the video files of a dataset in the order of their names."""
+    paths = sorted((folder / "videos").glob("*"))
+    return [
+        require_inside(folder, path)
+        for path in paths
+        if path.suffix.lower() in VIDEO_SUFFIXES
+    ]

@@ -1,4 +1,4 @@
-"""Libraries that few commands need, loaded when something of them is first used."""
+"""Libraries that few commands need, imported at their first use."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from typing import Any
 
 
 class LazyModule:
-    """A module under another name, such as `cv2 = Later("cv2")`, where whoever imports
-    the file may not need it: OpenCV takes 0.1 s to load, SciPy's rotations half a
-    second.
+    """A module imported at its first use, such as `cv2 = Later("cv2")`.
+
+    It spares commands that do not need it: OpenCV takes 0.1 s to load, SciPy's
+    rotations half a second.
     """
 
     def __init__(self, module: str) -> None:
-        """module: its full name."""
+        """Name the module to import."""
         self._module = module
 
     def __getattr__(self, name: str) -> Any:
-        """An attribute of the module, loaded and kept at its first use."""
+        """Return an attribute of the module and keep it."""
         value = getattr(import_module(self._module), name)
         setattr(self, name, value)
         return value

@@ -1,4 +1,4 @@
-"""dataset.yaml: what is said about a dataset beside its tables."""
+"""The description of a dataset beside its tables: dataset.yaml."""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ from stringcast.data.file_checks import MAX_PIXELS, read_yaml, require_inside
 from stringcast.data.rows import MIN_SIGMA_M
 from stringcast.data.schema import DataError
 
-FORMAT_VERSION = 1  # of dataset.yaml, which says it under `format`
+FORMAT_VERSION = 1  # of dataset.yaml, stated there under `format`
 DATASET_FILE = "dataset.yaml"
 MAX_WIDTH_PX = 2**20  # [px]: OpenCV reads no wider pictures
 MAX_VALUE_CHARACTERS = 200  # characters of a value in a message
-# [m], or mm of a metre: no string is longer, in whichever of the two it was written
-MAX_LENGTH_M = 1000.0
+MAX_LENGTH_M = 1000.0  # [m], or mm of a metre: no string is longer in either unit
 
 
 def _refuse_bool(value: Any) -> Any:
-    """A value, unless it is true or false, which count as 1 and 0 otherwise."""
+    """Refuse true and false, which would count as 1 and 0."""
     if isinstance(value, bool):
         raise ValueError("it must be a number")
     return value
@@ -36,9 +35,10 @@ def _refuse_bool(value: Any) -> Any:
 NotBool = BeforeValidator(_refuse_bool)
 Number = Annotated[float, Field(allow_inf_nan=False), NotBool]
 PositiveNumber = Annotated[float, Field(gt=0, allow_inf_nan=False), NotBool]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), NotBool]
 PixelCount = Annotated[int, Field(ge=16, le=MAX_WIDTH_PX), NotBool]
-# of a key that may be left out, but must hold a value where it is there
-UNSET: Any = None
+Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
+UNSET: Any = None  # of a key that may be left out, but needs a value if it is there
 FAULT_WORDS = {
     "model_type": "it must hold names and values",
     "dict_type": "it must hold names and values",
@@ -62,13 +62,14 @@ class Block(BaseModel):
 
 
 class StringBlock(Block):
-    """length: grasp to tip [m]. mass: of the string [kg]. tip_mass: of what was hung at
-    its tip [kg].
+    """The string.
+
+    length: grasp to tip [m]. mass: of the string [kg]. tip_mass: hung at its tip [kg].
     """
 
     length: Annotated[float, Field(gt=0, le=MAX_LENGTH_M), NotBool] = UNSET
     mass: PositiveNumber = UNSET
-    tip_mass: Annotated[float, Field(ge=0, allow_inf_nan=False), NotBool] = UNSET
+    tip_mass: NotNegative = UNSET
 
     @model_validator(mode="after")
     def _require_string_mass(self) -> StringBlock:
@@ -80,8 +81,9 @@ class StringBlock(Block):
 
 
 class NoiseBlock(Block):
-    """The measurement noise as the dataset states it. point_sigma: one standard
-    deviation of a measured coordinate [m].
+    """The measurement noise.
+
+    point_sigma: one standard deviation of a measured coordinate [m].
     """
 
     point_sigma: Annotated[float, Field(ge=MIN_SIGMA_M, le=MAX_LENGTH_M), NotBool] = (
@@ -90,25 +92,32 @@ class NoiseBlock(Block):
 
 
 class ArmBlock(Block):
-    """links: [m], base first. base: where joint 1 sits [m]."""
+    """The arm.
+
+    links: lengths, base first [m]. base: position of joint 1 [m].
+    """
 
     links: Annotated[list[PositiveNumber], Field(min_length=3, max_length=3)] = UNSET
-    base: Annotated[list[Number], Field(min_length=2, max_length=2)] = UNSET
+    base: Pair = UNSET
 
 
 class LensBlock(BaseModel):
-    """focal: lengths fx, fy [px]. centre: of the picture cx, cy [px]. distortion: k1,
-    k2, p1, p2 of OpenCV.
+    """The lens.
+
+    focal: lengths fx, fy [px]. centre: of the picture cx, cy [px]. distortion: k1, k2,
+    p1, p2 of OpenCV.
     """
 
     model_config = ConfigDict(extra="forbid")
     focal: Annotated[list[PositiveNumber], Field(min_length=2, max_length=2)]
-    centre: Annotated[list[Number], Field(min_length=2, max_length=2)]
+    centre: Pair
     distortion: Annotated[list[Number], Field(min_length=4, max_length=4)]
 
 
 class CameraBlock(Block):
-    """fps: as filmed [1/s]. width, height: [px]. px_per_m: [px/m]. origin_px: of the
+    """The camera.
+
+    fps: as filmed [1/s]. width, height: [px]. px_per_m: [px/m]. origin_px: of the
     world's origin [px]. distortion: radial, of the squared share of half the picture's
     width, without a lens. rotation, tilt: [rad].
     """
@@ -117,10 +126,10 @@ class CameraBlock(Block):
     width: PixelCount = UNSET
     height: PixelCount = UNSET
     px_per_m: PositiveNumber = UNSET
-    origin_px: Annotated[list[Number], Field(min_length=2, max_length=2)] = UNSET
+    origin_px: Pair = UNSET
     distortion: Number = UNSET
     rotation: Number = UNSET
-    tilt: Annotated[list[Number], Field(min_length=2, max_length=2)] = UNSET
+    tilt: Pair = UNSET
     lens: LensBlock | None = None
 
     @model_validator(mode="after")
@@ -133,14 +142,17 @@ class CameraBlock(Block):
             )
         if not self.lens and any(self.tilt or ()):
             raise ValueError(
-                "a tilt is seen by perspective, which needs camera.lens: calibrate, or leave out the tilt"
+                "a tilt is seen by perspective, which needs camera.lens: calibrate, or "
+                "leave out the tilt"
             )
         return self
 
 
 class TrialBlock(Block):
-    """role: held_out trials measure the gain. initial: whether the string rests when
-    the trial begins. invalid: why it is not to be used.
+    """A trial.
+
+    role: held_out trials measure the gain. initial: whether the string rests when the
+    trial begins. invalid: why it is not to be used.
     """
 
     role: str | None = None
@@ -149,7 +161,7 @@ class TrialBlock(Block):
 
 
 class Metadata(Block):
-    """The whole file."""
+    """The content of dataset.yaml."""
 
     format: Literal[1] = 1
     string: StringBlock = UNSET
@@ -161,42 +173,54 @@ class Metadata(Block):
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:
-    """The content of dataset.yaml as a dict, empty where the file is missing. Raises
-    DataError naming the field and the remedy.
+    """Read and check dataset.yaml.
+
+    Parameters
+    ----------
+    folder
+        The folder of the dataset.
+
+    Returns
+    -------
+    dict
+        The content of the file; empty if there is none.
+
+    Raises
+    ------
+    DataError
+        If a value is wrong; it names the key and the remedy.
     """
     path = folder / DATASET_FILE
     if not path.exists():
         return {}
-    known = read_yaml(require_inside(folder, path))
-    if known.get("format", FORMAT_VERSION) != FORMAT_VERSION or isinstance(
-        known.get("format"), bool
-    ):
+    content = read_yaml(require_inside(folder, path))
+    version = content.get("format", FORMAT_VERSION)
+    if version != FORMAT_VERSION or isinstance(version, bool):
         raise DataError(
-            f"{path}: format is {known['format']!r}; this version reads {FORMAT_VERSION}. Convert it."
+            f"{path}: format is {version!r}; this version reads {FORMAT_VERSION}. Convert it."
         )
     try:
-        Metadata.model_validate(known)
+        Metadata.model_validate(content)
     except ValidationError as error:
-        # the first thing that is wrong: field, value and what it must be
-        fault = error.errors()[0]
-        place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
-        said = f"{place} is missing"
-        if fault["type"] != "missing":
-            must = FAULT_WORDS.get(
-                fault["type"], fault["msg"][:1].lower() + fault["msg"][1:]
-            )
-            given = repr(fault["input"])
-            given = (
-                given
-                if len(given) <= MAX_VALUE_CHARACTERS
-                else f"{given[:MAX_VALUE_CHARACTERS]}..."
-            )
-            said = f"{place} is {given}; {must.format(**fault.get('ctx', {}))}"
         raise DataError(
-            f"{path}: {said}. Correct it; all is in metres, seconds and radians."
+            f"{path}: {_first_fault(error)}. "
+            "Correct it; all is in metres, seconds and radians."
         ) from error
-    if "trials" in known:
-        known["trials"] = {
-            str(name): block or {} for name, block in known["trials"].items()
-        }
-    return known
+    if "trials" in content:
+        trials = content["trials"].items()
+        content["trials"] = {str(name): block or {} for name, block in trials}
+    return content
+
+
+def _first_fault(error: ValidationError) -> str:
+    """Describe the first fault: its key, its value and what it must be."""
+    fault = error.errors()[0]
+    key = ".".join(str(part) for part in fault["loc"] if part != "[key]")
+    if fault["type"] == "missing":
+        return f"{key} is missing"
+    message = fault["msg"][:1].lower() + fault["msg"][1:]
+    must = FAULT_WORDS.get(fault["type"], message).format(**fault.get("ctx", {}))
+    value = repr(fault["input"])
+    if len(value) > MAX_VALUE_CHARACTERS:
+        value = f"{value[:MAX_VALUE_CHARACTERS]}..."
+    return f"{key} is {value}; {must}"

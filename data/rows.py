@@ -1,5 +1,6 @@
-"""Rows of measured tables: read from CSV, and cleaned so that what cannot be used is
-counted, with the reason.
+"""Rows of measured tables: read from CSV, and cleaned of rows that cannot be used.
+
+Dropped rows are counted by reason.
 """
 
 from __future__ import annotations
@@ -12,29 +13,26 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import ARM, GRASP
-from stringcast.data.file_checks import check_csv
+from stringcast.data.file_checks import check_csv, read_frame
 from stringcast.data.schema import DataError, Table
 
-# a metre in nanometres: nothing measured is further off, in whichever unit it was
-# written
-MAX_VALUE = 1e9
+MAX_VALUE = 1e9  # a metre in nanometres: no measured distance is larger in any unit
 MAX_TIME_S = 1e19  # [s], or nanoseconds since 1970, of which there are 2e18
-# [m], of a coordinate: nothing measures a string to an atom, and its square is still
-# far from nought
+# [m] of a coordinate: an atom's size, and its square is far from zero
 MIN_SIGMA_M = 1e-9
-ARC_LENGTH_ROUNDING_M = 1e-6  # [m] below which an arc length under zero is one
+ARC_LENGTH_ROUNDING_M = 1e-6  # [m] below zero that an arc length may be by rounding
 MOTION_TABLES = (ARM.name, GRASP.name)
-MIN_SPIKE = 2e-3  # [m] or [rad] by which a sample must be off
-SPIKE_RATIO = 10.0  # times as much as is usual about it
-SPIKE_WINDOW_SAMPLES = 11  # samples
-# of a spike, by which its neighbours must seem off the other way: of a real motion they
-# are not
+MIN_SPIKE = 2e-3  # [m] or [rad] by which a spike exceeds its neighbours
+SPIKE_RATIO = 10.0  # ratio of a spike to the median deviation around it
+SPIKE_WINDOW_SAMPLES = 11  # samples of that median
+# Fraction of a spike by which its neighbours seem off the other way, as they do not in
+# a real motion.
 MIN_RETURN_FRACTION = 0.25
 
 
 @dataclass(frozen=True)
 class RowCounts:
-    """The count of a file's rows.
+    """Counts of a file's rows.
 
     read: all of them. dropped: unusable ones by reason. unordered: rows earlier than
     the row before them of the same trial (and arc length).
@@ -46,25 +44,45 @@ class RowCounts:
 
 
 def read_csv_table(table: Table, path: Path) -> pd.DataFrame:
-    """A table from CSV; raises DataError naming the file, the column and the remedy.
+    """Read a table from CSV.
 
-    What is no number in a column of numbers is NaN, unless nothing in it is one. Names
-    keep their leading zeros.
+    A text in a column of numbers becomes NaN, unless the column holds no number at all.
+    Names keep their leading zeros.
+
+    Parameters
+    ----------
+    table
+        The schema that the file must fit.
+    path
+        The file.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The table with the declared types.
+
+    Raises
+    ------
+    DataError
+        If the file does not fit; it names the file, the column and the remedy.
     """
-    texts = [column.name for column in table.columns if column.kind == "text"]
-    try:
-        names = pd.read_csv(check_csv(path), nrows=0).columns
-        kinds = {name: str for name in names if name.strip() in texts}
-        # lines may end with a comma
-        frame = pd.read_csv(path, dtype=kinds, skipinitialspace=True, index_col=False)
-    except (ValueError, OSError) as error:
-        raise DataError(
-            f"{path}: cannot be read as CSV ({error}). Save it as plain text, UTF-8, with commas."
-        ) from error
+    remedy = "Save it as plain text, UTF-8, with commas."
+    names = read_frame(check_csv(path), "CSV", remedy, nrows=0).columns
+    texts = {column.name for column in table.columns if column.kind == "text"}
+    kinds = {name: str for name in names if name.strip() in texts}
+    frame = read_frame(
+        path,
+        "CSV",
+        remedy,
+        dtype=kinds,
+        skipinitialspace=True,
+        index_col=False,  # lines may end with a comma
+    )
     frame.columns = frame.columns.str.strip()
     if len(frame.columns) == 1 and len(table.columns) > 1:
         raise DataError(
-            f"{path}: it has one column, {frame.columns[0]!r}. Separate columns by commas, with points in decimals."
+            f"{path}: it has one column, {frame.columns[0]!r}. "
+            "Separate columns by commas, with points in decimals."
         )
     for column in table.columns:
         if column.kind == "float" and column.name in frame:
@@ -75,86 +93,102 @@ def read_csv_table(table: Table, path: Path) -> pd.DataFrame:
 
 
 class RowFilter:
-    """Takes rows out of a table and counts them by reason."""
+    """A table from which rows are dropped and counted by reason."""
 
     def __init__(self, frame: pd.DataFrame) -> None:
         self.frame = frame
         self.dropped: dict[str, int] = {}
 
-    def drop(self, reason: str, bad: pd.Series) -> None:
-        """Take out the rows of the present frame where `bad` is true."""
-        if bad.any():
-            self.dropped[reason] = int(bad.sum())
-            self.frame = self.frame[~bad]
+    def drop(self, reason: str, is_bad: pd.Series) -> None:
+        """Drop the rows of the present frame where `is_bad` is true."""
+        if is_bad.any():
+            self.dropped[reason] = int(is_bad.sum())
+            self.frame = self.frame[~is_bad]
 
 
 def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCounts]:
-    """Rows that can be used, in the order of trial and time, and what became of the
-    others.
+    """Drop unusable rows and sort the others by trial and time.
 
-    table: with the leading column `trial`. frame: of that table, as it was read.
+    Parameters
+    ----------
+    table
+        The schema, with the leading column `trial`.
+    frame
+        The table as it was read.
+
+    Returns
+    -------
+    frame : pandas.DataFrame
+        The usable rows.
+    counts : Rows
+        How many rows were read and dropped.
     """
-    kept = RowFilter(frame)
+    rows = RowFilter(frame)
+    numbers: list[str] = []
     for column in table.columns:
         if column.kind == "text":
-            kept.drop(f"no {column.name}", kept.frame[column.name].isna())
-    numbers = [c.name for c in table.columns if c.kind == "float" and not c.optional]
+            rows.drop(f"no {column.name}", rows.frame[column.name].isna())
+        elif column.kind == "float" and not column.optional:
+            numbers.append(column.name)
     for name in numbers:
-        kept.drop(f"{name} is not a finite number", ~np.isfinite(kept.frame[name]))
+        rows.drop(f"{name} is not a finite number", ~np.isfinite(rows.frame[name]))
         most = MAX_TIME_S if name == "t" else MAX_VALUE
-        kept.drop(f"{name} is beyond {most:.0e}", kept.frame[name].abs() > most)
+        rows.drop(f"{name} is beyond {most:.0e}", rows.frame[name].abs() > most)
     if "s" in numbers:
-        kept.drop("s is below 0", kept.frame["s"] < -ARC_LENGTH_ROUNDING_M)
-    if "sigma" in kept.frame:
-        kept.drop(
-            "sigma is not a number above 0",
-            ~(np.isfinite(kept.frame["sigma"]) & (kept.frame["sigma"] > 0)),
+        rows.drop("s is below 0", rows.frame["s"] < -ARC_LENGTH_ROUNDING_M)
+    if "sigma" in rows.frame:
+        sigma = rows.frame["sigma"]
+        rows.drop("sigma is not a number above 0", ~(np.isfinite(sigma) & (sigma > 0)))
+        rows.drop(
+            f"sigma is below {MIN_SIGMA_M:.0e} m", rows.frame["sigma"] < MIN_SIGMA_M
         )
-        kept.drop(
-            f"sigma is below {MIN_SIGMA_M:.0e} m", kept.frame["sigma"] < MIN_SIGMA_M
-        )
-    keys = [name for name in ("trial", "t", "s") if name in kept.frame]
-    kept.drop("a row twice", kept.frame.duplicated())
-    kept.drop(
-        f"another value at the same {', '.join(keys)}; the first is kept",
-        kept.frame.duplicated(keys),
-    )
-    kept.frame = kept.frame.assign(trial=kept.frame["trial"].map(str))
-    # points may be listed place by place
-    series = [name for name in ("trial", "s") if name in kept.frame]
-    unordered = int((kept.frame.groupby(series)["t"].diff() < 0).sum())
-    kept.frame = kept.frame.sort_values(["trial", "t"], kind="stable")
+    keys = [name for name in ("trial", "t", "s") if name in rows.frame]
+    rows.drop("a row twice", rows.frame.duplicated())
+    reason = f"another value at the same {', '.join(keys)}; the first is kept"
+    rows.drop(reason, rows.frame.duplicated(keys))
+
+    usable = rows.frame.assign(trial=rows.frame["trial"].map(str))
+    series = [name for name in keys if name != "t"]  # points may be listed by place
+    unordered = int((usable.groupby(series)["t"].diff() < 0).sum())
+    rows.frame = usable.sort_values(["trial", "t"], kind="stable")
     if table.name in MOTION_TABLES:
-        jumps = pd.Series(False, index=kept.frame.index)
-        for _, rows in kept.frame.groupby("trial", sort=False):
-            values = np.unwrap(
-                rows[[name for name in numbers if name != "t"]].to_numpy(), axis=0
-            )
-            jumps[rows.index] = spike_mask(rows["t"].to_numpy(), values)
-        kept.drop("the hand jumps away and back within two samples", jumps)
-    return kept.frame, RowCounts(len(frame), kept.dropped, unordered)
+        numbers.remove("t")
+        is_spike = pd.Series(False, index=rows.frame.index)
+        for _, trial in rows.frame.groupby("trial", sort=False):
+            values = np.unwrap(trial[numbers].to_numpy(), axis=0)
+            is_spike[trial.index] = spike_mask(trial["t"].to_numpy(), values)
+        rows.drop("the hand jumps away and back within two samples", is_spike)
+    return rows.frame, RowCounts(len(frame), rows.dropped, unordered)
 
 
 def spike_mask(t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Whether each sample is an outlier, (K,) bool. t: (K,) increasing times [s].
-    values: (K, J), continuous.
+    """Find single samples that jump away and back.
+
+    Parameters
+    ----------
+    t : (K,)
+        Increasing times [s].
+    values : (K, J)
+        Continuous values of the samples.
+
+    Returns
+    -------
+    (K,) bool
+        True for a spike.
     """
-    found = np.zeros(len(t), dtype=bool)
-    if len(t) < 5:  # a sample is held against two on each side
-        return found
+    is_spike = np.zeros(len(t), dtype=bool)
+    if len(t) < 5:  # a sample is compared with two on each side
+        return is_spike
+    # distance of each sample from the line between its neighbours
     share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
-    off = values[1:-1] - values[:-2] - share[:, None] * (values[2:] - values[:-2])
-    usual = (
-        pd.DataFrame(np.abs(off))
-        .rolling(SPIKE_WINDOW_SAMPLES, center=True, min_periods=1)
-        .median()
-        .to_numpy()[1:-1]
+    offset = values[1:-1] - values[:-2] - share[:, None] * (values[2:] - values[:-2])
+    window = pd.DataFrame(np.abs(offset)).rolling(
+        SPIKE_WINDOW_SAMPLES, center=True, min_periods=1
     )
-    here, before, after = off[1:-1], off[:-2], off[2:]
-    back = (before * here < -MIN_RETURN_FRACTION * here**2) & (
-        after * here < -MIN_RETURN_FRACTION * here**2
-    )
-    found[2:-2] = (
-        back & (np.abs(here) > np.maximum(MIN_SPIKE, SPIKE_RATIO * usual))
-    ).any(axis=1)
-    return found
+    typical = window.median().to_numpy()[1:-1]
+    before, middle, after = offset[:-2], offset[1:-1], offset[2:]
+    opposite = -MIN_RETURN_FRACTION * middle**2
+    returns = (before * middle < opposite) & (after * middle < opposite)
+    is_large = np.abs(middle) > np.maximum(MIN_SPIKE, SPIKE_RATIO * typical)
+    is_spike[2:-2] = (returns & is_large).any(axis=1)
+    return is_spike

@@ -1,8 +1,8 @@
-"""Tables with units: what a column is called, measured in, and means.
+"""Schemas of tables: what a column is called, measured in, and means.
 
-A `Table` is the schema of one Parquet file. `check` turns any data frame into one
-that fits, or says which column is wrong; `arrow` is the same schema for pyarrow,
-with unit and meaning in each field's metadata.
+A `Table` is the schema of one Parquet file. `check` turns any data frame into one that
+fits, or names the wrong column; `arrow` is the same schema for pyarrow, with unit and
+meaning in each field's metadata.
 """
 
 from __future__ import annotations
@@ -36,7 +36,10 @@ class DataError(ExpectedError):
 
 @dataclass(frozen=True)
 class Column:
-    """One column: `unit` is SI or "1" (dimensionless) or "" (not a quantity)."""
+    """The schema of a column.
+
+    unit: SI, "1" (dimensionless) or "" (not a quantity). kind: a key of `ARROW_TYPES`.
+    """
 
     name: str
     unit: str
@@ -45,77 +48,88 @@ class Column:
     optional: bool = False
 
     def arrow_field(self) -> pa.Field:
-        """The Arrow field, with unit and meaning as metadata."""
+        """Make the Arrow field, with unit and meaning as metadata."""
         metadata = {"unit": self.unit, "meaning": self.meaning}
         return pa.field(self.name, ARROW_TYPES[self.kind], metadata=metadata)
 
 
 @dataclass(frozen=True)
 class Table:
-    """The schema of one Parquet file. Columns it does not know are kept and ignored."""
+    """The schema of one Parquet file. Unknown columns are kept and ignored."""
 
     name: str
     meaning: str
     columns: tuple[Column, ...]
 
     def arrow_schema(self, frame: pd.DataFrame) -> pa.Schema:
-        """The Arrow schema for `frame`: known columns first, extra columns as they are."""
-        known = [
+        """Make the Arrow schema of a checked frame, known columns first."""
+        fields = [
             column.arrow_field() for column in self.columns if column.name in frame
         ]
-        names = {field.name for field in known}
-        extra = [name for name in frame.columns if name not in names]
-        inferred = (
-            pa.Schema.from_pandas(frame[extra], preserve_index=False) if extra else []
-        )
-        return pa.schema(
-            [*known, *inferred], metadata={"table": self.name, "meaning": self.meaning}
-        )
+        extra = frame.columns[len(fields) :]
+        if len(extra):
+            fields += pa.Schema.from_pandas(frame[extra], preserve_index=False)
+        return pa.schema(fields, metadata={"table": self.name, "meaning": self.meaning})
 
     def check(self, frame: pd.DataFrame, source: str = "memory") -> pd.DataFrame:
-        """`frame` with the declared types and order; raises DataError naming the column
-        and `source`.
+        """Give a frame the declared types and order of columns.
+
+        Parameters
+        ----------
+        frame
+            Any frame with the columns that are not optional.
+        source
+            Where it comes from, for messages.
+
+        Returns
+        -------
+        pandas.DataFrame
+            The known columns, then the others as they are.
+
+        Raises
+        ------
+        DataError
+            If a column is missing or a value has the wrong type.
         """
-        missing = [
-            c.name for c in self.columns if not c.optional and c.name not in frame
-        ]
-        if missing:
-            raise DataError(
-                f"{source}: table '{self.name}' has no column {', '.join(map(repr, missing))}; "
-                f"it has {', '.join(map(str, frame.columns)) or 'none'}. Add the column or rename yours to it."
-            )
-        known = [c for c in self.columns if c.name in frame]
-        extra = [name for name in frame.columns if name not in {c.name for c in known}]
+        missing: list[str] = []
         typed: dict[str, pd.Series] = {}
-        for column in known:
-            series = frame[column.name]
-            try:
-                if column.kind == "bool" and series.dtype != bool:
-                    if any(isinstance(value, str) for value in series):
-                        # else any text counts as true
-                        raise ValueError("give true or false")
-                    # what is missing is false
-                    series = series.where(series.notna(), False)
-                typed[column.name] = series.astype(PANDAS_TYPES[column.kind])
-            except (ValueError, TypeError) as error:
-                no_number = (
-                    pd.to_numeric(series, errors="coerce").isna() & series.notna()
-                )
-                bad = series[no_number].iloc[0] if no_number.any() else series.iloc[0]
-                raise DataError(
-                    f"{source}: column '{column.name}' must be {column.kind} [{column.unit}]; "
-                    f"found {bad!r} ({error}). Correct the value or remove the row."
-                ) from error
-        return pd.DataFrame(
-            {**typed, **{name: frame[name] for name in extra}}
-        ).reset_index(drop=True)
+        for column in self.columns:
+            if column.name in frame:
+                typed[column.name] = _cast(column, frame[column.name], source)
+            elif not column.optional:
+                missing.append(repr(column.name))
+        if missing:
+            names = ", ".join(map(str, frame.columns)) or "none"
+            raise DataError(
+                f"{source}: table '{self.name}' has no column {', '.join(missing)}; it "
+                f"has {names}. Add the column or rename yours to it."
+            )
+        for name in frame.columns:
+            if name not in typed:
+                typed[name] = frame[name]
+        return pd.DataFrame(typed).reset_index(drop=True)
 
     def empty(self) -> pd.DataFrame:
-        """A table of no rows."""
-        return pd.DataFrame(
-            {
-                c.name: pd.Series(dtype=PANDAS_TYPES[c.kind])
-                for c in self.columns
-                if not c.optional
-            }
-        )
+        """Make a frame without rows."""
+        columns: dict[str, pd.Series] = {}
+        for column in self.columns:
+            if not column.optional:
+                columns[column.name] = pd.Series(dtype=PANDAS_TYPES[column.kind])
+        return pd.DataFrame(columns)
+
+
+def _cast(column: Column, values: pd.Series, source: str) -> pd.Series:
+    """Give values the type of a column; raise DataError naming one that has another."""
+    try:
+        if column.kind == "bool" and values.dtype != bool:
+            if any(isinstance(value, str) for value in values):
+                raise ValueError("give true or false")  # else any text counts as true
+            values = values.where(values.notna(), False)  # a missing value is false
+        return values.astype(PANDAS_TYPES[column.kind])
+    except (ValueError, TypeError) as error:
+        is_text = pd.to_numeric(values, errors="coerce").isna() & values.notna()
+        wrong = values[is_text].iloc[0] if is_text.any() else values.iloc[0]
+        raise DataError(
+            f"{source}: column '{column.name}' must be {column.kind} [{column.unit}]; "
+            f"found {wrong!r} ({error}). Correct the value or remove the row."
+        ) from error

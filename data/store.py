@@ -1,9 +1,10 @@
-"""Writes and reads artifacts, so that nothing half-written is ever read as whole.
+"""The store of artifacts, in which nothing half-written is ever read as whole.
 
 An artifact is a folder with one Parquet file for each of its tables, and the frames of
-a trial under the names in its table `frames`. It is written beside its place, every
-file closed, read back and synced, and only then given its name, which appears whole or
-not at all. What made a file (its origin) is in the Parquet footer.
+a trial under the names in its table `frames`. It is written under another name in the
+same folder, every file closed, read back and synced, and only then renamed, so that it
+appears whole or not at all. The Parquet footer holds the origin of a file: what made
+it.
 """
 
 from __future__ import annotations
@@ -34,69 +35,132 @@ READ_ERRORS = (pa.ArrowException, OSError, ValueError)
 
 
 def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
-    """Write an artifact as `folder`, replacing one that is there.
+    """Write an artifact as a folder, replacing one of that name.
 
-    origin: what made it, JSON-able; goes into every footer. Raises DataError where it
-    cannot be written; what was there before is then still there. Only a kill between
-    the two renames of a replacement leaves neither.
+    Parameters
+    ----------
+    artifact
+        A dataclass with `TABLES`, such as `Trial`.
+    folder
+        The folder to write.
+    origin
+        What made the artifact, as values of JSON; it goes into the footer of every table.
+
+    Raises
+    ------
+    DataError
+        If the folder cannot be written. A former folder is then still there; only a kill
+        between the two renames of a replacement leaves neither.
     """
-    with write_atomically(folder) as aside:
-        disk.make_folder(aside)
+    with write_atomically(folder) as part:
+        disk.make_folder(part)
         tables = artifact.tables() if hasattr(artifact, "tables") else artifact.TABLES
         for name, table in tables.items():
-            _write_parquet(
-                table, getattr(artifact, name), aside / f"{name}.parquet", origin
-            )
+            frame = getattr(artifact, name)
+            _write_parquet(table, frame, part / f"{name}.parquet", origin)
         if hasattr(artifact, "images"):
-            files = [aside / file for file in artifact.frames["file"]]
+            files = [part / file for file in artifact.frames["file"]]
             for file, image in zip(files, artifact.images, strict=True):
                 disk.make_folder(file.parent)
                 disk.write(file, encode_png(image))
-            for inside in {file.parent for file in files}:
-                disk.sync_folder(inside)
-        disk.sync_folder(aside)
+            for parent in {file.parent for file in files}:
+                disk.sync_folder(parent)
+        disk.sync_folder(part)
 
 
 def load(kind: type[Artifact], folder: Path) -> Artifact:
-    """Read an artifact of `kind`; raises DataError naming the file and the remedy.
-    Images are read when asked for.
+    """Read an artifact from its folder.
+
+    Parameters
+    ----------
+    kind
+        The class of the artifact, with `TABLES`.
+    folder
+        The folder that holds it.
+
+    Returns
+    -------
+    Artifact
+        The artifact; its images are read when they are used.
+
+    Raises
+    ------
+    DataError
+        If a file is missing or damaged; it names the file and the remedy.
     """
     if not folder.is_dir():
         raise DataError(
-            f"{folder}: there is no {kind.__name__.lower()} here. Name a run folder that holds one."
+            f"{folder}: there is no {kind.__name__.lower()} here. "
+            "Name a run folder that holds one."
         )
-    tables: dict[str, Any] = {}
+    content: dict[str, Any] = {}
     for name, table in kind.TABLES.items():  # type: ignore[attr-defined]
-        tables[name] = read_table(table, folder / f"{name}.parquet")
+        content[name] = read_table(table, folder / f"{name}.parquet")
     if "images" in kind.__dataclass_fields__:  # type: ignore[attr-defined]
-        tables["images"] = load_images(folder, tables["frames"])
-    return kind(**tables)
+        content["images"] = load_images(folder, content["frames"])
+    return kind(**content)
 
 
 def load_images(folder: Path, frames: pd.DataFrame) -> ImageFiles:
-    """The images of a table `frames`, whose paths are relative to `folder`; raises
-    DataError where one is missing.
+    """Open the images of a table `frames`, whose paths are relative to `folder`.
+
+    Raises DataError if one is missing.
     """
-    lost = [file for file in frames["file"] if not (folder / file).is_file()]
-    if lost:
+    files = tuple(frames["file"])
+    missing = [file for file in files if not (folder / file).is_file()]
+    if missing:
+        count = f" ({len(missing)} are)" if len(missing) > 1 else ""
         raise DataError(
-            f"{folder / lost[0]}: the frame is missing{f' ({len(lost)} are)' if len(lost) > 1 else ''}. "
+            f"{folder / missing[0]}: the frame is missing{count}. "
             "Restore it, or leave the trial out."
         )
-    return ImageFiles(folder, tuple(frames["file"]))
+    return ImageFiles(folder, files)
 
 
 def write_table(
     table: Table, frame: pd.DataFrame, path: Path, origin: Mapping[str, Any]
 ) -> None:
-    """Write one table as `path`, whole or not at all."""
-    with write_atomically(path) as aside:
-        _write_parquet(table, frame, aside, origin)
+    """Write one table as a Parquet file, whole or not at all.
+
+    Parameters
+    ----------
+    table
+        The schema.
+    frame
+        The rows; columns that the schema does not know are kept.
+    path
+        The file to write.
+    origin
+        What made the table, as values of JSON.
+
+    Raises
+    ------
+    DataError
+        If the frame does not fit the schema or the file cannot be written.
+    """
+    with write_atomically(path) as part:
+        _write_parquet(table, frame, part, origin)
 
 
 def read_table(table: Table, path: Path) -> pd.DataFrame:
-    """Read and check one table; raises DataError naming the file, the column and the
-    remedy.
+    """Read a Parquet file and check it against a schema.
+
+    Parameters
+    ----------
+    table
+        The schema.
+    path
+        The file.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The rows with the declared types.
+
+    Raises
+    ------
+    DataError
+        If the file does not fit; it names the file, the column and the remedy.
     """
     try:
         if not path.exists():
@@ -107,31 +171,34 @@ def read_table(table: Table, path: Path) -> pd.DataFrame:
         with pq.ParquetFile(
             path, page_checksum_verification=True, read_dictionary=texts
         ) as file:
-            name = (
-                (file.schema_arrow.metadata or {})
-                .get(b"table", table.name.encode())
-                .decode()
-            )
+            metadata = file.schema_arrow.metadata or {}
             frame = file.read(columns).to_pandas()
+        # a column of texts may have become the index
         frame = frame.astype({text: object for text in texts if text in frame})
     except FileNotFoundError as error:
         raise DataError(
-            f"{path}: the file is missing. Restore it, or run the step that makes it again."
+            f"{path}: the file is missing. "
+            "Restore it, or run the step that makes it again."
         ) from error
     except READ_ERRORS as error:
         raise DataError(
-            f"{path}: not a whole Parquet file ({error}). Restore it or delete it and run again."
+            f"{path}: not a whole Parquet file ({error}). "
+            "Restore it or delete it and run again."
         ) from error
+    name = metadata.get(b"table", table.name.encode()).decode()  # others write no name
     if name != table.name:
         raise DataError(
-            f"{path}: holds the table '{name}', not '{table.name}'. Put the right file there."
+            f"{path}: holds the table '{name}', not '{table.name}'. "
+            "Put the right file there."
         )
     return table.check(frame, str(path))
 
 
 def read_origin(path: Path) -> dict[str, Any]:
-    """The provenance in the footer of a Parquet file, or of the first one in a folder;
-    empty for a file that is not ours. Raises DataError for a folder that holds none.
+    """Read what made a Parquet file, or the first one in a folder.
+
+    The result is empty for a file of another program. Raises DataError for a folder
+    without tables.
     """
     if path.is_dir():
         folder, path = path, min(path.glob("*.parquet"), default=path)
@@ -145,34 +212,34 @@ def read_origin(path: Path) -> dict[str, Any]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file, whole or not at all."""
-    with write_atomically(path) as aside:
-        disk.write(aside, text.encode())
+    with write_atomically(path) as part:
+        disk.write(part, text.encode())
 
 
 def content_hash(path: Path) -> str:
-    """SHA-256 of a file's content, or of a folder's files and their names.
+    """Hash a file's content, or a folder's files and their names (SHA-256).
 
-    Of a Parquet file its columns count, with their types and units, not the origin in
+    Of a Parquet file the columns count, with their types and units, not the origin in
     its footer: the same numbers have the same hash, whichever run they come from.
     """
     digest = hashlib.sha256()
-    files = (
-        [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
-    )
+    if path.is_file():
+        files = [path]
+    else:
+        files = sorted(p for p in path.rglob("*") if p.is_file())
     for file in files:
         with file.open("rb") as content:
             head, size = b"", file.stat().st_size
             if file.suffix == ".parquet":
-                # it ends with the footer, the footer's length (4 bytes) and "PAR1"; all
-                # before is the columns' pages
-                head = pq.read_schema(file).remove_metadata().serialize().to_pybytes()
+                # It ends with the footer, the footer's length (4 bytes) and "PAR1";
+                # before that are the pages of the columns.
+                schema = pq.read_schema(file).remove_metadata()
+                head = schema.serialize().to_pybytes()
                 end = content.seek(-8, os.SEEK_END)
                 size = end - int.from_bytes(content.read(4), "little")
                 content.seek(0)
-            digest.update(
-                f"{file.relative_to(path).as_posix()}\0{len(head) + size}\0".encode()
-                + head
-            )
+            name = file.relative_to(path).as_posix()
+            digest.update(f"{name}\0{len(head) + size}\0".encode() + head)
             # a film may be larger than the memory
             while size > 0 and (piece := content.read(min(CHUNK_BYTES, size))):
                 size -= len(piece)
@@ -183,20 +250,19 @@ def content_hash(path: Path) -> str:
 def _write_parquet(
     table: Table, frame: pd.DataFrame, path: Path, origin: Mapping[str, Any]
 ) -> None:
-    """Write and read back; the caller gives the file its name. The same content gives
-    the same bytes.
+    """Write a table and read its size back.
+
+    The same content gives the same bytes.
     """
     checked = table.check(frame, path.name)
     schema = table.arrow_schema(checked)
-    metadata = {
-        **(schema.metadata or {}),
-        b"origin": json.dumps(origin, sort_keys=True).encode(),
-    }
-    content = pa.Table.from_pandas(
-        checked, schema=schema, preserve_index=False
-    ).replace_schema_metadata(metadata)
+    metadata = dict(schema.metadata or {})
+    metadata[b"origin"] = json.dumps(origin, sort_keys=True).encode()
+    content = pa.Table.from_pandas(checked, schema=schema, preserve_index=False)
     buffer = pa.BufferOutputStream()
-    pq.write_table(content, buffer, write_page_checksum=True)
+    pq.write_table(
+        content.replace_schema_metadata(metadata), buffer, write_page_checksum=True
+    )
     disk.write(path, buffer.getvalue().to_pybytes())
     if pq.read_metadata(path).num_rows != len(checked):
         raise OSError(errno.EIO, "it reads back differently")
@@ -204,53 +270,53 @@ def _write_parquet(
 
 @contextmanager
 def write_atomically(path: Path) -> Iterator[Path]:
-    """A name beside `path` to write to; on success it becomes `path`, else it goes, and
-    what was there stays.
+    """Give a name in the same folder to write to, which becomes `path` on success.
+
+    On failure the part is removed, and a former file stays.
     """
-    aside = _sibling_name(path)
+    part = _sibling_name(path)
     try:
         disk.make_folder(path.parent)
-        yield aside
-        _move_into_place(aside, path)
+        yield part
+        _move_into_place(part, path)
         disk.sync_folder(path.parent)
     except (OSError, pa.ArrowException) as error:
-        why = getattr(error, "strerror", None) or error
-        remedy = remedy_for(error)
+        reason = getattr(error, "strerror", None) or error
         raise DataError(
-            f"{path}: cannot be written ({why}). {remedy}; nothing half-written is left."
+            f"{path}: cannot be written ({reason}). {remedy_for(error)}; "
+            "nothing half-written is left."
         ) from error
     finally:
         _remove_leftovers(path)
 
 
 def _sibling_name(path: Path, role: str = "part") -> Path:
-    """A new name in the same folder, and so on the same disk."""
+    """Make a new name in the same folder, and so on the same disk."""
     return path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.{role}")
 
 
 def _remove_leftovers(path: Path) -> None:
-    """Remove what was left beside `path`, by us or by one that was killed; never the
-    only whole copy.
-    """
-    ours = re.compile(re.escape(f".{path.name}.") + r"[0-9a-f]{8}\.(part|replaced)")
+    """Remove what a failed or killed write of `path` left, but never the only copy."""
+    pattern = re.escape(f".{path.name}.") + r"[0-9a-f]{8}\.(part|replaced)"
     with suppress(OSError):
-        for left in path.parent.iterdir():
-            match = ours.fullmatch(left.name)
+        for file in path.parent.iterdir():
+            match = re.fullmatch(pattern, file.name)
             if match and (match[1] == "part" or path.exists()):
-                disk.remove(left)
+                disk.remove(file)
 
 
-def _move_into_place(aside: Path, path: Path) -> None:
-    """Give `aside` its name. A folder of that name steps aside first, for no system
-    replaces a full one.
+def _move_into_place(part: Path, path: Path) -> None:
+    """Rename `part` to `path`.
+
+    A folder of that name is renamed first, for no system replaces a full one.
     """
     if not path.is_dir():
-        disk.rename(aside, path)
+        disk.rename(part, path)
         return
-    old = _sibling_name(path, "replaced")
-    disk.rename(path, old)
+    former = _sibling_name(path, "replaced")
+    disk.rename(path, former)
     try:
-        disk.rename(aside, path)
+        disk.rename(part, path)
     except BaseException:
-        disk.rename(old, path)
+        disk.rename(former, path)
         raise

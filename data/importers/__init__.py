@@ -1,6 +1,7 @@
-"""Files of other programs, read into plain tables of named columns; `columns` says what
-a column means by its name, and `gathered` makes of them the tables of our own format. A
-file format is a file here, with `reads` and `read`.
+"""Files of other programs, read into plain tables of named columns.
+
+Each file format has a module with `recognises` and `read`. `columns` says what a column
+means by its name, and `gathered` makes the tables of our own format.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ import pandas as pd
 
 @dataclass(frozen=True)
 class SourceRecording:
-    """file: where it was read. table: its columns, of numbers or texts, a row for each
-    sample; empty for a film. name: of the trial, where the file holds several
-    recordings. fps: frames a second, where the file says so [1/s]. film: the video
-    file, if it is one.
+    """The content of a foreign file.
+
+    file: where it was read. table: columns of numbers or texts, one row per sample;
+    empty for a film. name: of the trial, where a file holds several recordings. fps:
+    frame rate, where the file states it [1/s]. film: the video file, if it is one.
     """
 
     file: Path

@@ -1,5 +1,7 @@
-"""The meaning of a column from its name: `joint1_deg`, `Time (Seconds)`, `tip_x_mm`,
-`actual_TCP_pose_0`.
+"""The meaning of a column from its name.
+
+Names such as `joint1_deg`, `Time (Seconds)`, `tip_x_mm` and `actual_TCP_pose_0` are
+understood.
 """
 
 from __future__ import annotations
@@ -9,121 +11,75 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 
-TIME_UNITS = {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0} | {
-    **dict.fromkeys(("ms", "msec", "millis", "millisecond", "milliseconds"), 1e-3),
-    **dict.fromkeys(("us", "usec", "micros", "microsecond", "microseconds"), 1e-6),
-    **dict.fromkeys(("ns", "nsec", "nanos", "nanosecond", "nanoseconds"), 1e-9),
+
+def _alike(words: str, value: float) -> dict[str, float]:
+    return dict.fromkeys(words.split(), value)
+
+
+TIME_UNITS = {
+    **_alike("s sec secs second seconds", 1.0),
+    **_alike("ms msec millis millisecond milliseconds", 1e-3),
+    **_alike("us usec micros microsecond microseconds", 1e-6),
+    **_alike("ns nsec nanos nanosecond nanoseconds", 1e-9),
 }
 LENGTH_UNITS = {
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), 1.0),
-    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetres"), 1e-2),
-    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetres"), 1e-3),
+    **_alike("m meter meters metre metres", 1.0),
+    **_alike("cm centimeter centimeters centimetres", 1e-2),
+    **_alike("mm millimeter millimeters millimetres", 1e-3),
     "um": 1e-6,
 }
 ANGLE_UNITS = {
-    **dict.fromkeys(("rad", "radian", "radians"), 1.0),
-    **dict.fromkeys(("deg", "degree", "degrees", "°"), pi / 180),
+    **_alike("rad radian radians", 1.0),
+    **_alike("deg degree degrees °", pi / 180),
     "mrad": 1e-3,
 }
-PIXEL_WORDS = ("px", "pixel", "pixels")
-TIME_WORDS = ("t", "time", "times", "timestamp", "stamp")
-TRIAL_WORDS = ("trial", "episode", "run", "take", "cast", "shot", "recording")
-JOINT_WORDS = ("joint", "q", "j", "axis", "a", "motor", "servo", "angle", "theta")
-HAND_WORDS = (
-    "tcp",
-    "hand",
-    "grasp",
-    "gripper",
-    "ee",
-    "eef",
-    "effector",
-    "tool",
-    "wrist",
-    "flange",
-    "clamp",
+PIXEL_WORDS = {"px", "pixel", "pixels"}
+UNITS = {*TIME_UNITS, *LENGTH_UNITS, *ANGLE_UNITS, *PIXEL_WORDS}
+TIME_WORDS = set("t time times timestamp stamp".split())
+TRIAL_WORDS = set("trial episode run take cast shot recording".split())
+JOINT_WORDS = set("joint q j axis a motor servo angle theta".split())
+HAND_WORDS = set(
+    "tcp hand grasp gripper ee eef effector tool wrist flange clamp".split()
 )
-DIRECTION_WORDS = (
-    "theta",
-    "yaw",
-    "angle",
-    "phi",
-    "heading",
-    "rz",
-    "rotation",
-    "orientation",
-)
+DIRECTION_WORDS = set("theta yaw angle phi heading rz rotation orientation".split())
 QUATERNION_AXES = ("qx", "qy", "qz", "qw")
-ARC_LENGTH_WORDS = ("s", "arc", "arclength")
+ARC_LENGTH_WORDS = {"s", "arc", "arclength"}
 QUALITY_WORDS = {
     **dict.fromkeys(("likelihood", "confidence", "score"), "likelihood"),
     **dict.fromkeys(("valid", "visible", "tracked"), "valid"),
     **dict.fromkeys(("sigma", "std", "uncertainty"), "sigma"),
 }
-RATE_WORDS = (
-    "vel",
-    "velocity",
-    "velocities",
-    "speed",
-    "acc",
-    "acceleration",
-    "jerk",
-    "qd",
-    "qdd",
-    "rate",
-)
-LOAD_WORDS = (
-    "torque",
-    "effort",
-    "force",
-    "current",
-    "voltage",
-    "temperature",
-    "moment",
-    "power",
-)
+RATE_WORDS = "vel velocity velocities speed acc acceleration jerk qd qdd rate"
+LOAD_WORDS = "torque effort force current voltage temperature moment power"
 COMMAND_WORDS = (
-    "cmd",
-    "command",
-    "commanded",
-    "target",
-    "goal",
-    "desired",
-    "setpoint",
-    "reference",
-    "ref",
-    "action",
+    "cmd command commanded target goal desired setpoint reference ref action"
 )
-NON_POSITION_WORDS = {
-    *RATE_WORDS,
-    *LOAD_WORDS,
-    *COMMAND_WORDS,
-    "error",
-    "residual",
-    "width",
-}
-FILLER_WORDS = {
-    "pos",
-    "position",
-    "positions",
-    "coord",
-    "pose",
-    "actual",
-    "measured",
-    "state",
-    "ik",
-    "of",
-    "the",
-    "observation",
-}
+NON_POSITION_WORDS = set(
+    f"{RATE_WORDS} {LOAD_WORDS} {COMMAND_WORDS} error residual width".split()
+)
+FILLER_WORDS = set(
+    "pos position positions coord pose actual measured state ik of the "
+    "observation".split()
+)
+# one over a second, as in `deg/s` and `mm_per_s`
+RATE_UNIT = re.compile(r"(/|_per_|\*\*-|\^-)\s*s")
 
 
 @dataclass(frozen=True)
 class ColumnMeaning:
     """The meaning of a column.
 
-    kind: `time`, `frame`, `trial`, `joint`, `hand`, `point`, `arc` or `other`. name:
-    number of a joint, name of a point. axis: x, y, z, angle, a quaternion's, or
-    likelihood, valid, sigma. unit: from the column's name; empty where it gives none.
+    Attributes
+    ----------
+    kind
+        `time`, `frame`, `trial`, `joint`, `hand`, `point`, `arc` or `other`.
+    name
+        Number of a joint, or name of a point.
+    axis
+        `x`, `y`, `z`, `angle`, a component of a quaternion, `likelihood`, `valid` or
+        `sigma`.
+    unit
+        The unit in the column's name; empty if there is none.
     """
 
     kind: str
@@ -136,101 +92,103 @@ NO_MEANING = ColumnMeaning("other")
 
 
 def split_words(column: str) -> list[str]:
-    """Words and numbers that a name is made of, in lower case: `tipX [mm]` is tip, x,
-    mm.
-    """
-    apart = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column)
-    return re.findall(r"[a-z]+|\d+|°", apart.lower())
+    """Split a name into words and numbers, in lower case: `tipX [mm]` is tip, x, mm."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", column)
+    return re.findall(r"[a-z]+|\d+|°", spaced.lower())
 
 
 def column_meaning(column: str) -> ColumnMeaning:
-    """The meaning of a column, as far as its name tells."""
+    """Interpret the name of a column."""
     words = split_words(column)
-    # a unit that is one per second, as in `deg/s` and `mm_s`, is a rate's
-    over = re.search(r"(/|_per_|\*\*-|\^-)\s*s", column.lower())
-    is_rate = over or (
+    if not words or NON_POSITION_WORDS & {*words} or _is_rate(column, words):
+        return NO_MEANING
+    unit = _unit_word(words)
+    content = [word for word in words if word != unit or words.index(word) == 0]
+    content = [word for word in content if word not in FILLER_WORDS] or content[:1]
+    first = content[0]
+    is_short = len(content) <= 2
+    has_axis = not {"x", "y"}.isdisjoint(content)
+    if first in TRIAL_WORDS and is_short:
+        return ColumnMeaning("trial")
+    if content in (["frame"], ["frame", "index"], ["frame", "number"]):
+        return ColumnMeaning("frame")
+    if TIME_WORDS & {*content} and not has_axis:
+        return ColumnMeaning("time", " ".join(content), unit=_only(unit, TIME_UNITS))
+    if first in ARC_LENGTH_WORDS and is_short and not has_axis:
+        return ColumnMeaning("arc", unit=_only(unit, LENGTH_UNITS))
+    return _position_meaning(content, unit)
+
+
+def stated_unit(column: str, kind: str) -> str:
+    """Find the unit in a column's name that suits a kind of meaning; empty if none."""
+    unit = _unit_word(split_words(column))
+    if unit in PIXEL_WORDS:
+        return "px"
+    suitable = {
+        "time": TIME_UNITS,
+        "joint": ANGLE_UNITS,
+        "hand": LENGTH_UNITS | ANGLE_UNITS,
+        "trial": {},
+    }
+    return _only(unit, suitable.get(kind, LENGTH_UNITS))
+
+
+def _is_rate(column: str, words: Sequence[str]) -> bool:
+    """Detect a unit per second, as in `deg/s` and `mm_s`."""
+    if RATE_UNIT.search(column.lower()):
+        return True
+    return (
         len(words) > 2
         and words[-1] == "s"
         and words[-2] in {*LENGTH_UNITS, *ANGLE_UNITS}
     )
-    if not words or NON_POSITION_WORDS & {*words} or is_rate:
-        return NO_MEANING
-    unit = _unit_word(words)
-    plain = [word for word in words if word != unit or words.index(word) == 0]
-    plain = [word for word in plain if word not in FILLER_WORDS] or plain[:1]
-    if plain[0] in TRIAL_WORDS and len(plain) <= 2:
-        return ColumnMeaning("trial")
-    if plain in (["frame"], ["frame", "index"], ["frame", "number"]):
-        return ColumnMeaning("frame")
-    if {*TIME_WORDS} & {*plain} and not {"x", "y"} & {*plain}:
-        return ColumnMeaning(
-            "time", " ".join(plain), "", unit if unit in TIME_UNITS else ""
-        )
-    if plain[0] in ARC_LENGTH_WORDS and len(plain) <= 2 and not {"x", "y"} & {*plain}:
-        return ColumnMeaning("arc", "", "", unit if unit in LENGTH_UNITS else "")
-    return _position_meaning(plain, unit)
 
 
 def _unit_word(words: Sequence[str]) -> str:
-    """The unit that a name ends with, if any: the last word but for numbers."""
-    found = [
-        word
-        for word in words[1:]
-        if word in {*TIME_UNITS, *LENGTH_UNITS, *ANGLE_UNITS, *PIXEL_WORDS}
-    ]
-    return found[-1] if found else ""
+    """Find the last unit among the words of a name; the first word is no unit."""
+    units = [word for word in words[1:] if word in UNITS]
+    return units[-1] if units else ""
 
 
-def stated_unit(column: str, kind: str) -> str:
-    """The unit that a column's name says, of a kind of meaning."""
-    unit = _unit_word(split_words(column))
-    known = {
-        "time": TIME_UNITS,
-        "joint": ANGLE_UNITS,
-        "hand": LENGTH_UNITS | ANGLE_UNITS,
-        "trial": (),
-    }.get(kind, LENGTH_UNITS)
-    return "px" if unit in PIXEL_WORDS else unit if unit in known else ""
+def _only(unit: str, units: dict[str, float]) -> str:
+    return unit if unit in units else ""
 
 
-def _position_meaning(plain: Sequence[str], unit: str) -> ColumnMeaning:
-    """The meaning of a column of positions: of a joint, the hand or a point of the
-    string.
-    """
-    of_hand = bool({*HAND_WORDS} & {*plain})
-    if turned := [word for word in plain if word in QUATERNION_AXES]:
-        return (
-            ColumnMeaning("hand", "", turned[0])
-            if of_hand or len(plain) == 1
-            else NO_MEANING
-        )
-    if quality := [QUALITY_WORDS[word] for word in plain if word in QUALITY_WORDS]:
+def _position_meaning(words: Sequence[str], unit: str) -> ColumnMeaning:
+    """Interpret the name of a position: of a joint, the hand or a point."""
+    is_hand = not HAND_WORDS.isdisjoint(words)
+    quaternion = [word for word in words if word in QUATERNION_AXES]
+    if quaternion:
+        if is_hand or len(words) == 1:
+            return ColumnMeaning("hand", axis=quaternion[0])
+        return NO_MEANING
+    quality = [QUALITY_WORDS[word] for word in words if word in QUALITY_WORDS]
+    if quality:
         return ColumnMeaning(
-            "point", _point_name(plain, QUALITY_WORDS), quality[0], unit
+            "point", _point_name(words, QUALITY_WORDS), quality[0], unit
         )
-    if axes := [word for names in ("xyz", "uv") for word in plain if word in names]:
-        # u and v are x and y in pixels
-        in_pixels = axes[0] in "uv" or unit in PIXEL_WORDS
-        unit = "px" if in_pixels else unit if unit in LENGTH_UNITS else ""
-        axis = {"u": "x", "v": "y"}.get(axes[0], axes[0])
-        return ColumnMeaning(
-            "hand" if of_hand else "point",
-            _point_name(plain, ("x", "y", "z", "u", "v")),
-            axis,
-            unit,
-        )
+    axes = [word for word in words if word in "xyz"]
+    pixel_axes = [word for word in words if word in "uv"]
+    if axes or pixel_axes:
+        name = _point_name(words, ("x", "y", "z", "u", "v"))
+        kind = "hand" if is_hand else "point"
+        if not axes:
+            axis = {"u": "x", "v": "y"}.get(pixel_axes[0], pixel_axes[0])
+            return ColumnMeaning(kind, name, axis, "px")
+        if unit in PIXEL_WORDS:
+            return ColumnMeaning(kind, name, axes[0], "px")
+        return ColumnMeaning(kind, name, axes[0], _only(unit, LENGTH_UNITS))
     # no coordinate: the hand's direction, or the angle of a numbered joint
-    numbers = [word for word in plain if word.isdigit()]
-    unit = unit if unit in ANGLE_UNITS else ""
-    if {*DIRECTION_WORDS} & {*plain} and (of_hand or (len(plain) == 1 and not numbers)):
-        return ColumnMeaning("hand", "", "angle", unit)
-    return (
-        ColumnMeaning("joint", numbers[-1], "", unit)
-        if {*JOINT_WORDS} & {*plain} and numbers
-        else NO_MEANING
-    )
+    numbers = [word for word in words if word.isdigit()]
+    unit = _only(unit, ANGLE_UNITS)
+    is_alone = len(words) == 1 and not numbers
+    if DIRECTION_WORDS & {*words} and (is_hand or is_alone):
+        return ColumnMeaning("hand", axis="angle", unit=unit)
+    if JOINT_WORDS & {*words} and numbers:
+        return ColumnMeaning("joint", numbers[-1], unit=unit)
+    return NO_MEANING
 
 
-def _point_name(plain: Sequence[str], beside: Sequence[str] | dict[str, str]) -> str:
-    """A point's name: all words but those."""
-    return " ".join(word for word in plain if word not in beside)
+def _point_name(words: Sequence[str], leave_out: Sequence[str] | dict[str, str]) -> str:
+    """Join the words of a point's name."""
+    return " ".join(word for word in words if word not in leave_out)

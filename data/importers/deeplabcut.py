@@ -1,72 +1,59 @@
-"""DeepLabCut's tables of points (https://deeplabcut.github.io): CSV with three or four
-lines of headings.
+"""Tables of points of DeepLabCut (https://deeplabcut.github.io).
+
+They are CSV with three or four lines of headings.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import pandas as pd
-
-from stringcast.data.file_checks import check_csv
+from stringcast.data.file_checks import begins_with, check_csv, read_frame
 from stringcast.data.importers import SourceRecording
 from stringcast.data.schema import DataError
 
-# the first cell of each of those lines
+# the first cell of each line of headings
 HEADINGS = ("scorer", "individuals", "bodyparts", "coords")
-MAX_HEADING_LINES = 4  # lines of headings
 
 
-def reads(path: Path) -> bool:
-    """Whether a file begins as DeepLabCut's CSV does."""
-    if path.suffix.lower() != ".csv" or not path.is_file():
-        return False
-    with path.open(encoding="utf-8", errors="replace") as file:
-        return file.read(len(HEADINGS[0]) + 1) == "scorer,"
+def recognises(path: Path) -> bool:
+    """Tell whether a file begins as DeepLabCut's CSV does."""
+    return path.suffix.lower() == ".csv" and begins_with(path, "scorer,", "utf-8")
 
 
 def read(path: Path) -> list[SourceRecording]:
-    """Places of its points [px] by frame, one recording; raises DataError where it is
-    damaged.
+    """Read the positions of all points [px] by frame, as one recording.
+
+    Raises DataError if the file is damaged.
     """
+    headings: dict[str, list[str]] = {}
+    count = 0
     with check_csv(path).open(encoding="utf-8", errors="replace") as file:
-        begins = [
-            file.readline().rstrip("\n").split(",") for _ in range(MAX_HEADING_LINES)
-        ]
-    lines = [line for line in begins if line[0] in HEADINGS]
-    try:
-        frame = pd.read_csv(path, header=None, skiprows=len(lines))
-    except (ValueError, OSError) as error:
+        for _ in HEADINGS:
+            cells = file.readline().rstrip("\n").split(",")
+            if cells[0] in HEADINGS:
+                headings[cells[0]] = cells
+                count += 1
+    frame = read_frame(
+        path, "DeepLabCut's CSV", "Export it again.", header=None, skiprows=count
+    )
+    width = frame.shape[1]
+    parts = headings.get("bodyparts")
+    coordinates = headings.get("coords", [])
+    if parts is None or len(coordinates) != width:
         raise DataError(
-            f"{path}: cannot be read as DeepLabCut's CSV ({error}). Export it again."
-        ) from error
-    named = {line[0]: line for line in lines}
-    if (
-        not {"bodyparts", "coords"} <= {*named}
-        or len(named["coords"]) != frame.shape[1]
-    ):
-        raise DataError(
-            f"{path}: its lines 'bodyparts' and 'coords' do not fit its columns. Export it again."
+            f"{path}: its lines 'bodyparts' and 'coords' do not fit its columns. "
+            "Export it again."
         )
-    animals = named.get("individuals", [""] * frame.shape[1])
-    parts = [
-        " ".join(filter(None, both))
-        for both in zip(animals, named["bodyparts"], strict=True)
-    ]
-    names = [
-        "frame",
-        *(
-            column_name(*both)
-            for both in zip(parts[1:], named["coords"][1:], strict=True)
-        ),
-    ]
+    animals = headings.get("individuals", [""] * width)
+    names = ["frame"]
+    for animal, part, coordinate in zip(
+        animals[1:], parts[1:], coordinates[1:], strict=True
+    ):
+        names.append(column_name(" ".join(filter(None, (animal, part))), coordinate))
     return [SourceRecording(path, frame.set_axis(names, axis=1))]
 
 
 def column_name(part: str, coordinate: str) -> str:
-    """A name that says what the column is: `tip x [px]`, `tip likelihood`."""
-    return (
-        f"{part} {coordinate} [px]"
-        if coordinate in ("x", "y")
-        else f"{part} {coordinate}"
-    )
+    """Name a column by its content: `tip x [px]`, `tip likelihood`."""
+    unit = " [px]" if coordinate in ("x", "y") else ""
+    return f"{part} {coordinate}{unit}"

@@ -1,9 +1,8 @@
-"""DeepLabCut's tables in HDF5, as pandas stores them (`df_with_missing/table`); needs
-h5py.
+"""Tables of DeepLabCut in HDF5, as pandas stores them (`df_with_missing/table`).
 
-pandas would read them by PyTables, which unpickles whatever attributes hold. Here the
-names of columns alone are unpickled, by a reader that knows lists, tuples and texts and
-calls nothing.
+They need h5py. pandas would read them by PyTables, which unpickles whatever attributes
+hold. Here only the names of columns are unpickled, by a reader that knows lists, tuples
+and texts and calls nothing.
 """
 
 from __future__ import annotations
@@ -23,33 +22,32 @@ from stringcast.data.schema import DataError
 
 TABLE_PATH = "df_with_missing/table"
 VALUES_COLUMN = "values_block_0"
-# [bytes] of the attribute that holds the names: HDF5 stores no longer ones beside a
-# table
+# [bytes] of the attribute with the names: HDF5 stores no longer ones
 MAX_NAMES_BYTES = 2**16
 
 
 class _TextUnpickler(pickle.Unpickler):
-    """Unpickles numbers, texts, lists and tuples; whatever would call something is
-    refused.
-    """
+    """Unpickler of numbers, texts, lists and tuples, which refuses any call."""
 
     def find_class(self, module: str, name: str) -> NoReturn:
-        """Refuse to look a class up: nothing in the file is to be run."""
+        """Refuse to look a class up: nothing in the file may run."""
         raise pickle.UnpicklingError(f"it names {module}.{name}")
 
 
-def reads(path: Path) -> bool:
-    """Whether a file's name ends as HDF5's do."""
+def recognises(path: Path) -> bool:
+    """Tell whether a file's name ends as HDF5's do."""
     return path.suffix.lower() in (".h5", ".hdf5")
 
 
 def read(path: Path) -> list[SourceRecording]:
-    """Places of its points [px] by frame, one recording; raises DataError where it is
-    damaged or h5py is not there.
+    """Read the positions of all points [px] by frame, as one recording.
+
+    Raises DataError if the file is damaged or h5py is missing.
     """
     if find_spec("h5py") is None:
         raise DataError(
-            f"{path}: to read HDF5 (or import the CSV beside it), h5py is needed: pip install h5py"
+            f"{path}: to read HDF5 (or import the CSV beside it), h5py is needed: "
+            "pip install h5py"
         )
     import h5py  # noqa: PLC0415
 
@@ -72,22 +70,23 @@ def read(path: Path) -> list[SourceRecording]:
         IndexError,
     ) as error:
         raise DataError(
-            f"{path}: not a table of DeepLabCut ({error}). Import the CSV beside it, or export it again."
+            f"{path}: not a table of DeepLabCut ({error}). "
+            "Import the CSV beside it, or export it again."
         ) from error
 
 
 def _unpickle_names(pickled: bytes) -> list[str]:
-    """The column names, from the pickled names of scorer, point and coordinate. Raises
-    ValueError where they are none.
+    """Name the columns from pickled tuples of scorer, point and coordinate.
+
+    Raises ValueError if there are no such tuples.
     """
-    whole: Any = _TextUnpickler(io.BytesIO(pickled[:MAX_NAMES_BYTES])).load()
-    if not isinstance(whole, list) or len(whole) > MAX_COLUMNS:
+    columns: Any = _TextUnpickler(io.BytesIO(pickled[:MAX_NAMES_BYTES])).load()
+    if not isinstance(columns, list) or len(columns) > MAX_COLUMNS:
         raise ValueError("its columns have no names")
-    for levels in whole:
-        if (
-            not isinstance(levels, tuple)
-            or len(levels) < 3
-            or not all(isinstance(level, str) for level in levels)
-        ):
+    names: list[str] = []
+    for levels in columns:
+        is_named = isinstance(levels, tuple) and len(levels) >= 3
+        if not is_named or not all(isinstance(level, str) for level in levels):
             raise ValueError("its columns have no names of three parts")
-    return [column_name(" ".join(levels[1:-1]), levels[-1]) for levels in whole]
+        names.append(column_name(" ".join(levels[1:-1]), levels[-1]))
+    return names

@@ -1,4 +1,4 @@
-"""Which reader reads which file."""
+"""The choice of a reader for each file."""
 
 from __future__ import annotations
 
@@ -17,28 +17,50 @@ from stringcast.data.importers import (
 )
 from stringcast.data.schema import DataError
 
-# the first that knows a file reads it
+# the first that recognises a file reads it
 READERS = (lerobot, deeplabcut, deeplabcut_h5, optitrack, mcap, tables)
 
 
 def read_recordings(paths: Sequence[Path]) -> list[SourceRecording]:
-    """All that these files hold. Raises DataError naming the file and the remedy."""
-    found: list[SourceRecording] = []
+    """Read all recordings of these files.
+
+    Parameters
+    ----------
+    paths
+        Files of any format in `READERS`, videos, or folders of LeRobot datasets.
+
+    Returns
+    -------
+    list of Recording
+        The recordings in the order of the files.
+
+    Raises
+    ------
+    DataError
+        If a file is missing, damaged or of an unknown format; it names the file and the
+        remedy.
+    """
+    results: list[SourceRecording] = []
     for path in paths:
         if not path.exists():
             raise DataError(f"{path}: there is no such file. Look at its name.")
-        reader = next((one for one in READERS if one.reads(path)), None)
         if path.suffix.lower() in VIDEO_SUFFIXES:
-            found.append(SourceRecording(path, tables.EMPTY_TABLE, film=path))
-        elif reader is not None:
-            found += reader.read(path)
-        elif path.is_dir():
-            raise DataError(
-                f"{path}: this is a folder, and no dataset of LeRobot. Name its files: {path}/*.csv"
-            )
+            results.append(SourceRecording(path, tables.EMPTY_TABLE, film=path))
+            continue
+        for reader in READERS:
+            if reader.recognises(path):
+                results += reader.read(path)
+                break
         else:
-            known = ", ".join((*tables.TABLE_SUFFIXES, ".h5", ".mcap", *VIDEO_SUFFIXES))
-            raise DataError(
-                f"{path}: no such file is read. Export it as one of {known}."
-            )
-    return found
+            _refuse_format(path)
+    return results
+
+
+def _refuse_format(path: Path) -> None:
+    if path.is_dir():
+        raise DataError(
+            f"{path}: this is a folder, and no dataset of LeRobot. "
+            f"Name its files: {path}/*.csv"
+        )
+    formats = ", ".join((*tables.TABLE_SUFFIXES, ".h5", ".mcap", *VIDEO_SUFFIXES))
+    raise DataError(f"{path}: no such file is read. Export it as one of {formats}.")

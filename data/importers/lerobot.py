@@ -1,5 +1,6 @@
-"""LeRobot's datasets (https://github.com/huggingface/lerobot, versions 2 and 3): a
-folder with `meta/info.json`.
+"""Datasets of LeRobot (https://github.com/huggingface/lerobot, versions 2 and 3).
+
+A dataset is a folder with `meta/info.json`.
 """
 
 from __future__ import annotations
@@ -18,22 +19,23 @@ from stringcast.data.importers import SourceRecording
 from stringcast.data.schema import DataError
 
 INFO_FILE = Path("meta") / "info.json"
-MAX_FEATURE_WIDTH = 64  # numbers of a feature: of a state, and not of an image
+MAX_FEATURE_WIDTH = 64  # numbers of a feature: a state has fewer, an image has more
 INDEX_COLUMNS = ("timestamp", "episode_index", "frame_index")
-ACTION_PREFIX = "action"  # what the arm was told, and not where it was
+ACTION_PREFIX = "action"  # commands, not measured positions
+NUMBER_TYPES = ("float32", "float64", "int64", "int32")
 
 
-def reads(path: Path) -> bool:
-    """Whether a folder is such a dataset."""
+def recognises(path: Path) -> bool:
+    """Tell whether a folder is such a dataset."""
     return (path / INFO_FILE).is_file()
 
 
 def read(path: Path) -> list[SourceRecording]:
-    """All episodes, with a column for each number of a feature: a recording a file.
-    Raises DataError.
+    """Read all episodes as one recording, with a column for each number of a feature.
+
+    Raises DataError if the dataset is incomplete or damaged.
     """
-    about = read_json(require_inside(path, path / INFO_FILE))
-    features = about.get("features")
+    features = read_json(require_inside(path, path / INFO_FILE)).get("features")
     if not isinstance(features, dict):
         raise DataError(
             f"{path / INFO_FILE}: it says nothing of 'features'. Restore it."
@@ -41,47 +43,37 @@ def read(path: Path) -> list[SourceRecording]:
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise DataError(
-            f"{path}: there is no Parquet file in its folder data. Download the whole dataset."
+            f"{path}: there is no Parquet file in its folder data. "
+            "Download the whole dataset."
         )
     frames = [_read_numbers(require_inside(path, file), features) for file in files]
     return [SourceRecording(path, pd.concat(frames, ignore_index=True))]
 
 
 def _read_numbers(path: Path, features: Mapping[str, Any]) -> pd.DataFrame:
-    """One file's numbers."""
+    """Read the numbers of one file."""
     try:
         plain, _ = check_parquet(path, [])
         with pq.ParquetFile(path) as file:
-            there = file.schema_arrow.names
-            wide = {
-                name: width
-                for name, about in features.items()
-                if name in there and (width := _feature_width(about)) > 0
-            }
-            table = file.read(
-                [
-                    name
-                    for name in dict.fromkeys((*INDEX_COLUMNS, *wide))
-                    if name in plain or name in wide
-                ]
-            )
-        columns = {
-            name: table[name].to_numpy()
-            for name in INDEX_COLUMNS
-            if name in table.column_names
-        }
-        for name in wide:
-            if name not in INDEX_COLUMNS and not name.startswith(ACTION_PREFIX):
-                values = np.array(table[name].to_pylist(), dtype=float).reshape(
-                    len(table), -1
-                )
-                columns |= dict(
-                    zip(
-                        _feature_columns(name, features[name], values.shape[1]),
-                        values.T,
-                        strict=True,
-                    )
-                )
+            wide: list[str] = []
+            for name, feature in features.items():
+                if name in file.schema_arrow.names and _is_numeric(feature):
+                    wide.append(name)
+            names = [
+                n
+                for n in dict.fromkeys((*INDEX_COLUMNS, *wide))
+                if n in plain or n in wide
+            ]
+            table = file.read(names)
+        columns: dict[str, np.ndarray] = {}
+        for name in names:
+            if name in INDEX_COLUMNS:
+                columns[name] = table[name].to_numpy()
+            elif not name.startswith(ACTION_PREFIX):
+                values = np.array(table[name].to_pylist(), dtype=float)
+                values = values.reshape(len(table), -1)
+                labels = _feature_columns(name, features[name], values.shape[1])
+                columns |= dict(zip(labels, values.T, strict=True))
     except (pa.ArrowException, OSError, ValueError, TypeError) as error:
         raise DataError(
             f"{path}: cannot be read ({error}). Download it again."
@@ -89,28 +81,25 @@ def _read_numbers(path: Path, features: Mapping[str, Any]) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _feature_width(about: Any) -> int:
-    """How many numbers a feature has; 0 where it has none, or is a picture."""
-    if not isinstance(about, dict) or about.get("dtype") not in (
-        "float32",
-        "float64",
-        "int64",
-        "int32",
-    ):
-        return 0
-    shape = about.get("shape")
+def _is_numeric(feature: Any) -> bool:
+    """Tell whether a feature is a number or a short vector, and not a picture."""
+    if not isinstance(feature, dict) or feature.get("dtype") not in NUMBER_TYPES:
+        return False
+    shape = feature.get("shape")
     return (
-        shape[0]
-        if isinstance(shape, list)
+        isinstance(shape, list)
         and len(shape) == 1
         and 0 < shape[0] <= MAX_FEATURE_WIDTH
-        else 0
     )
 
 
-def _feature_columns(feature: str, about: Mapping[str, Any], width: int) -> list[str]:
-    """The names of a feature's columns, from the dataset, else by number."""
-    names = about.get("names")
-    names = next(iter(names.values()), None) if isinstance(names, dict) else names
-    known = isinstance(names, list) and len(names) == width
-    return [f"{feature} {names[n] if known and names else n}" for n in range(width)]
+def _feature_columns(
+    feature: str, description: Mapping[str, Any], width: int
+) -> list[str]:
+    """Name a feature's columns as the dataset does, otherwise by number."""
+    names = description.get("names")
+    if isinstance(names, dict):
+        names = next(iter(names.values()), None)
+    if not isinstance(names, list) or len(names) != width:
+        names = range(width)
+    return [f"{feature} {name}" for name in names]

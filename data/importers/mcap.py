@@ -1,8 +1,8 @@
-"""MCAP files of ROS 2 (https://mcap.dev), and others with messages in JSON; needs mcap
-and mcap-ros2-support.
+"""MCAP files of ROS 2 (https://mcap.dev), and others with messages in JSON.
 
-Every topic of joint states, poses, points or transforms is a recording; by ROS'
-convention (REP 103) in metres, radians and seconds.
+They need the packages mcap and mcap-ros2-support. Every topic of joint states, poses,
+points or transforms is a recording; by ROS' convention (REP 103) in metres, radians and
+seconds.
 """
 
 from __future__ import annotations
@@ -29,20 +29,26 @@ MESSAGE_TYPES = (
     "Transform",
 )
 MAX_MESSAGES = 2**20  # of the topics that are read: an hour at 300 a second
-MAX_DEPTH = 6  # messages in one another
+MAX_DEPTH = 6  # levels of nested messages
 NANOSECOND_S = 1e-9  # [s] in a nanosecond
+# fields whose name adds nothing to a column's
+TRANSPARENT = ("pose", "position", "point", "transform", "translation")
 
 
-def reads(path: Path) -> bool:
-    """Whether a file's name ends as MCAP's do."""
+def recognises(path: Path) -> bool:
+    """Tell whether a file's name ends as MCAP's do."""
     return path.suffix.lower() == ".mcap"
 
 
 def read(path: Path) -> list[SourceRecording]:
-    """A recording for each topic that says where something is. Raises DataError."""
+    """Read one recording for each topic that contains positions.
+
+    Raises DataError if the file is damaged or a package is missing.
+    """
     if find_spec("mcap") is None or find_spec("mcap_ros2") is None:
         raise DataError(
-            f"{path}: to read MCAP, two packages are needed: pip install mcap mcap-ros2-support"
+            f"{path}: to read MCAP, two packages are needed: "
+            "pip install mcap mcap-ros2-support"
         )
     from mcap.exceptions import McapError  # noqa: PLC0415
 
@@ -60,7 +66,8 @@ def read(path: Path) -> list[SourceRecording]:
         AttributeError,
     ) as error:
         raise DataError(
-            f"{path}: cannot be read as MCAP ({error}). Try `mcap recover`, or record it again."
+            f"{path}: cannot be read as MCAP ({error}). "
+            "Try `mcap recover`, or record it again."
         ) from error
     return [
         SourceRecording(path, pd.DataFrame(table), path.stem) for table in rows.values()
@@ -68,7 +75,7 @@ def read(path: Path) -> list[SourceRecording]:
 
 
 def _read_messages(file: Any, path: Path) -> Iterator[tuple[str, dict[str, float]]]:
-    """Topic and numbers of each message, in the order of time."""
+    """Yield the topic and the numbers of each message, in the order of time."""
     from mcap.reader import SeekingReader  # noqa: PLC0415
     from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
 
@@ -78,115 +85,97 @@ def _read_messages(file: Any, path: Path) -> Iterator[tuple[str, dict[str, float
     summary = reader.get_summary()
     if summary is None or summary.statistics is None:
         raise ValueError("its index is missing")
-    schemas = {
-        number: schema.name.rpartition("/")[2]
-        for number, schema in summary.schemas.items()
-    }
-    wanted = {
-        channel.topic: number
-        for number, channel in summary.channels.items()
-        if schemas.get(channel.schema_id, "") in MESSAGE_TYPES
-        or channel.message_encoding == "json"
-    }
-    if not wanted:
-        there = ", ".join(
-            f"{c.topic} ({schemas.get(c.schema_id, '')})"
-            for c in summary.channels.values()
-        )
+    topics: list[str] = []
+    descriptions: list[str] = []
+    all_json = True
+    count = 0
+    for number, channel in summary.channels.items():
+        schema = summary.schemas.get(channel.schema_id)
+        kind = schema.name.rpartition("/")[2] if schema else ""
+        descriptions.append(f"{channel.topic} ({kind})")
+        is_json = channel.message_encoding == "json"
+        if kind in MESSAGE_TYPES or is_json:
+            topics.append(channel.topic)
+            count += summary.statistics.channel_message_counts.get(number, 0)
+            all_json = all_json and is_json
+    if not topics:
         raise DataError(
-            f"{path}: no topic says where something is; there are {there}. Record one of {', '.join(MESSAGE_TYPES)}."
+            f"{path}: no topic says where something is; there are "
+            f"{', '.join(descriptions)}. Record one of {', '.join(MESSAGE_TYPES)}."
         )
-    count = sum(
-        summary.statistics.channel_message_counts.get(number, 0)
-        for number in wanted.values()
-    )
-    if count > MAX_MESSAGES or any(
+    is_huge = any(
         chunk.uncompressed_size > MAX_TABLE_BYTES for chunk in summary.chunk_indexes
-    ):
+    )
+    if count > MAX_MESSAGES or is_huge:
         raise DataError(
-            f"{path}: it has {count} messages, at most {MAX_MESSAGES} are read. Cut it: mcap filter."
+            f"{path}: it has {count} messages, at most {MAX_MESSAGES} are read. "
+            "Cut it: mcap filter."
         )
-    if all(
-        summary.channels[number].message_encoding == "json"
-        for number in wanted.values()
-    ):
-        for _, channel, message in reader.iter_messages(topics=list(wanted)):
-            yield (
-                channel.topic,
-                _message_row(channel.topic, json.loads(message.data), message.log_time),
-            )
+    if all_json:
+        for _, channel, message in reader.iter_messages(topics=topics):
+            content = json.loads(message.data)
+            yield channel.topic, _message_row(channel.topic, content, message.log_time)
         return
-    for found in reader.iter_decoded_messages(topics=list(wanted)):
+    for decoded in reader.iter_decoded_messages(topics=topics):
+        topic = decoded.channel.topic
         yield (
-            found.channel.topic,
-            _message_row(
-                found.channel.topic, found.decoded_message, found.message.log_time
-            ),
+            topic,
+            _message_row(topic, decoded.decoded_message, decoded.message.log_time),
         )
 
 
-def _message_row(topic: str, message: Any, logged: int) -> dict[str, float]:
-    """Numbers of a message by the names of columns. logged: when it was, if it says no
-    time itself [ns].
+def _message_row(topic: str, message: Any, log_time: int) -> dict[str, float]:
+    """Name the numbers of a message as columns.
+
+    log_time: when the message was logged [ns], used where it has no time of its own.
     """
     stamp = _field_value(_field_value(message, "header"), "stamp")
-    seconds = _field_value(stamp, "sec"), _field_value(stamp, "nanosec")
-    own = (
-        seconds[0] + NANOSECOND_S * seconds[1]
-        if all(isinstance(part, int) for part in seconds) and any(seconds)
-        else None
-    )
-    row = {"time [s]": own if own is not None else logged * NANOSECOND_S}
+    seconds, nanoseconds = _field_value(stamp, "sec"), _field_value(stamp, "nanosec")
+    row = {"time [s]": log_time * NANOSECOND_S}
+    has_time = isinstance(seconds, int) and isinstance(nanoseconds, int)
+    if has_time and (seconds or nanoseconds):
+        row = {"time [s]": seconds + NANOSECOND_S * nanoseconds}
     names = _field_value(message, "name")
     if isinstance(names, list | tuple):
-        positions = list(_field_value(message, "position") or [])
-        return row | {
-            f"joint{n + 1} {name} [rad]": float(q)
-            for n, (name, q) in enumerate(zip(names, positions))
-        }  # noqa: B905
-    found = dict(_message_numbers(message, topic.strip("/").replace("/", " "), 0))
-    return row | {name: found[name] for name in list(found)[:MAX_COLUMNS]}
+        positions = _field_value(message, "position") or []
+        for number, (name, angle) in enumerate(zip(names, positions, strict=False), 1):
+            row[f"joint{number} {name} [rad]"] = float(angle)
+        return row
+    numbers = dict(_message_numbers(message, topic.strip("/").replace("/", " "), 0))
+    for name in list(numbers)[:MAX_COLUMNS]:
+        row[name] = numbers[name]
+    return row
 
 
 def _field_value(message: Any, name: str) -> Any:
-    """A field of a message, or None."""
-    return (
-        message.get(name)
-        if isinstance(message, Mapping)
-        else getattr(message, name, None)
-    )
+    """Return a field of a message, or None."""
+    if isinstance(message, Mapping):
+        return message.get(name)
+    return getattr(message, name, None)
 
 
 def _message_numbers(
     message: Any, place: str, depth: int
 ) -> Iterator[tuple[str, float]]:
-    """Numbers in a message, by place: `tool0 x [m]` of a position, `tool0 qx` of an
-    orientation.
+    """Yield the numbers in a message under the names of columns.
+
+    A position gives `tool0 x [m]`, an orientation `tool0 qx`.
     """
-    names = getattr(message, "__slots__", ())  # of a decoded message
-    fields = (
-        message
-        if isinstance(message, Mapping)
-        else {name: getattr(message, name) for name in names}
+    if depth > MAX_DEPTH:
+        return
+    names = (
+        message if isinstance(message, Mapping) else getattr(message, "__slots__", ())
     )
-    for name, value in fields.items():
-        if (
-            isinstance(value, bool)
-            or name in ("header", "covariance")
-            or depth > MAX_DEPTH
-        ):
+    for name in names:
+        value = _field_value(message, name)
+        if isinstance(value, bool) or name in ("header", "covariance"):
             continue
         if isinstance(value, int | float):
-            turned = place.endswith(" orientation")
-            yield (
-                f"{place.removesuffix(' orientation')} {'q' if turned else ''}{name}{'' if turned else ' [m]'}",
-                value,
-            )
+            if place.endswith(" orientation"):
+                yield f"{place.removesuffix(' orientation')} q{name}", value
+            else:
+                yield f"{place} {name} [m]", value
         elif not isinstance(value, str | bytes | list | tuple):
-            short = {"rotation": "orientation"}.get(name, name)
-            inner = (
-                place
-                if short in ("pose", "position", "point", "transform", "translation")
-                else f"{place} {short}"
-            )
+            short = "orientation" if name == "rotation" else name
+            inner = place if short in TRANSPARENT else f"{place} {short}"
             yield from _message_numbers(value, inner, depth + 1)

@@ -1,5 +1,5 @@
-"""Columns of a recording as numbers of ours: times [s], joint angles [rad], poses and
-points [m].
+"""Columns of a recording as numbers: times [s], joint angles [rad], poses and points
+[m].
 """
 
 from __future__ import annotations
@@ -21,24 +21,35 @@ from stringcast.data.importers.columns import (
 )
 from stringcast.data.schema import DataError
 
-# [s] between samples at most: from longer ones no motion can be told, so that they
-# count in a smaller unit
+# [s] between samples: longer steps show no motion, so the unit must be a smaller one
 MAX_STEP_S = 0.5
-MAX_ANGLE_RAD = 4 * np.pi  # [rad] further no joint turns: larger angles are in degrees
-# of a tracker's own likelihood: below it says that it guesses (DeepLabCut's pcutoff)
-MIN_LIKELIHOOD = 0.6
+MAX_ANGLE_RAD = 4 * np.pi  # [rad] that no joint exceeds: larger numbers are degrees
+MIN_LIKELIHOOD = 0.6  # likelihood below which a tracker guesses (DeepLabCut's pcutoff)
 
 
 @dataclass(frozen=True)
 class ColumnHints:
-    """The user's description of the files, beyond what the names of columns tell.
+    """The user's description of the files, beyond what the names of columns state.
 
-    columns: our name to theirs, with a sign before it and a shift behind it, as in q2:
-    -elbow_deg+90. unit: of lengths, by the file's name, or of all under the empty name.
-    degrees: what angles without a unit are in; None: as they turn. down: y of points is
-    counted down. plane: which two of three directions are x and y, each with a sign.
-    fps: of files without times [1/s]. clock: to be added to the times of points [s].
-    px_per_m, origin_px: of pixels.
+    Attributes
+    ----------
+    columns
+        Our name to theirs, with a sign before it and a shift behind it, as in
+        q2: -elbow_deg+90.
+    unit
+        Unit of lengths by the file's name, or of all files under the empty name.
+    degrees
+        Whether angles without a unit are in degrees; None: detected from their range.
+    down
+        Whether y of points is counted downwards.
+    plane
+        The two of three directions that are x and y, each with a sign.
+    fps
+        Frame rate of files without times [1/s].
+    clock
+        Seconds to be added to the times of points.
+    px_per_m, origin_px
+        Scale and origin of pixels.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -54,8 +65,10 @@ class ColumnHints:
 
 @dataclass(frozen=True)
 class UsedColumn:
-    """A column as it was understood. role: as what. unit: in which it is. how: by name,
-    by its values, or as was said. low, high: of its numbers, in our units.
+    """A used column as it was interpreted.
+
+    unit: in which it is stored. how: what told so: its name, its values, or an option.
+    low, high: range of its numbers, in our units.
     """
 
     file: Path
@@ -69,7 +82,7 @@ class UsedColumn:
 
 @dataclass(frozen=True)
 class SourceColumn:
-    """One column on its way: its role, unit, sign, and shift in its own unit."""
+    """A column to be read, with its sign, and its shift in its own unit."""
 
     name: str
     meaning: ColumnMeaning
@@ -78,27 +91,31 @@ class SourceColumn:
     shift: float = 0.0
 
 
+@dataclass(frozen=True)
+class PlaneAxis:
+    """A direction of a file; the sign is negative if ours is opposite."""
+
+    name: str
+    sign: float = 1.0
+
+
 def trial_name(key: str) -> str:
-    """A trial's name of what distinguishes it: numbers alone are no names."""
+    """Name a trial by what distinguishes it; numbers alone are no names."""
     return f"t{key}" if key.isdigit() else key
 
 
 def list_columns(recording: SourceRecording) -> str:
-    """The first columns of a recording, for messages."""
+    """List the first columns of a recording for messages."""
     names = [str(name) for name in recording.table]
-    return (
-        ", ".join(names[:12])
-        + (f" and {len(names) - 12} more" if len(names) > 12 else "")
-        if names
-        else "none"
-    )
+    words = ", ".join(names[:12]) or "none"
+    if len(names) > 12:
+        words += f" and {len(names) - 12} more"
+    return words
 
 
 @dataclass(frozen=True)
 class RecordingReader:
-    """Turns columns of a recording into numbers of ours, and notes in `taken` how each
-    was understood.
-    """
+    """Reads columns of a recording and notes in `taken` how each was interpreted."""
 
     recording: SourceRecording
     hints: ColumnHints
@@ -107,83 +124,63 @@ class RecordingReader:
     def read_numbers(
         self, column: SourceColumn, role: str, unit: str, factor: float, how: str
     ) -> np.ndarray:
-        """A column [our unit]; raises DataError where it holds no number."""
-        raw = pd.to_numeric(
-            self.recording.table[column.name], errors="coerce"
-        ).to_numpy(dtype=float)
-        values = (column.sign * raw + column.shift) * factor
+        """Read a column of numbers, (K,) [our unit].
+
+        Raises DataError if it holds no number.
+        """
+        raw = pd.to_numeric(self.recording.table[column.name], errors="coerce")
+        values = (column.sign * raw.to_numpy(dtype=float) + column.shift) * factor
         if not np.isfinite(values).any():
             raise DataError(
-                f"{self.recording.file}: column '{column.name}' holds no number. Correct it, or name another with "
-                f"--map {role}=<column>."
+                f"{self.recording.file}: column '{column.name}' holds no number. "
+                f"Correct it, or name another with --map {role}=<column>."
             )
-        self.used_columns.append(
-            UsedColumn(
-                self.recording.file,
-                column.name,
-                role,
-                unit,
-                how,
-                float(np.nanmin(values)),
-                float(np.nanmax(values)),
-            )
-        )
+        self._note(column, role, unit, how, values)
         return values
 
+    def _note(
+        self, column: SourceColumn, role: str, unit: str, how: str, values: np.ndarray
+    ) -> None:
+        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        taken = UsedColumn(self.recording.file, column.name, role, unit, how, low, high)
+        self.used_columns.append(taken)
+
     def read_names(self, column: SourceColumn) -> np.ndarray:
-        """Names of trials."""
-        self.used_columns.append(
-            UsedColumn(self.recording.file, column.name, "trial", "", column.how)
-        )
+        """Read names of trials, (K,)."""
+        taken = UsedColumn(self.recording.file, column.name, "trial", "", column.how)
+        self.used_columns.append(taken)
         return self.recording.table[column.name].astype(str).map(trial_name).to_numpy()
 
     def read_times(self, columns: Sequence[SourceColumn]) -> np.ndarray:
-        """Times [s]: of the best column of times, or of the frames' numbers."""
-        found = [column for column in columns if column.meaning.kind == "time"]
-        if found:
-            column = min(
-                found, key=lambda c: (c.how != "--map", len(c.meaning.name.split()))
-            )
-            return self._read_clock(column)
+        """Read times, (K,) [s], of the best column of times or of the frame numbers."""
+        clocks = [column for column in columns if column.meaning.kind == "time"]
+        if clocks:
+            return self._read_clock(min(clocks, key=_time_preference))
         fps = self.hints.fps or self.recording.fps
         if fps is None:
             raise DataError(
-                f"{self.recording.file}: no column holds times; there are {list_columns(self.recording)}. Name it with "
-                "--map t=<column>, or give the camera's rate with --fps 200."
+                f"{self.recording.file}: no column holds times; there are "
+                f"{list_columns(self.recording)}. Name it with --map t=<column>, or give the "
+                "camera's rate with --fps 200."
             )
-        frame = next(
-            (column for column in columns if column.meaning.kind == "frame"), None
-        )
-        if frame is None:
-            return np.arange(len(self.recording.table)) / fps
-        return self.read_numbers(
-            frame,
-            "t",
-            f"frames, {fps:g} a second",
-            1 / fps,
-            "--fps" if self.hints.fps else "file",
-        )
+        for column in columns:
+            if column.meaning.kind == "frame":
+                how = "--fps" if self.hints.fps else "file"
+                unit = f"frames, {fps:g} a second"
+                return self.read_numbers(column, "t", unit, 1 / fps, how)
+        return np.arange(len(self.recording.table)) / fps
 
     def _read_clock(self, column: SourceColumn) -> np.ndarray:
-        """A column of times [s]: numbers in the unit that its name says or its steps
-        tell, or dates.
-        """
+        """Read a column of times [s]: numbers of any unit, or dates."""
         raw = self.recording.table[column.name]
         numbers = pd.to_numeric(raw, errors="coerce")
         if numbers.notna().any():
             unit, how = column.meaning.unit, column.how
             if not unit:
                 steps = np.diff(np.unique(numbers.dropna()))
-                usual = float(np.median(steps)) if len(steps) else 0.0
-                unit = next(
-                    (
-                        u
-                        for u in ("s", "ms", "us", "ns")
-                        if usual * TIME_UNITS[u] < MAX_STEP_S
-                    ),
-                    "s",
-                )
-                how = "values" if unit != "s" else column.how
+                typical = float(np.median(steps)) if len(steps) else 0.0
+                unit = _time_unit(typical)
+                how = column.how if unit == "s" else "values"
             return self.read_numbers(column, "t", unit, TIME_UNITS[unit], how)
         # no number: dates, as seconds since 1970
         try:
@@ -192,153 +189,143 @@ class RecordingReader:
             dates = pd.Series(pd.NaT, index=raw.index)
         if dates.isna().all():
             raise DataError(
-                f"{self.recording.file}: column '{column.name}' holds neither numbers nor dates such as "
-                f"2026-01-31 12:00:00.005; it holds {str(raw.iloc[0])[:40]!r}. Name another with --map t=<column>."
+                f"{self.recording.file}: column '{column.name}' holds neither numbers "
+                "nor dates such as 2026-01-31 12:00:00.005; it holds "
+                f"{str(raw.iloc[0])[:40]!r}. Name another with --map t=<column>."
             )
-        seconds = (
-            (dates - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=float)
-        )
-        self.used_columns.append(
-            UsedColumn(
-                self.recording.file,
-                column.name,
-                "t",
-                "dates",
-                "values",
-                np.nanmin(seconds),
-                np.nanmax(seconds),
-            )
-        )
+        elapsed = dates - pd.Timestamp(0, tz="UTC")
+        seconds = elapsed.dt.total_seconds().to_numpy(dtype=float)
+        self._note(column, "t", "dates", "values", seconds)
         return seconds
 
     def read_length(self, column: SourceColumn, role: str) -> np.ndarray:
-        """A column of lengths [m], or of pixels."""
+        """Read a column of lengths, (K,) [m], or of pixels."""
         unit, how = self.length_unit(column), column.how
-        if not column.meaning.unit:
-            how = "--unit" if self.hints.unit else how
-        if unit == "px":
-            return self.read_numbers(column, role, unit, 1.0, how)
-        return self.read_numbers(column, role, unit, LENGTH_UNITS[unit], how)
+        if not column.meaning.unit and self.hints.unit:
+            how = "--unit"
+        factor = 1.0 if unit == "px" else LENGTH_UNITS[unit]
+        return self.read_numbers(column, role, unit, factor, how)
 
     def length_unit(self, column: SourceColumn) -> str:
-        """The unit of a column of lengths: from its name, else as the user gave it for
-        the file, else metres.
-        """
-        said = self.hints.unit
-        return (
-            column.meaning.unit
-            or said.get(self.recording.file.name)
-            or said.get("")
-            or "m"
-        )
+        """Find the unit of lengths: from the name, else as stated, else metres."""
+        stated = self.hints.unit
+        unit = column.meaning.unit or stated.get(self.recording.file.name)
+        return unit or stated.get("") or "m"
 
     def read_angle(
-        self, column: SourceColumn, role: str, beside: Sequence[SourceColumn] = ()
+        self, column: SourceColumn, role: str, same_unit: Sequence[SourceColumn] = ()
     ) -> np.ndarray:
-        """A column of angles [rad]. beside: columns without a unit that are in the same
-        one.
+        """Read a column of angles, (K,) [rad].
+
+        same_unit: columns without a unit that share the one of this column.
         """
         unit, how = column.meaning.unit, column.how
         if not unit and self.hints.degrees is not None:
             unit, how = ("deg", "--deg") if self.hints.degrees else ("rad", "--rad")
         if not unit:
-            numbers = self.recording.table[[c.name for c in beside or [column]]].apply(
-                pd.to_numeric, errors="coerce"
-            )
-            # of the one that turns furthest
-            turned = float(numbers.abs().quantile(0.9).max())
-            unit, how = ("deg", "values") if turned > MAX_ANGLE_RAD else ("rad", how)
+            names = [c.name for c in same_unit or [column]]
+            numbers = self.recording.table[names].apply(pd.to_numeric, errors="coerce")
+            # of the joint that turns farthest
+            largest = float(numbers.abs().quantile(0.9).max())
+            unit = "rad"
+            if largest > MAX_ANGLE_RAD:
+                unit, how = "deg", "values"
         return self.read_numbers(column, role, unit, ANGLE_UNITS[unit], how)
 
     def read_motion(self, columns: Sequence[SourceColumn]) -> pd.DataFrame | None:
-        """Joint angles or poses of the hand, if it holds them."""
+        """Read joint angles or poses of the hand; None if there are none."""
+        index = self.recording.table.index
         joints = [column for column in columns if column.meaning.kind == "joint"]
         if joints:
-            ordered = sorted(joints, key=lambda c: int(c.meaning.name))
-            # in degrees all or none
-            unsaid = [c for c in ordered if not c.meaning.unit]
-            angles = {
-                f"q{n}": self.read_angle(column, f"q{n}", unsaid)
-                for n, column in enumerate(ordered, 1)
-            }
-            return pd.DataFrame(angles, index=self.recording.table.index)
+            joints.sort(key=lambda column: int(column.meaning.name))
+            unitless = [c for c in joints if not c.meaning.unit]  # all in one unit
+            angles: dict[str, np.ndarray] = {}
+            for n, column in enumerate(joints, 1):
+                angles[f"q{n}"] = self.read_angle(column, f"q{n}", unitless)
+            return pd.DataFrame(angles, index=index)
         hand = {c.meaning.axis: c for c in columns if c.meaning.kind == "hand"}
-        turned = "angle" in hand or {*QUATERNION_AXES} <= {*hand}
-        # such a hand is a place that a tracker saw
-        if len({"x", "y", "z"} & {*hand}) < 2 or not turned:
-            return None
+        has_direction = "angle" in hand or hand.keys() >= {*QUATERNION_AXES}
+        if len({"x", "y", "z"} & {*hand}) < 2 or not has_direction:
+            return None  # a position that a tracker saw
         right, up = self.plane_axes(columns)
-        pose = {
-            name: axis.sign * self.read_length(hand[axis.name], name)
-            for name, axis in (("x", right), ("y", up))
-        }
-        # the direction in which the string leaves the hand: of a column, or where a
-        # quaternion turns x
+        pose = self._xy(hand, right, up, "")
+        # direction in which the string leaves: a column, or x turned by a quaternion
         if "angle" in hand:
             pose["theta"] = self.read_angle(hand["angle"], "theta")
         else:
-            w = {
-                name: self.read_numbers(hand[name], name, "1", 1.0, "name")
-                for name in QUATERNION_AXES
-            }
-            axis_of = {
-                "x": 1 - 2 * (w["qy"] ** 2 + w["qz"] ** 2),
-                "y": 2 * (w["qx"] * w["qy"] + w["qw"] * w["qz"]),
-                "z": 2 * (w["qx"] * w["qz"] - w["qw"] * w["qy"]),
-            }
-            pose["theta"] = np.unwrap(
-                np.arctan2(up.sign * axis_of[up.name], right.sign * axis_of[right.name])
-            )
-        return pd.DataFrame(pose, index=self.recording.table.index)
+            direction = self._turned_x(hand)
+            rise = up.sign * direction[up.name]
+            run = right.sign * direction[right.name]
+            pose["theta"] = np.unwrap(np.arctan2(rise, run))
+        return pd.DataFrame(pose, index=index)
+
+    def _xy(
+        self,
+        columns: Mapping[str, SourceColumn],
+        right: PlaneAxis,
+        up: PlaneAxis,
+        prefix: str,
+    ) -> dict[str, np.ndarray]:
+        """Read positions in the plane of motion, x and y, (K,) each [m]."""
+        x = right.sign * self.read_length(columns[right.name], f"{prefix}x")
+        y = up.sign * self.read_length(columns[up.name], f"{prefix}y")
+        return {"x": x, "y": y}
+
+    def _turned_x(self, hand: Mapping[str, SourceColumn]) -> dict[str, np.ndarray]:
+        """Turn the x-axis by the hand's quaternion; components (K,) by name."""
+        x, y, z, w = (
+            self.read_numbers(hand[name], name, "1", 1.0, "name")
+            for name in QUATERNION_AXES
+        )
+        return {
+            "x": 1 - 2 * (y**2 + z**2),
+            "y": 2 * (x * y + w * z),
+            "z": 2 * (x * z - w * y),
+        }
 
     def plane_axes(
         self, columns: Sequence[SourceColumn]
     ) -> tuple[PlaneAxis, PlaneAxis]:
-        """The directions of x and y: those that are there, or of three those that the
-        user gave, or y up.
+        """Choose the file's directions of x and y.
+
+        They are the two that exist, or those of three that the user named.
         """
         if self.hints.plane:
-            right, up = (
-                PlaneAxis(part.lstrip("-"), -1.0 if part[0] == "-" else 1.0)
-                for part in self.hints.plane.split(",")
-            )
-            return right, up
-        there = [
-            a
-            for a in "xyz"
-            if any(
-                c.meaning.axis == a
-                for c in columns
-                if c.meaning.kind in ("hand", "point")
-            )
-        ]
-        if len(there) < 3:
-            down = self.hints.y_is_down and any(
-                c.meaning.kind == "point" for c in columns
-            )
-            return PlaneAxis(there[0]), PlaneAxis(there[1], -1.0 if down else 1.0)
+            right, up = self.hints.plane.split(",")
+            return _signed_axis(right), _signed_axis(up)
+        kinds: set[str] = set()
+        axes: set[str] = set()
+        for column in columns:
+            if column.meaning.kind in ("hand", "point"):
+                kinds.add(column.meaning.kind)
+                axes.add(column.meaning.axis)
+        names = sorted(axes & {"x", "y", "z"})
+        if len(names) < 3:
+            is_down = self.hints.y_is_down and "point" in kinds
+            return PlaneAxis(names[0]), PlaneAxis(names[1], -1.0 if is_down else 1.0)
         raise DataError(
-            f"{self.recording.file}: places have three coordinates, a cast has two. Say which is to the right and "
-            "which is up: --plane x,z, or --plane=-z,y where z points to the left."
+            f"{self.recording.file}: places have three coordinates, a cast has two. Say "
+            "which is to the right and which is up: --plane x,z, or --plane=-z,y where "
+            "z points to the left."
         )
 
     def read_points(self, columns: Sequence[SourceColumn]) -> pd.DataFrame | None:
-        """Points of the string, a row for each sample of each, if it holds any. Its
-        index is that of the samples.
+        """Read the points of the string, one row per sample and point.
+
+        The index is that of the samples. None stands for a recording without points.
         """
-        named: dict[str, dict[str, SourceColumn]] = {}
+        axes_of: dict[str, dict[str, SourceColumn]] = {}
+        arc = None
         for column in columns:
-            if column.meaning.kind == "point":
-                named.setdefault(column.meaning.name, {})[column.meaning.axis] = column
-        arc = next((column for column in columns if column.meaning.kind == "arc"), None)
-        placed = {
-            name: axes
-            for name, axes in named.items()
-            if len({"x", "y", "z"} & {*axes}) >= 2
-        }
-        tables = [
-            self._read_point(name, axes, arc, columns) for name, axes in placed.items()
-        ]
+            what = column.meaning
+            if what.kind == "point":
+                axes_of.setdefault(what.name, {})[what.axis] = column
+            elif what.kind == "arc" and arc is None:
+                arc = column
+        tables: list[pd.DataFrame] = []
+        for name, axes in axes_of.items():
+            if len({"x", "y", "z"} & {*axes}) >= 2:
+                tables.append(self._read_point(name, axes, arc, columns))
         return pd.concat(tables) if tables else None
 
     def _read_point(
@@ -348,53 +335,51 @@ class RecordingReader:
         arc: SourceColumn | None,
         columns: Sequence[SourceColumn],
     ) -> pd.DataFrame:
-        """One point of the string over time."""
+        """Read one point of the string over time."""
         right, up = self.plane_axes(columns)
-        role = f"{name}." if name else ""
-        xy = {
-            axis: way.sign * self.read_length(axes[way.name], f"{role}{axis}")
-            for axis, way in (("x", right), ("y", up))
-        }
+        prefix = f"{name}." if name else ""
+        xy = self._xy(axes, right, up, prefix)
         if self.length_unit(axes[right.name]) == "px":
             scale, origin = self.hints.px_per_m, self.hints.origin_px
             if scale is None or origin is None:
                 raise DataError(
-                    f"{self.recording.file}: places are in pixels. Say how many are a metre and where the world's "
-                    "origin lies in the picture: --px-per-m 340 --origin-px 251.5,387.5."
+                    f"{self.recording.file}: places are in pixels. Say how many are a "
+                    "metre and where the world's origin lies in the picture: "
+                    "--px-per-m 340 --origin-px 251.5,387.5."
                 )
-            # y is counted from the top
-            xy = {
-                "x": (xy["x"] - origin[0]) / scale,
-                "y": (origin[1] - xy["y"]) / scale,
-            }
-        frame = pd.DataFrame(
-            {"point": name, **xy}, index=pd.RangeIndex(len(self.recording.table))
-        )
+            # rows of pixels are counted from the top
+            x, y = (xy["x"] - origin[0]) / scale, (origin[1] - xy["y"]) / scale
+            xy = {"x": x, "y": y}
+        index = pd.RangeIndex(len(self.recording.table))
+        frame = pd.DataFrame({"point": name, **xy}, index=index)
         if arc is not None:
             frame["s"] = self.read_length(arc, "s")
         if "sigma" in axes:
-            frame["sigma"] = self.read_length(axes["sigma"], f"{role}sigma")
+            frame["sigma"] = self.read_length(axes["sigma"], f"{prefix}sigma")
+        role = f"{prefix}valid"
         if "likelihood" in axes:
-            frame["valid"] = (
-                self.read_numbers(
-                    axes["likelihood"],
-                    f"{role}valid",
-                    f"> {MIN_LIKELIHOOD}",
-                    1.0,
-                    "name",
-                )
-                > MIN_LIKELIHOOD
+            column = axes["likelihood"]
+            likelihood = self.read_numbers(
+                column, role, f"> {MIN_LIKELIHOOD}", 1.0, "name"
             )
+            frame["valid"] = likelihood > MIN_LIKELIHOOD
         elif "valid" in axes:
-            frame["valid"] = (
-                self.read_numbers(axes["valid"], f"{role}valid", "", 1.0, "name") > 0
-            )
+            frame["valid"] = self.read_numbers(axes["valid"], role, "", 1.0, "name") > 0
         return frame
 
 
-@dataclass(frozen=True)
-class PlaneAxis:
-    """A direction of a file, and whether ours is opposite."""
+def _time_preference(column: SourceColumn) -> tuple[bool, int]:
+    """Order columns of times: one that the user named first, then the shortest name."""
+    return column.how != "--map", len(column.meaning.name.split())
 
-    name: str
-    sign: float = 1.0
+
+def _time_unit(step: float) -> str:
+    """Choose the largest unit in which a step between samples is short."""
+    for unit in ("s", "ms", "us", "ns"):
+        if step * TIME_UNITS[unit] < MAX_STEP_S:
+            return unit
+    return "s"
+
+
+def _signed_axis(text: str) -> PlaneAxis:
+    return PlaneAxis(text.lstrip("-"), -1.0 if text[0] == "-" else 1.0)

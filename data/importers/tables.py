@@ -9,103 +9,95 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from stringcast.data.file_checks import MAX_COLUMNS, check_csv, check_parquet
+from stringcast.data.file_checks import (
+    MAX_COLUMNS,
+    check_csv,
+    check_parquet,
+    read_frame,
+)
 from stringcast.data.importers import SourceRecording
 from stringcast.data.schema import DataError
 
-SNIFFED_BYTES = 2**14  # [bytes] from which separator and headings are told
+SNIFFED_BYTES = 2**14  # [bytes] in which the separator and the headings are detected
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".log", ".parquet")
 SEPARATORS = ",;\t|"
 EMPTY_TABLE = pd.DataFrame()
 
 
-def reads(path: Path) -> bool:
-    """Whether a file's name ends as a table's."""
+def recognises(path: Path) -> bool:
+    """Tell whether a file's name ends as a table's."""
     return path.suffix.lower() in TABLE_SUFFIXES
 
 
 def read(path: Path) -> list[SourceRecording]:
-    """The table of a file, one recording: the plain columns of Parquet, or numbers and
-    texts of a text file whose first line that is no comment names its columns. Raises
-    DataError naming the file and the remedy.
+    """Read the table of a file, as one recording.
+
+    Of Parquet the plain columns are read. The first line of a text file that is no
+    comment must name its columns. Raises DataError naming the file and the remedy.
     """
     if path.suffix.lower() == ".parquet":
-        try:
-            columns, texts = check_parquet(path, [])
-            with pq.ParquetFile(path, read_dictionary=texts) as file:
-                return [
-                    SourceRecording(
-                        path,
-                        file.read(columns)
-                        .to_pandas()
-                        .astype(dict.fromkeys(texts, object)),
-                    )
-                ]
-        except (pa.ArrowException, OSError, ValueError) as error:
-            raise DataError(
-                f"{path}: not a whole Parquet file ({error}). Write it again."
-            ) from error
+        return [SourceRecording(path, _read_parquet(path))]
     with check_csv(path).open(encoding="utf-8-sig", errors="replace") as text:
         head = text.read(SNIFFED_BYTES).splitlines()
-    skipped = next(
-        (
-            n
-            for n, line in enumerate(head)
-            if line.strip() and not line.lstrip().startswith(("#", "%"))
-        ),
-        0,
-    )
+    skipped = 0
+    for number, line in enumerate(head):
+        if line.strip() and not line.lstrip().startswith(("#", "%")):
+            skipped = number
+            break
     separator, decimal = detect_separator(head[skipped:])
-    how = {
-        "sep": separator,
-        "decimal": decimal,
-        "skipinitialspace": separator != r"\s+",
-        "index_col": False,
-    }
-    try:
-        frame = pd.read_csv(
-            path,
-            skiprows=skipped,
-            encoding="utf-8-sig",
-            engine="c",
-            low_memory=False,
-            **how,
-        )
-    except (ValueError, OSError) as error:
-        raise DataError(
-            f"{path}: cannot be read as CSV ({error}). Save it as plain text in UTF-8."
-        ) from error
+    frame = read_frame(
+        path,
+        "CSV",
+        "Save it as plain text in UTF-8.",
+        skiprows=skipped,
+        encoding="utf-8-sig",
+        engine="c",
+        low_memory=False,
+        sep=separator,
+        decimal=decimal,
+        skipinitialspace=separator != r"\s+",
+        index_col=False,
+    )
     if len(frame.columns) > MAX_COLUMNS:
         raise DataError(
-            f"{path}: it has {len(frame.columns)} columns, at most {MAX_COLUMNS} are read. Take some out."
+            f"{path}: it has {len(frame.columns)} columns, at most {MAX_COLUMNS} are "
+            "read. Take some out."
         )
     names = [str(name).strip() for name in frame.columns]
-    if all(_is_number(name) for name in names):
+    if all(map(_is_number, names)):
         raise DataError(
-            f"{path}: its first line names no columns, it holds numbers: {', '.join(names[:4])}. Put a line above it "
-            "such as time_s,joint1_deg,joint2_deg,joint3_deg or time_s,tip_x_mm,tip_y_mm."
+            f"{path}: its first line names no columns, it holds numbers: "
+            f"{', '.join(names[:4])}. Put a line above it such as "
+            "time_s,joint1_deg,joint2_deg,joint3_deg or time_s,tip_x_mm,tip_y_mm."
         )
     return [SourceRecording(path, frame.set_axis(names, axis=1))]
 
 
+def _read_parquet(path: Path) -> pd.DataFrame:
+    try:
+        columns, texts = check_parquet(path, [])
+        with pq.ParquetFile(path, read_dictionary=texts) as file:
+            frame = file.read(columns).to_pandas()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise DataError(
+            f"{path}: not a whole Parquet file ({error}). Write it again."
+        ) from error
+    return frame.astype(dict.fromkeys(texts, object))
+
+
 def detect_separator(head: list[str]) -> tuple[str, str]:
-    """The separator of columns and the decimal mark, from the first lines."""
-    first, *rest = head or [""]
-    counts = {mark: first.count(mark) for mark in SEPARATORS}
-    mark = max(counts, key=lambda m: counts[m])
-    if not counts[mark]:
+    """Detect the separator of columns and the decimal mark from the first lines."""
+    first = head[0] if head else ""
+    separator = max(SEPARATORS, key=first.count)
+    if separator not in first:
         return (r"\s+" if len(first.split()) > 1 else ","), "."
-    cells = [
-        cell
-        for line in rest[:20]
-        for cell in next(lines.reader([line], delimiter=mark), [])
-    ]
-    commas = (
-        mark != ","
-        and sum(_is_number(cell.replace(",", ".", 1)) and "," in cell for cell in cells)
-        > 0
-    )
-    return mark, "," if commas else "."
+    if separator == ",":
+        return separator, "."
+    for line in head[1:21]:
+        for cell in next(lines.reader([line], delimiter=separator), []):
+            if "," in cell and _is_number(cell.replace(",", ".", 1)):
+                return separator, ","
+    return separator, "."
 
 
 def _is_number(text: str) -> bool:

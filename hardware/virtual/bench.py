@@ -1,16 +1,13 @@
 """The bench: arm and camera of one scene, on a clock that does not wait.
 
 Arm and camera share what happened: `perform` moves the joints and, with them, a string
-other than the model's (in points, integrator and step); `stop` films it. What
-is really so is written by `envelope`, for tests to open after the verdict.
+other than the model's (in points, integrator and step); `stop` films it.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
@@ -161,11 +158,6 @@ class VirtualBench:
         model, values = self.model, self.values
         points = true(model.required_times(values, times).ravel())
         return model.observed_points(points[None], values, times)[0]
-
-    def envelope(self, path: Path) -> None:
-        """Write what is really so. No stage opens this."""
-        truth = asdict(self.specimen) | {"seed": self.seed}
-        path.write_text(json.dumps(truth, indent=2, default=str))
 
 
 @dataclass
