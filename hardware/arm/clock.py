@@ -1,6 +1,4 @@
-"""Moments that are kept: absolute deadlines, no garbage collection, real-time priority
-where it is allowed.
-"""
+"""Punctuality: absolute deadlines, no garbage collection, real-time priority."""
 
 from __future__ import annotations
 
@@ -14,32 +12,36 @@ SPIN_S = 0.001  # [s] before a moment from which the clock is watched closely
 
 
 def wait_until(moment: float) -> None:
-    """Sleep, then watch the clock: a sleep alone wakes up late. moment: of
-    time.monotonic [s].
+    """Sleep until a moment of time.monotonic [s].
+
+    A sleep alone wakes up late, so that the end of it is a busy loop.
     """
-    rest = moment - time.monotonic() - SPIN_S
-    if rest > 0:
-        time.sleep(rest)
+    remaining = moment - time.monotonic() - SPIN_S
+    if remaining > 0:
+        time.sleep(remaining)
     while time.monotonic() < moment:
         pass
 
 
 @contextmanager
 def real_time_priority(priority: int) -> Iterator[None]:
-    """No garbage collection inside, and SCHED_FIFO at `priority` (1 to 99; 0: as usual)
-    where the system allows it.
+    """Run the block without garbage collection and at real-time priority.
+
+    The priority is SCHED_FIFO, 1 to 99, where the system allows it; 0: as usual.
     """
-    collecting, known = gc.isenabled(), priority and hasattr(os, "sched_setscheduler")
-    before = (os.sched_getscheduler(0), os.sched_getparam(0)) if known else None
+    was_collecting = gc.isenabled()
+    former = None
+    if priority and hasattr(os, "sched_setscheduler"):
+        former = os.sched_getscheduler(0), os.sched_getparam(0)
     gc.disable()
     try:
-        if before:
-            # needs CAP_SYS_NICE or an rtprio limit; the record tells the jitter anyway
+        if former:
+            # needs CAP_SYS_NICE or an rtprio limit; the record shows the jitter anyway
             with suppress(PermissionError):
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         yield
     finally:
-        if before:
-            os.sched_setscheduler(0, *before)
-        if collecting:
+        if former:
+            os.sched_setscheduler(0, *former)
+        if was_collecting:
             gc.enable()

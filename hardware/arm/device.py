@@ -1,4 +1,4 @@
-"""The real arm: velocity commands every tick, and nothing left moving."""
+"""The real arm, which takes velocity commands every tick and is always stopped."""
 
 from __future__ import annotations
 
@@ -30,13 +30,26 @@ START_TOLERANCE_RAD = 0.02  # [rad] between reported and commanded start
 class Driving:
     """Settings by which an arm is driven.
 
-    round_trip: median of the link test [s] above which nothing moves. misses:
-    unanswered ticks in a row after which it is brought to rest. late: lateness [s]
-    above which a tick counts as missed; most_missed: share of missed ticks above which
-    the trial is invalid. astray: distance from the commanded angles [rad] at which it
-    is brought to rest. approach: speed [rad/s] of `move_to`; settle: time [s] for the
-    string to come to rest. priority: SCHED_FIFO, 1 to 99, where the system allows it;
-    0: as usual. workspace: where joints and hand may be.
+    Attributes
+    ----------
+    round_trip
+        Median of the link test above which nothing moves [s].
+    misses
+        Unanswered ticks in a row after which the arm is brought to rest.
+    late
+        Lateness above which a tick counts as missed [s].
+    most_missed
+        Fraction of missed ticks above which the trial is invalid.
+    astray
+        Distance from the commanded angles at which the arm is brought to rest [rad].
+    approach
+        Speed of `move_to` [rad/s].
+    settle
+        Time for the string to come to rest [s].
+    priority
+        SCHED_FIFO, 1 to 99, where the system allows it; 0: as usual.
+    workspace
+        The region for joints and hand.
     """
 
     round_trip: Annotated[float, Field(gt=0)]
@@ -52,10 +65,25 @@ class Driving:
 
 @dataclass
 class VelocityArm:
-    """Fills `stages.execute.interfaces.ArmDevice` over any wire.
+    """An arm on any wire, which fills the role `ArmDevice` of `stages.execute`.
 
-    latched: why the emergency stop was pressed; empty if it was not. Nothing moves
-    until `clear`.
+    Attributes
+    ----------
+    arm
+        The arm with its limits.
+    wire
+        The link to it.
+    driving
+        Settings of the driver.
+    latch_reason
+        Why the emergency stop was pressed; empty if it was not. Nothing moves until
+        `clear`.
+    is_moving
+        Whether a movement has not come to its end.
+    round_trips_s : (N,)
+        Round trips of the link test [s].
+    signals
+        The signals that end a movement.
     """
 
     arm: Arm
@@ -84,21 +112,23 @@ class VelocityArm:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop, whatever happened, and let go. A movement that did not come to its end
-        is an emergency.
+        """Stop whatever happened, and close the link.
+
+        A movement that did not come to its end is an emergency.
         """
-        # from the last to the first, each whatever becomes of those before
-        with ExitStack() as ways:
-            ways.callback(self.signals.restore)
-            ways.enter_context(self.signals.ignore())
-            ways.callback(self.wire.close)
-            ways.callback(self.wire.stop)
+        # called from the last to the first, each even if one before it fails
+        with ExitStack() as stack:
+            stack.callback(self.signals.restore)
+            stack.enter_context(self.signals.ignore())
+            stack.callback(self.wire.close)
+            stack.callback(self.wire.stop)
             if self.is_moving or self.latch_reason:
-                ways.callback(self.wire.latch)
+                stack.callback(self.wire.latch)
 
     def press_emergency_stop(self, reason: str) -> None:
-        """The emergency stop, from any thread: obeyed within a tick, and latched here
-        and in the device.
+        """Press the emergency stop, from any thread.
+
+        It is obeyed within a tick, and latched here and in the device.
         """
         self.latch_reason = reason
 
@@ -109,74 +139,122 @@ class VelocityArm:
         self.latch_reason = ""
 
     def angles(self) -> np.ndarray:
-        """Joint angles as the device reports them now, (J,) [rad]."""
-        here = np.array(self.wire.angles())
-        if not np.isfinite(here).all():
+        """Measure the joint angles now.
+
+        Returns
+        -------
+        (J,) ndarray
+            Joint angles [rad].
+
+        Raises
+        ------
+        HardwareError
+            If an encoder reports no number.
+        """
+        angles = np.array(self.wire.angles())
+        if not np.isfinite(angles).all():
             raise HardwareError(
-                f"arm on {self.wire.name}: an encoder reports no number. Look at it before the next try."
+                f"arm on {self.wire.name}: an encoder reports no number. "
+                "Look at it before the next try."
             )
-        return here
+        return angles
 
     def move_to(self, angles: Sequence[float]) -> None:
-        """Go to joint angles with a smooth, slow movement, through the same checks as
-        any other.
+        """Move slowly and smoothly to joint angles, with the checks of any movement.
+
+        Parameters
+        ----------
+        angles : (J,)
+            Joint angles [rad].
+
+        Raises
+        ------
+        HardwareError
+            If a limit would be left or the arm does not follow.
         """
         # a velocity-driven joint ends a little off: go again from where it is
         for _ in range(3):
-            here = self.angles()
-            way = np.asarray(angles) - here
-            if np.abs(way).max() < START_TOLERANCE_RAD / 4:
+            start = self.angles()
+            distance = np.asarray(angles) - start
+            farthest = np.abs(distance).max()
+            if farthest < START_TOLERANCE_RAD / 4:
                 break
             # half a cosine is pi / 2 times as fast in its middle as on average
-            duration = max(
-                np.abs(way).max() * np.pi / 2 / self.driving.approach,
-                20 * self.arm.tick,
-            )
+            duration = farthest * np.pi / 2 / self.driving.approach
+            duration = max(duration, 20 * self.arm.tick)
             ticks = int(np.ceil(duration / self.arm.tick))
             share = (1 - np.cos(np.pi * np.arange(ticks + 1) / ticks)) / 2
-            self._check_and_play(here + share[:, None] * way)
+            self._check_and_play(start + share[:, None] * distance)
         time.sleep(self.driving.settle)
 
     def check(self, commands: pd.DataFrame) -> None:
-        """The whole movement against the arm's limits."""
-        check_movement(
-            self.arm, self.driving.workspace, commands[list(JOINTS)].to_numpy()
-        )
+        """Refuse a movement that leaves a limit; nothing moves.
+
+        Parameters
+        ----------
+        commands
+            Table COMMANDS.
+
+        Raises
+        ------
+        HardwareError
+            If a limit is left anywhere.
+        """
+        angles = commands[list(JOINTS)].to_numpy()
+        check_movement(self.arm, self.driving.workspace, angles)
 
     def perform(self, commands: pd.DataFrame) -> Performance:
-        """Check the whole movement, then play it."""
+        """Check the whole movement, then play it.
+
+        Parameters
+        ----------
+        commands
+            Table COMMANDS.
+
+        Returns
+        -------
+        Performance
+            The measured movement and its timing.
+
+        Raises
+        ------
+        HardwareError
+            If the arm is latched or elsewhere, a limit would be left, or the movement
+            had to be ended.
+        """
         self._refuse_latched()
         angles = commands[list(JOINTS)].to_numpy()
-        off = np.abs(self.angles() - angles[0]).max()
-        if not off <= START_TOLERANCE_RAD:
+        offset = np.abs(self.angles() - angles[0]).max()
+        if not offset <= START_TOLERANCE_RAD:
             raise HardwareError(
-                f"arm on {self.wire.name}: it reports a pose {np.degrees(off):.1f} degrees from the movement's start. "
-                "Move it there first (move_to), or check the encoders."
+                f"arm on {self.wire.name}: it reports a pose {np.degrees(offset):.1f} "
+                "degrees from the movement's start. Move it there first (move_to), or "
+                "check the encoders."
             )
         log = self._check_and_play(angles)
-        start = float(commands["t"].iloc[0])
         return build_performance(
-            log, start, self.driving.late, self.driving.most_missed, self.round_trips_s
+            log,
+            float(commands["t"].iloc[0]),
+            self.driving.late,
+            self.driving.most_missed,
+            self.round_trips_s,
         )
 
     def _check_and_play(self, angles: np.ndarray) -> MovementLog:
         self._refuse_latched()
         check_movement(self.arm, self.driving.workspace, angles)
-        log = reserve_log(
-            angles[0], self.arm.commanded_velocities(angles), self.arm.tick
+        speeds = self.arm.commanded_velocities(angles)
+        log = reserve_log(angles[0], speeds, self.arm.tick)
+        driving = self.driving
+        guard = Guard(
+            self.arm, driving.misses, driving.astray, lambda: self.latch_reason
         )
         self.is_moving = True
         try:
-            guard = Guard(
-                self.arm,
-                self.driving.misses,
-                self.driving.astray,
-                lambda: self.latch_reason,
-            )
-            play(self.wire, log, guard, self.driving.priority)
+            play(self.wire, log, guard, driving.priority)
         except HardwareError:
-            # ramped to rest; on a dead link its watchdog does that, and leaving sends a
-            # stop
+            # Ramped to rest. On a dead link the watchdog does that, and leaving sends a
+            # stop.
             self.is_moving = False
             raise
         self.wire.stop()
@@ -186,28 +264,32 @@ class VelocityArm:
     def _refuse_latched(self) -> None:
         if self.latch_reason:
             raise HardwareError(
-                f"arm on {self.wire.name}: latched by the emergency stop ({self.latch_reason}). "
-                "Look why, make it safe, then clear it."
+                f"arm on {self.wire.name}: latched by the emergency stop "
+                f"({self.latch_reason}). Look why, make it safe, then clear it."
             )
 
     def _test_link(self) -> None:
-        """Round trips before anything moves: a slow link cannot carry a tick, nor a
-        fast one a hasty watchdog.
+        """Measure round trips before anything moves, and check the watchdog.
+
+        A slow link cannot carry a tick, and a short watchdog no late one.
         """
         trips = []
         for _ in range(LINK_TEST_TRIPS):
-            begun = time.monotonic()
+            start = time.monotonic()
             self.wire.angles()
-            trips.append(time.monotonic() - begun)
+            trips.append(time.monotonic() - start)
         self.round_trips_s = np.array(trips)
         if not np.median(self.round_trips_s) <= self.driving.round_trip:
             p50, p99, most = np.percentile(self.round_trips_s, [50, 99, 100]) * 1e3
             raise HardwareError(
-                f"arm on {self.wire.name}: a round trip takes {p50:.1f} ms (99 %: {p99:.1f}, longest: {most:.1f} ms), "
-                f"allowed are {self.driving.round_trip * 1e3:.1f}. Lower the adapter's latency timer, or change ports."
+                f"arm on {self.wire.name}: a round trip takes {p50:.1f} ms (99 %: "
+                f"{p99:.1f}, longest: {most:.1f} ms), allowed are "
+                f"{self.driving.round_trip * 1e3:.1f}. Lower the adapter's latency "
+                "timer, or change ports."
             )
         if not self.wire.watchdog >= 2 * self.arm.tick:
             raise HardwareError(
-                f"arm on {self.wire.name}: its watchdog of {self.wire.watchdog * 1e3:.0f} ms is shorter than two "
-                "ticks. Lengthen it in the device."
+                f"arm on {self.wire.name}: its watchdog of "
+                f"{self.wire.watchdog * 1e3:.0f} ms is shorter than two ticks. Lengthen "
+                "it in the device."
             )

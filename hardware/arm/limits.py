@@ -1,4 +1,4 @@
-"""The whole movement is checked before anything moves."""
+"""The check of a whole movement before anything moves."""
 
 from __future__ import annotations
 
@@ -14,9 +14,7 @@ ROUNDING_FACTOR = 1.001  # limits may be touched to rounding
 
 @dataclass(frozen=True)
 class Workspace:
-    """The region in which joints and hand may be: a rectangle of the world, corners (x,
-    y) [m].
-    """
+    """The rectangle in which joints and hand may be, by two corners (x, y) [m]."""
 
     low: tuple[float, float]
     high: tuple[float, float]
@@ -27,39 +25,50 @@ class Workspace:
             raise ValueError("each of workspace.low must be below its workspace.high")
 
     def is_left_by(self, points: np.ndarray) -> np.ndarray:
-        """Whether any of the points lies outside. points: (..., P, 2) [m]. Returns
-        (...).
-        """
+        """Tell whether any of the points (..., P, 2) [m] lies outside, (...)."""
         return ~np.all((points >= self.low) & (points <= self.high), axis=(-2, -1))
 
 
 def check_movement(arm: Arm, workspace: Workspace, angles: np.ndarray) -> None:
-    """Refuse a movement that leaves a limit anywhere. angles: (K, J) on the tick [rad];
-    raises HardwareError.
+    """Refuse a movement that leaves a limit at any tick.
+
+    Parameters
+    ----------
+    arm
+        The arm with its limits.
+    workspace
+        The region for joints and hand.
+    angles : (K, J)
+        Joint angles at each tick [rad].
+
+    Raises
+    ------
+    HardwareError
+        If a limit is left; it names the limit and the time.
     """
     if not np.isfinite(angles).all():
         raise HardwareError(
-            "arm: the movement holds angles that are no numbers; nothing was moved. Make it anew."
+            "arm: the movement holds angles that are no numbers; nothing was moved. "
+            "Make it anew."
         )
     speeds = arm.commanded_velocities(angles)
-    change = np.diff(speeds, axis=0, prepend=0.0) / arm.tick
+    accelerations = np.diff(speeds, axis=0, prepend=0.0) / arm.tick
     hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[:, :2], axis=1)
-    checks = {
-        "arm.lowest or arm.highest (range)": ~(
-            (angles >= arm.lowest) & (angles <= arm.highest)
-        ).all(axis=1),
-        "arm.speed": ~(np.abs(speeds) <= ROUNDING_FACTOR * np.asarray(arm.speed)).all(
-            axis=1
-        ),
+    most_speed = ROUNDING_FACTOR * np.asarray(arm.speed)
+    most_acceleration = ROUNDING_FACTOR * np.asarray(arm.acceleration)
+    in_range = (angles >= arm.lowest) & (angles <= arm.highest)
+    # True where the limit is not known to hold: no comparison with NaN does
+    violations = {
+        "arm.lowest or arm.highest (range)": ~in_range.all(axis=1),
+        "arm.speed": ~(np.abs(speeds) <= most_speed).all(axis=1),
         "arm.hand_speed": ~(hand <= ROUNDING_FACTOR * arm.hand_speed),
-        "arm.acceleration": ~(
-            np.abs(change) <= ROUNDING_FACTOR * np.asarray(arm.acceleration)
-        ).all(axis=1),
+        "arm.acceleration": ~(np.abs(accelerations) <= most_acceleration).all(axis=1),
         "hardware.driving.workspace": workspace.is_left_by(arm.joint_positions(angles)),
-    }  # each true where the limit is not known to hold: no comparison with NaN does
-    for limit, bad in checks.items():
-        if bad.any():
-            at = float(np.argmax(bad)) * arm.tick
+    }
+    for limit, is_violated in violations.items():
+        if is_violated.any():
+            time = float(np.argmax(is_violated)) * arm.tick
             raise HardwareError(
-                f"arm: the movement leaves {limit} at {at:.3f} s; nothing was moved. Choose another motion."
+                f"arm: the movement leaves {limit} at {time:.3f} s; nothing was moved. "
+                "Choose another motion."
             )

@@ -1,5 +1,6 @@
-"""The loop: a velocity every tick on an absolute schedule, and every reason to stop
-looked at every tick.
+"""The loop that sends a velocity every tick on an absolute schedule.
+
+At every tick it checks each reason to stop.
 """
 
 from __future__ import annotations
@@ -17,13 +18,41 @@ from stringcast.stages.model.arm import Arm
 
 POLL_S = 0.0003  # [s] between looks for an answer
 DRAIN_S = 0.05  # [s] that the last answers may take
-# [rad] by which an encoder may be off from one answer to the next
+# [rad] of error that an encoder may have between two answers
 ENCODER_NOISE_RAD = 0.02
 
 
 @dataclass
 class MovementLog:
-    """Arrays of every tick, reserved before the loop begins; NaN where nothing came."""
+    """The record of every tick, reserved before the loop starts.
+
+    Attributes
+    ----------
+    due : (K,)
+        When each command is due, from the start [s].
+    commanded : (K, J)
+        Velocities [rad/s].
+    expected : (K, J)
+        Angles that the velocities lead to [rad].
+    sent, acknowledged : (K,)
+        When each command was sent and acknowledged [s]; NaN if it was not.
+    device_time : (K,)
+        The device's clock in each answer [s].
+    speeds_sent : (K, J)
+        Velocities as the link carried them [rad/s].
+    angles : (K, J)
+        Measured angles in each answer [rad].
+    start
+        Host time of the first tick (time.monotonic) [s].
+    last_answered
+        The latest tick that was answered; -1 for none.
+    last_checked
+        `last_answered` when the guard last found no fault.
+    hold_reason
+        Why the device follows no commands; empty if it does.
+    pending_ticks
+        Unanswered ticks by the number of their command.
+    """
 
     due: np.ndarray
     commanded: np.ndarray
@@ -34,40 +63,38 @@ class MovementLog:
     speeds_sent: np.ndarray
     angles: np.ndarray
     start: float = 0.0
-    last_answered: int = -1  # the latest tick that was answered
-    last_checked: int = -1  # the latest when the guard last found nothing wrong
+    last_answered: int = -1
+    last_checked: int = -1
     hold_reason: str = ""
-    # ticks by the number of their command
     pending_ticks: dict[int, int] = field(default_factory=dict)
 
 
 def reserve_log(start: np.ndarray, speeds: np.ndarray, tick: float) -> MovementLog:
-    """A log for velocities (K, J) [rad/s], played from the pose `start` (J,) [rad]."""
+    """Reserve a log for velocities (K, J) [rad/s] from the pose `start` (J,) [rad]."""
     count = len(speeds)
-    turned = np.concatenate(
-        [np.zeros((1, len(start))), np.cumsum(speeds[:-1], axis=0) * tick]
-    )
-    sent, acknowledged, clock = np.full((3, count), np.nan)
-    carried, angles = np.full((2, *speeds.shape), np.nan)
-    return MovementLog(
-        np.arange(count) * tick,
-        speeds,
-        start + turned,
-        sent,
-        acknowledged,
-        clock,
-        carried,
-        angles,
-    )
+    turned = np.zeros(speeds.shape)
+    turned[1:] = np.cumsum(speeds[:-1], axis=0) * tick
+    due = np.arange(count) * tick
+    sent, acknowledged, device_time = np.full((3, count), np.nan)
+    speeds_sent, angles = np.full((2, *speeds.shape), np.nan)
+    times = sent, acknowledged, device_time
+    return MovementLog(due, speeds, start + turned, *times, speeds_sent, angles)
 
 
 @dataclass(frozen=True)
 class Guard:
     """Limits whose violation ends a movement early.
 
-    arm: its speed limits bound what an encoder can truly report. misses: unanswered
-    ticks in a row that are borne. astray: largest distance from the commanded angles
-    [rad]. pressed: the emergency stop, empty or a reason.
+    Attributes
+    ----------
+    arm
+        The arm; its speed limits bound what an encoder can truly report.
+    misses
+        Unanswered ticks in a row that are tolerated.
+    astray
+        Largest distance from the commanded angles [rad].
+    emergency_stop
+        Returns why the emergency stop was pressed; empty if it was not.
     """
 
     arm: Arm
@@ -76,14 +103,17 @@ class Guard:
     emergency_stop: Callable[[], str]
 
     def stop_reason(self, log: MovementLog, tick: int) -> str:
-        """Empty if all is well after sending `tick`."""
+        """Return why the movement must end after sending `tick`; empty if all is well."""
         silent = tick - 1 - log.last_answered
         if silent > self.misses:
             return f"no answer for {silent} ticks"
         return log.hold_reason or self._angle_fault(log)
 
     def _angle_fault(self, log: MovementLog) -> str:
-        """The fault that the angles measured since the last look reveal; empty if none."""
+        """Describe a fault in the angles measured since the last check.
+
+        Comparisons are written so that NaN is a fault, too.
+        """
         ticks = np.arange(max(log.last_checked, 0), log.last_answered + 1)
         # several where this computer was late: each may show a jump
         ticks = ticks[np.isfinite(log.device_time[ticks])]
@@ -91,27 +121,40 @@ class Guard:
             return "an encoder reports no number"
         if len(ticks) < 2:
             return ""
-        leap = np.abs(np.diff(log.angles[ticks], axis=0)) - ENCODER_NOISE_RAD
-        most = (
-            2
-            * np.asarray(self.arm.speed)
-            * np.maximum(np.diff(log.device_time[ticks]), self.arm.tick)[:, None]
-        )
-        if not (leap <= most).all():  # so that what is no number is a reason, too
-            return (
-                f"the encoder of joint {(leap - most).max(axis=0).argmax() + 1} jumped"
-            )
-        off = np.abs(log.angles[log.last_answered] - log.expected[log.last_answered])
-        if not off.max() <= self.astray:
-            return f"joint {off.argmax() + 1} is {off.max():.2f} rad from where it was sent"
+        steps = np.maximum(np.diff(log.device_time[ticks]), self.arm.tick)
+        jump = np.abs(np.diff(log.angles[ticks], axis=0)) - ENCODER_NOISE_RAD
+        most = 2 * np.asarray(self.arm.speed) * steps[:, None]
+        if not (jump <= most).all():
+            joint = (jump - most).max(axis=0).argmax() + 1
+            return f"the encoder of joint {joint} jumped"
+        last = log.last_answered
+        offset = np.abs(log.angles[last] - log.expected[last])
+        if not offset.max() <= self.astray:
+            joint = offset.argmax() + 1
+            return f"joint {joint} is {offset.max():.2f} rad from where it was sent"
         return ""
 
 
 def play(wire: Wire, log: MovementLog, guard: Guard, priority: int) -> None:
-    """Send the log's velocities, each at its moment, and fill in what becomes of them.
+    """Send the log's velocities, each when it is due, and record the answers.
 
-    Raises HardwareError where `guard` finds a reason, after a ramp to rest, and
-    KeyboardInterrupt, which the caller answers with the emergency stop.
+    Parameters
+    ----------
+    wire
+        The open link to the arm.
+    log
+        The velocities; the answers are recorded in it.
+    guard
+        The limits that end the movement early.
+    priority
+        Real-time priority, 1 to 99; 0: as usual.
+
+    Raises
+    ------
+    HardwareError
+        If `guard` finds a reason to stop, after a ramp to rest.
+    KeyboardInterrupt
+        If the user interrupts; the caller answers with the emergency stop.
     """
     tick = guard.arm.tick
     log.start = time.monotonic() + 2 * tick
@@ -121,11 +164,10 @@ def play(wire: Wire, log: MovementLog, guard: Guard, priority: int) -> None:
             _collect_answers(wire, log, due - SPIN_S)
             wait_until(due)
             # the emergency stop comes before anything else that is sent
-            if guard.emergency_stop():
+            pressed = guard.emergency_stop()
+            if pressed:
                 wire.latch()
-                raise HardwareError(
-                    f"arm on {wire.name}: emergency stop ({guard.emergency_stop()})."
-                )
+                raise HardwareError(f"arm on {wire.name}: emergency stop ({pressed}).")
             log.sent[k] = time.monotonic() - log.start
             number, log.speeds_sent[k] = wire.send(log.commanded[k])
             log.pending_ticks[number] = k
@@ -137,8 +179,9 @@ def play(wire: Wire, log: MovementLog, guard: Guard, priority: int) -> None:
 
 
 def _collect_answers(wire: Wire, log: MovementLog, until: float) -> None:
-    """Note the answers as they come, until all have come or the moment is there:
-    looking once even when late.
+    """Record answers until all have come or the moment is over.
+
+    It looks once even if it is late.
     """
     while log.pending_ticks:
         for answer in wire.answers():
@@ -150,27 +193,26 @@ def _collect_answers(wire: Wire, log: MovementLog, until: float) -> None:
 
 
 def _record_answer(log: MovementLog, answer: ArmAnswer) -> None:
-    at = log.pending_ticks.pop(answer.number, -1)
-    if at < 0:  # a duplicate, or the answer to something else
+    tick = log.pending_ticks.pop(answer.number, -1)
+    if tick < 0:  # a duplicate, or the answer to something else
         return
-    log.acknowledged[at] = time.monotonic() - log.start
-    log.device_time[at], log.angles[at] = answer.clock, answer.angles
+    log.acknowledged[tick] = time.monotonic() - log.start
+    log.device_time[tick], log.angles[tick] = answer.clock, answer.angles
     log.hold_reason = log.hold_reason or answer.hold_reason
-    log.last_answered = max(log.last_answered, at)
+    log.last_answered = max(log.last_answered, tick)
 
 
 def _ramp_to_rest(
     wire: Wire, log: MovementLog, tick: int, arm: Arm, reason: str
 ) -> None:
-    """Slow to rest within the arm's acceleration, whether or not anybody answers, and
-    say why.
-    """
+    """Slow to rest within the arm's acceleration, answered or not, and raise why."""
     speed = log.speeds_sent[tick]
-    count = max(int(np.ceil(np.abs(speed / arm.acceleration).max() / arm.tick)), 1)
+    duration = np.abs(speed / arm.acceleration).max()
+    count = max(int(np.ceil(duration / arm.tick)), 1)
     try:
-        for share in np.linspace(1, 0, count + 1)[1:]:
+        for fraction in np.linspace(1, 0, count + 1)[1:]:
             wait_until(time.monotonic() + arm.tick)
-            wire.send(speed * share)
+            wire.send(speed * fraction)
     except HardwareError:
         reason += ", then the link went"
     wire.stop()

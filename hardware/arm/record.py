@@ -1,6 +1,4 @@
-"""From the log of a movement to the tables of a trial, and whether its timing can be
-trusted.
-"""
+"""The tables of a trial, from the log of a movement, and its timing budget."""
 
 from __future__ import annotations
 
@@ -11,66 +9,82 @@ from stringcast.data.artifacts import JOINTS, SENT_SPEEDS, SPEEDS
 from stringcast.hardware.arm.loop import MovementLog
 from stringcast.stages.execute.interfaces import Performance
 
-# share of the exchanges, the quickest, that fix the device's clock
+# fraction of the exchanges, the quickest ones, that fix the device's clock
 QUICK_FRACTION = 0.25
 
 
 def build_performance(
     log: MovementLog, start: float, late: float, most_missed: float, trips: np.ndarray
 ) -> Performance:
-    """Tables of a performance.
+    """Build the tables of a performance from its log.
 
-    start: time of the first tick in the movement's time [s]. late: lateness [s] above
-    which a tick counts as missed; most_missed: share of missed ticks above which the
-    trial is invalid. trips: round trips of the link test, (N,) [s].
+    Parameters
+    ----------
+    log
+        The log of the movement.
+    start
+        Time of the first tick in the movement's time [s].
+    late
+        Lateness above which a tick counts as missed [s].
+    most_missed
+        Fraction of missed ticks above which the trial is invalid.
+    trips : (N,)
+        Round trips of the link test [s].
+
+    Returns
+    -------
+    Performance
+        Tables ARM, TICKS and LINK.
     """
     lateness = log.sent - log.due
     missed = ~(lateness <= late) | np.isnan(log.acknowledged)
-    share = missed.mean()
-    reason = (
-        f"{share:.1%} of the ticks were late or lost, allowed are {most_missed:.1%}"
-        if share > most_missed
-        else ""
-    )
+    missed_fraction = missed.mean()
+    reason = ""
+    if missed_fraction > most_missed:
+        reason = (
+            f"{missed_fraction:.1%} of the ticks were late or lost, "
+            f"allowed are {most_missed:.1%}"
+        )
     link = {
         "valid": not reason,
         "reason": reason,
         "ticks": len(log.due),
         "missed": int(missed.sum()),
     }
-    for name, spent in (("jitter", lateness), ("trip", trips)):
-        p50, p99 = np.percentile(spent, [50, 99])
-        link |= {f"{name}_p50": p50, f"{name}_p99": p99, f"{name}_max": spent.max()}
-    # commanded, sent, acknowledged and measured, tick by tick
-    times = {
+    for name, times in (("jitter", lateness), ("trip", trips)):
+        link[f"{name}_p50"], link[f"{name}_p99"] = np.percentile(times, [50, 99])
+        link[f"{name}_max"] = times.max()
+    ticks = {
+        "tick": np.arange(len(log.due)),
         "t_due": log.due + start,
         "t_sent": log.sent + start,
         "t_acknowledged": log.acknowledged + start,
+        "t_device": log.device_time,
     }
-    ticks = {"tick": np.arange(len(log.due)), **times, "t_device": log.device_time}
-    for names, values in (
-        (SPEEDS, log.commanded),
-        (SENT_SPEEDS, log.speeds_sent),
-        (JOINTS, log.angles),
-    ):
-        ticks |= dict(zip(names, values.T, strict=True))
-    # joint angles at the device's own times, brought to the host's clock: the way to
-    # the device and back may take long, but it cannot take less than nothing, so the
-    # quickest exchanges tell the two clocks apart best
-    known = np.flatnonzero(~np.isnan(log.acknowledged))
-    sent, back, clock = log.sent[known], log.acknowledged[known], log.device_time[known]
-    quick = (
-        back - sent <= np.quantile(back - sent, QUICK_FRACTION)
-        if len(known)
-        else slice(None)
-    )
-    ahead = np.median((clock - (sent + back) / 2)[quick]) if len(known) else 0.0
-    angles = dict(zip(JOINTS, log.angles[known].T, strict=True))
-    measured = pd.DataFrame({"t": clock - ahead + start} | angles)
-    measured = measured.sort_values("t").drop_duplicates("t").reset_index(drop=True)
+    ticks |= dict(zip(SPEEDS, log.commanded.T, strict=True))
+    ticks |= dict(zip(SENT_SPEEDS, log.speeds_sent.T, strict=True))
+    ticks |= dict(zip(JOINTS, log.angles.T, strict=True))
+    ticks["missed"] = missed
     return Performance(
-        measured,
-        pd.DataFrame(ticks | {"missed": missed}),
-        pd.DataFrame([link]),
-        log.start,
+        _measured_angles(log, start), pd.DataFrame(ticks), pd.DataFrame([link]), log.start
     )
+
+
+def _measured_angles(log: MovementLog, start: float) -> pd.DataFrame:
+    """Bring joint angles at the device's own times to the host's clock.
+
+    A message may take long, but not less than no time, so the quickest exchanges
+    compare the two clocks best.
+    """
+    answered = np.flatnonzero(~np.isnan(log.acknowledged))
+    sent, acknowledged = log.sent[answered], log.acknowledged[answered]
+    clock = log.device_time[answered]
+    offset = 0.0
+    if len(answered):
+        trips = acknowledged - sent
+        is_quick = trips <= np.quantile(trips, QUICK_FRACTION)
+        offset = np.median((clock - (sent + acknowledged) / 2)[is_quick])
+    columns = {"t": clock - offset + start}
+    columns |= dict(zip(JOINTS, log.angles[answered].T, strict=True))
+    measured = pd.DataFrame(columns).sort_values("t")
+    return measured.drop_duplicates("t").reset_index(drop=True)

@@ -1,4 +1,4 @@
-"""A polite kill becomes an exception, so that the way out stops the arm."""
+"""Termination signals as exceptions, so that leaving the program stops the arm."""
 
 from __future__ import annotations
 
@@ -8,48 +8,49 @@ from contextlib import contextmanager
 from types import FrameType
 
 Handler = Callable[[int, FrameType | None], object] | int | None
-TERMINATION_SIGNALS = (signal.SIGINT, signal.SIGTERM) + (
-    (signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()
-)
+TERMINATION_SIGNALS = [signal.SIGINT, signal.SIGTERM]
+if hasattr(signal, "SIGHUP"):
+    TERMINATION_SIGNALS.append(signal.SIGHUP)
 
 
 class TerminationSignals:
-    """While in force, SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt with the
-    signal's number. Only the main thread receives signals; in another one this does
-    nothing.
+    """Handlers by which SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt.
+
+    The exception holds the signal's number. Only the main thread receives signals; in
+    another one this does nothing.
     """
 
     def __init__(self) -> None:
-        """Nothing is in force yet."""
-        self.before: dict[signal.Signals, Handler] = {}
+        self.former_handlers: dict[signal.Signals, Handler] = {}
 
     def install(self) -> None:
-        """Handle polite signals from now on."""
+        """Handle termination signals from now on."""
         try:
-            self.before = {
+            self.former_handlers = {
                 number: signal.signal(number, _raise_interrupt)
                 for number in TERMINATION_SIGNALS
             }
         except ValueError:
-            self.before = {}
+            self.former_handlers = {}
 
     def restore(self) -> None:
-        """Restore the handlers of before."""
-        for number, handler in self.before.items():
+        """Restore the former handlers."""
+        for number, handler in self.former_handlers.items():
             signal.signal(number, handler)
-        self.before = {}
+        self.former_handlers = {}
 
     @contextmanager
     def ignore(self) -> Iterator[None]:
-        """Nobody interrupts what is inside: an impatient second Ctrl-C must not prevent
-        the stop.
+        """Ignore the signals inside the block.
+
+        An impatient second Ctrl-C must not prevent the stop.
         """
-        for number in self.before:
+        for number in self.former_handlers:
             signal.signal(number, signal.SIG_IGN)
         try:
             yield
         finally:
-            for number in self.before:
+            for number in self.former_handlers:
                 signal.signal(number, _raise_interrupt)
 
 

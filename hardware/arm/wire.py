@@ -1,6 +1,4 @@
-"""The interface of a link to an arm: velocities out, angles back, over a serial device
-or a bus of servos.
-"""
+"""The interface of a link to an arm: velocities out, angles back."""
 
 from __future__ import annotations
 
@@ -17,9 +15,18 @@ from stringcast.stages.model.arm import Arm
 
 @dataclass(frozen=True, slots=True)
 class ArmAnswer:
-    """number: of the command that is answered. clock: device time, unwrapped [s]. held:
-    why the device follows no commands, empty if it does. angles: measured when the
-    command arrived, (J,) [rad].
+    """The arm's answer to a command.
+
+    Attributes
+    ----------
+    number
+        Number of the command.
+    clock
+        Device time, unwrapped [s].
+    hold_reason
+        Why the device follows no commands; empty if it does.
+    angles : (J,)
+        Joint angles measured when the command arrived [rad].
     """
 
     number: int
@@ -29,8 +36,9 @@ class ArmAnswer:
 
 
 class Wire(Protocol):
-    """A connection to an arm. Each method raises `HardwareError` where it cannot do its
-    work.
+    """A link to an arm, over a serial device or a bus of servos.
+
+    Each method raises `HardwareError` if it cannot do its work.
     """
 
     @property
@@ -39,55 +47,77 @@ class Wire(Protocol):
 
     @property
     def watchdog(self) -> float:
-        """Time without a command after which the device stops the arm by itself [s]."""
+        """The time without a command after which the device stops by itself [s]."""
 
     def open(self) -> None:
-        """Connect and agree on how to talk; nothing moves. Refuses a device that was
-        latched.
+        """Connect and agree on the protocol; nothing moves.
+
+        Raises
+        ------
+        HardwareError
+            If the device is missing, of another version, or latched.
         """
 
     def set_limits(self, arm: Arm) -> None:
-        """Have the device keep to the arm's limits of speed and acceleration by itself;
-        raises where it does not.
+        """Make the device keep the arm's limits of speed and acceleration by itself.
+
+        Raises
+        ------
+        HardwareError
+            If the device does not keep them.
         """
 
     def close(self) -> None:
-        """Let go. Does nothing where nothing is open."""
+        """Close the link; do nothing if it is not open."""
 
     def angles(self) -> tuple[float, ...]:
-        """Measured now, by one round trip, (J,) [rad]."""
+        """Measure the joint angles now, by one round trip.
+
+        Returns
+        -------
+        (J,) tuple of float
+            Joint angles [rad].
+        """
 
     def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
-        """Send velocities (J,) [rad/s] without waiting; the command's number, and what
-        was really sent.
+        """Send velocities without waiting for an answer.
+
+        Parameters
+        ----------
+        speeds : (J,)
+            Velocities of the joints [rad/s].
+
+        Returns
+        -------
+        number : int
+            The command's number.
+        speeds : (J,)
+            What was sent after rounding [rad/s].
         """
 
     def answers(self) -> Sequence[ArmAnswer]:
-        """The answers that have come since the last call; damaged ones are left out."""
+        """Return the answers since the last call, without damaged ones."""
 
     def stop(self) -> None:
-        """Velocity zero, at once. Also where the connection is broken: then it does
-        nothing.
-        """
+        """Stop the arm at once; do nothing if the connection is broken."""
 
     def latch(self) -> None:
-        """Emergency stop: velocity zero, and the device follows nothing until `clear`.
-        Never raises.
-        """
+        """Stop the arm and latch the device until `clear`; never raise."""
 
     def clear(self) -> None:
         """Undo `latch` on purpose, after a person has looked at the arm."""
 
 
 def confirm_and_clear(wire: Wire) -> None:
-    """Have a person look at the arm, and then undo its emergency stop; exits with the
-    reason where that fails.
+    """Ask a person to look at the arm, then undo its emergency stop.
+
+    It exits with the reason if that fails.
     """
     try:
-        said = input("Is the arm safe to move, and nobody within its reach? Type yes: ")
-    except EOFError:  # nobody is there to look
-        said = ""
-    if said.strip() != "yes":
+        answer = input("Is the arm safe to move, and nobody within its reach? Type yes: ")
+    except EOFError:  # there is nobody to look
+        answer = ""
+    if answer.strip() != "yes":
         sys.exit("It stays latched.")
     try:
         wire.clear()
