@@ -10,7 +10,7 @@ from pydantic import AfterValidator
 
 from stringcast.stages.execute.interfaces import HardwareError
 
-RELATIVE_TOLERANCE = 0.01  # by which a value read back may differ from the one asked
+RELATIVE_TOLERANCE = 0.01  # between a value that was set and the one read back
 # what OpenCV gives for a property that a backend cannot report
 UNREPORTED_VALUES = (0.0, -1.0)
 
@@ -19,7 +19,8 @@ def _require_known_properties(controls: Mapping[str, float]) -> Mapping[str, flo
     unknown = [name for name in controls if not hasattr(cv2, f"CAP_PROP_{name}")]
     if unknown:
         raise ValueError(
-            f"OpenCV has no property CAP_PROP_{unknown[0]}; such are AUTO_EXPOSURE, EXPOSURE, GAIN, AUTO_WB"
+            f"OpenCV has no property CAP_PROP_{unknown[0]}; such are AUTO_EXPOSURE, "
+            "EXPOSURE, GAIN, AUTO_WB"
         )
     return controls
 
@@ -33,28 +34,45 @@ def apply_controls(
     form: Mapping[str, float],
     controls: Mapping[str, float],
 ) -> tuple[str, ...]:
-    """Set a form (size and rate) and controls, each by OpenCV's name, and read the
-    controls back once all are set.
+    """Set size, rate and controls, and read the controls back once all are set.
 
-    Raises HardwareError for a control that is reported as something else. Returns what
-    could not be made sure of. Size and rate are measured instead: drivers report what
-    they were asked.
+    Size and rate are measured later instead: drivers report what they were asked.
+
+    Parameters
+    ----------
+    capture
+        The open device.
+    name
+        Its name for messages.
+    form
+        Size and rate by OpenCV's names.
+    controls
+        Controls by OpenCV's names.
+
+    Returns
+    -------
+    tuple of str
+        Remarks on controls that could not be verified.
+
+    Raises
+    ------
+    HardwareError
+        If a control is reported with another value.
     """
-    accepted = {
-        key: capture.set(_property_number(key), value)
-        for key, value in {**form, **controls}.items()
-    }
-    remarks = []
-    for key, asked in controls.items():
+    accepted: dict[str, bool] = {}
+    for key, value in {**form, **controls}.items():
+        accepted[key] = capture.set(_property_number(key), value)
+    remarks: list[str] = []
+    for key, value in controls.items():
         reported = float(capture.get(_property_number(key)))
-        if abs(reported - asked) <= RELATIVE_TOLERANCE * max(
-            abs(asked), RELATIVE_TOLERANCE
-        ):
+        tolerance = RELATIVE_TOLERANCE * max(abs(value), RELATIVE_TOLERANCE)
+        if abs(reported - value) <= tolerance:
             continue
         if accepted[key] or reported not in UNREPORTED_VALUES:
             raise HardwareError(
-                f"{name}: source.controls.{key} is {asked:g}, the driver reports {reported:g}. Set it to what the "
-                "driver can do (v4l2-ctl --list-ctrls says what), choose another source.backend, or take it out of "
+                f"{name}: source.controls.{key} is {value:g}, the driver reports "
+                f"{reported:g}. Set it to what the driver can do (v4l2-ctl --list-ctrls "
+                "lists it), choose another source.backend, or take it out of "
                 "source.controls if it does not matter."
             )
         remarks.append(f"the driver can neither set nor report {key}")

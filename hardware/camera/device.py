@@ -1,6 +1,4 @@
-"""A camera that OpenCV can open: set, asked whether it obeyed, and watched for a moment
-before it is trusted.
-"""
+"""A camera that OpenCV can open, which is set and checked before it is used."""
 
 from __future__ import annotations
 
@@ -24,19 +22,30 @@ MAX_BUFFERED_FRAMES = 8  # frames that a driver may hold from before; V4L2 has 4
 
 @dataclass(frozen=True)
 class Device(Source):
-    """number: of the camera. backend: OpenCV's name of the driver's interface, such as
-    V4L2, DSHOW, AVFOUNDATION; ANY.
+    """The settings of a camera that OpenCV can open.
 
-    controls: properties by OpenCV's name without CAP_PROP_, in the driver's units, set
-    in this order and read back. seconds: how long stills are taken, one every
-    `interval` [s].
+    No driver reports the delay. V4L2 stamps a frame when its first or last byte arrives
+    (on this host's clock; uvcvideo: the first); other backends give a time from the start
+    of the stream, or none. Stamps therefore give the distances between frames, not their
+    absolute times.
 
-    delay: no driver tells it. V4L2 stamps a frame when the first or the last of it
-    arrives (on this host's clock; uvcvideo: the first); other backends give a time from
-    the start of the stream, or none. Stamps therefore serve for the distances of
-    frames, not for their place: the quickest frame is taken to have come so long after
-    the middle of its exposure. About half the exposure, the readout and the transfer;
-    measure it once, by a calibration motion or a flashing lamp.
+    Attributes
+    ----------
+    number
+        Number of the camera, as OpenCV counts.
+    backend
+        OpenCV's name of the driver's interface, such as V4L2, DSHOW, AVFOUNDATION; or ANY.
+    delay
+        From the middle of the exposure to the arrival of the quickest frame [s]: about
+        half the exposure, the readout and the transfer. Measure it once, by a
+        calibration motion or a flashing lamp.
+    controls
+        Properties by OpenCV's name without CAP_PROP_, in the driver's units, set in this
+        order and read back.
+    seconds
+        How long stills are taken [s].
+    interval
+        Time from one still to the next [s].
     """
 
     number: Annotated[int, Field(ge=0)]
@@ -48,31 +57,46 @@ class Device(Source):
 
     @property
     def name(self) -> str:
-        """The device's name with its number."""
+        """The camera with its number."""
         return f"camera {self.number}"
 
     def open(self, camera: Camera) -> Stream:
-        """Set everything, and see that it obeys and gives what it should; nothing of
-        that is left to the first cast.
+        """Open and set the camera, and check its frames.
+
+        Parameters
+        ----------
+        camera
+            The camera as it should be: size and rate.
+
+        Returns
+        -------
+        Stream
+            The open camera.
+
+        Raises
+        ------
+        HardwareError
+            If it cannot be opened, or has another setting, size or rate.
         """
         interface = getattr(cv2, f"CAP_{self.backend}", None)
         if interface is None:
             raise HardwareError(
-                f"{self.name}: OpenCV has no backend '{self.backend}'. Set source.backend to ANY, V4L2, DSHOW, MSMF or "
-                "AVFOUNDATION."
+                f"{self.name}: OpenCV has no backend '{self.backend}'. "
+                "Set source.backend to ANY, V4L2, DSHOW, MSMF or AVFOUNDATION."
             )
         capture = cv2.VideoCapture(self.number, interface)
         if not capture.isOpened():
             raise HardwareError(
-                f"{self.name}: it cannot be opened. Check source.number, the cable, and that no other program uses it."
+                f"{self.name}: it cannot be opened. Check source.number, the cable, "
+                "and that no other program uses it."
             )
         try:
-            wanted = {
+            form = {
                 "FRAME_WIDTH": camera.width,
                 "FRAME_HEIGHT": camera.height,
                 "FPS": camera.fps,
             }
-            remarks = apply_controls(capture, self.name, wanted, self.controls)
+            remarks = apply_controls(capture, self.name, form, self.controls)
             stream = DeviceStream(capture, self.name)
             stream.remarks = (*remarks, *check_stream(stream, self.name, camera))
         except BaseException:
@@ -83,46 +107,47 @@ class Device(Source):
     def stills(
         self, camera: Camera, ready: Callable[[], object]
     ) -> Iterator[np.ndarray]:
-        """One every `interval`, for `seconds`, once a person is ready."""
+        """Take one still every `interval`, for `seconds`, once the user is ready."""
         stream = self.open(camera)
         try:
             ready()
             stream.begin()
-            begun, taken = time.monotonic(), 0
-            while (
-                frame := stream.read()
-            ) is not None and frame.arrival_time < begun + self.seconds:
-                if frame.arrival_time >= begun + taken * self.interval:
-                    taken += 1
+            start, count = time.monotonic(), 0
+            while (frame := stream.read()) is not None:
+                if frame.arrival_time >= start + self.seconds:
+                    break
+                if frame.arrival_time >= start + count * self.interval:
+                    count += 1
                     yield frame.image
         finally:
             stream.close()
 
 
 class DeviceStream(Stream):
-    """A device that is open."""
+    """An open camera."""
 
     def __init__(self, capture: cv2.VideoCapture, name: str) -> None:
-        """capture: set already. name: for messages."""
+        """Wrap a capture that is already set; the name is for messages."""
         self.capture, self.name = capture, name
 
     def begin(self) -> None:
-        """Let go of as many frames as the driver may hold from before, undecoded."""
+        """Drop as many frames as the driver may hold from before."""
         for _ in range(MAX_BUFFERED_FRAMES):
             if not self.capture.grab():
                 return
 
     def read(self) -> Frame | None:
-        """The next frame, each in memory of its own. One that cannot be decoded is left
-        out: it counts as dropped.
+        """Read the next frame, each in memory of its own.
+
+        One that cannot be decoded counts as dropped.
         """
         while self.capture.grab():
-            # decoding takes now longer, now shorter, and comes after
-            arrived = time.monotonic()
+            # before decoding, which takes a varying time
+            arrival = time.monotonic()
             good, image = self.capture.retrieve()
             if good:
                 stamp = self.capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-                return Frame(arrived, stamp if stamp > 0 else float("nan"), image)
+                return Frame(arrival, stamp if stamp > 0 else float("nan"), image)
         return None
 
     def close(self) -> None:

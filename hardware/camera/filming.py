@@ -1,5 +1,6 @@
-"""Filming in the background: one thread takes frames from the driver at once, another
-makes them grey.
+"""Filming in the background.
+
+One thread only takes frames from the driver, another makes them grey.
 """
 
 from __future__ import annotations
@@ -19,20 +20,27 @@ from stringcast.hardware.camera.source import Frame, Source, Stream
 from stringcast.stages.execute.interfaces import HardwareError, Recording
 from stringcast.stages.model.camera import Camera
 
-# frames that wait to be made grey; then one is lost, and counted, rather than all
-# memory
+# frames that wait to be made grey; a further one is dropped and counted, so that the
+# memory does not fill
 QUEUE_FRAMES = 64
 FIRST_FRAME_TIMEOUT_S = 5.0  # [s] in which the first frame must come
-# [s] beyond the delay for which the last frames are waited for
+# [s] beyond the delay that the last frames may take
 LAST_FRAME_MARGIN_S = 0.5
-READ_TIMEOUT_S = 2.0  # [s] that a read under way may take to end
+READ_TIMEOUT_S = 2.0  # [s] that a read in progress may take to end
 
 
 @dataclass
 class FilmingCamera:
-    """Fills `stages.execute.interfaces.CameraDevice` with any source.
+    """A camera that films any source, which fills the role `CameraDevice`.
 
-    most_lost: share of frames dropped or repeated above which a trial is invalid.
+    Attributes
+    ----------
+    camera
+        The camera as it should be.
+    source
+        Where frames come from.
+    most_lost
+        Fraction of dropped or repeated frames above which a trial is invalid.
     """
 
     camera: Camera
@@ -42,7 +50,7 @@ class FilmingCamera:
     film: BackgroundFilm | None = None
 
     def __enter__(self) -> Self:
-        """Open the source and see that it gives what the settings promise."""
+        """Open the source and check that it gives what the settings promise."""
         self.stream = self.source.open(self.camera)
         return self
 
@@ -52,7 +60,7 @@ class FilmingCamera:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """End filming and let go of the source."""
+        """End filming and close the source."""
         if self.film is not None:
             self.film.close()
         elif self.stream is not None:
@@ -60,143 +68,163 @@ class FilmingCamera:
         self.film = self.stream = None
 
     def start(self) -> None:
-        """Film until `stop`; the first frame is there when this returns."""
+        """Film until `stop`, and return once the first frame is there.
+
+        Raises
+        ------
+        HardwareError
+            If no frame comes.
+        """
         assert self.stream is not None
         self.film = BackgroundFilm(self.stream)
         if not self.film.wait_for(-np.inf, FIRST_FRAME_TIMEOUT_S):
-            why = self.film.died or f"waited {FIRST_FRAME_TIMEOUT_S:g} s"
+            reason = self.film.failure or f"waited {FIRST_FRAME_TIMEOUT_S:g} s"
             raise HardwareError(
-                f"{self.source.name}: no frame came ({why}). Check the device and its cable."
+                f"{self.source.name}: no frame came ({reason}). "
+                "Check the device and its cable."
             )
 
     def stop(self, moved_at: float) -> Recording:
-        """The frames, timed from the start of the movement, with those that were
-        exposed until now.
+        """End filming once all frames exposed until now have come.
+
+        Parameters
+        ----------
+        moved_at
+            Host time of the start of the movement (time.monotonic) [s].
+
+        Returns
+        -------
+        Recording
+            The frames, timed from the start of the movement.
         """
         assert self.film is not None
         assert self.stream is not None
         until = time.monotonic()
-        self.film.wait_for(
-            until + self.source.delay, self.source.delay + LAST_FRAME_MARGIN_S
-        )
-        frames, died, overrun = self.film.end(), self.film.died, self.film.overrun
-        remarks = (
-            *self.stream.remarks,
-            *([f"the host was too slow for {overrun} frame(s)"] if overrun else []),
-        )
-        film = RawFilm(frames, until - moved_at, died, remarks)
+        delay = self.source.delay
+        self.film.wait_for(until + delay, delay + LAST_FRAME_MARGIN_S)
+        frames = self.film.end()
+        remarks = self.stream.remarks
+        overrun = self.film.overrun
+        if overrun:
+            remarks = (*remarks, f"the host was too slow for {overrun} frame(s)")
+        film = RawFilm(frames, until - moved_at, self.film.failure, remarks)
         return build_recording(
-            film, moved_at, self.source.delay, 1 / self.camera.fps, self.most_lost
+            film, moved_at, delay, 1 / self.camera.fps, self.most_lost
         )
 
 
 class BackgroundFilm:
-    """One film in the making. died: why no more frames come; empty if they do. overrun:
-    frames for which there was no room. reading: whether somebody may still be reading
-    the stream, who lets go of it in the end if it was left to him. over: no more frames
-    are kept.
+    """One film in progress.
+
+    Attributes
+    ----------
+    failure
+        Why no more frames come; empty if they do.
+    overrun
+        Number of frames for which the queue had no room.
     """
 
     def __init__(self, stream: Stream) -> None:
         """Begin filming at once."""
         self.stream = stream
-        self.died, self.overrun = "", 0
-        self.reading, self.left, self.over = True, False, False
-        self.frames: list[Frame] = []
-        self.more = threading.Event()
-        self.more.set()
-        self.waiting: queue.Queue[Frame | None] = queue.Queue(QUEUE_FRAMES)
-        self.came = threading.Condition()
-        self.threads = [
-            threading.Thread(target=work, daemon=True)
-            for work in (self._read_frames, self._convert_frames)
-        ]
+        self.failure, self.overrun = "", 0
+        self._is_reading = True  # the stream may still be read
+        self._close_after_reading = False
+        self._is_over = False  # no more frames will be kept
+        self._frames: list[Frame] = []
+        self._goes_on = threading.Event()
+        self._goes_on.set()
+        self._queue: queue.Queue[Frame | None] = queue.Queue(QUEUE_FRAMES)
+        self._changed = threading.Condition()
+        self.threads = (
+            threading.Thread(target=self._read_frames, daemon=True),
+            threading.Thread(target=self._convert_frames, daemon=True),
+        )
         for thread in self.threads:
             thread.start()
 
     def wait_for(self, arrival: float, most: float) -> bool:
-        """Whether a frame has come that arrived at `arrival` (time.monotonic) or later,
-        after waiting `most` [s].
+        """Wait for a frame that arrived at `arrival` (time.monotonic) or later.
+
+        Returns whether there is one after at most `most` [s].
         """
-        with self.came:
-            self.came.wait_for(
-                lambda: (
-                    self.over
-                    or (self.frames and self.frames[-1].arrival_time >= arrival)
-                ),
-                most,
-            )
-            return bool(self.frames) and self.frames[-1].arrival_time >= arrival
+
+        def has_arrived() -> bool:
+            frames = self._frames
+            return bool(frames) and frames[-1].arrival_time >= arrival
+
+        with self._changed:
+            self._changed.wait_for(lambda: self._is_over or has_arrived(), most)
+            return has_arrived()
 
     def end(self) -> list[Frame]:
-        """Film no more; what there is."""
-        self.more.clear()
+        """End filming and return the frames."""
+        self._goes_on.clear()
         until = time.monotonic() + READ_TIMEOUT_S
         for thread in self.threads:
             thread.join(max(until - time.monotonic(), 0.0))
-        with self.came:
-            return list(self.frames)
+        with self._changed:
+            return list(self._frames)
 
     def close(self) -> None:
-        """Film no more, and let go of the stream: here, or where it is still being read
-        once that ends, for to let go of a device that is being read can end the
-        program.
+        """End filming and close the stream.
+
+        A stream that is still being read is closed when that ends: to close a device
+        during a read can crash the program.
         """
         self.end()
-        with self.came:
-            self.left = self.reading
-            if not self.reading:
+        with self._changed:
+            self._close_after_reading = self._is_reading
+            if not self._is_reading:
                 self.stream.close()
 
     def _read_frames(self) -> None:
-        """Take frames from the driver as they come, and nothing else: a frame that must
-        wait there may be lost.
+        """Take frames from the driver and queue them.
+
+        It does nothing else, for a frame that waits in the driver may be lost.
         """
         try:
             self.stream.begin()
-            while self.more.is_set():
+            while self._goes_on.is_set():
                 frame = self.stream.read()
                 if frame is None:
-                    self.died = "it gives no more frames"
+                    self.failure = "it gives no more frames"
                     break
                 try:
-                    self.waiting.put_nowait(frame)
+                    self._queue.put_nowait(frame)
                 except queue.Full:
                     self.overrun += 1
-        except Exception as error:  # whatever it is: nobody else would hear of it
-            self.died = str(error) or type(error).__name__
+        except Exception as error:  # of any kind: no other thread would hear of it
+            self.failure = str(error) or type(error).__name__
         finally:
-            with self.came:
-                self.reading = False
-                # `close` could not let go of the stream while it was read
-                if self.left:
+            with self._changed:
+                self._is_reading = False
+                if self._close_after_reading:
                     self.stream.close()
-            self.waiting.put(None)
+            self._queue.put(None)
 
     def _convert_frames(self) -> None:
-        """Make frames grey and keep them, until there are no more, or one that cannot
-        be.
-        """
+        """Make frames grey and keep them until there are no more or one fails."""
         try:
-            while (frame := self.waiting.get()) is not None:
-                kept = replace(frame, image=to_grey(frame.image))
-                with self.came:
-                    self.frames.append(kept)
-                    self.came.notify_all()
+            while (frame := self._queue.get()) is not None:
+                grey = replace(frame, image=to_grey(frame.image))
+                with self._changed:
+                    self._frames.append(grey)
+                    self._changed.notify_all()
         except Exception as error:  # as above
-            self.died = str(error) or type(error).__name__
-            self.more.clear()
-            # who takes frames must not wait for room
-            while self.waiting.get() is not None:
+            self.failure = str(error) or type(error).__name__
+            self._goes_on.clear()
+            # the other thread must not wait for room
+            while self._queue.get() is not None:
                 pass
         finally:
-            with self.came:
-                self.over = True
-                self.came.notify_all()
+            with self._changed:
+                self._is_over = True
+                self._changed.notify_all()
 
 
 def to_grey(image: np.ndarray) -> np.ndarray:
-    """An image in grey, (height, width) uint8. image: grey or BGR, as the driver gave
-    it.
-    """
-    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    """Convert a grey or BGR image to grey, uint8 (height, width)."""
+    if image.ndim == 2:
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))

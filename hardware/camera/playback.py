@@ -1,4 +1,4 @@
-"""Files that stand in for a camera: they are played at its rate."""
+"""Image files and videos that are played at the rate of a camera, instead of one."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 class PlayedSource(Source):
-    """A source made of images that are there already."""
+    """A source of stored images."""
 
     delay = 0.0  # they come when they are due
 
     @abstractmethod
     def images(self) -> Sequence[np.ndarray]:
-        """All of them, in order; raises DataError where there are none."""
+        """Open the images in order; raise DataError if there are none."""
 
     def open(self, camera: Camera) -> Stream:
-        """Play the images, one every 1 / camera.fps. Raises HardwareError where they
-        are of another size.
+        """Play the images, one every 1 / camera.fps.
+
+        Raises HardwareError if they have another size.
         """
         try:
             images = self.images()
@@ -41,36 +42,37 @@ class PlayedSource(Source):
             raise HardwareError(f"{self.name}: {error}") from error
         if (columns, rows) != (camera.width, camera.height):
             raise HardwareError(
-                f"{self.name}: images are {columns}x{rows}. Set camera.width and camera.height to that."
+                f"{self.name}: images are {columns}x{rows}. "
+                "Set camera.width and camera.height to that."
             )
         return PlayedStream(images, camera.fps)
 
     def stills(
         self, camera: Camera, ready: Callable[[], object]
     ) -> Iterator[np.ndarray]:
-        """All images, at once: nobody has to wait for a file."""
+        """Yield all images without a wait."""
         yield from self.images()
 
 
 class PlayedStream(Stream):
-    """Images played; the source's clock is that of the film."""
+    """Images that are being played; their stamps are times of the film."""
 
     def __init__(self, images: Sequence[np.ndarray], fps: float) -> None:
-        """From the first one."""
+        """Play from the first image."""
         self.images, self.fps = images, fps
         self.begin()
 
     def begin(self) -> None:
-        """Begin with the first image, now."""
-        self.number, self.begun = 0, time.monotonic()
+        """Start with the first image now."""
+        self.number, self.start = 0, time.monotonic()
 
     def read(self) -> Frame | None:
-        """The next one, at its time."""
+        """Wait until the next image is due and return it."""
         if self.number == len(self.images):
             return None
         image, stamp = self.images[self.number], self.number / self.fps
         self.number += 1
-        time.sleep(max(self.begun + stamp - time.monotonic(), 0.0))
+        time.sleep(max(self.start + stamp - time.monotonic(), 0.0))
         return Frame(time.monotonic(), stamp, image)
 
     def close(self) -> None:
@@ -79,7 +81,7 @@ class PlayedStream(Stream):
 
 @dataclass(frozen=True)
 class ImageFolder(PlayedSource):
-    """folder: of image files, in the order of their names."""
+    """A folder of image files, in the order of their names."""
 
     folder: Path
 
@@ -89,21 +91,24 @@ class ImageFolder(PlayedSource):
         return f"images in {self.folder}"
 
     def images(self) -> Sequence[np.ndarray]:
-        """The images of the folder."""
-        files = sorted(
-            p.name for p in self.folder.glob("*") if p.suffix.lower() in IMAGE_SUFFIXES
-        )
-        if not files:
+        """Open the images of the folder."""
+        names: list[str] = []
+        for path in sorted(self.folder.glob("*")):
+            if path.suffix.lower() in IMAGE_SUFFIXES:
+                names.append(path.name)
+        if not names:
             raise DataError(
-                f"{self.folder}: there is no image here ({', '.join(IMAGE_SUFFIXES)}). Name the folder that has them."
+                f"{self.folder}: there is no image here ({', '.join(IMAGE_SUFFIXES)}). "
+                "Name the folder that has them."
             )
-        return ImageFiles(self.folder, tuple(files))
+        return ImageFiles(self.folder, tuple(names))
 
 
 @dataclass(frozen=True)
 class VideoFile(PlayedSource):
-    """path: of the video, played at the camera's fps whatever the file says. every: of
-    its frames, how many there are from one still to the next.
+    """A video, played at the camera's fps whatever the file states.
+
+    every: number of frames from one still to the next.
     """
 
     path: Path
@@ -115,12 +120,13 @@ class VideoFile(PlayedSource):
         return f"video {self.path}"
 
     def images(self) -> Sequence[np.ndarray]:
-        """The frames of the video."""
+        """Open the frames of the video."""
         return Video(self.path)
 
     def stills(
         self, camera: Camera, ready: Callable[[], object]
     ) -> Iterator[np.ndarray]:
-        """Every so many frames: neighbours show the same."""
+        """Yield one frame in `every`, because neighbours show the same."""
         images = self.images()
-        yield from (images[number] for number in range(0, len(images), self.every))
+        for number in range(0, len(images), self.every):
+            yield images[number]

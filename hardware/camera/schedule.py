@@ -1,12 +1,15 @@
-"""The schedule behind the times of frames: which frame of a steady camera each one is,
-and how late it came.
+"""The schedule of a steady camera behind the times at which frames were noted.
 
-A camera exposes at a steady rate; what is noted of it is late, now a little, now a lot,
+A camera exposes at a steady rate. The noted times are late, now a little, now a lot,
 never early, and some frames are missing. The rate at which the times are most in step
-(the highest peak of their periodogram, Bartlett 1963) is found whatever the lateness of
-single frames, and however many are missing. The quickest frames then show the moments;
-a frame belongs to the last one before it, and no two to the same: of two, the earlier
-was late.
+(the highest peak of their periodogram) is found whatever the lateness of single frames.
+The quickest frames then show the moments of exposure. A frame belongs to the last moment
+before it, and no two frames to the same one: the earlier of two was late.
+
+References
+----------
+Bartlett, M. S. (1963). The spectral analysis of point processes. J. R. Stat. Soc. B 25,
+264-296.
 """
 
 from __future__ import annotations
@@ -15,16 +18,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-PERIOD_TOLERANCE = 0.05  # by which the true period may differ from the expected one
-QUICK_PERCENTILE = 10  # percentile of the lateness that counts as in time
+PERIOD_TOLERANCE = 0.05  # relative deviation of the true period from the nominal one
+QUICK_PERCENTILE = 10  # of the lateness, which counts as in time
 # periods by which a frame may come before the quickest ones show that it is due
 EARLY_PERIODS = 0.25
 
 
 @dataclass(frozen=True)
 class FrameSchedule:
-    """period [s]. numbers: (F,) int, from 0. due: (F,) times of the quickest frames
-    [s]. late: (F,) [s].
+    """The frames of a film on a steady schedule.
+
+    Attributes
+    ----------
+    period
+        Period of the schedule [s].
+    numbers : (F,) int
+        Number of each frame on the schedule, from 0.
+    due : (F,)
+        When each frame would have come if it were one of the quickest [s].
+    lateness : (F,)
+        How much later it came [s].
     """
 
     period: float
@@ -33,45 +46,52 @@ class FrameSchedule:
     lateness: np.ndarray
 
     def last_due_number(self, t: float) -> int:
-        """Number of the last frame due at a time [s]."""
-        return int(np.floor((t - self.due[0]) / self.period + 1e-6)) + int(
-            self.numbers[0]
-        )
+        """Return the number of the last frame due at a time [s]."""
+        elapsed = (t - self.due[0]) / self.period
+        return int(np.floor(elapsed + 1e-6)) + int(self.numbers[0])
 
 
 def fit_schedule(t: np.ndarray, period: float) -> FrameSchedule:
-    """The schedule of frames noted at times t (F,) [s], sorted, with about this period
-    [s].
+    """Fit a steady schedule to noted times.
+
+    Parameters
+    ----------
+    t : (F,)
+        Sorted times at which frames were noted [s].
+    period
+        Nominal period [s].
+
+    Returns
+    -------
+    FrameSchedule
+        The schedule with the number and the lateness of each frame.
     """
-    # in turns of the rate near 1 / period with which the times are most in step, about
-    # whole numbers
-    since = t - t[0]
-    # eight to the width of a peak
-    steps = int(np.ceil(16 * PERIOD_TOLERANCE * (since[-1] / period + 1)))
-    rates = (
-        np.linspace(1 - PERIOD_TOLERANCE, 1 + PERIOD_TOLERANCE, 2 * steps + 1) / period
-    )
-    waves = np.array([np.exp(2j * np.pi * rate * since).sum() for rate in rates])
+    # the rate near 1 / period with which the times are most in step
+    elapsed = t - t[0]
+    span = elapsed[-1] / period + 1  # periods
+    steps = int(np.ceil(16 * PERIOD_TOLERANCE * span))  # eight to the width of a peak
+    factors = np.linspace(1 - PERIOD_TOLERANCE, 1 + PERIOD_TOLERANCE, 2 * steps + 1)
+    rates = factors / period
+    waves = np.array([np.exp(2j * np.pi * rate * elapsed).sum() for rate in rates])
     best = int(np.argmax(np.abs(waves)))
-    turns = since * rates[best] - np.angle(waves[best]) / (2 * np.pi)
+    # times in periods, near whole numbers
+    turns = elapsed * rates[best] - np.angle(waves[best]) / (2 * np.pi)
     late = turns - np.rint(turns)
-    numbers = np.floor(
-        turns - np.percentile(late, QUICK_PERCENTILE) + EARLY_PERIODS
-    ).astype(int)
-    # no number twice: of two frames on one moment the earlier was late, and so are
-    # those that it pushes
-    places = np.arange(len(numbers))
-    numbers = np.minimum.accumulate((numbers - places)[::-1])[::-1] + places
+    quickest = np.percentile(late, QUICK_PERCENTILE)
+    numbers = np.floor(turns - quickest + EARLY_PERIODS).astype(int)
+    # No number twice: of two frames with one number the earlier was late, and so are
+    # those that it pushes.
+    indices = np.arange(len(numbers))
+    numbers = np.minimum.accumulate((numbers - indices)[::-1])[::-1] + indices
     numbers -= numbers[0]
-    # seconds a number, from frames in time: twice a line, the second time without the
-    # half that is latest
+    # seconds per number: a line, then again without the later half
     slope = period
     if numbers[-1] > 1:
         slope, start = map(float, np.polyfit(numbers, t, 1))
         late = t - slope * numbers - start
-        kept = late <= np.median(late)
-        if len(np.unique(numbers[kept])) > 2:
-            slope = float(np.polyfit(numbers[kept], t[kept], 1)[0])
+        is_quick = late <= np.median(late)
+        if len(np.unique(numbers[is_quick])) > 2:
+            slope = float(np.polyfit(numbers[is_quick], t[is_quick], 1)[0])
     late = t - slope * numbers
     quickest = np.percentile(late, QUICK_PERCENTILE)
     return FrameSchedule(slope, numbers, quickest + slope * numbers, late - quickest)

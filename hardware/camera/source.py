@@ -1,5 +1,6 @@
-"""Where frames come from: a source is settings; opened, it is a stream that is read
-frame by frame.
+"""The role of a camera: a source of frames, which opens as a stream.
+
+A source is settings; a stream is read frame by frame.
 """
 
 from __future__ import annotations
@@ -15,9 +16,16 @@ from stringcast.stages.model.camera import Camera
 
 @dataclass(frozen=True)
 class Frame:
-    """arrived: host time (time.monotonic) at which it was there, not decoded yet [s].
-    stamp: the source's own time of it [s], on a clock of its own; NaN if it gives none.
-    image: as it came, uint8 (height, width) or (height, width, 3) BGR.
+    """One frame as the source gave it.
+
+    Attributes
+    ----------
+    arrival_time
+        Host time of its arrival, before it was decoded (time.monotonic) [s].
+    stamp
+        The source's own time, on its own clock; NaN if it gives none [s].
+    image : (height, width) or (height, width, 3) uint8
+        Grey, or BGR.
     """
 
     arrival_time: float
@@ -26,26 +34,30 @@ class Frame:
 
 
 class Stream(ABC):
-    """An open source. remarks: what could not be made sure of, in words."""
+    """An open source; its remarks state what could not be verified."""
 
     remarks: tuple[str, ...] = ()
 
     @abstractmethod
     def begin(self) -> None:
-        """Begin: frames read from now on are exposed from now on."""
+        """Drop old frames, so that those read from now on are exposed from now on."""
 
     @abstractmethod
     def read(self) -> Frame | None:
-        """Wait for the next frame; None where no more will come."""
+        """Wait for the next frame; return None if no more will come."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go."""
+        """Close the source."""
 
 
 class Source(ABC):
-    """Settings of a source. delay: from the middle of the exposure to the quickest
-    frames' arrival [s].
+    """The settings of a source.
+
+    Attributes
+    ----------
+    delay
+        From the middle of the exposure to the arrival of the quickest frames [s].
     """
 
     delay: float
@@ -57,14 +69,39 @@ class Source(ABC):
 
     @abstractmethod
     def open(self, camera: Camera) -> Stream:
-        """Open it and see that it gives the frames that `camera` promises; raises
-        HardwareError if not.
+        """Open the source and check its frames.
+
+        Parameters
+        ----------
+        camera
+            The camera as it should be: size and rate.
+
+        Returns
+        -------
+        Stream
+            The open source.
+
+        Raises
+        ------
+        HardwareError
+            If it cannot be opened or gives other frames.
         """
 
     @abstractmethod
     def stills(
         self, camera: Camera, ready: Callable[[], object]
     ) -> Iterator[np.ndarray]:
-        """Pictures to look at one by one, as they come, whatever their size. ready:
-        waits for a person, where one must do something for them.
+        """Yield pictures of any size one by one, for a calibration.
+
+        Parameters
+        ----------
+        camera
+            The camera as it should be.
+        ready
+            Waits for the user, if the pictures need one.
+
+        Yields
+        ------
+        (height, width) or (height, width, 3) ndarray of uint8
+            A picture.
         """

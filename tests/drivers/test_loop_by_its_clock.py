@@ -107,7 +107,7 @@ def test_the_last_answers_are_waited_for(now, late):
 def test_answers_that_never_come_are_waited_for_no_longer_than_stated(now):
     wire = Timed(now, lambda number: np.inf if number > 2 else 0.0)
     log = played(wire, np.zeros((5, 3)))
-    assert list(log.waiting.values()) == [3, 4]
+    assert list(log.pending_ticks.values()) == [3, 4]
     assert np.isnan(log.acknowledged[3:]).all()
     assert now.now - wire.at[-1] == pytest.approx(DRAIN_S, abs=5e-4)
     # asleep, not watching the clock
@@ -171,7 +171,7 @@ def after(leap, between=0.005, **how):
         1,
     )
     log.angles[1, 2] = leap
-    return guard(**{"astray": 10.0, **how}).reason(log, 2)
+    return guard(**{"astray": 10.0, **how}).stop_reason(log, 2)
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
@@ -196,9 +196,9 @@ def test_a_jump_shows_among_answers_that_came_at_once(jump):
         0,
         3,
     )
-    assert guard(astray=10.0).reason(log, 4) == ""
+    assert guard(astray=10.0).stop_reason(log, 4) == ""
     log.angles[jump:4, 1] = 0.3
-    assert guard(astray=10.0).reason(log, 4) == "the encoder of joint 2 jumped"
+    assert guard(astray=10.0).stop_reason(log, 4) == "the encoder of joint 2 jumped"
 
 
 def test_a_joint_may_be_as_far_astray_as_stated():
@@ -213,7 +213,7 @@ def test_a_joint_may_be_as_far_astray_as_stated():
 def test_so_many_ticks_may_stay_unanswered(last, reason):
     log = reserve_log(np.zeros(3), np.zeros((10, 3)), ARM.tick)
     log.last_answered, log.angles[:], log.device_time[:] = last, 0.0, 0.0
-    assert guard().reason(log, 8) == reason
+    assert guard().stop_reason(log, 8) == reason
 
 
 def test_an_answer_to_nothing_and_one_that_comes_twice_change_nothing(now):
@@ -223,14 +223,14 @@ def test_an_answer_to_nothing_and_one_that_comes_twice_change_nothing(now):
     loop._record_answer(
         log,
         wire.spoil(
-            SimpleNamespace(number=2, clock=9.0, held="", angles=(9.0, 9.0, 9.0))
+            SimpleNamespace(number=2, clock=9.0, hold_reason="", angles=(9.0, 9.0, 9.0))
         ),
     )
     loop._record_answer(
-        log, SimpleNamespace(number=77, clock=9.0, held="no", angles=(9.0, 9.0, 9.0))
+        log, SimpleNamespace(number=77, clock=9.0, hold_reason="no", angles=(9.0, 9.0, 9.0))
     )
     assert (log.acknowledged == before).all()
-    assert (log.last, log.held) == (4, "")
+    assert (log.last_answered, log.hold_reason) == (4, "")
 
 
 def test_an_answer_that_was_overtaken_is_kept_but_is_not_the_latest(now):
@@ -240,7 +240,7 @@ def test_an_answer_that_was_overtaken_is_kept_but_is_not_the_latest(now):
         loop._record_answer(
             log,
             SimpleNamespace(
-                number=number, clock=0.1 * number, held="", angles=(0.1 * number,) * 3
+                number=number, clock=0.1 * number, hold_reason="", angles=(0.1 * number,) * 3
             ),
         )
     assert log.last_answered == 2
@@ -353,7 +353,7 @@ def test_the_emergency_stop_holds_until_it_is_cleared_and_limits_are_set_again(n
     wire = Timed(now)
     driven = arm(wire)
     driven._test_link()
-    driven.press("button")
+    driven.press_emergency_stop("button")
     for act in (
         lambda: driven.move_to((0.0, 0.3, 0.0)),
         lambda: driven.perform(movement()),

@@ -128,7 +128,7 @@ def test_a_limit_that_is_no_number_lets_nothing_pass(limits):
 def test_a_workspace_that_is_no_number_is_refused():
     with pytest.raises(ValueError, match="below"):
         Workspace((math.nan, -0.4), (0.8, 0.8))
-    assert WORKSPACE.left(np.array([[0.0, math.nan]]))
+    assert WORKSPACE.is_left_by(np.array([[0.0, math.nan]]))
 
 
 def test_a_link_whose_times_are_no_numbers_is_refused():

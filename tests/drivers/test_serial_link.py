@@ -180,11 +180,11 @@ def test_the_hands_speed_and_the_workspace_are_checked_too():
 class Pressed(SerialWire):
     """A wire on which somebody presses the emergency stop as soon as the arm moves."""
 
-    press = staticmethod(lambda reason: None)
+    press_emergency_stop = staticmethod(lambda reason: None)
 
     def send(self, speeds):
         if any(speeds):
-            self.press("button")
+            self.press_emergency_stop("button")
         return super().send(speeds)
 
 
@@ -192,7 +192,7 @@ def test_the_emergency_stop_is_latched_here_and_in_the_device(log):
     with emulator(log) as port:
         wire = Pressed(port, 1_000_000)
         pressed = VelocityArm(ARM, wire, DRIVING)
-        wire.press = pressed.press_emergency_stop
+        wire.press_emergency_stop = pressed.press_emergency_stop
         with (
             pytest.raises(HardwareError, match=r"emergency stop \(button\)"),
             pressed as arm,
@@ -208,7 +208,7 @@ def test_the_emergency_stop_is_latched_here_and_in_the_device(log):
             pass
         subprocess.run(clear, input="yes\n", text=True, check=True, capture_output=True)
         with driver(port) as arm:
-            arm.press("button")
+            arm.press_emergency_stop("button")
             with pytest.raises(HardwareError, match="latched by the emergency stop"):
                 arm.move_to([0.1, 0.1, 0.1])
             arm.clear()
@@ -240,7 +240,7 @@ def test_killing_the_host_leaves_the_arm_at_rest(log, name):
 
 
 def test_a_host_of_another_version_is_refused(log, monkeypatch):
-    monkeypatch.setattr("stringcast.hardware.serial.wire.VERSION", PROTOCOL_VERSION + 1)
+    monkeypatch.setattr("stringcast.hardware.serial.wire.PROTOCOL_VERSION", PROTOCOL_VERSION + 1)
     with (
         emulator(log) as port,
         pytest.raises(

@@ -397,7 +397,7 @@ def test_what_cannot_be_is_warned_of(tmp_path):
     }
     given(tmp_path, about_it, grasp=grasp(), points=far)
     data = looked_at(tmp_path)
-    assert data.data.rows["points.csv"].dropped == {"x is beyond 1e+09": 1}
+    assert data.data.row_counts["points.csv"].dropped == {"x is beyond 1e+09": 1}
     said = {
         f.field: f.statement
         for look in (contents.check_names, contents.check_camera, contents.check_roles)

@@ -76,15 +76,15 @@ def test_rows_that_cannot_be_used_are_left_out_and_counted(
     given, column, value, reason
 ):
     read = given(spoilt(column, value))
-    assert read.rows["points.csv"].dropped == {reason: 2}
+    assert read.row_counts["points.csv"].dropped == {reason: 2}
     expected = points().drop(index=[3, 7]).drop(columns="trial").reset_index(drop=True)
     pd.testing.assert_frame_equal(read.trials["a"].points, expected)
 
 
 def test_clean_rows_are_all_kept_with_columns_that_nobody_knows(given):
     read = given()
-    assert read.rows["points.csv"].dropped == {}
-    assert read.rows["points.csv"].unordered == 0
+    assert read.row_counts["points.csv"].dropped == {}
+    assert read.row_counts["points.csv"].unordered == 0
     pd.testing.assert_frame_equal(
         read.trials["a"].points, points().drop(columns="trial")
     )
@@ -93,16 +93,16 @@ def test_clean_rows_are_all_kept_with_columns_that_nobody_knows(given):
 def test_duplicates_are_told_from_contradictions_and_order_does_not_matter(given):
     again = points().iloc[[4]].assign(x=9.0)
     read = given(pd.concat([points(), points().iloc[:2], again]))
-    assert read.rows["points.csv"].dropped == {
+    assert read.row_counts["points.csv"].dropped == {
         "a row twice": 2,
         "another value at the same trial, t, s; the first is kept": 1,
     }
     shuffled = given(points().sample(frac=1, random_state=2))
-    assert shuffled.rows["points.csv"].unordered > 20
+    assert shuffled.row_counts["points.csv"].unordered > 20
     ordered = shuffled.trials["a"].points.sort_values(["t", "s"]).reset_index(drop=True)
     pd.testing.assert_frame_equal(ordered, points().drop(columns="trial"))
     by_place = given(points().sort_values(["s", "t"]))
-    assert by_place.rows["points.csv"].unordered == 0
+    assert by_place.row_counts["points.csv"].unordered == 0
 
 
 def test_csv_says_the_same_as_parquet(given, tmp_path):
