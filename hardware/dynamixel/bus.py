@@ -1,12 +1,14 @@
-"""The host's side of the bus: velocities by sync write, angles by sync read, the
-servos' own bus watchdog.
+"""The host's side of a bus of servos.
+
+Velocities go out by sync write, angles come back by sync read, and the servos' own bus
+watchdogs stop the arm.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Annotated, Any, Literal
@@ -43,7 +45,7 @@ from stringcast.hardware.serial.wire import check_latency
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
 
-try:  # what a pulled cable raises in pyserial, beside its own error
+try:  # what a pulled cable raises in pyserial, in addition to its own error
     import termios
 
     LINK_ERRORS: tuple[type[Exception], ...] = (
@@ -56,15 +58,22 @@ except ImportError:
 
 # of a packet before the bus counts as dead: a disturbed line loses single ones
 MAX_TRIES = 3
-# [s] that a read sleeps for bytes; the library would spin, and keep a core from
-# everybody else
+# [s] that a read sleeps for bytes; the library would spin and occupy a core
 READ_BLOCK_S = 0.001
 
 
 @dataclass(frozen=True)
 class ServoSettings:
-    """One joint. zero: position [counts of 2 pi / 4096] at joint angle zero; direction:
-    of the joint's angle.
+    """The servo of one joint.
+
+    Attributes
+    ----------
+    id
+        Its number on the bus.
+    zero
+        Its position at joint angle zero [counts of 2 pi / 4096].
+    direction
+        Sign of the joint's angle.
     """
 
     id: Annotated[int, Field(ge=0, le=252)]
@@ -74,14 +83,23 @@ class ServoSettings:
 
 @dataclass
 class DynamixelBus:
-    """Fills `hardware.arm.wire.Wire`.
+    """A bus of servos, which fills the role `hardware.arm.wire.Wire`.
 
-    servos: base first. fastest: what each must be able to do [rad/s]. reply: time [s]
-    that an answer may take. patience: multiples of 20 ms without a command after which
-    each servo stops by itself. owed: velocity that rounding has left out so far (J,)
-    [rad/s]; it is made up for in the next command, so that rounding to 0.024 rad/s does
-    not add up to a way. most: of each servo's velocity (J,) [counts]; zero until
-    `limit`.
+    Attributes
+    ----------
+    servos
+        The servos, base first.
+    required_speeds
+        What each servo must be able to do [rad/s].
+    reply
+        Time that an answer may take [s].
+    patience
+        Multiples of 20 ms without a command after which each servo stops by itself.
+    rounding_debt : (J,)
+        Velocity that rounding has left out so far [rad/s]. It is made up for in the next
+        command, so that rounding to 0.024 rad/s does not add up to a displacement.
+    max_counts : (J,)
+        Largest velocity of each servo [counts]; zero until `set_limits`.
     """
 
     port: str
@@ -105,7 +123,7 @@ class DynamixelBus:
 
     @property
     def name(self) -> str:
-        """The port."""
+        """The port's device file."""
         return self.port
 
     @property
@@ -114,106 +132,100 @@ class DynamixelBus:
         return self.patience * WATCHDOG_UNIT_S
 
     def open(self) -> None:
-        """Connect, find every servo well, and put it into velocity mode; nothing moves."""
+        """Connect, check every servo, and put it into velocity mode; nothing moves."""
         self._connect()
-        for servo, limit in zip(self.servos, self.required_speeds, strict=True):
-            self._check_servo(servo, limit)
+        for servo, speed in zip(self.servos, self.required_speeds, strict=True):
+            self._check_servo(servo, speed)
         self._make_ready()
 
     def set_limits(self, arm: Arm) -> None:
-        """Each servo's own limits, read back; its velocity limit, which outlasts the
-        power, is only ever lowered.
+        """Set each servo's own limits and read them back.
+
+        The velocity limit outlasts the power and is only ever lowered.
         """
-        most = [math.ceil(speed / VELOCITY_UNIT) for speed in arm.speed]
-        for servo, count, acceleration in zip(
-            self.servos, most, arm.acceleration, strict=True
+        max_counts: list[int] = []
+        for servo, speed, acceleration in zip(
+            self.servos, arm.speed, arm.acceleration, strict=True
         ):
-            # the velocity limit can be changed only so
+            max_counts.append(math.ceil(speed / VELOCITY_UNIT))
+            acceleration_counts = math.ceil(acceleration / ACCELERATION_UNIT)
+            # the velocity limit can be changed only without torque
             self._write(servo, TORQUE_ENABLE, 0)
-            self._set_and_verify(servo, VELOCITY_LIMIT, count)
-            self._set_and_verify(
-                servo, PROFILE_ACCELERATION, math.ceil(acceleration / ACCELERATION_UNIT)
-            )
+            self._set_and_verify(servo, VELOCITY_LIMIT, max_counts[-1])
+            self._set_and_verify(servo, PROFILE_ACCELERATION, acceleration_counts)
             self._write(servo, TORQUE_ENABLE, 1)
-        self.max_counts = np.array(most)
+        self.max_counts = np.array(max_counts)
 
     def close(self) -> None:
-        """Torque off, and let go."""
+        """Switch the torque off and close the port."""
         if self.handler is None:
             return
         try:
             for _ in range(MAX_TRIES):
                 self._write_all(TORQUE_ENABLE, 0)
         except HardwareError:
-            pass  # nobody is there: the bus watchdog has acted
+            pass  # no servo is there: the bus watchdog has acted
         if self.handler.ser is not None:
             self.handler.closePort()
         self.handler = None
 
     def angles(self) -> tuple[float, ...]:
-        """Angles of the joints (J,) [rad], by a sync read."""
+        """Measure the joint angles (J,) [rad] by a sync read."""
         for _ in range(MAX_TRIES):
             states = self._read_all()
             if states:
                 return self._angles(states)
         raise HardwareError(
-            f"arm on {self.port}: the servos do not answer. Check their supply and the bus."
+            f"arm on {self.port}: the servos do not answer. "
+            "Check their supply and the bus."
         )
 
     def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
-        """Send velocities (J,) [rad/s], in units of 0.229 rpm; the first arms the
-        watchdogs. The command's number, and what was sent.
+        """Send velocities (J,) [rad/s], in units of 0.229 rpm.
+
+        The first command arms the watchdogs. Returns the command's number and what was
+        sent.
         """
         if not self.watchdogs_armed:
             self._write_all(BUS_WATCHDOG, self.patience)
             self.watchdogs_armed, self.rounding_debt = True, np.zeros(len(self.servos))
         wanted = speeds + self.rounding_debt
-        # else it is not obeyed
-        counts = np.clip(
-            np.rint(wanted / VELOCITY_UNIT).astype(int),
-            -self.max_counts,
-            self.max_counts,
-        )
-        carried = counts * VELOCITY_UNIT
-        self.rounding_debt = np.clip(
-            wanted - carried, -VELOCITY_UNIT / 2, VELOCITY_UNIT / 2
-        )  # what a limit cut is not made up for
+        counts = np.rint(wanted / VELOCITY_UNIT).astype(int)
+        # a servo obeys no velocity beyond its limit
+        counts = np.clip(counts, -self.max_counts, self.max_counts)
+        sent = counts * VELOCITY_UNIT
+        # what a limit cut off is not made up for
+        half = VELOCITY_UNIT / 2
+        self.rounding_debt = np.clip(wanted - sent, -half, half)
         for servo, count in zip(self.servos, counts, strict=True):
-            self.writer.changeParam(
-                servo.id,
-                list(int(servo.direction * count).to_bytes(4, "little", signed=True)),
-            )
+            goal = int(servo.direction * count).to_bytes(4, "little", signed=True)
+            self.writer.changeParam(servo.id, list(goal))
         self._call(self.writer.txPacket)
         self.command_number, self.answer_pending = self.command_number + 1, True
-        return self.command_number, carried
+        return self.command_number, sent
 
     def answers(self) -> Sequence[ArmAnswer]:
-        """Positions of the servos, asked once after each velocity."""
+        """Read the positions of the servos, once after each velocity."""
         if not self.answer_pending:
             return []
         self.answer_pending = False
         states = self._read_all()
         if not states:
             return []
-        # the first servo's clock, unwrapped: it goes round every 33 seconds
+        # the first servo's clock, unwrapped: it wraps every 33 seconds
         millis = register_value(states[0], REALTIME_TICK)
-        self.clock_ms = (
-            millis
-            if self.clock_ms is None
-            else self.clock_ms + (millis - self.clock_ms) % CLOCK_WRAP_MS
-        )
-        return [
-            ArmAnswer(
-                self.command_number,
-                self.clock_ms * 1e-3,
-                self._hold_reason(states),
-                self._angles(states),
-            )
-        ]
+        if self.clock_ms is None:
+            self.clock_ms = millis
+        else:
+            self.clock_ms += (millis - self.clock_ms) % CLOCK_WRAP_MS
+        clock = self.clock_ms * 1e-3
+        hold_reason, angles = self._hold_reason(states), self._angles(states)
+        return [ArmAnswer(self.command_number, clock, hold_reason, angles)]
 
     def stop(self) -> None:
-        """Velocity zero, then the watchdogs that we armed may rest; one that has acted
-        stays as it is.
+        """Set velocity zero, then disarm the watchdogs that were armed here.
+
+        One that has acted stays as it is.
         """
         try:
             for _ in range(MAX_TRIES):
@@ -222,12 +234,13 @@ class DynamixelBus:
             if self.watchdogs_armed and not self.latched:
                 self._write_all(BUS_WATCHDOG, 0)
         except HardwareError:
-            return  # nobody is there: the watchdogs act
+            return  # no servo is there: the watchdogs act
         self.watchdogs_armed = False
 
     def latch(self) -> None:
-        """Velocity zero, then silence until the servos' watchdogs have tripped: that is
-        their own latch.
+        """Set velocity zero, then be silent until the servos' watchdogs have tripped.
+
+        That is their own latch.
         """
         self.latched = True
         try:
@@ -239,18 +252,19 @@ class DynamixelBus:
         time.sleep(3 * WATCHDOG_UNIT_S)
 
     def clear(self) -> None:
-        """Undo tripped watchdogs; connects where nothing is open."""
+        """Undo tripped watchdogs; connect first if the bus is not open."""
         if self.handler is None:
             self._connect()
         self._make_ready()
         self.latched = self.watchdogs_armed = False
 
     def _make_ready(self) -> None:
-        """Velocity mode at velocity zero, torque on, watchdogs at rest."""
+        """Set velocity mode at velocity zero, torque on, watchdogs off."""
         for servo in self.servos:
-            self._write(servo, TORQUE_ENABLE, 0)  # the mode can be changed only so
+            # the mode can be changed only without torque
+            self._write(servo, TORQUE_ENABLE, 0)
             self._set_and_verify(servo, OPERATING_MODE, VELOCITY_MODE)
-            # first: a tripped one makes the goal read-only
+            # first: a tripped watchdog makes the goal read-only
             self._write(servo, BUS_WATCHDOG, 0)
             self._write(servo, GOAL_VELOCITY, 0)
             self._write(servo, TORQUE_ENABLE, 1)
@@ -269,16 +283,15 @@ class DynamixelBus:
             self.handler.setPacketTimeoutMillis(self.reply * 1e3)
         )
         self.packets = self.sdk.PacketHandler(2.0)
+        fault = f"the library knows no rate of {self.baud} baud"
         try:
-            opened, why = (
-                self.handler.setBaudRate(self.baud),
-                f"the library knows no rate of {self.baud} baud",
-            )
+            is_open = self.handler.setBaudRate(self.baud)
         except LINK_ERRORS as error:
-            opened, why = False, str(error)
-        if not opened:
+            is_open, fault = False, str(error)
+        if not is_open:
             raise HardwareError(
-                f"arm on {self.port}: cannot be opened ({why}). Check hardware.port and the cable."
+                f"arm on {self.port}: cannot be opened ({fault}). "
+                "Check hardware.port and the cable."
             )
         self.handler.ser.timeout = READ_BLOCK_S
         self.reader = self.sdk.GroupSyncRead(self.handler, self.packets, *STATE_BLOCK)
@@ -290,115 +303,118 @@ class DynamixelBus:
             self.writer.addParam(servo.id, [0, 0, 0, 0])
 
     def _check_servo(self, servo: ServoSettings, speed: float) -> None:
-        """Refuse a servo that is latched, ill or too slow. speed: what the arm's limits
-        ask of it [rad/s].
-        """
+        """Refuse a servo that is latched, faulty or slower than `speed` [rad/s]."""
         place = f"arm on {self.port}: servo {servo.id}"
         if self._read(servo, BUS_WATCHDOG) == WATCHDOG_TRIPPED:
             self.latched = True
+            ids = " ".join(str(one.id) for one in self.servos)
             raise HardwareError(
-                f"{place} was latched by an emergency stop or its watchdog. Look why, make it safe, then: python -m "
-                f"stringcast.hardware.dynamixel.clear {self.port} {' '.join(str(s.id) for s in self.servos)}"
+                f"{place} was latched by an emergency stop or its watchdog. Look why, "
+                "make it safe, then: python -m stringcast.hardware.dynamixel.clear "
+                f"{self.port} {ids}"
             )
-        ill = self._read(servo, HARDWARE_ERROR)
-        if ill:
+        fault = self._read(servo, HARDWARE_ERROR)
+        if fault:
             raise HardwareError(
-                f"{place} reports hardware error {ill:#04x}. See its manual, then reboot it."
+                f"{place} reports hardware error {fault:#04x}. "
+                "See its manual, then reboot it."
             )
         if self._read(servo, DRIVE_MODE) & TIME_BASED_PROFILE:
             raise HardwareError(
-                f"{place} takes accelerations as times (Drive Mode, register {DRIVE_MODE.address}, bit 2), so that it "
-                "would keep no limit of its own. Set a velocity-based profile with the maker's wizard."
+                f"{place} takes accelerations as times (Drive Mode, register "
+                f"{DRIVE_MODE.address}, bit 2), so that it would keep no limit of its "
+                "own. Set a velocity-based profile with the maker's wizard."
             )
         limit = self._read(servo, VELOCITY_LIMIT) * VELOCITY_UNIT
         if limit < speed:
             raise HardwareError(
-                f"{place} turns at {limit:.2f} rad/s at most (its Velocity Limit, register {VELOCITY_LIMIT.address}), "
-                f"arm.speed is {speed:.2f}. Lower that, or raise the servo's limit with the maker's wizard."
+                f"{place} turns at {limit:.2f} rad/s at most (its Velocity Limit, "
+                f"register {VELOCITY_LIMIT.address}), arm.speed is {speed:.2f}. Lower "
+                "that, or raise the servo's limit with the maker's wizard."
             )
 
     def _read(self, servo: ServoSettings, register: Register) -> int:
-        def ask() -> tuple[Any, int, int]:
-            return self.packets.readTxRx(self.handler, servo.id, *register)
-
-        return int.from_bytes(bytes(self._exchange(servo, ask)), "little")
+        data = self._exchange(
+            servo,
+            lambda: self.packets.readTxRx(self.handler, servo.id, *register),
+        )
+        return int.from_bytes(bytes(data), "little")
 
     def _write(self, servo: ServoSettings, register: Register, value: int) -> None:
         data = list(value.to_bytes(register.size, "little"))
-        self._exchange(
-            servo,
-            lambda: (
-                None,
-                *self.packets.writeTxRx(self.handler, servo.id, *register, data),
-            ),
-        )
+
+        def write() -> tuple[Any, ...]:
+            write_register = self.packets.writeTxRx
+            return None, *write_register(self.handler, servo.id, *register, data)
+
+        self._exchange(servo, write)
 
     def _set_and_verify(
         self, servo: ServoSettings, register: Register, value: int
     ) -> None:
-        """Have a register hold a value, and see that it does: a servo may acknowledge
-        what it does not take.
+        """Set a register and read it back.
+
+        A servo may acknowledge a value that it does not take.
         """
         if self._read(servo, register) != value:
             self._write(servo, register, value)
-        held = self._read(servo, register)
-        if held != value:
+        actual = self._read(servo, register)
+        if actual != value:
             raise HardwareError(
-                f"arm on {self.port}: servo {servo.id} holds {held} in register {register.address} where {value} was "
-                "asked for; nothing was moved. Look at its control table with the maker's wizard, or reset the servo."
+                f"arm on {self.port}: servo {servo.id} holds {actual} in register "
+                f"{register.address} where {value} was asked for; nothing was moved. "
+                "Look at its control table with the maker's wizard, or reset the servo."
             )
 
-    def _exchange(self, servo: ServoSettings, ask: Any) -> Any:
-        """An exchange with one servo; asks again a few times, for a packet may be lost.
-        Raises HardwareError.
+    def _exchange(self, servo: ServoSettings, ask: Callable[[], Any]) -> Any:
+        """Exchange packets with one servo, again if one is lost.
+
+        Raises HardwareError if the servo does not answer or reports an error.
         """
-        why = ""
+        fault = ""
         for _ in range(MAX_TRIES):
             data, result, error = self._call(ask)
-            # the top bit: see HARDWARE_ERROR
-            if result == self.sdk.COMM_SUCCESS and error & 0x7F == 0:
+            error &= 0x7F  # without the top bit: see HARDWARE_ERROR
+            if result == self.sdk.COMM_SUCCESS and error == 0:
                 return data
-            why = self.packets.getRxPacketError(
-                error & 0x7F
-            ) or self.packets.getTxRxResult(result)
+            fault = self.packets.getRxPacketError(error)
+            fault = fault or self.packets.getTxRxResult(result)
         raise HardwareError(
-            f"arm on {self.port}: servo {servo.id}: {why} Check its id, supply and baud rate."
+            f"arm on {self.port}: servo {servo.id}: {fault} "
+            "Check its id, supply and baud rate."
         )
 
     def _write_all(self, register: Register, value: int) -> None:
-        """To every servo in one packet, which nobody answers."""
-        data = value.to_bytes(register.size, "little")
-        flat = [byte for servo in self.servos for byte in (servo.id, *data)]
-        self._call(
-            lambda: self.packets.syncWriteTxOnly(
-                self.handler, *register, flat, len(flat)
-            )
-        )
+        """Write a register of every servo in one packet without an answer."""
+        data: list[int] = []
+        for servo in self.servos:
+            data += servo.id, *value.to_bytes(register.size, "little")
+        write = self.packets.syncWriteTxOnly
+        self._call(lambda: write(self.handler, *register, data, len(data)))
 
     def _read_all(self) -> list[bytes]:
-        """The registers STATE of all servos; empty where one did not answer."""
+        """Read the registers STATE_BLOCK of all servos; empty if one is silent."""
         if self._call(self.reader.txRxPacket) != self.sdk.COMM_SUCCESS:
             return []
         return [bytes(self.reader.data_dict[servo.id]) for servo in self.servos]
 
-    def _call(self, act: Any) -> Any:
-        """The result of a call of the library. Raises HardwareError for a broken
-        connection.
-        """
+    def _call(self, act: Callable[[], Any]) -> Any:
+        """Call the library; raise HardwareError for a broken connection."""
         if self.handler is None or not self.handler.is_open:
             raise HardwareError(f"arm on {self.port}: it is not open.")
         try:
             return act()
         except LINK_ERRORS as error:
             raise HardwareError(
-                f"arm on {self.port}: the link is gone ({error}). The servos' bus watchdogs stop the arm."
+                f"arm on {self.port}: the link is gone ({error}). "
+                "The servos' bus watchdogs stop the arm."
             ) from error
         finally:
-            # the library leaves it set where it was interrupted
+            # the library does not reset it after an interruption
             self.handler.is_using = False
 
     def _hold_reason(self, states: Sequence[bytes]) -> str:
-        """Why a servo follows no commands, which its watchdog betrays; empty if all do."""
+        """Tell from its watchdog why a servo follows no commands; empty if all do."""
         watchdogs = {register_value(state, BUS_WATCHDOG) for state in states}
         if WATCHDOG_TRIPPED in watchdogs:
             self.latched = True
@@ -406,9 +422,8 @@ class DynamixelBus:
         return "" if watchdogs == {self.patience} else "a servo restarted"
 
     def _angles(self, states: Sequence[bytes]) -> tuple[float, ...]:
-        return tuple(
-            servo.direction
-            * (register_value(state, PRESENT_POSITION) - servo.zero)
-            * POSITION_UNIT
-            for servo, state in zip(self.servos, states, strict=True)
-        )
+        angles: list[float] = []
+        for servo, state in zip(self.servos, states, strict=True):
+            counts = register_value(state, PRESENT_POSITION) - servo.zero
+            angles.append(servo.direction * counts * POSITION_UNIT)
+        return tuple(angles)

@@ -1,5 +1,6 @@
-"""`python -m stringcast.hardware.dynamixel.clear PORT ID ...`: undo bus watchdogs,
-after a person has looked.
+"""Undo bus watchdogs, after a person has looked at the arm.
+
+It is called as `python -m stringcast.hardware.dynamixel.clear PORT ID ...`.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from stringcast.hardware.dynamixel.bus import DynamixelBus, ServoSettings
 
 
 def main() -> None:
-    """Ask, then clear."""
+    """Ask the person at the arm, then clear."""
     parser = argparse.ArgumentParser(
         prog="python -m stringcast.hardware.dynamixel.clear", description=__doc__
     )
@@ -19,16 +20,8 @@ def main() -> None:
     parser.add_argument("id", type=int, nargs="+")
     parser.add_argument("--baud", type=int, default=4_000_000)
     options = parser.parse_args()
-    confirm_and_clear(
-        DynamixelBus(
-            options.port,
-            options.baud,
-            [ServoSettings(i, 0, 1) for i in options.id],
-            (),
-            0.1,
-            1,
-        )
-    )
+    servos = [ServoSettings(number, 0, 1) for number in options.id]
+    confirm_and_clear(DynamixelBus(options.port, options.baud, servos, (), 0.1, 1))
 
 
 if __name__ == "__main__":

@@ -29,12 +29,35 @@ def open_lab(
     source: Source,
     most_lost: Annotated[float, Field(ge=0, le=1)],
 ) -> Lab:
-    """The servos on `port` and the camera `source`; see `DynamixelBus`, `VelocityArm`
-    and `FilmingCamera`. Nothing is left to chance here: seed and trial play no part.
+    """Open the servos on `port` and the camera `source`.
+
+    Parameters
+    ----------
+    arm, camera
+        The arm and the camera as they should be.
+    seed, trial
+        Unused: nothing is random here.
+    port, baud, servos, reply, patience
+        The bus; see `DynamixelBus`.
+    driving
+        Settings of the driver; see `Driving`.
+    source, most_lost
+        The camera; see `FilmingCamera`.
+
+    Returns
+    -------
+    Lab
+        Arm and camera, not yet connected.
+
+    Raises
+    ------
+    HardwareError
+        If servos and links differ in number.
     """
     if len(servos) != len(arm.links):
         raise HardwareError(
-            f"hardware.servos names {len(servos)} servos, arm.links has {len(arm.links)}. Match them."
+            f"hardware.servos names {len(servos)} servos, arm.links has "
+            f"{len(arm.links)}. Match them."
         )
     bus = DynamixelBus(port, baud, servos, arm.speed, reply, patience)
     return Lab(VelocityArm(arm, bus, driving), FilmingCamera(camera, source, most_lost))

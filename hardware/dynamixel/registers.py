@@ -1,5 +1,8 @@
-"""The part of the X series' control table that a velocity-driven arm needs (e-manual,
-ROBOTIS).
+"""The part of the control table that a velocity-driven arm needs.
+
+References
+----------
+ROBOTIS e-manual, X series, protocol 2.0.
 """
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ from typing import NamedTuple
 
 
 class Register(NamedTuple):
-    """address and size in bytes, little-endian."""
+    """A register by its address and its size in bytes, little-endian."""
 
     address: int
     size: int
@@ -33,19 +36,17 @@ STATE_BLOCK = Register(
 
 VELOCITY_MODE = 1  # of OPERATING_MODE: the servo follows GOAL_VELOCITY
 TIME_BASED_PROFILE = 4  # bit of DRIVE_MODE: PROFILE_ACCELERATION would be a time [ms]
-# of BUS_WATCHDOG: it has stopped the servo, whose goals are read-only until 0 is
-# written
+# of BUS_WATCHDOG: it stopped the servo, whose goals are read-only until 0 is written
 WATCHDOG_TRIPPED = 255
 WATCHDOG_UNIT_S = 0.020  # [s]
-CLOCK_WRAP_MS = 32768  # after which REALTIME_TICK begins anew [ms]
+CLOCK_WRAP_MS = 32768  # [ms] at which REALTIME_TICK wraps
 VELOCITY_UNIT = 0.229 * 2 * math.pi / 60  # [rad/s]
 ACCELERATION_UNIT = 214.577 * 2 * math.pi / 3600  # [rad/s^2]
 POSITION_UNIT = 2 * math.pi / 4096  # [rad]
 
 
 def register_value(state: bytes, register: Register) -> int:
-    """A register's value, signed, out of the bytes of STATE."""
-    begin = register.address - STATE_BLOCK.address
-    return int.from_bytes(
-        state[begin : begin + register.size], "little", signed=register.size == 4
-    )
+    """Read a register from the bytes of STATE_BLOCK; four bytes are signed."""
+    start = register.address - STATE_BLOCK.address
+    data = state[start : start + register.size]
+    return int.from_bytes(data, "little", signed=register.size == 4)

@@ -1,5 +1,6 @@
-"""A wire-driven arm: each joint hangs by an elastic wire on a motor whose velocity loop
-follows the firmware.
+"""The joints of a wire-driven arm.
+
+Each joint hangs by an elastic wire on a motor whose velocity loop follows the firmware.
 """
 
 from __future__ import annotations
@@ -10,14 +11,16 @@ from dataclasses import dataclass
 STEP_S = 0.0005  # [s]
 MOTOR_LAG_S = 0.004  # [s] time constant of the motor's velocity loop
 WIRE_FREQUENCY_HZ = 30.0  # [Hz] of the joint on its wire, motor held
-WIRE_DAMPING_RATIO = 0.7  # share of critical
-STANDSTILL_SPEED = 0.01  # [rad/s] below which a joint counts as standing
+WIRE_DAMPING_RATIO = 0.7  # of critical damping
+STANDSTILL_SPEED = 0.01  # [rad/s] below which a joint is at rest
 
 
 @dataclass
 class Joint:
-    """motor, angle [rad]; drive, speed: their velocities [rad/s]. offset: error of the
-    encoder [rad].
+    """A joint on its wire.
+
+    motor, angle: of the motor and the joint [rad]. drive, speed: their velocities
+    [rad/s]. offset: error of the encoder [rad].
     """
 
     motor: float = 0.0
@@ -27,16 +30,13 @@ class Joint:
     offset: float = 0.0
 
     def step(self, target: float) -> None:
-        """Let one step pass, by semi-implicit Euler. target: velocity commanded
-        [rad/s].
-        """
+        """Let one step pass at a commanded velocity [rad/s], by semi-implicit Euler."""
         self.drive += (target - self.drive) * STEP_S / MOTOR_LAG_S
         self.motor += self.drive * STEP_S
         turn = 2 * math.pi * WIRE_FREQUENCY_HZ
-        pull = turn**2 * (self.motor - self.angle) + 2 * WIRE_DAMPING_RATIO * turn * (
-            self.drive - self.speed
-        )
-        self.speed += pull * STEP_S
+        elastic = turn**2 * (self.motor - self.angle)
+        damping = 2 * WIRE_DAMPING_RATIO * turn * (self.drive - self.speed)
+        self.speed += (elastic + damping) * STEP_S
         self.angle += self.speed * STEP_S
 
     @property
@@ -46,5 +46,5 @@ class Joint:
 
     @property
     def is_still(self) -> bool:
-        """Whether it stands, its wire at rest."""
+        """Whether the joint and its wire are at rest."""
         return abs(self.speed) < STANDSTILL_SPEED and abs(self.drive) < STANDSTILL_SPEED

@@ -1,6 +1,4 @@
-"""A device on a pseudo-terminal, whose name is printed first, and the command that
-serves one.
-"""
+"""A device on a pseudo-terminal, and the command that serves one."""
 
 from __future__ import annotations
 
@@ -23,17 +21,29 @@ from stringcast.hardware.emulated.joints import STEP_S
 
 
 class UnpluggedError(Exception):
-    """The cable is pulled."""
+    """The cable was pulled."""
 
 
 @dataclass
 class EmulatedDevice(ABC):
-    """A device on a clock of its own, with a note of everything that happens.
+    """A device on a clock of its own, with a record of its events.
 
-    faults: by number of the velocity command, from 0. note: told of every event. clock:
-    true time [s]; owed: time that passed but makes no whole step [s]; deaf: until when
-    nothing is read [s]. number: of the next velocity command. seen: `state` when it was
-    last looked at.
+    Attributes
+    ----------
+    faults
+        Faults by number of the velocity command, from 0.
+    record_event
+        Called with every event and the device.
+    clock
+        True time [s].
+    unsimulated_s
+        Time that passed but makes no whole step [s].
+    deaf_until
+        Until when nothing is read [s].
+    velocity_count
+        Number of the next velocity command.
+    last_state
+        The last value of `state`.
     """
 
     faults: Mapping[int, str]
@@ -45,42 +55,41 @@ class EmulatedDevice(ABC):
     last_state: tuple[str, bool] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Only what changes from here on is an event."""
+        """Note the first state, which is no event."""
         self.last_state = self.state
 
     @abstractmethod
     def receive(self, data: bytes) -> None:
-        """Bytes from the host. Raises UnpluggedError."""
+        """Take bytes from the host; raise UnpluggedError on that fault."""
 
     @abstractmethod
     def step(self) -> bytes:
-        """Let one step pass; the bytes that leave meanwhile."""
+        """Let one step pass; return the bytes that leave in it."""
 
     @property
     @abstractmethod
     def state(self) -> tuple[str, bool]:
-        """What the device says of itself, and whether the arm stands."""
+        """The device's state in a word, and whether the arm stands."""
 
     def advance(self, elapsed: float) -> bytes:
-        """Let `elapsed` [s] pass; the bytes that leave meanwhile."""
+        """Let `elapsed` [s] pass; return the bytes that leave in it."""
         out = b""
         self.unsimulated_s += elapsed
         while self.unsimulated_s >= STEP_S:
             self.unsimulated_s -= STEP_S
             self.clock += STEP_S
             out += self.step()
-            (before, stood), (now, stands) = self.last_state, self.state
-            if now != before:
-                self.record_event(now, self)
+            word, stands = self.state
+            last_word, stood = self.last_state
+            if word != last_word:
+                self.record_event(word, self)
             if stands is not stood:
                 self.record_event("stands" if stands else "moves", self)
-            self.last_state = now, stands
+            self.last_state = word, stands
         return out
 
     def next_fault(self) -> str:
-        """The fault of the velocity command that just came, which is noted; empty for
-        none.
-        """
+        """Record and return the fault of a velocity command; empty for none."""
         fault = self.faults.get(self.velocity_count, "")
         self.velocity_count += 1
         if fault:
@@ -91,8 +100,9 @@ class EmulatedDevice(ABC):
 def command_parser(
     prog: str, description: str | None, kinds: Collection[str]
 ) -> argparse.ArgumentParser:
-    """The parser of an emulator's command: --log, --until, and --fault, a list of
-    (number, kind). kinds: of faults.
+    """Make the parser of an emulator's command.
+
+    Its options are --log, --until, and --fault, a list of (number, kind).
     """
 
     def fault(text: str) -> tuple[int, str]:
@@ -103,23 +113,28 @@ def command_parser(
             )
         return int(number), kind
 
-    made = argparse.ArgumentParser(prog=prog, description=description)
-    made.add_argument(
+    parser = argparse.ArgumentParser(prog=prog, description=description)
+    parser.add_argument(
         "--log", type=Path, default=Path(os.devnull), help="events, a line of JSON each"
     )
-    at = f"at the N-th velocity command: {', '.join(kinds)}"
-    made.add_argument(
-        "--fault", action="append", default=[], type=fault, metavar="KIND:N", help=at
+    parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        type=fault,
+        metavar="KIND:N",
+        help=f"at the N-th velocity command: {', '.join(kinds)}",
     )
-    made.add_argument(
+    parser.add_argument(
         "--until", type=float, default=600.0, help="[s] after which it ends"
     )
-    return made
+    return parser
 
 
 def serve(device: EmulatedDevice, until: float, after: float) -> None:
-    """Let the device live for `until` seconds, until SIGTERM, or as long as whoever
-    started this. Then, or unplugged, it goes on alone for `after` seconds.
+    """Serve a device for `until` seconds, until SIGTERM, or as long as its parent lives.
+
+    Then, or unplugged, it goes on alone for `after` seconds.
     """
     ended = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: ended.set())

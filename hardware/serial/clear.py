@@ -1,5 +1,6 @@
-"""`python -m stringcast.hardware.serial.clear PORT`: undo the emergency stop, after a
-person has looked at the arm.
+"""Undo the emergency stop, after a person has looked at the arm.
+
+It is called as `python -m stringcast.hardware.serial.clear PORT`.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from stringcast.hardware.serial.wire import SerialWire
 
 
 def main() -> None:
-    """Ask, then clear."""
+    """Ask the person at the arm, then clear."""
     parser = argparse.ArgumentParser(
         prog="python -m stringcast.hardware.serial.clear", description=__doc__
     )

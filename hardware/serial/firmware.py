@@ -1,8 +1,7 @@
-"""The device's side of the link, as README.md specifies it: no clock, no port, no
-joints of its own.
+"""The device's side of the link, as README.md specifies it.
 
-`device/stringcast.c` is the same in C; tests feed both the same bytes and expect the
-same answers.
+It has no clock, port or joints of its own. `device/stringcast.c` is the same in C; tests
+feed both the same bytes and expect the same answers.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from stringcast.hardware.serial.protocol import (
 )
 
 ZERO_SPEEDS = (0.0,) * JOINT_COUNT
-NO_LIMITS = (*(0.0,) * (2 * JOINT_COUNT), 0, 0)  # no limits were set: nothing moves
+NO_LIMITS = (*(0.0,) * (2 * JOINT_COUNT), 0, 0)  # nothing moves before limits are set
 MOVING_STATES = (DeviceState.MOVING, DeviceState.CLAMPED)
 READY_STATES = (DeviceState.IDLE, *MOVING_STATES)
 # ticks over which a velocity may change at full acceleration: one command may be lost
@@ -38,9 +37,22 @@ ACCELERATION_TICKS = 2
 
 @dataclass
 class Firmware:
-    """target: velocity that the joints' loops are to follow [rad/s]. watchdog: the
-    longest that it bears [ms]; heard: device clock [us] of the last velocity that was
-    obeyed; last: its sequence number. limits: in force, as `Limits`.
+    """The firmware of a device.
+
+    Attributes
+    ----------
+    watchdog
+        The longest watchdog time that it accepts [ms].
+    state
+        Its state.
+    target : (J,)
+        Velocities that the joints' loops are to follow [rad/s].
+    last_velocity_us
+        Device clock of the last velocity that was obeyed [us].
+    last_sequence
+        Sequence number of the last command that later ones must follow.
+    limits
+        The limits in force, as in `LimitsAnswer`.
     """
 
     watchdog: int = 25
@@ -52,117 +64,89 @@ class Firmware:
     deframer: Deframer = field(default_factory=Deframer)
 
     def tick(self, micros: int) -> None:
-        """The watchdog, from a timer that nothing can hold up. micros: device clock
-        [us], wraps at 2^32.
+        """Check the watchdog, from a timer that nothing can delay.
+
+        micros: device clock [us], wraps at 2^32.
         """
-        if (
-            self.state in MOVING_STATES
-            and (micros - self.last_velocity_us) % 2**32
-            > (self.limits[-1] or self.watchdog) * 1000
-        ):
+        silence = (micros - self.last_velocity_us) % 2**32
+        watchdog = self.limits[-1] or self.watchdog
+        if self.state in MOVING_STATES and silence > watchdog * 1000:
             self._stop(DeviceState.TRIPPED)
 
     def receive(self, data: bytes, micros: int, angles: Sequence[float]) -> bytes:
-        """Act on what has come, and say what to answer. angles: measured now (J,)
-        [rad].
+        """Obey the frames in data and return the answers.
+
+        angles: measured now (J,) [rad].
         """
-        return b"".join(
-            self.answer_frame(frame, micros, angles)
-            for frame in self.deframer.frames(data)
-        )
+        answers = b""
+        for frame in self.deframer.frames(data):
+            answers += self.answer_frame(frame, micros, angles)
+        return answers
 
     def answer_frame(self, frame: bytes, micros: int, angles: Sequence[float]) -> bytes:
-        """One frame: act on it and answer; nothing for what is no whole command."""
+        """Obey one frame and return the answer; empty for what is no whole command."""
         try:
             command = decode_command(frame)
         except FrameError:
             return b""
         self._apply_command(command, micros)
+        number = command.sequence
         if command.kind is FrameKind.HELLO:
-            return encode_answer(
-                Greeting(
-                    command.sequence,
-                    PROTOCOL_VERSION,
-                    JOINT_COUNT,
-                    self.watchdog,
-                    self.state,
-                )
-            )
+            facts = PROTOCOL_VERSION, JOINT_COUNT, self.watchdog, self.state
+            return encode_answer(Greeting(number, *facts))
         if command.kind is FrameKind.LIMITS:
-            return encode_answer(LimitsAnswer(command.sequence, self.limits))
-        return encode_answer(
-            Report(command.sequence, micros % 2**32, self.state, tuple(angles))
-        )
+            return encode_answer(LimitsAnswer(number, self.limits))
+        report = Report(number, micros % 2**32, self.state, tuple(angles))
+        return encode_answer(report)
 
     def _apply_command(self, command: Command, micros: int) -> None:
+        number, values = command.sequence, command.values
+        is_new = is_newer(number, self.last_sequence)
+        is_latched = self.state is DeviceState.LATCHED
+        is_ready = self.state in READY_STATES
         match command.kind:
             case FrameKind.LATCH:
                 self._stop(DeviceState.LATCHED)
-            case FrameKind.CLEAR if self.state is DeviceState.LATCHED:
+            case FrameKind.CLEAR if is_latched:
                 self._stop(DeviceState.FRESH)
-            case FrameKind.HELLO if (
-                self.state is not DeviceState.LATCHED
-                and command.values == (PROTOCOL_VERSION,)
-            ):
-                self.last_sequence, self.limits = command.sequence, NO_LIMITS
+            case FrameKind.HELLO if not is_latched and values == (PROTOCOL_VERSION,):
+                self.last_sequence, self.limits = number, NO_LIMITS
                 self._stop(DeviceState.IDLE)
-            case FrameKind.LIMITS if (
-                self.state is DeviceState.IDLE
-                and min(command.values) >= 0
-                and command.values[-1] > 0
-            ):
-                self.limits = (
-                    *command.values[:-1],
-                    min(command.values[-1], self.watchdog),
-                )
-            case FrameKind.STOP if self.state in READY_STATES:
-                self.last_sequence = (
-                    command.sequence
-                    if is_newer(command.sequence, self.last_sequence)
-                    else self.last_sequence
-                )
+            case FrameKind.LIMITS if self.state is DeviceState.IDLE:
+                if min(values) >= 0 and values[-1] > 0:
+                    self.limits = (*values[:-1], min(values[-1], self.watchdog))
+            case FrameKind.STOP if is_ready:
+                if is_new:
+                    self.last_sequence = number
                 self._stop(DeviceState.IDLE)
-            case FrameKind.VELOCITY if self.state in READY_STATES and is_newer(
-                command.sequence, self.last_sequence
-            ):
+            case FrameKind.VELOCITY if is_ready and is_new:
                 self._apply_velocity(command, micros)
 
     def _apply_velocity(self, command: Command, micros: int) -> None:
-        """Take over a velocity, cut to the limits, and say so until the next STOP or
-        HELLO if it had to be.
+        """Take over a velocity, cut to the limits.
+
+        A cut shows in the state until the next STOP or HELLO.
         """
-        elapsed = (
-            (micros - self.last_velocity_us) % 2**32
-            if self.state in MOVING_STATES
-            else 0
-        )
+        elapsed = 0
+        if self.state in MOVING_STATES:
+            elapsed = (micros - self.last_velocity_us) % 2**32
         span = max(elapsed, ACCELERATION_TICKS * self.limits[-2]) * 1e-6
-        limits = zip(
-            command.values,
-            self.target,
-            self.limits[:JOINT_COUNT],
-            self.limits[JOINT_COUNT:],
-            strict=False,
-        )
-        target = tuple(
-            _limit_velocity(wanted, was, speed, rate * span)
-            for wanted, was, speed, rate in limits
-        )
-        clamped = self.state is DeviceState.CLAMPED or target != command.values
-        self.state, self.target = (
-            DeviceState.CLAMPED if clamped else DeviceState.MOVING,
-            target,
-        )
+        target: list[float] = []
+        for joint in range(JOINT_COUNT):
+            speed, acceleration = self.limits[joint], self.limits[JOINT_COUNT + joint]
+            wanted, former = command.values[joint], self.target[joint]
+            target.append(_limit_velocity(wanted, former, speed, acceleration * span))
+        self.target = tuple(target)
+        is_cut = self.state is DeviceState.CLAMPED or self.target != command.values
+        self.state = DeviceState.CLAMPED if is_cut else DeviceState.MOVING
         self.last_sequence, self.last_velocity_us = command.sequence, micros
 
     def _stop(self, state: DeviceState) -> None:
         self.state, self.target = state, ZERO_SPEEDS
 
 
-def _limit_velocity(wanted: float, was: float, speed: float, change: float) -> float:
-    """A velocity that is at most `speed`, and at most `change` from what it was, in
-    single precision [rad/s].
-    """
+def _limit_velocity(wanted: float, former: float, speed: float, change: float) -> float:
+    """Limit a velocity and its change, in single precision [rad/s]."""
     slow = min(max(wanted, -speed), speed)
-    cut = min(max(slow, was - change), was + change)
+    cut = min(max(slow, former - change), former + change)
     return float(struct.unpack("<f", struct.pack("<f", cut))[0])

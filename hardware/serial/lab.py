@@ -26,8 +26,25 @@ def open_lab(
     source: Source,
     most_lost: Annotated[float, Field(ge=0, le=1)],
 ) -> Lab:
-    """The arm on `port` and the camera `source`; see `VelocityArm` and `FilmingCamera`.
-    Nothing is left to chance here: seed and trial play no part.
+    """Open the arm on `port` and the camera `source`.
+
+    Parameters
+    ----------
+    arm, camera
+        The arm and the camera as they should be.
+    seed, trial
+        Unused: nothing is random here.
+    port, baud
+        The serial port; see `SerialWire`.
+    driving
+        Settings of the driver; see `Driving`.
+    source, most_lost
+        The camera; see `FilmingCamera`.
+
+    Returns
+    -------
+    Lab
+        Arm and camera, not yet connected.
     """
     return Lab(
         VelocityArm(arm, SerialWire(port, baud), driving),

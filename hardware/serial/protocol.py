@@ -54,13 +54,15 @@ _GREETING = struct.Struct("<BBHB")
 
 
 class FrameError(Exception):
-    """Bytes that are no whole frame of ours."""
+    """Bytes that are no valid frame of the protocol."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """Host to device. values: speeds [rad/s] of VELOCITY, the host's version of HELLO,
-    those of `Limits` of LIMITS, else nothing.
+    """A command of the host.
+
+    values: speeds [rad/s] of VELOCITY, the host's version of HELLO, those of
+    `LimitsAnswer` of LIMITS, otherwise none.
     """
 
     kind: FrameKind
@@ -70,7 +72,10 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Device to host. micros: device clock [us], wraps at 2^32. angles: measured [rad]."""
+    """The device's answer to most commands.
+
+    micros: device clock [us], wraps at 2^32. angles: measured [rad].
+    """
 
     sequence: int
     micros: int
@@ -80,7 +85,7 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class Greeting:
-    """The device's answer to HELLO. watchdog [ms]."""
+    """The device's answer to HELLO; the watchdog is in [ms]."""
 
     sequence: int
     version: int
@@ -91,9 +96,10 @@ class Greeting:
 
 @dataclass(frozen=True, slots=True)
 class LimitsAnswer:
-    """Limits that the device enforces by itself: its answer to LIMITS. values: largest
-    speed [rad/s] and acceleration [rad/s^2] of each joint, the host's tick [us], the
-    watchdog [ms].
+    """The device's answer to LIMITS: what it enforces by itself.
+
+    values: largest speed [rad/s] and acceleration [rad/s^2] of each joint, the host's
+    tick [us], the watchdog [ms].
     """
 
     sequence: int
@@ -104,17 +110,15 @@ DeviceAnswer = Report | Greeting | LimitsAnswer
 
 
 def encode_command(command: Command) -> bytes:
-    """The bytes of a command, delimiter included."""
-    return _build_frame(
-        command.kind,
-        command.sequence,
-        _BODIES.get(command.kind, _NONE).pack(*command.values),
-    )
+    """Encode a command, with its delimiter."""
+    body = _BODIES.get(command.kind, _NONE).pack(*command.values)
+    return _build_frame(command.kind, command.sequence, body)
 
 
 def decode_command(frame: bytes) -> Command:
-    """A command from the bytes between two delimiters; raises FrameError, also where a
-    speed is no number.
+    """Decode a command from the bytes between two delimiters.
+
+    Raises FrameError for bytes that are no command, or a speed that is no number.
     """
     kind, sequence, body = _parse_frame(frame)
     layout = _BODIES.get(kind, _NONE)
@@ -127,26 +131,25 @@ def decode_command(frame: bytes) -> Command:
 
 
 def encode_answer(answer: DeviceAnswer) -> bytes:
-    """The bytes of an answer, delimiter included."""
+    """Encode an answer, with its delimiter."""
     if isinstance(answer, Greeting):
+        kind = FrameKind.GREETING
         body = _GREETING.pack(
             answer.version, answer.joints, answer.watchdog, answer.state
         )
-        return _build_frame(FrameKind.GREETING, answer.sequence, body)
-    if isinstance(answer, LimitsAnswer):
-        return _build_frame(
-            FrameKind.LIMITED, answer.sequence, _LIMITS.pack(*answer.values)
-        )
-    return _build_frame(
-        FrameKind.ANSWER,
-        answer.sequence,
-        _ANSWER.pack(answer.micros, answer.state, *answer.angles),
-    )
+    elif isinstance(answer, LimitsAnswer):
+        kind = FrameKind.LIMITED
+        body = _LIMITS.pack(*answer.values)
+    else:
+        kind = FrameKind.ANSWER
+        body = _ANSWER.pack(answer.micros, answer.state, *answer.angles)
+    return _build_frame(kind, answer.sequence, body)
 
 
 def decode_answer(frame: bytes) -> DeviceAnswer:
-    """An answer from the bytes between two delimiters; raises FrameError, also where an
-    angle is no number.
+    """Decode an answer from the bytes between two delimiters.
+
+    Raises FrameError for bytes that are no answer, or an angle that is no number.
     """
     kind, sequence, body = _parse_frame(frame)
     try:
@@ -166,7 +169,7 @@ def decode_answer(frame: bytes) -> DeviceAnswer:
 
 
 def is_newer(sequence: int, last: int) -> bool:
-    """Whether a sequence number comes after another, round the end of 16 bits."""
+    """Tell whether a sequence number comes after another, with a wrap at 16 bits."""
     return 0 < (sequence - last) % 2**16 < 2**15
 
 
@@ -176,21 +179,24 @@ def _build_frame(kind: FrameKind, sequence: int, body: bytes) -> bytes:
 
 
 def _parse_frame(frame: bytes) -> tuple[FrameKind, int, bytes]:
-    whole = decode_cobs(frame)
-    if len(whole) < 4 + _HEAD.size or struct.unpack("<I", whole[-4:])[0] != zlib.crc32(
-        whole[:-4]
-    ):
+    content = decode_cobs(frame)
+    payload, checksum = content[:-4], content[-4:]
+    if len(payload) < _HEAD.size or checksum != struct.pack("<I", zlib.crc32(payload)):
         raise FrameError("checksum")
-    kind, sequence = _HEAD.unpack_from(whole)
+    kind, sequence = _HEAD.unpack_from(payload)
     try:
-        return FrameKind(kind), sequence, whole[_HEAD.size : -4]
+        return FrameKind(kind), sequence, payload[_HEAD.size :]
     except ValueError as error:
         raise FrameError(str(error)) from error
 
 
 def encode_cobs(data: bytes) -> bytes:
-    """Consistent overhead byte stuffing (Cheshire and Baker 1999): no zero byte in the
-    result.
+    """Encode bytes without zeros, by consistent overhead byte stuffing.
+
+    References
+    ----------
+    Cheshire, S., Baker, M. (1999). Consistent overhead byte stuffing. IEEE/ACM Trans.
+    Netw. 7, 159-172.
     """
     blocks = data.split(b"\0")
     result = bytearray()
@@ -203,31 +209,28 @@ def encode_cobs(data: bytes) -> bytes:
 
 
 def decode_cobs(data: bytes) -> bytes:
-    """The inverse of `cobs`; raises FrameError."""
-    result, at = bytearray(), 0
-    while at < len(data):
-        code = data[at]
-        if code == 0 or at + code > len(data):
+    """Decode what `encode_cobs` encoded; raise FrameError for other bytes."""
+    result, position = bytearray(), 0
+    while position < len(data):
+        code = data[position]
+        if code == 0 or position + code > len(data):
             raise FrameError("stuffing")
-        result += data[at + 1 : at + code]
-        at += code
+        result += data[position + 1 : position + code]
+        position += code
         # neither a full block nor the last stands before a zero
-        if code < 255 and at < len(data):
+        if code < 255 and position < len(data):
             result.append(0)
     return bytes(result)
 
 
 class Deframer:
-    """Cuts a stream of bytes into what stands between delimiters. What is too long to
-    be a frame is dropped.
-    """
+    """A splitter of a stream of bytes at delimiters, which drops what is too long."""
 
     def __init__(self) -> None:
-        """Nothing has come yet."""
         self.rest = b""
 
     def frames(self, data: bytes) -> list[bytes]:
-        """The whole frames, empty ones left out, once their delimiter has come."""
+        """Add data and return the frames whose delimiter has come, without empty ones."""
         *parts, rest = (self.rest + data).split(b"\0")
         self.rest = rest[: MAX_FRAME_BYTES + 1]  # enough to know that it is too long
         return [part for part in parts if 0 < len(part) <= MAX_FRAME_BYTES]

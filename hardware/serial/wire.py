@@ -37,16 +37,26 @@ HOLD_REASONS = {
     DeviceState.LATCHED: "the device is latched",
     DeviceState.CLAMPED: "the device cut a velocity that was beyond its limits",
 }
-# all others: Report
+# the answer to all other kinds is a Report
 ANSWER_TYPES = {FrameKind.HELLO: Greeting, FrameKind.LIMITS: LimitsAnswer}
-# times the arm's own limits, which the host keeps to: its rounding is no fault
+# of the arm's own limits, which the host keeps: its rounding is no fault
 LIMIT_MARGIN = 1.01
 
 
 @dataclass
 class SerialWire:
-    """Fills `hardware.arm.wire.Wire`. port: its device file; sequence: number of the
-    last command.
+    """A serial port, which fills the role `hardware.arm.wire.Wire`.
+
+    Attributes
+    ----------
+    port
+        Its device file.
+    sequence
+        Number of the last command.
+    last_refusal
+        The fault of the last answer that could not be used.
+    clock_us
+        The device's clock as last reported, unwrapped [us].
     """
 
     port: str
@@ -55,12 +65,12 @@ class SerialWire:
     watchdog: float = 0.0
     link: serial.Serial | None = None
     deframer: Deframer = field(default_factory=Deframer)
-    last_refusal: str = ""  # what was wrong with the last answer that could not be used
-    clock_us: int | None = None  # device clock as last reported, unwrapped [us]
+    last_refusal: str = ""
+    clock_us: int | None = None
 
     @property
     def name(self) -> str:
-        """The port."""
+        """The port's device file."""
         return self.port
 
     def open(self) -> None:
@@ -70,28 +80,29 @@ class SerialWire:
         assert isinstance(greeting, Greeting)
         if (greeting.version, greeting.joints) != (PROTOCOL_VERSION, JOINT_COUNT):
             raise HardwareError(
-                f"arm on {self.port}: the device speaks version {greeting.version} for {greeting.joints} joints, this "
-                f"is version {PROTOCOL_VERSION} for {JOINT_COUNT}. Update the older one (hardware/serial/README.md)."
+                f"arm on {self.port}: the device speaks version {greeting.version} for "
+                f"{greeting.joints} joints, this is version {PROTOCOL_VERSION} for "
+                f"{JOINT_COUNT}. Update the older one (hardware/serial/README.md)."
             )
         if greeting.state is DeviceState.LATCHED:
             raise HardwareError(
-                f"arm on {self.port}: latched by an emergency stop. Look why, make it safe, then: "
-                f"python -m stringcast.hardware.serial.clear {self.port}"
+                f"arm on {self.port}: latched by an emergency stop. Look why, make it "
+                f"safe, then: python -m stringcast.hardware.serial.clear {self.port}"
             )
         self.watchdog = greeting.watchdog * 1e-3
 
     def set_limits(self, arm: Arm) -> None:
-        """Send LIMITS, with the watchdog that the device greeted with."""
-        most = LIMIT_MARGIN * np.array(
-            [*arm.speed, *arm.acceleration], dtype=np.float32
-        )
-        asked = (*map(float, most), round(arm.tick * 1e6), round(self.watchdog * 1e3))
-        limits = self._exchange(FrameKind.LIMITS, asked)
-        assert isinstance(limits, LimitsAnswer)
-        if limits.values != asked:
+        """Send LIMITS, with the watchdog of the device's greeting."""
+        limits = np.array([*arm.speed, *arm.acceleration], dtype=np.float32)
+        tick, watchdog = round(arm.tick * 1e6), round(self.watchdog * 1e3)
+        wanted = (*map(float, LIMIT_MARGIN * limits), tick, watchdog)
+        answer = self._exchange(FrameKind.LIMITS, wanted)
+        assert isinstance(answer, LimitsAnswer)
+        if answer.values != wanted:
             raise HardwareError(
-                f"arm on {self.port}: the device does not enforce the limits of conf/arm, {asked}, but "
-                f"{limits.values}. See what it can (hardware/serial/README.md)."
+                f"arm on {self.port}: the device does not enforce the limits of "
+                f"conf/arm, {wanted}, but {answer.values}. See what it can "
+                "(hardware/serial/README.md)."
             )
 
     def close(self) -> None:
@@ -101,42 +112,43 @@ class SerialWire:
             self.link = None
 
     def angles(self) -> tuple[float, ...]:
-        """Angles of the joints (J,) [rad], by a ping."""
+        """Measure the joint angles (J,) [rad] by a ping."""
         return self._report(FrameKind.PING).angles
 
     def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
-        """Send velocities (J,) [rad/s] in single precision; the command's number, and
-        what was sent.
+        """Send velocities (J,) [rad/s] in single precision.
+
+        Returns the command's number and what was sent.
         """
-        carried = speeds.astype(np.float32)
-        return self._send(FrameKind.VELOCITY, tuple(carried)), carried
+        rounded = speeds.astype(np.float32)
+        return self._send(FrameKind.VELOCITY, tuple(rounded)), rounded
 
     def answers(self) -> Sequence[ArmAnswer]:
-        """Answers to velocities; greetings and damaged frames are left out."""
-        return [
-            ArmAnswer(
-                report.sequence,
-                self._unwrap_clock(report.micros),
-                HOLD_REASONS.get(report.state, ""),
-                report.angles,
-            )
-            for report in self._read_answers()
-            if isinstance(report, Report)
-        ]
+        """Return the reports that have come, without greetings and damaged frames."""
+        answers: list[ArmAnswer] = []
+        for report in self._read_answers():
+            if isinstance(report, Report):
+                clock = self._unwrap_clock(report.micros)
+                reason = HOLD_REASONS.get(report.state, "")
+                answers.append(
+                    ArmAnswer(report.sequence, clock, reason, report.angles)
+                )
+        return answers
 
     def stop(self) -> None:
-        """Three times, for a frame may be lost; then wait for an answer, so that none
-        is in flight.
+        """Send STOP three times and wait for an answer.
+
+        A frame may be lost, and none is in flight after the answer.
         """
         try:
             for _ in range(MAX_TRIES):
                 self._send(FrameKind.STOP)
             self._report(FrameKind.STOP)
         except HardwareError:
-            return  # nobody is there: the device's watchdog acts
+            return  # no device is there: its watchdog acts
 
     def latch(self) -> None:
-        """Emergency stop."""
+        """Send LATCH three times, for a frame may be lost."""
         try:
             for _ in range(MAX_TRIES):
                 self._send(FrameKind.LATCH)
@@ -144,7 +156,7 @@ class SerialWire:
             return
 
     def clear(self) -> None:
-        """Undo the emergency stop; connects where nothing is open."""
+        """Undo the emergency stop; connect first if the port is not open."""
         if self.link is None:
             self._connect()
         self._report(FrameKind.CLEAR)
@@ -158,12 +170,14 @@ class SerialWire:
             )
         except (serial.SerialException, OSError, ValueError) as error:
             raise HardwareError(
-                f"arm on {self.port}: cannot be opened ({error}). Check hardware.port and the cable."
+                f"arm on {self.port}: cannot be opened ({error}). "
+                "Check hardware.port and the cable."
             ) from error
 
     def _unwrap_clock(self, micros: int) -> float:
-        """Device time [s]: 32 bits of microseconds go round every 72 minutes, and
-        answers may change places.
+        """Return the device time [s] from its clock of 32 bits.
+
+        It wraps every 72 minutes, and answers may change places.
         """
         if self.clock_us is None:
             self.clock_us = micros
@@ -179,26 +193,22 @@ class SerialWire:
     def _exchange(
         self, kind: FrameKind, values: tuple[float, ...] = ()
     ) -> Report | Greeting | LimitsAnswer:
-        """Send and wait for the answer; asks again a few times, for a frame may be
-        lost.
-        """
+        """Send and wait for the answer, again if a frame is lost."""
+        expected = ANSWER_TYPES.get(kind, Report)
         for _ in range(MAX_TRIES):
             number = self._send(kind, values)
             end = time.monotonic() + ANSWER_TIMEOUT_S
             while time.monotonic() < end:
                 for answer in self._read_answers():
-                    if answer.sequence == number and isinstance(
-                        answer, ANSWER_TYPES.get(kind, Report)
-                    ):
+                    if answer.sequence == number and isinstance(answer, expected):
                         return answer
                 time.sleep(0.0002)
-        refused = (
-            f" with anything that can be used ({self.last_refusal})"
-            if self.last_refusal
-            else ""
-        )
+        refusal = ""
+        if self.last_refusal:
+            refusal = f" with anything that can be used ({self.last_refusal})"
         raise HardwareError(
-            f"arm on {self.port}: the device does not answer{refused}. Is it switched on, and this its port?"
+            f"arm on {self.port}: the device does not answer{refusal}. "
+            "Is it switched on, and this its port?"
         )
 
     def _send(self, kind: FrameKind, values: tuple[float, ...] = ()) -> int:
@@ -212,7 +222,7 @@ class SerialWire:
         return self.sequence
 
     def _read_answers(self) -> list[Report | Greeting | LimitsAnswer]:
-        """Whole answers that have arrived."""
+        """Return the whole answers that have arrived."""
         assert self.link is not None
         try:
             data = self.link.read(4096)
@@ -229,7 +239,8 @@ class SerialWire:
 
     def _link_error(self, error: Exception) -> HardwareError:
         return HardwareError(
-            f"arm on {self.port}: the link is gone ({error}). The device's watchdog stops the arm."
+            f"arm on {self.port}: the link is gone ({error}). "
+            "The device's watchdog stops the arm."
         )
 
 
@@ -240,6 +251,7 @@ def check_latency(
     timer = devices / Path(port).resolve().name / "latency_timer"
     if timer.exists() and int(timer.read_text()) > 1:
         raise HardwareError(
-            f"arm on {port}: the adapter's latency timer is {timer.read_text().strip()} ms; a 5 ms loop needs 1. "
+            f"arm on {port}: the adapter's latency timer is "
+            f"{timer.read_text().strip()} ms; a 5 ms loop needs 1. "
             f"Run: echo 1 | sudo tee {timer}"
         )

@@ -214,7 +214,7 @@ def held(wire, number, within=5.0):
     while time.monotonic() < end:
         for answer in wire.answers():
             if answer.number == number:
-                return answer.held
+                return answer.hold_reason
         time.sleep(0.01)
     return None
 

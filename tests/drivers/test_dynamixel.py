@@ -168,7 +168,7 @@ class Interrupted(VelocityArm):
     @property
     def latch_reason(self):
         """Asked before each velocity."""
-        if self.is_moving and self.wire.number > 20:
+        if self.is_moving and self.wire.command_number > 20:
             raise KeyboardInterrupt
         return self.why
 
@@ -216,7 +216,7 @@ def test_silence_trips_the_watchdogs_and_the_driver_is_told(log):
         assert standstill(log, "tripped") is not None
         there = arm.angles()
         arm.wire.send(np.array([0.5, 0.0, 0.0]))
-        assert "watchdog" in arm.wire.answers()[0].held
+        assert "watchdog" in arm.wire.answers()[0].hold_reason
         np.testing.assert_array_equal(arm.angles(), there)
         arm.wire.stop()
         # a stop is not a clear

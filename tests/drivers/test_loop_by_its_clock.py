@@ -279,7 +279,7 @@ def test_a_link_is_tried_fifty_times_and_its_median_counts(now):
         if good:
             with link:
                 np.testing.assert_allclose(
-                    np.sort(link.trips), np.sort(np.resize(trips, 50)), atol=1e-5
+                    np.sort(link.round_trips_s), np.sort(np.resize(trips, 50)), atol=1e-5
                 )
         else:
             said = r"a round trip takes 2\.1 ms \(99 %: 2\.1, longest: 2\.1 ms\), allowed are 2\.0"
@@ -366,7 +366,7 @@ def test_the_emergency_stop_holds_until_it_is_cleared_and_limits_are_set_again(n
     assert wire.said == ["clear"]
     assert wire.limits == ARM.speed
     driven.perform(movement())
-    assert not driven.moving
+    assert not driven.is_moving
 
 
 def test_a_movement_is_placed_in_time_by_its_first_command(now):
@@ -482,7 +482,7 @@ def test_the_ends_of_the_range_may_be_touched(end, joint):
 )
 def test_the_edge_of_the_workspace_may_be_touched_by_joints_and_hand(corner, axis):
     angles = np.zeros((3, 3)) + [0.5, 0.2, 0.2] + np.array([[0.0], [1e-4], [2e-4]])
-    places = ARM.joints(angles)
+    places = ARM.joint_positions(angles)
     edge = {"low": [-9.0, -9.0], "high": [9.0, 9.0]}
     touched = places[..., axis].min() if corner == "low" else places[..., axis].max()
     edge[corner][axis] = float(touched)

@@ -119,7 +119,7 @@ def test_a_limit_that_is_no_number_lets_nothing_pass(limits):
         | {"tick": ARM.tick, "hand_speed": limits.get("hand_speed", ARM.hand_speed)},
         commanded=ARM.commanded_velocities,
         grasp_velocity=ARM.grasp_velocity,
-        joints=ARM.joints,
+        joint_positions=ARM.joint_positions,
     )
     with pytest.raises(HardwareError, match=r"leaves arm\."):
         check_movement(arm, WORKSPACE, angles)

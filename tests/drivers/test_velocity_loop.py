@@ -31,7 +31,7 @@ class Script:
     def open(self):
         self.said.append("open")
 
-    def limit(self, arm):
+    def set_limits(self, arm):
         self.limits = arm.speed
 
     def close(self):

@@ -1,3 +1,1 @@
-"""A bus of servos on a pseudo-terminal, which answers the packets of the maker's own
-library.
-"""
+"""A bus of emulated servos on a pseudo-terminal for the maker's own library."""

@@ -1,7 +1,7 @@
-"""`python -m stringcast.hardware.dynamixel.emulator`: serve three servos on a
-pseudo-terminal.
+"""Serve three emulated servos on a pseudo-terminal, whose name is printed first.
 
-Its name is printed first. It ends with whoever started it.
+It is called as `python -m stringcast.hardware.dynamixel.emulator` and ends with the
+process that started it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ UNPLUGGED_S = 1.0  # [s] for which unplugged servos go on
 
 
 def main() -> None:
-    """Serve until --until seconds are over."""
+    """Serve the bus until --until seconds are over."""
     options = command_parser(
         "python -m stringcast.hardware.dynamixel.emulator", __doc__, FAULTS
     ).parse_args()
@@ -35,15 +35,16 @@ def main() -> None:
 
 
 def log_line(event: str, bus: EmulatedBus) -> str:
-    """An event with what the servos are about, as JSON: time [s], angles [rad], torque."""
+    """Write an event with time [s], angles [rad] and torque of the servos as JSON."""
     servos = bus.servos.values()
     row = {
         "event": event,
         "t": bus.clock,
         "state": event,
-        "angles": [s.joint.angle for s in servos],
+        "angles": [servo.joint.angle for servo in servos],
+        "torque": [servo.get(TORQUE_ENABLE) for servo in servos],
     }
-    return json.dumps(row | {"torque": [s.get(TORQUE_ENABLE) for s in servos]}) + "\n"
+    return json.dumps(row) + "\n"
 
 
 if __name__ == "__main__":

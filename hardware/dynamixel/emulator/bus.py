@@ -1,4 +1,4 @@
-"""Emulated servos in velocity mode, with the registers that a driver uses, on one bus."""
+"""Emulated servos in velocity mode on one bus, with the registers of the driver."""
 
 from __future__ import annotations
 
@@ -45,8 +45,10 @@ FIRST_UNLOCKED_ADDRESS = 64  # addresses below are locked while the torque is on
 
 @dataclass
 class EmulatedServo:
-    """A servo. table: its control table. silent: time since the last packet on the bus
-    [s]. speed: which it has the joint follow [rad/s].
+    """An emulated servo.
+
+    table: its control table. silence: time since the last packet on the bus [s]. speed:
+    velocity that the joint follows [rad/s].
     """
 
     table: bytearray = field(default_factory=lambda: bytearray(147))
@@ -55,23 +57,23 @@ class EmulatedServo:
     speed: float = 0.0
 
     def __post_init__(self) -> None:
-        """Set the factory's values, but for a velocity limit of 60 rad/s."""
+        """Set the factory's values, with a velocity limit of 60 rad/s."""
         self.set(OPERATING_MODE, 3)
         self.set(VELOCITY_LIMIT, round(60 / VELOCITY_UNIT))
         self.set(PRESENT_POSITION, 2048)
 
     def get(self, register: Register) -> int:
-        """A value, signed if it has four bytes."""
+        """Read a register; four bytes are signed."""
         data = self.table[register.address : register.address + register.size]
         return int.from_bytes(data, "little", signed=register.size == 4)
 
     def set(self, register: Register, value: int) -> None:
-        """Write a register's value, also one that a host may not write."""
+        """Write a register, even one that a host may not write."""
         data = value.to_bytes(register.size, "little", signed=value < 0)
         self.table[register.address : register.address + register.size] = data
 
     def write(self, address: int, data: bytes) -> int:
-        """Write as an instruction does. Returns the error of the status packet."""
+        """Write as an instruction does; return the error of the status packet."""
         if self.get(TORQUE_ENABLE) and address < FIRST_UNLOCKED_ADDRESS:
             return ACCESS
         if (
@@ -79,65 +81,55 @@ class EmulatedServo:
             and GOAL_ADDRESSES[0] <= address < GOAL_ADDRESSES[1]
         ):
             return RANGE
-        goal = (
-            int.from_bytes(data, "little", signed=True)
-            if address == GOAL_VELOCITY.address
-            else 0
-        )
-        if abs(goal) > self.get(VELOCITY_LIMIT):
-            return LIMIT
+        if address == GOAL_VELOCITY.address:
+            goal = int.from_bytes(data, "little", signed=True)
+            if abs(goal) > self.get(VELOCITY_LIMIT):
+                return LIMIT
         self.table[address : address + len(data)] = data
         return NO_ERROR
 
     def step(self, clock: float) -> None:
-        """One step of time; clock: the servo's own [s]."""
+        """Let one step of time pass; the clock is the servo's own [s]."""
         self.silence += STEP_S
         watchdog = self.get(BUS_WATCHDOG)
         # 0 is off, and TRIPPED is beyond what can be set
-        if (
-            self.get(TORQUE_ENABLE)
-            and 0 < watchdog < 128
-            and self.silence > watchdog * WATCHDOG_UNIT_S
-        ):
+        has_torque = self.get(TORQUE_ENABLE)
+        is_late = self.silence > watchdog * WATCHDOG_UNIT_S
+        if has_torque and 0 < watchdog < 128 and is_late:
             self.set(BUS_WATCHDOG, WATCHDOG_TRIPPED)
             self.set(GOAL_VELOCITY, 0)
-        follows = self.get(TORQUE_ENABLE) and self.get(OPERATING_MODE) == VELOCITY_MODE
-        # of zero, anything
+        # an acceleration of zero is no limit
         most = self.get(PROFILE_ACCELERATION) * ACCELERATION_UNIT * STEP_S or math.inf
-        change = min(
-            max(self.get(GOAL_VELOCITY) * VELOCITY_UNIT - self.speed, -most), most
-        )
-        self.speed = self.speed + change if follows else 0.0
+        change = self.get(GOAL_VELOCITY) * VELOCITY_UNIT - self.speed
+        self.speed += min(max(change, -most), most)
+        if not has_torque or self.get(OPERATING_MODE) != VELOCITY_MODE:
+            self.speed = 0.0
         self.joint.step(self.speed)
         self.set(REALTIME_TICK, int(clock * 1e3) % CLOCK_WRAP_MS)
-        self.set(
-            PRESENT_POSITION,
-            2048 + math.floor(self.joint.encoder / POSITION_UNIT + 0.5),
-        )
+        counts = math.floor(self.joint.encoder / POSITION_UNIT + 0.5)
+        self.set(PRESENT_POSITION, 2048 + counts)
 
 
 @dataclass
 class EmulatedBus(EmulatedDevice):
-    """servos: by id. A goal velocity that is written to all is one command."""
+    """A bus of servos by id; a goal velocity written to all is one command."""
 
     servos: Mapping[int, EmulatedServo]
     splitter: PacketSplitter = field(default_factory=PacketSplitter)
     incoming: list[Packet] = field(default_factory=list)
 
     def receive(self, data: bytes) -> None:
-        """Bytes from the host. Raises UnpluggedError."""
+        """Take bytes from the host; raise UnpluggedError on that fault."""
         for packet in self.splitter.packets(data):
-            moves = (
-                packet.instruction == SYNC_WRITE
-                and packet.parameters[0] == GOAL_VELOCITY.address
-            )
-            fault = self.next_fault() if moves else ""
-            lost = bool(fault) and FAULTS[fault](self)
-            if not lost:
+            is_write = packet.instruction == SYNC_WRITE
+            is_velocity = is_write and packet.parameters[0] == GOAL_VELOCITY.address
+            fault = self.next_fault() if is_velocity else ""
+            is_lost = fault and FAULTS[fault](self)
+            if not is_lost:
                 self.incoming.append(packet)
 
     def step(self) -> bytes:
-        """Servos, and the status packets that leave meanwhile."""
+        """Let one step pass; return the status packets that leave in it."""
         for servo in self.servos.values():
             servo.step(self.clock)
         if self.clock < self.deaf_until:
@@ -148,47 +140,44 @@ class EmulatedBus(EmulatedDevice):
 
     @property
     def state(self) -> tuple[str, bool]:
-        """Whether a watchdog has tripped, in a word, and whether the arm stands."""
-        servos = self.servos.values()
-        tripped = any(servo.get(BUS_WATCHDOG) == WATCHDOG_TRIPPED for servo in servos)
-        return "tripped" if tripped else "cleared", all(
-            servo.joint.is_still for servo in servos
-        )
+        """The state of the watchdogs in a word, and whether the arm stands."""
+        word, stands = "cleared", True
+        for servo in self.servos.values():
+            if servo.get(BUS_WATCHDOG) == WATCHDOG_TRIPPED:
+                word = "tripped"
+            stands = stands and servo.joint.is_still
+        return word, stands
 
     def _answer(self, packet: Packet) -> bytes:
-        """What the servos answer to an instruction. Address and length begin most of
-        them.
-        """
+        """Answer an instruction; address and length begin most of them."""
         for servo in self.servos.values():
             servo.silence = 0.0
-        begin, size = (
-            int.from_bytes(packet.parameters[at : at + 2], "little") for at in (0, 2)
-        )
-        if packet.instruction == SYNC_WRITE:
-            for at in range(4, len(packet.parameters), 1 + size):
-                if packet.parameters[at] in self.servos:
-                    self.servos[packet.parameters[at]].write(
-                        begin, packet.parameters[at + 1 : at + 1 + size]
-                    )
+        instruction, parameters = packet.instruction, packet.parameters
+        start = int.from_bytes(parameters[0:2], "little")
+        size = int.from_bytes(parameters[2:4], "little")
+        block = slice(start, start + size)
+        if instruction == SYNC_WRITE:
+            for place in range(4, len(parameters), 1 + size):
+                if parameters[place] in self.servos:
+                    data = parameters[place + 1 : place + 1 + size]
+                    self.servos[parameters[place]].write(start, data)
             return b""
-        if packet.instruction == SYNC_READ:
-            asked = [
-                number for number in packet.parameters[4:] if number in self.servos
-            ]
-            return b"".join(
-                status_packet(
-                    i, NO_ERROR, bytes(self.servos[i].table[begin : begin + size])
-                )
-                for i in asked
-            )
+        if instruction == SYNC_READ:
+            answer = b""
+            for number in parameters[4:]:
+                if number in self.servos:
+                    data = bytes(self.servos[number].table[block])
+                    answer += status_packet(number, NO_ERROR, data)
+            return answer
         if packet.id not in self.servos:
             return b""
         servo = self.servos[packet.id]
-        if packet.instruction == WRITE:
-            return status_packet(packet.id, servo.write(begin, packet.parameters[2:]))
-        told = {PING: MODEL_REPLY, READ: bytes(servo.table[begin : begin + size])}
-        if packet.instruction in told:
-            return status_packet(packet.id, NO_ERROR, told[packet.instruction])
+        if instruction == WRITE:
+            return status_packet(packet.id, servo.write(start, parameters[2:]))
+        if instruction == PING:
+            return status_packet(packet.id, NO_ERROR, MODEL_REPLY)
+        if instruction == READ:
+            return status_packet(packet.id, NO_ERROR, bytes(servo.table[block]))
         return status_packet(packet.id, UNKNOWN)
 
 
@@ -203,12 +192,14 @@ def _unplug(bus: EmulatedBus) -> bool:
 
 def _brownout(bus: EmulatedBus) -> bool:
     for servo in bus.servos.values():
-        kept, servo.table = servo.table, EmulatedServo().table
-        servo.table[:FIRST_UNLOCKED_ADDRESS] = kept[:FIRST_UNLOCKED_ADDRESS]
+        # what outlasts the power
+        stored = servo.table[:FIRST_UNLOCKED_ADDRESS]
+        servo.table = EmulatedServo().table
+        servo.table[:FIRST_UNLOCKED_ADDRESS] = stored
     return True
 
 
-# Each says whether the packet is lost.
+# each returns whether the packet is lost
 FAULTS: dict[str, Callable[[EmulatedBus], bool]] = {
     "drop": lambda bus: True,
     "freeze": _freeze,

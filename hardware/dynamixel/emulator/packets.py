@@ -1,5 +1,8 @@
-"""Packets of protocol 2.0 (e-manual, ROBOTIS): header FF FF FD 00, byte stuffing,
-CRC-16.
+"""Packets of protocol 2.0: header FF FF FD 00, byte stuffing, CRC-16.
+
+References
+----------
+ROBOTIS e-manual, protocol 2.0.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ PING, READ, WRITE, STATUS, SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x03, 0x55, 0x82,
 
 
 class Packet(NamedTuple):
-    """An instruction to the servo `id`, or to all."""
+    """An instruction to a servo, or to all."""
 
     id: int
     instruction: int
@@ -19,7 +22,7 @@ class Packet(NamedTuple):
 
 
 def crc16(data: bytes) -> int:
-    """Polynomial 0x8005, from zero, not reflected."""
+    """Compute the CRC-16 with polynomial 0x8005, from zero, not reflected."""
     crc = 0
     for byte in data:
         crc ^= byte << 8
@@ -29,39 +32,33 @@ def crc16(data: bytes) -> int:
 
 
 def status_packet(identity: int, error: int, parameters: bytes = b"") -> bytes:
-    """The bytes of a status packet, Protocol 2.0: of a servo, with its error and what
-    was asked for.
-    """
-    content = (bytes([STATUS, error]) + parameters).replace(
-        b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
-    )
-    body = (
-        HEADER + bytes([identity]) + (len(content) + 2).to_bytes(2, "little") + content
-    )
+    """Encode the status packet of a servo, with its error and its data."""
+    content = bytes([STATUS, error]) + parameters
+    content = content.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+    length = (len(content) + 2).to_bytes(2, "little")
+    body = HEADER + bytes([identity]) + length + content
     return body + crc16(body).to_bytes(2, "little")
 
 
 class PacketSplitter:
-    """Cuts a stream of bytes into packets; damaged ones are left out."""
+    """A splitter of a stream of bytes into packets, which drops damaged ones."""
 
     def __init__(self) -> None:
-        """Nothing has come yet."""
         self.rest = b""
 
     def packets(self, data: bytes) -> list[Packet]:
-        """The whole packets once their last byte has come."""
+        """Add data and return the packets whose last byte has come."""
         self.rest += data
-        found = []
-        while (begin := self.rest.find(HEADER)) >= 0:
-            self.rest = self.rest[begin:]
-            # header, identity and length; the length counts all behind it
+        packets: list[Packet] = []
+        while (start := self.rest.find(HEADER)) >= 0:
+            self.rest = self.rest[start:]
+            # header, identity and length, which counts all after it
             end = 7 + int.from_bytes(self.rest[5:7], "little")
             if len(self.rest) < 7 or len(self.rest) < end:
                 break
             packet, self.rest = self.rest[:end], self.rest[end:]
-            if len(packet) >= 10 and crc16(packet[:-2]) == int.from_bytes(
-                packet[-2:], "little"
-            ):
+            checksum = int.from_bytes(packet[-2:], "little")
+            if len(packet) >= 10 and crc16(packet[:-2]) == checksum:
                 content = packet[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
-                found.append(Packet(packet[4], content[0], content[1:]))
-        return found
+                packets.append(Packet(packet[4], content[0], content[1:]))
+        return packets

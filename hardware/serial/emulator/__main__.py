@@ -1,7 +1,7 @@
-"""`python -m stringcast.hardware.serial.emulator`: serve a device on a pseudo-terminal,
-whose name is printed first.
+"""Serve an emulated device on a pseudo-terminal, whose name is printed first.
 
-It ends with whoever started it.
+It is called as `python -m stringcast.hardware.serial.emulator` and ends with the process
+that started it.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ UNPLUGGED_S = 0.5  # [s] for which an unplugged device goes on
 
 
 def main() -> None:
-    """Serve until --until seconds are over; an unplugged device goes on alone until its
-    arm stands.
+    """Serve the device until --until seconds are over.
+
+    An unplugged device goes on alone until its arm stands.
     """
-    asked = command_parser(
+    parser = command_parser(
         "python -m stringcast.hardware.serial.emulator", __doc__, FAULT_KINDS
     )
-    asked.add_argument("--watchdog", type=int, default=25, help="[ms]")
-    asked.add_argument(
+    parser.add_argument("--watchdog", type=int, default=25, help="[ms]")
+    parser.add_argument(
         "--since", type=int, default=0, help="the device's clock at the start [us]"
     )
-    options = asked.parse_args()
+    options = parser.parse_args()
     with options.log.open("w", buffering=1) as log:
         firmware, faults = Firmware(options.watchdog), dict(options.fault)
         device = EmulatedArm(
@@ -39,15 +40,11 @@ def main() -> None:
 
 
 def log_line(event: str, device: EmulatedArm) -> str:
-    """An event with what the device is about, as JSON: time [s], angles [rad], speeds
-    [rad/s].
-    """
+    """Write an event with time [s], angles [rad] and speeds [rad/s] as JSON."""
     row = {
         "event": event,
         "t": device.clock,
         "state": device.firmware.state.name.lower(),
-    }
-    row |= {
         "angles": [joint.angle for joint in device.joints],
         "speeds": [joint.speed for joint in device.joints],
     }

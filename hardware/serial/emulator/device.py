@@ -27,7 +27,7 @@ BOOT_S = 0.05  # [s] that a device needs once its supply is back
 ANSWER_PREFIX = "answer-"  # of faults on the way back
 
 
-# what arrives of a frame, and how much later [s]
+# delays [s] and bytes of what arrives of a frame
 DelayedPieces = list[tuple[float, bytes]]
 
 
@@ -36,9 +36,10 @@ def _deliver(frame: bytes) -> DelayedPieces:
 
 
 def _flip_bit(frame: bytes) -> DelayedPieces:
-    """With another bit in the middle."""
+    """Flip a bit in the middle of a frame."""
     middle = len(frame) // 2
-    return [(0.0, frame[:middle] + bytes([frame[middle] ^ 0x10]) + frame[middle + 1 :])]
+    flipped = bytes([frame[middle] ^ 0x10])
+    return [(0.0, frame[:middle] + flipped + frame[middle + 1 :])]
 
 
 LINE_FAULTS: dict[str, Callable[[bytes], DelayedPieces]] = {
@@ -51,9 +52,7 @@ LINE_FAULTS: dict[str, Callable[[bytes], DelayedPieces]] = {
 
 
 class Arrival(NamedTuple):
-    """Bytes on their way: when they arrive [s], and the fault that befalls them or
-    their answer.
-    """
+    """Bytes on their way: when they arrive [s], and the fault of them or their answer."""
 
     when: float
     frame: bytes
@@ -62,8 +61,10 @@ class Arrival(NamedTuple):
 
 @dataclass
 class EmulatedArm(EmulatedDevice):
-    """firmware: what it runs. since: its clock when it starts [us]. booted: when it
-    last started [s].
+    """The emulated device with its arm.
+
+    firmware: what it runs. initial_clock: its clock when it starts [us]. boot_time: when
+    it last started [s].
     """
 
     firmware: Firmware
@@ -82,73 +83,66 @@ class EmulatedArm(EmulatedDevice):
         return (self.initial_clock + round((self.clock - self.boot_time) * 1e6)) % 2**32
 
     def receive(self, data: bytes) -> None:
-        """Bytes from the host, on their way from now on. Raises UnpluggedError."""
+        """Take bytes from the host, on their way from now on.
+
+        Raises UnpluggedError on that fault.
+        """
         for frame in self.deframer.frames(data):
             try:
                 moves = decode_command(frame).kind is FrameKind.VELOCITY
             except FrameError:
                 moves = False
             fault = self.next_fault() if moves else ""
-            # one of the device itself strikes at once
-            DEVICE_FAULTS.get(fault, lambda device: None)(self)
-            self.incoming += self._schedule(
-                frame, fault, LINE_FAULTS.get(fault, _deliver)
-            )
+            if fault in DEVICE_FAULTS:  # these strike at once
+                DEVICE_FAULTS[fault](self)
+            line = LINE_FAULTS.get(fault, _deliver)
+            self.incoming += self._schedule(frame, fault, line)
 
     def step(self) -> bytes:
-        """Timer, joints, and the frames that arrive meanwhile, which are obeyed; the
-        bytes that are due to leave.
+        """Let one step pass and obey the frames that arrive in it.
+
+        Returns the bytes that are due to leave.
         """
         self.firmware.tick(self.micros)
         for joint, speed in zip(self.joints, self.firmware.target, strict=True):
             joint.step(speed)
         if self.clock < self.deaf_until:
             return b""
+        angles = [joint.encoder for joint in self.joints]
         for _, frame, fault in _pop_due(self.incoming, self.clock):
-            answer = self.firmware.answer_frame(
-                frame, self.micros, tuple(joint.encoder for joint in self.joints)
-            )
-            through = (
-                LINE_FAULTS[fault.removeprefix(ANSWER_PREFIX)]
-                if fault.startswith(ANSWER_PREFIX)
-                else _deliver
-            )
-            self.outgoing += self._schedule(answer, fault, through)
-        return b"".join(
-            arrival.frame for arrival in _pop_due(self.outgoing, self.clock)
-        )
+            answer = self.firmware.answer_frame(frame, self.micros, angles)
+            line = _deliver
+            if fault.startswith(ANSWER_PREFIX):
+                line = LINE_FAULTS[fault.removeprefix(ANSWER_PREFIX)]
+            self.outgoing += self._schedule(answer, fault, line)
+        return b"".join(due.frame for due in _pop_due(self.outgoing, self.clock))
 
     @property
     def state(self) -> tuple[str, bool]:
         """The firmware's state, and whether the arm stands."""
-        return self.firmware.state.name.lower(), all(
-            joint.is_still for joint in self.joints
-        )
+        stands = all(joint.is_still for joint in self.joints)
+        return self.firmware.state.name.lower(), stands
 
     def restart(self) -> None:
-        """The supply broke down for a moment: all that was known is lost, the joints
-        stay where they are.
+        """Restart after a breakdown of the supply.
+
+        All states are lost; the joints stay where they are.
         """
         self.firmware = Firmware(self.firmware.watchdog)
         self.incoming, self.outgoing = [], []
-        self.initial_clock, self.boot_time, self.deaf_until = (
-            0,
-            self.clock,
-            self.clock + BOOT_S,
-        )
+        self.initial_clock, self.boot_time = 0, self.clock
+        self.deaf_until = self.clock + BOOT_S
 
     def _schedule(
-        self, frame: bytes, fault: str, through: Callable[[bytes], DelayedPieces]
+        self, frame: bytes, fault: str, line: Callable[[bytes], DelayedPieces]
     ) -> list[Arrival]:
-        return [
-            Arrival(self.clock + late, piece, fault) for late, piece in through(frame)
-        ]
+        return [Arrival(self.clock + late, piece, fault) for late, piece in line(frame)]
 
 
-def _pop_due(way: list[Arrival], now: float) -> list[Arrival]:
-    """Arrivals due by now, removed from the queue."""
-    due = [arrival for arrival in way if arrival.when <= now]
-    way[:] = [arrival for arrival in way if arrival.when > now]
+def _pop_due(queue: list[Arrival], now: float) -> list[Arrival]:
+    """Remove and return the arrivals that are due."""
+    due = [arrival for arrival in queue if arrival.when <= now]
+    queue[:] = [arrival for arrival in queue if arrival.when > now]
     return due
 
 
