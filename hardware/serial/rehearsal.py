@@ -1,6 +1,4 @@
-"""The real driver over a real terminal to an emulated arm, whose movement swings the
-virtual lab's string.
-"""
+"""A rehearsal: the real driver on an emulated arm, which swings the virtual string."""
 
 from __future__ import annotations
 
@@ -36,28 +34,26 @@ BAUD = 1_000_000  # a pseudo-terminal takes any
 
 @dataclass
 class EmulatorProcess:
-    """A device in a process of its own; a context manager that gives its port."""
+    """An emulated device in its own process; entering returns its port."""
 
     options: Sequence[str]
     process: subprocess.Popen[str] | None = None
 
     def __enter__(self) -> str:
-        """Start it."""
-        command = [
-            sys.executable,
-            "-m",
-            "stringcast.hardware.serial.emulator",
-            *self.options,
-        ]
+        """Start the process and return the device's port."""
+        command = ["-m", "stringcast.hardware.serial.emulator", *self.options]
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, text=True, start_new_session=True
+            [sys.executable, *command],
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
         )
         assert self.process.stdout is not None
         port = self.process.stdout.readline().strip()
         if not port:
             self.__exit__(None, None, None)
             raise HardwareError(
-                f"emulator: it did not start. Try it alone: {' '.join(command[1:])}"
+                f"emulator: it did not start. Try it alone: {' '.join(command)}"
             )
         return port
 
@@ -67,7 +63,7 @@ class EmulatorProcess:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """End it."""
+        """End the process."""
         if self.process is not None:
             self.process.terminate()
             self.process.wait()
@@ -78,8 +74,9 @@ class EmulatorProcess:
 
 @dataclass
 class RehearsalArm:
-    """The driver on an emulated device; what it does, the bench's string is made to do.
-    Fills `ArmDevice`.
+    """The real driver on an emulated device, which fills the role `ArmDevice`.
+
+    The string of the virtual bench follows what the device measured.
     """
 
     device: VelocityArm
@@ -109,7 +106,7 @@ class RehearsalArm:
             self.emulator.__exit__(kind, error, trace)
 
     def angles(self) -> np.ndarray:
-        """Joint angles that the device reports, (J,) [rad]."""
+        """Return the joint angles that the device reports, (J,) [rad]."""
         return self.device.angles()
 
     def check(self, commands: pd.DataFrame) -> None:
@@ -117,11 +114,11 @@ class RehearsalArm:
         self.device.check(commands)
 
     def move_to(self, angles: Sequence[float]) -> None:
-        """Move the device to angles (J,) [rad]; the virtual string has settled there."""
+        """Move the device to angles (J,) [rad], where the virtual string has settled."""
         self.device.move_to(angles)
 
     def perform(self, commands: pd.DataFrame) -> Performance:
-        """Play, and let the bench's string follow what was measured."""
+        """Play the commands, and let the bench's string follow the measured angles."""
         performance = self.device.perform(commands)
         measured = performance.arm
         self.bench.performed_motion = (
@@ -146,24 +143,29 @@ def open_lab(
     faults: list[str],
     record: str = os.devnull,
 ) -> Lab:
-    """The emulated arm and the virtual camera of one trial.
+    """Open the emulated arm and the virtual camera of one trial.
 
-    seed, trial, specimen, servo, look, obstacles: as of the virtual lab; of the servo
-    only its time step matters. watchdog: the device's [ms]. faults: KIND:N, as the
-    emulator takes them. record: the file in which it notes when the arm moved and when
-    it stood.
+    Parameters
+    ----------
+    arm, camera, seed, trial, specimen, servo, look, obstacles
+        As for the virtual lab; only the servo's time step is used.
+    driving
+        Settings of the driver; see `Driving`.
+    watchdog
+        Watchdog time of the device [ms].
+    faults
+        KIND:N, as the emulator takes them.
+    record
+        The file in which the device records when the arm moved and when it stood.
+
+    Returns
+    -------
+    Lab
+        Arm and camera, not yet started.
     """
-    bench = VirtualBench(
-        arm, camera, specimen, seed, servo, look, obstacles, trial_number=trial
-    )
-    options = [
-        "--watchdog",
-        str(watchdog),
-        "--log",
-        record,
-        *(f"--fault={fault}" for fault in faults),
-    ]
+    bench = VirtualBench(arm, camera, specimen, seed, servo, look, obstacles, trial)
+    options = ["--watchdog", str(watchdog), "--log", record]
+    options += [f"--fault={fault}" for fault in faults]
     device = VelocityArm(arm, SerialWire("", BAUD), driving)
-    return Lab(
-        RehearsalArm(device, EmulatorProcess(options), bench), VirtualCamera(bench)
-    )
+    rehearsal = RehearsalArm(device, EmulatorProcess(options), bench)
+    return Lab(rehearsal, VirtualCamera(bench))

@@ -1,5 +1,6 @@
-"""A virtual lab: an arm, a string and a camera that can surprise the model. No stage
-imports it.
+"""A virtual lab: an arm, a string and a camera that can surprise the model.
+
+No stage imports it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,17 @@ from stringcast.stages.execute.interfaces import Lab
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
+__all__ = [
+    "Look",
+    "Obstacles",
+    "Specimen",
+    "VirtualArm",
+    "VirtualBench",
+    "VirtualCamera",
+    "VirtualServo",
+    "open_lab",
+]
+
 
 def open_lab(
     arm: Arm,
@@ -29,10 +41,21 @@ def open_lab(
     look: Look,
     obstacles: Obstacles,
 ) -> Lab:
-    """The virtual arm and camera of one trial. seed: of the bench; trial: keeps trials
-    apart.
+    """Open the virtual arm and camera of one trial.
+
+    Parameters
+    ----------
+    arm, camera
+        The arm and the camera.
+    seed, trial
+        Seeds of all random events.
+    specimen, servo, look, obstacles
+        The scene; see `VirtualBench`.
+
+    Returns
+    -------
+    Lab
+        The virtual arm and camera.
     """
-    bench = VirtualBench(
-        arm, camera, specimen, seed, servo, look, obstacles, trial_number=trial
-    )
+    bench = VirtualBench(arm, camera, specimen, seed, servo, look, obstacles, trial)
     return Lab(VirtualArm(bench), VirtualCamera(bench))

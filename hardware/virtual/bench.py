@@ -1,7 +1,7 @@
-"""The bench: arm and camera of one scene, on a clock that does not wait.
+"""The virtual bench: arm and camera of one scene, on a clock that does not wait.
 
-Arm and camera share what happened: `perform` moves the joints and, with them, a string
-other than the model's (in points, integrator and step); `stop` films it.
+Arm and camera share the performed motion: `perform` moves the joints and, with them, a
+string that differs from the model's in points, integrator and step; `stop` films it.
 """
 
 from __future__ import annotations
@@ -39,9 +39,17 @@ EXPOSURE_MOMENTS = 5  # moments drawn in one exposure
 class Specimen:
     """The string on a virtual bench.
 
-    length: [m]. parameters: the paper's, per mass point at n = 10. points: of the
-    simulation. hidden: effects beyond them, on the string, in the hand, the camera or
-    their clocks, by name, each with its parameters.
+    Attributes
+    ----------
+    length
+        Its length [m].
+    parameters
+        The paper's parameters, per mass point at n = 10.
+    points
+        Mass points of the simulation.
+    hidden
+        Further effects, on the string, in the hand, the camera or their clocks, by name,
+        each with its parameters.
     """
 
     length: float
@@ -50,31 +58,27 @@ class Specimen:
     hidden: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse to hide what is not known."""
+        """Refuse hidden effects and parameters that do not exist."""
         for effect in find_effects(list(self.hidden)):
-            unknown = set(self.hidden[effect.name]) - {
-                p.name for p in effect.parameters
-            }
-            if unknown:
-                known = ", ".join(p.name for p in effect.parameters)
-                raise ValueError(
-                    f"effect '{effect.name}' has no parameter '{unknown.pop()}'. Known are: {known}"
-                )
+            names = [parameter.name for parameter in effect.parameters]
+            for name in self.hidden[effect.name]:
+                if name not in names:
+                    raise ValueError(
+                        f"effect '{effect.name}' has no parameter '{name}'. "
+                        f"Known are: {', '.join(names)}"
+                    )
 
     @property
     def parameter_values(self) -> dict[str, float]:
-        """Values of the string's and of the hidden effects' parameters, by qualified
-        name.
-        """
-        hidden = {
-            f"{effect}.{name}": size
-            for effect, own in self.hidden.items()
-            for name, size in own.items()
-        }
-        return {**self.parameters, **hidden}
+        """Values of all parameters of the string and of hidden effects, by name."""
+        values = dict(self.parameters)
+        for effect, parameters in self.hidden.items():
+            for name, value in parameters.items():
+                values[f"{effect}.{name}"] = value
+        return values
 
     def string(self) -> String:
-        """The fine string that hangs from the hand."""
+        """Make the fine string that hangs from the hand."""
         return String(
             self.length,
             points=self.points,
@@ -87,8 +91,26 @@ class Specimen:
 
 @dataclass
 class VirtualBench:
-    """A lab in a box. seed: of everything that happens by chance; `count` keeps trials
-    apart.
+    """A virtual lab.
+
+    Attributes
+    ----------
+    arm, camera
+        The arm and the camera.
+    specimen
+        The string.
+    seed, trial_number
+        Seeds of all random events.
+    servo
+        The velocity loop of the joints.
+    look
+        The appearance of the scene.
+    obstacles
+        Boxes off which the string bounces.
+    pose : (J,)
+        Joint angles before the motion [rad].
+    performed_motion
+        Times (K,) [s] and joint angles (K, J) [rad] of the last motion.
     """
 
     arm: Arm
@@ -104,56 +126,59 @@ class VirtualBench:
 
     @property
     def model(self) -> Model:
-        """The true model: the fine string in this arm's hand, with all that is hidden,
-        among the obstacles.
-        """
-        hidden = Model(self.specimen.string(), self.arm, self.camera).with_effects(
-            *find_effects(list(self.specimen.hidden))
-        )
-        return hidden.with_effects(*self.obstacles.effects)
+        """The true model: the fine string with all hidden effects and obstacles."""
+        model = Model(self.specimen.string(), self.arm, self.camera)
+        model = model.with_effects(*find_effects(list(self.specimen.hidden)))
+        return model.with_effects(*self.obstacles.effects)
 
     @property
     def values(self) -> np.ndarray:
         """The true parameters, (1, P)."""
-        return self.model.values(
-            {**self.specimen.parameter_values, **self.obstacles.parameter_values}
-        )[None]
+        values = self.specimen.parameter_values | self.obstacles.parameter_values
+        return self.model.values(values)[None]
 
     def random_generator(self, purpose: int) -> np.random.Generator:
-        """Chance for one purpose in the trial at hand."""
+        """Make the random generator for one purpose in this trial."""
         return np.random.default_rng([self.seed, self.trial_number, purpose])
 
     def string_at(self, times: np.ndarray) -> np.ndarray:
-        """The true string at times, (F, n, 2) [m]."""
-        return self.model.simulate_string(
-            self._commanded_motion(0.001), self.values, times
-        ).points[0]
+        """Simulate the true string at times (F,) [s], (F, n, 2) [m]."""
+        motion = self._commanded_motion(0.001)
+        return self.model.simulate_string(motion, self.values, times).points[0]
 
     def joints_at(self, times: np.ndarray) -> np.ndarray:
-        """The true arm at times, (F, J + 1, 2) [m]."""
-        motion = self.model.joint_motion(
-            self._commanded_motion(self.servo.step), self.values
-        )
+        """Compute the true arm at times (F,) [s], (F, J + 1, 2) [m]."""
+        commanded = self._commanded_motion(self.servo.step)
+        motion = self.model.joint_motion(commanded, self.values)
         t = motion.start + motion.tick * np.arange(motion.angles.shape[1])
-        return self.arm.joint_positions(
-            np.stack(
-                [np.interp(times, t, angle) for angle in motion.angles[0].T], axis=-1
-            )
-        )
+        angles = [np.interp(times, t, angle) for angle in motion.angles[0].T]
+        return self.arm.joint_positions(np.stack(angles, axis=-1))
 
     def _commanded_motion(self, tick: float) -> JointMotion:
-        """The commanded motion of the joints, every `tick` [s]."""
+        """Sample the performed motion of the joints every `tick` [s]."""
         if self.performed_motion is None:
             raise HardwareError(
-                "virtual bench: nothing has been performed. Perform a motion before filming it."
+                "virtual bench: nothing has been performed. "
+                "Perform a motion before filming it."
             )
         return resample_joint_motion(*self.performed_motion, tick=tick)
 
     def camera_view(
         self, true: Callable[[np.ndarray], np.ndarray], times: np.ndarray
     ) -> np.ndarray:
-        """Points as the camera reports them at its own times, (F, n, 2) [m]. true: the
-        points at true times (M,).
+        """Compute points as the camera reports them at its own times.
+
+        Parameters
+        ----------
+        true
+            Returns the points (M, n, 2) [m] at true times (M,) [s].
+        times : (F,)
+            Times of the camera's clock [s].
+
+        Returns
+        -------
+        (F, n, 2) ndarray
+            The reported points [m].
         """
         model, values = self.model, self.values
         points = true(model.required_times(values, times).ravel())
@@ -162,12 +187,12 @@ class VirtualBench:
 
 @dataclass
 class VirtualArm:
-    """The bench's arm; fills `stages.execute.interfaces.ArmDevice`."""
+    """The bench's arm, which fills the role `ArmDevice`."""
 
     bench: VirtualBench
 
     def __enter__(self) -> Self:
-        """Nothing to open."""
+        """Do nothing: there is no device to open."""
         return self
 
     def __exit__(
@@ -176,21 +201,19 @@ class VirtualArm:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Nothing moves on its own."""
+        """Do nothing: no device moves on its own."""
 
     def angles(self) -> np.ndarray:
-        """Angles after the last movement, (J,) [rad]; zero before the first."""
-        return (
-            np.zeros(len(self.bench.arm.links))
-            if self.bench.pose is None
-            else self.bench.pose
-        )
+        """Return the angles after the last movement, (J,) [rad]; zero at first."""
+        if self.bench.pose is None:
+            return np.zeros(len(self.bench.arm.links))
+        return self.bench.pose
 
     def check(self, commands: pd.DataFrame) -> None:
         """Accept every motion: nothing can break."""
 
     def move_to(self, angles: Sequence[float]) -> None:
-        """Be at these angles (J,) [rad], the string at rest."""
+        """Move to angles (J,) [rad], with the string at rest."""
         self.bench.pose = np.asarray(angles, dtype=float)
         self.bench.trial_number += 1
 
@@ -203,44 +226,49 @@ class VirtualArm:
             )
         t, speeds = commands["t"].to_numpy(), commands[list(SPEEDS)].to_numpy()
         fine, turned = bench.servo.follow_commands(t, speeds, bench.random_generator(1))
-        bench.performed_motion = (fine, bench.pose + turned)
-        reported = np.stack(
-            [np.interp(t, fine, bench.pose[j] + turned[:, j]) for j in range(3)],
-            axis=-1,
-        )
-        measured = dict(
-            zip(JOINTS, bench.servo.encoder_reading(reported).T, strict=True)
-        )
-        # tables as a good link would give them: commands late by tens of microseconds
+        angles = bench.pose + turned
+        bench.performed_motion = (fine, angles)
+        reported = [np.interp(t, fine, angle) for angle in angles.T]
+        encoders = bench.servo.encoder_reading(np.stack(reported, axis=-1))
+        measured = dict(zip(JOINTS, encoders.T, strict=True))
+        # tables as of a good link: commands late by tens of microseconds
         late = np.abs(bench.random_generator(2).normal(0, 4e-5, len(t)))
-        times = {
+        ticks = {
+            "tick": np.arange(len(t)),
             "t_due": t,
             "t_sent": t + late,
             "t_acknowledged": t + late + 8e-4,
             "t_device": t,
+            **dict(zip(SPEEDS, speeds.T, strict=True)),
+            **measured,
+            "missed": False,
         }
-        asked = dict(zip(SPEEDS, speeds.T, strict=True))
-        ticks = pd.DataFrame(
-            {"tick": np.arange(len(t))} | times | asked | measured | {"missed": False}
-        )
         p50, p99 = np.percentile(late, [50, 99])
-        jitter = {"jitter_p50": [p50], "jitter_p99": [p99], "jitter_max": [late.max()]}
-        link = pd.DataFrame(
-            {"valid": [True], "reason": [""], "ticks": [len(t)], "missed": [0]} | jitter
-        )
+        link = {
+            "valid": True,
+            "reason": "",
+            "ticks": len(t),
+            "missed": 0,
+            "jitter_p50": p50,
+            "jitter_p99": p99,
+            "jitter_max": late.max(),
+        }
         return Performance(
-            pd.DataFrame({"t": t} | measured), ticks, link, started_at=0.0
+            pd.DataFrame({"t": t} | measured),
+            pd.DataFrame(ticks),
+            pd.DataFrame([link]),
+            started_at=0.0,
         )
 
 
 @dataclass
 class VirtualCamera:
-    """The bench's camera; fills `stages.execute.interfaces.CameraDevice`."""
+    """The bench's camera, which fills the role `CameraDevice`."""
 
     bench: VirtualBench
 
     def __enter__(self) -> Self:
-        """Nothing to open."""
+        """Do nothing: there is no device to open."""
         return self
 
     def __exit__(
@@ -249,42 +277,35 @@ class VirtualCamera:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Nothing to close."""
+        """Do nothing: there is no device to close."""
 
     def start(self) -> None:
-        """Begin filming."""
+        """Do nothing: `stop` films the whole motion."""
 
     def stop(self, moved_at: float) -> Recording:
-        """Film what was performed. The bench's clock is the movement's; `moved_at` is
-        not needed.
+        """Film what was performed.
+
+        The bench's clock is the movement's, so that `moved_at` is not used.
         """
         bench, camera = self.bench, self.bench.camera
         if bench.performed_motion is None:
             raise HardwareError(
-                "virtual camera: nothing was performed. Perform a motion before filming it."
+                "virtual camera: nothing was performed. "
+                "Perform a motion before filming it."
             )
         first, last = bench.performed_motion[0][[0, -1]]
-        t = (
-            np.arange(
-                np.ceil(first * camera.fps - 1e-6),
-                np.floor(last * camera.fps + 1e-6) + 1,
-            )
-            / camera.fps
-        )
+        first_frame = np.ceil(first * camera.fps - 1e-6)
+        last_frame = np.floor(last * camera.fps + 1e-6)
+        t = np.arange(first_frame, last_frame + 1) / camera.fps
         open_shutter = np.linspace(-0.5, 0.5, EXPOSURE_MOMENTS) * camera.exposure
         moments = np.clip(t[:, None] + open_shutter, first, last).ravel()
-        strings = bench.camera_view(bench.string_at, moments).reshape(
-            len(t), EXPOSURE_MOMENTS, -1, 2
-        )
-        joints = bench.camera_view(bench.joints_at, moments).reshape(
-            len(t), EXPOSURE_MOMENTS, -1, 2
-        )
+        shape = len(t), EXPOSURE_MOMENTS, -1, 2
+        strings = bench.camera_view(bench.string_at, moments).reshape(shape)
+        joints = bench.camera_view(bench.joints_at, moments).reshape(shape)
         wall = render_background(camera, bench.look, bench.seed)
         rng = bench.random_generator(3)
-        images = [
-            add_sensor_noise(
-                render_frame(camera, bench.look, j, s, wall), bench.look, rng
-            )
-            for j, s in zip(joints, strings, strict=True)
-        ]
+        images: list[np.ndarray] = []
+        for arm, string in zip(joints, strings, strict=True):
+            frame = render_frame(camera, bench.look, arm, string, wall)
+            images.append(add_sensor_noise(frame, bench.look, rng))
         return Recording(t, images)

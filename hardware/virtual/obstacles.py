@@ -16,11 +16,19 @@ NonNegativeNumber = Annotated[float, Field(ge=0)]
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Boxes that stand in the lab, and what they are made of.
+    """Boxes in the lab and their material.
 
-    stiffness: push over the string's mass per depth [1/s^2]; at 4e6 a point at 6 m/s
-    goes 3 mm deep. friction: its coefficient. loss: share of the push lost per speed of
-    impact [s/m].
+    Attributes
+    ----------
+    boxes
+        The boxes.
+    stiffness
+        Push over the string's mass per depth [1/s^2]; at 4e6 a point at 6 m/s goes 3 mm
+        deep.
+    friction
+        Coefficient of friction.
+    loss
+        Fraction of the push lost per speed of impact [s/m].
     """
 
     boxes: tuple[Box, ...] = ()
@@ -30,27 +38,22 @@ class Obstacles:
 
     @property
     def effects(self) -> tuple[type[BoxContact], ...]:
-        """One for each box."""
-        return tuple(
-            numbered_effect(BoxContact, number) for number in range(len(self.boxes))
-        )
+        """One effect for each box."""
+        numbers = range(len(self.boxes))
+        return tuple(numbered_effect(BoxContact, number) for number in numbers)
 
     @property
     def parameter_values(self) -> dict[str, float]:
-        """The effects' parameters, by qualified name."""
-        alike = {
-            "stiffness": self.stiffness,
-            "friction": self.friction,
-            "loss": self.loss,
-        }
-        return {
-            f"{effect.name}.{name}": size
-            for effect, box in zip(self.effects, self.boxes, strict=True)
-            for name, size in {
-                "centre_x": box.x,
-                "centre_y": box.y,
-                "width": box.w,
-                "height": box.h,
-                **alike,
-            }.items()
-        }
+        """Parameters of the effects by qualified name."""
+        values: dict[str, float] = {}
+        for effect, box in zip(self.effects, self.boxes, strict=True):
+            values |= {
+                f"{effect.name}.centre_x": box.x,
+                f"{effect.name}.centre_y": box.y,
+                f"{effect.name}.width": box.w,
+                f"{effect.name}.height": box.h,
+                f"{effect.name}.stiffness": self.stiffness,
+                f"{effect.name}.friction": self.friction,
+                f"{effect.name}.loss": self.loss,
+            }
+        return values

@@ -1,4 +1,4 @@
-"""Camera frames of an arm and a string: light, blur, noise, and everything in view."""
+"""Rendered camera frames of an arm and a string, with light, blur and noise."""
 
 from __future__ import annotations
 
@@ -9,16 +9,26 @@ import numpy as np
 
 from stringcast.stages.model.camera import Camera
 
-FRACTIONAL_BITS = 4  # fractional bits of opencv's coordinates
+FRACTIONAL_BITS = 4  # of OpenCV's coordinates
 SUBPIXELS = 1 << FRACTIONAL_BITS
 
 
 @dataclass(frozen=True)
 class Look:
-    """The appearance of the scene. Brightness in grey levels, widths in metres.
+    """The appearance of the scene.
 
-    background: mean brightness; unevenness: its slow variation; texture: its fine
-    variation; noise: one sigma of the sensor's.
+    Attributes
+    ----------
+    background
+        Mean brightness [grey levels].
+    unevenness, texture
+        Its slow and its fine variation [grey levels].
+    string, arm
+        Brightness of string and arm [grey levels].
+    string_width, arm_width
+        Their widths [m].
+    noise
+        Sensor noise, one sigma [grey levels].
     """
 
     background: float = 45.0
@@ -32,22 +42,18 @@ class Look:
 
 
 def render_background(camera: Camera, look: Look, seed: int) -> np.ndarray:
-    """The background without noise, (height, width) float32: uneven light and a
-    textured wall.
+    """Render the background without noise, (height, width) float32.
+
+    It has uneven light and a textured wall.
     """
     rng = np.random.default_rng([seed, 1])
     size = (camera.width, camera.height)
-    light = cv2.resize(
-        rng.normal(size=(4, 4)).astype(np.float32), size, interpolation=cv2.INTER_CUBIC
-    )
-    grain = cv2.GaussianBlur(
-        rng.normal(size=size[::-1]).astype(np.float32), (0, 0), 3.0
-    )
-    return (
-        look.background
-        + look.unevenness * light / 2
-        + look.texture * grain / grain.std()
-    )
+    coarse = rng.normal(size=(4, 4)).astype(np.float32)
+    light = cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
+    fine = rng.normal(size=size[::-1]).astype(np.float32)
+    grain = cv2.GaussianBlur(fine, (0, 0), 3.0)
+    wall = look.background + look.unevenness * light / 2
+    return np.asarray(wall + look.texture * grain / grain.std())
 
 
 def render_frame(
@@ -57,65 +63,87 @@ def render_frame(
     strings: np.ndarray,
     wall: np.ndarray,
 ) -> np.ndarray:
-    """One noiseless frame, (height, width) float32.
+    """Render one frame without noise.
 
-    joints: (K, J + 1, 2) and strings: (K, n, 2), arm and string [m] at K moments of the
-    exposure, whose mean is what the shutter sees. wall: `scenery`.
+    Parameters
+    ----------
+    camera
+        The camera.
+    look
+        The appearance of the scene.
+    joints : (K, J + 1, 2)
+        The arm at K moments of the exposure, whose mean the shutter sees [m].
+    strings : (K, n, 2)
+        The string at these moments [m].
+    wall : (height, width)
+        The background.
+
+    Returns
+    -------
+    (height, width) ndarray of float32
+        The frame [grey levels].
     """
     frame = wall.copy()
-    _draw_lines(
-        frame, camera.pixels(joints), look.arm_width * camera.px_per_m, look.arm
-    )
-    _draw_lines(
-        frame, camera.pixels(strings), look.string_width * camera.px_per_m, look.string
-    )
+    arm_width = look.arm_width * camera.px_per_m
+    string_width = look.string_width * camera.px_per_m
+    _draw_lines(frame, camera.pixels(joints), arm_width, look.arm)
+    _draw_lines(frame, camera.pixels(strings), string_width, look.string)
     return frame
 
 
 def add_sensor_noise(
     frame: np.ndarray, look: Look, rng: np.random.Generator
 ) -> np.ndarray:
-    """The frame as the sensor reports it, uint8."""
+    """Add the sensor's noise to a frame and round it, uint8."""
     noise = rng.standard_normal(frame.shape, dtype=np.float32)
     return np.clip(np.rint(frame + look.noise * noise), 0, 255).astype(np.uint8)
 
 
 def line_coverage(camera: Camera, line: np.ndarray, width: float) -> np.ndarray:
-    """Share of each pixel covered by a polyline of a width [m], (height, width) float32
-    in [0, 1].
+    """Compute the fraction of each pixel that a polyline covers.
+
+    Parameters
+    ----------
+    camera
+        The camera.
+    line : (n, 2)
+        The polyline [m].
+    width
+        Its width [m].
+
+    Returns
+    -------
+    (height, width) ndarray of float32
+        Fractions from 0 to 1.
     """
-    return _pixel_coverage(
-        (camera.height, camera.width),
-        camera.pixels(line),
-        max(round(width * camera.px_per_m), 1),
-    )
+    thickness = max(round(width * camera.px_per_m), 1)
+    shape = camera.height, camera.width
+    return _pixel_coverage(shape, camera.pixels(line), thickness)
 
 
 def _draw_lines(
     frame: np.ndarray, lines: np.ndarray, width: float, brightness: float
 ) -> None:
-    """Draw the mean of polylines (K, n, 2) [px] of a width [px] into a frame, touching
-    only the part they lie in.
+    """Draw the mean of polylines (K, n, 2) [px] of a width [px] into a frame.
+
+    Only the part of the frame in which they lie is changed.
     """
     thickness = max(round(width), 1)
     size = frame.shape[::-1]
-    low = np.clip(np.floor(lines.min(axis=(0, 1))).astype(int) - thickness - 2, 0, size)
-    high = np.clip(
-        np.ceil(lines.max(axis=(0, 1))).astype(int) + thickness + 3, low, size
-    )
+    low = np.floor(lines.min(axis=(0, 1))).astype(int) - thickness - 2
+    low = np.clip(low, 0, size)
+    high = np.ceil(lines.max(axis=(0, 1))).astype(int) + thickness + 3
+    high = np.clip(high, low, size)
     part = frame[low[1] : high[1], low[0] : high[0]]
     if part.size:
-        cover = np.mean(
-            [_pixel_coverage(part.shape, line - low, thickness) for line in lines],
-            axis=0,
-        )
-        part += cover * (brightness - part)
+        covers = [_pixel_coverage(part.shape, line - low, thickness) for line in lines]
+        part += np.mean(covers, axis=0) * (brightness - part)
 
 
 def _pixel_coverage(
     shape: tuple[int, ...], pixels: np.ndarray, thickness: int
 ) -> np.ndarray:
-    """Share of each pixel covered by a polyline (n, 2) [px], float32 in [0, 1]."""
+    """Compute the fraction of each pixel that a polyline (n, 2) [px] covers."""
     canvas = np.zeros(shape, np.uint8)
     fine = np.rint(pixels * SUBPIXELS).astype(np.int32)
     cv2.polylines(

@@ -117,7 +117,7 @@ def test_a_limit_that_is_no_number_lets_nothing_pass(limits):
     arm = SimpleNamespace(
         **vars(values)
         | {"tick": ARM.tick, "hand_speed": limits.get("hand_speed", ARM.hand_speed)},
-        commanded=ARM.commanded_velocities,
+        commanded_velocities=ARM.commanded_velocities,
         grasp_velocity=ARM.grasp_velocity,
         joint_positions=ARM.joint_positions,
     )
