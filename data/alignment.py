@@ -1,6 +1,4 @@
-"""The artifact of `align`: the camera's pose and clock relative to the arm, with
-intervals.
-"""
+"""The artifact of `align`: the camera's pose and clock relative to the arm."""
 
 from __future__ import annotations
 

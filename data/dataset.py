@@ -1,5 +1,4 @@
-"""Folders of measured data: a run of ours, or anybody's (format 1, in
-`data/README.md`).
+"""Folders of measured data, by this program or others (`data/README.md`).
 
 A dataset is one folder: `arm` or `grasp`, and `points`, each as Parquet or CSV with the
 leading column `trial`, and `dataset.yaml`. Where points are yet to be made there are

@@ -16,6 +16,10 @@ def _alike(words: str, value: float) -> dict[str, float]:
     return dict.fromkeys(words.split(), value)
 
 
+def _words(text: str) -> set[str]:
+    return set(text.split())
+
+
 TIME_UNITS = {
     **_alike("s sec secs second seconds", 1.0),
     **_alike("ms msec millis millisecond milliseconds", 1e-3),
@@ -35,13 +39,13 @@ ANGLE_UNITS = {
 }
 PIXEL_WORDS = {"px", "pixel", "pixels"}
 UNITS = {*TIME_UNITS, *LENGTH_UNITS, *ANGLE_UNITS, *PIXEL_WORDS}
-TIME_WORDS = set("t time times timestamp stamp".split())
-TRIAL_WORDS = set("trial episode run take cast shot recording".split())
-JOINT_WORDS = set("joint q j axis a motor servo angle theta".split())
-HAND_WORDS = set(
-    "tcp hand grasp gripper ee eef effector tool wrist flange clamp".split()
+TIME_WORDS = _words("t time times timestamp stamp")
+TRIAL_WORDS = _words("trial episode run take cast shot recording")
+JOINT_WORDS = _words("joint q j axis a motor servo angle theta")
+HAND_WORDS = _words(
+    "tcp hand grasp gripper ee eef effector tool wrist flange clamp"
 )
-DIRECTION_WORDS = set("theta yaw angle phi heading rz rotation orientation".split())
+DIRECTION_WORDS = _words("theta yaw angle phi heading rz rotation orientation")
 QUATERNION_AXES = ("qx", "qy", "qz", "qw")
 ARC_LENGTH_WORDS = {"s", "arc", "arclength"}
 QUALITY_WORDS = {
@@ -54,12 +58,12 @@ LOAD_WORDS = "torque effort force current voltage temperature moment power"
 COMMAND_WORDS = (
     "cmd command commanded target goal desired setpoint reference ref action"
 )
-NON_POSITION_WORDS = set(
-    f"{RATE_WORDS} {LOAD_WORDS} {COMMAND_WORDS} error residual width".split()
+NON_POSITION_WORDS = _words(
+    f"{RATE_WORDS} {LOAD_WORDS} {COMMAND_WORDS} error residual width"
 )
-FILLER_WORDS = set(
+FILLER_WORDS = _words(
     "pos position positions coord pose actual measured state ik of the "
-    "observation".split()
+    "observation"
 )
 # one over a second, as in `deg/s` and `mm_per_s`
 RATE_UNIT = re.compile(r"(/|_per_|\*\*-|\^-)\s*s")
@@ -158,27 +162,29 @@ def _position_meaning(words: Sequence[str], unit: str) -> ColumnMeaning:
     """Interpret the name of a position: of a joint, the hand or a point."""
     is_hand = not HAND_WORDS.isdisjoint(words)
     quaternion = [word for word in words if word in QUATERNION_AXES]
+    quality = [QUALITY_WORDS[word] for word in words if word in QUALITY_WORDS]
+    axes = [word for word in words if word in "xyz"]
+    pixel_axes = [word for word in words if word in "uv"]
     if quaternion:
         if is_hand or len(words) == 1:
             return ColumnMeaning("hand", axis=quaternion[0])
         return NO_MEANING
-    quality = [QUALITY_WORDS[word] for word in words if word in QUALITY_WORDS]
     if quality:
-        return ColumnMeaning(
-            "point", _point_name(words, QUALITY_WORDS), quality[0], unit
-        )
-    axes = [word for word in words if word in "xyz"]
-    pixel_axes = [word for word in words if word in "uv"]
-    if axes or pixel_axes:
-        name = _point_name(words, ("x", "y", "z", "u", "v"))
-        kind = "hand" if is_hand else "point"
-        if not axes:
-            axis = {"u": "x", "v": "y"}.get(pixel_axes[0], pixel_axes[0])
-            return ColumnMeaning(kind, name, axis, "px")
-        if unit in PIXEL_WORDS:
-            return ColumnMeaning(kind, name, axes[0], "px")
-        return ColumnMeaning(kind, name, axes[0], _only(unit, LENGTH_UNITS))
-    # no coordinate: the hand's direction, or the angle of a numbered joint
+        name = _point_name(words, QUALITY_WORDS)
+        return ColumnMeaning("point", name, quality[0], unit)
+    if not axes and not pixel_axes:
+        return _angle_meaning(words, unit, is_hand)
+    if not axes:
+        axis, unit = {"u": "x", "v": "y"}.get(pixel_axes[0], pixel_axes[0]), "px"
+    else:
+        axis = axes[0]
+        unit = "px" if unit in PIXEL_WORDS else _only(unit, LENGTH_UNITS)
+    name = _point_name(words, ("x", "y", "z", "u", "v"))
+    return ColumnMeaning("hand" if is_hand else "point", name, axis, unit)
+
+
+def _angle_meaning(words: Sequence[str], unit: str, is_hand: bool) -> ColumnMeaning:
+    """Interpret the name of the hand's direction, or of a numbered joint's angle."""
     numbers = [word for word in words if word.isdigit()]
     unit = _only(unit, ANGLE_UNITS)
     is_alone = len(words) == 1 and not numbers

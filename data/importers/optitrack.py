@@ -1,5 +1,4 @@
-"""CSV of OptiTrack (Motive, "Tracking Data Export"): markers and rigid bodies with
-times.
+"""CSV of OptiTrack's Motive ("Tracking Data Export"): markers and rigid bodies.
 
 The first line holds names and values of the recording. The lines above `Frame,Time
 (Seconds)` state for each column its kind (rigid body, marker), its name, and whether it

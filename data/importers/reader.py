@@ -1,6 +1,4 @@
-"""Columns of a recording as numbers: times [s], joint angles [rad], poses and points
-[m].
-"""
+"""Columns of a recording as times [s], joint angles [rad], poses and points [m]."""
 
 from __future__ import annotations
 

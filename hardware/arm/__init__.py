@@ -1,6 +1,4 @@
-"""An arm that takes joint velocities every tick, whatever carries them: checks,
-schedule, stop and record.
-"""
+"""The driver of an arm that takes joint velocities every tick, over any link."""
 
 from stringcast.hardware.arm.device import Driving, VelocityArm
 from stringcast.hardware.arm.wire import ArmAnswer, Wire

@@ -1,6 +1,4 @@
-"""The camera: frames from a device, a video or a folder of images, filmed in the
-background, timed and counted.
-"""
+"""The driver of a camera: a device, a video or a folder of images."""
 
 from stringcast.hardware.camera.device import Device
 from stringcast.hardware.camera.filming import FilmingCamera

@@ -1,3 +1,1 @@
-"""An arm of Dynamixel servos (X series, protocol 2.0) on one bus, through their maker's
-own library.
-"""
+"""An arm of Dynamixel servos (X series, protocol 2.0) on one bus."""

@@ -1,3 +1,1 @@
-"""A real arm over a serial port: its protocol, the host's side, the device's side, and
-a device to rehearse with.
-"""
+"""An arm on a serial port: protocol, host, device and a device to rehearse with."""

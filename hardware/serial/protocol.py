@@ -1,5 +1,6 @@
-"""Frames on the wire: COBS, CRC-32, sequence numbers. Specification in README.md beside
-this file.
+"""Frames of the serial link: COBS, CRC-32, sequence numbers.
+
+The specification is README.md in this folder.
 """
 
 from __future__ import annotations

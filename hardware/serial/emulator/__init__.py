@@ -1,3 +1,1 @@
-"""A device on a pseudo-terminal: reference firmware, arm dynamics, and faults on
-request.
-"""
+"""An emulated device on a pseudo-terminal, with faults on request."""

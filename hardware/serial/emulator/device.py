@@ -1,6 +1,4 @@
-"""The emulated device: firmware, joints and line on one clock, with a note of
-everything that happens.
-"""
+"""The emulated device: firmware, joints and line on one clock."""
 
 from __future__ import annotations
 
