@@ -1,3 +1,1 @@
-"""The forward model: hand, string, camera. Everything that generates, estimates or
-diagnoses asks it.
-"""
+"""The forward model, of hand, string and camera, which all else uses."""

@@ -15,10 +15,27 @@ PositiveFloat = Annotated[float, Field(gt=0)]
 class Arm:
     """A planar serial arm with revolute joints.
 
-    links: link lengths [m], base first. base: where joint 1 sits [m]. lowest, highest:
-    joint ranges [rad]. speed: joint speed limits [rad/s]. acceleration: joint
-    acceleration limits [rad/s^2]. hand_speed: limit of the composite speed of the hand
-    [m/s]. tick: period of the velocity commands [s].
+    Parameters
+    ----------
+    links : tuple of float
+        Link lengths [m], base first.
+    base : (float, float)
+        Where joint 1 sits [m].
+    lowest, highest : tuple of float
+        Joint ranges [rad].
+    speed : tuple of float
+        Joint speed limits [rad/s].
+    acceleration : tuple of float
+        Joint acceleration limits [rad/s^2].
+    hand_speed : float
+        Limit of the composite speed of the hand [m/s].
+    tick : float
+        Period of the velocity commands [s].
+
+    Raises
+    ------
+    ValueError
+        If limits do not belong to the links, or a range is empty.
     """
 
     links: tuple[PositiveFloat, ...]
@@ -32,15 +49,14 @@ class Arm:
 
     def __post_init__(self) -> None:
         """Refuse limits that do not belong to the links."""
+        joints = len(self.links)
         for name in ("lowest", "highest", "speed", "acceleration"):
-            if len(getattr(self, name)) != len(self.links):
-                raise ValueError(
-                    f"{name} has {len(getattr(self, name))} values, links has {len(self.links)}"
-                )
-        if any(
-            low >= high for low, high in zip(self.lowest, self.highest, strict=True)
-        ):
-            raise ValueError("each of lowest must be below its highest")
+            count = len(getattr(self, name))
+            if count != joints:
+                raise ValueError(f"{name} has {count} values, links has {joints}")
+        for low, high in zip(self.lowest, self.highest, strict=True):
+            if low >= high:
+                raise ValueError("each of lowest must be below its highest")
 
     @property
     def reach(self) -> float:
@@ -48,42 +64,64 @@ class Arm:
         return float(sum(self.links))
 
     def commanded_velocities(self, angles: np.ndarray) -> np.ndarray:
-        """Commanded joint velocities (..., K, J) [rad/s]: each the mean over its tick,
-        zero at the end. angles: (..., K, J) [rad].
+        """Return the velocity commands of a motion, (..., K, J) [rad/s].
+
+        Each is the mean over its tick; the last is zero.
+
+        angles: (..., K, J) [rad].
         """
-        return np.concatenate(
-            [np.diff(angles, axis=-2) / self.tick, np.zeros_like(angles[..., :1, :])],
-            axis=-2,
-        )
+        velocities = np.diff(angles, axis=-2) / self.tick
+        last = np.zeros_like(angles[..., :1, :])
+        return np.concatenate([velocities, last], axis=-2)
 
     def joint_positions(self, angles: np.ndarray) -> np.ndarray:
-        """Positions of base, joints and hand [m].
+        """Return the positions of base, joints and hand.
 
-        angles: (..., J) joint angles [rad]. Returns (..., J + 1, 2).
+        Parameters
+        ----------
+        angles : ndarray of shape (..., J)
+            Joint angles [rad].
+
+        Returns
+        -------
+        ndarray of shape (..., J + 1, 2)
+            Positions [m].
         """
-        places = np.empty((*angles.shape[:-1], len(self.links) + 1, 2))
-        places[..., 0, :] = self.base
+        positions = np.empty((*angles.shape[:-1], len(self.links) + 1, 2))
+        positions[..., 0, :] = self.base
         direction = np.zeros(angles.shape[:-1])
         # Joint by joint: NumPy is slow along axes as short as these.
         for joint, link in enumerate(self.links):
             direction += angles[..., joint]
-            places[..., joint + 1, 0] = places[..., joint, 0] + link * np.cos(direction)
-            places[..., joint + 1, 1] = places[..., joint, 1] + link * np.sin(direction)
-        return places
+            x, y = positions[..., joint, 0], positions[..., joint, 1]
+            positions[..., joint + 1, 0] = x + link * np.cos(direction)
+            positions[..., joint + 1, 1] = y + link * np.sin(direction)
+        return positions
 
     def grasp_pose(self, angles: np.ndarray) -> np.ndarray:
-        """Pose of the grasp: (..., 3) of x [m], y [m], theta [rad], theta unwrapped
-        along the last link.
+        """Return the pose of the grasp.
 
-        angles: (..., J) joint angles [rad].
+        Parameters
+        ----------
+        angles : ndarray of shape (..., J)
+            Joint angles [rad].
+
+        Returns
+        -------
+        ndarray of shape (..., 3)
+            x [m], y [m] and theta [rad], which is unwrapped along the last link.
         """
         hand = self.joint_positions(angles)[..., -1, :]
-        return np.concatenate([hand, np.sum(angles, axis=-1, keepdims=True)], axis=-1)
+        theta = np.sum(angles, axis=-1, keepdims=True)
+        return np.concatenate([hand, theta], axis=-1)
 
     def grasp_velocity(self, angles: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Rate of `grasp`: (..., 3) of m/s, m/s, rad/s.
+        """Return the rate of `grasp_pose`, (..., 3) [m/s], [m/s], [rad/s].
 
-        angles, speeds: (..., J) [rad], [rad/s].
+        Parameters
+        ----------
+        angles, speeds : ndarray of shape (..., J)
+            Joint angles [rad] and speeds [rad/s].
         """
         rate = np.zeros((*angles.shape[:-1], 3))
         direction = np.zeros(angles.shape[:-1])

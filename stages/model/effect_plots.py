@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.engine.law_slots import (
     MEMORY_SLOTS,
-    PROPORTIONAL_SLOTS,
     SLOTS,
     Law,
     law_arguments,
@@ -48,42 +47,47 @@ def draw_law(
     by_unit: Mapping[str, float],
     of_a_point: bool,
 ) -> None:
-    """Draw the first of an effect's laws, over the first argument of its slot that it
-    takes, if any; of a vector both components.
+    """Draw the first of an effect's laws over the first argument of its slot it takes.
 
-    values: of parameters and what is derived of them; a parameter of the paper's that
-    is not given is one. by_unit: values by their units. of_a_point: they are per mass
-    point, not of the material.
+    Of a vector both components.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+        Where to draw.
+    laws : mapping of str to law
+        The effect's laws, by slot.
+    values : mapping of str to float
+        Values of parameters and what is derived of them. A parameter of the paper's
+        that is not given is one.
+    by_unit : mapping of str to float
+        Values by their units.
+    of_a_point : bool
+        The values are per mass point, not of the material.
     """
-    if not {held for held, _, _ in MEMORY_SLOTS.values()}.isdisjoint(laws):
+    if any(memory in laws for memory, _, _ in MEMORY_SLOTS.values()):
         draw_hysteresis(axes, laws, values, by_unit)
         return
-    slot, drawn = next(iter(laws.items()))
-    known = SLOTS[slot].arguments
-    taken_here = [name for name in law_arguments(drawn) if name in known]
-    across, length = next(iter([*taken_here, *known])), "length" in known
-    reach = 1.0 if length else ARGUMENT_RANGES[known[across]]
-    x = np.linspace(0.0 if length else -reach, reach, 401)
-    fixed = dict.fromkeys(law_arguments(drawn), 1.0) | {
-        name: 0.0 for name in taken_here if name != "length"
-    }
-    up = drawn(**select_arguments(drawn, {**fixed, **values, across: x}))
-    belongs = (
-        SLOTS[PROPORTIONAL_SLOTS[slot][0]]
-        if slot in PROPORTIONAL_SLOTS
-        else SLOTS[slot]
-    )
-    label = f"{across} / length" if length else f"{across} / ({known[across]})"
-    unit = "of a mass point" if of_a_point else f"/ ({belongs.unit})"
-    adds = belongs.quantity.removesuffix(" over mass per length")  # which the unit says
-    for part in up if isinstance(up, tuple) else (up,):
-        draw_line(
-            axes,
-            x,
-            part * x if slot in PROPORTIONAL_SLOTS else part,
-            label,
-            f"{adds} {unit}",
-        )
+    slot, law = next(iter(laws.items()))
+    units = SLOTS[slot].arguments
+    own = [name for name in law_arguments(law) if name in units]
+    across = [*own, *units][0]
+    if "length" in units:
+        x = np.linspace(0.0, 1.0, 401)
+        label = f"{across} / length"
+    else:
+        reach = ARGUMENT_RANGES[units[across]]
+        x = np.linspace(-reach, reach, 401)
+        label = f"{across} / ({units[across]})"
+    arguments: dict[str, Any] = dict.fromkeys(law_arguments(law), 1.0)
+    arguments |= dict.fromkeys(set(own) - {"length"}, 0.0)
+    arguments |= {**values, across: x}
+    y = law(**select_arguments(law, arguments))
+    # over mass per length: the unit says it
+    quantity = SLOTS[slot].quantity.removesuffix(" over mass per length")
+    unit = "of a mass point" if of_a_point else f"/ ({SLOTS[slot].unit})"
+    for component in y if isinstance(y, tuple) else (y,):
+        draw_line(axes, x, component, label, f"{quantity} {unit}")
 
 
 def draw_hysteresis(
@@ -92,70 +96,58 @@ def draw_hysteresis(
     values: Mapping[str, float],
     by_unit: Mapping[str, float],
 ) -> None:
-    """Draw what a hinge or a grasp with a memory holds, bent there and back, slowly or
-    as fast as it forgets.
+    """Draw the moment of a hinge or a grasp with a memory, bent there and back.
 
     As far as three times the parameter that is in the unit of its bending, else to 1;
     in four times the one in seconds.
     """
-    held, moment, bends = next(
-        each for each in MEMORY_SLOTS.values() if each[0] in laws
-    )
-    unit = SLOTS[held].unit
-    bent = (
-        3
-        * by_unit.get(unit, 1 / 3)
-        * np.interp(np.linspace(0.0, 5.0, 501), np.arange(6), [0, 1, 0, -1, 0, 1])
-    )
-    state, moments, lapse = 0.0, [], by_unit.get("s", 1.0) / 100
-    for change in np.diff(bent, prepend=0.0):
-        known = {**values, "held": state, "change": change, "dt": lapse}
-        state = laws[held](**select_arguments(laws[held], known))
-        moments.append(
-            laws[moment](**select_arguments(laws[moment], {**values, "held": state}))
-        )
-    draw_line(axes, bent, np.array(moments), f"{bends} / ({unit})", "moment / (m3/s2)")
+    slots = [slots for slots in MEMORY_SLOTS.values() if slots[0] in laws]
+    memory_slot, moment_slot, bend = slots[0]
+    unit = SLOTS[memory_slot].unit
+    reach = 3 * by_unit.get(unit, 1 / 3)
+    turns = np.interp(np.linspace(0.0, 5.0, 501), np.arange(6), [0, 1, 0, -1, 0, 1])
+    bends = reach * turns
+    lapse = by_unit.get("s", 1.0) / 100
+    update, moment_law = laws[memory_slot], laws[moment_slot]
+    memory, moments = 0.0, []
+    for change in np.diff(bends, prepend=0.0):
+        known = {**values, "memory": memory, "change": change, "dt": lapse}
+        memory = update(**select_arguments(update, known))
+        known["memory"] = memory
+        moments.append(moment_law(**select_arguments(moment_law, known)))
+    draw_line(axes, bends, np.array(moments), f"{bend} / ({unit})", "moment / (m3/s2)")
 
 
 def draw_joint_swing(axes: Axes, joints: Law, values: Sequence[float]) -> None:
     """Draw what joints do while a swing there and back of all of them is reported.
+
     values: of the law's parameters, one for each joint or one for all.
     """
     t = np.linspace(0.0, 1.0, 201)
     reported = 0.2 * np.sin(2 * np.pi * t)
-    real = joints(
-        t,
-        np.tile(reported[None, :, None], len(values)),
-        *(np.full((1, 1, 1), value) for value in values),
-    )[0]
+    angles = np.tile(reported[None, :, None], len(values))
+    parameters = [np.full((1, 1, 1), value) for value in values]
+    actual = joints(t, angles, *parameters)[0]
     axes.plot(t, reported, linestyle="--", label="reported")
-    axes.plot(
-        t,
-        real,
-        label=[f"q{joint}" for joint in range(1, len(values) + 1)]
-        if len(values) > 1
-        else "real",
-    )
+    names = [f"q{joint}" for joint in range(1, len(values) + 1)]
+    axes.plot(t, actual, label=names if len(values) > 1 else "real")
     axes.set_xlabel("time / s")
     axes.set_ylabel("angle / rad")
     axes.legend()
 
 
 def draw_observed_grid(
-    axes: Axes, seen: Callable[..., np.ndarray], **values: float
+    axes: Axes, observe: Callable[..., np.ndarray], **values: float
 ) -> None:
-    """Draw a square grid, dashed, and as a camera effect's law sees it."""
+    """Draw a square grid, dashed, and as a camera effect's law reports it."""
     camera = Camera(200, 200, 100.0, (99.5, 99.5), 1.0)
-    lines = np.stack(
-        np.meshgrid(
-            np.linspace(-0.9, 0.9, 5), np.linspace(-0.9, 0.9, 41), indexing="ij"
-        ),
-        axis=-1,
-    )
-    given = {name: np.full((1, 1, 1, 1), value) for name, value in values.items()}
-    for way in (lines, lines[..., ::-1]):
-        bent = seen(way[None], 0 * way[None], np.zeros(1), camera, **given)[0]
-        axes.plot(*way.T, color="0.7", linestyle="--", linewidth=0.5)
+    x, y = np.linspace(-0.9, 0.9, 5), np.linspace(-0.9, 0.9, 41)
+    lines = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    parameters = {name: np.full((1, 1, 1, 1), value) for name, value in values.items()}
+    for straight in (lines, lines[..., ::-1]):
+        points = straight[None]
+        bent = observe(points, 0 * points, np.zeros(1), camera, **parameters)[0]
+        axes.plot(*straight.T, color="0.7", linestyle="--", linewidth=0.5)
         axes.plot(*bent.T, color="C0")
     axes.set_aspect("equal")
     axes.set_xlabel("x / m")

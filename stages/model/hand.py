@@ -1,6 +1,4 @@
-"""The hand's motion: from what the arm reports to the pose of the grasp, as the string
-engine consumes it.
-"""
+"""The hand's motion: from what the arm reports to the pose of the grasp."""
 
 from __future__ import annotations
 
@@ -16,21 +14,30 @@ from stringcast.stages.model.effect import HandEffect
 
 interpolate = LazyModule("scipy.interpolate")
 
-# [s] between samples of the hand's motion: the paper's control period
+# Between samples of the hand's motion: the paper's control period.
 HAND_TICK_S = 0.005
-# [s] of rest after which nothing lags any more; a film may go on for much longer
+# Rest after which nothing lags any more; a film may go on for much longer.
 MAX_LAG_S = 0.5
-# an effect and its parameters, (C, 1, 1) each
+# An effect and its parameters, (C, 1, 1) each.
 HandEffectValues = tuple[type[HandEffect], Mapping[str, np.ndarray]]
+ValueAndRate = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
 class HandMotion:
     """Poses of the grasp on a uniform tick, cubic Hermite between.
 
-    start: time of the first pose [s]. tick: period [s]. pose: (B, K, 3) x [m], y [m],
-    theta [rad], theta continuous. rate: (B, K, 3) its time derivative. B is the number
-    of motions: 1 (shared by all candidates) or one for each candidate.
+    Parameters
+    ----------
+    start : float
+        Time of the first pose [s].
+    tick : float
+        Period [s].
+    pose : ndarray of shape (B, K, 3)
+        x [m], y [m] and theta [rad], which is continuous. B is the number of motions: 1
+        (shared by all candidates) or one for each candidate.
+    rate : ndarray of shape (B, K, 3)
+        Its time derivative.
     """
 
     start: float
@@ -44,51 +51,56 @@ class HandMotion:
         return self.start + (self.pose.shape[1] - 1) * self.tick
 
     def extended_until(self, until: float) -> HandMotion:
-        """The motion with rest after its last pose, until a time [s] or as long as
-        anything lags behind it.
-        """
-        return HandMotion(
-            self.start,
-            self.tick,
-            *_append_rest_seconds(self.pose, self.rate, until - self.end, self.tick),
-        )
+        """Append rest until a time [s], or as long as anything lags behind."""
+        seconds = until - self.end
+        pose, rate = _append_rest_seconds(self.pose, self.rate, seconds, self.tick)
+        return HandMotion(self.start, self.tick, pose, rate)
 
     def starting_at(self, begin: float | np.ndarray) -> HandMotion:
-        """The motion from a moment on [s], or from one for each candidate, (C,): then
-        time counts from it.
+        """Return the motion from a moment on, from which time then counts.
 
         Before its first pose and after its last the hand rests.
+
+        Parameters
+        ----------
+        begin : float or ndarray of shape (C,)
+            The moment [s], or one for each candidate.
         """
-        count = max(int(np.ceil((self.end - np.min(begin)) / self.tick - 1e-9)), 1) + 1
-        ticks = (np.reshape(begin, (-1, 1)) - self.start) / self.tick + np.arange(count)
+        remaining = (self.end - np.min(begin)) / self.tick
+        count = max(int(np.ceil(remaining - 1e-9)), 1) + 1
+        first = (np.reshape(begin, (-1, 1)) - self.start) / self.tick
+        ticks = first + np.arange(count)
         known = np.arange(self.pose.shape[1])
         place = np.clip(ticks, 0, known[-1])
         before = np.minimum(place.astype(int), known[-1] - 1)
+        offset = (place - before)[..., None]
         row = np.arange(len(self.pose))[:, None]
-        cubic = interpolate.CubicHermiteSpline(
+        spline = interpolate.CubicHermiteSpline(
             known, self.pose, self.rate * self.tick, axis=1
         )
-        pose, rate = (
-            np.polyval(part.c[:, before, row], (place - before)[..., None])
-            for part in (cubic, cubic.derivative())
-        )
-        rate = np.where((ticks == place)[..., None], rate / self.tick, 0.0)
-        return HandMotion(
-            float(begin) if np.ndim(begin) == 0 else 0.0, self.tick, pose, rate
-        )
+        pose = np.polyval(spline.c[:, before, row], offset)
+        rate = np.polyval(spline.derivative().c[:, before, row], offset)
+        moves = (ticks == place)[..., None]
+        rate = np.where(moves, rate / self.tick, 0.0)
+        start = float(begin) if np.ndim(begin) == 0 else 0.0
+        return HandMotion(start, self.tick, pose, rate)
 
     def actual_hand_motion(
-        self, arm: Arm, acts: Sequence[HandEffectValues]
+        self, arm: Arm, effects: Sequence[HandEffectValues]
     ) -> HandMotion:
-        """The hand's actual motion with effects on the grasp, each with its values, one
-        for all candidates or one each. Raises DataError if one needs joint angles.
+        """Apply effects on the grasp, one motion for all candidates or one each.
+
+        Raises
+        ------
+        DataError
+            If an effect needs joint angles.
         """
         motion = self
-        for effect, parameters in acts:
+        for effect, parameters in effects:
             if "grasp" not in effect.laws():
                 raise DataError(
-                    f"effect '{effect.name}' acts on joint angles, but this trial has only poses of the grasp. "
-                    "Add arm.parquet, or leave the effect out."
+                    f"effect '{effect.name}' acts on joint angles, but this trial has "
+                    "only poses of the grasp. Add arm.parquet, or leave the effect out."
                 )
             pose, rate = _apply_law(
                 effect, "grasp", motion, motion.pose, motion.rate, parameters
@@ -99,8 +111,14 @@ class HandMotion:
 
 @dataclass(frozen=True)
 class JointMotion:
-    """Joint angles on a uniform tick. angles: (B, K, J) [rad]; speeds: (B, K, J)
-    [rad/s]; otherwise as HandMotion.
+    """Joint angles on a uniform tick.
+
+    Parameters
+    ----------
+    start, tick : float
+        As in `HandMotion` [s].
+    angles, speeds : ndarray of shape (B, K, J)
+        Joint angles [rad] and speeds [rad/s].
     """
 
     start: float
@@ -109,31 +127,23 @@ class JointMotion:
     speeds: np.ndarray
 
     def extended_until(self, until: float) -> JointMotion:
-        """The motion with rest after its last sample, until a time [s] or as long as
-        anything lags behind it.
-        """
-        end = self.start + (self.angles.shape[1] - 1) * self.tick
-        return JointMotion(
-            self.start,
-            self.tick,
-            *_append_rest_seconds(self.angles, self.speeds, until - end, self.tick),
+        """Append rest until a time [s], or as long as anything lags behind."""
+        seconds = until - (self.start + (self.angles.shape[1] - 1) * self.tick)
+        angles, speeds = _append_rest_seconds(
+            self.angles, self.speeds, seconds, self.tick
         )
+        return JointMotion(self.start, self.tick, angles, speeds)
 
     def hand_motion(self, arm: Arm) -> HandMotion:
-        """The hand's motion by an arm's forward kinematics."""
-        return HandMotion(
-            self.start,
-            self.tick,
-            arm.grasp_pose(self.angles),
-            arm.grasp_velocity(self.angles, self.speeds),
-        )
+        """Return the hand's motion by an arm's forward kinematics."""
+        pose = arm.grasp_pose(self.angles)
+        rate = arm.grasp_velocity(self.angles, self.speeds)
+        return HandMotion(self.start, self.tick, pose, rate)
 
-    def actual_joint_motion(self, acts: Sequence[HandEffectValues]) -> JointMotion:
-        """The joints' actual motion with effects on them, each with its values, one for
-        all candidates or one each.
-        """
+    def actual_joint_motion(self, effects: Sequence[HandEffectValues]) -> JointMotion:
+        """Apply effects on the joints, one motion for all candidates or one each."""
         motion = self
-        for effect, parameters in acts:
+        for effect, parameters in effects:
             if "joints" in effect.laws():
                 angles, speeds = _apply_law(
                     effect, "joints", motion, motion.angles, motion.speeds, parameters
@@ -142,62 +152,78 @@ class JointMotion:
         return motion
 
     def actual_hand_motion(
-        self, arm: Arm, acts: Sequence[HandEffectValues]
+        self, arm: Arm, effects: Sequence[HandEffectValues]
     ) -> HandMotion:
-        """The hand's actual motion with effects on the joints, then those on the grasp."""
-        later = [act for act in acts if "joints" not in act[0].laws()]
-        return (
-            self.actual_joint_motion(acts)
-            .hand_motion(arm)
-            .actual_hand_motion(arm, later)
-        )
+        """Apply effects on the joints, then those on the grasp."""
+        hand = self.actual_joint_motion(effects).hand_motion(arm)
+        later = [values for values in effects if "joints" not in values[0].laws()]
+        return hand.actual_hand_motion(arm, later)
 
 
 def resample_joint_motion(
     t: np.ndarray, angles: np.ndarray, tick: float = HAND_TICK_S
 ) -> JointMotion:
-    """Joint angles on a uniform tick.
+    """Put joint angles on a uniform tick, by natural cubic splines between samples.
 
-    t: (K,) increasing times [s]. angles: (K, J) or (B, K, J) joint angles [rad]. The
-    joints are taken as natural cubic splines between samples; tick: period of the
-    result [s].
+    Parameters
+    ----------
+    t : ndarray of shape (K,)
+        Increasing times [s].
+    angles : ndarray of shape (K, J) or (B, K, J)
+        Joint angles [rad].
+    tick : float
+        Period of the result [s].
     """
-    grid = _tick_times(t, tick)
     batch = angles if angles.ndim == 3 else angles[None]
-    spline = interpolate.CubicSpline(t, batch, axis=1, bc_type="natural")
-    return JointMotion(float(grid[0]), tick, spline(grid), spline(grid, 1))
+    return JointMotion(*_resample(t, batch, tick))
 
 
 def resample_hand_motion(
     t: np.ndarray, pose: np.ndarray, tick: float = HAND_TICK_S
 ) -> HandMotion:
-    """The hand's motion from grasp poses. t: (K,) increasing [s]; pose: (K, 3) or (B,
-    K, 3), theta unwrapped here.
+    """Put grasp poses on a uniform tick, by natural cubic splines between samples.
+
+    Parameters
+    ----------
+    t : ndarray of shape (K,)
+        Increasing times [s].
+    pose : ndarray of shape (K, 3) or (B, K, 3)
+        Poses of the grasp [m], [m], [rad]; theta is unwrapped here.
+    tick : float
+        Period of the result [s].
     """
     batch = np.array(pose if pose.ndim == 3 else pose[None], dtype=float)
     batch[..., 2] = np.unwrap(batch[..., 2], axis=1)
-    grid = _tick_times(t, tick)
-    spline = interpolate.CubicSpline(t, batch, axis=1, bc_type="natural")
-    return HandMotion(float(grid[0]), tick, spline(grid), spline(grid, 1))
+    return HandMotion(*_resample(t, batch, tick))
+
+
+def _resample(
+    t: np.ndarray, values: np.ndarray, tick: float
+) -> tuple[float, float, np.ndarray, np.ndarray]:
+    """Return start, tick, values and rates, from first to last sample.
+
+    At least two. values: (B, K, ...).
+    """
+    count = max(int(np.floor((t[-1] - t[0]) / tick + 1e-9)) + 1, 2)
+    times = t[0] + tick * np.arange(count)
+    spline = interpolate.CubicSpline(t, values, axis=1, bc_type="natural")
+    return float(times[0]), tick, spline(times), spline(times, 1)
 
 
 def _append_rest_seconds(
     value: np.ndarray, rate: np.ndarray, seconds: float, tick: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Value and rate, (B, K, ...) each, with rest for further seconds, if any."""
-    return append_rest_ticks(
-        value, rate, int(np.ceil(np.clip(seconds, 0.0, MAX_LAG_S) / tick - 1e-9))
-    )
+) -> ValueAndRate:
+    """Append rest for further seconds, if any, to value and rate, (B, K, ...) each."""
+    ticks = np.clip(seconds, 0.0, MAX_LAG_S) / tick
+    return append_rest_ticks(value, rate, int(np.ceil(ticks - 1e-9)))
 
 
-def append_rest_ticks(
-    value: np.ndarray, rate: np.ndarray, more: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Value and rate, (B, K, ...) each, with rest on so many further ticks."""
-    still = np.zeros_like(rate[:, -1:]).repeat(more, axis=1)
-    return np.concatenate(
-        [value, value[:, -1:].repeat(more, axis=1)], axis=1
-    ), np.concatenate([rate, still], axis=1)
+def append_rest_ticks(value: np.ndarray, rate: np.ndarray, count: int) -> ValueAndRate:
+    """Append rest on further ticks to value and rate, (B, K, ...) each."""
+    held = value[:, -1:].repeat(count, axis=1)
+    still = np.zeros_like(rate[:, -1:]).repeat(count, axis=1)
+    values = np.concatenate([value, held], axis=1)
+    return values, np.concatenate([rate, still], axis=1)
 
 
 def _apply_law(
@@ -207,35 +233,24 @@ def _apply_law(
     value: np.ndarray,
     rate: np.ndarray,
     parameters: Mapping[str, np.ndarray],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Value and rate, (B, K, ...) each, after a law, which is asked only of candidates
-    in which it is not absent.
+) -> ValueAndRate:
+    """Apply a law to value and rate, (B, K, ...) each.
 
-    Only the change is differentiated, so that none costs nothing.
+    Only to candidates in which it is not absent. Only the change is differentiated, so
+    that none costs nothing.
     """
-    acts = np.any(
-        [parameters[p.name].ravel() != p.start for p in effect.parameters], axis=0
-    )
-    if not acts.any():
+    differs = [parameters[p.name].ravel() != p.start for p in effect.parameters]
+    present = np.any(differs, axis=0)
+    if not present.any():
         return value, rate
     t = motion.start + motion.tick * np.arange(value.shape[1])
-    own = value if len(value) == 1 else value[acts]
-    change = (
-        effect.laws()[law](
-            t, own, **{name: given[acts] for name, given in parameters.items()}
-        )
-        - own
-    )
-    value, rate = (
-        np.broadcast_to(each, (len(acts), *each.shape[1:])).copy()
-        for each in (value, rate)
-    )
-    value[acts] += change
-    rate[acts] += interpolate.CubicSpline(t, change, axis=1, bc_type="natural")(t, 1)
-    return value, rate
-
-
-def _tick_times(t: np.ndarray, tick: float) -> np.ndarray:
-    """Ticks from the first sample to the last that fits, at least two."""
-    count = max(int(np.floor((t[-1] - t[0]) / tick + 1e-9)) + 1, 2)
-    return t[0] + tick * np.arange(count)
+    own = value if len(value) == 1 else value[present]
+    own_parameters = {name: p[present] for name, p in parameters.items()}
+    change = effect.laws()[law](t, own, **own_parameters) - own
+    shape = (len(present), *value.shape[1:])
+    values = np.broadcast_to(value, shape).copy()
+    rates = np.broadcast_to(rate, shape).copy()
+    values[present] += change
+    spline = interpolate.CubicSpline(t, change, axis=1, bc_type="natural")
+    rates[present] += spline(t, 1)
+    return values, rates

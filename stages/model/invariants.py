@@ -1,7 +1,7 @@
 """Invariants: properties of a law that an effect declares and tests check on samples.
 
-Each is checked on samples: `error` takes the law's arguments as arrays (a sample an
-entry) and says how far the law is from keeping its word, as a share of the law's size.
+`error` takes the law's arguments as arrays (a sample an entry) and returns how far the
+law is from keeping its word, as a share of the law's size.
 """
 
 from __future__ import annotations
@@ -14,52 +14,70 @@ from typing import Any
 import numpy as np
 
 LawArguments = Mapping[str, Any]
-TEST_ROTATION_RAD = 0.7  # [rad] by which directions are tried
+EvaluatedLaw = Callable[[LawArguments], np.ndarray]
+TEST_ROTATION_RAD = 0.7  # by which directions are tried
+TEST_SHIFT = 0.37  # by which an argument is tried
 
 
 class Invariant(ABC):
-    """law: name of the law it is about. sentence: what holds."""
+    """A property of a law.
+
+    Attributes
+    ----------
+    law : str
+        Name of the law.
+    sentence : str
+        What holds.
+    """
 
     law: str
     sentence: str
 
     @abstractmethod
-    def error(
-        self, law: Callable[[LawArguments], np.ndarray], given: LawArguments
-    ) -> float:
-        """The deviation of a law from it on these samples, as a share of the law's
-        size.
-        """
+    def error(self, law: EvaluatedLaw, arguments: LawArguments) -> float:
+        """Return the deviation of a law on samples, as a share of the law's size."""
 
 
 @dataclass(frozen=True)
 class Equivariant(Invariant):
-    """before: done to the arguments; after: what is then done to the value."""
+    """A law whose value changes in a known way with its arguments.
+
+    Parameters
+    ----------
+    law, sentence : str
+        As in `Invariant`.
+    before : callable
+        Changes the arguments.
+    after : callable
+        Changes the value accordingly.
+    """
 
     law: str
     sentence: str
     before: Callable[[LawArguments], LawArguments]
     after: Callable[[np.ndarray, LawArguments], np.ndarray]
 
-    def error(
-        self, law: Callable[[LawArguments], np.ndarray], given: LawArguments
-    ) -> float:
-        """Largest difference between the law of what is changed and the change of the
-        law, relative.
-        """
-        plain, changed = (
-            np.asarray(law(given)),
-            np.asarray(law({**given, **self.before(given)})),
-        )
+    def error(self, law: EvaluatedLaw, arguments: LawArguments) -> float:
+        """Return the largest difference between the two changes, relative."""
+        plain = np.asarray(law(arguments))
+        changed = np.asarray(law({**arguments, **self.before(arguments)}))
         size = max(float(np.abs(plain).max()), 1e-300)
-        return float(np.abs(changed - self.after(plain, given)).max()) / size
+        return float(np.abs(changed - self.after(plain, arguments)).max()) / size
 
 
 @dataclass(frozen=True)
 class Dissipative(Invariant):
-    """The law takes energy and never gives any: value times rates has one sign. sign: 1
-    for inner forces, which resist what stretches and bends, -1 for loads, which act on
-    what moves.
+    """A law that takes energy and never gives any: value times rates has one sign.
+
+    Parameters
+    ----------
+    law : str
+        As in `Invariant`.
+    rates : tuple of str
+        Names of the arguments that are rates.
+    sign : int
+        1 for inner forces, which resist what stretches and bends, -1 for loads, which
+        act on what moves.
     """
 
     law: str
@@ -67,183 +85,135 @@ class Dissipative(Invariant):
     sign: int
     sentence: str = "never gives energy"
 
-    def error(
-        self, law: Callable[[LawArguments], np.ndarray], given: LawArguments
-    ) -> float:
-        """Largest power given, as a share of the largest taken."""
-        value = np.asarray(law(given)).reshape(len(self.rates), -1)
-        power = self.sign * sum(
-            value[i] * given[rate] for i, rate in enumerate(self.rates)
-        )
-        return _negative_share(power)
-
-
-@dataclass(frozen=True)
-class NeverNegative(Invariant):
-    """The value has one sign."""
-
-    law: str
-    sentence: str
-
-    def error(
-        self, law: Callable[[LawArguments], np.ndarray], given: LawArguments
-    ) -> float:
-        """The most negative value, as a share of the largest."""
-        return _negative_share(np.asarray(law(given)))
-
-
-@dataclass(frozen=True)
-class ReducesTo(Invariant):
-    """The value is one argument where others are zero."""
-
-    law: str
-    sentence: str
-    name: str
-    others: tuple[str, ...]
-
-    def error(
-        self, law: Callable[[LawArguments], np.ndarray], given: LawArguments
-    ) -> float:
-        """Largest difference between value and argument, relative."""
-        still = {**given, **{other: 0 * given[other] for other in self.others}}
-        return float(
-            np.abs(law(still) - given[self.name]).max() / np.abs(given[self.name]).max()
-        )
+    def error(self, law: EvaluatedLaw, arguments: LawArguments) -> float:
+        """Return the largest power given, as a share of the largest taken."""
+        value = np.asarray(law(arguments)).reshape(len(self.rates), -1)
+        power = np.zeros(value.shape[1])
+        for i, rate in enumerate(self.rates):
+            power = power + self.sign * value[i] * arguments[rate]
+        return float(max(-power.min(), 0.0) / max(np.abs(power).max(), 1e-300))
 
 
 def odd(law: str, *names: str) -> Invariant:
-    """The value changes sign with these arguments, all together."""
+    """Declare that the value changes sign with these arguments, all together."""
     return Equivariant(
         law,
         f"{law} is odd in {', '.join(names)}",
-        _negation_of(names),
-        lambda value, given: -value,
+        lambda arguments: _scale_arguments(arguments, names, -1),
+        lambda value, arguments: -value,
     )
 
 
 def even(law: str, *names: str) -> Invariant:
-    """The value stays when these arguments change sign, all together."""
+    """Declare that the value stays when these arguments change sign, all together."""
     return Equivariant(
         law,
         f"{law} is even in {', '.join(names)}",
-        _negation_of(names),
-        lambda value, given: value,
+        lambda arguments: _scale_arguments(arguments, names, -1),
+        lambda value, arguments: value,
     )
 
 
-def never_negative(law: str) -> Invariant:
-    """The law is never negative, as a drag that takes energy and never gives any."""
-    return NeverNegative(law, f"{law} is never negative")
-
-
 def vanishes_at_zero(law: str, *names: str) -> Invariant:
-    """The value is zero where these arguments are."""
-    zero: Callable[[LawArguments], LawArguments] = lambda given: {
-        name: 0 * given[name] for name in names
-    }  # noqa: E731
+    """Declare that the value is zero where these arguments are."""
     return Equivariant(
         law,
         f"{law} is zero at zero {', '.join(names)}",
-        zero,
-        lambda value, given: 0 * value,
+        lambda arguments: _scale_arguments(arguments, names, 0),
+        lambda value, arguments: 0 * value,
     )
 
 
 def reduces_to(law: str, name: str, *others: str) -> Invariant:
-    """The invariant that the value is this argument where the others are zero."""
-    return ReducesTo(
-        law, f"{law} is {name} where {', '.join(others)} are zero", name, others
+    """Declare that the value is one argument where the others are zero."""
+    return Equivariant(
+        law,
+        f"{law} is {name} where {', '.join(others)} are zero",
+        lambda arguments: _scale_arguments(arguments, others, 0),
+        lambda value, arguments: arguments[name],
     )
 
 
 def rotates_with(law: str, *vectors: str) -> Invariant:
-    """No direction is special: turn these vectors (names less their x and y), and the
-    value turns with them.
+    """Declare that no direction is special: the value rotates with these vectors.
+
+    vectors: names less their x and y.
     """
 
-    def before(given: LawArguments) -> LawArguments:
-        turned = {}
+    def before(arguments: LawArguments) -> LawArguments:
+        rotated = {}
         for name in vectors:
-            turned[f"{name}x"], turned[f"{name}y"] = _rotate(
-                given[f"{name}x"], given[f"{name}y"]
-            )
-        return turned
+            x, y = f"{name}x", f"{name}y"
+            rotated[x], rotated[y] = _rotate(arguments[x], arguments[y])
+        return rotated
 
     return Equivariant(
         law,
         f"{law} knows no direction",
         before,
-        lambda value, given: np.stack(_rotate(*value)),
+        lambda value, arguments: np.stack(_rotate(*value)),
     )
 
 
 def resists(law: str, rate: str = "rate") -> Dissipative:
-    """An inner force takes energy from what stretches or bends at this rate."""
+    """Declare that an inner force takes energy from what stretches or bends."""
     return Dissipative(law, (rate,), 1)
 
 
 def brakes(law: str, *velocity: str) -> Dissipative:
-    """The invariant that a load takes energy from what moves. velocity: names of its
-    components.
+    """Declare that a load takes energy from what moves.
+
+    velocity: names of its components.
     """
     return Dissipative(law, velocity, -1)
 
 
 def shifts_with(law: str, name: str) -> Invariant:
-    """No origin is special: shift this argument as a whole, and the value shifts with
-    it.
-    """
-    shift = 0.37
+    """Declare that no origin is special: the value shifts with this argument."""
     return Equivariant(
         law,
         f"{law} follows {name}",
-        lambda g: {name: g[name] + shift},
-        lambda value, given: value + shift,
+        lambda arguments: {name: arguments[name] + TEST_SHIFT},
+        lambda value, arguments: value + TEST_SHIFT,
     )
 
 
 def moves_with_pose(law: str, name: str) -> Invariant:
-    """No place is special: carry poses (..., 3) elsewhere, turned, and the value is
-    carried along.
-    """
+    """Declare that no place is special: the value moves with poses (..., 3)."""
     return Equivariant(
         law,
         f"{law} is carried with {name}",
-        lambda g: {name: _move_pose(g[name])},
-        lambda value, given: _move_pose(value),
+        lambda arguments: {name: _move_pose(arguments[name])},
+        lambda value, arguments: _move_pose(value),
     )
 
 
 def rotates_about_centre(law: str) -> Invariant:
-    """Turn points and velocities about the middle of the image, and what is seen turns
-    with them.
-    """
+    """Declare that the value rotates with its points about the image's middle."""
 
-    def turned(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
-        return centre + np.stack(_rotate(*np.moveaxis(points - centre, -1, 0)), axis=-1)
+    def rotate_about(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
+        x, y = np.moveaxis(points - centre, -1, 0)
+        return centre + np.stack(_rotate(x, y), axis=-1)
 
-    def before(given: LawArguments) -> LawArguments:
-        centre = given["camera"].centre
+    def before(arguments: LawArguments) -> LawArguments:
+        centre = arguments["camera"].centre
         return {
-            "points": turned(given["points"], centre),
-            "velocity": turned(given["velocity"], 0 * centre),
+            "points": rotate_about(arguments["points"], centre),
+            "velocity": rotate_about(arguments["velocity"], 0 * centre),
         }
 
     return Equivariant(
         law,
         f"{law} knows no direction",
         before,
-        lambda value, given: turned(value, given["camera"].centre),
+        lambda value, arguments: rotate_about(value, arguments["camera"].centre),
     )
 
 
-def _negative_share(values: np.ndarray) -> float:
-    """The most negative value, as a share of the largest."""
-    return float(max(-values.min(), 0.0) / max(np.abs(values).max(), 1e-300))
-
-
-def _negation_of(names: tuple[str, ...]) -> Callable[[LawArguments], LawArguments]:
-    return lambda given: {name: -given[name] for name in names}
+def _scale_arguments(
+    arguments: LawArguments, names: tuple[str, ...], factor: float
+) -> LawArguments:
+    return {name: factor * arguments[name] for name in names}
 
 
 def _rotate(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,12 +13,20 @@ cv2 = LazyModule("cv2")
 
 @dataclass(frozen=True)
 class Lens:
-    """A pinhole with Brown's distortion (Brown, Close-range camera calibration, 1971),
-    as OpenCV has it.
+    """A pinhole with Brown's distortion, as OpenCV has it.
 
-    focal: focal lengths fx, fy [px]. centre: principal point cx, cy [px], pixel centres
-    at integers. distortion: k1, k2, p1, p2 [1]: radial coefficients k of r^2 and r^4,
-    tangential ones p.
+    Parameters
+    ----------
+    focal : (float, float)
+        Focal lengths fx, fy [px].
+    centre : (float, float)
+        Principal point cx, cy [px], pixel centres at integers.
+    distortion : (float, float, float, float)
+        k1, k2, p1, p2 [1]: radial coefficients k of r^2 and r^4, tangential ones p.
+
+    References
+    ----------
+    Brown, Close-range camera calibration (1971).
     """
 
     focal: tuple[float, float]
@@ -27,41 +35,40 @@ class Lens:
 
     @property
     def matrix(self) -> np.ndarray:
-        """(3, 3) camera matrix."""
+        """Camera matrix, (3, 3)."""
         (fx, fy), (cx, cy) = self.focal, self.centre
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
     @property
     def mean_focal(self) -> float:
-        """One focal length for both directions [px]."""
+        """Focal length for both directions [px]."""
         return float(np.sqrt(self.focal[0] * self.focal[1]))
 
     def pixels(self, rays: np.ndarray) -> np.ndarray:
-        """Pixels (..., 2) of directions (..., 2): x/z and y/z, x right, y down, z
-        forward.
+        """Map directions (..., 2) to pixels (..., 2).
+
+        rays: x/z and y/z, x right, y down, z forward.
         """
         x, y = np.moveaxis(np.asarray(rays, dtype=float), -1, 0)
+        (fx, fy), (cx, cy) = self.focal, self.centre
         k1, k2, p1, p2 = self.distortion
         r2 = x * x + y * y
         radial = 1 + r2 * (k1 + r2 * k2)
-        bent = (
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        )
-        return np.stack(
-            [f * b + c for f, b, c in zip(self.focal, bent, self.centre, strict=True)],
-            axis=-1,
-        )
+        bent_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        bent_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        return np.stack([fx * bent_x + cx, fy * bent_y + cy], axis=-1)
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
-        """Directions (..., 2) of pixels (..., 2); the inverse of `pixels` where the
-        lens is one to one.
+        """Map pixels (..., 2) to directions (..., 2).
+
+        The inverse of `pixels` where the lens is one to one.
         """
         flat = np.asarray(pixels, dtype=float).reshape(-1, 1, 2)
         if not len(flat):
             return np.zeros(np.shape(pixels))
-        close = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+        stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+        distortion = np.array(self.distortion)
         rays = cv2.undistortPoints(
-            flat, self.matrix, np.array(self.distortion), None, None, None, close
+            flat, self.matrix, distortion, None, None, None, stop
         )
         return np.asarray(rays).reshape(np.shape(pixels))

@@ -13,56 +13,71 @@ from pathlib import Path
 from stringcast.stages.model import effects as package
 from stringcast.stages.model.effect import Effect, numbered_effect
 
-# folders with more effects, separated as in PATH
-EFFECTS_VARIABLE = "STRINGCAST_EFFECTS"
-# effects of a model: three times the library; the generated loop nests an expression
-# for each
+EFFECTS_VARIABLE = "STRINGCAST_EFFECTS"  # folders with more effects, as in PATH
+# Of a model: three times the library; the generated loop nests an expression for each.
 MAX_EFFECTS = 100
 
 
 class UnknownEffectError(ValueError):
-    """Raised where there is no effect of that name, or more than one; the message lists
-    those there are.
-    """
+    """There is no effect of that name; the message helps to find one."""
 
 
 def effects_by_name() -> dict[str, type[Effect]]:
-    """All effects by name: those of `stages/model/effects` and of the folders in
-    STRINGCAST_EFFECTS.
+    """Load all effects, by name.
 
-    Raises ValueError for a file that does not hold exactly one effect of its own name,
-    and for two effects of the same name.
+    Those of `stages/model/effects` and of the folders in STRINGCAST_EFFECTS.
+
+    Raises
+    ------
+    ValueError
+        For a file that does not hold exactly one effect of its own name, and for two
+        effects of the same name.
     """
     return {name: _load_effect(path) for name, path in effect_files().items()}
 
 
 def find_effects(names: Sequence[str]) -> tuple[type[Effect], ...]:
-    """The effects of these names; `maxwell_slip_2` is a second one of its kind. Raises
-    UnknownEffectError.
+    """Find effects by name; `maxwell_slip_2` is a second one of its kind.
+
+    Raises
+    ------
+    UnknownEffectError
+        If there is none of that name, or there are too many.
     """
     if len(names) > MAX_EFFECTS:
         raise UnknownEffectError(
-            f"{len(names)} effects are asked for, {MAX_EFFECTS} at most are compiled into one loop"
+            f"There are {len(names)} effects; at most {MAX_EFFECTS} fit into one loop."
         )
     known = effects_by_name()
-    asked = [(known[kind], number) for kind, number in map(split_effect_name, names)]
-    return tuple(
-        effect if number == 1 else numbered_effect(effect, number)
-        for effect, number in asked
-    )
+    effects = []
+    for name in names:
+        kind, number = split_effect_name(name)
+        effect = known[kind]
+        effects.append(effect if number == 1 else numbered_effect(effect, number))
+    return tuple(effects)
 
 
 def check_effect_names(names: Sequence[str]) -> Sequence[str]:
-    """Names of effects, as they are. Raises UnknownEffectError where there is none of
-    that name.
+    """Return names of effects as they are.
+
+    Raises
+    ------
+    UnknownEffectError
+        If there is no effect of a name.
     """
     find_effects(names)
     return names
 
 
 def split_effect_name(name: str) -> tuple[str, int]:
-    """The kind of an effect, which is the name of its file, and which of this kind it
-    is: `maxwell_slip` and 2 of `maxwell_slip_2`. Raises UnknownEffectError.
+    """Split a name into kind and number: `maxwell_slip` and 2 of `maxwell_slip_2`.
+
+    The kind is the name of the effect's file.
+
+    Raises
+    ------
+    UnknownEffectError
+        If there is no such kind.
     """
     known = effect_files()
     kind, _, number = name.rpartition("_")
@@ -78,55 +93,57 @@ def split_effect_name(name: str) -> tuple[str, int]:
 
 
 def effect_files() -> dict[str, Path]:
-    """The file of each effect, by name, none of them loaded. Raises ValueError as
-    `library`.
+    """Find the file of each effect, by name, none of them loaded.
+
+    Raises
+    ------
+    ValueError
+        For a folder that does not exist, and for two effects of the same name.
     """
-    found: dict[str, Path] = {}
-    more = filter(None, os.environ.get(EFFECTS_VARIABLE, "").split(os.pathsep))
-    for folder in (Path(package.__path__[0]), *map(Path, more)):
+    files: dict[str, Path] = {}
+    further = filter(None, os.environ.get(EFFECTS_VARIABLE, "").split(os.pathsep))
+    for folder in (Path(package.__path__[0]), *map(Path, further)):
         if not folder.is_dir():
             raise ValueError(
                 f"{EFFECTS_VARIABLE}: there is no folder {folder}. Correct the path."
             )
-        for path in sorted(
-            p.resolve() for p in folder.glob("*.py") if not p.name.startswith("_")
-        ):
-            if path.stem in found:
+        for path in sorted(path.resolve() for path in folder.glob("[!_]*.py")):
+            if path.stem in files:
                 raise ValueError(
-                    f"{path}: there is an effect '{path.stem}' already. Rename the file and its effect."
+                    f"{path}: there is an effect '{path.stem}' already. Rename the "
+                    "file and its effect."
                 )
-            found[path.stem] = path
-    return found
+            files[path.stem] = path
+    return files
 
 
 @cache
 def _load_effect(path: Path) -> type[Effect]:
-    """The one effect of a file."""
+    """Load the one effect of a file."""
     if path.parent == Path(package.__path__[0]).resolve():
         module = importlib.import_module(f"{package.__name__}.{path.stem}")
     else:
-        specification = importlib.util.spec_from_file_location(
-            f"effects_elsewhere.{path.stem}", path
-        )
+        name = f"effects_elsewhere.{path.stem}"
+        specification = importlib.util.spec_from_file_location(name, path)
         assert specification is not None
         assert specification.loader is not None
         module = importlib.util.module_from_spec(specification)
-        # inspect looks there for the text of laws
-        sys.modules[module.__name__] = module
+        sys.modules[name] = module  # inspect looks there for the text of laws
         specification.loader.exec_module(module)
-    mine = [
-        c
-        for c in vars(module).values()
-        if isinstance(c, type) and c.__module__ == module.__name__
-    ]
-    effects = [c for c in mine if issubclass(c, Effect)]
-    if [getattr(e, "name", "") for e in effects] != [path.stem]:
+    effects = []
+    for member in vars(module).values():
+        if isinstance(member, type) and member.__module__ == module.__name__:
+            if issubclass(member, Effect):
+                effects.append(member)
+    if [getattr(effect, "name", "") for effect in effects] != [path.stem]:
         raise ValueError(
-            f"{path}: it must hold one effect, with name = '{path.stem}'. See stages/model/effect.py."
+            f"{path}: it must hold one effect, with name = '{path.stem}'. See "
+            "stages/model/effects/README.md."
         )
-    if effects[0].__abstractmethods__ or not hasattr(effects[0], "reference"):
-        missing = ", ".join(sorted(effects[0].__abstractmethods__)) or "reference"
+    effect = effects[0]
+    if effect.__abstractmethods__ or not hasattr(effect, "reference"):
+        missing = ", ".join(sorted(effect.__abstractmethods__)) or "reference"
         raise ValueError(
-            f"{path}: the effect lacks {missing}. See stages/model/effect.py."
+            f"{path}: the effect lacks {missing}. See stages/model/effects/README.md."
         )
-    return effects[0]
+    return effect

@@ -1,10 +1,9 @@
-"""The forward model as one: hand, string, clocks and camera, with the effects at work
-in each.
+"""The forward model as one: hand, string, clocks and camera, with the effects of each.
 
     joint angles -> HAND -> grasp -> STRING -> mass points -> CAMERA -> what is reported
 
-Everything that generates, estimates or diagnoses asks this model. What is absent is not
-there, and costs nothing.
+Everything that generates, estimates or diagnoses uses this model. An effect that is
+absent costs nothing.
 """
 
 from __future__ import annotations
@@ -36,17 +35,28 @@ from stringcast.stages.model.string import String
 interpolate = LazyModule("scipy.interpolate")
 
 EffectT = TypeVar("EffectT", bound=Effect)
-VELOCITY_STEP_S = 1e-4  # [s] over which velocities are differenced for the camera
+VELOCITY_STEP_S = 1e-4  # over which velocities are differenced for the camera
 
 
 @dataclass(frozen=True)
 class Model(Parametrised):
-    """A string in a hand before a camera. Effects on the string are the string's own;
-    the others act in turn.
+    """A string in a hand before a camera.
 
-    known: values of parameters by qualified name, at which a search starts instead of
-    at their own start. measured: ranges [low, high] to which a measurement beforehand
-    narrows parameters, by qualified name.
+    Parameters
+    ----------
+    string : String
+        The string, with the effects on it.
+    arm : Arm
+        Geometry of the arm.
+    camera : Camera
+        The camera as it is taken to be.
+    hand_effects, clock_effects, camera_effects : tuple of Effect classes
+        The other effects, in the order in which they act.
+    start_values : mapping of str to float
+        Values at which a search starts instead of a parameter's own start, by qualified
+        name.
+    measured_ranges : mapping of str to (float, float)
+        Ranges to which a measurement beforehand narrows parameters, by qualified name.
     """
 
     string: String
@@ -60,7 +70,7 @@ class Model(Parametrised):
 
     @property
     def effects(self) -> tuple[type[Effect], ...]:
-        """All effects at work, the paper's forces first."""
+        """All active effects, the paper's forces first."""
         return (*self.string.effects, *self._outer_effects)
 
     @property
@@ -68,77 +78,85 @@ class Model(Parametrised):
         return (*self.hand_effects, *self.clock_effects, *self.camera_effects)
 
     def with_effects(self, *effects: type[Effect]) -> Model:
-        """The model with these effects too, each in its world. Raises ValueError for
-        one that is at work already.
+        """Add effects to the model, each in its place.
+
+        Raises
+        ------
+        ValueError
+            If an effect is active already.
         """
         model = self
         for effect in effects:
             if effect in model.effects:
                 raise ValueError(
-                    f"effect '{effect.name}' is at work already. Name it once."
+                    f"effect '{effect.name}' is active already. Name it once."
                 )
-            if issubclass(effect, ModelChange):
-                model = model.with_segments(effect.points(model.string.points) - 1)
-            elif issubclass(effect, StringEffect):
-                model = replace(
-                    model,
-                    string=replace(
-                        model.string, effects=(*model.string.effects, effect)
-                    ),
-                )
-            elif issubclass(effect, HandEffect):
-                model = replace(
-                    model, hand_effects=_sort_by_order(*model.hand_effects, effect)
-                )
-            elif issubclass(effect, ClockEffect):
-                model = replace(
-                    model, clock_effects=_sort_by_order(*model.clock_effects, effect)
-                )
-            else:
-                assert issubclass(effect, CameraEffect)
-                model = replace(
-                    model, camera_effects=_sort_by_order(*model.camera_effects, effect)
-                )
+            model = model._with_effect(effect)
         return model
 
-    def with_segments(self, segments: int) -> Model:
-        """The model with its string in so many segments."""
-        if segments not in self._meshes:
-            self._meshes[segments] = replace(
-                self, string=replace(self.string, points=segments + 1)
+    def _with_effect(self, effect: type[Effect]) -> Model:
+        if issubclass(effect, ModelChange):
+            return self.with_segments(effect.points(self.string.points) - 1)
+        if issubclass(effect, StringEffect):
+            string = replace(self.string, effects=(*self.string.effects, effect))
+            return replace(self, string=string)
+        if issubclass(effect, HandEffect):
+            return replace(
+                self, hand_effects=_sort_by_order(*self.hand_effects, effect)
             )
+        if issubclass(effect, ClockEffect):
+            return replace(
+                self, clock_effects=_sort_by_order(*self.clock_effects, effect)
+            )
+        assert issubclass(effect, CameraEffect)
+        return replace(
+            self, camera_effects=_sort_by_order(*self.camera_effects, effect)
+        )
+
+    def with_segments(self, segments: int) -> Model:
+        """Return the model with its string in so many segments, from a cache."""
+        if segments not in self._meshes:
+            string = replace(self.string, points=segments + 1)
+            self._meshes[segments] = replace(self, string=string)
         return self._meshes[segments]
 
     @cached_property
     def _meshes(self) -> dict[int, Model]:
-        """Cache of `divided`."""
+        """Models with other numbers of segments."""
         return {}
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, with qualified names: the string's first."""
-        others = (
-            replace(p, name=e.qualified_name(p))
-            for e in self._outer_effects
-            for p in e.parameters
-        )
-        every = (*self.string.parameters, *others)
-        ends = (self.measured_ranges.get(p.name, (p.low, p.high)) for p in every)
-        known = zip(every, ends, strict=True)
-        return tuple(
-            replace(p, low=low, high=high, start=self.start_values.get(p.name, p.start))
-            for p, (low, high) in known
-        )
+        parameters = list(self.string.parameters)
+        for effect in self._outer_effects:
+            for parameter in effect.parameters:
+                name = effect.qualified_name(parameter)
+                parameters.append(replace(parameter, name=name))
+        return tuple(self._with_known_values(p) for p in parameters)
+
+    def _with_known_values(self, parameter: Parameter) -> Parameter:
+        name = parameter.name
+        low, high = self.measured_ranges.get(name, (parameter.low, parameter.high))
+        start = self.start_values.get(name, parameter.start)
+        return replace(parameter, low=low, high=high, start=start)
+
+    # --- the hand -----------------------------------------------------------
 
     def hand_motion(
         self, motion: JointMotion | HandMotion, values: np.ndarray
     ) -> HandMotion:
-        """The hand's actual motion, one for all candidates or one each. values: (C, P)."""
+        """Return the hand's actual motion, one for all candidates or one each.
+
+        values: (C, P).
+        """
         return motion.actual_hand_motion(self.arm, self._hand_effect_values(values))
 
     def joint_motion(self, motion: JointMotion, values: np.ndarray) -> JointMotion:
-        """The joints' actual motion. values: (C, P)."""
+        """Return the joints' actual motion. values: (C, P)."""
         return motion.actual_joint_motion(self._hand_effect_values(values))
+
+    # --- the string ---------------------------------------------------------
 
     def simulate_string(
         self,
@@ -148,24 +166,34 @@ class Model(Parametrised):
         initial: StringState | None = None,
         turn: float = 0.0,
     ) -> StringMotion:
-        """Positions of the strings of candidates. values: (C, P); times: (F,) or (C, F)
-        of the arm's clock [s].
+        """Simulate the strings of candidates.
 
-        initial: the state from which they move, of the same clock; else they rest
-        before the hand moves. turn: on which side of the hand they do, as of
-        `equilibrium.hanging`.
+        Parameters
+        ----------
+        motion : JointMotion or HandMotion
+            Motion that the arm reports.
+        values : ndarray of shape (C, P)
+            Parameters of the candidates, in the order of `parameters`.
+        times : ndarray of shape (F,) or (C, F)
+            Times of the arm's clock [s].
+        initial : StringState, optional
+            State from which they move, of the same clock. Without it they rest before
+            the hand moves.
+        turn : float
+            On which side of the hand they rest, as in `equilibrium.hanging_shape`
+            [rad].
+
+        Returns
+        -------
+        StringMotion
+            Actual positions.
         """
         hand = self.hand_motion(motion, values)
         if initial is not None:
-            hand, times = hand.starting_at(initial.t), initial.times_since_start(times)
-        return simulate(
-            self.string,
-            hand,
-            values[:, : len(self.string.parameters)],
-            times,
-            initial,
-            turn,
-        )
+            hand = hand.starting_at(initial.t)
+            times = initial.times_since_start(times)
+        own = values[:, : len(self.string.parameters)]
+        return simulate(self.string, hand, own, times, initial, turn)
 
     def simulate_observation(
         self,
@@ -175,45 +203,58 @@ class Model(Parametrised):
         initial: StringState | None = None,
         turn: float = 0.0,
     ) -> StringMotion:
-        """The strings of candidates as the camera reports them. values: (C, P); times:
-        (F,) of the camera's clock [s].
+        """Simulate the strings of candidates as the camera reports them.
 
-        initial, turn: as of `true`, a state by the camera's clock.
+        Parameters
+        ----------
+        motion : JointMotion or HandMotion
+            Motion that the arm reports.
+        values : ndarray of shape (C, P)
+            Parameters of the candidates, in the order of `parameters`.
+        times : ndarray of shape (F,)
+            Times of the camera's clock [s].
+        initial : StringState, optional
+            As in `simulate_string`, but a state by the camera's clock.
+        turn : float
+            As in `simulate_string`.
+
+        Returns
+        -------
+        StringMotion
+            Reported positions.
         """
         initial = self.initial_state_on_arm_clock(initial, values)
-        real = self.simulate_string(
-            motion, values, self.required_times(values, times), initial, turn
-        )
-        return StringMotion(
-            self.observed_points(real.points, values, times), real.finite
-        )
+        moments = self.required_times(values, times)
+        actual = self.simulate_string(motion, values, moments, initial, turn)
+        points = self.observed_points(actual.points, values, times)
+        return StringMotion(points, actual.finite)
+
+    # --- clocks and camera --------------------------------------------------
 
     def initial_state_on_arm_clock(
         self, initial: StringState | None, values: np.ndarray
     ) -> StringState | None:
-        """A state of the camera's clock by the arm's. values: (C, P)."""
-        return (
-            None
-            if initial is None
-            else initial.with_time(
-                self._arm_times(values, np.array([initial.t]))[..., 0]
-            )
-        )
+        """Return a state of the camera's clock by the arm's. values: (C, P)."""
+        if initial is None:
+            return None
+        return initial.with_time(self._arm_times(values, np.array([initial.t]))[..., 0])
 
     def required_times(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Times of the arm's clock at which `reported` needs points, (M,) or (C, M)
-        [s]. times: (F,).
+        """Return times of the arm's clock at which `observed_points` needs points.
+
+        (M,) or (C, M) [s]. times: (F,) of the camera's clock.
         """
         times = self._arm_times(values, times)
         if not self.camera_effects:
             return times
         # Nothing later than the last frame: its string should not depend on whether
         # velocities are wanted.
-        after = np.minimum(times + VELOCITY_STEP_S, times.max(axis=-1, keepdims=True))
+        last = times.max(axis=-1, keepdims=True)
+        after = np.minimum(times + VELOCITY_STEP_S, last)
         return np.concatenate([times - VELOCITY_STEP_S, times, after], axis=-1)
 
     def _arm_times(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Times of the arm's clock [s] at times of the camera's (F,), (F,) or (C, F)."""
+        """Return the arm's times, (F,) or (C, F), at the camera's times (F,) [s]."""
         for effect in self.clock_effects:
             times = effect.times(times, **self._effect_values(effect, values, 2))
         return times
@@ -221,75 +262,80 @@ class Model(Parametrised):
     def observed_points(
         self, points: np.ndarray, values: np.ndarray, times: np.ndarray
     ) -> np.ndarray:
-        """Points that the camera reports, (C, F, n, 2) [m]. points: true ones at
-        `moments`, (C, M, n, 2). times: (F,) [s].
+        """Return the points that the camera reports.
+
+        Parameters
+        ----------
+        points : ndarray of shape (C, M, n, 2)
+            Actual positions at `required_times` [m].
+        values : ndarray of shape (C, P)
+            Parameters of the candidates.
+        times : ndarray of shape (F,)
+            Times of the camera's clock [s].
+
+        Returns
+        -------
+        ndarray of shape (C, F, n, 2)
+            Reported positions [m].
         """
         if not self.camera_effects:
             return points
         before, now, after = np.split(points, 3, axis=1)
-        first, _, last = np.split(
-            np.atleast_2d(self.required_times(values, times)), 3, axis=1
-        )
+        moments = np.atleast_2d(self.required_times(values, times))
+        first, _, last = np.split(moments, 3, axis=1)
         velocity = (after - before) / (last - first)[..., None, None]
         for effect in self.camera_effects:
-            now = effect.observe(
-                now,
-                velocity,
-                times,
-                self.camera,
-                **self._effect_values(effect, values, 4),
-            )
+            parameters = self._effect_values(effect, values, 4)
+            now = effect.observe(now, velocity, times, self.camera, **parameters)
         return now
 
     def observed_arm(
         self, motion: JointMotion, values: np.ndarray, times: np.ndarray
     ) -> np.ndarray:
-        """The arm's joints as the camera reports them, base to hand, (1 or C, F, J + 1,
-        2) [m]; at rest beyond its motion. It is rigid, so no string is simulated.
-        times: (F,) of the camera's clock [s].
+        """Return the arm's joints as the camera reports them, base to hand.
+
+        (1 or C, F, J + 1, 2) [m]. At rest beyond its motion. The arm is rigid, so no
+        string is simulated. times: (F,) of the camera's clock [s].
         """
-        moments, real = (
-            np.atleast_2d(self.required_times(values, times)),
-            self.joint_motion(motion, values),
-        )
-        ticks = real.start + real.tick * np.arange(real.angles.shape[1])
+        moments = np.atleast_2d(self.required_times(values, times))
+        actual = self.joint_motion(motion, values)
+        ticks = actual.start + actual.tick * np.arange(actual.angles.shape[1])
         inside = np.clip(moments, ticks[0], ticks[-1])
-        if len(real.angles) == 1:
-            angles = interpolate.CubicHermiteSpline(
-                ticks, real.angles[0], real.speeds[0]
-            )(inside)
-        else:
-            asked = np.broadcast_to(inside, (len(real.angles), inside.shape[1]))
-            each = zip(real.angles, real.speeds, asked, strict=True)
-            angles = np.stack(
-                [interpolate.CubicHermiteSpline(ticks, q, w)(own) for q, w, own in each]
+        motions = len(actual.angles)
+        if motions > 1:
+            inside = np.broadcast_to(inside, (motions, inside.shape[1]))
+        angles = []
+        for i in range(motions):
+            spline = interpolate.CubicHermiteSpline(
+                ticks, actual.angles[i], actual.speeds[i]
             )
-        return self.observed_points(self.arm.joint_positions(angles), values, times)
+            angles.append(spline(inside if motions == 1 else inside[i]))
+        joint_angles = angles[0] if motions == 1 else np.stack(angles)
+        joints = self.arm.joint_positions(joint_angles)
+        return self.observed_points(joints, values, times)
 
     def _hand_effect_values(self, values: np.ndarray) -> Sequence[HandEffectValues]:
-        return [
-            (effect, self._effect_values(effect, values, 3))
-            for effect in self.hand_effects
-        ]
+        effects = self.hand_effects
+        return [(effect, self._effect_values(effect, values, 3)) for effect in effects]
 
     def _effect_values(
         self, effect: type[Effect], values: np.ndarray, dimensions: int
     ) -> dict[str, np.ndarray]:
-        """An effect's parameters by their own names, the candidates along the first of
-        so many dimensions.
+        """Return an effect's parameters by their own names.
+
+        The candidates along the first of so many dimensions.
         """
-        places = {
-            p.name: self.names.index(effect.qualified_name(p))
-            for p in effect.parameters
-        }
-        return {
-            n: values[:, place].reshape(-1, *[1] * (dimensions - 1))
-            for n, place in places.items()
-        }
+        parameters = {}
+        for parameter in effect.parameters:
+            place = self.names.index(effect.qualified_name(parameter))
+            shape = (-1, *[1] * (dimensions - 1))
+            parameters[parameter.name] = values[:, place].reshape(shape)
+        return parameters
 
 
 def _sort_by_order(*effects: type[EffectT]) -> tuple[type[EffectT], ...]:
-    """Effects that do not commute, as they act in the world: naming them in another
-    order changes nothing.
+    """Sort effects that do not commute as they act in the world.
+
+    To name them in another order changes nothing.
     """
     return tuple(sorted(effects, key=lambda effect: (effect.order, effect.name)))

@@ -9,20 +9,26 @@ import numpy as np
 
 @dataclass(frozen=True)
 class StringState:
-    """A curve hung from the grasp, and how it turns: the string's state but for its
-    strain.
+    """A curve hung from the grasp and how it turns: the state but for strain.
 
     A string hardly stretches, so its shape and motion are the direction phi(s) of its
     segments and how fast it turns. A start in these goes along with the hand, wherever
     a candidate's hand is, and cannot set the string ringing along itself by noise; its
     stretch each candidate finds from its own tension.
 
-    t: when [s], one moment or one for each candidate, (C,). s: (M,) rest arc lengths
-    from the stated grasp, increasing [m]. angle: (M,) direction there, continuous from
-    the grasp's [rad]. rate: (M,) its time derivative [rad/s]. All three may be each
-    candidate's own, (C, M). let_back: what hinges with a memory hold as it begins, as a
-    share of the way from what they hold after a slow pull to this shape, 0, to what
-    they hold once bent far back, 1; (C,), too.
+    Parameters
+    ----------
+    t : float or ndarray of shape (C,)
+        When [s].
+    s : ndarray of shape (M,) or (C, M)
+        Rest arc lengths from the stated grasp, increasing [m].
+    angle : ndarray of shape (M,) or (C, M)
+        Direction there, continuous from the grasp's [rad].
+    rate : ndarray of shape (M,) or (C, M)
+        Its time derivative [rad/s].
+    memory_reversal : float or ndarray of shape (C,)
+        What hinges with a memory remember, as a share of the way from a slow pull to
+        this shape, 0, to what they remember once bent far back, 1.
     """
 
     t: float | np.ndarray
@@ -32,61 +38,80 @@ class StringState:
     memory_reversal: float | np.ndarray = 0.0
 
     def with_time(self, t: float | np.ndarray) -> StringState:
-        """The state at another time, of another clock for instance."""
+        """Return the state at another time, of another clock for instance."""
         return replace(self, t=t)
 
     def times_since_start(self, times: np.ndarray) -> np.ndarray:
-        """Times (F,) or (C, F) [s] as they count from here on: as before, or from each
-        candidate's own start.
+        """Count times (F,) or (C, F) [s] as a simulation from this state does.
+
+        As before, or from each candidate's own start.
         """
-        return times if np.ndim(self.t) == 0 else times - np.asarray(self.t)[:, None]
+        if np.ndim(self.t) == 0:
+            return times
+        return times - np.asarray(self.t)[:, None]
 
     def for_candidates(self, chosen: np.ndarray | slice) -> StringState:
-        """The states of some candidates, by number."""
-        t, let_back = (
-            each if np.ndim(each) == 0 else np.asarray(each)[chosen]
-            for each in (self.t, self.memory_reversal)
+        """Return the states of some candidates, by number."""
+        return StringState(
+            _select(self.t, chosen, 0),
+            np.asarray(_select(self.s, chosen, 1)),
+            np.asarray(_select(self.angle, chosen, 1)),
+            np.asarray(_select(self.rate, chosen, 1)),
+            _select(self.memory_reversal, chosen, 0),
         )
-        s, angle, rate = (
-            each if each.ndim == 1 else each[chosen]
-            for each in (self.s, self.angle, self.rate)
-        )
-        return StringState(t, s, angle, rate, let_back)
 
     def extend_before_grasp(
         self, before: np.ndarray, direction: np.ndarray, turning: np.ndarray
     ) -> StringState:
-        """The state of a string that begins before the stated grasp, by (C,) [m]: it
-        bends evenly, to a direction [rad] that turns at a rate [rad/s], (C,) each.
+        """Extend the state to a string that begins before the stated grasp.
+
+        It bends evenly there.
+
+        Parameters
+        ----------
+        before : ndarray of shape (C,)
+            By how much it begins before the grasp [m].
+        direction, turning : ndarray of shape (C,)
+            Direction where it begins [rad], and its rate [rad/s].
         """
-
-        def grown(end: np.ndarray, part: np.ndarray) -> np.ndarray:
-            rows = np.broadcast_to(part, (len(before), part.shape[-1]))
-            return np.column_stack([np.broadcast_to(end, len(before)), rows])
-
         first = np.minimum(-before, self.s[..., 0])
-        angle, rate = grown(direction, self.angle), grown(turning, self.rate)
-        return replace(self, s=grown(first, self.s), angle=angle, rate=rate)
+        return replace(
+            self,
+            s=_prepend(first, self.s, len(before)),
+            angle=_prepend(direction, self.angle, len(before)),
+            rate=_prepend(turning, self.rate, len(before)),
+        )
 
     def segment_angles_and_rates(
         self, middles: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Angles [rad] and their rates [rad/s] of segments whose middles are at (M,) or
-        (C, M) [m], of that shape.
+        """Find angles [rad] and their rates [rad/s] of segments.
+
+        middles: of the segments, (M,) or (C, M) [m]; the results have that shape.
         """
-        return _interpolate(middles, self.s, self.angle), _interpolate(
-            middles, self.s, self.rate
-        )
+        angles = _interpolate(middles, self.s, self.angle)
+        return angles, _interpolate(middles, self.s, self.rate)
+
+
+def _select(
+    value: float | np.ndarray, chosen: np.ndarray | slice, shared_dimensions: int
+) -> float | np.ndarray:
+    """Select candidates of a value, unless it is shared by all."""
+    if np.ndim(value) == shared_dimensions:
+        return value
+    return np.asarray(np.asarray(value)[chosen])
+
+
+def _prepend(first: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    rows = np.broadcast_to(values, (count, values.shape[-1]))
+    return np.column_stack([np.broadcast_to(first, count), rows])
 
 
 def _interpolate(x: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values at x between their nodes, as np.interp, each (M,) or of all candidates (C,
-    M).
-    """
+    """Interpolate values at x between nodes, each (M,) or (C, M)."""
     if x.ndim == nodes.ndim == values.ndim == 1:
         return np.interp(x, nodes, values)
-    count = max(len(each) for each in (x, nodes, values) if each.ndim == 2)
-    rows = (
-        np.broadcast_to(each, (count, each.shape[-1])) for each in (x, nodes, values)
-    )
+    arrays = (x, nodes, values)
+    count = max(len(array) for array in arrays if array.ndim == 2)
+    rows = [np.broadcast_to(array, (count, array.shape[-1])) for array in arrays]
     return np.array([np.interp(*row) for row in zip(*rows, strict=True)])

@@ -1,4 +1,4 @@
-"""The string: its mass points and its effects; `stages.model.engine.simulate` moves it.
+"""The string: its mass points and its effects; `engine.simulate` moves it.
 
 Parameters are given in the paper's view: per unit mass of one mass point (Table 1), at
 `reference_points` mass points. Inside, they are properties of the material (bending
@@ -43,7 +43,7 @@ from stringcast.stages.model.engine.law_slots import (
 from stringcast.stages.model.parameter import Parameter, Parametrised
 
 # 30 um of 300 mm, far finer than any string converges at; stiffness and steps go with
-# its square
+# its square.
 MAX_POINTS = 10_000
 PAPER_EFFECTS: tuple[type[StringEffect], ...] = (
     Gravity,
@@ -55,8 +55,8 @@ PAPER_EFFECTS: tuple[type[StringEffect], ...] = (
     GraspSpring,
     GraspDamper,
 )
-# If any of these is at work the loop holds them all, which takes 1.2 times as long, and
-# one loop is compiled (3 s) instead of up to 255. None has a memory; each adds exactly
+# If any of these is active the loop holds them all, which takes 1.2 times as long, and
+# one loop is compiled (3 s) instead of up to 127. None has a memory; each adds exactly
 # nothing where it is absent.
 JOINTLY_COMPILED_EFFECTS: tuple[type[StringEffect], ...] = (
     AnisotropicDrag,
@@ -67,25 +67,56 @@ JOINTLY_COMPILED_EFFECTS: tuple[type[StringEffect], ...] = (
     TipMass,
     Wind,
 )
+GRASP_AND_BENDING = (
+    "grasp_stiffness",
+    "grasp_damping",
+    "bending_stiffness",
+    "bending_damping",
+)
+
+Effects = tuple[type[StringEffect], ...]
+# A law, the names of its arguments, and the rows of `material` of those that are
+# parameters.
+BoundLaw = tuple[Law, tuple[str, ...], dict[str, int]]
 
 
 @dataclass(frozen=True)
 class String(Parametrised):
     """A chain of mass points hung from the grasp.
 
-    length: rest length [m] from the stated grasp, before or beyond which an effect may
-    have it begin. points: n, the first is held by the hand. effects: the forces at
-    work. reference_points: the n at which per-mass-point parameters are given.
-    tip_cell: mass of the last point, in segments; 1 is Eq. 1 (all points alike), 1/2 is
-    second-order accurate in the number of points. grasp_cell: share of a segment's
-    bending compliance that lies in the hinge at the grasp; 0 is Eq. 1, 1/2 second-order
-    accurate. ranges: parameters whose range or start differ from the effect's own, by
-    name. largest_step: step allowed for accuracy [s]; stability may ask for less.
+    Parameters
+    ----------
+    length : float
+        Rest length [m] from the stated grasp, before or beyond which an effect may have
+        it begin.
+    points : int
+        Number of mass points n. The first is held by the hand.
+    effects : tuple of StringEffect classes
+        The active forces.
+    reference_points : int
+        The n at which per-mass-point parameters are given.
+    tip_cell : float
+        Mass of the last point, in segments. 1 is Eq. 1 (all points alike), 1/2 is
+        second-order accurate in the number of points.
+    grasp_cell : float
+        Share of a segment's bending compliance that lies in the hinge at the grasp. 0
+        is Eq. 1, 1/2 second-order accurate.
+    ranges : mapping of str to Parameter
+        Parameters whose range or start differ from the effect's own, by name.
+    integrator : Integrator
+        The time step.
+    largest_step : float
+        Step allowed for accuracy [s]. Stability may ask for less.
+
+    Raises
+    ------
+    ValueError
+        If there are too few or too many points, or ranges of unknown parameters.
     """
 
     length: float
     points: int = 10
-    effects: tuple[type[StringEffect], ...] = PAPER_EFFECTS
+    effects: Effects = PAPER_EFFECTS
     reference_points: int = 10
     tip_cell: float = 1.0
     grasp_cell: float = 0.0
@@ -101,83 +132,140 @@ class String(Parametrised):
             raise ValueError(
                 f"string.points is {self.points}; it must be {MAX_POINTS} at most"
             )
-        unknown = set(self.ranges) - {
-            e.qualified_name(p) for e in self.effects for p in e.parameters
-        }
+        unknown = set(self.ranges) - _parameter_names(self.effects)
         if unknown:
-            raise ValueError(
-                f"ranges for unknown parameters: {', '.join(sorted(unknown))}"
-            )
+            names = ", ".join(sorted(unknown))
+            raise ValueError(f"ranges for unknown parameters: {names}")
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters of all effects, with qualified names, in the order of
-        `values`.
-        """
-        named = (
-            replace(p, name=e.qualified_name(p))
-            for e in self.effects
-            for p in e.parameters
-        )
-        return tuple(self.ranges.get(p.name, p) for p in named)
+        """Parameters of all effects, with qualified names, in the order of `values`."""
+        parameters = []
+        for effect in self.effects:
+            for parameter in effect.parameters:
+                name = effect.qualified_name(parameter)
+                own = replace(parameter, name=name)
+                parameters.append(self.ranges.get(name, own))
+        return tuple(parameters)
+
+    # --- material: what the laws are evaluated with -------------------------
 
     @cached_property
     def row_names(self) -> tuple[str, ...]:
-        """Names of what `material` gives: the parameters, what effects derive from
-        them, where the string begins.
+        """Names of what `material` gives.
+
+        The parameters, what effects derive from them, and where the string begins.
         """
-        derived = (
-            f"{e.name}.{d}"
-            for e in self.effects
-            for d in e.derive_parameters(**{p.name: p.start for p in e.parameters})
+        names = list(self.names)
+        for effect in self.effects:
+            start = {p.name: p.start for p in effect.parameters}
+            derived = effect.derive_parameters(**start)
+            names += [f"{effect.name}.{name}" for name in derived]
+        if self._hidden_length_effects:
+            names += FREE_LENGTH_ROWS
+        return tuple(names)
+
+    def start_values(self) -> np.ndarray:
+        """Return the start values of the parameters, (P,)."""
+        return np.array([p.start for p in self.parameters])
+
+    def material(self, values: np.ndarray) -> np.ndarray:
+        """Turn per-mass-point values into material properties.
+
+        Parameters
+        ----------
+        values : ndarray of shape (..., P)
+            In the order of `parameters`.
+
+        Returns
+        -------
+        ndarray of shape (..., rows)
+            In the order of `row_names`: with what effects derive.
+        """
+        reference = self.length / (self.reference_points - 1)
+        powers = np.array([p.length_power for p in self.parameters], dtype=float)
+        material = values * reference**powers
+        if self.grasp_cell and set(GRASP_AND_BENDING) <= set(self.names):
+            self._soften_grasp(material)
+        columns: list[np.ndarray] = []
+        for effect in self.effects:
+            own = self.effect_parameters(effect, material)
+            columns += effect.derive_parameters(**own).values()
+        if self._hidden_length_effects:
+            per_segment = 1 / self.free_segment_lengths(material)
+            columns += [self.free_length_ratio(material), per_segment]
+        return np.concatenate([material, *(c[..., None] for c in columns)], axis=-1)
+
+    def _soften_grasp(self, material: np.ndarray) -> None:
+        """Soften the hinge at the grasp, in place, by its share of the first segment.
+
+        Of its angle the string's share is that of the compliances, and so it is of its
+        rate: that is how springs in series divide it, as long as dampers beside them
+        are slow. Moments follow by virtual work.
+        """
+        places = [self.names.index(name) for name in GRASP_AND_BENDING]
+        stiffness, damping, bending_stiffness, bending_damping = (
+            material[..., place] for place in places
         )
-        return (
-            *self.names,
-            *derived,
-            *(FREE_LENGTH_ROWS if self._hidden_length_effects else ()),
-        )
+        cell = self.grasp_cell * self.free_segment_lengths(material)
+        share = stiffness / (stiffness + bending_stiffness / cell)
+        softened_stiffness = share * bending_stiffness / cell
+        grasp_part = (1 - share) ** 2 * damping
+        softened_damping = grasp_part + share**2 * bending_damping / cell
+        material[..., places[0]] = softened_stiffness
+        material[..., places[1]] = softened_damping
+
+    def effect_parameters(
+        self, effect: type[StringEffect], material: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Return an effect's parameters, (...) each, by name, of material (..., P)."""
+        parameters = {}
+        for parameter in effect.parameters:
+            place = self.names.index(effect.qualified_name(parameter))
+            parameters[parameter.name] = material[..., place]
+        return parameters
+
+    # --- the same string with fewer or more effects -------------------------
 
     def without_absent_effects(self, material: np.ndarray) -> tuple[String, np.ndarray]:
-        """The string without effects that are absent in every candidate, whose laws add
-        nothing, and its material.
+        """Return the string without effects that all candidates lack, and its material.
 
-        For what is found before the first step, whose price goes with the number of
-        laws. material: (C, rows). Forces that depend on place stay: the rest position
-        is sought in another way where there is one.
+        Their laws add nothing. For what is found before the first step, whose price
+        goes with the number of laws. Forces that depend on place stay: the rest
+        position is sought in another way where there is one.
+
+        material: (C, rows).
         """
-        acts = np.any(material[:, : len(self.names)] != self._absent_material, axis=0)
-        return self.with_only_effects(
-            tuple(
-                e
-                for e, places in self._removable_effects.items()
-                if not places or acts[places].any()
-            ),
-            material,
-        )
+        own = material[:, : len(self.names)]
+        present = np.any(own != self._absent_material, axis=0)
+        kept = []
+        for effect, places in self._removable_effects.items():
+            if not places or present[places].any():
+                kept.append(effect)
+        return self.with_only_effects(tuple(kept), material)
 
     def with_only_effects(
-        self, effects: tuple[type[StringEffect], ...], material: np.ndarray
+        self, effects: Effects, material: np.ndarray
     ) -> tuple[String, np.ndarray]:
-        """The string with some of its effects, and its material. material: (C, rows)."""
+        """Return the string with some of its effects, and its material (C, rows)."""
         if effects not in self._restricted_strings:
-            names = {e.qualified_name(p) for e in effects for p in e.parameters}
-            string = replace(
-                self,
-                effects=effects,
-                ranges={n: p for n, p in self.ranges.items() if n in names},
-            )
-            self._restricted_strings[effects] = (
-                string,
-                np.array([self.row_names.index(row) for row in string.row_names]),
-            )
+            names = _parameter_names(effects)
+            ranges = {n: p for n, p in self.ranges.items() if n in names}
+            string = replace(self, effects=effects, ranges=ranges)
+            rows = [self.row_names.index(row) for row in string.row_names]
+            self._restricted_strings[effects] = string, np.array(rows)
         string, places = self._restricted_strings[effects]
         return string, material[:, places]
 
     def with_compiled_effects(self, material: np.ndarray) -> tuple[String, np.ndarray]:
-        """The string with what is compiled together, and its material: the rest of that
-        is absent. The paper's forces alone stay alone. material: (C, rows).
+        """Return the string with all jointly compiled effects, and its material.
+
+        Effects of `JOINTLY_COMPILED_EFFECTS` that this string does not have are absent
+        by their values. The paper's forces alone stay alone.
+
+        material: (C, rows).
         """
-        if not self._jointly_compiled:
+        if not set(PAPER_EFFECTS) < set(self.effects):
             return self, material
         string, places, absent = self._compiled_string
         filled = np.repeat(absent[None], len(material), axis=0)
@@ -185,58 +273,41 @@ class String(Parametrised):
         return string, filled
 
     @cached_property
-    def _jointly_compiled(self) -> tuple[type[StringEffect], ...]:
-        """What goes into a loop with these effects."""
-        return (
-            JOINTLY_COMPILED_EFFECTS if set(PAPER_EFFECTS) < set(self.effects) else ()
-        )
-
-    @cached_property
     def _compiled_string(self) -> tuple[String, list[int], np.ndarray]:
-        """The string with that, the places of this one's rows among its own, and a row
-        of it in which all is absent.
-        """
-        string = replace(
-            self,
-            effects=(
-                *(e for e in self.effects if e not in self._jointly_compiled),
-                *self._jointly_compiled,
-            ),
-        )
-        start = np.array([p.start for e in string.effects for p in e.parameters])
-        return (
-            string,
-            [string.row_names.index(row) for row in self.row_names],
-            string.material(start),
-        )
+        """The string as compiled, places of own rows in it, and a row of absence."""
+        joint = JOINTLY_COMPILED_EFFECTS
+        others = [effect for effect in self.effects if effect not in joint]
+        string = replace(self, effects=(*others, *joint))
+        places = [string.row_names.index(row) for row in self.row_names]
+        return string, places, string.material(_own_starts(string.effects))
 
     @cached_property
     def _absent_material(self) -> np.ndarray:
-        """(P,) material at which each effect is absent."""
-        own = np.array([p.start for e in self.effects for p in e.parameters])
-        return self.material(own)[: len(own)]
+        """Material at which each effect is absent, (P,)."""
+        start = _own_starts(self.effects)
+        return self.material(start)[: len(start)]
 
     @cached_property
     def _removable_effects(self) -> dict[type[StringEffect], list[int]]:
-        """Places of the parameters of effects that add nothing where they are absent;
-        none for all others.
+        """Places of the parameters of each effect that adds nothing where it is absent.
+
+        None for all others.
         """
-        stay = {
-            e for e in self.effects if e in PAPER_EFFECTS or is_position_dependent(e)
-        }
-        return {
-            e: []
-            if e in stay
-            else [self.names.index(e.qualified_name(p)) for p in e.parameters]
-            for e in self.effects
-        }
+        removable: dict[type[StringEffect], list[int]] = {}
+        for effect in self.effects:
+            removable[effect] = []
+            if effect not in PAPER_EFFECTS and not is_position_dependent(effect):
+                for parameter in effect.parameters:
+                    name = effect.qualified_name(parameter)
+                    removable[effect].append(self.names.index(name))
+        return removable
 
     @cached_property
-    def _restricted_strings(
-        self,
-    ) -> dict[tuple[type[StringEffect], ...], tuple[String, np.ndarray]]:
+    def _restricted_strings(self) -> dict[Effects, tuple[String, np.ndarray]]:
         """Strings with fewer effects, and the places of their rows."""
         return {}
+
+    # --- geometry -----------------------------------------------------------
 
     @property
     def segment_length(self) -> float:
@@ -244,121 +315,100 @@ class String(Parametrised):
         return self.length / (self.points - 1)
 
     def arc_lengths(self) -> np.ndarray:
-        """(n,) arc length of each mass point from the grasp [m]."""
+        """Return the arc length of each mass point from the grasp, (n,) [m]."""
         return np.arange(self.points) * self.segment_length
 
     def segment_middles(self) -> np.ndarray:
-        """(n - 1,) arc length of each segment's middle from the grasp [m]."""
+        """Return the arc lengths of the segments' middles, (n - 1,) [m]."""
         return self.arc_lengths()[1:] - self.segment_length / 2
 
     def free_length_ratio(self, material: np.ndarray) -> np.ndarray:
-        """Length of the free string over that stated, (...). material: (..., P)."""
-        total = np.ones(material.shape[:-1])
+        """Return the length of the free string over that stated, (...).
+
+        material: (..., P).
+        """
+        ratio = np.ones(material.shape[:-1])
         for effect in self._hidden_length_effects:
             law = effect.laws()["hidden_length"]
-            total = (
-                total
-                + law(**select_arguments(law, self.effect_parameters(effect, material)))
-                / self.length
-            )
-        return total
+            own = self.effect_parameters(effect, material)
+            ratio = ratio + law(**select_arguments(law, own)) / self.length
+        return ratio
 
     @cached_property
-    def _hidden_length_effects(self) -> tuple[type[StringEffect], ...]:
+    def _hidden_length_effects(self) -> Effects:
         """Effects by which the free string begins elsewhere than stated."""
         return tuple(e for e in self.effects if "hidden_length" in e.laws())
 
     def free_segment_lengths(self, material: np.ndarray) -> np.ndarray:
-        """Rest length of a segment as it really is, (...) [m]. material: (..., P)."""
+        """Return the rest length of a segment of the free string, (...) [m].
+
+        material: (..., P).
+        """
         return self.segment_length * self.free_length_ratio(material)
 
     def free_arc_lengths(self, material: np.ndarray) -> np.ndarray:
-        """Arc length of each mass point from where the free string begins, (C, n) [m].
+        """Return arc lengths of points from the free string's begin, (C, n) [m].
+
         material: (C, P).
         """
         return self.arc_lengths() * self.free_length_ratio(material)[:, None]
 
-    def start_values(self) -> np.ndarray:
-        """(P,) start values of the parameters."""
-        return np.array([p.start for p in self.parameters])
+    def point_masses(self, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Find masses of the points and the lengths they stand for.
 
-    def material(self, values: np.ndarray) -> np.ndarray:
-        """Material properties from per-mass-point values, and what effects derive.
-        (..., P) to (..., rows).
+        Parameters
+        ----------
+        material : ndarray of shape (C, P)
+            Material properties.
+
+        Returns
+        -------
+        masses : ndarray of shape (C, n)
+            Over nominal mass per length [m].
+        cells : ndarray of shape (C, n)
+            Length of string that each point stands for [m].
         """
-        reference = self.length / (self.reference_points - 1)
-        material = values * reference ** np.array(
-            [p.length_power for p in self.parameters], dtype=float
-        )
-        names = (
-            "grasp_stiffness",
-            "grasp_damping",
-            "bending_stiffness",
-            "bending_damping",
-        )
-        if self.grasp_cell and set(names) <= set(self.names):
-            # The hinge at the grasp, softened by the bending of its share of the first
-            # segment. Of its angle the string's share is that of the compliances, and
-            # so it is of its rate: that is how springs in series divide it, as long as
-            # dampers beside them are slow. Moments follow by virtual work.
-            places = [self.names.index(name) for name in names]
-            stiffness, damping, own_stiffness, own_damping = (
-                material[..., place] for place in places
-            )
-            cell = self.grasp_cell * self.free_segment_lengths(material)
-            share = stiffness / (stiffness + own_stiffness / cell)
-            softened = (
-                share * own_stiffness / cell,
-                (1 - share) ** 2 * damping + share**2 * own_damping / cell,
-            )
-            material[..., places[0]], material[..., places[1]] = softened
-        columns = [
-            column
-            for e in self.effects
-            for column in e.derive_parameters(
-                **self.effect_parameters(e, material)
-            ).values()
-        ]
-        if self._hidden_length_effects:
-            columns += [
-                self.free_length_ratio(material),
-                1 / self.free_segment_lengths(material),
-            ]
-        return np.concatenate(
-            [material, *(column[..., None] for column in columns)], axis=-1
-        )
-
-    def effect_parameters(
-        self, effect: type[StringEffect], material: np.ndarray
-    ) -> dict[str, np.ndarray]:
-        """An effect's own parameters, (...) each, by name. material: (..., P)."""
-        places = {
-            p.name: self.names.index(effect.qualified_name(p))
-            for p in effect.parameters
+        ratio = self.free_length_ratio(material)[:, None]
+        cells = np.repeat(self.segment_length * ratio, self.points, axis=1)
+        cells[:, -1] *= self.tip_cell
+        arguments = {
+            "s": self.free_arc_lengths(material),
+            "length": self.length * ratio,
         }
-        return {name: material[..., place] for name, place in places.items()}
+        for length in self.law_values("tip_length", material, arguments):
+            cells[:, -1:] += length
+        density = np.ones((len(material), self.points))
+        for excess in self.law_values("density", material, arguments):
+            density = density + excess
+        tip_mass = np.zeros((len(material), 1))
+        for mass in self.law_values("tip_mass", material, arguments):
+            tip_mass = tip_mass + mass
+        masses = density * cells
+        masses[:, -1:] += tip_mass
+        return masses, cells
+
+    # --- laws ---------------------------------------------------------------
 
     def uses_argument(self, slots: Sequence[str], names: Sequence[str]) -> bool:
-        """Whether a law in one of these slots takes an argument of one of these names."""
-        return any(
-            {*names} & {*taken}
-            for slot in slots
-            for _, taken, _ in self._laws.get(slot, ())
-        )
+        """Return whether a law in one of the slots takes one of these arguments."""
+        for slot in slots:
+            for _, arguments, _ in self._laws.get(slot, ()):
+                if {*names} & {*arguments}:
+                    return True
+        return False
 
     def law_values(
-        self, slot: str, material: np.ndarray, given: Mapping[str, np.ndarray]
+        self, slot: str, material: np.ndarray, arguments: Mapping[str, np.ndarray]
     ) -> Iterator[Any]:
-        """The contribution of each law in a slot. material: (C, rows). given: the
-        slot's arguments by name, (1 or C, M) each.
+        """Evaluate each law in a slot.
+
+        material: (C, rows). arguments: of the slot by name, (1 or C, M) each.
         """
         for law in self._laws.get(slot, ()):
-            yield _evaluate_law(law, material, given)
+            yield _evaluate_law(law, material, arguments)
 
     def memory_count(self, slot: str) -> int:
-        """The number of effects with memory whose moment belongs to a slot: `moment` or
-        `grasp_moment`.
-        """
+        """Count effects with memory of a slot, `moment` or `grasp_moment`."""
         return len(self._laws.get(MEMORY_SLOTS[slot][0], ()))
 
     def updated_memory(
@@ -369,88 +419,83 @@ class String(Parametrised):
         before: Sequence[np.ndarray] | None = None,
         lapse: float = np.inf,
     ) -> list[np.ndarray]:
-        """The state of each effect with a memory after a change of curvature, or of the
-        grasp's angle, (1 or C, M) each [1/m] or [rad].
+        """Update the state of each effect with memory after a change of bending.
 
-        slot: that of the moment. material: (C, rows). change: (1 or C, M), in a time
-        `lapse` [s]. before: the states before it, (1 or C, M) each; if not given, zero:
-        with the lapse as it is, it was bent slowly from straight.
+        Parameters
+        ----------
+        slot : str
+            Slot of the moment: `moment` or `grasp_moment`.
+        material : ndarray of shape (C, rows)
+            Material properties.
+        change : ndarray of shape (1 or C, M)
+            Of curvature [1/m] or the grasp's angle [rad].
+        before : sequence of ndarray, optional
+            States before it, (1 or C, M) each; zero if not given.
+        lapse : float
+            Time in which it changes [s].
+
+        Returns
+        -------
+        list of ndarray
+            States after it, (1 or C, M) each.
         """
         laws = self._laws.get(MEMORY_SLOTS[slot][0], [])
         known = {"change": change, "dt": np.full((1, 1), lapse)}
-        start = [np.zeros((1, 1))] * len(laws) if before is None else before
-        return [
-            _evaluate_law(law, material, {**known, "held": held})
-            for law, held in zip(laws, start, strict=True)
-        ]
+        states = before or [np.zeros((1, 1))] * len(laws)
+        after = []
+        for law, memory in zip(laws, states, strict=True):
+            after.append(_evaluate_law(law, material, {**known, "memory": memory}))
+        return after
 
     def memory_moments(
-        self, slot: str, material: np.ndarray, held: Sequence[np.ndarray]
+        self, slot: str, material: np.ndarray, states: Sequence[np.ndarray]
     ) -> Iterator[Any]:
-        """The moment of what is held, for each effect with a memory. held: in the order
-        of `self.held`.
+        """Evaluate the moment of each effect with memory.
+
+        states: in the order of `updated_memory`.
         """
-        for law, state in zip(
-            self._laws.get(MEMORY_SLOTS[slot][1], ()), held, strict=True
-        ):
-            yield _evaluate_law(law, material, {"held": state})
+        laws = self._laws.get(MEMORY_SLOTS[slot][1], ())
+        for law, memory in zip(laws, states, strict=True):
+            yield _evaluate_law(law, material, {"memory": memory})
 
     @cached_property
     def _laws(self) -> dict[str, list[BoundLaw]]:
-        """The laws in each slot."""
-        found: dict[str, list[BoundLaw]] = {}
+        """Laws in each slot."""
+        laws: dict[str, list[BoundLaw]] = {}
         for effect in self.effects:
             for slot, law in effect.laws().items():
-                names = law_arguments(law)
-                # an effect's own parameter before another's of the same name
-                rows = {
-                    n: [q for q in (f"{effect.name}.{n}", n) if q in self.row_names]
-                    for n in names
-                }
-                places = {
-                    name: self.row_names.index(own[0])
-                    for name, own in rows.items()
-                    if own
-                }
-                found.setdefault(slot, []).append((law, names, places))
-        return found
-
-    def point_masses(self, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Masses of the points over nominal mass per length [m], and the length each
-        stands for [m].
-
-        material: (C, P). Returns (C, n) each.
-        """
-        longer = self.free_length_ratio(material)[:, None]
-        cells = np.repeat(self.segment_length * longer, self.points, axis=1)
-        cells[:, -1] *= self.tip_cell
-        if not {"tip_length", "density", "tip_mass"} & self._laws.keys():
-            return cells.copy(), cells
-        density = np.ones((len(material), self.points))
-        tip = np.zeros((len(material), 1))
-        given = {"s": self.free_arc_lengths(material), "length": self.length * longer}
-        for longer in self.law_values("tip_length", material, given):
-            cells[:, -1:] += longer
-        for denser in self.law_values("density", material, given):
-            density = density + denser
-        for heavier in self.law_values("tip_mass", material, given):
-            tip = tip + heavier
-        masses = density * cells
-        masses[:, -1:] += tip
-        return masses, cells
+                arguments = law_arguments(law)
+                places = {}
+                for name in arguments:
+                    # an effect's own parameter before another's of the same name
+                    for row in (f"{effect.name}.{name}", name):
+                        if row in self.row_names:
+                            places[name] = self.row_names.index(row)
+                            break
+                laws.setdefault(slot, []).append((law, arguments, places))
+        return laws
 
 
-# A law, the names of what it takes, and the rows of `material` where those of them that
-# are parameters are.
-BoundLaw = tuple[Law, tuple[str, ...], dict[str, int]]
+def _parameter_names(effects: Effects) -> set[str]:
+    names = set()
+    for effect in effects:
+        names |= {effect.qualified_name(p) for p in effect.parameters}
+    return names
+
+
+def _own_starts(effects: Effects) -> np.ndarray:
+    """Return the start values of all parameters in the effects' own ranges, (P,)."""
+    return np.array([p.start for effect in effects for p in effect.parameters])
 
 
 def _evaluate_law(
-    bound: BoundLaw, material: np.ndarray, given: Mapping[str, np.ndarray]
+    bound: BoundLaw, material: np.ndarray, arguments: Mapping[str, np.ndarray]
 ) -> Any:
-    """A law's value for all candidates. material: (C, rows). given: the slot's
-    arguments, (1 or C, M) each.
+    """Evaluate a law for all candidates.
+
+    material: (C, rows). arguments: of the slot, (1 or C, M) each.
     """
     law, names, places = bound
-    parameters = {name: material[:, place, None] for name, place in places.items()}
-    return law(**{name: given[name] for name in names if name in given}, **parameters)
+    known = {name: material[:, place, None] for name, place in places.items()}
+    given = {name: arguments[name] for name in names if name in arguments}
+    return law(**given, **known)

@@ -281,7 +281,7 @@ def test_a_wrong_name_in_the_settings_is_answered(arm, camera):
         add_effects(plain, "tip_mass", "here")
     with pytest.raises(
         UserError,
-        match=r"effects \(here\): effect 'wind' is at work already\. Name it once\.",
+        match=r"effects \(here\): effect 'wind' is active already\. Name it once\.",
     ):
         add_effects(plain, ["wind", "wind"], "here")
     assert add_effects(plain, ["resolution", "wind"], "here").string.points == 19

@@ -56,7 +56,7 @@ def round_of(run, folder, whole, rng, span):
     rows = []
     status = None
     while status != 0:
-        moment = rng.uniform_indices(0, span * (1 + len(rows)) / 4)
+        moment = rng.uniform(0, span * (1 + len(rows)) / 4)
         status = ended_by(run, run.start(folder), moment)
         assert status in (0, -signal.SIGKILL), f"it failed by itself: {status}"
         look_at_what_is_left(folder, whole)

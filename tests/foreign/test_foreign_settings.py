@@ -177,7 +177,7 @@ def test_an_extended_model_of_another_shape_is_refused(tmp_path, said, message):
         ),
         (
             ["effects=[" + ",".join(["wind"] * 101) + "]"],
-            "101 effects are asked for, 100 at most",
+            "There are 101 effects; at most 100",
         ),
     ],
 )

@@ -173,7 +173,7 @@ def test_a_motion_goes_on_from_a_state_that_is_told_from_the_stated_grasp():
     )
     rate = np.array([1, -8, 8, -1]) @ angle[20 + np.array([-2, -1, 1, 2])] / (12 * T[1])
     start = StringState(float(T[20]), string.segment_middles(), angle[20], rate)
-    moved = hand().since(start.t)
+    moved = hand().starting_at(start.t)
     on = simulate(string, moved, held, T[20:], start).tip[0]
     assert np.abs(on - whole[20:, -1]).max() < 4e-4
     without = simulate(string, moved, values(string, **firm)[None], T[20:], start).tip[

@@ -529,7 +529,7 @@ def hand_model(*names, points=10):
 
 def grasped(motion: HandMotion, **named) -> HandMotion:
     model = hand_model(*{name.split(".")[0]: None for name in named})
-    return model.hand(motion, model.values(named)[None])
+    return model.hand_motion(motion, model.values(named)[None])
 
 
 POSE = np.stack(

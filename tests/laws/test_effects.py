@@ -147,7 +147,7 @@ def arguments_of_string(effect, rng):
         for slot in SLOTS.values()
         for name in slot.arguments
     }
-    turn = rng.uniform_indices(0, 2 * np.pi, SAMPLES)
+    turn = rng.uniform(0, 2 * np.pi, SAMPLES)
     known |= {"tx": np.cos(turn), "ty": np.sin(turn), "length": np.full(SAMPLES, 0.3)}
     own = {p.name: drawn(p, rng, SAMPLES) for p in effect.parameters}
     known |= {name: drawn(p, rng, SAMPLES) for name, p in PAPER.items()} | own
@@ -160,10 +160,10 @@ def arguments_elsewhere(effect, rng):
     wave = np.cumsum(np.cumsum(rng.normal(size=(1, 60, 3)), axis=1), axis=1) * 0.02
     known = {"t": t, "angles": wave, "pose": wave, "times": t[:4], "camera": CAMERA}
     known |= {
-        "points": rng.uniform_indices(-0.5, 1, (SAMPLES, 4, 5, 2)),
+        "points": rng.uniform(-0.5, 1, (SAMPLES, 4, 5, 2)),
         "velocity": 5 * rng.normal(size=(SAMPLES, 4, 5, 2)),
     }
-    dimensions = {"joints": 3, "grasp": 3, "times": 2, "seen": 4}[
+    dimensions = {"joints": 3, "grasp": 3, "times": 2, "observe": 4}[
         next(iter(effect.laws()))
     ]
     shape = (SAMPLES, *[1] * (dimensions - 1))
@@ -207,10 +207,10 @@ def test_at_their_start_laws_add_nothing(effect):
     known |= still
     if issubclass(effect, StringEffect):
         known |= effect.derive_parameters(**still)
-    absent = {"joints": "angles", "grasp": "pose", "times": "t", "seen": "points"}
+    absent = {"joints": "angles", "grasp": "pose", "times": "t", "observe": "points"}
     for name in effect.laws().keys() - {
-        "held",
-        "grasp_held",
+        "hinge_memory",
+        "grasp_memory",
     }:  # what a hinge holds is nothing to the string: its moment is
         value = law_of(effect, name)(known)
         np.testing.assert_allclose(
@@ -234,7 +234,7 @@ ELSEWHERE = {
     **{
         "joints": "rad",
         "times": "s",
-        "seen": "m",
+        "observe": "m",
         "t": "s",
         "angles": "rad",
         "points": "m",
@@ -331,8 +331,8 @@ def swung(arm, camera):
 
 def test_absent_is_present_with_zero(swung):
     plain, full, motion, t = swung
-    expected = plain.seen(motion, plain.values(NAMED)[None], t).points
-    found = full.seen(motion, full.values(NAMED)[None], t).points
+    expected = plain.simulate_observation(motion, plain.values(NAMED)[None], t).points
+    found = full.simulate_observation(motion, full.values(NAMED)[None], t).points
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
@@ -353,7 +353,7 @@ def test_every_parameter_moves_the_string_smoothly(swung, parameter):
     step = 1e-4
     values = np.tile(base, (4, 1))
     values[:, place] = known.value(chi + np.array([1, -1, 0.5, -0.5]) * step)
-    seen = full.seen(motion, values, t)
+    seen = full.simulate_observation(motion, values, t)
     assert seen.finite.all()
     coarse = (seen.points[0] - seen.points[1]) / (2 * step)
     fine = (seen.points[2] - seen.points[3]) / step
@@ -374,7 +374,7 @@ def test_strings_with_every_effect_at_once_stay_finite(swung):
     values[:, full.names.index("contact.tilt")] = rng.uniform(-0.3, 0.3, 32)
     values[:, full.names.index("box_contact.centre_x")] = rng.uniform(0.5, 0.9, 32)
     values[:, full.names.index("box_contact.centre_y")] = rng.uniform(-0.9, -0.5, 32)
-    assert full.seen(motion, values, t).finite.all()
+    assert full.simulate_observation(motion, values, t).finite.all()
 
 
 def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swung):
@@ -395,7 +395,7 @@ def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swung):
             [full.string.values(NAMED | some | place) for place in (behind, before)]
         )
     )
-    steps, possible = steps_per_tick(*full.string.active(material), 5e-3)
+    steps, possible = steps_per_tick(*full.string.without_absent_effects(material), 5e-3)
     assert possible.all()
     assert steps[0] == steps[1]
 
@@ -454,7 +454,7 @@ def test_arguments_of_laws_are_known():
     for effect, law in LAWS:
         if law in SLOTS:
             own = {p.name: p.start for p in effect.parameters}
-            known = {*SLOTS[law].arguments, *PAPER, *own, *effect.derived(**own)}
+            known = {*SLOTS[law].arguments, *PAPER, *own, *effect.derive_parameters(**own)}
             assert set(law_arguments(effect.laws()[law])) <= known, effect.name
 
 
@@ -478,5 +478,5 @@ def test_effects_act_as_they_stand_in_the_world_whatever_is_named_first(swung):
 def test_an_effect_is_at_work_once(arm: Arm, camera: Camera):
     model = Model(String(0.3), arm, camera).with_effects(LIBRARY["tip_mass"])
     for twice in ("tip_mass", "gravity"):
-        with pytest.raises(ValueError, match=f"'{twice}' is at work already"):
+        with pytest.raises(ValueError, match=f"'{twice}' is active already"):
             model.with_effects(LIBRARY[twice])

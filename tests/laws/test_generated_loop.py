@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
-from stringcast.stages.model.engine import kernel_codegen
+from stringcast.stages.model.engine.kernel_codegen import generate_source
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.print_loop import main as print_loop
 from stringcast.stages.model.engine.simulate import simulate
@@ -30,7 +30,7 @@ def test_the_loop_can_be_printed(capsys):
         node.name for node in ast.parse(paper).body if isinstance(node, ast.FunctionDef)
     }
     print_loop(["maxwell_slip"])
-    assert "def maxwell_slip_held(" in capsys.readouterr().out
+    assert "def maxwell_slip_hinge_memory(" in capsys.readouterr().out
     assert "maxwell_slip" not in paper
 
 
@@ -47,7 +47,7 @@ def test_effects_without_a_memory_share_a_loop_and_those_with_one_have_their_own
             for string in strings
         ]
         return {
-            kernel_codegen.generate_source(
+            generate_source(
                 each.effects, each.row_names, each.integrator
             )
             for each in looped

@@ -57,15 +57,15 @@ def moments(name, path, lapse=1e-3, **values):
         (state, moment) for state, moment in STATES.items() if state in laws
     )
     own = {**KNOWN[name], **values}
-    own |= effects_by_name()[name].derived(**own)
+    own |= effects_by_name()[name].derive_parameters(**own)
     for change in np.diff(path, prepend=0.0):
         held = laws[state](
             **select_arguments(
-                laws[state], {"held": held, "change": change, "dt": lapse, **own}
+                laws[state], {"memory": held, "change": change, "dt": lapse, **own}
             )
         )
         found.append(
-            laws[moment](**select_arguments(laws[moment], {"held": held, **own}))
+            laws[moment](**select_arguments(laws[moment], {"memory": held, **own}))
         )
     return np.array(found)
 
@@ -284,7 +284,7 @@ def test_laws_take_what_their_slots_give():
         own = {*KNOWN[effect.name], *effect.derive_parameters(**KNOWN[effect.name])}
         for state in STATES.keys() & effect.laws().keys():
             assert set(law_arguments(effect.laws()[state])) - own <= {
-                "held",
+                "memory",
                 "change",
                 "dt",
             }

@@ -288,12 +288,12 @@ def test_a_rod_that_somebody_else_integrates_moves_the_same(law):
 
 LAW = """
     @staticmethod
-    def held(held: Quantity, change: Quantity, dt: Quantity, slip: Quantity, creep: Quantity) -> Quantity:
-        return np.minimum(np.maximum(held + change, -slip), slip) / (1.0 + dt / creep)
+    def hinge_memory(memory: Quantity, change: Quantity, dt: Quantity, slip: Quantity, creep: Quantity) -> Quantity:
+        return np.minimum(np.maximum(memory + change, -slip), slip) / (1.0 + dt / creep)
 
     @staticmethod
-    def held_moment(held: Quantity, cap: Quantity, slip: Quantity) -> Quantity:
-        return cap * held / slip
+    def hinge_memory_moment(memory: Quantity, cap: Quantity, slip: Quantity) -> Quantity:
+        return cap * memory / slip
 """
 FILE = f'''"""Strands that stick, slip, and creep where they stick."""
 

@@ -7,7 +7,7 @@ from conftest import threads
 
 from stringcast.stages.model.effects.gravity import Gravity
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
-from stringcast.stages.model.engine import kernel_codegen
+from stringcast.stages.model.engine import batching
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.integrators import RungeKutta4, SemiImplicitEuler
 from stringcast.stages.model.engine.simulate import simulate
@@ -146,7 +146,7 @@ def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, inte
     each = [p.value(rng.uniform(0.3, 0.6, 3)) for p in string.parameters]
     hand, values = resample_hand_motion(T, POSE), np.array(each).T
     together = simulate(string, hand, values, T).points
-    monkeypatch.setattr(kernel_codegen, "RUNS_BEFORE_SINGLE_LANE", 0)
+    monkeypatch.setattr(batching, "RUNS_BEFORE_SINGLE_LANE", 0)
     alone = [simulate(string, hand, row[None], T).points[0] for row in values]
     assert np.isfinite(together).all()
     np.testing.assert_array_equal(together, alone)
@@ -154,11 +154,11 @@ def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, inte
 
 def test_only_the_paper_s_forces_are_ever_alone(monkeypatch):
     """With others the compiler rounds some sums otherwise in one lane."""
-    monkeypatch.setattr(kernel_codegen, "RUNS_BEFORE_SINGLE_LANE", 0)
+    monkeypatch.setattr(batching, "RUNS_BEFORE_SINGLE_LANE", 0)
     string = String(0.3, effects=(*PAPER_EFFECTS, MaxwellSlip))
     assert (
-        kernel_codegen.lane_count(
+        batching.lane_count(
             1, string.effects, string.row_names, string.integrator
         )
-        == kernel_codegen.LANES
+        == batching.LANES
     )

@@ -10,7 +10,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from stringcast.stages.model.engine import kernel_codegen
+from stringcast.stages.model.engine import batching
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.engine.stability import steps_per_tick
 from stringcast.stages.model.hand import HandMotion
@@ -40,7 +40,7 @@ def step_loop(
     step.
     """
     calls = []
-    compiled = kernel_codegen.compile_step_loop
+    compiled = batching.compile_step_loop
 
     def caught(*key: object) -> Callable[..., None]:
         run = compiled(*key)
@@ -51,7 +51,7 @@ def step_loop(
 
         return noted
 
-    with patch.object(kernel_codegen, "kernel_for", caught):
+    with patch.object(batching, "compile_step_loop", caught):
         simulate(string, hand, values, times)
     ((run, start, arguments),) = calls
     return StepLoop(run, start, arguments, point_steps(string, hand, values, times))
@@ -67,6 +67,6 @@ def point_steps(
 
 
 def _copied(buffers: np.ndarray) -> np.ndarray:
-    copy = kernel_codegen.aligned_zeros(buffers.shape)
+    copy = batching.aligned_zeros(buffers.shape)
     copy[:] = buffers
     return copy

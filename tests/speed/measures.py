@@ -21,7 +21,7 @@ from stringcast.stages.estimate import random_search
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.model.engine import kernel_codegen
+from stringcast.stages.model.engine import batching, kernel_codegen
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.engine.stability import steps_per_tick
 from stringcast.stages.model.model import Model
@@ -169,7 +169,7 @@ def _hand_written():  # type: ignore[no-untyped-def]
     parameters = np.tile(np.repeat(values, fused.W), (blocks, 1))
     at_rest = fused.state(start, blocks)
     rows, out = (
-        kernel_codegen.aligned_zeros(at_rest.shape),
+        batching.aligned_zeros(at_rest.shape),
         np.empty((blocks, path.shape[0], 2, 10, fused.W)),
     )
 

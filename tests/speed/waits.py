@@ -23,7 +23,7 @@ import pandas as pd
 
 from stringcast.known import experiment_for_call
 from stringcast.pipeline.sweep.attempt import THREAD_VARIABLES
-from stringcast.stages.model.engine import kernel_codegen
+from stringcast.stages.model.engine import batching
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from tests.speed.measures import Row, on_threads, seen
@@ -123,7 +123,7 @@ def one() -> list[Row]:
     for words, goal in (("string=paper", 1.0), ("string=fine", None)):
         string = experiment_for_call((words,), None).string
         call = partial(simulate, string, bent, string.values(B)[None], SHORT)
-        for _ in range(kernel_codegen.RUNS_BEFORE_SINGLE_LANE):
+        for _ in range(batching.RUNS_BEFORE_SINGLE_LANE):
             call()
         each = in_turns({"one": call}, 99)["one"] * 1e3
         how = {"points": string.points, "threads": 1, "batch": 1} | (

@@ -1,3 +1,1 @@
-"""Physical effects on the string, one file each. See `stages.model.effect` for what a
-file holds.
-"""
+"""Effects, a file each: `stages.model.library` finds them."""

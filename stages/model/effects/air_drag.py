@@ -17,7 +17,7 @@ from stringcast.stages.model.effect import (
 
 
 class AirDrag(StringEffect):
-    """Air resists motion through it with (C_c1 + C_c2 |u|) u, force over mass."""
+    """Air drag (C_c1 + C_c2 |u|) u against the velocity u in air, over mass."""
 
     name = "air_drag"
     parameters = (
@@ -50,7 +50,10 @@ class AirDrag(StringEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        return f"air resists with ({values['linear_drag']:.3g} + {values['quadratic_drag']:.3g} |v|) v"
+        return (
+            f"air resists with ({values['linear_drag']:.3g} + "
+            f"{values['quadratic_drag']:.3g} |v|) v"
+        )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:

@@ -1,4 +1,4 @@
-"""Air that resists motion across the string more than along it."""
+"""Air drag that is larger across the string than along it."""
 
 import numpy as np
 
@@ -17,9 +17,7 @@ from stringcast.stages.model.effect import (
 
 
 class AnisotropicDrag(StringEffect):
-    """The paper's air resistance, a multiple of it once more for the velocity across
-    the string.
-    """
+    """The paper's air drag once more, times `excess`, for velocity across."""
 
     name = "anisotropic_drag"
     parameters = (
@@ -32,7 +30,10 @@ class AnisotropicDrag(StringEffect):
             0.0,
         ),
     )
-    reference = "Taylor, Analysis of the swimming of long and narrow animals (1952): drag along and across a cylinder"
+    reference = (
+        "Taylor, Analysis of the swimming of long and narrow animals (1952): drag "
+        "along and across a cylinder"
+    )
     invariants = (
         odd("load", "ux", "uy"),
         rotates_with("load", "u", "t"),
@@ -42,11 +43,14 @@ class AnisotropicDrag(StringEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        return f"air resists motion across the string {1 + values['excess']:.2f} times as much as along it"
+        return (
+            f"air resists motion across the string {1 + values['excess']:.2f} times as "
+            f"much as along it"
+        )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Over the angle between velocity and string."""
+        """Draw the drag over the angle between velocity and string."""
         angle = np.linspace(0.0, np.pi, 181)
         fx, fy = cls.load(
             1.0, 0.0, np.cos(angle), np.sin(angle), 1.0, 0.0, values["excess"]

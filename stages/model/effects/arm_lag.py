@@ -14,11 +14,10 @@ from stringcast.stages.model.effect import (
 
 
 class ArmLag(HandEffect):
-    """tau y' = u - y: each joint, or where only the grasp is known its pose, follows
-    what is reported.
+    """A first-order lag, tau y' = u - y: each joint follows what the arm reports.
 
-    Solved exactly for the cubic spline through the samples; the arm is at rest at the
-    beginning.
+    Where only the grasp is known, its pose lags instead. The lag is solved exactly for
+    the cubic spline through the samples. The arm is at rest at the beginning.
     """
 
     name = "arm_lag"
@@ -37,14 +36,19 @@ class ArmLag(HandEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        return f"the joints lag {1e3 * values['time_constant']:.1f} ms behind what the arm reports"
+        return (
+            f"the joints lag {1e3 * values['time_constant']:.1f} ms behind what the "
+            f"arm reports"
+        )
 
     @staticmethod
     def joints(
         t: np.ndarray, angles: np.ndarray, time_constant: Quantity
     ) -> np.ndarray:
-        """y = u - e; in each interval e is a polynomial in the spline's derivatives and
-        a decay from what it was.
+        """Return y = u - e.
+
+        In each interval the lag e is a polynomial in the spline's derivatives, and a
+        decay from what it was.
         """
         spline = CubicSpline(t, angles, axis=1, bc_type="natural")
         third = np.diff(spline(t, 2), axis=1) / np.diff(t)[:, None]
@@ -64,5 +68,5 @@ class ArmLag(HandEffect):
 
     @staticmethod
     def grasp(t: np.ndarray, pose: np.ndarray, time_constant: Quantity) -> np.ndarray:
-        """The lag of position and direction, where no joints are known."""
+        """Return the pose with a lag of position and direction."""
         return ArmLag.joints(t, pose, time_constant)

@@ -12,7 +12,7 @@ from stringcast.stages.model.effect import (
 
 
 class AxialDamper(StringEffect):
-    """Tension proportional to the rate of stretch (Kelvin-Voigt). c_s in the paper."""
+    """Tension proportional to the rate of stretch (Kelvin-Voigt), c_s in the paper."""
 
     name = "axial_damper"
     parameters = (

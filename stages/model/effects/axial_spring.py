@@ -11,7 +11,10 @@ from stringcast.stages.model.effect import (
 
 
 class AxialSpring(StringEffect):
-    """Tension proportional to stretch (Hooke). k_s, per mass point, is EA / (mu l^2)."""
+    """Tension proportional to stretch (Hooke).
+
+    k_s, per mass point, is EA / (mu l^2).
+    """
 
     name = "axial_spring"
     parameters = (
@@ -31,7 +34,10 @@ class AxialSpring(StringEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        return f"the string stretches with a stiffness of {values['axial_stiffness']:.3g} N/(m kg)"
+        return (
+            f"the string stretches with a stiffness of {values['axial_stiffness']:.3g} "
+            f"N/(m kg)"
+        )
 
     @staticmethod
     def tension(stretch: Quantity, axial_stiffness: Quantity) -> Quantity:

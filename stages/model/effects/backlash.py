@@ -13,11 +13,10 @@ from stringcast.stages.model.effect import (
 
 
 class Backlash(HandEffect):
-    """The play operator: a joint stays where it is until its gap is taken up, then is
-    pushed along.
+    """The play operator: a joint stays until its gap is taken up, then it is pushed.
 
-    It begins in the middle of the gap. Gears wear one by one: each joint has a gap of
-    its own.
+    It begins in the middle of the gap. Gears wear one by one, so each joint has a gap
+    of its own.
     """
 
     name = "backlash"
@@ -28,7 +27,10 @@ class Backlash(HandEffect):
         )
         for joint in (1, 2, 3)
     )
-    reference = "Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989): the play operator"
+    reference = (
+        "Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989): the play "
+        "operator"
+    )
     invariants = (odd("joints", "angles"), shifts_with("joints", "angles"))
 
     @staticmethod
@@ -44,8 +46,9 @@ class Backlash(HandEffect):
         gap_2: Quantity,
         gap_3: Quantity,
     ) -> np.ndarray:
-        """Sample by sample: within half a gap of what is reported, and otherwise where
-        it was.
+        """Return the actual angles, sample by sample.
+
+        Within half a gap of the reported angle a joint stays where it was.
         """
         half = np.concatenate([gap_1, gap_2, gap_3], axis=-1) / 2
         low, high = angles - half, angles + half

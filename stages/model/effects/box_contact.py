@@ -16,17 +16,15 @@ from stringcast.stages.model.effects.contact import Contact
 
 
 class BoxContact(StringEffect):
-    """A box pushes out what is inside it, with loss and friction as a plane's
-    (`contact`), never pulling.
+    """A box that pushes out what is inside it, with loss and friction as in `contact`.
 
     It pushes with k d along the slope of the depth d, 1/d^2 = 1/a^2 + 1/b^2, for depths
-    a and b behind the nearer upright and the nearer level side; the potential is k d^2
-    / 2. Behind a side d is the distance from it, behind an edge the push turns smoothly
-    from one side to the other. With the true distance, the smaller of a and b, it would
-    jump across the diagonals: there a step of 0.1 ms gained up to 3 % of a point's
-    energy, so it gains 0.2 %. A point at speed v goes v / sqrt(k) deep; what gets past
-    the middle leaves on the other side. Mass points touch, not the segments between
-    them.
+    a and b behind the nearer upright and the nearer level side. The potential is k d^2
+    / 2. Behind a side d is the distance from it; behind an edge the push turns smoothly
+    from one side to the other. The true distance, the smaller of a and b, would jump
+    across the diagonals: there a step of 0.1 ms gained up to 3 % of a point's energy,
+    so it gains 0.2 %. A point at speed v goes v / sqrt(k) deep. What passes the middle
+    leaves on the other side. Mass points touch, not the segments between them.
     """
 
     name = "box_contact"
@@ -60,11 +58,14 @@ class BoxContact(StringEffect):
     @staticmethod
     def describe(values: Values) -> str:
         size = f"{values['width']:.3f} m wide and {values['height']:.3f} m high"
-        return f"the string touches a box {size} at ({values['centre_x']:.3f}, {values['centre_y']:.3f}) m"
+        return (
+            f"the string touches a box {size} at ({values['centre_x']:.3f}, "
+            f"{values['centre_y']:.3f}) m"
+        )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """The push at rest along a level line through the centre."""
+        """Draw the push at rest along a level line through the centre."""
         place = np.linspace(-0.7, 0.7, 281) * values["width"]
         given = {"friction": 0.0, "loss": 0.0} | cls.derive_parameters(
             values["width"], values["height"]
@@ -78,7 +79,7 @@ class BoxContact(StringEffect):
     def derive_parameters(
         width: Quantity, height: Quantity, **others: Quantity
     ) -> dict[str, Quantity]:
-        """Distances from the centre to the sides [m]."""
+        """Return the distances from the centre to the sides [m]."""
         return {"half_width": 0.5 * width, "half_height": 0.5 * height}
 
     @staticmethod

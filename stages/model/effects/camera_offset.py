@@ -13,8 +13,9 @@ from stringcast.stages.model.effect import (
 
 
 class CameraOffset(CameraEffect):
-    """Everything is seen shifted: the pixel taken for the arm's origin is another.
-    `align` measures it beforehand.
+    """A shift of everything that the camera reports.
+
+    The pixel taken for the arm's origin is another one. `align` measures it beforehand.
     """
 
     name = "camera_offset"
@@ -23,11 +24,12 @@ class CameraOffset(CameraEffect):
         Parameter("y", "m", "how far up everything is seen", -0.1, 0.1, 0.0),
     )
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
-    invariants = (shifts_with("seen", "points"),)
+    invariants = (shifts_with("observe", "points"),)
 
     @staticmethod
     def describe(values: Values) -> str:
-        across = f"{1e3 * abs(values['x']):.1f} mm to the {'right' if values['x'] > 0 else 'left'}"
+        side = "right" if values["x"] > 0 else "left"
+        across = f"{1e3 * abs(values['x']):.1f} mm to the {side}"
         up = f"{1e3 * abs(values['y']):.1f} mm {'up' if values['y'] > 0 else 'down'}"
         return f"the picture's origin is off: everything is seen {across} and {up}"
 
@@ -40,5 +42,5 @@ class CameraOffset(CameraEffect):
         x: Quantity,
         y: Quantity,
     ) -> np.ndarray:
-        """The points shifted."""
+        """Return the shifted points."""
         return points + np.concatenate([x, y], axis=-1)

@@ -13,9 +13,7 @@ from stringcast.stages.model.effect import (
 
 
 class CameraRotation(CameraEffect):
-    """A rotation of the reported points about the middle of the image,
-    counter-clockwise.
-    """
+    """A rotation of the reported points about the image's middle, counter-clockwise."""
 
     name = "camera_rotation"
     parameters = (
@@ -24,12 +22,15 @@ class CameraRotation(CameraEffect):
         ),
     )
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
-    invariants = (rotates_about_centre("seen"),)
+    invariants = (rotates_about_centre("observe"),)
 
     @staticmethod
     def describe(values: Values) -> str:
         way = "counter-clockwise" if values["angle"] > 0 else "clockwise"
-        return f"the camera is rolled: what it sees is turned {np.degrees(abs(values['angle'])):.2f} degrees {way}"
+        return (
+            f"the camera is rolled: what it sees is turned "
+            f"{np.degrees(abs(values['angle'])):.2f} degrees {way}"
+        )
 
     @staticmethod
     def observe(
@@ -39,7 +40,7 @@ class CameraRotation(CameraEffect):
         camera: Camera,
         angle: Quantity,
     ) -> np.ndarray:
-        """The points turned about the centre of the picture."""
+        """Return the points rotated about the image's middle."""
         x, y = np.moveaxis(points - camera.centre, -1, 0)
         c, s = np.cos(angle[..., 0]), np.sin(angle[..., 0])
         return camera.centre + np.stack([c * x - s * y, s * x + c * y], axis=-1)

@@ -13,13 +13,12 @@ from stringcast.stages.model.effect import (
 
 
 class Clamp(StringEffect):
-    """The free string begins `hidden` before the stated grasp, where nobody sees it,
-    and beside it by an offset.
+    """A free string that begins `hidden` before the stated grasp, and beside it.
 
     With no offset it passes straight through the stated grasp. Measured points keep
-    their arc length from there. A negative length is held: it lies straight on as the
-    free string begins. An offset is in the frame of the grasp, with its angle, if it
-    has one. A camera that is off looks like the offset.
+    their arc length from there. A negative length is held: that part lies straight on
+    as the free string begins. The offset is in the frame of the grasp, with its angle,
+    if it has one. A camera that is off looks like the offset.
     """
 
     name = "clamp"
@@ -39,7 +38,10 @@ class Clamp(StringEffect):
             "across", "m", "offset of the string to the left of it", -0.01, 0.01, 0.0
         ),
     )
-    reference = "Geometry; strips of silicone measured on film hide 9 to 10 mm in their clamp (L4DC set)"
+    reference = (
+        "Geometry; strips of silicone measured on film hide 9 to 10 mm in their clamp "
+        "(L4DC set)"
+    )
 
     @staticmethod
     def describe(values: Values) -> str:
@@ -54,7 +56,7 @@ class Clamp(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """The stated grasp, and the string from where it begins."""
+        """Draw the stated grasp, and the string from where it begins."""
         axes.plot(0.0, 0.0, "+", markersize=12)
         along, across = cls.grasp_offset(**values)
         draw_line(

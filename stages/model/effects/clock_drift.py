@@ -6,8 +6,9 @@ from stringcast.stages.model.effect import ClockEffect, Parameter, Quantity, Val
 
 
 class ClockDrift(ClockEffect):
-    """The arm's clock gains on the camera's from t = 0, the start of the movement,
-    where both agree.
+    """A gain of the arm's clock on the camera's.
+
+    It counts from t = 0, the start of the movement, where both agree.
     """
 
     name = "clock_drift"
@@ -27,9 +28,12 @@ class ClockDrift(ClockEffect):
     @staticmethod
     def describe(values: Values) -> str:
         faster = "faster" if values["rate"] > 0 else "slower"
-        return f"the arm's clock runs {1e3 * abs(values['rate']):.2f} ms a second {faster} than the camera's"
+        return (
+            f"the arm's clock runs {1e3 * abs(values['rate']):.2f} ms a second "
+            f"{faster} than the camera's"
+        )
 
     @staticmethod
     def times(t: np.ndarray, rate: Quantity) -> np.ndarray:
-        """Times on the arm's clock."""
+        """Return times on the arm's clock."""
         return t * (1 + rate)

@@ -14,17 +14,17 @@ from stringcast.stages.model.effect import (
 
 
 class Contact(StringEffect):
-    """A plane pushes back what is behind it: k d (1 - a v_n), never pulling, and rubs
-    with Coulomb's friction.
+    """A plane that pushes back what is behind it, k d (1 - a v_n), and rubs.
 
-    d is the depth and v_n the velocity out of the plane. Without loss a the push has a
-    potential, so that a bounce gives back what it took; loss only takes (Hunt and
-    Crossley). Mass points touch, not the segments between them. Friction is smooth
-    below 0.1 m/s, and in a step dt below twice the speed that it could take in it: as a
-    step cannot see it turn round, friction must not be what turns a slide round. What
-    is met at a speed v goes v / sqrt(k) deep (5 m/s: 16 mm at 1e5, 2.5 mm at 4e6), so k
-    is sought evenly in its root. What is between mass points goes deeper than they, so
-    that a plane looks softer than it is.
+    d is the depth and v_n the velocity out of the plane. It never pulls. Without loss a
+    the push has a potential, so that a bounce gives back what it took; loss only takes
+    (Hunt and Crossley). Mass points touch, not the segments between them. What is
+    between mass points goes deeper than they do, so a plane looks softer than it is.
+
+    Friction is Coulomb's, smooth below 0.1 m/s, and in a step dt below twice the speed
+    that it could take in it: a step cannot see a slide turn round, so friction must not
+    turn it round. What is met at a speed v goes v / sqrt(k) deep (5 m/s: 16 mm at 1e5,
+    2.5 mm at 4e6), so k is sought evenly in its root.
     """
 
     name = "contact"
@@ -60,7 +60,10 @@ class Contact(StringEffect):
             "loss", "s/m", "share of the push lost per speed of impact", 0.0, 0.5, 0.0
         ),
     )
-    reference = "Hunt and Crossley, Coefficient of restitution interpreted as damping in vibroimpact (1975)"
+    reference = (
+        "Hunt and Crossley, Coefficient of restitution interpreted as damping in "
+        "vibroimpact (1975)"
+    )
     invariants = (vanishes_at_zero("load", "stiffness"),)
 
     @staticmethod
@@ -73,11 +76,14 @@ class Contact(StringEffect):
             if round(sinks) >= 1
             else ""
         )
-        return f"the string touches a plane {values['height']:.3f} m from the origin, turned {turned:.0f} degrees{soft}"
+        return (
+            f"the string touches a plane {values['height']:.3f} m from the origin, "
+            f"turned {turned:.0f} degrees{soft}"
+        )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """The push at rest over the place along the normal."""
+        """Draw the push at rest over the place along the normal."""
         place = values["height"] + np.linspace(-0.01, 0.01, 101)
         push = cls.load(
             0.0,
@@ -96,14 +102,15 @@ class Contact(StringEffect):
 
     @staticmethod
     def derive_parameters(tilt: Quantity, **others: Quantity) -> dict[str, Quantity]:
-        """The plane's normal."""
+        """Return the plane's normal."""
         return {"normal_x": -np.sin(tilt), "normal_y": np.cos(tilt)}
 
     @staticmethod
     def bound(
         stiffness: Quantity, loss: Quantity, **others: Quantity
     ) -> tuple[Quantity, Quantity]:
-        """A bound for impacts up to 10 m/s, which go as deep as speed over frequency.
+        """Bound impacts up to 10 m/s, which go as deep as speed over frequency.
+
         Friction is bounded by its law.
         """
         speed = 10.0

@@ -10,8 +10,9 @@ from stringcast.stages.model.effect import (
 
 
 class DensityTaper(StringEffect):
-    """Density from 1 - taper / 2 at the grasp to 1 + taper / 2 at the tip; the whole
-    mass stays what it is.
+    """A density from 1 - taper / 2 at the grasp to 1 + taper / 2 at the tip.
+
+    The whole mass stays what it is.
     """
 
     name = "density_taper"
@@ -32,7 +33,10 @@ class DensityTaper(StringEffect):
     def describe(values: Values) -> str:
         heavier = "tip" if values["taper"] > 0 else "grasp"
         share = 100 * abs(values["taper"])
-        return f"the string grows heavier towards the {heavier}: its mass per length changes by {share:.0f} % of the mean"
+        return (
+            f"the string grows heavier towards the {heavier}: its mass per length "
+            f"changes by {share:.0f} % of the mean"
+        )
 
     @staticmethod
     def density(s: Quantity, length: Quantity, taper: Quantity) -> Quantity:

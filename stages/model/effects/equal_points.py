@@ -14,11 +14,10 @@ from stringcast.stages.model.effect import (
 
 
 class EqualPoints(StringEffect):
-    """The last of n equal points stands for half a segment that is not there: mass and
-    drag at the tip.
+    """Extra mass and drag at the tip, as of half a segment that is not there.
 
-    No string of a camera is like that; trials made by another simulation are, as Eq. 1
-    is with its ten points.
+    The last of n equal points stands for it. No string before a camera is like that;
+    trials made by another simulation are, as Eq. 1 is with its ten points.
     """
 
     name = "equal_points"
@@ -37,11 +36,14 @@ class EqualPoints(StringEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        return f"the trials are as if made of about {1 + 0.5 / max(values['excess'], 1e-9):.0f} equal mass points"
+        return (
+            f"the trials are as if made of about "
+            f"{1 + 0.5 / max(values['excess'], 1e-9):.0f} equal mass points"
+        )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """The excess of a chain over its number of points, and the one found."""
+        """Draw the excess over the number of equal points, and the one found."""
         points = np.arange(9, 101)
         draw_line(
             axes,

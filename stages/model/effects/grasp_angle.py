@@ -14,7 +14,7 @@ from stringcast.stages.model.effect import (
 
 
 class GraspAngle(HandEffect):
-    """The grasp's direction is turned against the last link, counter-clockwise."""
+    """A turn of the grasp's direction against the last link, counter-clockwise."""
 
     name = "grasp_angle"
     parameters = (
@@ -34,7 +34,10 @@ class GraspAngle(HandEffect):
     @staticmethod
     def describe(values: Values) -> str:
         side = "left" if values["angle"] > 0 else "right"
-        return f"the string leaves the gripper {np.degrees(abs(values['angle'])):.1f} degrees to the {side}"
+        return (
+            f"the string leaves the gripper {np.degrees(abs(values['angle'])):.1f} "
+            f"degrees to the {side}"
+        )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
@@ -51,5 +54,5 @@ class GraspAngle(HandEffect):
 
     @staticmethod
     def grasp(t: np.ndarray, pose: np.ndarray, angle: Quantity) -> np.ndarray:
-        """Only the direction changes."""
+        """Return the poses with the direction turned."""
         return pose + angle * np.array([0.0, 0.0, 1.0])

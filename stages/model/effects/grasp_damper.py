@@ -12,7 +12,7 @@ from stringcast.stages.model.effect import (
 
 
 class GraspDamper(StringEffect):
-    """Moment proportional to the rate of the angle at the grasp. c_ph in the paper."""
+    """Moment proportional to the rate of the angle at the grasp, c_ph in the paper."""
 
     name = "grasp_damper"
     parameters = (
@@ -36,7 +36,10 @@ class GraspDamper(StringEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        return f"turning in the grasp is damped by {values['grasp_damping']:.3g} N m s/(rad kg)"
+        return (
+            f"turning in the grasp is damped by {values['grasp_damping']:.3g} N m "
+            f"s/(rad kg)"
+        )
 
     @staticmethod
     def grasp_moment(rate: Quantity, grasp_damping: Quantity) -> Quantity:

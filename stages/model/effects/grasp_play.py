@@ -13,12 +13,12 @@ from stringcast.stages.model.effect import (
 
 
 class GraspPlay(StringEffect):
-    """The jaws hold the string's direction by dry friction, up to the moment `cap`,
-    beside the grasp's spring.
+    """Jaws that hold the string's direction by dry friction, up to the moment `cap`.
 
-    Below it they give by `slip` at most and spring back; beyond it the string turns
-    between them, and stays turned as far as the spring lets it: play, whose ends are
-    where it last slipped to. While it sticks it looks like a firmer grasp.
+    In parallel with the grasp's spring. Below the cap they give by `slip` at most and
+    spring back. Beyond it the string turns between them, and stays turned as far as the
+    spring lets it: play, whose ends are where it last slipped to. While it sticks it
+    looks like a firmer grasp.
     """
 
     name = "grasp_play"
@@ -35,18 +35,29 @@ class GraspPlay(StringEffect):
             "slip", "rad", "angle by which the jaws give before", 5e-3, 0.5, 0.05
         ),
     )
-    reference = "Iwan, A distributed-element model for hysteresis and its steady-state dynamic response (1966)"
-    invariants = (odd("grasp_held", "held", "change"), odd("grasp_held_moment", "held"))
+    reference = (
+        "Iwan, A distributed-element model for hysteresis and its steady-state "
+        "dynamic response (1966)"
+    )
+    invariants = (
+        odd("grasp_memory", "memory", "change"),
+        odd("grasp_memory_moment", "memory"),
+    )
 
     @staticmethod
     def describe(values: Values) -> str:
         share = moment_percent_of_weight(values["cap"])
-        return f"the string turns in the gripper, beyond {share:.1f} % of the moment that holds 100 mm of it out level"
+        return (
+            f"the string turns in the gripper, beyond {share:.1f} % of the moment that "
+            f"holds 100 mm of it out level"
+        )
 
     @staticmethod
-    def grasp_held(held: Quantity, change: Quantity, slip: Quantity) -> Quantity:
-        return np.minimum(np.maximum(held + change, -slip), slip)
+    def grasp_memory(memory: Quantity, change: Quantity, slip: Quantity) -> Quantity:
+        return np.minimum(np.maximum(memory + change, -slip), slip)
 
     @staticmethod
-    def grasp_held_moment(held: Quantity, cap: Quantity, slip: Quantity) -> Quantity:
-        return cap * held / slip
+    def grasp_memory_moment(
+        memory: Quantity, cap: Quantity, slip: Quantity
+    ) -> Quantity:
+        return cap * memory / slip

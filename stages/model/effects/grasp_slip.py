@@ -14,12 +14,11 @@ from stringcast.stages.model.effect import (
 
 
 class GraspSlip(HandEffect):
-    """A grasp from which the string slides for some time, out of the gripper, along the
-    grasp's direction, at a constant speed.
+    """A slide of the string out of the gripper at a constant speed, for some time.
 
-    The part that has come out is taken to go on straight, and the free string keeps its
-    length: right for a slip that is short against the string. Onset and end are smooth
-    over some 20 ms.
+    It slides along the grasp's direction. The part that has come out is taken to go on
+    straight, and the free string keeps its length: right for a slip that is short
+    against the string. Onset and end are smooth over some 20 ms.
     """
 
     name = "grasp_slip"
@@ -37,7 +36,10 @@ class GraspSlip(HandEffect):
     def describe(values: Values) -> str:
         way = "out of" if values["speed"] > 0 else "into"
         speed, until = 1e3 * abs(values["speed"]), values["onset"] + values["duration"]
-        return f"the string slides {way} the gripper at {speed:.1f} mm/s from {values['onset']:.2f} to {until:.2f} s"
+        return (
+            f"the string slides {way} the gripper at {speed:.1f} mm/s from "
+            f"{values['onset']:.2f} to {until:.2f} s"
+        )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
@@ -56,8 +58,9 @@ class GraspSlip(HandEffect):
         onset: Quantity,
         duration: Quantity,
     ) -> np.ndarray:
-        """The distance is the integral of a logistic rise of the speed, and of its
-        fall.
+        """Return the poses moved by the distance slid.
+
+        The distance is the integral of a logistic rise of the speed, and of its fall.
         """
         rise, since = 0.005, t[:, None] - onset  # [s]
         begun, ended = (

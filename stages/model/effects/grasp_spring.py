@@ -12,6 +12,7 @@ from stringcast.stages.model.effect import (
 
 class GraspSpring(StringEffect):
     """Moment proportional to the angle between the grasp's direction and the string.
+
     k_ph in the paper.
     """
 
@@ -36,7 +37,10 @@ class GraspSpring(StringEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        return f"the grasp holds the string's direction with {values['grasp_stiffness']:.3g} N m/(rad kg)"
+        return (
+            f"the grasp holds the string's direction with "
+            f"{values['grasp_stiffness']:.3g} N m/(rad kg)"
+        )
 
     @staticmethod
     def grasp_moment(angle: Quantity, grasp_stiffness: Quantity) -> Quantity:

@@ -4,7 +4,7 @@ from stringcast.stages.model.effect import Quantity, StringEffect, Values
 
 
 class Gravity(StringEffect):
-    """Weight, straight down."""
+    """The string's weight, straight down."""
 
     name = "gravity"
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_g"

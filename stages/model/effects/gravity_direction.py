@@ -1,4 +1,4 @@
-"""Gravity that is not straight down in the arm's frame: the base is not level."""
+"""Gravity that is not straight down in the arm's frame."""
 
 import numpy as np
 
@@ -13,8 +13,9 @@ from stringcast.stages.model.effect import (
 
 
 class GravityDirection(StringEffect):
-    """A rotation of gravity, counter-clockwise, as the force to be added to the paper's
-    weight.
+    """A rotation of gravity, counter-clockwise: the arm's base is not level.
+
+    The law is the acceleration to be added to the paper's weight.
     """
 
     name = "gravity_direction"
@@ -27,7 +28,10 @@ class GravityDirection(StringEffect):
     @staticmethod
     def describe(values: Values) -> str:
         side = "right" if values["tilt"] > 0 else "left"
-        return f"gravity leans {np.degrees(abs(values['tilt'])):.1f} degrees to the {side}: the base is not level"
+        return (
+            f"gravity leans {np.degrees(abs(values['tilt'])):.1f} degrees to the "
+            f"{side}: the base is not level"
+        )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
@@ -44,7 +48,7 @@ class GravityDirection(StringEffect):
 
     @staticmethod
     def derive_parameters(tilt: Quantity) -> dict[str, Quantity]:
-        """Once for each candidate, so that no sine runs in the loop."""
+        """Return sine and versine, so that no sine runs in the loop."""
         return {"sine": np.sin(tilt), "versine": 2 * np.sin(tilt / 2) ** 2}
 
     @staticmethod

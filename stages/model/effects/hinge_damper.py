@@ -12,7 +12,7 @@ from stringcast.stages.model.effect import (
 
 
 class HingeDamper(StringEffect):
-    """Moment proportional to the rate of curvature. c_h in the paper."""
+    """Moment proportional to the rate of curvature, c_h in the paper."""
 
     name = "hinge_damper"
     parameters = (

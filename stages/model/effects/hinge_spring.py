@@ -11,8 +11,9 @@ from stringcast.stages.model.effect import (
 
 
 class HingeSpring(StringEffect):
-    """Moment proportional to curvature (Euler-Bernoulli). k_h, per mass point, is EI /
-    (mu l^2).
+    """Moment proportional to curvature (Euler-Bernoulli).
+
+    k_h, per mass point, is EI / (mu l^2).
     """
 
     name = "hinge_spring"
@@ -33,7 +34,10 @@ class HingeSpring(StringEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        return f"the string bends with a stiffness of {values['bending_stiffness']:.3g} N m/(rad kg)"
+        return (
+            f"the string bends with a stiffness of {values['bending_stiffness']:.3g} N "
+            f"m/(rad kg)"
+        )
 
     @staticmethod
     def moment(curvature: Quantity, bending_stiffness: Quantity) -> Quantity:

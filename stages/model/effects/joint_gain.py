@@ -13,7 +13,10 @@ from stringcast.stages.model.effect import (
 
 
 class JointGain(HandEffect):
-    """Every joint turns 1 + gain times as far from its first angle as the arm reports."""
+    """A gain of every joint: it turns 1 + gain times as far as the arm reports.
+
+    Counted from its first angle.
+    """
 
     name = "joint_gain"
     parameters = (
@@ -32,9 +35,12 @@ class JointGain(HandEffect):
     @staticmethod
     def describe(values: Values) -> str:
         more = "more" if values["gain"] > 0 else "less"
-        return f"the joints turn {100 * abs(values['gain']):.1f} % {more} than the arm reports"
+        return (
+            f"the joints turn {100 * abs(values['gain']):.1f} % {more} than the arm "
+            f"reports"
+        )
 
     @staticmethod
     def joints(t: np.ndarray, angles: np.ndarray, gain: Quantity) -> np.ndarray:
-        """The angles, whose changes since the first are larger by the gain."""
+        """Return the angles, whose changes since the first are larger by the gain."""
         return angles + gain * (angles - angles[:, :1])

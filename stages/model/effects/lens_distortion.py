@@ -13,8 +13,9 @@ from stringcast.stages.model.effect import (
 
 
 class LensDistortion(CameraEffect):
-    """r' = r (1 + k r^2), r from the middle of the image in half-widths, beyond what
-    the camera corrects.
+    """Radial distortion r' = r (1 + k r^2) beyond what the camera corrects.
+
+    r is the distance from the image's middle in half-widths.
     """
 
     name = "lens_distortion"
@@ -31,13 +32,16 @@ class LensDistortion(CameraEffect):
         ),
     )
     reference = "Brown, Close-range camera calibration (1971): first radial term"
-    invariants = (rotates_about_centre("seen"),)
+    invariants = (rotates_about_centre("observe"),)
 
     @staticmethod
     def describe(values: Values) -> str:
         kind = "pincushion" if values["radial"] > 0 else "barrel"
         share = 100 * abs(values["radial"])
-        return f"the lens distorts ({kind}): points at the image's edge are seen {share:.1f} % off their distance"
+        return (
+            f"the lens distorts ({kind}): points at the image's edge are seen "
+            f"{share:.1f} % off their distance"
+        )
 
     @staticmethod
     def observe(
@@ -47,7 +51,7 @@ class LensDistortion(CameraEffect):
         camera: Camera,
         radial: Quantity,
     ) -> np.ndarray:
-        """The points moved away from the centre by the cube of their distance."""
+        """Return the points moved outwards by the cube of their distance."""
         offset = points - camera.centre
         half = camera.width / 2 / camera.px_per_m
         return points + radial * offset * np.sum(

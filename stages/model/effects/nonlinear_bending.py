@@ -15,12 +15,11 @@ from stringcast.stages.model.effect import (
 
 
 class NonlinearBending(StringEffect):
-    """M = B k sqrt(q + sqrt(1 + q^2)) with q = 2 h k^2 for curvature k: B k (1 + h k^2)
-    where h k^2 is small.
+    """M = B k sqrt(q + sqrt(1 + q^2)) with q = 2 h k^2 for curvature k.
 
-    Where it is large, a stiffening string (h > 0) has M ~ k^2 and a softening one
-    yields: M rises towards a limit. M never falls with curvature, so that the string
-    stays stable in bending.
+    B k (1 + h k^2) where h k^2 is small. Where it is large, a stiffening string (h > 0)
+    has M ~ k^2, and a softening one yields: M rises towards a limit. M never falls with
+    curvature, so that the string stays stable in bending.
     """
 
     name = "nonlinear_bending"
@@ -34,7 +33,10 @@ class NonlinearBending(StringEffect):
             0.0,
         ),
     )
-    reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), V-D: large bending has nonlinear properties"
+    reference = (
+        "Tabata, Seki, Tsuji and Hitamitsu (2021), V-D: large bending has nonlinear "
+        "properties"
+    )
     invariants = (
         even("hinge_stiffness", "curvature"),
         vanishes_at_zero("hinge_stiffness", "curvature"),
@@ -44,11 +46,14 @@ class NonlinearBending(StringEffect):
     def describe(values: Values) -> str:
         kind = "stiffens" if values["hardening"] > 0 else "softens"
         share = 100 * NonlinearBending.hinge_stiffness(20.0, 1.0, values["hardening"])
-        return f"bending {kind} with curvature: the moment at a radius of 50 mm is {share:+.0f} % off the linear one"
+        return (
+            f"bending {kind} with curvature: the moment at a radius of 50 mm is "
+            f"{share:+.0f} % off the linear one"
+        )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Over the curvature, in units of the stiffness."""
+        """Draw the moment over the curvature, in units of the stiffness."""
         curvature = np.linspace(-40.0, 40.0, 201)
         moment = curvature * (
             1 + cls.hinge_stiffness(curvature, 1.0, values["hardening"])

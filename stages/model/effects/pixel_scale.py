@@ -13,8 +13,9 @@ from stringcast.stages.model.effect import (
 
 
 class PixelScale(CameraEffect):
-    """Everything is seen larger by a share, as far from the world's origin as that
-    makes it.
+    """A scale error: everything is reported larger by a share.
+
+    Scaled about the world's origin.
     """
 
     name = "pixel_scale"
@@ -23,12 +24,15 @@ class PixelScale(CameraEffect):
         Parameter("excess", "1", "reported over true size, less 1", -0.1, 0.1, 0.0),
     )
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
-    invariants = (odd("seen", "points"),)
+    invariants = (odd("observe", "points"),)
 
     @staticmethod
     def describe(values: Values) -> str:
         size = "large" if values["excess"] > 0 else "small"
-        return f"the camera's scale is off: everything is reported {100 * abs(values['excess']):.2f} % too {size}"
+        return (
+            f"the camera's scale is off: everything is reported "
+            f"{100 * abs(values['excess']):.2f} % too {size}"
+        )
 
     @staticmethod
     def observe(
@@ -38,5 +42,5 @@ class PixelScale(CameraEffect):
         camera: Camera,
         excess: Quantity,
     ) -> np.ndarray:
-        """The points scaled about the world's origin, whose pixel is known."""
+        """Return the points scaled about the world's origin, whose pixel is known."""
         return points * (1 + excess)

@@ -14,8 +14,10 @@ from stringcast.stages.model.effect import (
 
 
 class RestCurvature(StringEffect):
-    """Without any moment the string has this curvature, positive to the left of its way
-    to the tip: in its middle, and changing evenly along it.
+    """A curvature of the string without any moment, positive to the left.
+
+    To the left of its way to the tip. It is `curvature` in the middle of the string,
+    and changes linearly along it.
     """
 
     name = "rest_curvature"
@@ -33,7 +35,10 @@ class RestCurvature(StringEffect):
         ),
     )
     varies_between_trials = True
-    reference = "Antman, Nonlinear Problems of Elasticity (2005), 4.1: intrinsic curvature of a rod"
+    reference = (
+        "Antman, Nonlinear Problems of Elasticity (2005), 4.1: intrinsic curvature of "
+        "a rod"
+    )
     invariants = (odd("rest_curvature", "curvature", "slope"),)
 
     @staticmethod
@@ -45,7 +50,10 @@ class RestCurvature(StringEffect):
             if values["slope"]
             else ""
         )
-        return f"the string has a set: it rests curved to the {side} with a radius of {radius:.0f} mm{along}"
+        return (
+            f"the string has a set: it rests curved to the {side} with a radius of "
+            f"{radius:.0f} mm{along}"
+        )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:

@@ -15,9 +15,10 @@ from stringcast.stages.model.effect import (
 
 
 class RollingShutter(CameraEffect):
-    """A row v of H, counted from the top, is exposed (v / H - stamped) `readout` after
-    the frame's time; points go on evenly meanwhile. Cameras state the time of their
-    first row, of the middle one, or of the last.
+    """A delay of rows: row v of H is exposed (v / H - stamped) readout after the stamp.
+
+    v counts from the top. Points move on evenly meanwhile. Cameras state the time of
+    their first row, of the middle one, or of the last.
     """
 
     name = "rolling_shutter"
@@ -44,16 +45,19 @@ class RollingShutter(CameraEffect):
     reference = (
         "Meingast, Geyer and Sastry, Geometric models of rolling-shutter cameras (2005)"
     )
-    invariants = (reduces_to("seen", "points", "velocity"),)
+    invariants = (reduces_to("observe", "points", "velocity"),)
 
     @staticmethod
     def describe(values: Values) -> str:
         order = "top to bottom" if values["readout"] > 0 else "bottom to top"
-        return f"the shutter rolls: rows are exposed from {order} within {1e3 * abs(values['readout']):.2f} ms"
+        return (
+            f"the shutter rolls: rows are exposed from {order} within "
+            f"{1e3 * abs(values['readout']):.2f} ms"
+        )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """The time at which each row is exposed."""
+        """Draw the time at which each row is exposed."""
         row = np.linspace(0.0, 1.0, 2)
         late = values["readout"] * (row - values["stamped"])
         draw_line(axes, row, late, "row / height", "exposed after the frame's time / s")
@@ -67,8 +71,9 @@ class RollingShutter(CameraEffect):
         readout: Quantity,
         stamped: Quantity,
     ) -> np.ndarray:
-        """Positions of points when their rows are exposed: delay = readout (row +
-        rowspeed delay), solved for the delay.
+        """Return the positions of points when their rows are exposed.
+
+        delay = readout (row + rowspeed delay), solved for the delay.
         """
         row = camera.pixels(points)[..., 1:] / camera.height - stamped
         speed = -velocity[..., 1:] * camera.px_per_m / camera.height

@@ -10,10 +10,10 @@ from stringcast.stages.model.effect import (
 
 
 class StandardLinearSolid(StringEffect):
-    """A spring in series with a damper beside the bending stiffness (Zener): stiff at
-    once, soft in the long run.
+    """A spring in series with a damper, in parallel with the bending stiffness (Zener).
 
-    Several side by side are a Prony series. Within one cast it looks much like damping.
+    It is stiff at once, soft in the long run. Several in parallel are a Prony series.
+    Within one cast it looks much like damping.
     """
 
     name = "standard_linear_solid"
@@ -28,20 +28,29 @@ class StandardLinearSolid(StringEffect):
         ),
         Parameter("relaxation", "s", "time in which it relaxes", 3e-3, 3.0, 0.1),
     )
-    reference = "Zener, Elasticity and Anelasticity of Metals (1948); Christensen, Theory of Viscoelasticity (1982), 1.6"
-    invariants = (odd("held", "held", "change"), odd("held_moment", "held"))
+    reference = (
+        "Zener, Elasticity and Anelasticity of Metals (1948); Christensen, Theory of "
+        "Viscoelasticity (1982), 1.6"
+    )
+    invariants = (
+        odd("hinge_memory", "memory", "change"),
+        odd("hinge_memory_moment", "memory"),
+    )
 
     @staticmethod
     def describe(values: Values) -> str:
-        return f"bending relaxes: {values['stiffness']:.2g} m4/s2 of its stiffness within {values['relaxation']:.2g} s"
+        return (
+            f"bending relaxes: {values['stiffness']:.2g} m4/s2 of its stiffness within "
+            f"{values['relaxation']:.2g} s"
+        )
 
     @staticmethod
-    def held(
-        held: Quantity, change: Quantity, dt: Quantity, relaxation: Quantity
+    def hinge_memory(
+        memory: Quantity, change: Quantity, dt: Quantity, relaxation: Quantity
     ) -> Quantity:
         lost = 1.0 / (relaxation / dt + 0.5)  # by the trapezoidal rule
-        return held * (1.0 - lost) + change * (1.0 - 0.5 * lost)
+        return memory * (1.0 - lost) + change * (1.0 - 0.5 * lost)
 
     @staticmethod
-    def held_moment(held: Quantity, stiffness: Quantity) -> Quantity:
-        return stiffness * held
+    def hinge_memory_moment(memory: Quantity, stiffness: Quantity) -> Quantity:
+        return stiffness * memory

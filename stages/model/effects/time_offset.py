@@ -12,8 +12,9 @@ from stringcast.stages.model.effect import (
 
 
 class TimeOffset(ClockEffect):
-    """The arm's clock shows `offset` more than the camera's; a delay of the pictures'
-    stamps looks the same.
+    """A constant advance of the arm's clock over the camera's.
+
+    A delay of the pictures' stamps looks the same.
     """
 
     name = "time_offset"
@@ -26,9 +27,12 @@ class TimeOffset(ClockEffect):
     @staticmethod
     def describe(values: Values) -> str:
         order = "ahead of" if values["offset"] > 0 else "behind"
-        return f"the arm's clock is {1e3 * abs(values['offset']):.1f} ms {order} the camera's"
+        return (
+            f"the arm's clock is {1e3 * abs(values['offset']):.1f} ms {order} the "
+            f"camera's"
+        )
 
     @staticmethod
     def times(t: np.ndarray, offset: Quantity) -> np.ndarray:
-        """Times on the arm's clock."""
+        """Return times on the arm's clock."""
         return t + offset

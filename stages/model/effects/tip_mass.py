@@ -33,7 +33,7 @@ class TipMass(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """The mass beyond a place, which a hanging string carries there."""
+        """Draw the mass beyond a place, which a hanging string carries there."""
         s = np.linspace(0.0, 1.0, 101)
         draw_line(
             axes,

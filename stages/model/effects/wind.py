@@ -17,8 +17,9 @@ COMPASS_DIRECTIONS = (
 
 
 class Wind(StringEffect):
-    """The air moves: whatever resists motion through it feels the velocity relative to
-    the wind.
+    """A steady flow of the air.
+
+    Whatever resists motion through it feels the velocity relative to the wind.
     """
 
     name = "wind"
@@ -34,11 +35,14 @@ class Wind(StringEffect):
         eighth = (
             round(np.arctan2(values["along_y"], values["along_x"]) / (np.pi / 4)) % 8
         )
-        return f"air flows through the workspace at {speed:.2f} m/s, {COMPASS_DIRECTIONS[eighth]}"
+        return (
+            f"air flows through the workspace at {speed:.2f} m/s, "
+            f"{COMPASS_DIRECTIONS[eighth]}"
+        )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """An arrow in the direction of the flow."""
+        """Draw an arrow in the direction of the flow."""
         reach = 1.3 * max(np.hypot(values["along_x"], values["along_y"]), 0.01)
         axes.quiver(
             0,

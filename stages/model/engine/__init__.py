@@ -1,1 +1,1 @@
-"""The step loop that moves the string: its source text, its time steps and its threads."""
+"""The step loop that moves the string: source text, time steps and threads."""

@@ -1,44 +1,59 @@
 """Time steps of the string engine: each is the few lines that move one mass point.
 
-A step is one or more passes over the string. `update` is source text that the kernel
-generator places where the acceleration (ax, ay) of a point is known; it sees its
-position px, py, its velocity qx, qy, the step dt, and rows of its own to keep things
-in. A method that moves the points together only keeps the acceleration, and moves them
-after the pass (`solve`).
+A step is one or more passes over the string. `update_source` is text that the step loop
+holds where the acceleration (ax, ay) of a point is known; it sees its position px, py,
+its velocity qx, qy, the step dt, and rows of its own. A method that moves the points
+together only keeps the acceleration, and moves them after the pass (`solve_source`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from stringcast.stages.model.engine import rotation
 
-Slopes = Callable[
-    [], tuple[np.ndarray, np.ndarray]
-]  # stiffness and damping, axial, in bending and at the grasp, (3, C)
+# Stiffness and damping: axial, in bending and at the grasp, (3, C).
+Slopes = Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
 class Integrator:
-    """nodes: when in a step the forces are evaluated, in steps, one for each pass.
-    order: of convergence. update: source text, a line a string. behind: how far the
-    velocities that it keeps are behind the positions, in steps. rows: names of rows of
-    its own. velocity: source text of the velocity qx, qy that loads see. averaged:
-    slots of what is per curvature that bound no step, since `hinge` averages them as
-    they are. turned: how a segment's turn in a step is measured. solve: source text of
-    what runs after each pass.
+    """A time step of the string engine.
+
+    Parameters
+    ----------
+    name : str
+        Name of the method.
+    stage_times : tuple of float
+        When in a step the forces are evaluated, in steps, one for each pass.
+    order : int
+        Order of convergence.
+    update_source : str
+        Text that moves a point.
+    velocity_lag : float
+        How far the velocities that it keeps are behind the positions, in steps.
+    row_names : tuple of str
+        Names of its own rows.
+    velocity_source : str
+        Text of the velocity qx, qy that loads see.
+    averaged_slots : tuple of str
+        Slots that bound no step, since the step averages them as they are.
+    turn_source : str
+        Text of how a segment's turn in a step is measured.
+    solve_source : str
+        Template of the text that runs after each pass.
     """
 
     name: str
     stage_times: tuple[float, ...]
     order: int
-    update_source: tuple[str, ...]
+    update_source: str
     velocity_lag: float = 0.0
     row_names: tuple[str, ...] = ()
-    velocity_source: tuple[str, ...] = ("qx = B[VX + p]", "qy = B[VY + p]")
+    velocity_source: str = "qx = rows[VX + point]\nqy = rows[VY + point]"
     averaged_slots: tuple[str, ...] = ()
     turn_source: str = field(default=rotation.SMALL_TURN_SOURCE, repr=False)
     solve_source: str = field(default="", repr=False)
@@ -46,109 +61,126 @@ class Integrator:
     def largest_stable_step(
         self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray
     ) -> np.ndarray:
-        """Largest stable step [s], (C,).
+        """Find the largest stable step.
 
-        frequency2 [1/s^2], damping [1/s]: (M, C) bounds for M kinds of motion, whose
-        sums bound all together. drag [1/s]: (C,) the most that air adds.
+        Parameters
+        ----------
+        frequency2, damping : ndarray of shape (M, C)
+            Bounds [1/s^2], [1/s] for M kinds of motion, whose sums bound all together.
+        drag : ndarray of shape (C,)
+            The most that air adds [1/s].
+
+        Returns
+        -------
+        ndarray of shape (C,)
+            Step [s].
         """
         raise NotImplementedError
 
     def step_limiting_slope(
         self, steepest: np.ndarray, gentlest: np.ndarray
     ) -> np.ndarray:
-        """The part of a law's slope that limits the step: all of it. steepest,
-        gentlest: (C,) over the string's range.
+        """Return the part of a law's slope that limits the step: all of it.
+
+        steepest, gentlest: (C,) over the string's range.
         """
         return steepest
-
-    def hinge_source(
-        self, slots: Sequence[str], law: Callable[[str, str], str]
-    ) -> list[str]:
-        """Source text of what becomes of a hinge with laws in these slots, which are
-        per curvature.
-
-        law: the text of a slot's laws at an argument.
-        """
-        return []
 
     def row_values(
         self, masses: np.ndarray, segment: np.ndarray, slopes: Slopes, dt: float
     ) -> Mapping[str, np.ndarray]:
-        """Constants of the integrator's own rows before the first step of dt [s], by
-        row, (C, 1 to n) each.
+        """Return constants of the integrator's own rows, by row, (C, 1 to n) each.
 
-        masses: (C, n) over mass per length [m]. segment: (C,) rest length [m]. slopes:
-        finds what may be averaged.
+        Parameters
+        ----------
+        masses : ndarray of shape (C, n)
+            Masses over mass per length [m].
+        segment : ndarray of shape (C,)
+            Rest length of a segment [m].
+        slopes : callable
+            Finds what may be averaged.
+        dt : float
+            Step [s].
         """
         return {}
 
 
 @dataclass(frozen=True)
 class SemiImplicitEuler(Integrator):
-    """v' = v + dt a(x, v), x' = x + dt v'. Keeps the energy of undamped strings
-    bounded.
-    """
+    """v' = v + dt a(x, v), x' = x + dt v'. Keeps undamped energy bounded."""
 
     name: str = "semi_implicit_euler"
     stage_times: tuple[float, ...] = (0.0,)
     order: int = 1
-    update_source: tuple[str, ...] = (
-        "qx += dt * ax",
-        "qy += dt * ay",
-        "px += dt * qx",
-        "py += dt * qy",
-    )
+    update_source: str = "qx += dt * ax\nqy += dt * ay\npx += dt * qx\npy += dt * qy"
     velocity_lag: float = 0.5
 
     def largest_stable_step(
         self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray
     ) -> np.ndarray:
-        """The largest stable step [s] by Jury's criterion for x'' = -w^2 x - c x': w^2
-        dt^2 + 2 c dt < 4.
+        """Find the largest stable step [s], (C,).
+
+        By Jury's criterion for x'' = -w^2 x - c x': w^2 dt^2 + 2 c dt < 4.
         """
         c = damping.sum(axis=0) + drag
         return 4.0 / (c + np.sqrt(c**2 + 4.0 * frequency2.sum(axis=0)))
 
 
+# Rows: position and velocity at the step's start, and weighted sums of the stages.
+RUNGE_KUTTA_ROWS = (
+    "START_X",
+    "START_Y",
+    "START_VX",
+    "START_VY",
+    "SUM_VX",
+    "SUM_VY",
+    "SUM_AX",
+    "SUM_AY",
+)
+RUNGE_KUTTA_UPDATE = """\
+first = stage == 0
+last = stage == 3
+bx = px if first else rows[START_X + point]
+by = py if first else rows[START_Y + point]
+ux = qx if first else rows[START_VX + point]
+uy = qy if first else rows[START_VY + point]
+weight = 1.0 if first or last else 2.0
+sx = qx if first else rows[SUM_VX + point] + weight * qx
+sy = qy if first else rows[SUM_VY + point] + weight * qy
+gx = ax if first else rows[SUM_AX + point] + weight * ax
+gy = ay if first else rows[SUM_AY + point] + weight * ay
+rows[START_X + point] = bx
+rows[START_Y + point] = by
+rows[START_VX + point] = ux
+rows[START_VY + point] = uy
+rows[SUM_VX + point] = sx
+rows[SUM_VY + point] = sy
+rows[SUM_AX + point] = gx
+rows[SUM_AY + point] = gy
+h = dt / 6.0 if last else (dt if stage == 2 else 0.5 * dt)
+px = bx + h * (sx if last else qx)
+py = by + h * (sy if last else qy)
+qx = ux + h * (gx if last else ax)
+qy = uy + h * (gy if last else ay)"""
+
+
 @dataclass(frozen=True)
 class RungeKutta4(Integrator):
-    """The classical fourth-order method, for reference solutions and the virtual lab."""
+    """The classical fourth-order method, for reference solutions."""
 
     name: str = "runge_kutta_4"
     stage_times: tuple[float, ...] = (0.0, 0.5, 0.5, 1.0)
     order: int = 4
-    row_names: tuple[str, ...] = ("R0", "R1", "R2", "R3", "R4", "R5", "R6", "R7")
-    update_source: tuple[str, ...] = (
-        "first = stage == 0",
-        "last = stage == 3",
-        "bx = px if first else B[R0 + p]",
-        "by = py if first else B[R1 + p]",
-        "ux = qx if first else B[R2 + p]",
-        "uy = qy if first else B[R3 + p]",
-        "weight = 1.0 if first or last else 2.0",
-        "sx = qx if first else B[R4 + p] + weight * qx",
-        "sy = qy if first else B[R5 + p] + weight * qy",
-        "gx = ax if first else B[R6 + p] + weight * ax",
-        "gy = ay if first else B[R7 + p] + weight * ay",
-        "B[R0 + p] = bx",
-        "B[R1 + p] = by",
-        "B[R2 + p] = ux",
-        "B[R3 + p] = uy",
-        "B[R4 + p] = sx",
-        "B[R5 + p] = sy",
-        "B[R6 + p] = gx",
-        "B[R7 + p] = gy",
-        "h = dt / 6.0 if last else (dt if stage == 2 else 0.5 * dt)",
-        "px = bx + h * (sx if last else qx)",
-        "py = by + h * (sy if last else qy)",
-        "qx = ux + h * (gx if last else ax)",
-        "qy = uy + h * (gy if last else ay)",
-    )
+    row_names: tuple[str, ...] = RUNGE_KUTTA_ROWS
+    update_source: str = RUNGE_KUTTA_UPDATE
 
     def largest_stable_step(
         self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray
     ) -> np.ndarray:
-        """Real axis to 2.78, imaginary axis to 2.82; the bound of both together, kept
+        """Find the largest stable step [s], (C,).
+
+        Real axis to 2.78, imaginary axis to 2.82; the bound of both together, kept
         simple.
         """
-        return 2.6 / (damping.sum(axis=0) + drag + np.sqrt(frequency2.sum(axis=0)))
+        c = damping.sum(axis=0) + drag
+        return 2.6 / (c + np.sqrt(frequency2.sum(axis=0)))

@@ -1,6 +1,4 @@
-"""Where laws have their place in the string's equation of motion: what they add there,
-of which arguments.
-"""
+"""Places for laws in the string's equation of motion, with arguments and units."""
 
 from __future__ import annotations
 
@@ -16,8 +14,16 @@ Law = Callable[..., Quantity]
 
 @dataclass(frozen=True)
 class Slot:
-    """A place for laws in the string's equation of motion. unit: of what they add;
-    arguments: units by name.
+    """A place for laws in the string's equation of motion.
+
+    Parameters
+    ----------
+    quantity : str
+        What laws add there.
+    unit : str
+        Its unit.
+    arguments : mapping of str to str
+        Units of the arguments that a law may take, by name.
     """
 
     quantity: str
@@ -37,30 +43,29 @@ SLOTS: dict[str, Slot] = {
         "m3/s2",
         {"curvature": "1/m", "rate": "1/(m s)", "s": "m"},
     ),
-    # for moments that are far from linear and can be steep: implicit steps average them
-    # as they are
+    # for moments far from linear, which can be steep: implicit steps average them
     "hinge_stiffness": Slot(
         "bending moment over mass per length, per curvature",
         "m4/s2",
         {"curvature": "1/m"},
     ),
-    # for hinges with a memory: what one holds after its curvature has changed, and the
-    # moment that goes with it
-    "held": Slot(
-        "what a hinge holds, from what it held",
+    # for hinges with a memory: its state after the curvature has changed, and its
+    # moment
+    "hinge_memory": Slot(
+        "memory of a hinge, from what it was",
         "1/m",
-        {"held": "1/m", "change": "1/m", "dt": "s"},
+        {"memory": "1/m", "change": "1/m", "dt": "s"},
     ),
-    "held_moment": Slot(
-        "bending moment over mass per length", "m3/s2", {"held": "1/m"}
+    "hinge_memory_moment": Slot(
+        "bending moment over mass per length", "m3/s2", {"memory": "1/m"}
     ),
-    "grasp_held": Slot(
-        "what the grasp holds, from what it held",
+    "grasp_memory": Slot(
+        "memory of the grasp, from what it was",
         "rad",
-        {"held": "rad", "change": "rad", "dt": "s"},
+        {"memory": "rad", "change": "rad", "dt": "s"},
     ),
-    "grasp_held_moment": Slot(
-        "moment at the grasp over mass per length", "m3/s2", {"held": "rad"}
+    "grasp_memory_moment": Slot(
+        "moment at the grasp over mass per length", "m3/s2", {"memory": "rad"}
     ),
     "grasp_moment": Slot(
         "moment at the grasp over mass per length",
@@ -72,8 +77,8 @@ SLOTS: dict[str, Slot] = {
     "load": Slot(
         "force over nominal mass, (x, y)",
         "m/s2",
-        POSITION_UNITS
-        | {
+        {
+            **POSITION_UNITS,
             "vx": "m/s",
             "vy": "m/s",
             "ux": "m/s",
@@ -86,12 +91,14 @@ SLOTS: dict[str, Slot] = {
         },
     ),
     "acceleration": Slot(
-        "acceleration whatever the mass, (x, y)", "m/s2", POSITION_UNITS | {"t": "s"}
+        "acceleration whatever the mass, (x, y)", "m/s2", {**POSITION_UNITS, "t": "s"}
     ),
-    "flow": Slot("velocity of the air, (x, y)", "m/s", POSITION_UNITS | {"t": "s"}),
+    "flow": Slot("velocity of the air, (x, y)", "m/s", {**POSITION_UNITS, "t": "s"}),
     "rest_curvature": Slot("curvature at rest", "1/m", {"s": "m", "length": "m"}),
     "density": Slot(
-        "mass per length over its nominal value, less 1", "1", {"s": "m", "length": "m"}
+        "mass per length over its nominal value, less 1",
+        "1",
+        {"s": "m", "length": "m"},
     ),
     "tip_mass": Slot(
         "mass at the tip over nominal mass per length", "m", {"length": "m"}
@@ -102,37 +109,33 @@ SLOTS: dict[str, Slot] = {
         {"length": "m"},
     ),
     # for a string that does not begin where the grasp is said to be; measured points
-    # are told from there all the same
+    # are counted from there all the same
     "hidden_length": Slot("free string before the stated grasp", "m", {}),
     "grasp_offset": Slot(
         "where the free string begins, from the stated grasp, (along, across)", "m", {}
     ),
 }
 
-# Slots whose value times one of its arguments belongs to another slot: which, and the
-# argument.
-PROPORTIONAL_SLOTS = {"hinge_stiffness": ("moment", "curvature")}
-
-# Rows of parameters of strings that begin elsewhere than stated: length over that
+# Rows of parameters of strings that begin elsewhere than stated: free length over that
 # stated, and one over a segment's.
-FREE_LENGTH_ROWS = ("longer", "per_segment")
+FREE_LENGTH_ROWS = ("free_length_ratio", "per_segment")
 
-# What is held, by the slot that its moment belongs to: the slots of the state and of
-# its moment, and what it follows.
+# Memory, by the slot that its moment belongs to: the slots of the state and of its
+# moment, and the bending that it follows.
 MEMORY_SLOTS = {
-    "moment": ("held", "held_moment", "curvature"),
-    "grasp_moment": ("grasp_held", "grasp_held_moment", "angle"),
+    "moment": ("hinge_memory", "hinge_memory_moment", "curvature"),
+    "grasp_moment": ("grasp_memory", "grasp_memory_moment", "angle"),
 }
 
 
 @cache
 def law_arguments(law: Callable[..., object]) -> tuple[str, ...]:
-    """Names of a law's arguments, in order."""
+    """Return the names of a law's arguments, in order."""
     return tuple(inspect.signature(law).parameters)
 
 
 def select_arguments(
     law: Callable[..., object], known: Mapping[str, Quantity]
 ) -> dict[str, Quantity]:
-    """The known arguments that a law takes."""
+    """Select the known arguments that a law takes."""
     return {name: known[name] for name in law_arguments(law) if name in known}

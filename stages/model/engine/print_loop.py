@@ -7,19 +7,22 @@ Usage: `python -m stringcast.stages.model.engine.print_loop [EFFECT ...]`, for e
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
+from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.engine.kernel_codegen import generate_source
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 
-def main(effects: list[str]) -> None:
+def main(effects: Sequence[str]) -> None:
     """Print the source text of the loop for the paper's forces and these effects."""
-    string = String(0.3, effects=(*PAPER_EFFECTS, *find_effects(effects)))
-    looped, _ = string.with_compiled_effects(
-        string.material(string.start_values()[None])
-    )
-    print(generate_source(looped.effects, looped.row_names, looped.integrator))
+    further = [e for e in find_effects(effects) if issubclass(e, StringEffect)]
+    string = String(0.3, effects=(*PAPER_EFFECTS, *further))
+    material = string.material(string.start_values()[None])
+    compiled, _ = string.with_compiled_effects(material)
+    source = generate_source(compiled.effects, compiled.row_names, compiled.integrator)
+    print(source)
 
 
 if __name__ == "__main__":

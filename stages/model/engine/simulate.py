@@ -8,7 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from stringcast.stages.model.engine import kernel_codegen
+from stringcast.stages.model.engine import batching
+from stringcast.stages.model.engine.kernel_codegen import row_numbers
 from stringcast.stages.model.engine.law_slots import MEMORY_SLOTS
 from stringcast.stages.model.engine.sampling import (
     interpolate_along_string,
@@ -29,15 +30,23 @@ from stringcast.stages.model.statics.chain import (
 from stringcast.stages.model.statics.equilibrium import hanging_shape, stretched_lengths
 from stringcast.stages.model.string import String
 
-# [1/m] or [rad] by which a hinge is bent to hold what it would on its way back: no
-# law's memory goes further
+# [1/m] or [rad] by which a hinge is bent to find its memory after a full reversal: no
+# law's memory goes further.
 FULL_REVERSAL_BEND = 1e3
+
+Shape = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
 class StringMotion:
-    """Simulated strings at `arc_lengths` from the stated grasp. points: (C, F, n, 2)
-    [m], NaN where a run was rejected; finite: (C,) bool.
+    """Simulated strings at `String.arc_lengths` from the stated grasp.
+
+    Parameters
+    ----------
+    points : ndarray of shape (C, F, n, 2)
+        Positions [m], NaN where a run was rejected.
+    finite : ndarray of bool, shape (C,)
+        Which candidates were not rejected.
     """
 
     points: np.ndarray
@@ -45,7 +54,7 @@ class StringMotion:
 
     @property
     def tip(self) -> np.ndarray:
-        """(C, F, 2) [m]."""
+        """Positions of the tip, (C, F, 2) [m]."""
         return self.points[:, :, -1]
 
 
@@ -57,70 +66,91 @@ def simulate(
     initial: StringState | None = None,
     turn: float | np.ndarray = 0.0,
 ) -> StringMotion:
-    """Move candidates along the hand's motion, from static equilibrium or from the
-    state at its first tick.
-
-    hand: one motion for all candidates, or one each. values: (C, P) parameters in the
-    order of `string.parameters`. times: (F,), or (C, F) of their own, when the string
-    is wanted [s]; before the hand's first tick nothing moves, after the last the hand
-    rests. initial: how the string lies and moves at the first tick, whatever the time
-    it names; in equilibrium without it. turn: on which side of the hand it hangs at
-    rest, as of `hanging`. A candidate that does not stay finite, or whose stable step
-    is impractically small, is rejected.
+    """Move candidates of a string along the hand's motion.
 
     Results do not depend on the number of threads nor on which candidates run together.
+
+    Parameters
+    ----------
+    string : String
+        The string and its effects.
+    hand : HandMotion
+        One motion for all candidates, or one each. After its last tick the hand rests.
+    values : ndarray of shape (C, P) or (P,)
+        Parameters of the candidates, in the order of `string.parameters`.
+    times : ndarray of shape (F,) or (C, F)
+        When the string is wanted [s]. Before the hand's first tick nothing moves.
+    initial : StringState, optional
+        Shape and motion of the string at the first tick, whatever the time it names.
+        Without it the string hangs at rest.
+    turn : float or ndarray of shape (C,)
+        On which side of the hand it hangs at rest, as in `hanging_shape` [rad].
+
+    Returns
+    -------
+    StringMotion
+        Points of the strings. A candidate that does not stay finite, or whose stable
+        step is impractically small, is rejected.
     """
     material = string.material(np.atleast_2d(values))
     position = (times - hand.start) / hand.tick
     last = last_needed_tick(position)
     count = int(last.max()) + 1
+    missing = max(count - hand.pose.shape[1], 0)
     poses, rates = append_rest_ticks(
-        hand.pose[:, :count], hand.rate[:, :count], max(count - hand.pose.shape[1], 0)
+        hand.pose[:, :count], hand.rate[:, :count], missing
     )
     steps, possible = steps_per_tick(
         *string.without_absent_effects(material), hand.tick
     )
-    turn, parts = np.broadcast_to(turn, len(material)), []
-    for level in np.unique(steps[possible]):  # those that share a step share the loop
-        chosen = np.flatnonzero(possible & (steps == level))
-        own = (each if len(each) == 1 else each[chosen] for each in (poses, rates))
-        pose, rate = _free_string_pose(string, material[chosen], *own)
-        begins = None if initial is None else initial.for_candidates(chosen)
+    turn = np.broadcast_to(turn, len(material))
+
+    groups = []
+    for group_steps in np.unique(steps[possible]):  # who shares a step shares the loop
+        chosen = np.flatnonzero(possible & (steps == group_steps))
+        some = material[chosen]
+        pose = poses if len(poses) == 1 else poses[chosen]
+        rate = rates if len(rates) == 1 else rates[chosen]
+        pose, rate = _free_string_pose(string, some, pose, rate)
+        state = None if initial is None else initial.for_candidates(chosen)
         ticks = _run_candidates(
-            string, material[chosen], pose, rate, hand, int(level), begins, turn[chosen]
+            string, some, pose, rate, hand, int(group_steps), state, turn[chosen]
         )
-        asked_for, end = (
-            (position, last) if times.ndim == 1 else (position[chosen], last[chosen])
-        )
-        points = interpolate_ticks(ticks, asked_for, end)
-        longer = string.free_length_ratio(material[chosen])[:, None]
-        # of strings that begin elsewhere: points at the stated arc lengths
-        if np.any(longer != 1):
-            tip = string.points - 1
-            points = interpolate_along_string(
-                points,
-                np.minimum(
-                    (np.arange(string.points) + (longer - 1) * tip) / longer, tip
-                ),
-            )
-        parts.append((chosen, points, is_bounded(ticks, end)))
-    return _gather_groups(parts, (len(material), times.shape[-1], string.points, 2))
+        shared = times.ndim == 1
+        end = last if shared else last[chosen]
+        points = interpolate_ticks(ticks, position if shared else position[chosen], end)
+        points = _at_stated_arc_lengths(string, some, points)
+        groups.append((chosen, points, is_bounded(ticks, end)))
+    shape = (len(material), times.shape[-1], string.points, 2)
+    return _gather_groups(groups, shape)
+
+
+def _at_stated_arc_lengths(
+    string: String, material: np.ndarray, points: np.ndarray
+) -> np.ndarray:
+    """Read strings that begin elsewhere than stated at the stated arc lengths."""
+    ratio = string.free_length_ratio(material)[:, None]
+    if np.all(ratio == 1):
+        return points
+    tip = string.points - 1
+    hidden = (ratio - 1) * tip
+    place = np.minimum((np.arange(string.points) + hidden) / ratio, tip)
+    return interpolate_along_string(points, place)
 
 
 def _gather_groups(
-    parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], shape: tuple[int, ...]
+    groups: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], shape: tuple[int, ...]
 ) -> StringMotion:
-    """All candidates, from those that share a step: which they are, their points, and
-    who stayed alive.
-    """
-    if len(parts) == 1 and len(parts[0][0]) == shape[0]:
-        _, points, finite = parts[0]
+    """Put groups of candidates in order: numbers, points, who stayed finite."""
+    if len(groups) == 1 and len(groups[0][0]) == shape[0]:
+        _, points, finite = groups[0]
     else:
         points, finite = np.full(shape, np.nan), np.zeros(shape[0], dtype=bool)
-        for chosen, some, alive in parts:
-            points[chosen], finite[chosen] = some, alive
-    # a sum is not finite where a number is not
+        for chosen, group_points, group_finite in groups:
+            points[chosen] = group_points
+            finite[chosen] = group_finite
     with np.errstate(invalid="ignore", over="ignore"):
+        # a sum is not finite where a number is not
         finite = finite & np.isfinite(points.sum(axis=(1, 2, 3)))
     points[~finite] = np.nan
     return StringMotion(points, finite)
@@ -128,14 +158,16 @@ def _gather_groups(
 
 def _free_string_pose(
     string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Poses of where the free string begins, and their rates, from those of the stated
-    grasp, (1 or C, K, 3) each.
+) -> Shape:
+    """Move poses and their rates from the stated grasp to where the free string begins.
+
+    Each is (1 or C, K, 3).
     """
     for along, across in string.law_values("grasp_offset", material, {}):
         if np.any(along) or np.any(across):
             cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
-            x, y = along * cos - across * sin, along * sin + across * cos
+            x = along * cos - across * sin
+            y = along * sin + across * cos
             pose = pose + np.stack([x, y, 0 * x], axis=-1)
             rate = rate + rate[..., 2:] * np.stack([-y, x, 0 * x], axis=-1)
     return pose, rate
@@ -151,72 +183,77 @@ def _run_candidates(
     initial: StringState | None,
     turn: np.ndarray,
 ) -> np.ndarray:
-    """Run candidates that share a step. Returns positions at the ticks (C, K, n, 2), of
-    no meaning once one is lost.
+    """Run candidates that share a step.
+
+    Returns positions at the ticks, (C, K, n, 2), of no meaning once a candidate
+    diverges.
     """
-    count, (looped, filled) = len(material), string.with_compiled_effects(material)
-    loop = (looped.effects, looped.row_names, string.integrator)
-    width = kernel_codegen.lane_count(count, *loop)
-    blocks = -(-count // width)
-    # the last candidate again, where a block has lanes left
-    index = np.minimum(np.arange(blocks * width), count - 1)
-    # the loop loads a number of all candidates of a block at once: lanes stand last,
-    # side by side
-    parameters = np.ascontiguousarray(
-        filled[index].reshape(blocks, width, -1).transpose(0, 2, 1)
+    count = len(material)
+    compiled, filled = string.with_compiled_effects(material)
+    loop = (compiled.effects, compiled.row_names, string.integrator)
+    lanes = batching.lane_count(count, *loop)
+    blocks = -(-count // lanes)
+    dt = hand.tick / steps
+
+    # The last block is filled up with the last candidate. The loop loads a number of
+    # all candidates of a block at once: lanes stand last, side by side.
+    index = np.minimum(np.arange(blocks * lanes), count - 1)
+    own_material = material[index]
+    parameters = filled[index].reshape(blocks, lanes, -1).transpose(0, 2, 1)
+    shared_hand = len(pose) == 1
+    own_pose = pose if shared_hand else pose[index]
+    own_rate = rate if shared_hand else rate[index]
+    cubic = _hermite_coefficients(own_pose, own_rate, hand.tick, lanes)
+
+    # How the strings lie and move at first, and the further rows of integrator and
+    # memory.
+    start = _initial_configuration(string, material, pose, rate, initial, turn)
+    angles, lengths, velocity, rest_angles = (part[index] for part in start)
+    active, active_material = string.without_absent_effects(own_material)
+    constants = string.integrator.row_values(
+        active.point_masses(active_material)[0],
+        active.free_segment_lengths(active_material),
+        partial(averageable_slopes, active, active_material),
+        dt,
     )
-    own = pose if len(pose) == 1 else pose[index]
-    angles, lengths, velocity, hung = (
-        part[index]
-        for part in _initial_configuration(string, material, pose, rate, initial, turn)
+    reversal = 0.0 if initial is None else initial.memory_reversal
+    memory = _memory_rows(
+        string,
+        own_material,
+        own_pose[:, 0, 2],
+        angles,
+        rest_angles,
+        np.broadcast_to(reversal, count)[index][:, None],
     )
-    working, acting = string.without_absent_effects(material[index])
-    chain = (
-        working.point_masses(acting)[0],
-        working.free_segment_lengths(acting),
-        partial(averageable_slopes, working, acting),
-    )
-    constants = string.integrator.row_values(*chain, hand.tick / steps)
-    let_back = (
-        0.0
-        if initial is None
-        else np.broadcast_to(initial.memory_reversal, count)[index][:, None]
-    )
-    further = {
-        **constants,
-        **_memory_rows(string, material[index], own[:, 0, 2], angles, hung, let_back),
-    }
     buffers = _fill_buffers(
-        string, material[index], own[:, 0], angles, lengths, velocity, further, width
+        string,
+        own_material,
+        own_pose[:, 0],
+        angles,
+        lengths,
+        velocity,
+        {**constants, **memory},
+        lanes,
     )
-    # one hand for all: its cubics are stored once, and not once a block
-    shared = len(pose) == 1
-    cubic = _hermite_coefficients(
-        own, rate if shared else rate[index], hand.tick, width
-    )
-    out = np.empty((count, cubic.shape[0] + 1, string.points, 2))
-    alive = np.ones((blocks, width), dtype=bool)
+
     run = partial(
-        kernel_codegen.compile_step_loop(*loop, width),
-        **{
-            "P": parameters.reshape(blocks, -1),
-            "per_block": 0 if shared else 1,
-            "start": hand.start,
-        },
-        **{"points": string.points, "length": string.segment_length},
+        batching.compile_step_loop(*loop, lanes),
+        values=np.ascontiguousarray(parameters).reshape(blocks, -1),
+        hands_per_block=0 if shared_hand else 1,
+        start=hand.start,
+        points=string.points,
+        length=string.segment_length,
     )
-    # at rest all velocities are the same: none
     if initial is not None and string.integrator.velocity_lag:
-        _stagger_velocities(
-            string, run, buffers, cubic, hand.tick / steps, steps, width
-        )
+        _stagger_velocities(string, run, buffers, cubic, dt, steps, lanes)
+    out = np.empty((count, cubic.shape[0] + 1, string.points, 2))
     run(
         buffers,
-        H=cubic,
+        hands=cubic,
         steps=np.full(blocks, steps),
         tick=hand.tick,
         out=out,
-        alive=alive,
+        alive=np.ones((blocks, lanes), dtype=bool),
     )
     return out
 
@@ -229,47 +266,46 @@ def _initial_configuration(
     initial: StringState | None,
     turn: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
-    """How strings lie and move at first: angles [rad] and lengths [m] of the segments,
-    (C, n - 1) each, velocities of the points (C, n, 2) [m/s], and the angles at which
-    hinges would hold nothing: where the string would hang at rest, if they hold
-    anything.
+    """Find how strings lie and move at first: at rest, or as `initial` says.
 
-    In equilibrium, or as `initial` says; then each candidate is stretched as it would
-    be if it hung there at rest: let go without strain, a string would ring. turn: (C,),
-    as of `hanging`.
+    Each candidate is stretched as it would be if it hung there at rest: released
+    without strain, a string would ring.
+
+    Returns angles [rad] and lengths [m] of the segments, (C, n - 1) each, velocities of
+    the points (C, n, 2) [m/s], and the angles at which the memory of hinges is empty:
+    where the string would hang at rest.
     """
+    count, segments = len(material), string.points - 1
+    first_pose = pose[:, 0]
     if initial is None:
         angles, lengths = hanging_shape(
-            *string.without_absent_effects(material), pose[:, 0], turn
+            *string.without_absent_effects(material), first_pose, turn
         )
-        return angles, lengths, np.zeros((len(material), string.points, 2)), angles
-    shape = (len(material), string.points - 1)
+        return angles, lengths, np.zeros((count, string.points, 2)), angles
+
     middles = string.segment_middles()
-    if np.any(hidden := (string.free_length_ratio(material) - 1) * string.length):
-        initial = initial.extend_before_grasp(
-            hidden + grasp_compliance_length(string, material),
-            pose[:, 0, 2],
-            rate[:, 0, 2],
+    hidden = (string.free_length_ratio(material) - 1) * string.length
+    if np.any(hidden):
+        before = hidden + grasp_compliance_length(string, material)
+        initial = initial.extend_before_grasp(before, pose[:, 0, 2], rate[:, 0, 2])
+        segment_length = string.free_segment_lengths(material)[:, None]
+        middles = segment_length * (np.arange(segments) + 0.5) - hidden[:, None]
+    angles, turn_rates = initial.segment_angles_and_rates(middles)
+    angles = np.broadcast_to(angles, (count, segments))
+    turn_rates = np.broadcast_to(turn_rates, (count, segments))
+    lengths = stretched_lengths(string, material, first_pose, angles)
+
+    normal = np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
+    relative = np.cumsum((lengths * turn_rates)[..., None] * normal, axis=1)
+    hand_velocity = np.broadcast_to(rate[:, :1, :2], (count, 1, 2))
+    velocity = np.concatenate([hand_velocity, hand_velocity + relative], axis=1)
+
+    rest_angles = angles
+    if any(string.memory_count(slot) for slot in MEMORY_SLOTS):
+        rest_angles, _ = hanging_shape(
+            *string.without_absent_effects(material), first_pose, turn
         )
-        middles = (
-            string.free_segment_lengths(material)[:, None] * (np.arange(shape[1]) + 0.5)
-            - hidden[:, None]
-        )
-    angles, turns = (
-        np.broadcast_to(each, shape)
-        for each in initial.segment_angles_and_rates(middles)
-    )
-    lengths = stretched_lengths(string, material, pose[:, 0], angles)
-    across = np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
-    relative = np.cumsum((lengths * turns)[..., None] * across, axis=1)
-    hand = np.broadcast_to(rate[:, :1, :2], (len(material), 1, 2))
-    velocity = np.concatenate([hand, hand + relative], axis=1)
-    hung = (
-        hanging_shape(*string.without_absent_effects(material), pose[:, 0], turn)[0]
-        if any(map(string.memory_count, MEMORY_SLOTS))
-        else angles
-    )
-    return angles, lengths, velocity, hung
+    return angles, lengths, velocity, rest_angles
 
 
 def _stagger_velocities(
@@ -279,33 +315,31 @@ def _stagger_velocities(
     cubic: np.ndarray,
     dt: float,
     steps: int,
-    width: int,
+    lanes: int,
 ) -> None:
-    """Velocities to the time at which the integrator keeps them, in place, by a step
-    tried on a copy.
+    """Set velocities to the time at which the integrator keeps them, in place.
 
-    With a the steps by which they are behind the positions, v(-a dt) = v(0) - a (v(dt)
-    - v(0)).
+    A step is tried on a copy. With a the steps by which velocities lag behind
+    positions, v(-a dt) = v(0) - a (v(dt) - v(0)). At rest all velocities are zero, so
+    this is not needed.
     """
-    blocks, nowhere = len(buffers), np.empty((0, 2, string.points, 2))
-    first = cubic[:1] * np.repeat((1.0 / steps) ** (np.arange(12) % 4), width)
-    after, alive = buffers.copy(), np.ones((blocks, width), dtype=bool)
+    blocks = len(buffers)
+    powers = (1.0 / steps) ** (np.arange(12) % 4)
+    stepped = buffers.copy()
     run(
-        after,
-        H=first,
+        stepped,
+        hands=cubic[:1] * np.repeat(powers, lanes),
         steps=np.ones(blocks, dtype=int),
         tick=dt,
-        out=nowhere,
-        alive=alive,
+        out=np.empty((0, 2, string.points, 2)),
+        alive=np.ones((blocks, lanes), dtype=bool),
     )
-    kinds = kernel_codegen.row_numbers(string.integrator, string.effects)
-    rows = [kinds["VX"], kinds["VY"]]
-    now, then = (
-        each.reshape(blocks, -1, len(kinds), width) for each in (buffers, after)
-    )
-    now[:, :, rows] -= string.integrator.velocity_lag * (
-        then[:, :, rows] - now[:, :, rows]
-    )
+    numbers = row_numbers(string.integrator, string.effects)
+    shape = (blocks, -1, len(numbers), lanes)
+    now, later = buffers.reshape(shape), stepped.reshape(shape)
+    rows = [numbers["VX"], numbers["VY"]]
+    lag = string.integrator.velocity_lag
+    now[:, :, rows] -= lag * (later[:, :, rows] - now[:, :, rows])
 
 
 def _fill_buffers(
@@ -315,40 +349,40 @@ def _fill_buffers(
     angles: np.ndarray,
     lengths: np.ndarray,
     velocity: np.ndarray,
-    constants: Mapping[str, np.ndarray],
-    width: int,
+    further: Mapping[str, np.ndarray],
+    lanes: int,
 ) -> np.ndarray:
-    """The kernel's rows, filled with the initial state.
+    """Fill the kernel's rows with the initial state.
 
-    velocity: of the points, (C, n, 2) [m/s]. constants: further rows, of the integrator
-    and of hinges with a memory, (C, 1 to n) each. width: candidates side by side.
+    velocity: of the points, (C, n, 2) [m/s]. further: rows of the integrator and of
+    hinges with a memory, (C, 1 to n) each.
     """
-    blocks = len(material) // width
-    vectors = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    positions = np.cumsum(
-        np.concatenate([np.zeros((len(material), 1, 2)), vectors], axis=1), axis=1
-    )
-    positions = positions + pose[:, None, :2]
+    count = len(material)
+    blocks = count // lanes
+    direction = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    vectors = lengths[..., None] * direction
+    from_grasp = np.concatenate([np.zeros((count, 1, 2)), vectors], axis=1)
+    positions = np.cumsum(from_grasp, axis=1) + pose[:, None, :2]
     masses, cells = string.point_masses(material)
     rows = {
         "X": positions[..., 0],
         "Y": positions[..., 1],
         "ANGLE": angles,
-        "SX": vectors[..., 0],
-        "SY": vectors[..., 1],
-        "INERTIA": 1.0 / masses,
-        "WEIGHT": cells / masses,
+        "SEGMENT_X": vectors[..., 0],
+        "SEGMENT_Y": vectors[..., 1],
+        "INVERSE_MASS": 1.0 / masses,
+        "LENGTH_PER_MASS": cells / masses,
         "VX": velocity[..., 0],
         "VY": velocity[..., 1],
-        "SET": grasp_rest_angle(string, material),
+        "GRASP_REST_ANGLE": grasp_rest_angle(string, material),
+        **further,
     }
-    buffers = kernel_codegen.zero_buffers(
-        blocks, string.points, string.integrator, string.effects, width
-    )
-    kinds = kernel_codegen.row_numbers(string.integrator, string.effects)
-    for name, data in {**rows, **constants}.items():
-        lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1)
-        buffers[:, : data.shape[1], kinds[name]] = lanes
+    loop = (string.integrator, string.effects)
+    numbers = row_numbers(*loop)
+    buffers = batching.zero_buffers(blocks, string.points, *loop, lanes)
+    for name, row in rows.items():
+        by_lane = row.reshape(blocks, lanes, -1).transpose(0, 2, 1)
+        buffers[:, : row.shape[1], numbers[name]] = by_lane
     return buffers.reshape(blocks, -1)
 
 
@@ -357,62 +391,58 @@ def _memory_rows(
     material: np.ndarray,
     theta: np.ndarray,
     angles: np.ndarray,
-    hung: np.ndarray,
-    let_back: float | np.ndarray,
+    rest_angles: np.ndarray,
+    reversal: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """The kernel's rows for what has a memory: what hinges are bent to, and what they
-    then hold, (C, n - 1) each; the grasp's comes first.
+    """Find what hinges with a memory are bent to and remember, (C, n - 1) each.
 
-    theta: (1 or C,) of the hand [rad]. angles: (C, n - 1) of the segments [rad]; hung:
-    those at which nothing is held, from which the string was pulled slowly. let_back:
-    how far it was let back then, (C, 1) or all, as in `State`.
+    The grasp's hinge comes first. The string was pulled slowly from `rest_angles`, at
+    which it remembers nothing, to `angles` of its segments, (C, n - 1) each [rad].
+
+    theta: (1 or C,) of the hand [rad]. reversal: (C, 1), as
+    `StringState.memory_reversal`.
     """
     count = max(string.memory_count(slot) for slot in MEMORY_SLOTS)
     if not count:
         return {}
     chain = Chain.from_material(string, material)
-    bent, before = (
-        {
-            "grasp_moment": grasp_hinge_angle(chain, theta, each),
-            "moment": hinge_curvatures(chain, each),
-        }
-        for each in (angles, hung)
-    )
-    places = {"grasp_moment": slice(0, 1), "moment": slice(1, None)}
-    rows = np.zeros((1 + count, *angles.shape))
-    for slot, place in places.items():
-        rows[0, :, place] = bent[slot]
-        pulled = bent[slot] - before[slot]
-        held = string.updated_memory(slot, material, pulled)
-        # beside what is held after the pull, the most that would be held after it was
-        # let back all the way
-        other = string.updated_memory(
-            slot, material, -FULL_REVERSAL_BEND * np.sign(pulled), held
-        )
-        for row, here, there in zip(rows[1:], held, other, strict=False):
-            row[:, place] = here + let_back * (there - here)
-    return dict(zip(("CURVED", *(f"HELD{i}" for i in range(count))), rows, strict=True))
+    bends = {
+        "grasp_moment": (slice(0, 1), partial(grasp_hinge_angle, chain, theta)),
+        "moment": (slice(1, None), partial(hinge_curvatures, chain)),
+    }
+    names = ["LAST_CURVATURE", *(f"MEMORY{i}" for i in range(count))]
+    rows = {name: np.zeros(angles.shape) for name in names}
+    for slot, (hinges, bend) in bends.items():
+        bent = bend(angles)
+        pulled = bent - bend(rest_angles)
+        rows["LAST_CURVATURE"][:, hinges] = bent
+        pulled_memory = string.updated_memory(slot, material, pulled)
+        # the most that would be remembered if it were then released all the way
+        back = -FULL_REVERSAL_BEND * np.sign(pulled)
+        reversed_memory = string.updated_memory(slot, material, back, pulled_memory)
+        for i, memory in enumerate(pulled_memory):
+            change = reversed_memory[i] - memory
+            rows[f"MEMORY{i}"][:, hinges] = memory + reversal * change
+    return rows
 
 
 def _hermite_coefficients(
-    pose: np.ndarray, rate: np.ndarray, tick: float, width: int
+    pose: np.ndarray, rate: np.ndarray, tick: float, lanes: int
 ) -> np.ndarray:
-    """Coefficients of the cubic in each tick, for x, y, theta each a0..a3, as the loop
-    reads them: of one hand for all, (K - 1, 1, 12 width), as wide as the lanes so that
-    it loads vectors, or of the hands of each block.
+    """Find the coefficients of the hand's cubic in each tick, as the loop reads them.
+
+    a0 to a3 for x, y and theta each. One hand for all: (K - 1, 1, 12 lanes), as wide as
+    the lanes so that the loop loads vectors. Else the hands of each block.
     """
     p0, p1 = pose[:, :-1], pose[:, 1:]
     v0, v1 = rate[:, :-1] * tick, rate[:, 1:] * tick
-    coefficients = np.stack(
-        [p0, v0, 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1], axis=-1
-    )
-    hands, count = coefficients.shape[:2]
-    cubic = np.ascontiguousarray(
-        coefficients.reshape(hands, count, 12).transpose(1, 2, 0)
-    )
-    cubic = np.repeat(cubic, width, axis=2) if hands == 1 else cubic
-    return (
-        cubic.reshape(count, 12, -1, width)
-        .transpose(0, 2, 1, 3)
-        .reshape(count, -1, 12 * width)
-    )
+    second = 3 * (p1 - p0) - 2 * v0 - v1
+    third = 2 * (p0 - p1) + v0 + v1
+    coefficients = np.stack([p0, v0, second, third], axis=-1)
+    hands, ticks = coefficients.shape[:2]
+    cubic = coefficients.reshape(hands, ticks, 12).transpose(1, 2, 0)
+    cubic = np.ascontiguousarray(cubic)
+    if hands == 1:
+        cubic = np.repeat(cubic, lanes, axis=2)
+    blocks = cubic.reshape(ticks, 12, -1, lanes).transpose(0, 2, 1, 3)
+    return blocks.reshape(ticks, -1, 12 * lanes)

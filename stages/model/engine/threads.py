@@ -1,9 +1,9 @@
 """Work in independent pieces, on as many threads as Numba is set to use.
 
-Threads of our own and no `prange`: Numba's pools share work out before it begins and
-wait for the slowest core, which on a busy machine took up to a hundred times what one
-thread takes. Here a piece is begun by whoever is free, the caller among them, and a
-thread that has not come to begin is not waited for.
+These are plain threads and no `prange`: Numba's pools share work out before it begins
+and wait for the slowest core, which on a busy machine took up to a hundred times what
+one thread takes. Here whoever is free begins a piece, the caller among them, and a
+thread that has not begun is not waited for.
 """
 
 from __future__ import annotations
@@ -15,33 +15,37 @@ from functools import cache
 
 import numba
 
-# pieces for each thread: with one each, on a busy machine, to wait for the other's
-# costs what it saves
+# With one piece each, on a busy machine, waiting for the other's costs what it saves.
 MIN_PIECES_PER_THREAD = 2
 
 
 def parallel_for(work: Callable[[int, int], None], count: int, piece: int = 1) -> None:
-    """Do `count` things, `piece` of them at a time: work(first, last) does those from
-    first to before last.
+    """Call `work(first, last)` for pieces of `count` things, on several threads.
 
-    What it does must not depend on who else does what, and hold no lock of the
-    interpreter. A piece is worth a thread from about a millisecond: one that is taken
-    off its core in the middle of a piece is waited for.
+    Parameters
+    ----------
+    work : callable
+        Does the things from first to before last. It must not depend on who else does
+        what, and hold no lock of the interpreter.
+    count : int
+        Number of things.
+    piece : int
+        Things in a piece. A piece is worth a thread from about a millisecond: one that
+        is taken off its core in the middle of a piece is waited for.
     """
     threads = min(numba.get_num_threads(), count // piece // MIN_PIECES_PER_THREAD)
     if threads <= 1:
         work(0, count)
         return
-    ahead = iter(range(0, count, piece))  # which gives each to one thread
+    starts = iter(range(0, count, piece))  # shared: it gives each start to one thread
 
-    def take() -> None:
-        for first in ahead:
+    def take_pieces() -> None:
+        for first in starts:
             work(first, min(first + piece, count))
 
-    helpers = [
-        _thread_pool(os.getpid(), threads - 1).submit(take) for _ in range(threads - 1)
-    ]
-    take()
+    pool = _thread_pool(os.getpid(), threads - 1)
+    helpers = [pool.submit(take_pieces) for _ in range(threads - 1)]
+    take_pieces()
     for helper in helpers:
         if not helper.cancel():
             helper.result()
@@ -49,5 +53,5 @@ def parallel_for(work: Callable[[int, int], None], count: int, piece: int = 1) -
 
 @cache
 def _thread_pool(process: int, threads: int) -> ThreadPoolExecutor:
-    """Threads of this process: those of a process do not live on in its forks."""
+    """Return threads of this process: threads do not live on in its forks."""
     return ThreadPoolExecutor(threads, f"string-{process}")

@@ -1,5 +1,4 @@
-"""Statics of a string: forces and moments at rest, and their derivatives, for the
-solvers of its equilibrium.
+"""Statics of a string: forces and moments at rest, and their derivatives.
 
 A string is here the angles phi [rad] (continuous from the grasp) and lengths l [m] of
 its segments, (C, n - 1) each, and hangs from a pose (C, 3) of the grasp. Forces are
@@ -13,26 +12,43 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stringcast.stages.model.engine.stability import load_sum, slot_sum, vector_slot_sum
+from stringcast.stages.model.engine.stability import (
+    load_sum,
+    slot_sum,
+    vector_slot_sum,
+)
 from stringcast.stages.model.string import String
 
-GRAVITY_M_S2 = 9.81  # [m/s2]
-MAX_ITERATIONS = 200  # Newton steps at most
-MAX_TURN_RAD = 0.3  # [rad] of a segment in one iteration
+GRAVITY_M_S2 = 9.81
+MAX_ITERATIONS = 200  # Newton steps
+MAX_TURN_RAD = 0.3  # of a segment in one iteration
 # [m3/s2] of what resists a turn, so that a string without stiffness can be turned
 MIN_TURN_STIFFNESS = 1e-9
-ANGLE_TOLERANCE_RAD = 1e-12  # [rad] change of an angle that ends the iteration
+ANGLE_TOLERANCE_RAD = 1e-12  # change of an angle that ends the iteration
+
+ZERO = np.zeros((1, 1))
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Strings, and what of them stays as it is while they turn and stretch: to find it
-    takes longer than a turn.
+    """Strings, and what of them stays as it is while they turn and stretch.
 
-    material: (C, rows). segment: (C, 1) rest length of a segment [m]. s: (C, n) arc
-    lengths of the points from where the free string begins [m]. masses, cells: (C, n),
-    as `String.masses`. curved: (C, n - 2) curvature at rest of the hinges [1/m],
-    turned: (C, 1) angle at rest of that at the grasp [rad].
+    It is kept, for to find it takes longer than a turn.
+
+    Parameters
+    ----------
+    string : String
+    material : ndarray of shape (C, rows)
+    segment_length : ndarray of shape (C, 1)
+        Rest length of a segment [m].
+    arc_lengths : ndarray of shape (C, n)
+        Of the points from where the free string begins [m].
+    masses, cells : ndarray of shape (C, n)
+        As `String.point_masses` [m].
+    rest_curvature : ndarray of shape (C, n - 2)
+        Curvature at rest of the hinges [1/m].
+    rest_grasp_angle : ndarray of shape (C, 1)
+        Angle at rest of the hinge at the grasp [rad].
     """
 
     string: String
@@ -46,181 +62,170 @@ class Chain:
 
     @classmethod
     def from_material(cls, string: String, material: np.ndarray) -> Chain:
-        """The chains at rest of candidates' material (C, rows)."""
-        segment, s = (
-            string.free_segment_lengths(material)[:, None],
-            string.free_arc_lengths(material),
-        )
-        curved = _rest_curvature(string, material, s[:, 1:-1])
+        """Return the chains at rest of candidates' material (C, rows)."""
+        arc_lengths = string.free_arc_lengths(material)
+        masses, cells = string.point_masses(material)
         return cls(
             string,
             material,
-            segment,
-            s,
-            *string.point_masses(material),
-            curved,
+            string.free_segment_lengths(material)[:, None],
+            arc_lengths,
+            masses,
+            cells,
+            _rest_curvature(string, material, arc_lengths[:, 1:-1]),
             grasp_rest_angle(string, material),
         )
 
     def for_candidates(self, which: np.ndarray) -> Chain:
-        """The chains of some candidates, by number."""
-        parts = (
-            self.material,
-            self.segment_length,
-            self.arc_lengths,
-            self.masses,
-            self.cells,
-            self.rest_curvature,
-            self.rest_grasp_angle,
+        """Return the chains of some candidates, by number."""
+        return Chain(
+            self.string,
+            self.material[which],
+            self.segment_length[which],
+            self.arc_lengths[which],
+            self.masses[which],
+            self.cells[which],
+            self.rest_curvature[which],
+            self.rest_grasp_angle[which],
         )
-        return Chain(self.string, *(part[which] for part in parts))
 
 
 def guess_angles(
     string: String, material: np.ndarray, theta: np.ndarray, turn: np.ndarray
 ) -> np.ndarray:
-    """A first guess: from the grasp's direction to straight down, over the length on
-    which weight bends the rod, the shorter way or the other, whichever is nearer to a
-    turn [rad]. theta, turn: (C,).
+    """Guess the angles of the segments.
+
+    From the grasp's direction to straight down, over the length on which weight bends
+    the rod, the shorter way or the other, whichever is nearer to a turn [rad]. theta,
+    turn: (C,).
     """
-    zero = np.zeros((1, 1))
     _, stiffness = slot_sum_and_slope(
-        string, material, "moment", "curvature", zero, {"rate": zero}
+        string, material, "moment", "curvature", ZERO, {"rate": ZERO}
     )
     scale = (np.maximum(stiffness, 1e-12) / GRAVITY_M_S2) ** (1 / 3)
     shorter = (-np.pi / 2 - theta + np.pi) % (2 * np.pi) - np.pi
     other = shorter - 2 * np.pi * np.sign(shorter)
-    fall = np.where(np.abs(turn - other) < np.abs(turn - shorter), other, shorter)
+    other_is_nearer = np.abs(turn - other) < np.abs(turn - shorter)
+    fall = np.where(other_is_nearer, other, shorter)
     middles = string.segment_middles() * string.free_length_ratio(material)[:, None]
     return theta[:, None] + fall[:, None] * (1 - np.exp(-middles / scale))
 
 
 def rest_lengths(string: String, material: np.ndarray) -> np.ndarray:
-    """Rest lengths of the segments, (C, n - 1) [m]."""
-    return np.repeat(
-        string.free_segment_lengths(material)[:, None], string.points - 1, axis=1
-    )
+    """Return the rest lengths of the segments, (C, n - 1) [m]."""
+    lengths = string.free_segment_lengths(material)[:, None]
+    return np.repeat(lengths, string.points - 1, axis=1)
 
 
 def forces_beyond_segments(
     chain: Chain, pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray
 ) -> np.ndarray:
-    """Force over nominal mass per length on the part beyond the start of each segment,
-    (C, n - 1, 2) [m^2/s^2].
-    """
-    tangent, places = tangents_and_positions(pose, angles, lengths)
-    return sum_to_tip(static_point_forces(chain, places, tangent))
+    """Sum the forces beyond the start of each segment, (C, n - 1, 2) [m^2/s^2]."""
+    tangent, positions = tangents_and_positions(pose, angles, lengths)
+    return sum_to_tip(static_point_forces(chain, positions, tangent))
 
 
 def tangents_and_positions(
     pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Directions of the segments and places of the free points [m], (C, n - 1, 2) each.
+    """Find segments' directions and free points' positions, (C, n - 1, 2) each.
+
     pose: (C, 3) of the grasp. angles [rad], lengths [m]: (C, n - 1).
     """
     tangent = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    return tangent, pose[:, None, :2] + np.cumsum(lengths[..., None] * tangent, axis=1)
+    from_grasp = np.cumsum(lengths[..., None] * tangent, axis=1)
+    return tangent, pose[:, None, :2] + from_grasp
 
 
 def static_point_forces(
-    chain: Chain, places: np.ndarray, tangent: np.ndarray
+    chain: Chain, positions: np.ndarray, tangent: np.ndarray
 ) -> np.ndarray:
-    """Force over nominal mass per length on each free point at rest, (C, n - 1, 2)
-    [m^2/s^2].
-    """
-    of, place = (
-        (chain.string, chain.material),
-        {"x": places[..., 0], "y": places[..., 1]},
-    )
-    pull = load_sum(
-        *of,
-        {
-            **place,
-            "tx": tangent[..., 0],
-            "ty": tangent[..., 1],
-            "s": chain.arc_lengths[:, 1:],
-        },
-    )
-    fall = vector_slot_sum(*of, "acceleration", {**place, "t": np.zeros((1, 1))})
-    return pull * chain.cells[:, 1:, None] + fall * chain.masses[:, 1:, None]
+    """Find the force on each free point at rest, (C, n - 1, 2) [m^2/s^2]."""
+    string, material = chain.string, chain.material
+    place = {"x": positions[..., 0], "y": positions[..., 1]}
+    direction = {"tx": tangent[..., 0], "ty": tangent[..., 1]}
+    arguments = {**place, **direction, "s": chain.arc_lengths[:, 1:]}
+    loads = load_sum(string, material, arguments)
+    fall = vector_slot_sum(string, material, "acceleration", {**place, "t": ZERO})
+    return loads * chain.cells[:, 1:, None] + fall * chain.masses[:, 1:, None]
 
 
-def sum_to_tip(each: np.ndarray) -> np.ndarray:
-    """Sums over a point and all beyond it. each: (C, n - 1, ...)."""
-    return np.cumsum(each[:, ::-1], axis=1)[:, ::-1]
+def sum_to_tip(values: np.ndarray) -> np.ndarray:
+    """Sum values (C, n - 1, ...) over a point and all beyond it."""
+    return np.cumsum(values[:, ::-1], axis=1)[:, ::-1]
 
 
 def hinge_moments(
     chain: Chain, theta: np.ndarray, angles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Moments at the hinges and their slope with the hinge angle, (C, n) each; the free
-    end has none.
+    """Find moments at the hinges and their slope with the hinge angle, (C, n) each.
+
+    The free end has none.
     """
-    of, zero = (chain.string, chain.material), np.zeros((1, 1))
-    hinge, bend = (
+    string, material = chain.string, chain.material
+    grasp, grasp_slope = slot_sum_and_slope(
+        string,
+        material,
+        "grasp_moment",
+        "angle",
         grasp_hinge_angle(chain, theta, angles),
-        hinge_curvatures(chain, angles),
+        {"rate": ZERO},
     )
-    first, first_slope = slot_sum_and_slope(
-        *of, "grasp_moment", "angle", hinge, {"rate": zero}
-    )
-    others, others_slope = slot_sum_and_slope(
-        *of,
+    inner, inner_slope = slot_sum_and_slope(
+        string,
+        material,
         "moment",
         "curvature",
-        bend,
-        {"rate": zero, "s": chain.arc_lengths[:, 1:-1]},
+        hinge_curvatures(chain, angles),
+        {"rate": ZERO, "s": chain.arc_lengths[:, 1:-1]},
     )
-    end = np.zeros((len(chain.material), 1))
-    slopes = [first_slope, others_slope / chain.segment_length, end]
-    return np.concatenate([first, others, end], axis=1), np.concatenate(slopes, axis=1)
+    end = np.zeros((len(material), 1))
+    moments = np.concatenate([grasp, inner, end], axis=1)
+    per_angle = inner_slope / chain.segment_length
+    return moments, np.concatenate([grasp_slope, per_angle, end], axis=1)
 
 
 def hinge_curvatures(chain: Chain, angles: np.ndarray) -> np.ndarray:
-    """Curvatures of the hinges beyond those at rest, (C, n - 2) [1/m]. angles: (C, n -
-    1) of the segments [rad].
+    """Find the curvatures of the hinges beyond those at rest, (C, n - 2) [1/m].
+
+    angles: (C, n - 1) of the segments [rad].
     """
-    return (
-        angles[:, 1:] - angles[:, :-1]
-    ) / chain.segment_length - chain.rest_curvature
+    turns = angles[:, 1:] - angles[:, :-1]
+    return turns / chain.segment_length - chain.rest_curvature
 
 
 def grasp_hinge_angle(
     chain: Chain, theta: np.ndarray, angles: np.ndarray
 ) -> np.ndarray:
-    """Angle of the hinge at the grasp beyond that at rest, (C, 1) [rad]. theta: (1 or
-    C,) of the hand. angles: (C, n - 1).
+    """Find the angle of the hinge at the grasp beyond that at rest, (C, 1) [rad].
+
+    theta: (1 or C,) of the hand [rad]. angles: (C, n - 1) of the segments [rad].
     """
     return angles[:, :1] - theta[:, None] - chain.rest_grasp_angle
 
 
 def grasp_rest_angle(string: String, material: np.ndarray) -> np.ndarray:
-    """Angle at rest of the hinge at the grasp, from its share of the first segment's
-    curvature, (C, 1) [rad].
+    """Find the angle at rest of the hinge at the grasp, (C, 1) [rad].
+
+    It comes from the hinge's share of the first segment's curvature.
     """
-    return (
-        string.grasp_cell
-        * string.free_segment_lengths(material)[:, None]
-        * _rest_curvature(string, material, np.zeros((1, 1)))
-    )
+    share = string.grasp_cell * string.free_segment_lengths(material)[:, None]
+    return share * _rest_curvature(string, material, ZERO)
 
 
 def grasp_compliance_length(string: String, material: np.ndarray) -> np.ndarray:
-    """Length of string [m] that turns as far as the hinge at the grasp under a moment,
-    (C,).
-    """
-    zero = np.zeros((1, 1))
+    """Find the length of string that is as compliant as the grasp, (C,) [m]."""
     _, bending = slot_sum_and_slope(
-        string, material, "moment", "curvature", zero, {"rate": zero}
+        string, material, "moment", "curvature", ZERO, {"rate": ZERO}
     )
     _, grasp = slot_sum_and_slope(
-        string, material, "grasp_moment", "angle", zero, {"rate": zero}
+        string, material, "grasp_moment", "angle", ZERO, {"rate": ZERO}
     )
     return (bending / np.maximum(grasp, MIN_TURN_STIFFNESS))[:, 0]
 
 
 def _rest_curvature(string: String, material: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Curvature at rest at these arc lengths, (C, M) [1/m]. s: (1 or C, M) [m]."""
+    """Find the curvature at rest at arc lengths s (1 or C, M) [m], (C, M) [1/m]."""
     length = string.length * string.free_length_ratio(material)[:, None]
     return slot_sum(string, material, "rest_curvature", {"s": s, "length": length})
 
@@ -229,23 +234,24 @@ def slot_sum_and_slope(
     string: String,
     material: np.ndarray,
     slot: str,
-    name: str,
-    at: np.ndarray,
+    argument: str,
+    values: np.ndarray,
     others: Mapping[str, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sum of a slot's laws, and its rise with one argument, (C, M) each.
+    """Sum a slot's laws, and find the sum's rise with one argument, (C, M) each.
 
-    at: (1 or C, M) of that argument. others: the slot's other arguments, (1, 1 or M)
-    each. Asked in one call: with so few numbers it is the calls that take the time.
+    The laws are evaluated in one call: with so few numbers it is the calls that take
+    the time.
+
+    values: (1 or C, M) of that argument. others: the slot's other arguments, (1, 1 or
+    M) each.
     """
-    step = 1e-3 if name == "curvature" else 1e-5
-    count = at.shape[1]
-    three = np.concatenate([at, at + step, at - step], axis=1)
-    wide = {
-        key: np.tile(value, 3) if value.shape[1] > 1 else value
-        for key, value in others.items()
-    }
-    total = slot_sum(string, material, slot, {name: three, **wide})
-    return total[:, :count], (total[:, count : 2 * count] - total[:, 2 * count :]) / (
-        2 * step
-    )
+    step = 1e-3 if argument == "curvature" else 1e-5
+    count = values.shape[1]
+    three = np.concatenate([values, values + step, values - step], axis=1)
+    arguments = {argument: three}
+    for name, value in others.items():
+        arguments[name] = np.tile(value, 3) if value.shape[1] > 1 else value
+    total = slot_sum(string, material, slot, arguments)
+    above, below = total[:, count : 2 * count], total[:, 2 * count :]
+    return total[:, :count], (above - below) / (2 * step)

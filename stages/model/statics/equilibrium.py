@@ -9,10 +9,10 @@ start,
 and its length follows from its tension. Newton steps from the shape of a heavy rod,
 with the destabilising part of gravity left out of the matrix until close to the
 solution: a string that leaves an upright hand then falls to a stable side rather than
-stand on its end. The laws are asked for their tangents, by which the shape is sought in
-compiled code, and again where that leads, until nothing turns: twice or three times
-where they are straight. Where forces depend on the place, for the string leans on
-something, see `contact_equilibrium`.
+stand on its end. The laws give their tangents, by which the shape is sought in compiled
+code, and again where that leads, until nothing turns: twice or three times where they
+are straight. Where forces depend on the place, for the string leans on something, see
+`contact_equilibrium`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from stringcast.stages.model.statics.chain import (
     MAX_ITERATIONS,
     MAX_TURN_RAD,
     MIN_TURN_STIFFNESS,
+    ZERO,
     Chain,
     forces_beyond_segments,
     guess_angles,
@@ -36,8 +37,10 @@ from stringcast.stages.model.statics.chain import (
 from stringcast.stages.model.statics.contact_equilibrium import contact_shape
 from stringcast.stages.model.string import String
 
-# of the moment of the weight: what is left of a balance that is nearly found
-NEAR_BALANCE_SHARE = 1e-3
+NEAR_BALANCE_SHARE = 1e-3  # of the moment of the weight: residual of a near balance
+MIN_STRETCH = -0.9
+
+Shape = tuple[np.ndarray, np.ndarray]
 
 
 def hanging_shape(
@@ -45,30 +48,38 @@ def hanging_shape(
     material: np.ndarray,
     pose: np.ndarray,
     turn: float | np.ndarray = 0.0,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Angles [rad] (continuous from the grasp) and lengths [m] of the segments at rest,
-    (C, n - 1) each.
+) -> Shape:
+    """Find how strings hang at rest.
 
-    material: (C, P). pose: (1 or C, 3) of the grasp. turn: about how far a string turns
-    from the hand to its end [rad], (C,) or of all: from a hand that points up it hangs
-    down on one side or on the other, the nearer of which this tells. First as if
-    nothing depended on place; where the string then touches something, or is pulled, it
-    is sought anew.
+    First as if nothing depended on place. Where the string then touches something, or
+    is pulled, its shape is sought again (`contact_shape`).
+
+    Parameters
+    ----------
+    string : String
+        The string and its effects.
+    material : ndarray of shape (C, P)
+        Material properties, as `String.material`.
+    pose : ndarray of shape (1 or C, 3)
+        Pose of the grasp [m], [m], [rad].
+    turn : float or ndarray of shape (C,)
+        About how far the string turns from the hand to its end [rad]. From a hand that
+        points up it hangs down on one side or on the other; the nearer one is taken.
+
+    Returns
+    -------
+    angles, lengths : ndarray of shape (C, n - 1)
+        Of the segments [rad], continuous from the grasp, and [m].
     """
-    pose, turn = (
-        np.broadcast_to(pose, (len(material), 3)),
-        np.broadcast_to(turn, len(material)),
-    )
-    free, own = string.with_only_effects(
-        tuple(e for e in string.effects if not is_position_dependent(e)), material
-    )
+    pose = np.broadcast_to(pose, (len(material), 3))
+    turn = np.broadcast_to(turn, len(material))
+    free_effects = [e for e in string.effects if not is_position_dependent(e)]
+    free, own = string.with_only_effects(tuple(free_effects), material)
     angles, lengths = _free_hanging_shape(free, own, pose, turn)
     if free.effects != string.effects:
-        with_all, without = (
-            forces_beyond_segments(Chain.from_material(*each), pose, angles, lengths)
-            for each in ((string, material), (free, own))
-        )
-        held = np.any(with_all != without, axis=(1, 2))
+        chains = Chain.from_material(string, material), Chain.from_material(free, own)
+        forces = [forces_beyond_segments(c, pose, angles, lengths) for c in chains]
+        held = np.any(forces[0] != forces[1], axis=(1, 2))
         if held.any():
             angles[held], lengths[held] = contact_shape(
                 string, material[held], pose[held], turn[held]
@@ -78,66 +89,61 @@ def hanging_shape(
 
 def _free_hanging_shape(
     string: String, material: np.ndarray, pose: np.ndarray, turn: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Angles and lengths, as `hanging`, where no force depends on the place. pose: (C,
-    3). turn: (C,).
+) -> Shape:
+    """Find angles and lengths as `hanging_shape` where no force depends on the place.
+
+    pose: (C, 3). turn: (C,).
     """
     chain = Chain.from_material(string, material)
-    angles, lengths = (
-        guess_angles(string, material, pose[:, 2], turn),
-        rest_lengths(string, material),
-    )
+    angles = guess_angles(string, material, pose[:, 2], turn)
+    lengths = rest_lengths(string, material)
     force = forces_beyond_segments(chain, pose, angles, lengths)
-    # what pulls, with the string
-    turning = string.uses_argument(
+    turns_with_string = string.uses_argument(
         ("load", "flow", "acceleration"), ("x", "y", "tx", "ty")
     )
-    last, share = np.zeros_like(angles), np.ones((len(angles), 1))
+    last_step, share = np.zeros_like(angles), np.ones((len(angles), 1))
     moving = np.arange(len(material))
     for _ in range(MAX_ITERATIONS):
-        some = chain if moving.size == len(material) else chain.for_candidates(moving)
-        if turning:
+        if moving.size == len(material):
+            some = chain
+        else:
+            some = chain.for_candidates(moving)
+        if turns_with_string:
             force[moving] = forces_beyond_segments(
                 some, pose[moving], angles[moving], lengths[moving]
             )
 
-        # to where all is balanced, by the tangents of the laws here: to ask the laws
-        # takes longer than all else
+        # To where all is balanced, by the tangents of the laws here: to evaluate the
+        # laws takes longer than all else.
         stretch = lengths[moving] / some.segment_length - 1
-        pull = slot_sum_and_slope(
-            some.string,
-            some.material,
-            "tension",
-            "stretch",
-            stretch,
-            {"rate": np.zeros((1, 1))},
+        tension = slot_sum_and_slope(
+            some.string, some.material, "tension", "stretch", stretch, {"rate": ZERO}
         )
-        step, long = np.zeros_like(stretch), np.empty_like(stretch)
-        hinges = hinge_moments(some, pose[moving, 2], angles[moving])
+        step, balanced_lengths = np.zeros_like(stretch), np.empty_like(stretch)
         _solve_balance(
             force[moving],
             angles[moving],
-            (stretch, *pull),
-            hinges,
+            (stretch, *tension),
+            hinge_moments(some, pose[moving, 2], angles[moving]),
             some.segment_length[:, 0],
             step,
-            long,
+            balanced_lengths,
         )
-        lengths[moving] = long
+        lengths[moving] = balanced_lengths
 
-        # half a step where it goes back by most of the last, as from one side of a kink
-        # in a law to the other: whole steps would do so for ever
-        most = np.abs(step).max(axis=1, keepdims=True)
-        against = np.sum(step * last[moving], axis=1, keepdims=True) < 0
-        back = against & (most > 0.5 * np.abs(last[moving]).max(axis=1, keepdims=True))
-        share[moving] = np.where(
-            back, 0.5 * share[moving], np.minimum(2 * share[moving], 1)
-        )
+        # Half a step where it goes back by most of the last, as from one side of a kink
+        # in a law to the other: whole steps would do so for ever.
+        largest = np.abs(step).max(axis=1, keepdims=True)
+        against = np.sum(step * last_step[moving], axis=1, keepdims=True) < 0
+        last_largest = np.abs(last_step[moving]).max(axis=1, keepdims=True)
+        reverses = against & (largest > 0.5 * last_largest)
+        shorter, longer = 0.5 * share[moving], np.minimum(2 * share[moving], 1)
+        share[moving] = np.where(reverses, shorter, longer)
         angles[moving] += share[moving] * step
-        last[moving] = step
+        last_step[moving] = step
         # Each candidate ends on its own, so that its shape does not depend on its
         # company.
-        moving = moving[most[:, 0] > ANGLE_TOLERANCE_RAD]
+        moving = moving[largest[:, 0] > ANGLE_TOLERANCE_RAD]
         if moving.size == 0:
             break
     return angles, lengths
@@ -147,15 +153,17 @@ def _free_hanging_shape(
 def _solve_balance(
     force: np.ndarray,
     angles: np.ndarray,
-    pull: tuple[np.ndarray, np.ndarray, np.ndarray],
+    tension: tuple[np.ndarray, np.ndarray, np.ndarray],
     hinges: tuple[np.ndarray, np.ndarray],
-    segment: np.ndarray,
+    segment_length: np.ndarray,
     turn: np.ndarray,
     lengths: np.ndarray,
 ) -> None:
-    """Newton's method for each candidate. pull: stretch, and tension and its rise
-    there, (C, N) each. hinges: moments and their rise with the hinge's angle, (C, N +
-    1) each. turn: zeros, and lengths, (C, N) each, filled in place.
+    """Solve the balance of moments of each candidate by Newton's method.
+
+    tension: stretch, and tension and its rise there, (C, N) each. hinges: moments and
+    their rise with the hinge's angle, (C, N + 1) each. turn: zeros, and lengths, (C, N)
+    each, filled in place.
     """
     count, size = angles.shape
     balance, diagonal, upper = np.empty(size), np.empty(size), np.empty(size)
@@ -164,35 +172,29 @@ def _solve_balance(
         for _ in range(MAX_ITERATIONS):
             most, heaviest, before = 0.0, 0.0, 0.0
             for j in range(size):
-                cos, sin = (
-                    np.cos(angles[c, j] + turn[c, j]),
-                    np.sin(angles[c, j] + turn[c, j]),
-                )
+                cos = np.cos(angles[c, j] + turn[c, j])
+                sin = np.sin(angles[c, j] + turn[c, j])
                 along = force[c, j, 0] * cos + force[c, j, 1] * sin
-                stretch = pull[0][c, j] + (along - pull[1][c, j]) / pull[2][c, j]
-                lengths[c, j] = segment[c] * (1 + max(stretch, -0.9))
+                change = (along - tension[1][c, j]) / tension[2][c, j]
+                stretch = tension[0][c, j] + change
+                lengths[c, j] = segment_length[c] * (1 + max(stretch, MIN_STRETCH))
                 after = (turn[c, j + 1] if j < size - 1 else turn[c, j]) - turn[c, j]
-                here = turn[c, j] - before
+                bend = turn[c, j] - before
                 before = turn[c, j]
                 balance[j] = (
                     moment[j + 1]
                     + stiffness[j + 1] * after
                     - moment[j]
-                    - stiffness[j] * here
+                    - stiffness[j] * bend
                 )
-                balance[j] += lengths[c, j] * (
-                    force[c, j, 1] * cos - force[c, j, 0] * sin
-                )
+                across = force[c, j, 1] * cos - force[c, j, 0] * sin
+                balance[j] += lengths[c, j] * across
                 diagonal[j] = lengths[c, j] * along
-                most, heaviest = (
-                    max(most, abs(balance[j])),
-                    max(heaviest, abs(lengths[c, j] * force[c, j, 1])),
-                )
-            close = most < NEAR_BALANCE_SHARE * heaviest
-            if (
-                _turn_segments(stiffness, diagonal, balance, upper, close, turn[c])
-                <= ANGLE_TOLERANCE_RAD
-            ):
+                most = max(most, abs(balance[j]))
+                heaviest = max(heaviest, abs(lengths[c, j] * force[c, j, 1]))
+            near = most < NEAR_BALANCE_SHARE * heaviest
+            largest = _turn_segments(stiffness, diagonal, balance, upper, near, turn[c])
+            if largest <= ANGLE_TOLERANCE_RAD:
                 break
 
 
@@ -202,21 +204,18 @@ def _turn_segments(
     along: np.ndarray,
     balance: np.ndarray,
     upper: np.ndarray,
-    close: bool,
+    near: bool,
     turn: np.ndarray,
 ) -> float:
-    """One step of one candidate, added to its turn (N,), and its largest part [rad]: a
-    symmetric tridiagonal system. stiffness: (N + 1,). along: (N,) of the pull, which
-    resists a turn. upper: room, (N,).
+    """Add one Newton step to a candidate's turn (N,); return its largest part.
+
+    A symmetric tridiagonal system [rad]. stiffness: (N + 1,). along: (N,) of the pull,
+    which resists a turn. upper: room, (N,).
     """
     last, most, pivot = len(turn) - 1, 0.0, 1.0
     for j in range(last + 1):
-        diagonal = max(
-            stiffness[j]
-            + stiffness[j + 1]
-            + (along[j] if close else max(along[j], 0.0)),
-            MIN_TURN_STIFFNESS,
-        )
+        pull = along[j] if near else max(along[j], 0.0)
+        diagonal = max(stiffness[j] + stiffness[j + 1] + pull, MIN_TURN_STIFFNESS)
         if j > 0:
             upper[j - 1] = -stiffness[j] / pivot
             balance[j] += stiffness[j] * balance[j - 1]
@@ -234,27 +233,22 @@ def _turn_segments(
 def stretched_lengths(
     string: String, material: np.ndarray, pose: np.ndarray, angles: np.ndarray
 ) -> np.ndarray:
-    """Lengths [m] of segments that are held at these angles [rad] and carry what hangs
-    on them, (C, n - 1).
+    """Find the lengths of segments held at given angles that carry what hangs on them.
 
-    material: (C, P). pose: (1 or C, 3) of the grasp.
+    (C, n - 1) [m]. material: (C, P). pose: (1 or C, 3) of the grasp. angles: (C, n - 1)
+    [rad].
     """
-    chain, lengths, still = (
-        Chain.from_material(string, material),
-        rest_lengths(string, material),
-        {"rate": np.zeros((1, 1))},
-    )
-    force = forces_beyond_segments(
-        chain, np.broadcast_to(pose, (len(material), 3)), angles, lengths
-    )
+    chain = Chain.from_material(string, material)
+    lengths = rest_lengths(string, material)
+    poses = np.broadcast_to(pose, (len(material), 3))
+    force = forces_beyond_segments(chain, poses, angles, lengths)
     along = force[..., 0] * np.cos(angles) + force[..., 1] * np.sin(angles)
     for _ in range(4):
         stretch = lengths / chain.segment_length - 1
-        # steps of Newton's method to where tension balances the pull along each segment
-        for _ in range(2):
+        for _ in range(2):  # Newton steps to where tension balances the pull
             tension, rise = slot_sum_and_slope(
-                string, material, "tension", "stretch", stretch, still
+                string, material, "tension", "stretch", stretch, {"rate": ZERO}
             )
-            stretch = np.maximum(stretch - (tension - along) / rise, -0.9)
+            stretch = np.maximum(stretch - (tension - along) / rise, MIN_STRETCH)
         lengths = chain.segment_length * (1 + stretch)
     return lengths

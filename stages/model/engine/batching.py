@@ -1,0 +1,137 @@
+"""Step loops compiled for blocks of candidates, and the buffers they run on.
+
+A candidate alone would leave all lanes but one idle. One lane makes of the same text a
+scalar loop, which takes half the time of sixteen lanes, with the paper's forces to the
+same bits. To compile it takes as long as a thousand runs save, so it is compiled after
+these.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from itertools import count, repeat
+from typing import Any
+
+import numpy as np
+
+from stringcast.stages.model.effect import StringEffect
+from stringcast.stages.model.engine.integrators import Integrator
+from stringcast.stages.model.engine.kernel_codegen import (
+    LANES,
+    generate_source,
+    row_numbers,
+)
+from stringcast.stages.model.engine.module_cache import (
+    import_generated_module,
+    module_path,
+)
+from stringcast.stages.model.engine.threads import parallel_for
+from stringcast.stages.model.string import PAPER_EFFECTS
+
+# Runs of one candidate after which a loop of one lane pays: each saves 0.4 to 3 ms, and
+# to compile it takes 1.5 to 2.6 s.
+RUNS_BEFORE_SINGLE_LANE = 1000
+PADDING_POINTS = 2  # points after the tip, never written, for what looks beyond it
+CACHE_LINE = 64  # bytes
+
+StepLoop = Callable[..., None]
+Effects = tuple[type[StringEffect], ...]
+
+
+@cache
+def compile_step_loop(
+    effects: Effects,
+    row_names: tuple[str, ...],
+    integrator: Integrator,
+    lanes: int = LANES,
+) -> StepLoop:
+    """Compile the step loop for these effects.
+
+    Parameters
+    ----------
+    effects : tuple of StringEffect classes
+        The effects whose laws are in the loop.
+    row_names : tuple of str
+        Names of the rows of parameters, as `String.row_names`.
+    integrator : Integrator
+        The time step.
+    lanes : int
+        Candidates side by side.
+
+    Returns
+    -------
+    callable
+        `run(buffers, values=, hands=, ...)`, see `step_loop_template.py`, for all
+        blocks, on as many threads as Numba is set to use.
+    """
+    source = generate_source(effects, row_names, integrator, lanes)
+    run_blocks = import_generated_module(source).run
+
+    def run(buffers: np.ndarray, **arguments: Any) -> None:
+        def work(first: int, last: int) -> None:
+            run_blocks(first, last, buffers, **arguments)
+
+        parallel_for(work, len(buffers))
+
+    return run
+
+
+def lane_count(
+    candidates: int,
+    effects: Effects,
+    row_names: tuple[str, ...],
+    integrator: Integrator,
+) -> int:
+    """Choose how many candidates run side by side.
+
+    One alone has a loop of one lane, once it pays to compile that.
+    """
+    if candidates != 1:
+        return LANES
+    runs = next(_single_lane_runs(effects, row_names, integrator))
+    return 1 if runs >= RUNS_BEFORE_SINGLE_LANE else LANES
+
+
+@cache
+def _single_lane_runs(
+    effects: Effects, row_names: tuple[str, ...], integrator: Integrator
+) -> Iterator[int]:
+    """Count the runs of one candidate alone.
+
+    As if there had been enough where the loop is in the cache already, and none for
+    more than the paper's forces, some of whose sums the compiler rounds otherwise in
+    one lane.
+    """
+    if effects != PAPER_EFFECTS:
+        return repeat(-1)
+    source = generate_source(effects, row_names, integrator, 1)
+    return count(RUNS_BEFORE_SINGLE_LANE if module_path(source).exists() else 0)
+
+
+def zero_buffers(
+    blocks: int,
+    points: int,
+    integrator: Integrator,
+    effects: Sequence[type[StringEffect]],
+    lanes: int,
+) -> np.ndarray:
+    """Return zeros for the rows of every point.
+
+    Of shape (blocks, points + PADDING_POINTS, rows, lanes).
+    """
+    rows = len(row_numbers(integrator, effects))
+    return aligned_zeros((blocks, points + PADDING_POINTS, rows, lanes))
+
+
+def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
+    """Return zeros whose first number begins a cache line.
+
+    NumPy aligns to 16 bytes only; a vector of 64 that crosses a line is read and
+    written twice.
+    """
+    size = np.dtype(np.float64).itemsize * math.prod(shape)
+    memory = np.zeros(size + CACHE_LINE, dtype=np.uint8)
+    first = -memory.ctypes.data % CACHE_LINE
+    return memory[first : first + size].view(np.float64).reshape(shape)
