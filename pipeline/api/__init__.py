@@ -1,19 +1,18 @@
-"""stringcast: cast an unknown string with a robot arm, and find out why the simulation
-disagrees with the camera.
+"""Cast an unknown string with a robot arm, and find out why the simulation is off.
 
     import stringcast as sc
 
-    trials = sc.read("my-folder")                 # or sc.sample(), or sc.trials(points, grasp=poses, length=0.3)
-    result = sc.diagnose(trials)                  # result.sentence, .causes, .gain, .plot(), .report("page.html")
-    motion = sc.generate(result.extended, target=(0.4, 0.7))
-    string = sc.simulate(result.extended, motion)
+    trials = sc.read("my-folder")    # or sc.sample(), or sc.trials(points, ...)
+    result = sc.diagnose(trials)     # result.sentence, .causes, .gain, .plot()
+    motion = sc.generate(result.extended_model, target=(0.4, 0.7))
+    string = sc.simulate(result.extended_model, motion)
 
-Settings of the pipeline go along as words, as on its command line: `sc.diagnose(trials,
-"string.points=15")`. Lengths are in metres, times in seconds, angles in radians. What
-cannot be used raises `sc.StringcastError`, with the remedy.
+Settings are given as on the command line: `sc.diagnose(trials, "string.points=15")`.
+Lengths are in metres, times in seconds, angles in radians. Input that cannot be used
+raises `sc.StringcastError`, whose message names the remedy.
 
-The rooms are `stringcast.data`, `.stages`, `.hardware` and `.pipeline`; a clone has a
-folder for each.
+The parts of the package are `stringcast.data`, `.stages`, `.hardware` and `.pipeline`;
+each is a folder of a clone.
 """
 
 from importlib import import_module
@@ -44,7 +43,7 @@ __all__ = [
     "simulate",
     "trials",
 ]
-HOMES = {
+MODULES_OF_NAMES = {
     "answers": ("DiagnosisResult", "EstimateResult", "diagnose", "estimate"),
     "casting": ("cast", "generate", "simulate"),
     "known": ("KnownString",),
@@ -53,17 +52,16 @@ HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Load what is asked for when it is: the command line needs none of it, and it
-    takes seconds.
-    """
-    for module, names in HOMES.items():
+    """Import a public name when it is first used, which takes seconds."""
+    for module, names in MODULES_OF_NAMES.items():
         if name in names:
             return getattr(import_module(f"stringcast.{module}"), name)
+    names = ", ".join(__all__)
     raise AttributeError(
-        f"module 'stringcast' has no attribute '{name}'. There are {', '.join(__all__)}."
+        f"module 'stringcast' has no attribute '{name}'. There are {names}."
     )
 
 
 def __dir__() -> list[str]:
-    """The names that the package offers."""
+    """List the public names of the package."""
     return [*__all__, "__version__"]

@@ -1,4 +1,4 @@
-"""Answers from trials: a diagnosis, or an estimate alone."""
+"""Diagnose trials, or estimate parameters from them."""
 
 from __future__ import annotations
 
@@ -36,10 +36,14 @@ MM_PER_M = 1e3  # [mm] in a metre
 
 @dataclass(frozen=True)
 class DiagnosisResult:
-    """The discrepancy between simulation and trials, and its causes.
+    """The misfit between simulation and trials, and its causes.
 
-    made: every table of the diagnosis. experiment: model, data and settings of the
-    diagnosis.
+    Parameters
+    ----------
+    artifact : Diagnosis
+        All tables of the diagnosis.
+    experiment : Experiment
+        Model, data and settings of the diagnosis.
     """
 
     artifact: Diagnosis
@@ -47,12 +51,12 @@ class DiagnosisResult:
 
     @property
     def document(self) -> dict[str, Any]:
-        """diagnosis.json, see data/README.md."""
+        """The content of diagnosis.json, see data/README.md."""
         return dict(json.loads(self.artifact.finding["diagnosis"].iloc[0]))
 
     @property
     def verdict(self) -> str:
-        """none, effect, ambiguous, unknown or insufficient."""
+        """One of none, effect, ambiguous, unknown and insufficient."""
         return self.artifact.verdict
 
     @property
@@ -62,34 +66,36 @@ class DiagnosisResult:
 
     @property
     def causes(self) -> pd.DataFrame:
-        """A row for each parameter of each cause: probability, value, low, high, unit."""
+        """A row for each parameter of each cause, with value, interval and unit."""
         return self.artifact.causes
 
     @property
     def budget(self) -> pd.DataFrame:
-        """How far each source moves the tip, root mean square [m]: the causes,
-        numerical error, noise, what is unexplained; as `budget` in diagnosis.json.
-        Empty where there is no verdict on causes.
+        """The misfit at the tip by source, rms [m]; empty without a verdict on causes.
+
+        Sources are the causes, numerical error, noise, and what is unexplained.
         """
         return pd.DataFrame(self.document.get("budget", []))
 
     @property
     def gain(self) -> pd.DataFrame:
-        """Base and extended model on each trial, fitted without it: residuals [m] and
-        log-likelihood.
-        """
+        """Residuals [m] and log-likelihood of both models on left-out trials."""
         return self.artifact.held_out
 
     @property
     def extended_model(self) -> KnownString:
-        """The model with the causes, for all that comes after."""
+        """The model that includes the causes."""
         return KnownString(
             yaml.safe_load(self.artifact.finding["extended"].iloc[0]) or {}
         )
 
     def plot(self) -> Figure:
-        """The residual of base and extended model on each trial left out, and what
-        noise alone leaves.
+        """Plot the residual of both models on each left-out trial.
+
+        Returns
+        -------
+        Figure
+            One row a trial, with the noise floor.
         """
         table = self.gain
         figure = Figure(figsize=(5.4, 1.4 + 0.3 * len(table)), layout="constrained")
@@ -118,36 +124,49 @@ class DiagnosisResult:
         return figure
 
     def report(self, page: str | Path) -> Path:
-        """Write the page with all the evidence; one file that needs no network. Returns
-        its path.
+        """Write the page with all the evidence, one file that needs no network.
+
+        Parameters
+        ----------
+        page : str or Path
+            File to write.
+
+        Returns
+        -------
+        Path
+            The file that was written.
         """
-        here = self.experiment
-        facts = StageRecord(
+        record = StageRecord(
             "diagnosis",
             self.sentence,
             self.artifact,
-            here.model,
-            here.config,
-            page_provenance(here),
+            self.experiment.model,
+            self.experiment.config,
+            page_provenance(self.experiment),
         )
-        write_text(Path(page), diagnosis_page(facts))
+        write_text(Path(page), diagnosis_page(record))
         return Path(page)
 
     def __repr__(self) -> str:
-        """The verdict in words."""
-        return f"Diagnosed({self.verdict}: {self.sentence})"
+        """Return the verdict in words."""
+        return f"DiagnosisResult({self.verdict}: {self.sentence})"
 
     def _repr_html_(self) -> str:
-        shown = self.causes[
-            ["effect", "probability", "parameter", "value", "low", "high", "unit"]
-        ]
-        return f"<p><b>{escape(self.verdict)}</b>. {escape(self.sentence)}</p>{shown.to_html(index=False)}"
+        columns = ["effect", "probability", "parameter", "value", "low", "high", "unit"]
+        headline = f"<p><b>{escape(self.verdict)}</b>. {escape(self.sentence)}</p>"
+        return headline + str(self.causes[columns].to_html(index=False))
 
 
 @dataclass(frozen=True)
 class EstimateResult:
-    """String parameters found from trials. made: every table of the estimation.
-    experiment: that it was asked of.
+    """String parameters estimated from trials.
+
+    Parameters
+    ----------
+    artifact : Estimate
+        All tables of the estimation.
+    experiment : Experiment
+        Model, data and settings of the estimation.
     """
 
     artifact: Estimate
@@ -155,9 +174,7 @@ class EstimateResult:
 
     @property
     def sentence(self) -> str:
-        """The parameters that the trials determine and those that they do not, in
-        words.
-        """
+        """The parameters that the trials determine, and those that they do not."""
         return str(self.artifact.fit["sentence"].iloc[0])
 
     @property
@@ -167,14 +184,12 @@ class EstimateResult:
 
     @property
     def rms(self) -> float:
-        """Root mean square distance between measured and simulated points, in sample
-        [m].
-        """
+        """The rms distance of measured and simulated points, in sample [m]."""
         return float(self.artifact.fit["rms_after"].iloc[0])
 
     @property
     def string(self) -> KnownString:
-        """The string with these parameters, for all that comes after."""
+        """The string with these parameters."""
         settings = {
             "string": self.experiment.config["string"],
             "effects": list(self.experiment.config["effects"]),
@@ -182,77 +197,119 @@ class EstimateResult:
         return KnownString(settings | {"parameter_values": self.artifact.values()})
 
     def __repr__(self) -> str:
-        """How near, and what is determined."""
-        return f"Estimated({len(self.parameters)} parameters, {self.rms * MM_PER_M:.2f} mm rms. {self.sentence})"
+        """Return the residual and what is determined."""
+        count, rms = len(self.parameters), f"{self.rms * MM_PER_M:.2f} mm rms"
+        return f"EstimateResult({count} parameters, {rms}. {self.sentence})"
 
     def _repr_html_(self) -> str:
-        shown = self.parameters[["name", "value", "low", "high", "unit", "meaning"]]
-        return f"<p>{self.rms * MM_PER_M:.2f} mm rms. {escape(self.sentence)}</p>{shown.to_html(index=False)}"
+        columns = ["name", "value", "low", "high", "unit", "meaning"]
+        headline = f"{self.rms * MM_PER_M:.2f} mm rms. {escape(self.sentence)}"
+        table = self.parameters[columns].to_html(index=False)
+        return f"<p>{headline}</p>{table}"
 
 
 def diagnose(trials: Trials, *settings: str) -> DiagnosisResult:
-    """Diagnose the discrepancy between the simulation and these trials. Takes a minute
-    or more, and shows its progress. Ctrl-C, or the stop button of a notebook, ends it
-    with what it knows: `verdict` is `insufficient` then.
+    """Find the causes of the misfit between the simulation and trials.
+
+    This takes a minute or more and shows its progress. Ctrl-C, or the stop button of a
+    notebook, ends it with what is known; the verdict is `insufficient` then.
+
+    Parameters
+    ----------
+    trials : Trials
+        Measured trials, two at least.
+    *settings : str
+        Settings as on the command line, such as "string.points=15".
+
+    Returns
+    -------
+    DiagnosisResult
+        Verdict, causes, gain and extended model.
+
+    Raises
+    ------
+    StringcastError
+        If the data or a setting cannot be used.
     """
-    here, data = prepare_trials(trials, ("+experiment=diagnose", *settings))
+    experiment, data = prepare_trials(trials, ("+experiment=diagnose", *settings))
     with progress_bar("diagnose") as progress, stop_stage_on_interrupt():
-        given = (
-            here.model,
+        artifact = experiment.stages["diagnose"](
+            experiment.model,
             list(data.trials.values()),
             data.rejection_reasons,
             held_out_trials(data),
-            here.obstacles,
+            experiment.obstacles,
+            seed=experiment.seed,
+            progress=progress,
         )
-        return DiagnosisResult(
-            here.stages["diagnose"](*given, seed=here.seed, progress=progress), here
-        )
+    return DiagnosisResult(artifact, experiment)
 
 
 def estimate(
     trials: Trials, *settings: str, string: KnownString | None = None
 ) -> EstimateResult:
-    """String parameters of least squares from all trials together but those held out,
-    with 95 % intervals.
+    """Estimate string parameters from all trials that are not held out.
 
-    settings: words as on the command line, such as "effects=[tip_mass]" or
-    "estimate=random_search". string: what is known before. Raises StringcastError for
-    data that cannot be used.
+    The default method is least squares; it gives 95 % intervals.
+
+    Parameters
+    ----------
+    trials : Trials
+        Measured trials.
+    *settings : str
+        Settings as on the command line, such as "effects=[tip_mass]" or
+        "estimate=random_search".
+    string : KnownString, optional
+        What is known of the string before.
+
+    Returns
+    -------
+    EstimateResult
+        Parameters with intervals, and the string that they describe.
+
+    Raises
+    ------
+    StringcastError
+        If the data or a setting cannot be used.
     """
-    by = (
-        ()
-        if any(word.startswith("estimate=") for word in settings)
-        else ("estimate=least_squares",)
-    )
-    here, data = prepare_trials(
-        trials, ("+experiment=estimate", *by, *settings), string
-    )
+    words = ("+experiment=estimate", "estimate=least_squares", *settings)
+    if any(word.startswith("estimate=") for word in settings):
+        words = ("+experiment=estimate", *settings)
+    experiment, data = prepare_trials(trials, words, string)
+    held_out = held_out_trials(data)
+    used = [trial for name, trial in data.trials.items() if name not in held_out]
     with progress_bar("estimate") as progress:
-        seen = [
-            trial
-            for name, trial in data.trials.items()
-            if name not in held_out_trials(data)
-        ]
-        given = (here.model, seen, None)
-        made = here.stages["estimate"](
-            *given, seed=here.seed, manipulation=1, progress=progress
+        artifact = experiment.stages["estimate"](
+            experiment.model,
+            used,
+            None,
+            seed=experiment.seed,
+            manipulation=1,
+            progress=progress,
         )
-        return EstimateResult(made, here)
+    return EstimateResult(artifact, experiment)
 
 
 def prepare_trials(
     trials: Trials, settings: tuple[str, ...], string: KnownString | None = None
 ) -> tuple[Experiment, dataset.Dataset]:
-    """All that is asked with, and the trials that fit this string."""
-    here = experiment_for_call(settings, string, trials=str(trials.folder))
+    """Compose the experiment, and keep the points that lie on its string.
+
+    Raises
+    ------
+    StringcastError
+        If the data are certainly wrong.
+    """
+    experiment = experiment_for_call(settings, string, trials=str(trials.folder))
+    length = experiment.string.length
     refuse_errors(
-        CheckedDataset(trials.data, here.arm, here.camera, here.string.length)
+        CheckedDataset(trials.data, experiment.arm, experiment.camera, length)
     )
-    return here, dataset.exclude_stray_points(trials.data, here.string.length)
+    return experiment, dataset.exclude_stray_points(trials.data, length)
 
 
 @contextmanager
 def progress_bar(name: str) -> Iterator[Progress]:
-    """A bar, as a run shows it."""
+    """Show the progress bar of a run."""
     with progress_bars(Terminal(stderr=True)) as bar, bar(name) as progress:
         yield progress

@@ -1,10 +1,9 @@
-"""Motions: found, simulated and performed."""
+"""Plan, simulate and perform motions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,27 +24,42 @@ def generate(
     target: tuple[float, float],
     seed: int = 0,
 ) -> Motion:
-    """A motion whose simulated tip enters the target box. Its `commands` are joint
-    angles and velocities each 5 ms.
+    """Plan a motion whose simulated tip enters the target box.
 
-    string: what is known of it. target: centre of the box (x, y) [m]; its size is
-    target.w and target.h. settings: words as on the command line, such as
-    "generate=robust". Raises StringcastError where the target is out of reach or no
-    motion is found.
+    Parameters
+    ----------
+    string : KnownString, optional
+        What is known of the string.
+    *settings : str
+        Settings as on the command line, such as "generate=robust" or "target.w=0.03".
+    target : tuple of float
+        Centre (x, y) of the target box [m].
+    seed : int
+        Seed of the random search.
+
+    Returns
+    -------
+    Motion
+        Its table `commands` has joint angles [rad] and velocities [rad/s] every 5 ms.
+
+    Raises
+    ------
+    StringcastError
+        If the target is out of reach or no motion is found.
     """
     place = (f"target.x={target[0]}", f"target.y={target[1]}", f"seed={seed}")
-    here = experiment_for_call((*place, *settings), string)
+    experiment = experiment_for_call((*place, *settings), string)
     with progress_bar("generate") as progress:
-        made: Motion = here.stages["generate"](
-            here.model,
-            here.target,
-            here.obstacles,
+        motion: Motion = experiment.stages["generate"](
+            experiment.model,
+            experiment.target,
+            experiment.obstacles,
             None,
             None,
-            seed=here.seed,
+            seed=experiment.seed,
             progress=progress,
         )
-        return made
+    return motion
 
 
 def simulate(
@@ -54,42 +68,78 @@ def simulate(
     *settings: str,
     times: Sequence[float] | None = None,
 ) -> pd.DataFrame:
-    """The string along a motion: a row for each moment and mass point, with t [s], s,
-    x, y [m].
+    """Simulate the string along a motion.
 
-    string: what is known of it; what is not is at its start, from where it is sought:
-    softer than strings are. motion: one that was generated, or a table with t [s] and
-    q1, q2, q3 [rad]. times: when the string is wanted [s], at the motion's own times
-    without it. Raises StringcastError where the simulation does not stay finite.
+    Parameters
+    ----------
+    string : KnownString or None
+        What is known of the string. Unknown parameters take their start values, which
+        are those of a soft string.
+    motion : Motion or DataFrame
+        A planned motion, or a table with t [s] and q1, q2, q3 [rad].
+    *settings : str
+        Settings as on the command line.
+    times : sequence of float, optional
+        Times of the output [s]; those of the motion by default.
+
+    Returns
+    -------
+    DataFrame
+        A row for each time and mass point, with t [s], s, x, y [m].
+
+    Raises
+    ------
+    StringcastError
+        If the simulation does not stay finite.
     """
     model = model_for_call(settings, string)
     table = motion.commands if isinstance(motion, Motion) else motion
-    moved = table["t"].to_numpy(dtype=float)
-    t = moved if times is None else np.asarray(times, dtype=float)
-    hand = resample_joint_motion(
-        moved, table[list(JOINTS)].to_numpy(dtype=float), model.arm.tick
-    )
-    seen = model.simulate_string(hand, model.values({})[None], t)
-    if not seen.finite[0]:
+    motion_times = table["t"].to_numpy(dtype=float)
+    angles = table[list(JOINTS)].to_numpy(dtype=float)
+    hand = resample_joint_motion(motion_times, angles, model.arm.tick)
+    t = motion_times if times is None else np.asarray(times, dtype=float)
+    simulated = model.simulate_string(hand, model.values({})[None], t)
+    if not simulated.finite[0]:
         raise DataError(
-            "simulate(): this string does not stay finite in this motion. Give string.largest_step less."
+            "simulate(): this string does not stay finite in this motion. "
+            "Reduce string.largest_step."
         )
     s = model.string.arc_lengths()
-    columns: dict[str, Any] = {"t": t.repeat(len(s)), "s": np.tile(s, len(t))}
+    points = simulated.points[0].reshape(-1, 2)  # (T n, 2)
     return pd.DataFrame(
-        columns | dict(zip(("x", "y"), seen.points[0].reshape(-1, 2).T, strict=True))
+        {
+            "t": t.repeat(len(s)),
+            "s": np.tile(s, len(t)),
+            "x": points[:, 0],
+            "y": points[:, 1],
+        }
     )
 
 
 def cast(
     folder: str | Path, *settings: str, string: KnownString | None = None
 ) -> RunResult:
-    """Cast until the tip hits, as `python -m pipeline` does; by default on the virtual
-    lab.
+    """Cast until the tip hits, as `python -m pipeline` does.
 
-    folder: for all that the run leaves; given again, the run goes on. settings: words
-    as on the command line, such as "+experiment=stringB" or "hardware=serial". string:
-    what is known of it. Raises StringcastError.
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of the run. A run that is there already is continued.
+    *settings : str
+        Settings as on the command line, such as "+experiment=stringB" or
+        "hardware=serial". The default is the virtual lab.
+    string : KnownString, optional
+        What is known of the string.
+
+    Returns
+    -------
+    RunResult
+        How the run ended, and its folder.
+
+    Raises
+    ------
+    StringcastError
+        If a setting cannot be used, or the hardware refuses.
     """
-    here = experiment_for_call(settings, string)
-    return perform_run(here, Path(folder), Terminal(stderr=True))
+    experiment = experiment_for_call(settings, string)
+    return perform_run(experiment, Path(folder), Terminal(stderr=True))

@@ -1,6 +1,4 @@
-"""A string that is known: the model that a diagnosis or an estimation made, for all
-that comes after.
-"""
+"""A known string: the model of a diagnosis or an estimation, for later calls."""
 
 from __future__ import annotations
 
@@ -38,56 +36,90 @@ from stringcast.stages.model.model import Model
 
 @dataclass(frozen=True)
 class KnownString:
-    """Settings `string`, `effects` and `parameter_values`, as an extended.yaml holds them; none is
-    what conf/ says.
+    """What is known of a string, as an extended.yaml holds it.
+
+    Parameters
+    ----------
+    settings : mapping, optional
+        The settings `string`, `effects` and `parameter_values`. Those that are missing
+        have the values in conf/.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def load(cls, folder: str | Path) -> KnownString:
-        """The string of the folder of a diagnosis or an alignment, or an extended.yaml.
-        Raises StringcastError.
+        """Load the model of a diagnosis or an alignment.
+
+        Parameters
+        ----------
+        folder : str or Path
+            The folder of the run, or an extended.yaml.
+
+        Returns
+        -------
+        KnownString
+
+        Raises
+        ------
+        StringcastError
+            If there is no such model.
         """
         return cls(read_extended_model(Path(folder)))
 
     @classmethod
     def from_run(cls, folder: str | Path) -> KnownString:
-        """The string of a run's folder: of its extended.yaml, or else its last
-        estimate. Raises StringcastError.
+        """Load the string that a run ended with.
+
+        Parameters
+        ----------
+        folder : str or Path
+            The folder of the run. Its extended.yaml counts, or else its last estimate.
+
+        Returns
+        -------
+        KnownString
+
+        Raises
+        ------
+        StringcastError
+            If the folder does not exist or holds neither.
         """
-        whole = Path(folder)
-        if not whole.exists():
+        run = Path(folder)
+        if not run.exists():
             raise UserError(
-                f"{whole}: there is no such folder. Name that of casts, an estimation or a diagnosis."
+                f"{run}: there is no such folder. "
+                "Name that of casts, an estimation or a diagnosis."
             )
-        estimates = sorted(whole.glob("iterations/*/estimate/parameters.parquet"))
-        if (whole / EXTENDED).exists() or not estimates:
-            return cls.load(whole)
-        settings, table = (
-            read_json(whole / "config.json"),
-            read_table(PARAMETERS, estimates[-1]),
-        )
-        sure = table["low"].notna() & table["high"].notna()
-        known: dict[str, Any] = dict(
-            zip(table["name"], table["value"].astype(float), strict=True)
-        )
-        known |= (
-            table[sure]
-            .set_index("name")[["value", "low", "high"]]
-            .astype(float)
-            .to_dict("index")
-        )
+        estimates = sorted(run.glob("iterations/*/estimate/parameters.parquet"))
+        if (run / EXTENDED).exists() or not estimates:
+            return cls.load(run)
+        settings = read_json(run / "config.json")
+        table = read_table(PARAMETERS, estimates[-1]).set_index("name")
+        table = table[["value", "low", "high"]].astype(float)
+        parameter_values: dict[str, Any] = table["value"].to_dict()
+        parameter_values |= table.dropna().to_dict("index")  # those with an interval
         return cls(
             {
                 "string": settings["string"],
                 "effects": settings["effects"],
-                "parameter_values": known,
+                "parameter_values": parameter_values,
             }
         )
 
     def save(self, folder: str | Path) -> Path:
-        """Write extended.yaml, which `model_from=<folder>` takes. Returns its path."""
+        """Write the extended.yaml that `model_from=<folder>` takes.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made if it does not exist.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+        """
         path = Path(folder) / EXTENDED
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, yaml.safe_dump(dict(self.settings), sort_keys=False))
@@ -95,7 +127,7 @@ class KnownString:
 
     @property
     def effects(self) -> list[str]:
-        """Names of what is modelled beyond the paper."""
+        """Names of the effects beyond the paper."""
         return list(self.settings.get("effects", []))
 
     @property
@@ -104,46 +136,61 @@ class KnownString:
         return dict(self.settings.get("parameter_values", {}))
 
     def mjcf(self, mass: float, step: float = 5e-4) -> str:
-        """The string as a chain of links for MuJoCo, see stages/export/mjcf.py. mass:
-        of the string [kg]; step: [s].
+        """Describe the string as a chain of links for MuJoCo.
 
-        Raises StringcastError for an effect that MuJoCo has no law for.
+        Parameters
+        ----------
+        mass : float
+            Mass of the string [kg].
+        step : float
+            Time step of the simulation [s].
+
+        Returns
+        -------
+        str
+            A document in MuJoCo's format, see stages/export/mjcf.py.
+
+        Raises
+        ------
+        StringcastError
+            If MuJoCo has no law for one of the effects.
         """
         model = experiment_for_call((), self).model
         return build_mjcf(model, model.values({}), mass, step)
 
     def __repr__(self) -> str:
-        """The effects, and how many parameters are known."""
-        return f"KnownString(effects={self.effects}, {len(self.parameters)} parameters known)"
+        """Return the effects and the number of known parameters."""
+        count = len(self.parameters)
+        return f"KnownString(effects={self.effects}, {count} parameters known)"
 
 
 def experiment_for_call(
     words: Sequence[str], string: KnownString | None, **given: Any
 ) -> Experiment:
-    """All that a call works with. words: settings as on the command line, which stand
-    above all. string: what is known of it. given: further settings by name.
+    """Compose the experiment of a call.
+
+    Words as on the command line override the known string, which overrides conf/.
     """
     try:
-        asked, names = (
-            OmegaConf.create(compose_settings(words) | given),
-            given_names(words),
-        )
+        composed = OmegaConf.create(compose_settings(words) | given)
+        names = given_names(words)
     except HydraException as error:
         raise UserError(explain_hydra_error(error)) from error
-    whole = asked.copy()
+    config = composed.copy()
     for block, value in ({} if string is None else string.settings).items():
-        OmegaConf.update(whole, block, value, merge=True)
-    restore_given_settings(whole, asked, names)
-    settings = inherit_settings(whole, names)
+        OmegaConf.update(config, block, value, merge=True)
+    restore_given_settings(config, composed, names)
+    settings = inherit_settings(config, names)
     refuse_unusable_source(settings, names)
     return prepare_experiment(settings, lambda block: f"conf/{block} or this call")
 
 
 def model_for_call(settings: Sequence[str], string: KnownString | None) -> Model:
-    """The model that a call works with, kept for the next: to compose its settings
-    takes twenty times as long as to simulate. settings, string: as in `prepared`.
+    """Compose the model of a call, or take that of the same call before.
+
+    Composing settings takes twenty times as long as a simulation.
     """
-    # folders, in which something may change
+    # the content of these folders may have changed
     if given_names(settings) & {"trials", "model_from", "camera_from"}:
         return experiment_for_call(settings, string).model
     return _cached_model(

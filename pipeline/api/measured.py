@@ -1,4 +1,4 @@
-"""Measured trials, from a folder or from tables."""
+"""Read measured trials from a folder or from tables."""
 
 from __future__ import annotations
 
@@ -19,8 +19,14 @@ from stringcast.data.schema import DataError
 
 @dataclass(frozen=True)
 class Trials:
-    """A dataset in the format of data/README.md. data: as read. home: keeps a folder
-    that was made for tables.
+    """Measured trials, a dataset in the format of data/README.md.
+
+    Parameters
+    ----------
+    data : Dataset
+        The dataset as it was read.
+    temporary_folder : TemporaryDirectory, optional
+        The folder of a dataset that was made of tables.
     """
 
     data: dataset.Dataset
@@ -33,67 +39,74 @@ class Trials:
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row for each trial: frames, points, seconds seen; for one that cannot be
-        used, why.
-        """
-        rows = [
-            {
-                "trial": name,
-                "frames": seen.valid_points["t"].nunique(),
-                "points": len(seen.valid_points),
-            }
-            | {
-                "seconds": float(
-                    seen.valid_points["t"].max() - seen.valid_points["t"].min()
-                ),
-                "rejected": "",
-            }
-            for name, seen in self.data.trials.items()
-        ]
-        left = [
-            {"trial": name, "rejected": reason}
-            for name, reason in self.data.rejection_reasons.items()
-        ]
-        return pd.DataFrame(
-            [*rows, *left], columns=["trial", "frames", "points", "seconds", "rejected"]
-        )
+        """A row for each trial: frames, points, seconds, and why it is rejected."""
+        rows: list[dict[str, Any]] = []
+        for name, trial in self.data.trials.items():
+            t = trial.valid_points["t"]
+            rows.append(
+                {
+                    "trial": name,
+                    "frames": t.nunique(),
+                    "points": len(t),
+                    "seconds": float(t.max() - t.min()),
+                    "rejected": "",
+                }
+            )
+        for name, reason in self.data.rejection_reasons.items():
+            rows.append({"trial": name, "rejected": reason})
+        columns = ["trial", "frames", "points", "seconds", "rejected"]
+        return pd.DataFrame(rows, columns=columns)
 
     def __len__(self) -> int:
-        """How many can be used."""
+        """Return the number of usable trials."""
         return len(self.data.trials)
 
     def __repr__(self) -> str:
-        """Where, and how many."""
-        return f"Trials({len(self)} of {self.folder}{f', {len(self.data.rejection_reasons)} rejected' * bool(self.data.rejection_reasons)})"
+        """Return the folder and the numbers of usable and rejected trials."""
+        rejected = len(self.data.rejection_reasons)
+        suffix = f", {rejected} rejected" if rejected else ""
+        return f"Trials({len(self)} of {self.folder}{suffix})"
 
     def _repr_html_(self) -> str:
-        return (
-            f"<p>{escape(repr(self))}</p>{self.table.to_html(index=False, na_rep='')}"
-        )
+        table = self.table.to_html(index=False, na_rep="")
+        return f"<p>{escape(repr(self))}</p>{table}"
 
 
 def read(folder: str | Path) -> Trials:
-    """Trials of a folder: a run of ours, or anybody's in the format of data/README.md.
+    """Read the trials of a folder.
 
-    Raises StringcastError where there is none that can be used.
+    Parameters
+    ----------
+    folder : str or Path
+        A run, or a dataset in the format of data/README.md.
+
+    Returns
+    -------
+    Trials
+
+    Raises
+    ------
+    StringcastError
+        If no trial can be used.
     """
-    found = Trials(dataset.read_dataset(Path(folder)))
-    if not found:
-        reasons = (
-            "; ".join(
-                f"{name}: {why}" for name, why in found.data.rejection_reasons.items()
-            )
-            or "it holds no trial"
-        )
+    result = Trials(dataset.read_dataset(Path(folder)))
+    if not result:
+        rejected = result.data.rejection_reasons
+        reasons = "; ".join(f"{name}: {why}" for name, why in rejected.items())
         raise DataError(
-            f"{folder}: no trial can be used ({reasons}). Look at the files it names."
+            f"{folder}: no trial can be used ({reasons or 'it holds no trial'}). "
+            "Look at the files it names."
         )
-    return found
+    return result
 
 
 def sample() -> Trials:
-    """Five trials of a virtual lab that come with the package: what the simulation
-    lacks in them is a riddle.
+    """Read the five trials of a virtual lab that come with the package.
+
+    Returns
+    -------
+    Trials
+        Trials with a hidden cause, which a diagnosis finds.
     """
     return read(Path(dataset.__file__).with_name("sample"))
 
@@ -109,38 +122,66 @@ def trials(
     sigma: float | None = None,
     initial: Literal["rest", "moving"] = "rest",
 ) -> Trials:
-    """Trials from tables; each may lack the column `trial` where there is one trial
-    only.
+    """Make trials of tables.
 
-    points: t [s], s [m] arc length from the grasp, x, y [m], optional sigma [m].
-    length: of the string [m]. One of grasp: t, x, y [m], theta [rad], and arm: t, q1,
-    q2, q3 [rad], with links: their lengths, base: x, y of joint 1 [m]. sigma: noise of
-    a coordinate [m]. initial: how the string begins. Raises StringcastError.
+    A table may lack the column `trial` if there is one trial only.
+
+    Parameters
+    ----------
+    points : DataFrame
+        Measured points: t [s], arc length s from the grasp [m], x, y [m], and, if
+        known, sigma [m].
+    length : float
+        Length of the string [m].
+    grasp : DataFrame, optional
+        Poses of the grasp: t [s], x, y [m], theta [rad]. Give either this or `arm`.
+    arm : DataFrame, optional
+        Joint angles: t [s], q1, q2, q3 [rad]. It needs `links` and `base`.
+    links : sequence of float, optional
+        Lengths of the arm's three links [m].
+    base : sequence of float, optional
+        Position (x, y) of joint 1 [m].
+    sigma : float, optional
+        Standard deviation of a coordinate [m]; estimated if not given.
+    initial : {"rest", "moving"}
+        State of the string at the start of each trial.
+
+    Returns
+    -------
+    Trials
+
+    Raises
+    ------
+    StringcastError
+        If a table is missing or cannot be used.
     """
     if (grasp is None) == (arm is None):
         raise DataError(
-            "trials(): give either grasp= (poses of the grasp) or arm= (joint angles), and not both."
+            "trials(): give either grasp= (poses of the grasp) or arm= (joint angles)."
         )
     if arm is not None and not (len(links) == 3 and len(base) == 2):
         raise DataError(
-            "trials(): joint angles alone do not say where the hand is. Give links=(.., .., ..), base=(x, y)."
+            "trials(): joint angles alone do not determine the hand. "
+            "Give links=(.., .., ..), base=(x, y)."
         )
-    home = TemporaryDirectory(prefix="stringcast-")
+    folder = TemporaryDirectory(prefix="stringcast-")
     for name, table in {"points": points, "grasp": grasp, "arm": arm}.items():
         if table is not None:
             named = table if "trial" in table else table.assign(trial="t00")
-            named.to_parquet(Path(home.name) / f"{name}.parquet", index=False)
-    known: dict[str, Any] = {
+            named.to_parquet(Path(folder.name) / f"{name}.parquet", index=False)
+    metadata: dict[str, Any] = {
         "format": FORMAT_VERSION,
         "name": "trials",
         "string": {"length": float(length)},
         "initial": initial,
     }
-    known |= (
-        {"arm": {"links": list(map(float, links)), "base": list(map(float, base))}}
-        if arm is not None
-        else {}
-    )
-    known |= {"noise": {"point_sigma": float(sigma)}} if sigma is not None else {}
-    (Path(home.name) / DATASET_FILE).write_text(yaml.safe_dump(known), encoding="utf-8")
-    return Trials(read(home.name).data, home)
+    if arm is not None:
+        metadata["arm"] = {
+            "links": [float(link) for link in links],
+            "base": [float(coordinate) for coordinate in base],
+        }
+    if sigma is not None:
+        metadata["noise"] = {"point_sigma": float(sigma)}
+    text = yaml.safe_dump(metadata)
+    (Path(folder.name) / DATASET_FILE).write_text(text, encoding="utf-8")
+    return Trials(read(folder.name).data, folder)

@@ -48,7 +48,10 @@ print(
 
 # %% [markdown]
 # ## Why the simulation disagrees
-# The residual above is more than the noise of these points (0.7 mm). The diagnosis says
-# why; it takes a minute:  result = sc.diagnose(trials) result.sentence, result.causes,
-# result.gain result.report("page.html") motion = sc.generate(result.extended,
-# target=(0.5, 0.5))
+# The residual above is more than the noise of these points (0.7 mm). A diagnosis says
+# why. It takes a minute:
+#
+#     result = sc.diagnose(trials)
+#     result.sentence, result.causes, result.gain
+#     result.report("page.html")
+#     motion = sc.generate(result.extended_model, target=(0.5, 0.5))

@@ -148,7 +148,14 @@ def test_a_diagnosis_shows_what_it_says(tmp_path):
         {"source": "wind", "tip_rms_m": 2e-3, "log_evidence": 9.0},
         {"source": "noise", "tip_rms_m": 1e-3},
     ]
-    made.artifact.finding["diagnosis"] = json.dumps(made.document | {"budget": budget})
+    misfit = {
+        "tip_rms_m": {"value": 0.0, "low": 0.0, "high": 1e-3},
+        "tolerance_m": 2e-3,
+    }
+    unexplained = made.document["unexplained"] | misfit
+    made.artifact.finding["diagnosis"] = json.dumps(
+        made.document | {"budget": budget, "unexplained": unexplained}
+    )
     assert made.budget["source"].tolist() == ["wind", "noise"]
     assert made.budget["tip_rms_m"].tolist() == [2e-3, 1e-3]
     assert len(made.plot().axes[0].lines) == 3

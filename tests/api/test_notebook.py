@@ -13,7 +13,7 @@ def test_the_notebook_runs_and_shows_what_it_says(capsys):
     found = made["found"]
     known = found.parameters.set_index("name")
     assert (len(known), "<table" in found._repr_html_()) == (8, True)
-    assert found.string.parameters == pytest.approx(found.made.values())
+    assert found.string.parameters == pytest.approx(found.artifact.values())
     assert (
         known.loc["bending_stiffness", "low"]
         < 1.5
