@@ -1,3 +1,1 @@
-"""Report: self-contained HTML pages from what runs have made. `page.py` is what a page
-is, `pages/` those there are, `charts/` what is drawn in them.
-"""
+"""Self-contained HTML pages: `page.py` has their parts, `charts/` their figures."""

@@ -159,7 +159,7 @@ def unit_markup(text: str) -> Markup:
 
 # --- what a run says
 def unread_frames(readings: pd.DataFrame) -> list[dict[str, Any]]:
-    """Summarise frames that could not be read: how many for each reason, and when [ms]."""
+    """Count the frames that could not be read by reason, with their times [ms]."""
     unread = readings[~readings["valid"].astype(bool)]
     summary = []
     for reason, rows in unread.groupby("reason", sort=False):

@@ -14,7 +14,7 @@ MeanFunction = Callable[[np.ndarray], tuple[float, float, float]]
 
 
 def arithmetic_mean(values: np.ndarray) -> tuple[float, float, float]:
-    """Return mean and Student's 95 % interval of (K,) values, NaN if there is only one."""
+    """Return mean and Student's 95 % interval of (K,) values, NaN for a single one."""
     mean = float(values.mean())
     if len(values) < 2:
         return mean, np.nan, np.nan

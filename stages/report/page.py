@@ -166,7 +166,7 @@ class Film(Part):
 
 @dataclass(frozen=True)
 class Line:
-    """A curve of a chart: values at its times (NaN for gaps), in a colour of the theme."""
+    """A curve of a chart: values at its times, NaN for gaps, and a theme colour."""
 
     label: str
     values: np.ndarray = field(repr=False)
@@ -213,14 +213,16 @@ class Chart(Part):
 
     @property
     def data(self) -> dict[str, Any]:
-        """The chart for the page's script: times in ms, null where there is no value."""
-        has_mark = self.mark is not None and np.isfinite(self.mark)
+        """The chart for the page's script: times in ms, null for missing values."""
+        mark = None
+        if self.mark is not None and np.isfinite(self.mark):
+            mark = self.mark * MM_PER_M
         return {
             "t": np.round(np.asarray(self.t, float) * MM_PER_M, 2).tolist(),
             "lines": [line.data for line in self.lines],
             "axis": self.axis,
             "moving": self.moving and [end * MM_PER_M for end in self.moving],
-            "mark": self.mark * MM_PER_M if has_mark else None,
+            "mark": mark,
             "low": self.low,
         }
 

@@ -33,7 +33,7 @@ from stringcast.stages.report.outcomes import CAST_OUTCOMES, Outcome, parameter_
 # --- a stage of any kind
 @dataclass(frozen=True)
 class StageRecord:
-    """What the page of a stage is made from.
+    """Content of the page of a stage.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class CastRecord:
     @cached_property
     def frame_times(self) -> np.ndarray:
         """Times of the frames [s], shape (F,)."""
-        return self.trial.frames["t"].to_numpy()
+        return np.asarray(self.trial.frames["t"])
 
     @property
     def is_valid(self) -> bool:
@@ -143,7 +143,7 @@ class CastRecord:
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What the page of a run is made from; without casts if it only estimated.
+    """Content of the page of a run; without casts if it only estimated.
 
     Attributes
     ----------
@@ -204,7 +204,7 @@ MAX_DRAWN_TRIALS = 8
 
 @dataclass(frozen=True)
 class DiagnosisRecord:
-    """What the page of a diagnosis is made from; the model is as configured."""
+    """Content of the page of a diagnosis; the model is as configured."""
 
     diagnosis: Diagnosis
     model: Model
@@ -242,7 +242,7 @@ class DiagnosisRecord:
 
     @cached_property
     def drawn_trials(self) -> dict[str, pd.DataFrame]:
-        """Residuals of the trials with the largest misfit of the base model, in order."""
+        """Residuals of the trials with the largest misfit of the base model."""
         table = self.diagnosis.residuals
         misfit = trial_rms(table, "base").sort_values(ascending=False)
         drawn = list(misfit.index[:MAX_DRAWN_TRIALS])
@@ -262,7 +262,8 @@ def model_distances(table: pd.DataFrame, model: str) -> np.ndarray:
         base or extended.
     """
     x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
-    return np.hypot(x, y).to_numpy()
+    distances: np.ndarray = np.hypot(x, y).to_numpy()
+    return distances
 
 
 def trial_rms(table: pd.DataFrame, model: str) -> pd.Series:
@@ -277,7 +278,7 @@ SEED_COLUMN = "seed"
 
 @dataclass(frozen=True)
 class SweepRecord:
-    """What the page of a sweep is made from.
+    """Content of the page of a sweep.
 
     Attributes
     ----------
@@ -371,7 +372,7 @@ class PaperFigure:
 
 @dataclass(frozen=True)
 class PaperRecord:
-    """What the page of the paper's experiments is made from.
+    """Content of the page of the paper's experiments.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Colours and style of every page, and figures as data URIs that follow light and dark."""
+"""Colours and style of pages, and figures as data URIs that follow light and dark."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def svg_picture(figure: Figure, alt: str) -> Picture:
     """Draw a figure as an SVG that follows the reader's light or dark theme."""
     buffer = io.StringIO()
     figure.set_facecolor("none")
-    FigureCanvasSVG(figure).print_svg(
+    FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]
         buffer, metadata={"Date": None}
     )  # savefig draws twice
     text = buffer.getvalue()
@@ -144,7 +144,7 @@ def data_uri(kind: str, content: bytes) -> str:
 
 
 def apply_theme(svg: str) -> str:
-    """Replace the colours of an SVG by variables of both themes, and halve its length."""
+    """Replace the colours of an SVG by variables of both themes, and shorten it."""
     for name, light in LIGHT_COLOURS.items():
         svg = svg.replace(light, f"var(--{name})")
     svg = _shorten(svg)

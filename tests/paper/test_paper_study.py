@@ -230,7 +230,7 @@ def test_figures_show_what_the_runs_stored(study):
         for table in TABLES
     }
     drawn = paper_figures(PaperRecord(tables, 2, {}, {}))
-    assert set(drawn) == {"hit_rates", "fig_13", "fig_14"}
+    assert set(drawn) == {"fig_13", "fig_14"}
     assert all((ledger.folder / f"{name}.png").stat().st_size > 5000 for name in drawn)
     first, last = drawn["fig_13"].figure.axes
     assert "manipulation 1, missed by 50 mm" in first.get_title()

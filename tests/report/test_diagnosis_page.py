@@ -487,7 +487,7 @@ def test_every_picture_has_words_and_follows_the_theme(pages, verdict):
 
 
 @pytest.mark.parametrize(
-    ("verdict", "count"), [("none", 3), ("effect", 8), ("pair", 10), ("unknown", 6)]
+    ("verdict", "count"), [("none", 3), ("effect", 7), ("pair", 9), ("unknown", 6)]
 )
 def test_what_is_drawn(pages, verdict, count):
     """Maps, sizes, predictions; and with causes more maps, laws, likelihoods and

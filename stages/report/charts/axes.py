@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from stringcast.stages.model.box import Box
-from stringcast.stages.report.formatting import format_gain, superscript
+from stringcast.stages.report.formatting import superscript
 from stringcast.stages.report.theme import MM_PER_M
+
+TARGET_STYLE: dict[str, Any] = {"fill": False, "edgecolor": "target", "lw": 1.8}
+OBSTACLE_STYLE: dict[str, Any] = {"facecolor": "wall", "alpha": 0.5, "lw": 0}
 
 
 def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
@@ -31,11 +32,10 @@ def rows_figure(count: int, columns: int = 1) -> tuple[Figure, list[Axes]]:
     return figure, list(panels[0])
 
 
-def add_legend_above(figure: Figure, columns: int, title: str | None = None) -> None:
-    """Add a legend of the first axes above the figure's axes."""
+def add_legend_above(figure: Figure, columns: int) -> None:
+    """Add a legend of the first axes above all axes."""
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    place = "outside upper left"
-    figure.legend(handles, labels, loc=place, ncols=columns, title=title)
+    figure.legend(handles, labels, loc="outside upper left", ncols=columns)
 
 
 def label_decades(axis: Axis) -> None:
@@ -78,9 +78,3 @@ def draw_box(axes: Axes, box: Box, **style: Any) -> None:
     """Draw a target or obstacle in the plane, in mm."""
     corner = ((box.x - box.w / 2) * MM_PER_M, (box.y - box.h / 2) * MM_PER_M)
     axes.add_patch(Rectangle(corner, box.w * MM_PER_M, box.h * MM_PER_M, **style))
-
-
-def label_bars(axes: Axes, bars: BarContainer, gains: Iterable[float]) -> None:
-    """Label bars by the log-likelihoods that they show."""
-    labels = [format_gain(gain) for gain in gains]
-    axes.bar_label(bars, labels, padding=4, fontsize=8, color="soft")

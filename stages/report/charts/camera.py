@@ -140,52 +140,31 @@ def draw_line(axes: Axes, record: RunRecord, world: np.ndarray, **style: Any) ->
 
 def draw_grid(axes: Axes, record: RunRecord, region: ImageRegion) -> None:
     """Draw a grid every 100 mm with its coordinates, bent as the lens bends it."""
+    camera = record.model.camera
     left, top, right, bottom = region.left, region.top, region.right, region.bottom
     corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
-    world = record.model.camera.world(corners)
+    world = camera.world(corners)
     low, high = world.min(axis=0), world.max(axis=0)
-    for axis in (0, 1):
-        first, last = (
-            np.ceil(low[axis] / GRID_SPACING_M),
-            np.floor(high[axis] / GRID_SPACING_M),
-        )
-        for coordinate in np.arange(first, last + 1) * GRID_SPACING_M:
+    margin = 0.08 * (high - low)  # keeps labels out of the corners
+    first = np.ceil((low + margin) / GRID_SPACING_M)
+    last = np.floor((high - margin) / GRID_SPACING_M)
+    for axis, shift, align in ((0, (0, 5), "center"), (1, (5, -3), "left")):
+        for coordinate in np.arange(first[axis], last[axis] + 1) * GRID_SPACING_M:
             line = np.linspace(low, high, 40)
             line[:, axis] = coordinate
             draw_line(axes, record, line, color="white", alpha=0.14, lw=0.7)
-            pixels = record.model.camera.pixels(line)
-            _label_grid_line(axes, pixels, axis, f"{coordinate * MM_PER_M:.0f}", region)
-    place, offset = (
-        ("axes fraction", "offset points"),
-        {"color": "white", "fontsize": 8},
-    )
-    axes.annotate("mm", (1, 0), (-6, 5), *place, ha="right", **offset)
-
-
-def _label_grid_line(
-    axes: Axes, pixels: np.ndarray, axis: int, text: str, region: ImageRegion
-) -> None:
-    """Label a grid line where it meets the lower or left edge, except in corners."""
-    edge = region.left if axis == 1 else region.bottom
-    u, v = pixels[np.argmin(np.abs(pixels[:, 1 - axis] - edge))]
-    room = 0.08 * region.size_px
-    if axis == 0:
-        is_clear = region.left + room[0] < u < region.right - room[0]
-        place, shift, align = (u, region.bottom - 0.5), (0, 5), "center"
-    else:
-        is_clear = region.top + 12 < v < region.bottom - room[1]
-        place, shift, align = (region.left - 0.5, v), (5, -3), "left"
-    if is_clear:
-        axes.annotate(
-            text,
-            place,
-            shift,
-            textcoords="offset points",
-            ha=align,
-            color="white",
-            fontsize=8,
-            path_effects=TEXT_OUTLINE,
-        )
+            start = np.clip(camera.pixels(line)[0], (left, top), (right, bottom - 0.5))
+            axes.annotate(
+                f"{coordinate * MM_PER_M:.0f}",
+                start,
+                shift,
+                textcoords="offset points",
+                ha=align,
+                color="white",
+                fontsize=8,
+                path_effects=TEXT_OUTLINE,
+            )
+    axes.text(0.99, 0.01, "mm", transform=axes.transAxes, ha="right", color="white")
 
 
 # --- the closest approach
@@ -219,11 +198,14 @@ def closest_approach_picture(record: RunRecord, cast: CastRecord) -> Picture | N
 
     position = "not visible"
     if np.isfinite(verdict.distance):
-        position = f"{format_mm(verdict.distance)} from its centre at {format_ms(verdict.t, 1)}"
+        position = (
+            f"{format_mm(verdict.distance)} from its centre at "
+            f"{format_ms(verdict.t, 1)}"
+        )
     words = (
-        f"Camera frame at {format_ms(cast.frame_times[frame])}, with the target box and "
-        "the string as measured and as simulated before and after estimation. The tip is "
-        f"{position}."
+        f"Camera frame at {format_ms(cast.frame_times[frame])}, with the target box "
+        "and the string as measured and as simulated before and after estimation. The "
+        f"tip is {position}."
     )
     return webp_picture(figure, words)
 
@@ -326,4 +308,5 @@ def _film_pixels(
         return []
     corner = (region.left, region.top)
     pixels = (camera.pixels(world) - corner + 0.5) * scale
-    return np.round(pixels, 1).tolist()
+    rounded: list[list[float]] = np.round(pixels, 1).tolist()
+    return rounded

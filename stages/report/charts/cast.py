@@ -14,7 +14,13 @@ from stringcast.data.artifacts import JOINTS, Estimate
 from stringcast.stages.common import rms
 from stringcast.stages.hit_test import MAX_GAP_S
 from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.report.charts.axes import draw_box, label_decades, mean_in_cells
+from stringcast.stages.report.charts.axes import (
+    OBSTACLE_STYLE,
+    TARGET_STYLE,
+    draw_box,
+    label_decades,
+    mean_in_cells,
+)
 from stringcast.stages.report.formatting import (
     format_count,
     format_mm,
@@ -33,13 +39,10 @@ from stringcast.stages.report.theme import (
 STATES = ("before", "after")  # estimation
 
 # --- paths in the plane
-PATH_FIGURE_SIZE_IN = (5.4, 4.9)
 
 
 def cast_path_picture(record: RunRecord, cast: CastRecord) -> Picture | None:
-    """Draw the paths of hand and tip, and the arm at the start and at the closest
-    approach.
-    """
+    """Draw the paths of hand and tip, and the arm at start and closest approach."""
     arm_table = cast.trial.arm
     if arm_table.empty:
         return None
@@ -48,15 +51,13 @@ def cast_path_picture(record: RunRecord, cast: CastRecord) -> Picture | None:
     closest = cast.verdict.t if np.isfinite(cast.verdict.t) else cast.motion.duration
     closest_tick = int(np.argmin(np.abs(arm_table["t"].to_numpy() - closest)))
     for tick, alpha in ((0, 0.35), (closest_tick, 1.0)):
-        axes.plot(
-            *joints[tick].T, "-o", color="soft", lw=3, ms=4, alpha=alpha
-        )
+        axes.plot(*joints[tick].T, "-o", color="soft", lw=3, ms=4, alpha=alpha)
     hand = joints[:, -1]
     axes.plot(*hand.T, color="after", label="hand")
     tip = cast.tip_path(np.arange(0, cast.motion.duration, 0.001)) * MM_PER_M
     if np.isfinite(tip).any():
         axes.plot(*tip.T, color="measured", lw=1, label="string's tip")
-    _add_wide_legend(figure, axes)
+    figure.legend(loc="upper left", ncols=6)
     length = format_mm(float(np.hypot(*np.diff(hand, axis=0).T).sum() / MM_PER_M))
     words = (
         f"Path of the hand, {length} long, and of the tip; {_describe_target(record)}."
@@ -66,73 +67,47 @@ def cast_path_picture(record: RunRecord, cast: CastRecord) -> Picture | None:
 
 def hand_paths_picture(record: RunRecord) -> Picture | None:
     """Draw the path of the hand in each cast, from faint to strong."""
-    casts = [cast for cast in record.casts if not cast.trial.arm.empty]
-    if len(casts) < 2:
+    if any(cast.trial.arm.empty for cast in record.casts):
         return None
     figure, axes = _plane_with_boxes(record)
-    strengths = np.linspace(0, 1, len(record.casts))
-    for number, (cast, strength) in enumerate(
-        zip(record.casts, strengths, strict=True), 1
-    ):
+    count = len(record.casts)
+    for number, cast in enumerate(record.casts, start=1):
         hand = cast.joint_positions(record.model.arm)[:, -1] * MM_PER_M
+        strength = (number - 1) / (count - 1)
         axes.plot(
             *hand.T,
             color="after",
-            label=f"cast {number}",
+            label=f"cast {number}" if number in (1, count) else None,
             alpha=0.25 + 0.75 * strength,
             lw=1 + strength,
         )
-    axes.plot(
-        *np.array(record.model.arm.base) * MM_PER_M,
-        "s",
-        ms=6,
-        color="soft",
-    )
-    _add_wide_legend(figure, axes)
-    words = f"Path of the hand in {len(casts)} casts; {_describe_target(record)}."
+    axes.plot(*np.array(record.model.arm.base) * MM_PER_M, "s", ms=6, color="soft")
+    figure.legend(loc="upper left", ncols=6)
+    words = f"Path of the hand in {count} casts; {_describe_target(record)}."
     return svg_picture(figure, words)
 
 
 def _plane_with_boxes(record: RunRecord) -> tuple[Figure, Axes]:
     """Create axes with target and obstacles to scale."""
-    figure = figure_with_margins(*PATH_FIGURE_SIZE_IN)
+    figure = figure_with_margins(5.4, 4.9)
     axes = figure.subplots()
     axes.margins(0.08)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
-    draw_box(
-        axes,
-        record.target,
-        fill=False,
-        edgecolor="target",
-        lw=1.8,
-        label="target",
-    )
-    for obstacle in record.obstacles:
-        draw_box(
-            axes,
-            obstacle,
-            facecolor="wall",
-            alpha=0.5,
-            lw=0,
-            label="obstacle",
-        )
+    draw_box(axes, record.target, label="target", **TARGET_STYLE)
+    for number, obstacle in enumerate(record.obstacles):
+        label = None if number else "obstacle"
+        draw_box(axes, obstacle, label=label, **OBSTACLE_STYLE)
     return figure, axes
-
-
-def _add_wide_legend(figure: Figure, axes: Axes) -> None:
-    """Add a legend above the axes with every label once."""
-    handles, labels = axes.get_legend_handles_labels()
-    handle_of = dict(zip(labels, handles, strict=True))
-    figure.legend(handle_of.values(), handle_of.keys(), loc="upper left", ncols=6)
-    legend_height = 0.1 + 0.18 * np.ceil(len(handle_of) / 6)  # [inch]
-    figure.subplots_adjust(top=1 - legend_height / PATH_FIGURE_SIZE_IN[1])
 
 
 def _describe_target(record: RunRecord) -> str:
     count = len(record.obstacles)
     obstacles = f" and {format_count(count, 'obstacle')}" if count else ""
     target = record.target
-    return f"target at ({target.x * MM_PER_M:.0f}, {target.y * MM_PER_M:.0f}) mm{obstacles}"
+    return (
+        f"target at ({target.x * MM_PER_M:.0f}, {target.y * MM_PER_M:.0f}) "
+        f"mm{obstacles}"
+    )
 
 
 # --- over time
@@ -195,7 +170,7 @@ def _cast_chart(
 
 
 def break_at_gaps(t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Set values over times [s] to NaN after each gap too long to draw a line across."""
+    """Set values over times [s] to NaN after each gap too long for a line."""
     return np.where(np.diff(t, prepend=t[:1]) > MAX_GAP_S, np.nan, values)
 
 
@@ -317,16 +292,17 @@ def distance_map(
         lw=0,
     )
     if np.isfinite(cast.verdict.t):
-        axes.axvline(
-            cast.verdict.t * MM_PER_M, color="target", lw=1.2, ls="--"
-        )
+        axes.axvline(cast.verdict.t * MM_PER_M, color="target", lw=1.2, ls="--")
     size = format_mm(rms(table["distance"]), 1)
-    words = f"Distance of the simulated from the measured string after estimation: RMS {size}."
+    words = (
+        "Distance of the simulated from the measured string after estimation: RMS "
+        f"{size}."
+    )
     return svg_picture(figure, words)
 
 
 def distance_chart(record: RunRecord, cast: CastRecord) -> Chart | None:
-    """Chart the root mean square distance over the string before and after estimation."""
+    """Chart the rms distance over the string before and after estimation."""
     if not cast.centre_lines:
         return None
     lines, sizes = [], []
@@ -376,14 +352,10 @@ def progress_picture(record: RunRecord) -> Picture:
         if cast.estimate is None:
             continue
         rates = cast.estimate.fit.iloc[0][list(STATES)].astype(float)
-        bottom.plot(
-            [number, number], rates, color="axis", lw=1.2, zorder=1
-        )
+        bottom.plot([number, number], rates, color="axis", lw=1.2, zorder=1)
         for state in STATES:
             label = f"{state} estimation" if number == 1 else ""
-            bottom.plot(
-                number, rates[state], "o", color=state, label=label
-            )
+            bottom.plot(number, rates[state], "o", color=state, label=label)
     bottom.set(xlabel="cast", ylabel="matching rate E [1]", ylim=(0, 1.02))
     bottom.set(xticks=numbers, xlim=(0.6, len(numbers) + 0.4))
     figure.legend(loc="upper left", ncols=4)
@@ -422,8 +394,8 @@ def history_picture(parameter: Parameter, estimates: Sequence[Estimate]) -> Pict
     last = rows.iloc[-1]
     suffix = "" if last["determined"] else ", not determined by the data"
     words = (
-        f"{parameter.name.replace('_', ' ')} from {format_value(parameter.start)} at the "
-        f"start to {format_value(last['value'])} {parameter.unit} after "
+        f"{parameter.name.replace('_', ' ')} from {format_value(parameter.start)} at "
+        f"the start to {format_value(last['value'])} {parameter.unit} after "
         f"{format_count(len(rows), 'estimation')}{suffix}."
     )
     return svg_picture(figure, words)

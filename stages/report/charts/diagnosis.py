@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from stringcast.stages.model.effect import Effect
-from stringcast.stages.report.charts.axes import add_legend_above, label_bars, new_axes
+from stringcast.stages.report.charts.axes import add_legend_above, new_axes
 from stringcast.stages.report.formatting import (
     effect_title,
     format_gain,
@@ -26,7 +26,7 @@ LONGEST_ARROW_IN = 0.28
 
 # --- effects
 def law_picture(effect: type[Effect], values: Mapping[str, float]) -> Picture:
-    """Draw the law of an effect at the values of its parameters, by their short names."""
+    """Draw the law of an effect; its parameters have their short names."""
     figure, axes = new_axes(3.4, 2.5)
     effect.plot(axes, values)
     for line in axes.lines:
@@ -61,20 +61,16 @@ def screening_pictures(record: DiagnosisRecord) -> list[tuple[str, Picture]]:
         best = ranked.head(MAX_BARS)
         names = [effect_title(name) for name in best["effect"]]
         gains = best["predicted_gain"].to_numpy()
-        colours = np.where(
-            best["effect"].isin(named), "after", "axis"
-        )
+        colours = np.where(best["effect"].isin(named), "after", "axis")
         figure, axes = new_axes(5.4, 0.7 + 0.23 * len(best))
         bars = axes.barh(names, gains, height=0.7, color=colours.tolist())
-        label_bars(axes, bars, gains)
+        texts = [format_gain(gain) for gain in gains]
+        axes.bar_label(bars, texts, padding=4, fontsize=8, color="soft")
         right = 1.15 * max(gains.max(), 1.0)
         axes.set(xlabel="predicted gain of the log-likelihood", xlim=(0, right))
         axes.grid(visible=False, axis="y")
         axes.invert_yaxis()
-        largest = ", ".join(
-            f"{names[i]} {format_gain(gain)}" for i, gain in enumerate(gains[:3])
-        )
-        words = f"Predicted gains of effects, the largest first: {largest}."
+        words = f"Predicted gains of effects; the largest is {texts[0]} of {names[0]}."
         pictures.append((effect_title(context), svg_picture(figure, words)))
     return pictures
 
@@ -113,13 +109,13 @@ def similarity_matrix(record: DiagnosisRecord) -> Picture | None:
     axes.grid(visible=False)
     top = table.loc[table["cosine"].idxmax()]
     pair = f"{effect_title(top['effect'])} and {effect_title(top['other'])}"
-    words = f"Similarity of {count} effects in these data; largest for {pair}, {top['cosine']:.2f}."
+    words = f"Similarity of {count} effects; largest for {pair}: {top['cosine']:.2f}."
     return svg_picture(figure, words)
 
 
 # --- the unexplained displacement
 def unexplained_picture(record: DiagnosisRecord) -> Picture | None:
-    """Draw the unexplained displacement over time and arc length, a row for each trial."""
+    """Draw the unexplained displacement over time and arc length in each trial."""
     table = record.diagnosis.missing
     if table.empty:
         return None
@@ -156,8 +152,9 @@ def unexplained_picture(record: DiagnosisRecord) -> Picture | None:
     axes.set_xlabel("time [ms]")
     top = table.loc[size.idxmax()]
     words = (
-        f"The unexplained displacement of the string over time in {len(rows)} trials; at "
-        f"most {format_mm(size.max(), 1)} in trial {top['trial']} at {format_ms(top['t'])}."
+        f"The unexplained displacement of the string over time in {len(rows)} trials; "
+        f"at most {format_mm(size.max(), 1)} in trial {top['trial']} at "
+        f"{format_ms(top['t'])}."
     )
     return svg_picture(figure, words)
 
@@ -184,37 +181,29 @@ HYPOTHESIS_STYLES = (
 
 
 def proposal_picture(record: DiagnosisRecord) -> Picture | None:
-    """Draw the strings that the hypotheses predict where they differ most, and how
-    much.
+    """Draw the strings that the hypotheses predict where they differ most.
 
-    The distance is from the likeliest hypothesis, anywhere on the string, over time.
+    Beside them is the largest distance along the string from the likeliest hypothesis,
+    over time.
     """
     table = record.diagnosis.predicted
     if table.empty:
         return None
-    groups = table.groupby("hypothesis", sort=False)
-    hypotheses = {str(name): rows.reset_index(drop=True) for name, rows in groups}
-    likeliest, *others = hypotheses
-    expected = hypotheses[likeliest]
-    distance = {}  # largest along the string [m], by time
-    for name in others:
-        x, y = (
-            hypotheses[name]["x"] - expected["x"],
-            hypotheses[name]["y"] - expected["y"],
-        )
-        distance[name] = np.hypot(x, y).groupby(expected["t"]).max()
-    closest = min(others, key=lambda name: float(distance[name].max()))
-    t = float(distance[closest].idxmax())
+    names = list(table["hypothesis"].unique())  # the likeliest first
+    table = table.assign(position=table["x"] + 1j * table["y"])
+    positions = table.pivot(index=["t", "s"], columns="hypothesis", values="position")
+    difference = positions.sub(positions[names[0]], axis=0).abs()
+    distance = difference.groupby("t").max()[names[1:]] * MM_PER_M
+    largest = distance.max()
+    t = float(distance[largest.idxmin()].idxmax())
 
     figure = Figure(figsize=(7.2, 3.2))
     left, right = figure.subplots(1, 2)
-    for (name, rows), (colour, dashes) in zip(
-        hypotheses.items(), HYPOTHESIS_STYLES, strict=False
-    ):
-        string = rows[rows["t"] == t].sort_values("s")
+    for name, (colour, dashes) in zip(names, HYPOTHESIS_STYLES, strict=False):
+        string = positions.loc[t, name].to_numpy() * MM_PER_M
         left.plot(
-            string["x"] * MM_PER_M,
-            string["y"] * MM_PER_M,
+            string.real,
+            string.imag,
             dashes,
             marker=".",
             ms=4,
@@ -222,34 +211,18 @@ def proposal_picture(record: DiagnosisRecord) -> Picture | None:
             label=effect_title(name),
         )
         if name in distance:
-            over_time = distance[name] * MM_PER_M
-            right.plot(
-                over_time.index * MM_PER_M,
-                over_time,
-                dashes,
-                lw=1.2,
-                color=colour,
-            )
+            right.plot(distance.index * MM_PER_M, distance[name], dashes, color=colour)
     left.set(xlabel="x [mm]", ylabel="y [mm]", title=f"at {format_ms(t)}")
     left.set(aspect="equal", adjustable="datalim")
-    floor = float(record.diagnosis.residuals["sigma"].median() * MM_PER_M)
-    right.axhspan(0, floor, color="grid", lw=0)
-    right.annotate(
-        "noise floor",
-        (1, floor),
-        fontsize=8,
-        xycoords=("axes fraction", "data"),
-        ha="right",
-        va="bottom",
-    )
-    right.set(xlabel="time [ms]", ylabel="largest distance [mm]", ylim=(0, None))
+    floor = record.diagnosis.residuals["sigma"].median() * MM_PER_M
+    right.axhline(floor, color="axis", ls=":", lw=1, label="noise floor")
     right.axvline(t * MM_PER_M, color="axis", lw=1)
+    right.set(xlabel="time [ms]", ylabel="largest distance [mm]", ylim=(0, None))
+    right.legend()
     add_legend_above(figure, 4)
-    largest = [
-        f"{effect_title(name)} {format_mm(d.max(), 1)}" for name, d in distance.items()
-    ]
+    sizes = [f"{effect_title(name)} {size:.1f} mm" for name, size in largest.items()]
     words = (
         f"The proposed motion at {format_ms(t)}; largest distances from "
-        f"{effect_title(likeliest)}: {', '.join(largest)}."
+        f"{effect_title(names[0])}: {', '.join(sizes)}."
     )
     return svg_picture(figure, words)

@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 
 from stringcast.stages.model.box import Box
 from stringcast.stages.report.charts.axes import (
+    OBSTACLE_STYLE,
+    TARGET_STYLE,
     add_legend_above,
     draw_box,
     label_decades,
@@ -21,64 +23,6 @@ from stringcast.stages.report.charts.cast import break_at_gaps
 from stringcast.stages.report.formatting import format_mm, format_rate, format_value
 from stringcast.stages.report.records import EXPERIMENT_LABELS, PaperFigure, PaperRecord
 from stringcast.stages.report.theme import MM_PER_M
-
-# --- how often it hits
-HIT_RATE_MARKERS = {
-    1: ("before", "o"),
-    2: ("after", "s"),
-    3: ("measured", "D"),
-    5: ("target", "^"),
-}
-
-
-def hit_rates_figure(record: PaperRecord) -> PaperFigure | None:
-    """Draw the share of hits within some manipulations, a row for each experiment."""
-    if not record.finished_experiments:
-        return None
-    figure, axes = new_axes(5.4, 1.1 + 0.42 * len(record.finished_experiments))
-    labels, summary = [], []
-    for row, condition in enumerate(record.finished_experiments):
-        table = record.rows_of("rates", condition).set_index("within")
-        for step, (within, (colour, marker)) in enumerate(HIT_RATE_MARKERS.items()):
-            if within not in table.index:
-                continue
-            rate = table.loc[within]
-            y = row + 0.18 * (step - 1.5)
-            axes.hlines(
-                y,
-                rate["low"],
-                rate["high"],
-                color=colour,
-                lw=2.5,
-                alpha=0.3,
-            )
-            label = f"within {within}" if row == 0 else None
-            axes.plot(
-                rate["share"],
-                y,
-                marker,
-                label=label,
-                color=colour,
-                ms=4.5,
-                ls="none",
-            )
-        last = table.loc[table.index.max()]
-        labels.append(f"{EXPERIMENT_LABELS[condition]}  (n = {last['count']:.0f})")
-        summary.append(
-            f"{EXPERIMENT_LABELS[condition]} {last['right']:.0f} of {last['count']:.0f}"
-        )
-    axes.set_yticks(range(len(labels)), labels)
-    axes.set(xlim=(-0.02, 1.02), ylim=(len(labels) - 0.5, -0.5))
-    axes.set_xlabel("share of runs that hit, with 95 % interval")
-    axes.set_xticks(
-        np.linspace(0, 1, 6), ["0", "20 %", "40 %", "60 %", "80 %", "100 %"]
-    )
-    add_legend_above(figure, 4, title="manipulations")
-    most = record.tables["rates"]["within"].max()
-    return PaperFigure(
-        figure, f"Runs that hit within {most} manipulations: {', '.join(summary)}."
-    )
-
 
 # --- shapes of the string
 LINE_STYLES: dict[str, dict[str, Any]] = {
@@ -96,7 +40,7 @@ LINE_LABELS = {
 def string_shapes_figure(
     record: PaperRecord, casts: Sequence[tuple[str, int]]
 ) -> PaperFigure | None:
-    """Draw arm and string over time, a panel for each cast (experiment, manipulation)."""
+    """Draw arm and string over time for each cast (experiment, manipulation)."""
     if not casts:
         return None
     figure = Figure(figsize=(2.75 * max(len(casts), 2), 3.5))
@@ -111,11 +55,7 @@ def string_shapes_figure(
         axes.set_title(title, fontsize=8.5)
         titles.append(title.replace("\n", ", "))
     panels[0].set_ylabel("y [mm]")
-    handles, labels = panels[0].get_legend_handles_labels()
-    handle_of = dict(zip(labels, handles, strict=True))
-    shown = [label for label in LINE_LABELS.values() if label in handle_of]
-    place = "outside upper left"
-    figure.legend([handle_of[label] for label in shown], shown, loc=place, ncols=3)
+    add_legend_above(figure, 3)
     return PaperFigure(figure, f"Drawn are {'; '.join(titles)}.")
 
 
@@ -132,10 +72,8 @@ def _draw_shapes(axes: Axes, lines: pd.DataFrame) -> None:
 
 
 def _draw_boxes(axes: Axes, record: PaperRecord, condition: str) -> None:
-    target = {"fill": False, "ec": "target", "lw": 1.6}
-    obstacle = {"fc": "wall", "alpha": 0.5}
     for row in record.rows_of("boxes", condition).itertuples():
-        style = target if row.kind == "target" else obstacle
+        style = TARGET_STYLE if row.kind == "target" else OBSTACLE_STYLE
         draw_box(axes, Box(row.x, row.y, row.w, row.h), zorder=3, **style)
 
 
@@ -163,7 +101,8 @@ def hand_paths_figure(
         _draw_boxes(axes, record, name)
         side = "above" if y[-1] > y[0] else "below"
         rises.append(
-            f"{EXPERIMENT_LABELS[name]}: the hand ends {abs(y[-1] - y[0]):.0f} mm {side}"
+            f"{EXPERIMENT_LABELS[name]}: the hand ends {abs(y[-1] - y[0]):.0f} mm "
+            f"{side}"
         )
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
     add_legend_above(figure, 3)
@@ -177,48 +116,36 @@ HIT_HALF_WINDOW_S = 0.05  # around the closest approach, over which E_f is avera
 
 def matching_figure(record: PaperRecord, condition: str) -> PaperFigure | None:
     """Draw E_f with the parameters of each motion; dashed: the closest approach."""
-    casts = {}
+    tables = {}
     for number in record.cast_numbers(condition):
         table = record.cast_rows("matching", condition, number)
         if len(table):
-            casts[number] = table.sort_values("t")
-    if not casts:
+            tables[number] = table.sort_values("t")
+    if not tables:
         return None
+    compared = max(number for number in tables if number <= COMPARED_CAST)
     figure, axes = new_axes(5.4, 3.0)
-    compared = max(number for number in casts if number <= COMPARED_CAST)
-    means: dict[int, float] = {}
-    for number, colour in zip(
-        dict.fromkeys([min(casts), compared]), ("before", "after"), strict=False
-    ):
-        t, rates = casts[number]["t"].to_numpy(), casts[number]["before"].to_numpy()
-        label = f"manipulation {number}"
-        axes.plot(
-            t * MM_PER_M,
-            break_at_gaps(t, rates),
-            color=colour,
-            label=label,
-        )
+    means: list[float] = []
+    texts = []
+    for number in sorted({min(tables), compared}):
+        t = tables[number]["t"].to_numpy()
+        rates = tables[number]["before"].to_numpy()
         closest = record.cast_verdict(condition, number)["t_closest"]
+        colour = "after" if means else "before"
+        name = f"manipulation {number}"
+        axes.plot(t * MM_PER_M, break_at_gaps(t, rates), color=colour, label=name)
         axes.axvline(closest * MM_PER_M, color=colour, lw=1, ls="--")
-        means[number] = float(
-            np.nanmean(rates[np.abs(t - closest) <= HIT_HALF_WINDOW_S])
-        )
+        is_near = np.abs(t - closest) <= HIT_HALF_WINDOW_S
+        means.append(float(np.nanmean(rates[is_near])))
+        texts.append(f"{format_rate(means[-1])} in {name}")
     axes.set(xlabel="time [ms]", ylabel="matching rate E$_f$ [1]", ylim=(0, 1.02))
     add_legend_above(figure, 2)
-    summary = ", ".join(
-        f"{format_rate(mean)} in manipulation {n}" for n, mean in means.items()
-    )
-    first, *later = means.values()
-    comparison = ""
-    if later:
-        is_higher = later[0] > first
-        comparison = (
-            ": higher, as in the paper"
-            if is_higher
-            else ": not higher, unlike in the paper"
-        )
-    words = f"Around the closest approach, 50 ms each side, E is {summary}{comparison}."
-    return PaperFigure(figure, words)
+    words = f"Around the closest approach, 50 ms each side, E is {', '.join(texts)}"
+    if means[-1] > means[0]:
+        words += ": higher, as in the paper"
+    elif len(means) > 1:
+        words += ": not higher, unlike in the paper"
+    return PaperFigure(figure, f"{words}.")
 
 
 # --- Table 4: estimated parameters
@@ -228,30 +155,29 @@ TABLE_4_SYMBOLS = ("k_h", "c_h", "k_ph", "c_ph")
 def table_4_figure(
     record: PaperRecord, conditions: Sequence[str]
 ) -> PaperFigure | None:
-    """Draw the parameters of each string; grey: the range searched, crosses: the paper."""
+    """Draw the parameters of each string, the range searched, and the paper's."""
     table = record.tables["parameters"]
-    found = table[
-        table["condition"].isin(conditions) & table["symbol"].isin(TABLE_4_SYMBOLS)
-    ]
-    if found.empty:
+    table = table[table["condition"].isin(conditions)]
+    if table.empty:
         return None
+    numbers = record.tables["numbers"]
     figure = Figure(figsize=(5.4, 4.4))
-    numbers, summary = record.tables["numbers"], []
+    summary = []
     for axes, symbol in zip(figure.subplots(2, 2).flat, TABLE_4_SYMBOLS, strict=True):
-        ours = found[found["symbol"] == symbol]
+        ours = table[table["symbol"] == symbol]
         printed = numbers[numbers["of"] == symbol].set_index("what")["value"]
         paper = {name: printed[f"string {name[-1]}"] for name in conditions}
         _draw_parameter(axes, ours, paper)
         axes.set_title(f"${symbol.replace('_', '_{')}}}$", fontsize=10)
-        medians = [
-            f"{name[-1]} {format_value(rows['value'].median())} (the paper {format_value(paper[name])})"
-            for name, rows in ours.groupby("condition")
-        ]
+        medians = []
+        for name, value in ours.groupby("condition")["value"].median().items():
+            of_paper = format_value(paper[name])
+            medians.append(f"{name[-1]} {format_value(value)} (the paper {of_paper})")
         is_low = np.isclose(ours["value"], ours["minimum"])
         is_high = np.isclose(ours["value"], ours["maximum"])
-        count = (is_low | is_high).sum()
+        at_end = f"{(is_low | is_high).sum()} of {len(ours)} runs"
         summary.append(
-            f"{symbol}: {', '.join(medians)}; at an end of its range in {count} of {len(ours)} runs."
+            f"{symbol}: {', '.join(medians)}; at an end of its range in {at_end}."
         )
     add_legend_above(figure, 3)
     return PaperFigure(figure, " ".join(summary))
@@ -259,9 +185,7 @@ def table_4_figure(
 
 def _draw_parameter(axes: Axes, ours: pd.DataFrame, paper: dict[str, float]) -> None:
     low, high = ours["minimum"].min(), ours["maximum"].max()
-    axes.axvspan(
-        low, high, color="axis", alpha=0.16, lw=0, label="range"
-    )
+    axes.axvspan(low, high, color="axis", alpha=0.16, lw=0, label="range")
     for row, (condition, printed) in enumerate(paper.items()):
         labels = ("a run of ours", "the paper") if row == 0 else (None, None)
         values = ours.loc[ours["condition"] == condition, "value"]

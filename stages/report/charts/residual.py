@@ -12,11 +12,10 @@ from matplotlib.figure import Figure
 from stringcast.stages.common import rms
 from stringcast.stages.report.charts.axes import (
     add_legend_above,
-    label_bars,
     mean_in_cells,
     rows_figure,
 )
-from stringcast.stages.report.formatting import format_gain, format_mm
+from stringcast.stages.report.formatting import format_count, format_mm, join_names
 from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import DiagnosisRecord, model_distances, trial_rms
 from stringcast.stages.report.theme import (
@@ -57,7 +56,7 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
     panels = figure.subplots(len(trials), 2, sharex=True, sharey=True, squeeze=False)
 
     # one colour scale for all trials and models
-    sizes = []
+    sizes: list[np.ndarray] = []
     for table in trials.values():
         sizes += residual_components(table, "base").values()
     largest = np.quantile(np.abs(np.concatenate(sizes)), 0.99)
@@ -76,7 +75,8 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
         top.set_title(words, fontsize=9, pad=16)
         bottom.set_xlabel("time [ms]")
     _draw_colour_bar(figure, drawn, end)
-    words = f"Residuals of the {MODEL_LABELS[model]} over arc length and time in {len(trials)} trials."
+    trial_count = format_count(len(trials), "trial")
+    words = f"Residuals of the {model} model over arc length and time in {trial_count}."
     return svg_picture(figure, words)
 
 
@@ -102,14 +102,12 @@ def residual_components(table: pd.DataFrame, model: str) -> dict[str, np.ndarray
     dict
         normal and tangential, shape (n,) each.
     """
-    base = (table["x"] - table["base_x"]) + 1j * (table["y"] - table["base_y"])
+    x, y = table["x"] - table["base_x"], table["y"] - table["base_y"]
     split = table["base_tangential"] + 1j * table["base_normal"]
     unknown = np.ones(len(table), complex)
-    direction = np.divide(base, split, out=unknown, where=np.abs(split) > 0)
-    residual = (table["x"] - table[f"{model}_x"]) + 1j * (
-        table["y"] - table[f"{model}_y"]
-    )
-    components = (residual / direction / table["sigma"]).to_numpy()
+    direction = np.divide(x + 1j * y, split, out=unknown, where=np.abs(split) > 0)
+    x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
+    components = ((x + 1j * y) / direction / table["sigma"]).to_numpy()
     return {"normal": components.imag, "tangential": components.real}
 
 
@@ -128,7 +126,7 @@ def _draw_map(
 
 
 def _string_edges(s: np.ndarray) -> np.ndarray:
-    """Return edges [m] around the places measured, or even ones where there are many."""
+    """Return edges [m] around the places measured, or even ones if there are many."""
     places = np.unique(np.round(s, 4))
     if len(places) > MAX_STRING_CELLS:
         return np.linspace(0, s.max() * (1 + 1e-9), MAX_STRING_CELLS + 1)
@@ -142,7 +140,7 @@ def _string_edges(s: np.ndarray) -> np.ndarray:
 
 
 def _time_edges(t: np.ndarray) -> np.ndarray:
-    """Return even edges [s] as wide as a frame or more: gaps between frames stay empty."""
+    """Return even edges [s] as wide as a frame or more, so that gaps stay empty."""
     times = np.unique(t)
     frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.01
     width = max(frame, float(np.ptp(times)) / MAX_TIME_CELLS)
@@ -193,9 +191,7 @@ def trial_rms_picture(record: DiagnosisRecord) -> Picture | None:
     expected = np.sqrt(2 * variances) * MM_PER_M
     figure, (axes,) = rows_figure(len(names))
     label = "noise and numerical error"
-    axes.barh(
-        rows, expected["doubt"], height=0.7, color="grid", label=label
-    )
+    axes.barh(rows, expected["doubt"], height=0.7, color="grid", label=label)
     _draw_noise_floor(axes, expected["sigma"])
     for model, residual in residuals.items():
         _draw_model(axes, residual * MM_PER_M, model)
@@ -204,11 +200,10 @@ def trial_rms_picture(record: DiagnosisRecord) -> Picture | None:
     )
     axes.invert_yaxis()
     add_legend_above(figure, 2)
-    largest = [
-        f"{format_mm(r.max(), 1)} for the {MODEL_LABELS[m]}"
-        for m, r in residuals.items()
-    ]
-    words = f"Residual in each trial against the noise floor: at most {' and '.join(largest)}."
+    largest = join_names(
+        [f"{format_mm(r.max(), 1)} ({m})" for m, r in residuals.items()]
+    )
+    words = f"Residual in each trial against the noise floor: at most {largest}."
     return svg_picture(figure, words)
 
 
@@ -236,7 +231,7 @@ def _draw_model(axes: Axes, values: pd.Series, model: str) -> None:
 
 
 def held_out_picture(record: DiagnosisRecord) -> Picture:
-    """Draw the residual on trials left out of the fit, over the string and at the tip."""
+    """Draw the residual on held-out trials, over the string and at the tip."""
     table = record.diagnosis.held_out
     rows = range(len(table))
     figure, panels = rows_figure(len(table), columns=2)
@@ -269,40 +264,6 @@ def held_out_picture(record: DiagnosisRecord) -> Picture:
     left.set_yticks(rows, table["trial"])
     left.invert_yaxis()
     add_legend_above(figure, 4)
-    means = [
-        f"{format_mm(rms(table[f'rms_{m}']), 1)} for the {MODEL_LABELS[m]}"
-        for m in record.models
-    ]
-    words = f"Residual on trials left out of the fit: {', '.join(means)}."
-    return svg_picture(figure, words)
-
-
-def likelihood_gain_picture(record: DiagnosisRecord) -> Picture | None:
-    """Draw the gain of the log-likelihood on each trial, and its mean."""
-    table = record.diagnosis.held_out
-    if not record.is_extended:
-        return None
-    figure, (axes,) = rows_figure(len(table))
-    gains = table["log_likelihood_difference"]
-    bars = axes.barh(
-        table["trial"], gains, height=0.6, color="after", alpha=0.6
-    )
-    label_bars(axes, bars, gains)
-    mean, error = gains.mean(), gains.sem()
-    axes.axvline(mean, color="ink", lw=1.4, label="mean")
-    if np.isfinite(error):
-        axes.axvspan(
-            mean - error,
-            mean + error,
-            color="axis",
-            alpha=0.3,
-            lw=0,
-            label="its standard error",
-        )
-    axes.axvline(0, color="axis", lw=1)
-    axes.set(xlabel="log-likelihood, extended minus base")
-    axes.margins(x=0.15)
-    axes.invert_yaxis()
-    add_legend_above(figure, 2)
-    words = f"Gain of the log-likelihood on each trial left out; on average {format_gain(mean)}."
+    sizes = [f"{format_mm(rms(table[f'rms_{m}']), 1)} ({m})" for m in record.models]
+    words = f"Residual on trials left out of the fit: {join_names(sizes)}."
     return svg_picture(figure, words)

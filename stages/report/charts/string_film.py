@@ -37,8 +37,7 @@ def tip_points(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def string_film_data(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, Any]:
-    """Return the strings of a trial and the paths of their tips, measured and
-    simulated.
+    """Return the measured and simulated strings of a trial, and the paths of their tips.
 
     The film begins at the largest misfit of the base model. The data are JSON-able;
     coordinates are pixels of the film, times are in ms.
@@ -52,7 +51,10 @@ def string_film_data(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, 
 
     def pixels(rows: pd.DataFrame, pair: list[str]) -> list[list[float]]:
         x, y = ((rows[pair].to_numpy() - low) * px_per_m + FILM_EDGE_PX).T
-        return np.round(np.stack([x, height - y], axis=-1), 1).tolist()
+        rounded: list[list[float]] = np.round(
+            np.stack([x, height - y], axis=-1), 1
+        ).tolist()
+        return rounded
 
     # every n-th frame, so that all films of the page stay small
     stride = -(-2 * len(points) * len(record.drawn_trials) // MAX_COORDINATES)

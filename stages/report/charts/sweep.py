@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from stringcast.stages.report.charts.axes import label_decades, new_axes
@@ -19,10 +18,8 @@ from stringcast.stages.report.theme import MM_PER_M, Picture, svg_picture
 MIN_LOG_AXIS_RATIO = 20  # of the levels of a setting on a logarithmic axis
 EQUAL_VALUES_TOLERANCE = 1e-9  # relative: a geometric mean is off by 1e-15
 MAX_LABEL_LENGTH = 28  # characters of an axis label in the usual size
-MAX_OPACITY = 0.75  # dark enough to see and light enough to read on
 MIN_OPACITY = 0.15
 TARGET_COLUMNS = ["target.x", "target.y"]
-TILTED_LABELS = {"rotation": 20, "ha": "right", "rotation_mode": "anchor"}
 
 
 def level_labels(values: pd.Series) -> dict[Any, str]:
@@ -44,7 +41,13 @@ def label_levels(axes: Axes, values: pd.Series) -> Callable[[pd.Series], np.ndar
     labels = level_labels(values)
     levels = list(labels)
     if not pd.api.types.is_numeric_dtype(values):
-        axes.set_xticks(range(len(levels)), list(labels.values()), **TILTED_LABELS)
+        axes.set_xticks(
+            range(len(levels)),
+            list(labels.values()),
+            rotation=20,
+            ha="right",
+            rotation_mode="anchor",
+        )
         axes.set_xlim(-0.5, len(levels) - 0.5)
         return lambda chosen: chosen.map(levels.index).to_numpy(float)
     if min(levels) > 0 and max(levels) / min(levels) > MIN_LOG_AXIS_RATIO:
@@ -119,54 +122,6 @@ def _use_log_scale(axes: Axes) -> None:
         )
 
 
-def outcome_map(
-    jobs: pd.DataFrame, outcome: Outcome, pair: list[str], units: Mapping[str, str]
-) -> Picture | None:
-    """Draw an outcome over a pair of settings; None if no job knows it.
-
-    Parameters
-    ----------
-    jobs : DataFrame
-        Finished jobs.
-    outcome : Outcome
-    pair : list of str
-        Columns of the settings, that of the x axis first.
-    units : mapping
-        Units of settings.
-    """
-    means = mean_response(jobs, outcome, pair)
-    if means.empty:
-        return None
-    x_labels, y_labels = level_labels(jobs[pair[0]]), level_labels(jobs[pair[1]])
-    x_levels, y_levels = list(x_labels), list(y_labels)
-    figure, axes = new_axes(1.6 + 0.62 * len(x_levels), 1.0 + 0.4 * len(y_levels))
-    low, high = means["mean"].min(), means["mean"].max()
-    for _, row in means.iterrows():
-        x, y = x_levels.index(row[pair[0]]), y_levels.index(row[pair[1]])
-        shade = MAX_OPACITY * (row["mean"] - low) / (high - low) if high > low else 0.0
-        axes.add_patch(
-            Rectangle(
-                (x - 0.5, y - 0.5),
-                1,
-                1,
-                lw=0,
-                facecolor="after",
-                alpha=shade,
-            )
-        )
-        axes.text(x, y, format_value(row["mean"]), ha="center", va="center", fontsize=8)
-    axes.set_xticks(range(len(x_levels)), list(x_labels.values()), **TILTED_LABELS)
-    axes.set_yticks(range(len(y_levels)), list(y_labels.values()))
-    axes.set(xlim=(-0.5, len(x_levels) - 0.5), ylim=(-0.5, len(y_levels) - 0.5))
-    axes.set(xlabel=setting_label(pair[0], units), ylabel=setting_label(pair[1], units))
-    axes.grid(False)
-    axes.tick_params(length=0)
-    ends = f"{format_value(low)} to {format_value(high)}"
-    return svg_picture(
-        figure, f"Mean {outcome.title} over {pair[0]} and {pair[1]}: {ends}."
-    )
-
-
 def target_map(jobs: pd.DataFrame, most: int) -> Picture:
     """Draw a mark at each target, the darker the fewer casts its median seed needed.
 
@@ -193,9 +148,7 @@ def target_map(jobs: pd.DataFrame, most: int) -> Picture:
             axes.plot(x, y, "s", mfc="none", mec="before", ms=17)
         else:
             shade = 1 - (1 - MIN_OPACITY) * (casts - 1) / max(most - 1, 1)
-            axes.plot(
-                x, y, "s", color="after", alpha=shade, mew=0, ms=18
-            )
+            axes.plot(x, y, "s", color="after", alpha=shade, mew=0, ms=18)
             axes.annotate(
                 f"{casts:.0f}",
                 (x, y),
@@ -216,6 +169,6 @@ def target_map(jobs: pd.DataFrame, most: int) -> Picture:
 
 
 def _lower_median(needed: pd.Series) -> float:
-    """Return NaN if no seed's job ran to its end, infinity if more than half never hit."""
+    """Return NaN if no job ran to its end, infinity if more than half never hit."""
     known = np.sort(needed.dropna().to_numpy(float))
     return float(known[(len(known) - 1) // 2]) if len(known) else np.nan

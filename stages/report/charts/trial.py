@@ -40,7 +40,7 @@ def describe_trial(seen: CheckedTrial) -> str:
 
 
 def _draw_plane(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) -> None:
-    """Draw arm and string at a few times, the first darkest, and the path of the tip."""
+    """Draw arm and string at a few times, the first darkest, and the tip's path."""
     axes.plot(
         *(tip * MM_PER_M).T,
         color="measured",

@@ -1,3 +1,1 @@
-"""Pages, a module each: a section is a function from the record to a `Section` of
-parts.
-"""
+"""Pages, a module each; a section is a function from a record to a `Section`."""

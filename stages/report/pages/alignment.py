@@ -107,8 +107,8 @@ def _fit_section(alignment: Alignment) -> Section:
         Figure(
             "Certainty of the clock offset",
             _likelihood_picture(alignment.likelihood),
-            "Without a lag of the arm, and with a fitted one. Where both are low, offset "
-            "and lag cannot be distinguished.",
+            "Without a lag of the arm, and with a fitted one. Where both are low, "
+            "offset and lag cannot be distinguished.",
         ),
     ]
     remainder = Figure(
@@ -148,7 +148,10 @@ def _positions_picture(seen: pd.DataFrame) -> Picture:
     )
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
     axes.legend(loc="best", markerscale=3)
-    words = f"The hand as filmed and as reported: {sizes[0]} apart before, {sizes[1]} after."
+    words = (
+        f"The hand as filmed and as reported: {sizes[0]} apart before, {sizes[1]} "
+        "after."
+    )
     return svg_picture(figure, words)
 
 
@@ -183,9 +186,7 @@ def _likelihood_picture(table: pd.DataFrame) -> Picture:
         drawn = table[table[column] < 2 * MAX_DRAWN_DEVIANCE]
         offset = drawn["offset"] * MM_PER_M
         axes.plot(offset, drawn[column], ".-", color=colour, label=label)
-    axes.axhline(
-        DEVIANCE_95, ls="--", lw=0.8, color="axis", label="95 %"
-    )
+    axes.axhline(DEVIANCE_95, ls="--", lw=0.8, color="axis", label="95 %")
     axes.set(
         xlabel="arm's clock minus camera's clock [ms]", ylabel="rise of the deviance"
     )

@@ -1,4 +1,4 @@
-"""The page of a calibration: the parameters of a camera, and the errors of each view."""
+"""The page of a calibration: parameters of a camera, and the errors of each view."""
 
 from __future__ import annotations
 
@@ -60,14 +60,14 @@ def calibration_page(facts: StageRecord) -> str:
 
     used = int((calibration.views["reason"] == "").sum()) - 1  # one is in the plane
     pictures = (
-        f"{used} of {len(calibration.views) - 1} pictures of the tilted board were used, "
-        f"{outcome['width']} × {outcome['height']} px."
+        f"{used} of {len(calibration.views) - 1} pictures of the tilted board were "
+        f"used, {outcome['width']} × {outcome['height']} px."
     )
     result = Markup("No <code>camera.yaml</code> was written.")
     if outcome["valid"]:
         result = Markup(
-            "<code>camera.yaml</code> in this folder holds the camera; other experiments "
-            "use it by <code>camera_from=</code> and this folder."
+            "<code>camera.yaml</code> in this folder holds the camera; other "
+            "experiments use it by <code>camera_from=</code> and this folder."
         )
     page = Page(
         kind="calibration",
@@ -118,15 +118,15 @@ def _camera_section(
         Figure(
             "Errors over the picture",
             _coverage_picture(tilted, calibration.outcome.iloc[0], magnification),
-            f"Each corner of each view, with its error enlarged {magnification:g} times. "
-            "If neighbouring arrows point the same way, the errors are not noise: the "
-            "model of the lens or the board is wrong.",
+            f"Each corner of each view, with its error enlarged {magnification:g} "
+            "times. If neighbouring arrows point the same way, the errors are not "
+            "noise: the model of the lens or the board is wrong.",
         ),
         Figure(
             "Errors view by view",
             _view_errors_picture(used),
-            "A view with a large error was blurred or the board was bent. If orange is far "
-            "above blue, there are too few views.",
+            "A view with a large error was blurred or the board was bent. If orange "
+            "is far above blue, there are too few views.",
         ),
     ]
     return Section("Camera", [Card("", [Table(columns, rows)]), Block("grid", grid)])
@@ -135,8 +135,8 @@ def _camera_section(
 def _views_section(calibration: Calibration, magnification: float) -> Section:
     """Show every picture of the board, that in the plane of motion first."""
     lead = (
-        "Circles: corners as detected. Crosses: as the camera model projects them. Arrows: "
-        f"the errors, enlarged {magnification:g} times."
+        "Circles: corners as detected. Crosses: as the camera model projects them. "
+        f"Arrows: the errors, enlarged {magnification:g} times."
     )
     views = calibration.views.sort_values("plane", ascending=False, kind="stable")
     corners = calibration.corners
@@ -177,13 +177,14 @@ def _coverage_picture(
 ) -> Picture:
     width, height = outcome["width"], outcome["height"]
     figure, axes = new_axes(COVERAGE_WIDTH_IN, COVERAGE_WIDTH_IN * height / width)
-    axes.plot(
-        corners["fit_u"], corners["fit_v"], ".", ms=2, color="after"
-    )
+    axes.plot(corners["fit_u"], corners["fit_v"], ".", ms=2, color="after")
     _draw_error_arrows(axes, corners, magnification, "before")
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
     axes.set(xlabel="u / px", ylabel="v / px")
-    words = f"{len(corners)} corners over the picture; errors enlarged {magnification:g} times."
+    words = (
+        f"{len(corners)} corners over the picture; errors enlarged {magnification:g} "
+        "times."
+    )
     return svg_picture(figure, words)
 
 
@@ -217,8 +218,9 @@ def _view_picture(
     jpeg: bytes, corners: pd.DataFrame, magnification: float, name: str
 ) -> Picture:
     """Draw a picture of the board with its corners, if it was used."""
-    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
-    rows, columns = np.shape(image)
+    content = np.frombuffer(jpeg, np.uint8)
+    image = np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE))
+    rows, columns = image.shape
     figure = Drawing(figsize=(VIEW_WIDTH_IN, VIEW_WIDTH_IN * rows / columns))
     figure.set_layout_engine("none")
     axes = figure.add_axes((0, 0, 1, 1))

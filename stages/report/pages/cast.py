@@ -1,6 +1,4 @@
-"""The page of casts, and of estimation alone: the result of each cast, and the
-parameters.
-"""
+"""The page of casts, and of estimation alone."""
 
 from __future__ import annotations
 
@@ -121,8 +119,8 @@ def _describe_task(record: RunRecord) -> str:
     size = f"{round(target.w * MM_PER_M, 1):g} × {round(target.h * MM_PER_M, 1):g} mm"
     return (
         f"{string}, and a target box of {size} around ({target.x * MM_PER_M:.0f}, "
-        f"{target.y * MM_PER_M:.0f}) mm, where x points to the right and y up from the world's "
-        "origin."
+        f"{target.y * MM_PER_M:.0f}) mm, where x points to the right and y up from the "
+        "world's origin."
     )
 
 
@@ -181,7 +179,10 @@ def _tiles(record: RunRecord) -> Tiles:
             (distance, meaning),
             (
                 rates,
-                "matching rate E of the last cast, before and after estimation (1 is perfect)",
+                (
+                    "matching rate E of the last cast, before and after estimation (1 "
+                    "is perfect)"
+                ),
             ),
             (sizes, "rms distance of simulated and measured string, before and after"),
         ]
@@ -193,14 +194,18 @@ def _progress_section(record: RunRecord) -> Section:
         Figure(
             "Hand path",
             hand_paths_picture(record),
-            "As the arm measured it; the last cast is the darkest. The square is the arm's base.",
+            (
+                "As the arm measured it; the last cast is the darkest. The square is "
+                "the arm's base."
+            ),
             NO_JOINT_ANGLES,
         ),
         Figure(
             "Progress",
             progress_picture(record),
-            "Above: closest distance of the tip to the target's centre. Below: matching "
-            "rate E; before estimation it measures how well the simulation predicted the cast.",
+            "Above: closest distance of the tip to the target's centre. Below: "
+            "matching rate E; before estimation it measures how well the simulation "
+            "predicted the cast.",
         ),
     ]
     return Section("From cast to cast", [Block("grid", figures)])
@@ -235,8 +240,8 @@ def _parameters_section(record: RunRecord) -> Section:
     if others:
         noun = "other parameter" if determined else "parameter"
         summary = (
-            f"{format_count(len(others), noun)} that the data do not determine, or whose "
-            "uncertainty this method does not give"
+            f"{format_count(len(others), noun)} that the data do not determine, or "
+            "whose uncertainty this method does not give"
         )
         parts.append(Details(summary, _parameter_parts(record, others)))
     if not record.casts:
@@ -252,9 +257,7 @@ def _parameters_section(record: RunRecord) -> Section:
 
 
 def _parameter_parts(record: RunRecord, estimated: Estimated) -> list[Part]:
-    """Show parameters from estimation to estimation if there are several, and in a
-    table.
-    """
+    """Show the history of parameters over several estimations, and a table."""
     pictures = []
     for parameter, row in estimated:
         symbol = symbol_markup(row["symbol"]) if row["symbol"] else ""
@@ -306,13 +309,16 @@ def _cast_section(
     region: ImageRegion,
     scale_end: float,
 ) -> Section:
-    """Show everything about a cast; the colour scale of distances is that of all casts."""
+    """Show everything about a cast; all casts share the colour scale of distances."""
     parts: list[Part] = [Text(_describe_cast(cast))]
     if cast.estimate is not None and cast.estimate is not record.estimates[-1]:
         parts.append(Text(sentence_markup(cast.estimate.fit["sentence"].iloc[0])))
     for state, simulated in (("before", cast.before), ("after", cast.after)):
         if not np.isfinite(simulated).all():
-            words = f"The simulation with the parameters {state} estimation diverged; it is not drawn."
+            words = (
+                f"The simulation with the parameters {state} estimation diverged; it "
+                "is not drawn."
+            )
             parts.append(Text(words, "missing"))
     layers = [
         Layer("before", FRAME_COLOURS["before"]),
@@ -327,12 +333,12 @@ def _cast_section(
 def _comparison(
     record: RunRecord, cast: CastRecord, region: ImageRegion, scale_end: float
 ) -> list[Part]:
-    """Compare simulation and film: closest approach, animation, over time, and paths."""
+    """Compare simulation and film: closest approach, animation, time and paths."""
     near: Part = Card("Closest approach", [NO_FRAMES])
     if picture := closest_approach_picture(record, cast):
         caption = (
-            "The camera frame nearest in time. Dashed: the path of the tip 30 ms before "
-            "and after. Ring: its closest approach."
+            "The camera frame nearest in time. Dashed: the path of the tip 30 ms "
+            "before and after. Ring: its closest approach."
         )
         key = Key(
             [(words, FRAME_COLOURS[name]) for name, words in OVERLAY_LABELS.items()]
@@ -387,14 +393,16 @@ def _describe_cast(cast: CastRecord) -> Markup:
     verdict, plan = cast.verdict, cast.motion.outcome.iloc[0]
     if np.isfinite(verdict.distance):
         sentences = [
-            f"The tip came within {format_mm(verdict.distance)} of the target's centre, at "
-            f"{format_ms(verdict.t, 1)} of a movement of {format_ms(plan['duration'])}.",
+            f"The tip came within {format_mm(verdict.distance)} of the target's "
+            f"centre, at {format_ms(verdict.t, 1)} of a movement of "
+            f"{format_ms(plan['duration'])}.",
             f"The simulation predicted {format_ms(plan['t_hit'])}.",
         ]
         if np.isfinite(plan.get("chance", np.nan)):
             chance, low, high = plan[["chance", "chance_low", "chance_high"]]
             sentences.append(
-                f"The predicted hit probability was {chance:.2f} ({low:.2f} to {high:.2f})."
+                f"The predicted hit probability was {chance:.2f} ({low:.2f} to "
+                f"{high:.2f})."
             )
     else:
         reason = "there are no frames"
@@ -421,7 +429,7 @@ def _motions_card(cast: CastRecord) -> Card:
 
 
 def _link_card(cast: CastRecord) -> Card:
-    """Report how many commands and frames were late or lost, and which frames not read."""
+    """Report commands and frames that were late, lost or not read."""
     report, unread = cast.trial.link.iloc[0], unread_frames(cast.points.readings)
     result = "Arm and camera kept their time limits."
     if not report["valid"]:
@@ -435,8 +443,10 @@ def _link_card(cast: CastRecord) -> Card:
     }
     if "frames_due" in report:  # only cameras that report when each frame was due
         rows |= {
-            "frames due, and of those dropped": f"{report['frames_due']}, {report['frames_dropped']}",
-            "frames repeated, and late": f"{report['frames_repeated']}, {report['frames_late']}",
+            "frames due": report["frames_due"],
+            "frames dropped": report["frames_dropped"],
+            "frames repeated": report["frames_repeated"],
+            "frames late": report["frames_late"],
             "frames per second": f"{report['fps']:.2f}",
             "lateness of frames: median, 99 %, largest": _lateness(
                 report, "frame_jitter"

@@ -28,9 +28,9 @@ from stringcast.stages.report.theme import STYLE_SHEET, svg_picture
 
 MAX_DRAWN_TRIALS = 10  # of 130 kB each, so that a page stays below 1.5 MB
 TRIALS_LEAD = (
-    "Left: arm and string at the start, and fainter later; the string must begin in the "
-    "hand and hang from it. Right: positions and speeds of hand and tip, each on its own "
-    "clock; both must begin to move at the same time (dotted)."
+    "Left: arm and string at the start, and fainter later; the string must begin in "
+    "the hand and hang from it. Right: positions and speeds of hand and tip, each on "
+    "its own clock; both must begin to move at the same time (dotted)."
 )
 
 

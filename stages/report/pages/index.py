@@ -52,7 +52,10 @@ def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> st
     ]
     stale = [(_run_link(run), run["stale"]) for run in newest if run["stale"]]
     if stale:
-        lead = "The current code and settings would give another result for a step of these."
+        lead = (
+            "The current code and settings would give another result for a step of "
+            "these."
+        )
         table = Details(
             f"{len(stale)} of {len(runs)}", [Table(("run", "reason"), stale)]
         )

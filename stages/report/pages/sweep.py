@@ -1,11 +1,8 @@
-"""The page of a sweep: what was varied, how the outcomes changed, and which jobs
-failed.
-"""
+"""The page of a sweep: settings, their effect on the outcomes, and failed jobs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from itertools import combinations
 from typing import Any
 
 from markupsafe import Markup
@@ -14,7 +11,6 @@ from matplotlib import style
 from stringcast.stages.report.charts.sweep import (
     TARGET_COLUMNS,
     outcome_curve,
-    outcome_map,
     target_map,
 )
 from stringcast.stages.report.formatting import (
@@ -56,7 +52,7 @@ def sweep_page(record: SweepRecord) -> str:
     with style.context(STYLE_SHEET):
         sections = [_tiles(record, main), _failures_section(record)]
         sections += [_response_section(record, factor) for factor in record.factors]
-        sections += [_targets_section(record), _pairs_section(record, main)]
+        sections.append(_targets_section(record))
     sections += [_combinations_section(record, main), _jobs_section(record)]
 
     varied = (
@@ -65,13 +61,13 @@ def sweep_page(record: SweepRecord) -> str:
         else "No setting was varied."
     )
     intervals = (
-        "Bars and brackets are 95 % intervals of means over the seeds; with few seeds they "
-        "are wide."
+        "Bars and brackets are 95 % intervals of means over the seeds; with few seeds "
+        "they are wide."
     )
     if record.seed_count < 2:
         intervals = (
-            "With one seed the scatter of these means is not known, so only the hit rate "
-            "has an interval."
+            "With one seed the scatter of these means is not known, so only the hit "
+            "rate has an interval."
         )
     seeds = f"Each with {format_count(record.seed_count, 'seed')}."
     page = Page(
@@ -126,7 +122,9 @@ def _tiles(record: SweepRecord, main: list[Outcome]) -> Tiles:
         f"; {record.jobs['seconds'].sum():.0f} s of computing in their last attempts"
     )
     done = f"{len(record.finished)} of {len(record.jobs)}"
-    tiles = [(done, Markup("jobs done{}{}").format(failed, seconds))]
+    tiles: list[tuple[str, str]] = [
+        (done, Markup("jobs done{}{}").format(failed, seconds))
+    ]
     jobs = record.finished.assign(all=0)
     for outcome in main:
         (row,) = mean_response(jobs, outcome, ["all"]).to_dict("records")
@@ -140,7 +138,10 @@ def _tiles(record: SweepRecord, main: list[Outcome]) -> Tiles:
 def _failures_section(record: SweepRecord) -> Section | None:
     if record.failed.empty:
         return None
-    lead = "The following sections exclude them, which may favour the levels at which they failed."
+    lead = (
+        "The following sections exclude them, which may favour the levels at which "
+        "they failed."
+    )
     rows = []
     for job in record.failed.to_dict("records"):
         rows.append(
@@ -206,25 +207,10 @@ def _targets_section(record: SweepRecord) -> Section | None:
         picture = target_map(jobs, most)
         maps.append(Figure(title or "All", picture, picture.alt))
     lead = (
-        "A mark at each target. Blue: casts until the tip hit, median of the seeds. Hollow: "
-        "the median seed did not hit. Crosses: every job failed."
+        "A mark at each target. Blue: casts until the tip hit, median of the seeds. "
+        "Hollow: the median seed did not hit. Crosses: every job failed."
     )
     return Section("Targets", [Text(lead), Block("grid", maps)])
-
-
-def _pairs_section(record: SweepRecord, main: list[Outcome]) -> Section | None:
-    """Map each main outcome over each pair of settings."""
-    pictures = []
-    for pair in combinations(record.factors, 2):
-
-        def draw(outcome: Outcome, pair: tuple[str, str] = pair) -> Picture | None:
-            return outcome_map(record.finished, outcome, list(pair), record.units)
-
-        pictures += _small_pictures(main, draw)
-    if not pictures:
-        return None
-    lead = "Means over the seeds and all other settings; the darker, the larger."
-    return Section("Pairs of settings", [Text(lead), Card("", [Small(pictures)])])
 
 
 def _combinations_section(record: SweepRecord, main: list[Outcome]) -> Section | None:

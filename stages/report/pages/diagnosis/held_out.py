@@ -8,11 +8,9 @@ from markupsafe import Markup
 
 from stringcast.stages.report.charts.residual import (
     held_out_picture,
-    likelihood_gain_picture,
 )
 from stringcast.stages.report.formatting import format_gain, format_mm, format_rate
 from stringcast.stages.report.page import (
-    Block,
     Card,
     Figure,
     Section,
@@ -33,16 +31,16 @@ def held_out_section(record: DiagnosisRecord) -> Section:
     if record.diagnosis.held_out.empty:
         reason = "No trial was left out of the fit, so the predictions were not tested."
         return Section(title, [Text(reason, "missing")])
-    caption = "Each trial as predicted from the others. Left is better; the mark is noise alone."
+    caption = (
+        "Each trial as predicted from the others. Left is better; the mark is noise "
+        "alone."
+    )
     if record.is_extended and not record.has_excluded_trials:
         caption += " The ring is the extended model fitted to all of them."
-    figures = [Figure("Residual", held_out_picture(record), caption)]
-    if gains := likelihood_gain_picture(record):
-        caption = "To the right of 0 the extended model predicts the trial better."
-        figures.append(Figure("Gain of the log-likelihood", gains, caption))
+    figure = Figure("Residual", held_out_picture(record), caption)
     table = Card("", [_held_out_table(record)])
     texts = [Text(words) for words in _describe_prediction(record)]
-    return Section(title, [*texts, Block("grid", figures), table])
+    return Section(title, [*texts, figure, table])
 
 
 def _describe_prediction(record: DiagnosisRecord) -> list[Markup | str]:
@@ -53,7 +51,8 @@ def _describe_prediction(record: DiagnosisRecord) -> list[Markup | str]:
     was = "and predicted by" if excluded else "was predicted by"
     if not record.is_extended:
         return [
-            f"No model was extended. {trials} {was} the base model fitted to the others."
+            f"No model was extended. {trials} {was} the base model fitted to the "
+            "others."
         ]
     lead = f"{trials} {was} both models fitted to the others."
     if not excluded:
@@ -64,33 +63,37 @@ def _describe_prediction(record: DiagnosisRecord) -> list[Markup | str]:
         rise += f" ± {format_gain(change['standard_error'])} (standard error)"
     rates = gain["matching_rate"]
     lead += (
-        f" The log-likelihood rises by {rise} per trial; the matching rate E changes from "
-        f"{format_rate(rates['base'])} to {format_rate(rates['extended'])}."
+        f" The log-likelihood rises by {rise} per trial; the matching rate E changes "
+        f"from {format_rate(rates['base'])} to {format_rate(rates['extended'])}."
     )
     sentences: list[Markup | str] = [lead]
     for row in worse_predictions(record):
-        sizes = f"{format_mm(row['rms_extended'], 1)} against {format_mm(row['rms_base'], 1)}"
+        sizes = (
+            f"{format_mm(row['rms_extended'], 1)} against "
+            f"{format_mm(row['rms_base'], 1)}"
+        )
         worse = (
             f"{row['trial']} is predicted worse with the causes than without, {sizes}."
         )
         reason = ""
         if WORSE_FACTOR * row["rms_known"] < row["rms_base"]:
             reason = (
-                f"After fitting it as well, {format_mm(row['rms_known'], 1)} remain. Either "
-                "only this trial shows a part of the causes, or the causes are wrong. A "
-                "similar trial would distinguish the two."
+                f"After fitting it as well, {format_mm(row['rms_known'], 1)} remain. "
+                "Either only this trial shows a part of the causes, or the causes are "
+                "wrong. A similar trial would distinguish the two."
             )
         sentences.append(join_sentences([bold_text(worse), reason]))
     return sentences
 
 
 def worse_predictions(record: DiagnosisRecord) -> list[dict[str, Any]]:
-    """Return rows of trials that the extended model predicts worse than the base model."""
+    """Return rows of trials that the base model predicts better."""
     if not record.is_extended:
         return []
     table = record.diagnosis.held_out
     is_worse = table["rms_extended"] > WORSE_FACTOR * table["rms_base"]
-    return table[is_worse].to_dict("records")
+    rows: list[dict[str, Any]] = table[is_worse].to_dict("records")
+    return rows
 
 
 def _held_out_table(record: DiagnosisRecord) -> Table:

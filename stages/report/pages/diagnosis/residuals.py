@@ -33,15 +33,16 @@ from stringcast.stages.report.theme import MM_PER_M
 
 NOTHING_MEASURED = "Nothing was measured that could be compared."
 MAP_CAPTION = (
-    "Arc length s from the grasp, over time; a row for each trial. Orange: the measured "
-    "string lies to the left of the simulated one, or further towards the tip; blue: the "
-    "opposite. Faint colours are noise. A patch of colour is an error of the model, or "
-    "numerical error in chaotic motion. Grey: not measured. All maps share the colours."
+    "Arc length s from the grasp, over time; a row for each trial. Orange: the "
+    "measured string lies to the left of the simulated one, or further towards the "
+    "tip; blue: the opposite. Faint colours are noise. A patch of colour is an error "
+    "of the model, or numerical error in chaotic motion. Grey: not measured. All maps "
+    "share the colours."
 )
 TRIALS_LEAD = (
     "Point at a curve to show every string at that time; drag to zoom, double click to "
-    "zoom out. Keyboard: arrows, + and −, 0. Faint lines are the paths of the tips. Each "
-    "trial starts at the largest misfit of the base model."
+    "zoom out. Keyboard: arrows, + and −, 0. Faint lines are the paths of the tips. "
+    "Each trial starts at the largest misfit of the base model."
 )
 
 
@@ -63,8 +64,8 @@ def misfit_section(record: DiagnosisRecord) -> Section:
 def _describe_models(record: DiagnosisRecord) -> list[str]:
     """Describe which models and trials are drawn."""
     lead = (
-        "The base model is the configured one with its parameters fitted to these trials, "
-        "so no choice of parameters removes its misfit."
+        "The base model is the configured one with its parameters fitted to these "
+        "trials, so no choice of parameters removes its misfit."
     )
     if record.is_extended:
         added = join_effects(record.extension["effects"])
@@ -76,7 +77,10 @@ def _describe_models(record: DiagnosisRecord) -> list[str]:
     if not is_resolution or record.diagnosis.causes.empty:
         return [lead]
     finer, configured = record.extension["string"]["points"], record.model.string.points
-    maps = f"The maps are those of {finer} mass points instead of {configured}; this removes the misfit."
+    maps = (
+        f"The maps are those of {finer} mass points instead of {configured}; this "
+        "removes the misfit."
+    )
     return [lead, maps]
 
 

@@ -1,4 +1,4 @@
-"""The search: predicted gains, similar effects, and every hypothesis that was fitted."""
+"""The search: predicted gains, similar effects, and the fitted hypotheses."""
 
 from __future__ import annotations
 
@@ -35,24 +35,26 @@ from stringcast.stages.report.records import DiagnosisRecord
 
 MAX_SHOWN_HYPOTHESES = 12
 SEARCH_LEAD = (
-    "The search adds one cause at a time. It screens every effect of the library to first "
-    "order, given the causes already found, and fits the most promising ones together with "
-    "the string's parameters. The effect with the most evidence is added if it keeps enough "
-    "evidence whichever trial is left out. Causes that become redundant are removed."
+    "The search adds one cause at a time. It screens every effect of the library to "
+    "first order, given the causes already found, and fits the most promising ones "
+    "together with the string's parameters. The effect with the most evidence is added "
+    "if it keeps enough evidence whichever trial is left out. Causes that become "
+    "redundant are removed."
 )
 NO_SEARCH_LEAD = "The misfit of the base model is too small for a search for causes."
 ENTRIES_CAPTION = (
-    "Causes in the order in which the search added them. Log evidence: given the causes "
-    "before. By trial: rise of the log-likelihood. Residual: distance of the simulated "
-    "from the measured string without and with the cause. Table `entries` has all moments "
-    "and places."
+    "Causes in the order in which the search added them. Log evidence: given the "
+    "causes before. By trial: rise of the log-likelihood. Residual: distance of the "
+    "simulated from the measured string without and with the cause. Table `entries` "
+    "has all moments and places."
 )
+SCREENING_CAPTION = "First-order gain of the log-likelihood, with refitted string parameters. Blue: found."
 HYPOTHESES_CAPTION = (
-    "Log evidence: logarithm of the Bayes factor over the base model, averaged over the "
-    "sizes of unmodelled error. Without the strongest trial: the same without the trial "
-    "that supports the causes most; an effect needs enough of both. Tip shift: rms, in the "
-    "trial where it is largest. Unexplained: share of the base model's mean square misfit "
-    "at the tip. Probability: of the last cause, given the others."
+    "Log evidence: logarithm of the Bayes factor over the base model, averaged over "
+    "the sizes of unmodelled error. Without the strongest trial: the same without the "
+    "trial that supports the causes most; an effect needs enough of both. Tip shift: "
+    "rms, in the trial where it is largest. Unexplained: share of the base model's "
+    "mean square misfit at the tip. Probability: of the last cause, given the others."
 )
 
 
@@ -62,44 +64,33 @@ def search_section(record: DiagnosisRecord) -> Section:
     is_searched = len(diagnosis.hypotheses) > 1 or not diagnosis.screening.empty
     parts: list[Part] = [Text(SEARCH_LEAD if is_searched else NO_SEARCH_LEAD)]
     if len(diagnosis.entries):
-        caption = Text(ENTRIES_CAPTION, "caption")
+        table = _entries_table(diagnosis.entries)
         parts.append(
-            Card("Order of the causes", [_entries_table(diagnosis.entries), caption])
+            Card("Order of the causes", [table, Text(ENTRIES_CAPTION, "caption")])
         )
 
     figures = []
-    gain = "First-order gain of the log-likelihood, with refitted string parameters. Blue: found."
     for context, picture in screening_pictures(record):
-        title = (
-            f"Predicted gains given {context}"
-            if context
-            else "Predicted gains of all effects"
-        )
-        figures.append(Figure(title, picture, gain))
-    if picture := similarity_matrix(record):
+        title = f"Predicted gains given {context or 'the base model'}"
+        figures.append(Figure(title, picture, SCREENING_CAPTION))
+    if matrix := similarity_matrix(record):
         caption = "1: indistinguishable in these data; 0: nothing in common."
-        figures.append(Figure("Similar effects", picture, caption))
+        figures.append(Figure("Similar effects", matrix, caption))
     parts.append(Block("grid", figures))
 
-    shown, others = _ranked_hypotheses(diagnosis.hypotheses)
+    # the base model first, then by evidence
+    is_base = diagnosis.hypotheses["causes"] == ""
+    ranked = diagnosis.hypotheses.assign(is_base=is_base).sort_values(
+        ["is_base", "fit_gain"], ascending=False, kind="stable"
+    )
+    rows = ranked.to_dict("records")
+    shown, others = rows[:MAX_SHOWN_HYPOTHESES], rows[MAX_SHOWN_HYPOTHESES:]
     tables: list[Part] = [_hypotheses_table(shown)]
     if others:
         tables.append(Details(f"{len(others)} more", [_hypotheses_table(others)]))
     tables.append(Text(HYPOTHESES_CAPTION, "caption"))
     parts.append(Card("Fitted hypotheses", tables))
     return Section("Search", parts)
-
-
-def _ranked_hypotheses(
-    table: pd.DataFrame,
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Rank hypotheses by evidence; the base model is always among the first."""
-    ranked = table.sort_values("fit_gain", ascending=False, kind="stable")
-    rows = ranked.to_dict("records")
-    for position in range(MAX_SHOWN_HYPOTHESES, len(rows)):
-        if rows[position]["causes"] == "":
-            rows.insert(MAX_SHOWN_HYPOTHESES - 1, rows.pop(position))
-    return rows[:MAX_SHOWN_HYPOTHESES], rows[MAX_SHOWN_HYPOTHESES:]
 
 
 def _entries_table(entries: pd.DataFrame) -> Table:

@@ -68,10 +68,10 @@ def _unexplained_part(record: DiagnosisRecord) -> Part:
         table = record.diagnosis.missing
         longest = format_mm(float(np.hypot(table["x"], table["y"]).max()), 1)
         caption = (
-            "A row for each trial. Each arrow is the displacement of the measured string "
-            "from the model beyond noise, at its arc length s and time, in the directions "
-            f"of the plane (right: +x, up: +y). The longest is {longest}; all rows have the "
-            "same scale."
+            "A row for each trial. Each arrow is the displacement of the measured "
+            "string from the model beyond noise, at its arc length s and time, in the "
+            f"directions of the plane (right: +x, up: +y). The longest is {longest}; "
+            "all rows have the same scale."
         )
         return Figure("Unexplained displacement", picture, caption)
     if record.is_extended or not record.diagnosis.causes.empty:
@@ -105,8 +105,8 @@ def parameters_section(record: DiagnosisRecord) -> Section | None:
         words = f"Correlated parameters: {', '.join(pairs)}.".replace("-", "−")
         parts.append(Text(words, "caption"))
     lead = (
-        "Each model is fitted to all trials. Differences show which parameters compensated "
-        "for errors of the base model."
+        "Each model is fitted to all trials. Differences show which parameters "
+        "compensated for errors of the base model."
     )
     columns = ("parameter", "", "base model", "95 % interval", "extended model")
     table = Table((*columns, "95 % interval", "change", "unit"), rows)

@@ -1,4 +1,4 @@
-"""The verdict: tiles, rejected trials, causes and alternatives, and the error budget."""
+"""The verdict: tiles, rejected trials, causes, alternatives, and the error budget."""
 
 from __future__ import annotations
 
@@ -155,8 +155,8 @@ def _explain_group(record: DiagnosisRecord, group: Sequence[str]) -> Markup | st
     least = f" (correlation {cosines.min():.3f})" if len(cosines) else ""
     names = bold_text(f"These data do not distinguish {join_effects(group)}{least}.")
     return names + (
-        " Each explains the measurements about equally well. They share the probabilities "
-        "below."
+        " Each explains the measurements about equally well. They share the "
+        "probabilities below."
     )
 
 
