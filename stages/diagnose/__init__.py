@@ -26,7 +26,8 @@ def summary(diagnosis: Diagnosis) -> StageSummary:
 
 
 def _cause_summary(cause: Any) -> dict[str, str]:
-    value, interval = "", ""
+    value = ""
+    interval = ""
     if cause.parameter:
         value = f"{cause.value:.4g}"
         interval = f"{cause.low:.4g} to {cause.high:.4g}"

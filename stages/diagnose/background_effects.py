@@ -113,7 +113,9 @@ def posterior_with_background(
     by_trial = _normal_equations_by_trial(data, fit, background)
     products, gradient = (np.sum(each, axis=0) for each in by_trial)
     count = len(fit.chi)
-    log_evidence, shifts, covariances = [], [], []
+    log_evidence = []
+    shifts = []
+    covariances = []
     for scale_m in BACKGROUND_SCALES_M:
         value, step, normal = _solve_at_scale(products, gradient, count, scale_m)
         log_evidence.append(value)
@@ -163,11 +165,13 @@ def _normal_equations_by_trial(
     gradients : numpy.ndarray, shape (K, M)
         Slopes times the white residual.
     """
-    data, scales = data.for_hypothesis(fit.hypothesis), fit.scale_indices
+    data = data.for_hypothesis(fit.hypothesis)
+    scales = fit.scale_indices
     residuals = data.whiten_by_trial([r[None] for r in fit.residuals], scales)
     pairs = zip(fit.slopes, background, strict=True)
     slopes = [np.concatenate(pair) for pair in pairs]
-    products, gradients = [], []
+    products = []
+    gradients = []
     for white, residual in zip(
         data.whiten_by_trial(slopes, scales), residuals, strict=True
     ):

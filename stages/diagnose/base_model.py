@@ -64,14 +64,16 @@ def widen_range_if_supported(
     Only ranges of the string are widened. A parameter that the data do not determine
     may lie at an end as well: there a wider range gains nothing.
     """
-    model, parameter = likelihood.model, likelihood.parameters[index]
+    model = likelihood.model
+    parameter = likelihood.parameters[index]
     ranges = dict(model.string.ranges)
     at_end = not RANGE_END_FRACTION < chi[index] < 1 - RANGE_END_FRACTION
     is_free = parameter.name in ranges and parameter.low > 0
     if not at_end or not is_free or parameter.name in model.measured_ranges:
         return likelihood, chi
 
-    low, high = parameter.low, parameter.high
+    low = parameter.low
+    high = parameter.high
     if chi[index] < 0.5:
         low = low / RANGE_WIDENING_FACTOR
     else:
@@ -86,10 +88,8 @@ def widen_range_if_supported(
         replace(likelihood.with_trials(trials), model=wider), start[0]
     )
 
-    before, after = (
-        problem.residuals(start)[0],
-        solver.fit_least_squares(problem, start),
-    )
+    before = problem.residuals(start)[0]
+    after = solver.fit_least_squares(problem, start)
     gain = 0.5 * len(before) * np.log(np.mean(before**2) / after.loss[0])
     if gain > STRONG_LOG_EVIDENCE:
         return problem, after.chi[0]

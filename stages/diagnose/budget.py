@@ -7,7 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from stringcast.stages.diagnose.forward_selection import SelectionState
-from stringcast.stages.diagnose.measures import refit
+from stringcast.stages.diagnose.measures import (
+    refit,
+    residuals_without_initial_state_error,
+)
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, sample_discrepancy_tip_rms
@@ -58,17 +61,17 @@ def error_budget(
     Causes share in the order of acceptance. What is left of the misfit in addition to
     noise and numerical error, as far as these are known, is unexplained.
     """
-    data, fits = state.prepared.data, nested_fits(state, base)
+    data = state.prepared.data
+    fits = nested_fits(state, base)
     mean_squares = []  # [m2], over trials
     for fit in fits:
-        residuals = data.for_hypothesis(fit.hypothesis).without_initial_state_error(
-            fit.residuals, fit.scale_indices
-        )
+        residuals = residuals_without_initial_state_error(data, fit)
         mean_squares.append(np.mean(data.tip_rms_by_trial(residuals) ** 2))
     squares = np.minimum.accumulate(mean_squares)
     shares = squares[:-1] - squares[1:]  # 0, not -0, of a cause that explains nothing
 
-    entries, full = [], fits[-1]
+    entries = []
+    full = fits[-1]
     for number, cause in enumerate(full.hypothesis.causes):
         without = refit(data, full, full.hypothesis.without_cause(cause))
         lost = full.log_evidence - without.log_evidence
@@ -96,7 +99,8 @@ def error_budget(
 
 def nested_fits(state: SelectionState, base: Fit) -> list[Fit]:
     """Fit no cause, the first cause, the first two, and so on, to the same data."""
-    data, full = state.prepared.data, state.fit
+    data = state.prepared.data
+    full = state.fit
     causes = full.hypothesis.causes
     if not causes:
         return [full]

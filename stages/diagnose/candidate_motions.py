@@ -60,8 +60,11 @@ def sample_motions_within_limits(
 
     There are fewer than wanted where hardly any motion is allowed.
     """
-    arm, kept, count = model.arm, [], 0
-    durations, factors = (design.shortest, design.longest), ACCELERATION_FACTORS
+    arm = model.arm
+    kept = []
+    count = 0
+    durations = (design.shortest, design.longest)
+    factors = ACCELERATION_FACTORS
     share = -(-design.motions // len(factors))
     for number in range(MAX_DRAWS):
         alpha = design.alpha * factors[number % len(factors)]
@@ -88,7 +91,8 @@ def synthetic_trial(
     like : PreparedTrial
         A measured trial whose places along the string and noise the new one has.
     """
-    tick, duration = model.arm.tick, float(curve.duration[0])
+    tick = model.arm.tick
+    duration = float(curve.duration[0])
     # Sampled beyond the end: joints that lag arrive later
     motion = JointMotion(0.0, tick, *curve.sample(tick, duration + design.after))
     fullest = like.frame == np.argmax(np.bincount(like.frame))
@@ -101,7 +105,8 @@ def synthetic_trial(
     last = round((duration + design.after) * rate)
     times = np.arange(first, last + 1) / rate
     frame, s = np.meshgrid(np.arange(len(times)), places, indexing="ij")
-    frame, s = frame.ravel(), s.ravel()
+    frame = frame.ravel()
+    s = s.ravel()
     points = np.zeros((len(s), 2))
     sigma = np.full(len(s), float(np.median(like.sigma)))
     return PreparedTrial("proposed", model, motion, times, frame, s, points, sigma)

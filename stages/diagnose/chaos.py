@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stringcast.stages.diagnose.discretisation import correct_data_at
+from stringcast.stages.diagnose.measures import refit
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.rules import MIN_RESOLVED_TRIALS
-from stringcast.stages.inference.laplace import fit_hypothesis
 
 
 def unresolvable_trials(prepared: PreparedData, tolerance_m: float) -> list[str]:
@@ -44,7 +44,5 @@ def exclude_chaotic_trials(prepared: PreparedData, tolerance_m: float) -> Prepar
         chaotic_trials=(*prepared.chaotic_trials, *names),
     )
     corrected = correct_data_at(remaining, base)
-    refit = fit_hypothesis(
-        corrected.data, base.hypothesis, base.chi[None], base.scale_indices
-    )
-    return replace(corrected, base_fit=refit)
+    base_fit = refit(corrected.data, base, base.hypothesis)
+    return replace(corrected, base_fit=base_fit)

@@ -65,7 +65,8 @@ class ContactCandidates:
 
     def sample(self) -> np.ndarray:
         """Sample plausible exponents (C, P) anywhere in the range."""
-        indices, size = self.parameter_indices, self.parameter_indices[0]
+        indices = self.parameter_indices
+        size = self.parameter_indices[0]
         chi = np.repeat(self.start[None], 2**LOG2_CANDIDATES, axis=0)
         sobol = qmc.Sobol(len(indices), seed=self.seed)
         chi[:, indices] = sobol.random_base2(LOG2_CANDIDATES)
@@ -86,7 +87,8 @@ class ContactCandidates:
     def _most_plausible(self, chi: np.ndarray) -> np.ndarray:
         """Select candidates that touch the string as it departs, and never the hand."""
         chi = chi[~self._force_is_nonzero(chi, self.hand_path).any(axis=1)]
-        distance, fractions = np.zeros(len(chi)), []
+        distance = np.zeros(len(chi))
+        fractions = []
         for path, departure in zip(
             self.string_paths, self.departure_times, strict=True
         ):
@@ -107,7 +109,8 @@ class ContactCandidates:
         self, chi: np.ndarray, path: Mapping[str, np.ndarray]
     ) -> np.ndarray:
         """Evaluate whether each candidate acts at each point of a path, (C, M)."""
-        string, parameters = self.hypothesis.model.string, self.hypothesis.parameters
+        string = self.hypothesis.model.string
+        parameters = self.hypothesis.parameters
         effect = cast("type[StringEffect]", self.hypothesis.causes[-1])
         arguments = {name: values[None] for name, values in path.items()}
         is_nonzero = [np.zeros((0, len(path["x"])), dtype=bool)]
@@ -134,9 +137,11 @@ def contact_candidates(
     data: TrialData, parent: Fit, hypothesis: Hypothesis, seed: int
 ) -> ContactCandidates:
     """Prepare the search of contacts of a hypothesis' last cause about its parent."""
-    effect, model = hypothesis.causes[-1], parent.hypothesis.model
+    effect = hypothesis.causes[-1]
+    model = parent.hypothesis.model
     values = parameter_values(parent.hypothesis.parameters, parent.chi[None])
-    string_paths, poses = [], []
+    string_paths = []
+    poses = []
     for trial in data.trials:
         path = _string_path(trial, parent, values)
         string_paths.append(_thin_path(path, STRING_PATH_POINTS))
@@ -181,7 +186,8 @@ def _string_path(
 ) -> dict[str, np.ndarray]:
     """Simulate the fitted string's path as arguments of laws, (M,) each."""
     model = parent.hypothesis.model
-    state, turn = trial.initial_state, trial.turn
+    state = trial.initial_state
+    turn = trial.turn
     simulated = model.simulate_string(trial.motion, values, trial.times, state, turn)
     arc_lengths = model.string.arc_lengths()
     return path_arguments(simulated.points[0], arc_lengths, trial.times)

@@ -6,7 +6,6 @@ import json
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -50,6 +49,7 @@ from stringcast.stages.diagnose.measures import (
 from stringcast.stages.diagnose.posteriors import swap_lookalikes_until_stable
 from stringcast.stages.diagnose.predictions import (
     held_out_table,
+    predict_left_out_trials,
     predict_trials,
     predicts_better,
 )
@@ -197,13 +197,15 @@ def diagnose(
             and _heldout_trials_misfit(state, searched)
         ):
             log.info("held-out trials misfit: the search is repeated on all trials")
-            repeat = partial(diagnose, seed=seed, starts=starts, criteria=criteria)
-            return repeat(
+            return diagnose(
                 model,
                 data.observations,
                 data.rejected,
                 (),
                 obstacles,
+                seed=seed,
+                starts=starts,
+                criteria=criteria,
                 matching=matching,
                 design=design,
                 excluded_effects=excluded_effects,
@@ -325,7 +327,8 @@ def _search_until_trials_settle(
     A trial that is chaotic without causes is used from then on if a simulation with
     causes resolves it; one that is chaotic with causes is excluded.
     """
-    criteria, keep_if_chaotic = data.criteria, list[str]()
+    criteria = data.criteria
+    keep_if_chaotic = list[str]()
     while True:
         log.info("fitting the base model")
         rng = np.random.default_rng(seed)
@@ -338,7 +341,8 @@ def _search_until_trials_settle(
             lambda share: progress(0.3 * share),
             keep_if_chaotic,
         )
-        base_model, trials = prepared.base_fit.hypothesis.model, prepared.data.trials
+        base_model = prepared.base_fit.hypothesis.model
+        trials = prepared.data.trials
         effects = candidate_effects(
             base_model, effects_by_name(), trials, excluded_effects
         )
@@ -389,7 +393,8 @@ def _trials_resolved_with_causes(
 
 def _mesh_is_too_coarse(prepared: PreparedData, criteria: Criteria) -> bool:
     """Whether the configured mesh fits worse and displaces the tip noticeably."""
-    base, configured = prepared.base_fit, prepared.configured_mesh_fit
+    base = prepared.base_fit
+    configured = prepared.configured_mesh_fit
     if configured is None or not has_evidence(configured, base, criteria):
         return False
     shift = tip_shift_rms(prepared.data, configured, base)
@@ -402,7 +407,8 @@ def _heldout_trials_misfit(state: SelectionState, data: DiagnosisInput) -> bool:
     The model is fitted to them as well: what the searched trials leave open of its
     parameters is no cause.
     """
-    known, fit = state.prepared.data, state.fit
+    known = state.prepared.data
+    fit = state.fit
     further, _ = prepare_further_trials(state.prepared, data.heldout_trials, fit)
     varying = {
         name: known.random_effects[name] + further.random_effects[name]
@@ -454,17 +460,20 @@ def _measure_gain(
     """Predict held-out trials, or else each trial by the fit to the others."""
     if len(data.observations) == 1:
         return HeldOutGain(HELD_OUT.empty(), False)
-    fit, trials = state.fit, state.prepared.data
+    fit = state.fit
+    trials = state.prepared.data
     if data.held_out:
         observations = data.heldout_trials
         trials, _ = prepare_further_trials(state.prepared, observations, fit)
-        extended = predict_trials(trials, fit, unseen=True)
+        predict = predict_trials
+        extended = predict(trials, fit)
     else:
         observations = data.searched_trials
+        predict = predict_left_out_trials
         extended = state.predictions
     base = extended
     if base_fit is not fit:
-        base = predict_trials(trials, base_fit, unseen=bool(data.held_out))
+        base = predict(trials, base_fit)
     table = held_out_table(trials, base, extended, fit, observations, data.matching)
     return HeldOutGain(table, predicts_better(base, extended))
 
@@ -485,8 +494,7 @@ def _propose_experiment(
         for name in names
         if name != RESOLUTION
     }
-    deciding_log_odds = float(np.log(criteria.coverage / (1 - criteria.coverage)))
-    rivals = Rivals(fits, state.prepared.data, deciding_log_odds)
+    rivals = Rivals(fits, state.prepared.data, criteria.deciding_log_odds)
     rng = np.random.default_rng([seed, DESIGN_RANDOM_STREAM])
     return design_experiment(rivals, obstacles, design, rng)
 
@@ -509,7 +517,8 @@ def build_diagnosis(
     seed: int,
 ) -> Diagnosis:
     """Assemble the artifact; it shows the base model where no found cause is named."""
-    trials, base_fit = state.prepared.data, judgement.base_fit
+    trials = state.prepared.data
+    base_fit = judgement.base_fit
     is_named = bool(
         set(judgement.verdict.causes) & set(state.fit.hypothesis.cause_names)
     )
@@ -548,7 +557,9 @@ def _finding_table(
     causes: pd.DataFrame,
 ) -> pd.DataFrame:
     """Build the table FINDING: the verdict, diagnosis.json and extended.yaml."""
-    trials, fit, base_fit = shown.prepared.data, shown.fit, judgement.base_fit
+    trials = shown.prepared.data
+    fit = shown.fit
+    base_fit = judgement.base_fit
     certainty = {}
     for name, one in (("base", base_fit), ("extended", fit)):
         tempered_fit = posterior_with_background(trials, one, judgement.background)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from stringcast.stages.diagnose.linearisation import difference_exponents
 from stringcast.stages.diagnose.random_effects import with_random_effects
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import simulate_trials
@@ -70,8 +71,7 @@ def sensitivity_by_frame(
         For each trial, the root mean square over points and over parameters, each
         parameter scaled to the same mean.
     """
-    offset = np.where(chi > 0.5, -solver.FIRST_DIFFERENCE, solver.FIRST_DIFFERENCE)
-    exponents = np.concatenate([chi[None], chi + np.diag(offset)])
+    exponents, _ = difference_exponents(chi, solver.FIRST_DIFFERENCE)
     values = parameter_values(hypothesis.parameters, exponents)
     simulated = simulate_trials(hypothesis.model, trials, values)
 

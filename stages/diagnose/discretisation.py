@@ -18,6 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.linearisation import difference_exponents
+from stringcast.stages.diagnose.measures import refit
 from stringcast.stages.diagnose.prepared_data import (
     PreparedData,
     RefinedFit,
@@ -35,7 +37,6 @@ from stringcast.stages.inference.laplace import (
     Fit,
     best_exponents,
     evaluate_fit,
-    fit_hypothesis,
 )
 from stringcast.stages.inference.mesh import refine_mesh
 from stringcast.stages.inference.mesh_correction import MeshCorrection
@@ -119,7 +120,8 @@ def subtract_discretisation_error(
         Of the discretisation error at each tip [m].
     """
     own = [replace(trial, model=hypothesis.model) for trial in trials]
-    moved, shapes = [], []
+    moved = []
+    shapes = []
     meshes = _simulate_on_meshes(own, hypothesis, chi, (1, 2, 4))
     for trial, (coarse, finer, finest) in zip(own, meshes, strict=True):
         limit = richardson_limit(finer, finest)
@@ -168,7 +170,8 @@ def refine_to_convergence(prepared: PreparedData, fit: Fit) -> RefinedFit:
     for _ in range(MAX_CORRECTION_PASSES):
         before = fit.log_evidence
         refined = correct_discretisation_once(prepared, fit)
-        prepared, fit = refined.prepared, refined.fit
+        prepared = refined.prepared
+        fit = refined.fit
         if fit.log_evidence < before + NEGLIGIBLE_LOG_EVIDENCE:
             break
     return RefinedFit(prepared, fit)
@@ -178,10 +181,7 @@ def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
     """Correct the data at a fit, refit, and correct again, unless that leads away."""
     corrected = correct_data_at(prepared, fit)
     if prepared.mesh_is_model:
-        refit = fit_hypothesis(
-            corrected.data, fit.hypothesis, fit.chi[None], fit.scale_indices
-        )
-        return RefinedFit(corrected, refit)
+        return RefinedFit(corrected, refit(corrected.data, fit, fit.hypothesis))
 
     # The fit follows the error as it changes with the parameters ...
     unmoved = evaluate_fit(corrected.data, fit.hypothesis, fit.chi)
@@ -193,9 +193,9 @@ def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
     moved = correct_data_at(corrected, replace(unmoved, chi=chi))
     mesh_correction = replace(mesh_correction, chi=chi)
     moved = replace(moved, data=replace(moved.data, mesh_correction=mesh_correction))
-    refit = evaluate_fit(moved.data, fit.hypothesis, chi)
-    if refit.log_evidence > unmoved.log_evidence:
-        return RefinedFit(moved, refit)
+    refitted = evaluate_fit(moved.data, fit.hypothesis, chi)
+    if refitted.log_evidence > unmoved.log_evidence:
+        return RefinedFit(moved, refitted)
     return RefinedFit(corrected, unmoved)
 
 
@@ -206,11 +206,11 @@ def fit_mesh_correction(prepared: PreparedData, fit: Fit) -> MeshCorrection:
     error is not seen to be of first order at least get none: slopes of chaotic motion
     lead astray.
     """
-    hypothesis, data = fit.hypothesis, prepared.data
+    hypothesis = fit.hypothesis
+    data = prepared.data
     white_slopes = data.for_hypothesis(hypothesis).whiten(fit.slopes, fit.scale_indices)
     width = solver.difference_widths(white_slopes[None], np.ones(1))[0]
-    offset = np.where(fit.chi > 0.5, -width, width)
-    chi = np.concatenate([fit.chi[None], fit.chi + np.diag(offset)])
+    chi, offset = difference_exponents(fit.chi, width)
     residuals = []  # of each mesh, of each trial, (1 + P, 2 n)
     for factor in (1, 2):
         model, trials = refine_mesh(hypothesis.model, data.trials, factor)

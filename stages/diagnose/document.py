@@ -75,7 +75,8 @@ def diagnosis_document(
 
 def _alternatives(judgement: Judgement) -> list[dict[str, Any]]:
     """List what is not named, with its probability: effects, none, and unknown."""
-    verdict, inclusion = judgement.verdict, judgement.inclusion_probability
+    verdict = judgement.verdict
+    inclusion = judgement.inclusion_probability
     in_library = 1.0  # probability that what is active is in the library
     if verdict.kind == "unknown":
         in_library = 1 - verdict.misfit_probability
@@ -127,7 +128,9 @@ def gain_document(held_out: pd.DataFrame) -> dict[str, Any]:
 
     Numbers that no trial determines are NaN.
     """
-    rms, tip_rms, rate = {}, {}, {}
+    rms = {}
+    tip_rms = {}
+    rate = {}
     for side in ("base", "extended"):
         rms[side] = _rms_over_trials(held_out[f"rms_{side}"])
         tip_rms[side] = _rms_over_trials(held_out[f"tip_rms_{side}"])
@@ -176,7 +179,8 @@ def unexplained_document(
         base_square = unexplained_tip_rms(data, base) ** 2
         base_sum = max(base_square.sum(), np.finfo(float).tiny)
         fraction = float(np.clip(square.sum() / base_sum, 0, 1))
-    where, sentences = "", [judgement.verdict.remark]
+    where = ""
+    sentences = [judgement.verdict.remark]
     if misfit_remains(judgement.verdict.misfit_probability):
         where = _largest_misfit_sentence(data, fit)
         misfit = f"{MM_PER_M * value:.1f} mm"
@@ -194,7 +198,8 @@ def _largest_misfit_sentence(data: TrialData, fit: Fit) -> str:
     """Say in which trial, when and where along the string the misfit is largest."""
     tip_rms = unexplained_tip_rms(data, fit)
     k = int(np.argmax(tip_rms))
-    trial, share = data.trials[k], tip_rms[k] ** 2 / np.sum(tip_rms**2)
+    trial = data.trials[k]
+    share = tip_rms[k] ** 2 / np.sum(tip_rms**2)
     discrepancy = mean_discrepancy(data, fit)[k].reshape(-1, 2)
     misfit_m = np.linalg.norm(discrepancy, axis=1) * trial.sigma
     worst = int(np.argmax(misfit_m))
@@ -225,7 +230,8 @@ def verdict_sentence(judgement: Judgement, causes: pd.DataFrame) -> str:
 
 def _cause_sentences(judgement: Judgement, causes: pd.DataFrame) -> list[str]:
     """State the named causes, look-alikes together."""
-    verdict, inclusion = judgement.verdict, judgement.inclusion_probability
+    verdict = judgement.verdict
+    inclusion = judgement.inclusion_probability
     by_effect = causes.drop_duplicates("effect").set_index("effect")["sentence"]
     stated = {}
     for name in verdict.causes:
@@ -259,7 +265,8 @@ def extended_model_settings(
         Of parameters that later stages must not leave, by qualified name. Those that
         were measured beforehand are added.
     """
-    string, values = fit.hypothesis.model.string, fit.values
+    string = fit.hypothesis.model.string
+    values = fit.values
     kind = type(string.integrator)
     target = f"{kind.__module__}.{kind.__qualname__}".removeprefix("stringcast.")
     string_settings: dict[str, object] = {

@@ -31,6 +31,7 @@ from stringcast.stages.diagnose.candidate_motions import (
     with_represented_points,
 )
 from stringcast.stages.diagnose.discretisation import subtract_discretisation_error
+from stringcast.stages.diagnose.linearisation import difference_exponents
 from stringcast.stages.generate.generate import command_table, control_point_table
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import simulate_trials
@@ -93,13 +94,13 @@ class Rivals:
         predicted : dict of numpy.ndarray, shape (2 n,)
             Points of each rival over sigma, as near to the likeliest as it can come.
         """
-        names, fits = list(self.fits), list(self.fits.values())
+        names = list(self.fits)
+        fits = list(self.fits.values())
         scale = np.array([int(np.median(fits[0].scale_indices))])
-        step = solver.FIRST_DIFFERENCE
-        residuals, slopes = [], []
+        residuals = []
+        slopes = []
         for fit in fits:
-            offset = np.where(fit.chi > 0.5, -step, step)
-            chi = np.concatenate([fit.chi[None], fit.chi + np.diag(offset)])
+            chi, offset = difference_exponents(fit.chi, solver.FIRST_DIFFERENCE)
             simulated = trial.residuals(fit.hypothesis.model, chi)[0]
             if (simulated == solver.DIVERGED_RESIDUAL).any():
                 return np.zeros((len(fits), len(fits))), {}
@@ -153,14 +154,18 @@ def design_experiment(
         trial = synthetic_trial(hypothesis.model, curve, like, design)
         trials.append(with_represented_points(trial, like))
 
-    best, best_odds, best_predicted = -1, np.zeros(0), dict[str, np.ndarray]()
+    best = -1
+    best_odds = np.zeros(0)
+    best_predicted = dict[str, np.ndarray]()
     for number in _most_different_motions(rivals, trials, obstacles):
         data, _ = subtract_discretisation_error(
             [trials[number]], hypothesis, likeliest.chi
         )
         log_odds, predicted = rivals.expected_log_odds(data)
         if best < 0 or log_odds.min() > best_odds.min():
-            best, best_odds, best_predicted = number, log_odds, predicted
+            best = number
+            best_odds = log_odds
+            best_predicted = predicted
     if best < 0:
         return ProposedExperiment()
     document = _experiment_document(rivals, best_odds, len(trials))
@@ -189,11 +194,13 @@ def _most_different_motions(
     for fit in rivals.fits.values():
         values = parameter_values(fit.hypothesis.parameters, fit.chi[None])
         by_rival.append(simulate_trials(fit.hypothesis.model, trials, values))
-    differences, crosses = [], []
+    differences = []
+    crosses = []
     for strings in zip(*by_rival, strict=True):  # (1, F, n, 2) of each rival
         squares = [np.mean((a[0] - b[0]) ** 2) for a, b in combinations(strings, 2)]
         differences.append(float(min(squares)))
-        inner, outer = strings[0][0][:, :-1], strings[0][0][:, 1:]
+        inner = strings[0][0][:, :-1]
+        outer = strings[0][0][:, 1:]
         crossed = [box.is_crossed_by(inner, outer).any() for box in obstacles]
         crosses.append(any(crossed))
     difference = np.array(differences)
@@ -218,7 +225,9 @@ def _experiment_document(
     rivals: Rivals, log_odds: np.ndarray, motions: int
 ) -> dict[str, Any]:
     """Build next_experiment of diagnosis.json, without the motion's folder."""
-    names, deciding, trials = list(rivals.fits), rivals.deciding_log_odds, rivals.data
+    names = list(rivals.fits)
+    deciding = rivals.deciding_log_odds
+    trials = rivals.data
     repeated = []
     for k in range(len(trials.trials)):
         again, _ = rivals.expected_log_odds(trials.subset([k]))

@@ -28,7 +28,7 @@ from stringcast.stages.diagnose.noise import reestimate_noise
 from stringcast.stages.diagnose.predictions import (
     Prediction,
     log_likelihood_gains,
-    predict_trials,
+    predict_left_out_trials,
 )
 from stringcast.stages.diagnose.prepared_data import PreparedData, RefinedFit
 from stringcast.stages.diagnose.proposals import (
@@ -108,7 +108,7 @@ class SelectionState:
     @cached_property
     def predictions(self) -> list[Prediction]:
         """Each trial as the fit to the others predicts it."""
-        return predict_trials(self.prepared.data, self.fit)
+        return predict_left_out_trials(self.prepared.data, self.fit)
 
 
 def select_causes(
@@ -158,27 +158,25 @@ def compare_candidates(
         The refined fit of an accepted cause whose place is contested.
     """
     candidates = [e for e in effects if e not in parent.hypothesis.causes]
-    ranked = propose_causes(prepared.data, parent, candidates, seed)
-    known, remaining = [], ranked
+    proposals = propose_causes(prepared.data, parent, candidates, seed)
+    step = SelectionStep(parent, proposals, fits=())
+    remaining = proposals
     if accepted is not None:
-        known, causes = [accepted], accepted.hypothesis.causes
-        remaining = [p for p in ranked if p.effect not in causes]
+        step = replace(step, fits=(accepted,))
+        causes = accepted.hypothesis.causes
+        remaining = [p for p in proposals if p.effect not in causes]
 
     first = [p for p in remaining[:INITIAL_PROPOSALS] if p.gain > STRONG_LOG_EVIDENCE]
-    fits = [*known, *_fit_proposals(prepared, parent, first)]
-    step = SelectionStep(parent, ranked, _by_evidence(fits))
+    step = _fit_more_proposals(prepared, step, first)
     remaining = [p for p in remaining if p not in first]
-
     lookalikes = _lookalikes_of_best(step, remaining, criteria)
-    fits = [*step.fits, *_fit_proposals(prepared, parent, lookalikes)]
-    step = replace(step, fits=_by_evidence(fits))
+    step = _fit_more_proposals(prepared, step, lookalikes)
     step = _refine_rivals(prepared, step, criteria, accepted)
 
     misfit_m = unexplained_tip_rms(prepared.data, parent).max()
     if not step.accepted and misfit_m > criteria.min_tip_shift_m:
         others = [p for p in remaining if p not in lookalikes]
-        fits = [*step.fits, *_fit_proposals(prepared, parent, others)]
-        step = replace(step, fits=_by_evidence(fits))
+        step = _fit_more_proposals(prepared, step, others)
         step = _refine_rivals(prepared, step, criteria, accepted)
     return step
 
@@ -189,7 +187,8 @@ def _lookalikes_of_best(
     """Find proposals that to first order explain much of what the best fit does."""
     if step.best is None or not has_evidence(step.parent, step.best, criteria):
         return []
-    effect, lookalikes = step.best.hypothesis.causes[-1], []
+    effect = step.best.hypothesis.causes[-1]
+    lookalikes = []
     best = [proposal for proposal in step.proposals if proposal.effect is effect]
     for proposal in others:
         shared = [proposal.cosine_similarity(each) ** 2 for each in best]
@@ -217,7 +216,8 @@ def _refine_rivals(
     count = sum(fit.log_evidence > near for fit in step.fits[:MAX_RIVALS])
 
     trials = len(prepared.discretisation_uncertainty_m)
-    needed, allowance_m = trials, np.zeros(trials)
+    needed = trials
+    allowance_m = np.zeros(trials)
     if accepted is None:
         needed = min(MIN_RESOLVED_TRIALS, trials)
         unexplained = 1 - criteria.min_explained_fraction_if_misfit
@@ -240,7 +240,8 @@ def refine_fit(prepared: PreparedData, fit: Fit) -> RefinedFit:
     """Correct the data at a fit, and try other values of its causes' parameters."""
     log.info("refining: %s", " + ".join(fit.hypothesis.cause_names))
     refined = correct_discretisation_once(prepared, fit)
-    data, fit = refined.prepared.data, refined.fit
+    data = refined.prepared.data
+    fit = refined.fit
     starts = alternative_parameter_starts(data, fit)
     if not len(starts):
         return refined
@@ -264,7 +265,8 @@ def add_cause(
     starts: int,
 ) -> SelectionState:
     """Take the best fit of a step, with noise and numerical error as they are there."""
-    prepared, steps = reestimate_noise(state.prepared, best), state.steps
+    prepared = reestimate_noise(state.prepared, best)
+    steps = state.steps
     current = correct_discretisation_once(prepared, best)
     if prepared.point_counts != state.prepared.point_counts:
         counts = prepared.outlier_count, state.prepared.outlier_count
@@ -273,7 +275,8 @@ def add_cause(
 
     # Search more widely if much is left. Other strings are no better if their trials
     # are resolved worse: what is uncertain in these may explain anything.
-    prepared, fit = current.prepared, current.fit
+    prepared = current.prepared
+    fit = current.fit
     if unexplained_tip_rms(prepared.data, fit).max() > criteria.min_tip_shift_m:
         other = refit_from_new_starts(prepared.data, fit, rng, starts)
         again = refine_fit(prepared, other)
@@ -300,10 +303,8 @@ def drop_redundant_causes(
 ) -> SelectionState:
     """Drop causes that the evidence does not need any more, the new one included."""
     for cause in best.hypothesis.causes:
-        data, hypothesis = (
-            state.prepared.data,
-            state.fit.hypothesis.without_cause(cause),
-        )
+        data = state.prepared.data
+        hypothesis = state.fit.hypothesis.without_cause(cause)
         without = refit(data, state.fit, hypothesis)
         if not is_needed(without, state.fit, criteria):
             log.info("%s is dropped: the evidence does not need it", cause.name)
@@ -321,7 +322,8 @@ def drop_unpredictive_causes(
     if len(state.prepared.data.trials) < 2:
         return state
     for cause in reversed(state.fit.hypothesis.causes):
-        data, fit = state.prepared.data, state.fit
+        data = state.prepared.data
+        fit = state.fit
         if len(trials_touched_by(data, fit, cause, criteria.min_tip_shift_m)) == 1:
             continue
         without = replace(
@@ -335,19 +337,19 @@ def drop_unpredictive_causes(
     return state
 
 
-def _fit_proposals(
-    prepared: PreparedData, parent: Fit, some: Sequence[Proposal]
-) -> list[Fit]:
-    """Fit proposals, those that gain also with their own discretisation error."""
+def _fit_more_proposals(
+    prepared: PreparedData, step: SelectionStep, proposals: Sequence[Proposal]
+) -> SelectionStep:
+    """Fit more of a step's proposals, promising ones with their own numerical error."""
+    parent = step.parent
+    precision = NEGLIGIBLE_LOG_EVIDENCE
     fits: list[Fit] = []
-    for number, proposal in enumerate(some, 1):
-        name, precision = proposal.effect.name, NEGLIGIBLE_LOG_EVIDENCE
-        best = max((fit.log_evidence for fit in fits), default=parent.log_evidence)
-        progress = (number, len(some), name, best - parent.log_evidence)
-        log.info("%d of %d: %s, best %+.1f", *progress)
-        starts, hypothesis = proposal.starts, proposal.hypothesis
+    for number, proposal in enumerate(proposals, 1):
+        name = proposal.effect.name
+        log.info("%d of %d: %s", number, len(proposals), name)
+        hypothesis = proposal.hypothesis
         fit = fit_hypothesis(
-            prepared.data, hypothesis, starts, parent.scale_indices, precision
+            prepared.data, hypothesis, proposal.starts, parent.scale_indices, precision
         )
         first_gain = fit.log_evidence - parent.log_evidence
         if first_gain > 0:
@@ -358,7 +360,7 @@ def _fit_proposals(
         gains = (fit.log_evidence - parent.log_evidence, first_gain, proposal.gain)
         log.info("%s: log evidence %+.1f, at first %+.1f, proposed %.1f", name, *gains)
         fits.append(fit)
-    return _by_evidence(fits)
+    return replace(step, fits=_by_evidence([*step.fits, *fits]))
 
 
 def _by_evidence(fits: Sequence[Fit]) -> list[Fit]:

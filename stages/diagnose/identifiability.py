@@ -142,7 +142,8 @@ def _detection_limit(
     log_evidence = analysis.expected_log_evidence(response, siblings)
     excess = log_evidence - criteria.min_log_bayes_factor
     value, shift_m = _detection_threshold(response, excess, criteria.min_tip_shift_m)
-    index, lookalikes = -1, list[str]()
+    index = -1
+    lookalikes = list[str]()
     if not np.isnan(value):
         index = response.index_near(shift_m)
         for effect, others in by_effect.items():
@@ -178,11 +179,13 @@ def _detection_threshold(
     value, tip_shift_m : float
         NaN if they are sufficient nowhere.
     """
-    chi, shifts_m = response.chi, response.tip_shifts_m
+    chi = response.chi
+    shifts_m = response.tip_shifts_m
     is_insufficient = (excess < 0) | (shifts_m < min_tip_shift_m)
     if is_insufficient[-1]:
         return np.nan, np.nan
-    position, parameter = 0.0, response.parameter
+    position = 0.0
+    parameter = response.parameter
     if is_insufficient.any():
         last = int(np.flatnonzero(is_insufficient)[-1])
         position = float(last)
@@ -202,7 +205,8 @@ class _SensitivityAnalysis:
 
     def __init__(self, data: TrialData, base: Fit, rng: np.random.Generator) -> None:
         no_discrepancy = np.zeros(len(data.trials), dtype=int)
-        self.data, self.base = data, replace(base, scale_indices=no_discrepancy)
+        self.data = data
+        self.base = replace(base, scale_indices=no_discrepancy)
         self.linear = LinearisedFit(data, self.base)
         self.noise = [_noise_coefficients(t.discrepancy, rng) for t in data.trials]
 
@@ -210,7 +214,8 @@ class _SensitivityAnalysis:
         """Simulate each amplitude of an effect, up to where it diverges."""
         hypothesis = self.base.hypothesis.with_cause(effect)
         start = hypothesis.exponents_from(self.base.exponents)
-        parameters, responses = amplitude_parameters(effect), []
+        parameters = amplitude_parameters(effect)
+        responses = []
         indices = hypothesis.parameter_indices(effect, parameters)
         for index, parameter in zip(indices, parameters, strict=True):
             absent = start[index]
@@ -282,8 +287,8 @@ class _SensitivityAnalysis:
             for size, (other, k) in zip(sizes, pairs, strict=True):
                 explained = explained + size * other.unimitated[number][k]
             differences.append((displacement[index] - explained)[None])
-        least = np.log(criteria.coverage / (1 - criteria.coverage))
-        return bool(self._expected_gains(differences).sum() < least)
+        loss = self._expected_gains(differences).sum()
+        return bool(loss < criteria.deciding_log_odds)
 
     def _expected_gains(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
         """Mean log-likelihood lost by unexplained displacements (C, 2 n), (K, C)."""

@@ -14,12 +14,29 @@ from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import TrialData
 
 
+def difference_exponents(
+    chi: np.ndarray, width: np.ndarray | float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vary each exponent by a width, away from the nearer end of its range.
+
+    Returns
+    -------
+    exponents : numpy.ndarray, shape (1 + P, P)
+        The given ones first.
+    offset : numpy.ndarray, shape (P,)
+    """
+    offset = np.where(chi > 0.5, -width, width)
+    return np.concatenate([chi[None], chi + np.diag(offset)]), offset
+
+
 class LinearisedFit:
     """A fit whose parameters follow any further displacement by a Gauss-Newton step."""
 
     def __init__(self, data: TrialData, parent: Fit) -> None:
-        self.data, self.parent = data.for_hypothesis(parent.hypothesis), parent
-        scales, residuals = parent.scale_indices, [r[None] for r in parent.residuals]
+        self.data = data.for_hypothesis(parent.hypothesis)
+        self.parent = parent
+        scales = parent.scale_indices
+        residuals = [r[None] for r in parent.residuals]
         self.white_slopes = self.data.whiten(parent.slopes, scales)  # (P, N)
         self.white_residual = self.data.whiten(residuals, scales)[0]  # (N,)
         prior = PRIOR_PRECISION * np.eye(len(parent.chi))

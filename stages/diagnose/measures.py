@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from stringcast.stages.diagnose.predictions import log_likelihood_gains, predict_trials
+from stringcast.stages.diagnose.predictions import (
+    log_likelihood_gains,
+    predict_left_out_trials,
+)
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis, mean_discrepancy
 from stringcast.stages.inference.trial_data import TrialData
@@ -23,6 +26,14 @@ def refit(data: TrialData, fit: Fit, hypothesis: Hypothesis) -> Fit:
         hypothesis.exponents_from(fit.exponents)[None],
         fit.scale_indices,
     )
+
+
+def residuals_without_initial_state_error(
+    data: TrialData, fit: Fit
+) -> list[np.ndarray]:
+    """Subtract the most likely initial-state error from a fit's residuals, (2 n,)."""
+    extended = data.for_hypothesis(fit.hypothesis)
+    return extended.without_initial_state_error(fit.residuals, fit.scale_indices)
 
 
 def unexplained_tip_rms(data: TrialData, fit: Fit) -> np.ndarray:
@@ -61,7 +72,8 @@ def explained_fractions(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
     Divided by the larger of both: 1 if nothing is left, -1 if nothing was there before.
     """
-    before, after = before**2, after**2
+    before = before**2
+    after = after**2
     larger = np.maximum(np.maximum(before, after), np.finfo(float).tiny)
     return np.asarray((before - after) / larger)
 
@@ -97,8 +109,8 @@ def cross_validated_gain(data: TrialData, parent: Fit, fit: Fit) -> float:
     Each trial is predicted by the fit to the others: a parent may explain one trial at
     the cost of another, which alone then supports a cause that explains both.
     """
-    predictions = predict_trials(data, parent), predict_trials(data, fit)
-    gains = log_likelihood_gains(*predictions)
+    without = predict_left_out_trials(data, parent)
+    gains = log_likelihood_gains(without, predict_left_out_trials(data, fit))
     return float(gains.sum() - gains.max())
 
 

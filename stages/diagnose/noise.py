@@ -123,7 +123,9 @@ def remove_outliers(
         Noise of each trial over sigma.
     """
     all_residuals = TrialData(tuple(trials)).residuals(model, chi[None])
-    kept, residuals, levels = [], [], []
+    kept = []
+    residuals = []
+    levels = []
     for trial, residual in zip(trials, all_residuals, strict=True):
         trial, residual, level = _remove_trial_outliers(trial, residual.reshape(-1, 2))
         kept.append(trial)
@@ -141,7 +143,8 @@ def _remove_trial_outliers(
         near = np.linalg.norm(rough, axis=1) < OUTLIER_SIGMAS * level
         if near.all() or len(np.unique(trial.frame[near])) < MIN_FRAMES:
             break
-        trial, residual = trial.select_points(near), residual[near]
+        trial = trial.select_points(near)
+        residual = residual[near]
     return trial, residual, level
 
 

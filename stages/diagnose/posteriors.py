@@ -93,7 +93,8 @@ def swap_lookalikes_until_stable(
     for changes_left in range(len(state.fit.hypothesis.causes), -1, -1):
         background = background_responses(state.prepared.data, state.fit, effects)
         names = state.fit.hypothesis.cause_names
-        posteriors, replacement = list[SingleEffectPosterior](), None
+        posteriors = list[SingleEffectPosterior]()
+        replacement = None
         for posterior in _single_effect_posteriors(
             state, effects, background, criteria, seed
         ):
@@ -123,7 +124,8 @@ def with_most_probable_causes(
     """Put the likeliest effect into each place if the evidence is then higher."""
     fits = [each.fits.get(each.credible_set(0.0)[0]) for each in posteriors]
     likeliest = {fit.hypothesis.causes[-1]: fit for fit in fits if fit is not None}
-    causes, data = state.fit.hypothesis.causes, state.prepared.data
+    causes = state.fit.hypothesis.causes
+    data = state.prepared.data
     if len(likeliest) != len(causes) or likeliest.keys() == {*causes}:
         return state
     exponents = dict(state.fit.exponents)
@@ -149,7 +151,8 @@ def _single_effect_posteriors(
     The last cause is most often a look-alike of another. If there is no cause, the
     posterior is of what was not accepted.
     """
-    data, causes = state.prepared.data, state.fit.hypothesis.causes
+    data = state.prepared.data
+    causes = state.fit.hypothesis.causes
     weights = bootstrap_weights(len(data.trials), seed)
     steps = iter(state.steps[-1:])
     if causes:
@@ -178,7 +181,8 @@ def _compare_alternatives(
         and first.best.hypothesis.cause_names == hypothesis.cause_names
     ):
         return first
-    data, others = state.prepared.data, hypothesis.without_cause(cause)
+    data = state.prepared.data
+    others = hypothesis.without_cause(cause)
     reordered = others.with_cause(cause)
     accepted = evaluate_fit(
         data, reordered, reordered.exponents_from(state.fit.exponents)

@@ -43,25 +43,21 @@ class Prediction:
     log_likelihood: float
 
 
-def predict_trials(data: TrialData, fit: Fit, unseen: bool = False) -> list[Prediction]:
-    """Predict each trial by a fit that has not seen it.
+def predict_trials(data: TrialData, fit: Fit) -> list[Prediction]:
+    """Predict trials by a fit that has seen none of them."""
+    return [_predict_trial(data, fit, k) for k in range(len(data.trials))]
 
-    Parameters
-    ----------
-    unseen : bool
-        Whether the fit has seen none of the trials. Otherwise each trial is predicted
-        by a fit to the others.
-    """
+
+def predict_left_out_trials(data: TrialData, fit: Fit) -> list[Prediction]:
+    """Predict each trial by a fit of the same hypothesis to the others."""
     numbers = range(len(data.trials))
-    if unseen:
-        return [_predict_trial(data, fit, number) for number in numbers]
     predictions = []
     for number in numbers:
         others = data.subset([k for k in numbers if k != number])
         # The discrepancy scale of the trial left out is not known: start from the
         # median
-        sizes = np.full(len(others.trials), int(np.median(fit.scale_indices)))
-        refit = fit_hypothesis(others, fit.hypothesis, fit.chi[None], sizes)
+        scales = np.full(len(others.trials), int(np.median(fit.scale_indices)))
+        refit = fit_hypothesis(others, fit.hypothesis, fit.chi[None], scales)
         predictions.append(_predict_trial(data, refit, number))
     return predictions
 
@@ -103,7 +99,8 @@ def held_out_table(
         row["noise_floor"] = float(np.sqrt(2 * np.mean(trial.sigma**2)))
         for name, predictions in (("base", base), ("extended", extended)):
             one = predictions[number]
-            model, chi = one.fit.hypothesis.model, one.fit.chi
+            model = one.fit.hypothesis.model
+            chi = one.fit.chi
             row |= rms_distances(trial, one.residual, name)
             row[f"E_{name}"] = matching_rate(
                 model, chi, trial, observations[number], matching
@@ -124,7 +121,8 @@ def log_likelihood_gains(
 
 def predicts_better(base: Sequence[Prediction], extended: Sequence[Prediction]) -> bool:
     """Whether the extended model is closer to the trials, and makes them likelier."""
-    squares, log_likelihoods = [], []
+    squares = []
+    log_likelihoods = []
     for predictions in (base, extended):
         squares.append(sum(float(np.sum(p.residual**2)) for p in predictions))
         log_likelihoods.append(sum(p.log_likelihood for p in predictions))

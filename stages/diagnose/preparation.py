@@ -19,6 +19,7 @@ from stringcast.stages.diagnose.discretisation import (
     subtract_discretisation_error,
     with_second_order_mesh,
 )
+from stringcast.stages.diagnose.measures import refit
 from stringcast.stages.diagnose.noise import (
     estimate_initial_noise,
     remove_outliers,
@@ -55,7 +56,8 @@ def usable_trials(
     faults : dict
         For each other trial, by name, why it cannot be used.
     """
-    usable, faults = [], {}
+    usable = []
+    faults = {}
     for observation in observations:
         try:
             prepare_trial(model, observation)
@@ -148,7 +150,8 @@ def prepare_further_trials(
         Of the discretisation error at each tip [m].
     """
     base = prepared.base_fit
-    model, noise = base.hypothesis.model, prepared.trials[0].noise
+    model = base.hypothesis.model
+    noise = prepared.trials[0].noise
     sigma = float(np.median(np.concatenate([t.sigma for t in prepared.trials])))
     measured = []
     for observation in observations:
@@ -182,9 +185,7 @@ def keep_configured_mesh_if_supported(
     on_its_mesh = replace(prepared, mesh_is_model=True, trials=trials)
     on_its_mesh = correct_data_at(on_its_mesh, configured)
     data = on_its_mesh.data
-    fit = fit_hypothesis(
-        data, hypothesis, configured.chi[None], configured.scale_indices
-    )
+    fit = refit(data, configured, hypothesis)
     if data.tip_rms_by_trial(mean_discrepancy(data, fit)).max() > tolerance_m:
         return replace(prepared, configured_mesh_fit=configured)
     return replace(on_its_mesh, base_fit=fit)
@@ -193,7 +194,8 @@ def keep_configured_mesh_if_supported(
 def _fit_configured_mesh(prepared: PreparedData, model: Model) -> Fit | None:
     """Fit the base model on the configured mesh; None where that is the finer one."""
     base = prepared.base_fit
-    string, fine = model.string, base.hypothesis.model.string
+    string = model.string
+    fine = base.hypothesis.model.string
     if string.points > fine.points and string.tip_cell == fine.tip_cell:
         return None
     own = Hypothesis(replace(model, string=replace(string, ranges=fine.ranges)))
@@ -202,7 +204,4 @@ def _fit_configured_mesh(prepared: PreparedData, model: Model) -> Fit | None:
         discrepancy = corrected.discrepancy
         trial = replace(trial, model=own.model, error_model=discrepancy)
         trials.append(reset_initial_state_linear(trial, discrepancy.nuisance_shapes))
-    data = TrialData(tuple(trials))
-    return fit_hypothesis(
-        data, own, own.exponents_from(base.exponents)[None], base.scale_indices
-    )
+    return refit(TrialData(tuple(trials)), base, own)

@@ -123,7 +123,8 @@ def propose_causes(
 
     Effects that can act nowhere in these trials are left out.
     """
-    linear, proposals = LinearisedFit(data, parent), []
+    linear = LinearisedFit(data, parent)
+    proposals = []
     for effect in effects:
         propose = _propose_global_effect
         if is_position_dependent(effect):
@@ -139,8 +140,10 @@ def alternative_parameter_starts(data: TrialData, fit: Fit) -> np.ndarray:
 
     Parameters that say when or where an effect acts have many local optima.
     """
-    linear, hypothesis = LinearisedFit(data, fit), fit.hypothesis
-    starts, gains = [np.zeros((0, len(fit.chi)))], [np.zeros(0)]
+    linear = LinearisedFit(data, fit)
+    hypothesis = fit.hypothesis
+    starts = [np.zeros((0, len(fit.chi)))]
+    gains = [np.zeros(0)]
     for cause in hypothesis.causes:
         for index in hypothesis.parameter_indices(cause, cause.parameters):
             chi, gain = linear.refit_at_values(index, PARAMETER_GRID)
@@ -177,13 +180,15 @@ def _propose_global_effect(
     order = np.argsort(-gain, kind="stable")[:STARTS_PER_EFFECT]
     if not np.isfinite(gain[order[0]]):
         return None
-    starts, factors = chi[order], factors[order, None]
+    starts = chi[order]
+    factors = factors[order, None]
     size = starts[:, amplitudes] - start[amplitudes]
     starts[:, amplitudes] = start[amplitudes] + factors * size
     names = hypothesis.model.names
     fitted = [names.index(name) for name in linear.parent.exponents]
     starts[:, fitted] += factors * steps[order]
-    starts, best_gain = np.clip(starts, 0.0, 1.0), float(gain[order[0]])
+    starts = np.clip(starts, 0.0, 1.0)
+    best_gain = float(gain[order[0]])
     return Proposal(hypothesis, starts, best_gain, remainder[order[0]])
 
 
@@ -202,7 +207,8 @@ def _probe_exponents(
     probes[:, varied] = ends
     distance = probes[:, amplitudes] - start[amplitudes]
     is_active = np.abs(distance).max(axis=1) > 0
-    probes, distance = probes[is_active], distance[is_active]
+    probes = probes[is_active]
+    distance = distance[is_active]
 
     probes[:, amplitudes] = start[amplitudes] + PROBE_FRACTION * distance
     shift_m = linear.data.overall_tip_rms(linear.responses(hypothesis, probes))
@@ -229,7 +235,9 @@ def _propose_contact(
     rng = np.random.default_rng(seed)
     contacts = contact_candidates(linear.data, linear.parent, hypothesis, seed)
     end_times = contacts.departure_times + CONTACT_DELAY_S
-    chi, tried, gains = contacts.sample(), [], []
+    chi = contacts.sample()
+    tried = []
+    gains = []
     for radius in (*REFINEMENT_RADII, 0.0):
         if not len(chi):
             return None

@@ -105,6 +105,11 @@ class Criteria:
         """Logarithm of the Bayes factor from which a cause is accepted."""
         return float(-np.log(self.alpha))
 
+    @property
+    def deciding_log_odds(self) -> float:
+        """Log odds from which one of two hypotheses makes a credible set alone."""
+        return float(np.log(self.coverage / (1 - self.coverage)))
+
 
 @dataclass(frozen=True)
 class VerdictNumbers:
@@ -189,7 +194,8 @@ def explains_its_only_trial(
     data: TrialData, parent: Fit, fit: Fit, touched: int, criteria: Criteria
 ) -> bool:
     """Whether a contact removes enough misfit of the only trial that it touches."""
-    before, after = unexplained_tip_rms(data, parent), unexplained_tip_rms(data, fit)
+    before = unexplained_tip_rms(data, parent)
+    after = unexplained_tip_rms(data, fit)
     fraction = explained_fractions(before, after)[touched]
     return bool(fraction > criteria.min_explained_fraction)
 
@@ -212,7 +218,8 @@ def is_supported(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> 
         return False
     if not moves_tip_enough(data, parent, fit, criteria):
         return False
-    cause, min_tip_shift_m = fit.hypothesis.causes[-1], criteria.min_tip_shift_m
+    cause = fit.hypothesis.causes[-1]
+    min_tip_shift_m = criteria.min_tip_shift_m
     touched = trials_touched_by(data, fit, cause, min_tip_shift_m)
     if len(touched) == 1:
         return explains_its_only_trial(data, parent, fit, touched[0], criteria)

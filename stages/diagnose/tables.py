@@ -27,6 +27,7 @@ from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.measures import (
     fixed_leave_one_out_gain,
     mean_explained_fraction,
+    residuals_without_initial_state_error,
     tip_shift_rms,
     unexplained_tip_rms,
 )
@@ -52,14 +53,10 @@ def hypothesis_label(fit: Fit) -> str:
 
 def residuals_table(prepared: PreparedData, base: Fit, extended: Fit) -> pd.DataFrame:
     """Build the table RESIDUALS: measured points and strings on an infinite mesh."""
-    data, frames = prepared.data, []
-    base_residuals = data.for_hypothesis(base.hypothesis).without_initial_state_error(
-        base.residuals, base.scale_indices
-    )
-    extended_data = data.for_hypothesis(extended.hypothesis)
-    extended_residuals = extended_data.without_initial_state_error(
-        extended.residuals, extended.scale_indices
-    )
+    data = prepared.data
+    frames = []
+    base_residuals = residuals_without_initial_state_error(data, base)
+    extended_residuals = residuals_without_initial_state_error(data, extended)
     for k, (measured, trial) in enumerate(
         zip(prepared.trials, data.trials, strict=True)
     ):
@@ -107,10 +104,12 @@ def hypotheses_table(
     tolerance_m: float,
 ) -> pd.DataFrame:
     """Build the table HYPOTHESES: all that were fitted, the most evident first."""
-    data, base = state.prepared.data, nested[0]
+    data = state.prepared.data
+    base = nested[0]
     base_unexplained_m = unexplained_tip_rms(data, base)
 
-    fits, probabilities = list[Fit](), dict[str, float]()
+    fits = list[Fit]()
+    probabilities = dict[str, float]()
     for step in state.steps:
         fits += step.fits
     for posterior in judgement.posteriors:
@@ -150,12 +149,10 @@ def entries_table(data: TrialData, nested: Sequence[Fit]) -> pd.DataFrame:
     frames = []
     for number, (less, more) in enumerate(pairwise(nested), 1):
         gains = more.log_likelihood_by_trial - less.log_likelihood_by_trial
-        residuals = {}
-        for name, fit in (("before", less), ("after", more)):
-            trial_data = data.for_hypothesis(fit.hypothesis)
-            residuals[name] = trial_data.without_initial_state_error(
-                fit.residuals, fit.scale_indices
-            )
+        residuals = {
+            "before": residuals_without_initial_state_error(data, less),
+            "after": residuals_without_initial_state_error(data, more),
+        }
         for k, trial in enumerate(data.trials):
             squares = {}
             for name, by_trial in residuals.items():
@@ -193,7 +190,8 @@ def screening_table(state: SelectionState) -> pd.DataFrame:
     for step in state.steps:
         context = hypothesis_label(step.parent)
         for proposal in step.proposals:
-            name, gain = proposal.effect.name, proposal.gain
+            name = proposal.effect.name
+            gain = proposal.gain
             row = {"context": context, "effect": name, "predicted_gain": gain}
             rows.append(row)
     return SCREENING.check(pd.DataFrame(rows)) if rows else SCREENING.empty()
@@ -257,10 +255,8 @@ def fit_containing(state: SelectionState, judgement: Judgement, name: str) -> Fi
 
 def range_end_remark(fit: Fit, effect: type[Effect]) -> str:
     """Remark that a cause's amplitude lies at an end of its range."""
-    chi, amplitudes = (
-        fit.chi,
-        [p for p in amplitude_parameters(effect) if not p.is_lower_bound],
-    )
+    chi = fit.chi
+    amplitudes = [p for p in amplitude_parameters(effect) if not p.is_lower_bound]
     is_present = np.abs(chi - fit.hypothesis.exponents_from({})) > ABSENCE_TOLERANCE
     is_at_end = is_present & (np.abs(chi - 0.5) > 0.5 - ABSENCE_TOLERANCE)
     indices = fit.hypothesis.parameter_indices(effect, amplitudes)
@@ -306,10 +302,8 @@ def parameter_uncertainty(
     dict
         As in diagnosis.json, the most correlated pairs first.
     """
-    names, matrix = (
-        [p.name for p in fit.hypothesis.parameters],
-        tempered_fit.correlation,
-    )
+    names = [p.name for p in fit.hypothesis.parameters]
+    matrix = tempered_fit.correlation
     pairs = []
     for i, j in combinations(range(len(names)), 2):
         if abs(matrix[i, j]) > MIN_SHOWN_CORRELATION:
@@ -330,7 +324,8 @@ def parameter_interval(
     fit: Fit, index: int, tempered_fit: BackgroundPosterior, half_width: float
 ) -> tuple[float, float]:
     """Compute the ends of a parameter's interval, widened to hold its value."""
-    chi, parameter = fit.chi[index], fit.hypothesis.parameters[index]
+    chi = fit.chi[index]
+    parameter = fit.hypothesis.parameters[index]
     reach = half_width * np.array([-1.0, 1.0]) * tempered_fit.standard_deviation[index]
     low, high = tempered_fit.mean[index] + reach
     ends = np.clip([min(low, chi), max(high, chi)], 0.0, 1.0)

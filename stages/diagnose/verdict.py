@@ -96,7 +96,8 @@ def require_confirmation(
     verdict: Verdict, numbers: VerdictNumbers, criteria: Criteria
 ) -> Verdict:
     """Withdraw causes that no other trial confirms, or that predict none better."""
-    kind, causes = verdict.kind, verdict.causes
+    kind = verdict.kind
+    causes = verdict.causes
     if kind in ("none", "insufficient") or causes == (RESOLUTION,):
         return verdict
     if not can_be_confirmed(numbers):
@@ -184,7 +185,9 @@ def measure_verdict_numbers(
     What costs many fits is measured only where the verdict depends on it.
     """
     state = posteriors.state
-    data, fit, causes = state.prepared.data, state.fit, state.fit.hypothesis.cause_names
+    data = state.prepared.data
+    fit = state.fit
+    causes = state.fit.hypothesis.cause_names
     numbers = VerdictNumbers(
         trials=len(data.trials),
         causes=causes,
@@ -272,7 +275,8 @@ def judge_interrupted_search(
     seed: int,
 ) -> Judgement:
     """Say what an interrupted search had found, without naming a cause."""
-    data, fit = state.prepared.data, state.fit
+    data = state.prepared.data
+    fit = state.fit
     background = background_responses(data, fit, effects)
     weights = bootstrap_weights(len(data.trials), seed)
     step_of = {

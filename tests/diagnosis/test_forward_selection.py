@@ -100,7 +100,7 @@ def test_coefficients_are_as_likely_as_a_dense_covariance_says(lacking):
 def test_white_coefficients_are_white(lacking):
     one, covariances = lacking
     told = one.coefficients(np.eye(len(covariances[0])))
-    white = one.whiten(told, 8)
+    white = one.whiten_coefficients(told, 8)
     assert white.T @ covariances[8] @ white == pytest.approx(
         np.eye(white.shape[1]), abs=1e-6
     )
@@ -326,7 +326,7 @@ def test_a_string_without_any_is_left_alone(arm, camera, monkeypatch):
         json.loads(made.finding["diagnosis"].iloc[0])["unexplained"]["tip_rms_m"][
             "high"
         ]
-        < CRITERIA.tolerance
+        < CRITERIA.tip_tolerance_m
     )
 
 

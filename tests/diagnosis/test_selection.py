@@ -85,7 +85,7 @@ def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
     monkeypatch.setattr(rules, "tip_shift_rms", lambda *given: np.full(2, 0.06))
     monkeypatch.setattr(rules, "trials_touched_by", touched)
     monkeypatch.setattr(rules, "refitted_leave_one_out_gain", lambda *given: -1.0)
-    monkeypatch.setattr(measures, "predict_trials", predict)
+    monkeypatch.setattr(measures, "predict_left_out_trials", predict)
     data = SimpleNamespace(trials=range(2))
     assert rules.is_supported(data, parent, fit, CRITERIA) is is_accepted
 
@@ -125,7 +125,7 @@ def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
     monkeypatch.setattr(forward_selection, "trials_touched_by", touched)
     monkeypatch.setattr(forward_selection, "refit", refit)
     monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
-    monkeypatch.setattr(forward_selection, "predict_trials", predict)
+    monkeypatch.setattr(forward_selection, "predict_left_out_trials", predict)
     state = SelectionState(prepared, fit(wind))
     state = forward_selection.drop_unpredictive_causes(state, CRITERIA)
     assert state.fit.hypothesis.cause_names == remaining
@@ -156,22 +156,22 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
             proposals.append(Proposal(hypothesis, start, gain, direction))
         return proposals
 
-    def fit_proposals(prepared, parent, some):
+    def fit_proposals(prepared, step, proposals):
         fits = []
-        for number, proposal in enumerate(some):
+        for number, proposal in enumerate(proposals):
             fitted.append(proposal.effect)
             value = evidence - number
             fits.append(
                 SimpleNamespace(hypothesis=proposal.hypothesis, log_evidence=value)
             )
-        return fits
+        return replace(step, fits=[*step.fits, *fits])
 
     def accept(prepared, step, *given):
         return replace(step, accepted=True)
 
     fitted = []
     monkeypatch.setattr(forward_selection, "propose_causes", propose)
-    monkeypatch.setattr(forward_selection, "_fit_proposals", fit_proposals)
+    monkeypatch.setattr(forward_selection, "_fit_more_proposals", fit_proposals)
     monkeypatch.setattr(forward_selection, "_refine_rivals", accept)
     monkeypatch.setattr(
         forward_selection, "unexplained_tip_rms", lambda data, fit: np.zeros(1)
