@@ -1,6 +1,4 @@
-"""Extract: from camera frames to the string's centre-line, tip and binary images
-(IV-B).
-"""
+"""Extract: camera frames to the string's centre-line, tip and binary image (IV-B)."""
 
 from stringcast.data.artifacts import Film, Points, Trial
 from stringcast.stages.spec import SameIteration, StageSpec

@@ -1,6 +1,4 @@
-"""Read the string in every frame; what cannot be read is marked invalid with the
-reason.
-"""
+"""The string in every frame of a film; unreadable frames are marked with the reason."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from stringcast.data.images import CachedImages
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress
 from stringcast.stages.extract.centreline import (
-    HALF_WIDTHS,
+    MIN_PROFILE_REACH_PX,
     Centreline,
     UnreadableError,
     cumulative_length,
@@ -33,10 +31,10 @@ from stringcast.stages.extract.segment import (
     estimate_background,
     fill_never_uncovered,
     half_width,
-    half_widths,
     pack_mask,
     segment_frame,
     string_brightness,
+    typical_half_width,
     uncovered_brightness,
 )
 from stringcast.stages.extract.stabilise import sample_numbers, stabilise_film
@@ -44,20 +42,25 @@ from stringcast.stages.extract.window import window_around
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.spec import StageCall
 
-MARGIN_PX = 12.0  # [px] around what the string can reach
-# [px] by how much half the string's width may be more than in the other frames
-BLUR_FACTOR = 2.0
-# of what a point is moved along the line because tension is not the same all along: may
-# be wrong
-MAX_LENGTH_ERROR = 0.3
-# [px] half width from which brightness alone does not show where the middle is
-MAX_WIDTH_RATIO = 3.0
+WINDOW_MARGIN_PX = 12.0  # around what the string can reach
+MAX_EXTRA_HALF_WIDTH_PX = 2.0  # of one frame's string over that of the film
+# uncertainty of a point's shift along the line by uneven tension, as a share of it
+STRETCH_ERROR_SHARE = 0.3
+# from this half width on, brightness alone does not show where the middle is
+WIDE_STRING_HALF_WIDTH_PX = 3.0
+TRACE_START_MARGIN_PX = 8.0  # beyond the hidden length, within which a line begins
 
 
 @dataclass(frozen=True)
 class FrameReading:
-    """One frame: points (K, 2) [m], sigma (K,) [m], mask as PNG, length of the line
-    [m].
+    """The string of one frame.
+
+    Parameters
+    ----------
+    points : (K, 2) positions at equal arc lengths [m]
+    sigma : (K,) standard deviation of a coordinate [m]
+    mask : the string's pixels as PNG
+    length : of the line [m]
     """
 
     points: np.ndarray
@@ -67,13 +70,13 @@ class FrameReading:
 
 
 def run(call: StageCall, trial: Trial | Film) -> Points:
-    """The string in each frame of a trial of ours or a film of others, as a stage."""
+    """Extract the string in each frame of a trial or film, as a stage."""
     film = trial if isinstance(trial, Film) else trial.film
     model = call.setup.model
-    made: Points = call.by(
+    points: Points = call.by(
         aligned_footage(film, model), model.camera, progress=call.progress
     )
-    return made
+    return points
 
 
 def extract(
@@ -89,44 +92,68 @@ def extract(
     longer: Annotated[float, Field(gt=0)],
     progress: Progress = lambda share: None,
 ) -> Points:
-    """The string in each frame.
+    """Extract the string's centre-line, tip and mask from each frame.
 
-    string_length: from grasp to tip [m]. points: how many are reported along it.
-    sigmas: threshold above noise. arm_width: of the limbs to be masked [m]. hidden:
-    length near the grasp that may be out of sight [m]. shorter, longer: by how much of
-    the string's length the line may differ before the frame is refused (a swung string
-    stretches).
+    Parameters
+    ----------
+    footage : Footage
+        Frames, with the pose of the grasp and the arm's joints in each.
+    camera : Camera
+        Geometry by which pixels are places in the plane.
+    string_length : float
+        Length from grasp to tip [m].
+    points : int
+        Number of points K reported along the string.
+    sigmas : float
+        Threshold above the noise, in standard deviations of it.
+    arm_width : float
+        Width of the arm's links in the picture [m].
+    hidden : float
+        Length near the grasp that may be out of sight [m].
+    shorter, longer : float
+        Shares of the string's length by which the line may differ from it; a swung
+        string stretches.
+    progress : callable
+        Called with the share of frames that are done.
+
+    Returns
+    -------
+    Points
+        K points of each readable frame [m], one reading of each frame, and masks.
+
+    Raises
+    ------
+    DataError
+        If the frames are not as large as the camera's.
     """
     rows, columns = footage.images[0].shape
     if (columns, rows) != (camera.width, camera.height):
         raise DataError(
-            f"camera.width x camera.height is {camera.width} x {camera.height}, the frames are {columns} x {rows} px. "
-            "Say so in the dataset's dataset.yaml, or in conf/camera."
+            f"camera.width x camera.height is {camera.width} x {camera.height}, "
+            f"but the frames are {columns} x {rows} px. "
+            "Correct it in the dataset's dataset.yaml, or in conf/camera."
         )
     images, sway = stabilise_film(CachedImages(footage.images))
     footage = replace(footage, images=images)
-    reach = string_length * (1 + longer) * camera.px_per_m + MARGIN_PX
-    backdrop = _estimate_backdrop(footage, camera, string_length, arm_width, sway)
+    reader = FrameReader(
+        footage,
+        camera,
+        _estimate_backdrop(footage, camera, string_length, arm_width, sway),
+        np.linspace(0, string_length, points),
+        sigmas,
+        arm_width * camera.px_per_m,
+        hidden * camera.px_per_m,
+        shorter,
+        longer,
+    )
     readings: list[FrameReading | str] = []
     for number in range(len(footage.t)):
         try:
-            line, mask = _find_line(
-                footage, number, backdrop, camera, reach, sigmas, arm_width, hidden
-            )
-            readings.append(
-                _read_points(
-                    line,
-                    mask,
-                    camera,
-                    np.linspace(0, string_length, points),
-                    shorter,
-                    longer,
-                )
-            )
+            readings.append(reader.read(number))
         except UnreadableError as reason:
             readings.append(str(reason))
         progress((number + 1) / len(footage.t))
-    return _build_tables(footage.t, readings, np.linspace(0, string_length, points))
+    return _build_tables(footage.t, readings, reader.arc_lengths)
 
 
 def _estimate_backdrop(
@@ -136,185 +163,214 @@ def _estimate_backdrop(
     arm_width: float,
     sway: float,
 ) -> Backdrop:
-    """The scene shared by all frames, from a sample of them. sway: one sigma of where
-    the camera looks [px].
+    """Estimate the scene that all frames share, from a sample of them.
+
+    sway: standard deviation of the camera's direction [px].
     """
-    images, chosen = footage.images, sample_numbers(len(footage.images))
-    frames = [
-        image if image.dtype == np.uint8 else cv2.convertScaleAbs(image)
-        for image in (images[i] for i in chosen)
-    ]
-    bodies = (
-        np.zeros((len(footage.t), 0, 2))
-        if footage.body is None
-        else camera.pixels(footage.body)
-    )
-    arms = [
-        pack_mask(
-            arm_silhouette(
-                frames[0].shape, bodies[i][None], arm_width * camera.px_per_m
-            )
+    frames = []
+    arms = []
+    for number in sample_numbers(len(footage.images)):
+        image = footage.images[number]
+        if image.dtype != np.uint8:
+            image = cv2.convertScaleAbs(image)
+        joints = np.zeros((0, 2))
+        if footage.body is not None:
+            joints = camera.pixels(footage.body[number])
+        silhouette = arm_silhouette(
+            image.shape, joints[None], arm_width * camera.px_per_m
         )
-        for i in chosen
-    ]
-    low = uncovered_brightness(frames)
-    half = half_widths(frames, low, arms)
-    scene = estimate_background(frames, arms, low, half)
+        frames.append(image)
+        arms.append(pack_mask(silhouette))
+    uncovered = uncovered_brightness(frames)
+    half = typical_half_width(frames, uncovered, arms)
     scene = fill_never_uncovered(
-        scene, camera.pixels(footage.grasp[:, :2]), string_length * camera.px_per_m
+        estimate_background(frames, arms, uncovered, half),
+        camera.pixels(footage.grasp[:, :2]),
+        string_length * camera.px_per_m,
     )
     return Backdrop(scene, string_brightness(footage.images, scene), half, sway)
 
 
-def _find_line(
-    footage: Footage,
-    number: int,
-    backdrop: Backdrop,
-    camera: Camera,
-    reach: float,
-    sigmas: float,
-    arm_width: float,
-    hidden: float,
-) -> tuple[Centreline, np.ndarray]:
-    """The centre-line [px] in one frame, beginning at the grasp, and its binary image.
-    reach: of the string [px].
-    """
-    grasp = camera.pixels(footage.grasp[number, :2])
-    image = footage.images[number]
-    window = window_around(grasp, reach, image.shape)
-    if min(window.shape) < 2 * HALF_WIDTHS:
-        raise UnreadableError("the grasp is out of view")
+@dataclass(frozen=True)
+class FrameReader:
+    """A reader of single frames of one film.
 
-    # the arm's joints (K, J + 1, 2) at moments of the exposure, and how far the fastest
-    # moves in it [px]
-    moments, blur = np.zeros((0, 0, 2)), 0.0
-    if footage.body is not None:
-        beside = slice(max(number - 1, 0), number + 2)
-        near = camera.pixels(footage.body[beside])
-        moved = (
-            (near[-1] - near[0])
-            / max(float(np.ptp(footage.t[beside])), 1e-9)
-            * camera.exposure
+    Parameters
+    ----------
+    footage : stabilised frames with grasp and arm
+    camera : its geometry
+    backdrop : the scene behind the string
+    arc_lengths : (K,) of the points to report [m]; the last is the string's length
+    sigmas : threshold above the noise
+    arm_width : of the arm's links [px]
+    hidden : length near the grasp that may be out of sight [px]
+    shorter, longer : shares by which the line may differ from the string's length
+    """
+
+    footage: Footage
+    camera: Camera
+    backdrop: Backdrop
+    arc_lengths: np.ndarray
+    sigmas: float
+    arm_width: float
+    hidden: float
+    shorter: float
+    longer: float
+
+    def read(self, number: int) -> FrameReading:
+        """Read one frame; raise UnreadableError with the reason if that fails."""
+        line, mask = self._find_line(number)
+        world = self.camera.world(line.points)
+        depth = cumulative_length(world)
+        length = float(depth[-1])
+        string_length = self.arc_lengths[-1]
+        if length < string_length * (1 - self.shorter):
+            raise UnreadableError("the line is shorter than the string")
+        if length > string_length * (1 + self.longer):
+            raise UnreadableError("the line is longer than the string")
+        u, v = line.points[-1]
+        in_columns = 1 <= u <= self.camera.width - 2
+        if not (in_columns and 1 <= v <= self.camera.height - 2):
+            raise UnreadableError("the string leaves the picture")
+
+        s = arc_lengths_on_line(self.arc_lengths, length)
+        x = np.interp(s, depth, world[:, 0])
+        y = np.interp(s, depth, world[:, 1])
+        evenly_spaced = length * self.arc_lengths / string_length
+        sigma = np.hypot(
+            np.interp(s, depth, line.sigma) / self.camera.px_per_m,
+            STRETCH_ERROR_SHARE * (s - evenly_spaced),
         )
+        _, png = cv2.imencode(".png", mask * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
+        return FrameReading(np.stack([x, y], axis=-1), sigma, png.tobytes(), length)
+
+    def _find_line(self, number: int) -> tuple[Centreline, np.ndarray]:
+        """Find the centre-line [px] from the grasp on, and the string's pixels."""
+        grasp = self.camera.pixels(self.footage.grasp[number, :2])
+        image = self.footage.images[number]
+        longest = self.arc_lengths[-1] * (1 + self.longer) * self.camera.px_per_m
+        window = window_around(grasp, longest + WINDOW_MARGIN_PX, image.shape)
+        if min(window.shape) < 2 * MIN_PROFILE_REACH_PX:
+            raise UnreadableError("the grasp is out of view")
+
+        moments, blur = self._arm_during_exposure(number)
+        frame = segment_frame(
+            window.cut(image),
+            replace(self.backdrop, scene=window.cut(self.backdrop.scene)),
+            moments - window.corner,
+            self.arm_width,
+            blur,
+            self.sigmas,
+        )
+        half = min(half_width(frame.mask), self.backdrop.half + MAX_EXTRA_HALF_WIDTH_PX)
+        ridge = frame.light
+        if half > WIDE_STRING_HALF_WIDTH_PX:
+            ridge = cv2.GaussianBlur(ridge, (0, 0), 0.6 * half)
+        path = trace_line(
+            ridge,
+            frame.mask,
+            frame.arm,
+            grasp - window.corner,
+            start_radius=self.hidden + TRACE_START_MARGIN_PX,
+        )
+        line = refine_line(frame.light, frame.outline, path, frame.noise, half)
+        check_line(line, frame.mask, half)
+
+        points = np.concatenate([grasp[None], line.points[1:] + window.corner])
+        sigma = np.hypot(line.sigma, self.backdrop.sway)
+        near_line = rasterise(points - window.corner, frame.mask.shape, 9 + 2 * half)
+        mask = window.paste(frame.mask & (near_line > 0), image.shape)
+        return replace(line, points=points, sigma=sigma), mask
+
+    def _arm_during_exposure(self, number: int) -> tuple[np.ndarray, float]:
+        """Joints (M, J + 1, 2) [px] at moments of the exposure, and the largest blur.
+
+        Moments are so dense that no joint moves more than a pixel between two of them.
+        The blur is how far the fastest joint moves in the exposure [px].
+        """
+        if self.footage.body is None:
+            return np.zeros((0, 0, 2)), 0.0
+        neighbours = slice(max(number - 1, 0), number + 2)
+        joints = self.camera.pixels(self.footage.body[neighbours])
+        elapsed = max(float(np.ptp(self.footage.t[neighbours])), 1e-9)
+        moved = (joints[-1] - joints[0]) / elapsed * self.camera.exposure
         blur = float(np.linalg.norm(moved, axis=-1).max())
         count = int(np.ceil(blur)) + 1
         share = (np.arange(count) + 0.5) / count - 0.5
-        moments = camera.pixels(footage.body[number]) + share[:, None, None] * moved
-
-    part = replace(backdrop, scene=window.cut(backdrop.scene))
-    seen = segment_frame(
-        window.cut(image),
-        part,
-        moments - window.corner,
-        arm_width * camera.px_per_m,
-        blur,
-        sigmas,
-    )
-    half = min(half_width(seen.mask), backdrop.half + BLUR_FACTOR)
-    ridge = (
-        cv2.GaussianBlur(seen.light, (0, 0), 0.6 * half)
-        if half > MAX_WIDTH_RATIO
-        else seen.light
-    )
-    way = trace_line(
-        ridge,
-        seen.mask,
-        seen.arm,
-        grasp - window.corner,
-        start_radius=hidden * camera.px_per_m + 8,
-    )
-    line = refine_line(seen.light, seen.outline, way, seen.noise, half)
-    check_line(line, seen.mask, half)
-    points = np.concatenate([grasp[None], line.points[1:] + window.corner])
-    whole = replace(line, points=points, sigma=np.hypot(line.sigma, backdrop.sway))
-    beside_it = rasterise(whole.points - window.corner, seen.mask.shape, 9 + 2 * half)
-    return whole, window.paste(seen.mask & (beside_it > 0), image.shape)
+        middle = self.camera.pixels(self.footage.body[number])
+        return middle + share[:, None, None] * moved, blur
 
 
 def arc_lengths_on_line(s: np.ndarray, length: float) -> np.ndarray:
-    """Arc lengths (K,) [m] on a line of this length of those at rest s (K,), whose last
-    is the tip's.
+    """Compute where arc lengths of the string at rest lie on a measured line.
 
-    A string that is longer than it was is drawn: by the tension of what is beyond each
-    point, which falls to nothing at the free end, evenly where the string is thrown
-    straight. A line that is shorter was read short all along.
+    Tension stretches a string by the inertia of what lies beyond each point: it falls
+    to zero at the free end, evenly for a string that is thrown straight. A line that is
+    shorter than the string was read short everywhere.
+
+    Parameters
+    ----------
+    s : (K,) array
+        Arc lengths at rest [m], the last of them the tip's.
+    length : float
+        Length of the line [m].
+
+    Returns
+    -------
+    (K,) array
+        Arc lengths on the line [m].
     """
-    share, more = s / s[-1], max(length - s[-1], 0.0)
-    return np.asarray(share * (length - more) + more * share * (2 - share))
-
-
-def _read_points(
-    line: Centreline,
-    mask: np.ndarray,
-    camera: Camera,
-    s: np.ndarray,
-    shorter: float,
-    longer: float,
-) -> FrameReading:
-    """Points at equal arc lengths; refuses a line that is not as long as the string."""
-    world = camera.world(line.points)
-    depth = cumulative_length(world)
-    length = float(depth[-1])
-    if not s[-1] * (1 - shorter) <= length <= s[-1] * (1 + longer):
-        raise UnreadableError(
-            f"the line is {'shorter' if length < s[-1] else 'longer'} than the string"
-        )
-    end = line.points[-1]
-    if not (1 <= end[0] <= camera.width - 2 and 1 <= end[1] <= camera.height - 2):
-        raise UnreadableError("the string leaves the picture")
-    wanted = arc_lengths_on_line(s, length)
-    at = np.stack([np.interp(wanted, depth, world[:, i]) for i in (0, 1)], axis=-1)
-    good, png = cv2.imencode(".png", mask * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
-    assert good
-    sigma = np.hypot(
-        np.interp(wanted, depth, line.sigma) / camera.px_per_m,
-        MAX_LENGTH_ERROR * (wanted - length * s / s[-1]),
-    )
-    return FrameReading(at, sigma, png.tobytes(), length)
+    share = s / s[-1]
+    stretch = max(length - s[-1], 0.0)
+    even = share * (length - stretch)
+    return np.asarray(even + stretch * share * (2 - share))
 
 
 def _build_tables(
     t: np.ndarray, readings: list[FrameReading | str], s: np.ndarray
 ) -> Points:
-    """Everything read, as tables. t: (F,) times of the frames [s]. s: (K,) arc lengths
-    of the points [m].
+    """Build the artifact from the readings of frames at times t (F,) [s].
+
+    s: (K,) arc lengths of the points [m].
     """
-    rows: list[dict[str, object]] = []
+    reasons = [""] * len(t)
+    tips = np.full((len(t), 4), np.nan)
+    read: list[FrameReading] = []
+    frames: list[int] = []
     for number, reading in enumerate(readings):
-        if isinstance(reading, str):  # why it could not be read
-            found = dict.fromkeys(("tip_x", "tip_y", "tip_sigma", "length"), np.nan)
-            rows.append(
-                {"frame": number, "t": t[number], "valid": False, "reason": reading}
-                | found
-            )
-        else:
-            x, y = reading.points[-1]
-            tip = {
-                "tip_x": x,
-                "tip_y": y,
-                "tip_sigma": float(reading.sigma[-1]),
-                "length": reading.length,
-            }
-            rows.append(
-                {"frame": number, "t": t[number], "valid": True, "reason": ""} | tip
-            )
-    table = READINGS.check(pd.DataFrame(rows)) if rows else READINGS.empty()
-    good = [
-        (number, reading)
-        for number, reading in enumerate(readings)
-        if isinstance(reading, FrameReading)
-    ]
-    if not good:
-        return Points(POINTS.empty(), table, MASKS.empty())
-    frames, read = [number for number, _ in good], [reading for _, reading in good]
-    places = {"t": np.repeat(t[frames], len(s)), "s": np.tile(s, len(frames))}
-    places |= dict(
-        zip("xy", np.concatenate([reading.points for reading in read]).T, strict=True)
+        if isinstance(reading, str):
+            reasons[number] = reading
+            continue
+        x, y = reading.points[-1]
+        tips[number] = x, y, reading.sigma[-1], reading.length
+        frames.append(number)
+        read.append(reading)
+    table = pd.DataFrame(
+        {
+            "frame": np.arange(len(t)),
+            "t": t,
+            "valid": ~np.isnan(tips[:, 0]),
+            "reason": reasons,
+            "tip_x": tips[:, 0],
+            "tip_y": tips[:, 1],
+            "tip_sigma": tips[:, 2],
+            "length": tips[:, 3],
+        }
     )
-    places |= {"sigma": np.concatenate([reading.sigma for reading in read])}
-    masks = {"frame": frames, "t": t[frames], "png": [reading.mask for reading in read]}
-    return Points(
-        POINTS.check(pd.DataFrame(places).assign(valid=True)),
-        table,
-        MASKS.check(pd.DataFrame(masks)),
+    if not read:
+        return Points(POINTS.empty(), READINGS.check(table), MASKS.empty())
+    places = np.concatenate([reading.points for reading in read])
+    points = pd.DataFrame(
+        {
+            "t": np.repeat(t[frames], len(s)),
+            "s": np.tile(s, len(frames)),
+            "x": places[:, 0],
+            "y": places[:, 1],
+            "sigma": np.concatenate([reading.sigma for reading in read]),
+            "valid": True,
+        }
     )
+    masks = pd.DataFrame(
+        {"frame": frames, "t": t[frames], "png": [reading.mask for reading in read]}
+    )
+    return Points(POINTS.check(points), READINGS.check(table), MASKS.check(masks))

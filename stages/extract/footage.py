@@ -16,11 +16,14 @@ from stringcast.stages.model.model import Model
 
 @dataclass(frozen=True)
 class Footage:
-    """Frames of one trial.
+    """Frames of one trial with the arm in each.
 
-    t: (F,) times [s]. images: F uint8 arrays (height, width). grasp: (F, 3) pose of the
-    grasp at those times. body: (F, J + 1, 2) the arm's joints [m], or None where no arm
-    is in view.
+    Parameters
+    ----------
+    t : (F,) times [s]
+    images : F uint8 arrays (height, width)
+    grasp : (F, 3) pose of the grasp, x and y [m] and theta [rad]
+    body : (F, J + 1, 2) joints of the arm [m]; None where no arm is in view
     """
 
     t: np.ndarray
@@ -30,40 +33,35 @@ class Footage:
 
 
 def footage_from_joints(film: Film, arm: Arm) -> Footage:
-    """Grasp and arm as joint angles say; where only poses of the grasp were measured,
-    no arm is known.
-    """
+    """Compute grasp and arm from joint angles, or the grasp from its measured poses."""
     if film.arm is not None:
         angles = _interpolate_columns(film.t, film.arm, JOINTS)
-        return Footage(
-            film.t, film.images, arm.grasp_pose(angles), arm.joint_positions(angles)
-        )
+        grasp = arm.grasp_pose(angles)
+        return Footage(film.t, film.images, grasp, arm.joint_positions(angles))
     assert film.grasp is not None
-    grasp = film.grasp.assign(theta=np.unwrap(film.grasp["theta"]))
-    return Footage(
-        film.t, film.images, _interpolate_columns(film.t, grasp, ("x", "y", "theta"))
-    )
+    poses = film.grasp.assign(theta=np.unwrap(film.grasp["theta"]))
+    grasp = _interpolate_columns(film.t, poses, ("x", "y", "theta"))
+    return Footage(film.t, film.images, grasp)
 
 
 def aligned_footage(film: Film, model: Model) -> Footage:
-    """Grasp and arm where the camera reports them, if it was measured how camera and
-    arm stand to each other.
-    """
+    """Compute grasp and arm as the camera sees them, if the alignment was measured."""
     if film.arm is None or not model.measured_ranges:
         return footage_from_joints(film, model.arm)
     motion = resample_joint_motion(
         film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy()
-    ).extended_until(film.t[-1])
+    )
+    motion = motion.extended_until(film.t[-1])
     body = model.observed_arm(motion, model.values({})[None], film.t)[0]
-    last = body[:, -1] - body[:, -2]
-    direction = np.unwrap(np.arctan2(last[:, 1], last[:, 0]))
-    return Footage(film.t, film.images, np.column_stack([body[:, -1], direction]), body)
+    hand = body[:, -1]
+    link = hand - body[:, -2]
+    direction = np.unwrap(np.arctan2(link[:, 1], link[:, 0]))
+    return Footage(film.t, film.images, np.column_stack([hand, direction]), body)
 
 
 def _interpolate_columns(
     t: np.ndarray, table: pd.DataFrame, columns: Sequence[str]
 ) -> np.ndarray:
-    """Columns of a table at other times, (F, len(columns))."""
-    return np.stack(
-        [np.interp(t, table["t"], table[column]) for column in columns], axis=-1
-    )
+    """Interpolate columns of a table at times t (F,) [s], (F, len(columns))."""
+    values = [np.interp(t, table["t"], table[column]) for column in columns]
+    return np.stack(values, axis=-1)

@@ -1,6 +1,4 @@
-"""Segmentation: the pixels of a frame that are brighter than the scene without the
-string would be.
-"""
+"""Segmentation: pixels brighter than the scene without the string would be."""
 
 from __future__ import annotations
 
@@ -10,37 +8,40 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-MAX_SCENE_SAMPLES = 120  # frames from which the background is learnt
-BAND_ROWS = 16  # rows of them that are put in order at a time: about a megabyte
-# of the frames without the arm: where in their order of brightness the wall is not in
-# shadow
+WIDTH_SAMPLES = 15  # frames from which the string's width is measured
+BRIGHTNESS_SAMPLES = 30  # frames from which the string's brightness is measured
+BAND_ROWS = 16  # rows of all frames that are sorted at a time: about a megabyte
+# quantile of the frames without the arm at which the wall is not in shadow
 LIT_QUANTILE = 0.75
-SHADE_SIGMAS = 4.0  # [grey levels] by how much a shadow at least darkens the wall
+SHADOW_GREY = 4.0  # grey levels by which a shadow at least darkens the wall
 # percentile over time: a pixel shows the background when the string has left it at
 # least this often
-MIN_LEVEL = 3
-# of the string's length: how far from a resting grasp the string may never leave its
-# pixels
+BACKGROUND_PERCENTILE = 3
+# of the string's length: distance from a resting grasp within which the string may
+# never leave its pixels
 STATIC_SHARE = 0.35
-STILL_PX = 5.0  # [px] a resting grasp moves less
-# [px] of the median that fills it in; OpenCV does none that is wider than 361
-MAX_WINDOW_PX = 350
-MIN_PATCH_PX = 12  # [px] a patch with fewer is the arm's edge or noise, not string
-OUTLINE_SIGMAS = 1.0  # [px] by how much the outline of a resting arm may be off
-# the string outshines nothing less than this part of the typical
-MIN_CONTRAST_SIGMAS = 5.0
-# [grey levels] more than this off, a pixel does not tell where the string's middle is
-UNCERTAIN_SIGMAS = 10.0
-GREY_SHARE = 0.3  # [grey levels] noise of rounding to whole levels
+STILL_PX = 5.0  # a resting grasp moves less
+# width of the median that fills it in; OpenCV has none wider than 361
+MAX_MEDIAN_WIDTH_PX = 350
+MIN_PATCH_PX = 12  # a smaller patch is the arm's edge or noise
+OUTLINE_ERROR_PX = 1.0  # of the outline of a resting arm
+MAX_LIGHT_GAIN = 5.0  # by which the string's light is raised before a bright arm
+# error from which a pixel does not show where the string's middle is [grey levels]
+MAX_OUTLINE_ERROR_GREY = 10.0
+MIN_NOISE_GREY = 0.3  # noise of rounding to whole levels
+MAD_SHARE = 0.6745  # median magnitude over standard deviation, of a normal distribution
 
 
 @dataclass(frozen=True)
 class Backdrop:
     """The scene behind the string, shared by all frames of a film.
 
-    scene: (height, width) grey levels without string and arm. string: brightness of the
-    string [grey levels]. half: half its width, blurred [px]. sway: one sigma of where
-    the camera looks [px].
+    Parameters
+    ----------
+    scene : (height, width) grey levels without string and arm
+    string : brightness of the string [grey levels]
+    half : half its width, blurred [px]
+    sway : standard deviation of the camera's direction [px]
     """
 
     scene: np.ndarray
@@ -53,9 +54,13 @@ class Backdrop:
 class SegmentedFrame:
     """The string of one frame, each array (height, width).
 
-    light: brightness above what else is seen, as in front of the scene [grey levels].
-    mask: where it is certain, uint8. arm: where the arm may hide it, outline: where the
-    arm's edge blurs what is what, bool. noise: one sigma of light.
+    Parameters
+    ----------
+    light : brightness above everything else, as in front of the scene [grey levels]
+    mask : certain pixels of the string, uint8
+    arm : where the arm may hide the string, bool
+    outline : where the arm's edge makes brightness uncertain, bool
+    noise : standard deviation of the light [grey levels]
     """
 
     light: np.ndarray
@@ -73,187 +78,215 @@ def segment_frame(
     blur: float,
     sigmas: float,
 ) -> SegmentedFrame:
-    """The pixels of a frame that are neither scene nor arm.
+    """Segment the pixels of a frame that are neither scene nor arm.
 
-    moments: (K, J + 1, 2) the arm's joints [px] at moments of the exposure. width: of a
-    link, blur: how far the arm moves in the exposure [px]; its clock may be half an
-    exposure off. sigmas: threshold above the noise.
+    Parameters
+    ----------
+    image : (height, width) array
+        The frame [grey levels].
+    backdrop : Backdrop
+        The scene behind the string.
+    moments : (M, J + 1, 2) array
+        The arm's joints at moments of the exposure [px].
+    width : float
+        Width of a link [px].
+    blur : float
+        Distance that the arm moves in the exposure [px]; the clock may be half an
+        exposure off.
+    sigmas : float
+        Threshold above the noise.
+
+    Returns
+    -------
+    SegmentedFrame
+        The string's light and pixels.
     """
-    seen, body, outline = expected_brightness(
-        image, backdrop.scene, moments, width, OUTLINE_SIGMAS + blur / 2
+    expected, body, outline = expected_brightness(
+        image, backdrop.scene, moments, width, OUTLINE_ERROR_PX + blur / 2
     )
-    above = cv2.GaussianBlur(image - seen, (0, 0), 0.8)
-    grain = estimate_noise(above[::3, ::3])
-    rough = max(grain, estimate_noise(above[body])) if body.any() else grain
-    mask = remove_specks(
-        (above > sigmas * np.where(body, rough, grain)).astype(np.uint8)
-    )
+    above = cv2.GaussianBlur(image - expected, (0, 0), 0.8)
+    noise = body_noise = estimate_noise(above[::3, ::3])
+    if body.any():
+        body_noise = max(noise, estimate_noise(above[body]))
+    threshold = sigmas * np.where(body, body_noise, noise)
+    mask = remove_specks((above > threshold).astype(np.uint8))
     arm = arm_silhouette(image.shape, moments, width + 4 + blur)
-    # what is as bright as the arm is noise, made larger
-    sure = ~body | (cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0)
-    # brightness as it would be in front of a typical part: the string outshines a
+    # before the arm, only light close to certain pixels is the string's
+    certain = ~body | (cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0)
+    # scaled as in front of a typical part of the scene, because the string outshines a
     # bright arm less than a dark wall
-    room = backdrop.string - seen
-    typical = max(float(np.median(room)), GREY_SHARE)
+    contrast = backdrop.string - expected
+    typical = max(float(np.median(contrast)), MIN_NOISE_GREY)
     light = (
-        np.maximum(above, 0) * typical / np.maximum(room, typical / MIN_CONTRAST_SIGMAS)
+        np.maximum(above, 0) * typical / np.maximum(contrast, typical / MAX_LIGHT_GAIN)
     )
-    return SegmentedFrame(sure * light, mask, arm, outline, grain)
+    return SegmentedFrame(certain * light, mask, arm, outline, noise)
 
 
 def estimate_background(
     frames: Sequence[np.ndarray],
     arm: Sequence[np.ndarray],
-    low: np.ndarray,
+    uncovered: np.ndarray,
     half: float,
 ) -> np.ndarray:
-    """The scene without string and arm, (height, width) float32.
+    """Estimate the scene without string and arm.
 
-    frames: some, (height, width) uint8 each. arm: of each the pixels where the arm is,
-    `packed`. low: `darkest` of them. half: half the string's width [px]. What is bright
-    in a few frames is string or arm; but where a shadow passes, the wall is what is
-    bright in some, over more than the string's width.
+    Pixels that are bright in a few frames are string or arm. Where a shadow passes, the
+    wall too is bright in some frames only, but over more than the string's width.
+
+    Parameters
+    ----------
+    frames : sequence of F uint8 arrays (height, width)
+        A sample of the film.
+    arm : sequence of F arrays
+        Masks of the arm in each, from `pack_mask`.
+    uncovered : (height, width) array
+        Result of `uncovered_brightness`.
+    half : float
+        Half the string's width [px].
+
+    Returns
+    -------
+    (height, width) float32 array
+        The scene [grey levels].
     """
-    wall = np.maximum(_map_bands(_brightness_without_arm, frames, arm) - low, 0)
-    across = 2 * int(np.ceil(2 * half)) + 5
-    wide = cv2.morphologyEx(wall, cv2.MORPH_OPEN, np.ones((across, across), np.uint8))
-    return low + np.where(wide > SHADE_SIGMAS, wide, 0)
+    lit = _map_bands(_brightness_without_arm, frames, arm)
+    brighter = np.maximum(lit - uncovered, 0)
+    width = 2 * int(np.ceil(2 * half)) + 5
+    square = np.ones((width, width), np.uint8)
+    wide = cv2.morphologyEx(brighter, cv2.MORPH_OPEN, square)
+    return uncovered + np.where(wide > SHADOW_GREY, wide, 0)
 
 
 def uncovered_brightness(frames: Sequence[np.ndarray]) -> np.ndarray:
-    """The brightness of each pixel when nothing bright covers it, (height, width)
-    float32. frames: uint8.
-    """
+    """Estimate each pixel's brightness when nothing bright covers it, float32."""
     levels = _map_bands(_low_and_median, frames)
-    low, middle = levels[..., 0], levels[..., 1]
+    low, median = levels[..., 0], levels[..., 1]
     # noise alone makes a low percentile darker than the scene
-    return np.asarray(low + np.median(middle - low))
+    return np.asarray(low + np.median(median - low))
 
 
 def _map_bands(
-    look: Callable[..., np.ndarray], *films: Sequence[np.ndarray]
+    function: Callable[..., np.ndarray], *films: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """A look at frames, so many rows of all at a time: what is made of them meanwhile
-    fits into a processor's cache.
+    """Apply a function to bands of rows of all frames, which fit a processor's cache.
 
-    look: from stacks (F, rows, width), one of each film, to (rows, width, ...).
+    function: from stacks (F, rows, width), one of each film, to (rows, width, ...).
     """
-    bands = (
-        slice(first, first + BAND_ROWS)
-        for first in range(0, len(films[0][0]), BAND_ROWS)
-    )
-    return np.concatenate(
-        [
-            look(*(np.stack([frame[rows] for frame in film]) for film in films))
-            for rows in bands
-        ]
-    )
+    bands = []
+    for first in range(0, len(films[0][0]), BAND_ROWS):
+        rows = slice(first, first + BAND_ROWS)
+        stacks = (np.stack([frame[rows] for frame in film]) for film in films)
+        bands.append(function(*stacks))
+    return np.concatenate(bands)
 
 
 def _low_and_median(stack: np.ndarray) -> np.ndarray:
-    """A low percentile of each pixel and its median, (height, width, 2) float32."""
+    """Low percentile and median of each pixel, (height, width, 2) float32."""
     ordered = _sorted_values(stack)
-    return np.stack(
-        [_percentile(ordered, MIN_LEVEL), _percentile(ordered, 50)], axis=-1
-    )
+    low = _percentile(ordered, BACKGROUND_PERCENTILE)
+    return np.stack([low, _percentile(ordered, 50)], axis=-1)
 
 
 def _brightness_without_arm(stack: np.ndarray, arm: np.ndarray) -> np.ndarray:
-    """How bright a pixel is in a few of the frames in which the arm does not cover it,
-    (height, width) float32.
-    """
-    arm = unpack_mask(arm, stack.shape[-1])
-    ordered = _sorted_values(np.where(arm, 0, stack))
-    covered = arm.sum(axis=0)
-    place = covered + LIT_QUANTILE * (len(stack) - 1 - covered)
-    chosen = np.take_along_axis(
-        ordered, place.astype(int).clip(0, len(stack) - 1)[..., None], axis=-1
-    )
+    """Brightness of each pixel in the lit frames without the arm in front, float32."""
+    is_arm = unpack_mask(arm, stack.shape[-1])
+    ordered = _sorted_values(np.where(is_arm, 0, stack))
+    last = len(stack) - 1
+    covered = is_arm.sum(axis=0)
+    place = (covered + LIT_QUANTILE * (last - covered)).astype(int).clip(0, last)
+    chosen = np.take_along_axis(ordered, place[..., None], axis=-1)
     return chosen[..., 0].astype(np.float32)
 
 
 def pack_mask(mask: np.ndarray) -> np.ndarray:
-    """A mask (..., width) bool with eight pixels to a byte: masks of a whole film take
-    a tenth of a gigabyte.
-    """
+    """Pack a mask (..., width) bool into bits: a film's masks take 0.1 GB otherwise."""
     return np.packbits(mask, axis=-1)
 
 
 def unpack_mask(mask: np.ndarray, width: int) -> np.ndarray:
-    """The mask again, (..., width) bool."""
+    """Unpack a mask into (..., width) bool."""
     return np.unpackbits(mask, axis=-1, count=width).view(bool)
 
 
-def half_widths(
+def typical_half_width(
     frames: Sequence[np.ndarray], scene: np.ndarray, arm: Sequence[np.ndarray]
 ) -> float:
-    """Half the width of what outshines the scene most [px], blurred as it may be in
-    some frames: the string's.
+    """Measure half the string's width in the more blurred frames [px].
+
+    The string is what outshines the scene most, beside the arm.
     """
     widths = []
-    for number in np.unique(
-        np.linspace(0, len(frames) - 1, MAX_SCENE_SAMPLES // 8).astype(int)
-    ):
+    for number in _sample_evenly(len(frames), WIDTH_SAMPLES):
         covered = unpack_mask(arm[number], scene.shape[1]).astype(np.uint8)
-        above = np.where(
-            cv2.dilate(covered, np.ones((5, 5))) > 0, 0, frames[number] - scene
-        )
-        widths.append(
-            half_width(remove_specks((above > above.max() / 2).astype(np.uint8)))
-        )
+        near_arm = cv2.dilate(covered, np.ones((5, 5))) > 0
+        above = np.where(near_arm, 0, frames[number] - scene)
+        bright = (above > above.max() / 2).astype(np.uint8)
+        widths.append(half_width(remove_specks(bright)))
     return float(np.percentile(widths, 90))
 
 
 def half_width(mask: np.ndarray) -> float:
-    """Half the width of what is in the mask [px]: a typical distance of its inside from
-    its edge.
-    """
+    """Measure half the width of a mask: distance of its inside from its edge [px]."""
+    if not mask.any():
+        return 1.0
     distance = cv2.distanceTransform(mask, cv2.DIST_L2, 3)
-    return float(np.percentile(distance[mask > 0], 90)) if mask.any() else 1.0
+    return float(np.percentile(distance[mask > 0], 90))
 
 
 def _sorted_values(stack: np.ndarray) -> np.ndarray:
     """Each pixel's values from dark to bright, (height, width, F)."""
-    # ten times as quick as NumPy's
-    turned: np.ndarray = cv2.transpose(stack.reshape(len(stack), -1))
-    turned.sort(axis=-1, kind="stable")  # by radix: quick
-    return turned.reshape(*stack.shape[1:], -1)
+    # transposing by OpenCV is ten times as fast as by NumPy
+    by_pixel: np.ndarray = cv2.transpose(stack.reshape(len(stack), -1))
+    by_pixel.sort(axis=-1, kind="stable")  # a fast radix sort
+    return by_pixel.reshape(*stack.shape[1:], -1)
 
 
 def _percentile(ordered: np.ndarray, percent: float) -> np.ndarray:
-    """A percentile of ordered values, (height, width) float32."""
-    place = percent / 100 * (ordered.shape[-1] - 1)
-    before = min(int(place), ordered.shape[-1] - 1)
-    after = min(before + 1, ordered.shape[-1] - 1)
-    low, high = (
-        ordered[..., before].astype(np.float32),
-        ordered[..., after].astype(np.float32),
-    )
+    """Percentile of ordered values, (height, width) float32."""
+    last = ordered.shape[-1] - 1
+    place = percent / 100 * last
+    before = min(int(place), last)
+    after = min(before + 1, last)
+    low = ordered[..., before].astype(np.float32)
+    high = ordered[..., after].astype(np.float32)
     return low + np.float32(place - before) * (high - low)
 
 
 def fill_never_uncovered(
     scene: np.ndarray, grasp: np.ndarray, length: float
 ) -> np.ndarray:
-    """The scene with what the string never leaves replaced by what surrounds it.
+    """Replace what the string never uncovers by its surroundings.
 
-    grasp: (F, 2) [px], length: of the string [px]. Only where the grasp rests; a moving
-    one uncovers everything. What outshines its surroundings and hangs together with
-    what is at the grasp is taken for string.
+    Only a string whose grasp rests leaves pixels covered. What outshines its
+    surroundings and is connected with the grasp is taken for string.
+
+    Parameters
+    ----------
+    scene : (height, width) array
+        Scene without moving string and arm [grey levels].
+    grasp : (F, 2) array
+        Pixels of the grasp.
+    length : float
+        Length of the string [px].
+
+    Returns
+    -------
+    (height, width) array
+        The scene [grey levels].
     """
     if np.ptp(grasp, axis=0).max() > STILL_PX:
         return scene
-    width = min(int(length), MAX_WINDOW_PX) // 2 * 2 + 1
-    around = cv2.medianBlur(np.clip(scene, 0, 255).astype(np.uint8), width).astype(
-        np.float32
-    )
+    width = min(int(length), MAX_MEDIAN_WIDTH_PX) // 2 * 2 + 1
+    levels = np.clip(scene, 0, 255).astype(np.uint8)
+    surroundings = cv2.medianBlur(levels, width).astype(np.float32)
     v, u = np.indices(scene.shape)
-    away = np.hypot(u - grasp[0, 0], v - grasp[0, 1])
-    patch = cv2.connectedComponents(
-        ((scene > around + SHADE_SIGMAS) & (away < length)).astype(np.uint8)
-    )[1]
-    hangs = np.isin(patch, np.setdiff1d(patch[away < STATIC_SHARE * length], 0))
-    return np.where(hangs, np.minimum(scene, around), scene)
+    distance = np.hypot(u - grasp[0, 0], v - grasp[0, 1])
+    bright = (scene > surroundings + SHADOW_GREY) & (distance < length)
+    patch = cv2.connectedComponents(bright.astype(np.uint8))[1]
+    at_grasp = np.setdiff1d(patch[distance < STATIC_SHARE * length], 0)
+    is_string = np.isin(patch, at_grasp)
+    return np.where(is_string, np.minimum(scene, surroundings), scene)
 
 
 def expected_brightness(
@@ -263,68 +296,91 @@ def expected_brightness(
     width: float,
     margin: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The brightest that a frame could be without the string, (height, width) float32.
+    """Compute the brightest that a frame could be without the string.
 
-    Also, bool: where the arm is all it shows, and where the arm's outline makes it
-    uncertain.
+    The arm is taken to be as bright as along its middle; the string in front of it must
+    be brighter.
 
-    moments: (K, J + 1, 2) the arm's joints [px] at moments of the exposure, width: of a
-    link, margin: by how much its outline may be off [px]. The arm is taken to be as
-    bright as along its middle; the string in front of it must be brighter.
+    Parameters
+    ----------
+    image : (height, width) array
+        The frame [grey levels].
+    scene : (height, width) array
+        The scene behind string and arm [grey levels].
+    moments : (M, J + 1, 2) array
+        The arm's joints at moments of the exposure [px].
+    width : float
+        Width of a link [px].
+    margin : float
+        Error of the arm's outline [px].
+
+    Returns
+    -------
+    brightest : (height, width) float32 array
+        Largest brightness [grey levels].
+    body : (height, width) bool array
+        Where only the arm is seen.
+    outline : (height, width) bool array
+        Where the arm's outline makes brightness uncertain.
     """
     if not len(moments):
         nowhere = np.zeros(scene.shape, bool)
         return scene, nowhere, nowhere
     covers = [arm_silhouette(scene.shape, joints[None], width) for joints in moments]
     cover = cv2.GaussianBlur(np.mean(covers, axis=0, dtype=np.float32), (0, 0), 0.5)
-    middle = arm_silhouette(scene.shape, moments, max(width / 3, 1)) & (cover > 0.99)
-    body = float(np.median(image[middle])) if middle.any() else 0.0
-    seen = scene + cover * (body - scene)
-    around = np.ones((2 * round(margin) + 1,) * 2, np.uint8)
-    near = cv2.dilate(cover, around) > 0
-    most = np.where(near, cv2.dilate(seen, around), seen)
-    return most, cover > 0.99, near & (most > seen + UNCERTAIN_SIGMAS)
+    body = cover > 0.99
+    middle = arm_silhouette(scene.shape, moments, max(width / 3, 1)) & body
+    arm_level = float(np.median(image[middle])) if middle.any() else 0.0
+    blended = scene + cover * (arm_level - scene)
+    square = np.ones((2 * round(margin) + 1,) * 2, np.uint8)
+    near = cv2.dilate(cover, square) > 0
+    brightest = np.where(near, cv2.dilate(blended, square), blended)
+    uncertain = brightest > blended + MAX_OUTLINE_ERROR_GREY
+    return brightest, body, near & uncertain
 
 
 def string_brightness(images: Sequence[np.ndarray], scene: np.ndarray) -> float:
-    """The brightness of the string where nothing blurs it, from where each frame
-    outshines the scene most.
+    """Measure the string's brightness where nothing blurs it [grey levels].
+
+    It is seen where each frame outshines the scene most.
     """
-    chosen = np.unique(
-        np.linspace(0, len(images) - 1, MAX_SCENE_SAMPLES // 4).astype(int)
-    )
-    return float(
-        np.percentile(
-            [images[int(i)].flat[np.argmax(images[int(i)] - scene)] for i in chosen], 90
-        )
-    )
+    brightest = []
+    for number in _sample_evenly(len(images), BRIGHTNESS_SAMPLES):
+        image = images[int(number)]
+        brightest.append(image.flat[np.argmax(image - scene)])
+    return float(np.percentile(brightest, 90))
+
+
+def _sample_evenly(count: int, samples: int) -> np.ndarray:
+    """Numbers of at most so many of `count` frames, evenly."""
+    return np.unique(np.linspace(0, count - 1, samples).astype(int))
 
 
 def estimate_noise(difference: np.ndarray) -> float:
-    """One sigma of what is not string, by the median: the string covers less than half.
-    difference: any shape.
+    """Estimate the noise from a difference of any shape, by the median.
+
+    The string covers less than half of the pixels and has no influence.
     """
-    return max(
-        float(np.median(np.abs(difference - np.median(difference)))) / 0.6745,
-        GREY_SHARE,
-    )
+    deviation = np.abs(difference - np.median(difference))
+    return max(float(np.median(deviation)) / MAD_SHARE, MIN_NOISE_GREY)
 
 
 def remove_specks(mask: np.ndarray) -> np.ndarray:
-    """The mask without patches of fewer than SPECK pixels. mask: (height, width) uint8,
-    0 or 1.
-    """
+    """Remove patches smaller than MIN_PATCH_PX from a mask, uint8 of 0 and 1."""
     _, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    return mask & (stats[:, cv2.CC_STAT_AREA] >= MIN_PATCH_PX)[label].astype(np.uint8)
+    is_large = stats[:, cv2.CC_STAT_AREA] >= MIN_PATCH_PX
+    return np.asarray(mask & is_large[label].astype(np.uint8))
 
 
 def arm_silhouette(
     shape: tuple[int, ...], moments: np.ndarray, width: float
 ) -> np.ndarray:
-    """Pixels within `width` / 2 [px] of the arm's links at any moment, bool. moments:
-    (K, J + 1, 2) joints [px].
+    """Draw the arm's links at all moments as a mask, bool.
+
+    moments: (M, J + 1, 2) joints [px]. width: of a link [px].
     """
     canvas = np.zeros(shape, np.uint8)
+    # OpenCV takes fixed-point numbers: 4 bits behind the point
     pixels = list(np.rint(moments * 16).astype(np.int32)[:, :, None])
     cv2.polylines(canvas, pixels, False, 255, max(round(width), 1), cv2.LINE_8, 4)
     return canvas > 0

@@ -1,14 +1,18 @@
-"""Stabilisation: frames corrected for a flickering lamp and a trembling camera.
+"""Stabilisation: correction of frames for a flickering lamp and a trembling camera.
 
-Each frame is compared with the median of the film: frame = gain * median, shifted (d_u,
-d_v), by least squares on the picture's own texture (Lucas and Kanade, IJCAI 1981),
-where what moves has no weight. Where there is too little texture, nothing is changed.
+Each frame is compared with the median of the film: frame = gain * median, shifted by
+(d_u, d_v), by least squares on the picture's own texture, where moving pixels have no
+weight. Where there is too little texture, nothing is changed.
+
+Reference: B. Lucas and T. Kanade, An iterative image registration technique with an
+application to stereo vision, IJCAI 1981.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,49 +20,56 @@ import numpy as np
 from stringcast.stages.common import mad_sigma
 
 MAX_SAMPLES = 120  # frames whose median stands for the film
-# the picture is made so many times smaller: large shifts first, then their fractions
-PYRAMID_SCALES = (8, 3)
-NEWTON_STEPS = 2  # of Gauss and Newton in each
-MIN_GAIN = 1e-3  # gain of a black frame
-MAX_SHIFT_PX = 3.0  # sigmas from which a pixel shows something that moves
-MIN_TREMBLE_PX = 0.1  # [px] RMS shift below which a camera stands still
+# factors by which the picture is made smaller: large shifts first, then their fractions
+COARSE_SCALE = 8
+FINE_SCALE = 3
+NEWTON_STEPS = 2  # Gauss-Newton steps at each scale
+MIN_GAIN = 1e-3  # of a black frame
+MOVING_PIXEL_SIGMAS = 3.0  # residual from which a pixel shows something that moves
+MIN_TREMBLE_PX = 0.1  # RMS shift below which a camera stands still
 MIN_FLICKER = 0.01  # RMS relative brightness below which a lamp burns steadily
-# of both, below which the first look is enough: it errs by 0.05 px, and so finds the
-# more, not the less
-CLEAR_SHARE = 0.7
-# [px] one sigma of a shift, above which there is too little texture to know it
-SURE_SHARE = 0.05
-# across and down: what one of them alone says, such as a wide string that swings there,
-# is not believed
+# of both thresholds, at the coarse scale, which errs by 0.05 px: candidates are added,
+# none is lost
+COARSE_THRESHOLD_SHARE = 0.7
+MAX_SHIFT_SIGMA_PX = 0.05  # above it, there is too little texture to know a shift
+# parts across and down: a shift that one part alone shows, such as a wide string that
+# swings there, is not believed
 IMAGE_PARTS = 5
 
 
 def sample_numbers(count: int) -> list[int]:
-    """SAMPLES of so many frames at most, evenly."""
-    return [
-        int(i) for i in np.unique(np.linspace(0, count - 1, MAX_SAMPLES).astype(int))
-    ]
+    """Choose at most MAX_SAMPLES of so many frames, evenly."""
+    places = np.linspace(0, count - 1, MAX_SAMPLES)
+    return [int(number) for number in np.unique(places.astype(int))]
 
 
 def stabilise_film(images: Sequence[np.ndarray]) -> tuple[Sequence[np.ndarray], float]:
-    """The film without flicker and tremble (the same object where it has none), and one
-    sigma of the mean shift [px].
+    """Remove flicker and tremble from a film.
+
+    Parameters
+    ----------
+    images : sequence of F arrays (height, width)
+        The film [grey levels].
+
+    Returns
+    -------
+    images : sequence of F arrays (height, width)
+        The corrected film; the same object where it needs no correction.
+    sigma : float
+        Standard deviation of the mean shift [px].
     """
-    coarse, fine = PYRAMID_SCALES
-    found, _ = _register_images(
-        images, coarse, np.tile([1.0, 0.0, 0.0], (len(images), 1))
-    )
-    gain, shift = _significant_changes(found, CLEAR_SHARE)
+    unchanged = np.tile([1.0, 0.0, 0.0], (len(images), 1))
+    found, _ = _register_images(images, COARSE_SCALE, unchanged)
+    gain, shift = _significant_changes(found, COARSE_THRESHOLD_SHARE)
     if shift.any() or (gain != 1).any():
-        found, sigma = _register_images(images, fine, found)
-        found[sigma >= SURE_SHARE, 1:] = 0.0
+        found, sigma = _register_images(images, FINE_SCALE, found)
+        found[sigma >= MAX_SHIFT_SIGMA_PX, 1:] = 0.0
         gain, shift = _significant_changes(found, 1.0)
     if not shift.any() and (gain == 1).all():
         return images, 0.0
-    middle = np.sqrt(np.pi / 2 / len(shift))  # of a median, in sigmas of its values
-    return StabilisedImages(images, gain, shift), float(
-        middle * np.sqrt(np.mean(shift**2))
-    )
+    median_sigma = np.sqrt(np.pi / 2 / len(shift))  # in sigmas of the median's values
+    sway = float(median_sigma * np.sqrt(np.mean(shift**2)))
+    return StabilisedImages(images, gain, shift), sway
 
 
 @dataclass(frozen=True)
@@ -70,108 +81,102 @@ class StabilisedImages(Sequence[np.ndarray]):
     shift: np.ndarray
 
     def __len__(self) -> int:
-        """Number of images."""
+        """Count the images."""
         return len(self.images)
 
-    def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        """One image."""
-        image = self.images[index].astype(np.float32) / np.float32(
-            max(self.gain[index], MIN_GAIN)
-        )
-        return (
-            _shift_image(image, -self.shift[index])
-            if self.shift[index].any()
-            else image
-        )
+    def __getitem__(self, index: Any) -> Any:
+        """Correct one image."""
+        gain = np.float32(max(self.gain[index], MIN_GAIN))
+        image = self.images[index].astype(np.float32) / gain
+        if self.shift[index].any():
+            return _shift_image(image, -self.shift[index])
+        return image
 
 
 def _significant_changes(
-    found: np.ndarray, share: float
+    found: np.ndarray, threshold_share: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gains (F,) and shifts (F, 2) [px] about their medians; 1 and 0 where they are
-    within a share of what counts.
+    """Gains (F,) and shifts (F, 2) [px] about their medians, where they matter.
+
+    Gains are 1 and shifts 0 where their RMS is below this share of the threshold.
     """
-    gain, shift = (
-        found[:, 0] / np.median(found[:, 0]),
-        found[:, 1:] - np.median(found[:, 1:], axis=0),
-    )
-    shift = (
-        shift
-        if np.sqrt(np.mean(shift**2)) > share * MIN_TREMBLE_PX
-        else np.zeros_like(shift)
-    )
-    gain = (
-        gain
-        if np.sqrt(np.mean((gain - 1) ** 2)) > share * MIN_FLICKER
-        else np.ones_like(gain)
-    )
+    gain = found[:, 0] / np.median(found[:, 0])
+    if not np.sqrt(np.mean((gain - 1) ** 2)) > threshold_share * MIN_FLICKER:
+        gain = np.ones_like(gain)
+    shift = found[:, 1:] - np.median(found[:, 1:], axis=0)
+    if not np.sqrt(np.mean(shift**2)) > threshold_share * MIN_TREMBLE_PX:
+        shift = np.zeros_like(shift)
     return gain, shift
 
 
-def _downscale(image: np.ndarray, by: int) -> np.ndarray:
-    """The image so many times smaller, float32."""
+def _downscale(image: np.ndarray, scale: int) -> np.ndarray:
+    """Make an image so many times smaller and smooth, float32."""
     small = cv2.resize(
         image.astype(np.float32),
         None,
-        fx=1 / by,
-        fy=1 / by,
+        fx=1 / scale,
+        fy=1 / scale,
         interpolation=cv2.INTER_AREA,
     )
-    return cv2.GaussianBlur(small, (0, 0), 1.0)
+    blurred: np.ndarray = cv2.GaussianBlur(small, (0, 0), 1.0)
+    return blurred
 
 
 def _register_images(
-    images: Sequence[np.ndarray], by: int, start: np.ndarray
+    images: Sequence[np.ndarray], scale: int, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and shift (d_u, d_v) [px] of each image against the median of some, all so
-    many times smaller, (F, 3), and one sigma of the shift (F,) [px], by Gauss and
-    Newton. start: (F, 3) from where.
+    """Register each image to the film's median, all so many times smaller.
+
+    start: (F, 3) gain and shift (d_u, d_v) [px] from which Gauss-Newton begins. Returns
+    gains and shifts (F, 3), and the standard deviation of the shifts (F,) [px].
     """
-    template = np.median(
-        [_downscale(images[i], by) for i in sample_numbers(len(images))], axis=0
-    )
-    places, sigmas = [], []
-    for whole, begin in zip(images, start, strict=True):
-        image, found = _downscale(whole, by), begin
+    samples = [_downscale(images[i], scale) for i in sample_numbers(len(images))]
+    template = np.median(samples, axis=0)
+    found, sigmas = [], []
+    for full_image, first_guess in zip(images, start, strict=True):
+        image = _downscale(full_image, scale)
+        guess = first_guess
         for _ in range(NEWTON_STEPS):
-            like = _shift_image(template, found[1:] / by)
-            across = cv2.Sobel(like, cv2.CV_32F, 1, 0, scale=0.125)
-            down = cv2.Sobel(like, cv2.CV_32F, 0, 1, scale=0.125)
-            columns = np.stack([like, -found[0] * across / by, -found[0] * down / by])[
-                :, 2:-2, 2:-2
-            ]
-            rest = (image - found[0] * like)[2:-2, 2:-2]
-            still = np.abs(rest) < MAX_SHIFT_PX * (
-                float(mad_sigma(rest.ravel()[::7])) + 1e-3
-            )
-            # normal equations of each part of the picture, (PARTS^2, 4, 4), and steps
-            # without each in turn
-            bands = np.array_split(
-                np.concatenate([columns, rest[None]]) * still, IMAGE_PARTS, axis=1
-            )
-            parts = [
-                part.reshape(4, -1)
-                for band in bands
-                for part in np.array_split(band, IMAGE_PARTS, axis=2)
-            ]
-            sums = np.stack([part @ part.T for part in parts])
-            others = sums.sum(axis=0) - sums
-            steps = np.linalg.solve(
-                others[:, :3, :3] + 1e-6 * np.eye(3), others[:, :3, 3:]
-            )[..., 0]
-            found = found + np.mean(steps, axis=0)
-        scatter = np.sqrt((len(steps) - 1) * np.var(steps, axis=0))  # the jackknife
-        places.append(found)
+            steps = _newton_steps(image, template, guess, scale)
+            guess = guess + np.mean(steps, axis=0)
+        # jackknife over the parts of the picture
+        scatter = np.sqrt((len(steps) - 1) * np.var(steps, axis=0))
+        found.append(guess)
         sigmas.append(float(np.linalg.norm(scatter[1:])))
-    return np.array(places), np.array(sigmas)
+    return np.array(found), np.array(sigmas)
+
+
+def _newton_steps(
+    image: np.ndarray, template: np.ndarray, guess: np.ndarray, scale: int
+) -> np.ndarray:
+    """Gauss-Newton steps of gain and shift without each part in turn, (PARTS^2, 3)."""
+    gain = guess[0]
+    shifted = _shift_image(template, guess[1:] / scale)
+    slope_u = cv2.Sobel(shifted, cv2.CV_32F, 1, 0, scale=0.125)
+    slope_v = cv2.Sobel(shifted, cv2.CV_32F, 0, 1, scale=0.125)
+    slopes = np.stack([shifted, -gain * slope_u / scale, -gain * slope_v / scale])
+    residual = (image - gain * shifted)[2:-2, 2:-2]
+    noise = float(mad_sigma(residual.ravel()[::7])) + 1e-3
+    is_still = np.abs(residual) < MOVING_PIXEL_SIGMAS * noise
+
+    # normal equations of each part, (PARTS^2, 4, 4): three slopes and the residual
+    system = np.concatenate([slopes[:, 2:-2, 2:-2], residual[None]]) * is_still
+    products = []
+    for band in np.array_split(system, IMAGE_PARTS, axis=1):
+        for part in np.array_split(band, IMAGE_PARTS, axis=2):
+            rows = part.reshape(4, -1)
+            products.append(rows @ rows.T)
+    sums = np.stack(products)
+    without = sums.sum(axis=0) - sums
+    matrix = without[:, :3, :3] + 1e-6 * np.eye(3)
+    return np.asarray(np.linalg.solve(matrix, without[:, :3, 3:])[..., 0])
 
 
 def _shift_image(image: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """The image shifted by (d_u, d_v) [px]."""
-    to = np.array([[1, 0, shift[0]], [0, 1, shift[1]]])
+    """Shift an image by (d_u, d_v) [px]."""
     return cv2.warpAffine(
         image,
-        to,
+        np.array([[1, 0, shift[0]], [0, 1, shift[1]]]),
         image.shape[::-1],
         flags=cv2.INTER_LANCZOS4,
         borderMode=cv2.BORDER_REPLICATE,

@@ -1,10 +1,8 @@
-"""Uncertainty of a centre-line: one sigma of a coordinate of each of its points, across
-and along taken together.
+"""Uncertainty of a centre-line: the standard deviation of each point's coordinates.
 
-Across, the centroid is displaced by the light that noise, texture or coding leave
-beside the string. Along, a point lies where its share of the whole length is: an error
-of the end stretches the whole line, and a hidden stretch may be longer than it is
-drawn.
+Across the line, noise, texture and coding leave light beside the string that displaces
+the centroid. Along the line, a point lies at its share of the whole length: an error of
+the end stretches the whole line, and a hidden stretch may be longer than it is drawn.
 """
 
 from __future__ import annotations
@@ -12,63 +10,89 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-# of half the width: the middle of the light is not the middle of the string
-PLACE_SIGMA_PX = 0.005
-MIN_SIGMA_PX = 0.03  # [px] what sampling by pixels leaves
-# of its noise that the shift keeps where it is averaged along the line
-MEAN_FACTOR = 0.8
-GRAIN_PX = 2.0  # [px] across over which noise of the blurred picture is the same
-# [px/px] by how much the direction may change where nothing is seen
-TURN_SIGMA_RAD = 0.2
-AIM_SHARE = 0.01  # [px/px] by how much the end's direction may be off
-HIDDEN_SHARE = 0.05  # [px/px] of the length that is drawn where nothing is seen
+# offset of the light's middle from the string's, as a share of the half width
+CENTRE_ERROR_SHARE = 0.005
+MIN_SIGMA_PX = 0.03  # what sampling by pixels leaves
+SMOOTHED_NOISE_SHARE = 0.8  # of the centroid's noise, after averaging along the line
+NOISE_CORRELATION_PX = (
+    2.0  # across, over which noise of the blurred picture is the same
+)
+HIDDEN_SLOPE_SIGMA = 0.2  # [px/px] change of direction where nothing is seen
+END_SLOPE_SIGMA = 0.01  # [px/px] error of the direction in which a line is extended
+HIDDEN_LENGTH_SIGMA = 0.05  # [px/px] error of the length drawn where nothing is seen
 
 
 def centroid_sigma(
-    bright: np.ndarray, across: np.ndarray, lost: np.ndarray, noise: float, half: float
+    bright: np.ndarray,
+    across: np.ndarray,
+    unseen: np.ndarray,
+    noise: float,
+    half: float,
 ) -> np.ndarray:
-    """Sigma of the centroid of light across a line (K,) [px]. bright: (K, A) at
-    distances across (A,) [px].
+    """Estimate the standard deviation of the centroid across a line.
 
-    noise: one sigma of light at one place. What is beside the string is not its: it
-    says what draws the centroid.
+    Parameters
+    ----------
+    bright : (K, A) array
+        Light across the line at each of its points [grey levels].
+    across : (A,) array
+        Distances from the line at which the light was sampled [px].
+    unseen : (K,) bool array
+        Whether nothing is seen at a point, and the line is extended across it.
+    noise : float
+        Standard deviation of the light at one pixel [grey levels].
+    half : float
+        Half the string's width [px].
+
+    Returns
+    -------
+    (K,) array
+        Standard deviation [px]. Light outside the string shows what displaces the
+        centroid.
     """
     total = np.maximum(bright.sum(axis=1), 4 * noise)
     inside = np.abs(across) <= 1.3 * half + 1
-    own = (
-        MEAN_FACTOR
-        * noise
-        * np.sqrt(np.sum(across[inside] ** 2) * GRAIN_PX / (across[1] - across[0]))
-        / total
+    spacing = across[1] - across[0]
+    lever = np.sqrt(np.sum(across[inside] ** 2) * NOISE_CORRELATION_PX / spacing)
+    by_noise = SMOOTHED_NOISE_SHARE * noise * lever / total
+    displacement = (bright * across)[:, ~inside].sum(axis=1) / total
+    by_light_outside = np.sqrt(np.mean(displacement[~unseen] ** 2))
+    by_extension = HIDDEN_SLOPE_SIGMA * distance_transform_edt(unseen)
+    variance = (
+        np.where(unseen, 0, by_noise) ** 2
+        + by_light_outside**2
+        + by_extension**2
+        + MIN_SIGMA_PX**2
+        + (CENTRE_ERROR_SHARE * half) ** 2
     )
-    drawn = (bright * across)[:, ~inside].sum(axis=1) / total
-    beside = np.sqrt(np.mean(drawn[~lost] ** 2))
-    carried = TURN_SIGMA_RAD * distance_transform_edt(lost)
-    return np.asarray(
-        np.sqrt(
-            np.where(lost, 0, own) ** 2
-            + beside**2
-            + carried**2
-            + MIN_SIGMA_PX**2
-            + (PLACE_SIGMA_PX * half) ** 2
-        )
-    )
+    return np.asarray(np.sqrt(variance))
 
 
 def point_sigmas(
-    across: np.ndarray, lost: np.ndarray, firm: int, end: float
+    across: np.ndarray, unseen: np.ndarray, firm: int, end: float
 ) -> np.ndarray:
-    """Sigma of a coordinate of each point (K,) [px], a pixel apart.
+    """Combine uncertainty across and along a line into that of one coordinate.
 
-    across: (K,) its sigma across [px]. lost: (K,) where nothing is seen. firm: number
-    of points before the line is carried on straight to its end. end: sigma of the end
-    along the line [px].
+    Parameters
+    ----------
+    across : (K,) array
+        Standard deviation across the line [px], of points a pixel apart.
+    unseen : (K,) bool array
+        Whether nothing is seen at a point.
+    firm : int
+        Number of points before the line is extended straight to its end.
+    end : float
+        Standard deviation of the end along the line [px].
+
+    Returns
+    -------
+    (K,) array
+        Standard deviation of a coordinate [px].
     """
     number = np.arange(len(across))
     share = number / max(len(across) - 1, 1)
-    before = np.cumsum(HIDDEN_SHARE * lost)
-    along = ((1 - share) * before) ** 2 + share**2 * (
-        (before[-1] - before) ** 2 + end**2
-    )
-    aimed = AIM_SHARE * np.maximum(number - firm, 0)
-    return np.asarray(np.sqrt((across**2 + aimed**2 + along) / 2))
+    hidden = np.cumsum(HIDDEN_LENGTH_SIGMA * unseen)
+    to_end = (hidden[-1] - hidden) ** 2 + end**2
+    along = ((1 - share) * hidden) ** 2 + share**2 * to_end
+    extension = END_SLOPE_SIGMA * np.maximum(number - firm, 0)
+    return np.asarray(np.sqrt((across**2 + extension**2 + along) / 2))

@@ -9,37 +9,38 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Window:
-    """Rows and columns of a picture, each from first to before last [px]."""
+    """Rows and columns of a picture: first and one past the last pixel of each."""
 
     rows: tuple[int, int]
     columns: tuple[int, int]
 
     @property
     def corner(self) -> np.ndarray:
-        """(u, v) of its first pixel."""
+        """Pixel (u, v) at which the window begins, (2,)."""
         return np.array([self.columns[0], self.rows[0]], dtype=float)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(height, width); nothing where it lies outside the picture."""
-        return max(self.rows[1] - self.rows[0], 0), max(
-            self.columns[1] - self.columns[0], 0
-        )
+        """Height and width [px]; zero where the window lies outside the picture."""
+        height = self.rows[1] - self.rows[0]
+        width = self.columns[1] - self.columns[0]
+        return max(height, 0), max(width, 0)
 
     def cut(self, image: np.ndarray) -> np.ndarray:
-        """The part of an image (height, width, ...) in the window."""
+        """Cut the window out of an image (height, width, ...)."""
         return image[slice(*self.rows), slice(*self.columns)]
 
     def paste(self, part: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        """An image of a shape that is 0 but for the window, which holds `part`."""
-        whole = np.zeros(shape, part.dtype)
-        self.cut(whole)[:] = part
-        return whole
+        """Make an image of this shape that is 0 except for `part` in the window."""
+        image = np.zeros(shape, part.dtype)
+        self.cut(image)[:] = part
+        return image
 
 
 def window_around(centre: np.ndarray, reach: float, shape: tuple[int, ...]) -> Window:
-    """The window of half width `reach` [px] about a place (u, v), cut at the picture's
-    edges.
+    """Build the window of half width `reach` [px] around a pixel (u, v).
+
+    It ends where the picture of the given shape ends.
     """
     low = np.maximum(np.floor(centre - reach), 0).astype(int)
     high = np.minimum(np.ceil(centre + reach) + 1, shape[1::-1]).astype(int)
