@@ -357,7 +357,7 @@ GRASP = Table(
 
 @dataclass(frozen=True)
 class Observation:
-    """One trial as estimation and diagnosis see it.
+    """The measurements of one trial that estimation and diagnosis use.
 
     Attributes
     ----------
@@ -371,8 +371,8 @@ class Observation:
         The binarised string of each frame; empty where only points were measured.
     arm, grasp
         Joint angles (table ARM) or poses (table GRASP); exactly one is given.
-    moving
-        The string is not at rest when the trial begins.
+    starts_moving
+        Whether the string moves when the trial begins.
     """
 
     trial: str
@@ -400,11 +400,11 @@ class TrialSet:
     films
         Frames of those that were filmed, by name.
     rejected
-        Reasons why other trials cannot be used, by name.
+        Reasons why other trials cannot be used, by name of the trial.
     held_out
         Names of the trials that only measure a gain.
-    numbers
-        Iterations of a run in which they were read.
+    iteration_numbers
+        Iterations of a run in which they were recorded.
     """
 
     observations: Sequence[Observation]

@@ -53,11 +53,11 @@ def file_differences(a: Path, b: Path) -> list[str]:
     if a.read_bytes() == b.read_bytes():
         return []
     if a.suffix == ".png":
-        return _of_images(a, b)
+        return _image_differences(a, b)
     return ["it has another content"]
 
 
-def _of_images(a: Path, b: Path) -> list[str]:
+def _image_differences(a: Path, b: Path) -> list[str]:
     first = cv2.imread(str(a), cv2.IMREAD_UNCHANGED)
     second = cv2.imread(str(b), cv2.IMREAD_UNCHANGED)
     if first is None or second is None or first.shape != second.shape:

@@ -81,7 +81,7 @@ class Dataset:
     Attributes
     ----------
     folder
-        Where it was read.
+        The folder.
     trials
         The usable trials by name.
     films
@@ -92,9 +92,9 @@ class Dataset:
         The content of dataset.yaml.
     hashes
         Hashes of every file that was read, by name.
-    rows
+    row_counts
         Counts of the rows of the measured tables, by file.
-    clocks
+    clock_starts
         Seconds subtracted from the times of a trial whose clock began long before it, by
         trial.
     """
@@ -469,27 +469,20 @@ def _find_fault(
         return TrialFault(
             "no motion of the hand",
             "Add its rows to the arm's or the grasp's table, "
-            "or see that its name is the same in both",
+            "or use the same name in both",
             hand.name,
             TRIAL_COLUMN.name,
         )
     seen, table = np.unique(trial.valid_points["t"]), POINTS.name
     if not len(seen) and film is not None:
         seen, table = film.t, FRAMES.name
-    elif not len(seen) and trial.points.empty:
-        return TrialFault(
-            "no measured point and no frame",
-            "Add its rows to points or frames, or see that its name is the same in both",
-            table,
-            TRIAL_COLUMN.name,
-        )
     elif not len(seen):
-        return TrialFault(
-            "no measured point is valid",
-            "Look at 'valid' in its points: a blank is false",
-            table,
-            "valid",
-        )
+        reason, column = "no measured point is valid", "valid"
+        remedy = "Look at 'valid' in its points: a blank is false"
+        if trial.points.empty:
+            reason, column = "no measured point and no frame", TRIAL_COLUMN.name
+            remedy = "Add its rows to points or frames, or use the same name in both"
+        return TrialFault(reason, remedy, table, column)
     if len(seen) < MIN_FRAMES:
         reason = f"the string was seen in {len(seen)} frame(s) only"
         remedy = "A motion takes more frames: record it again"

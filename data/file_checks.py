@@ -134,7 +134,7 @@ def _read_mapping(
         ) from error
     except RecursionError as error:
         raise DataError(
-            f"{path}: its blocks lie too deep in one another. Make it flat."
+            f"{path}: its blocks are nested too deeply. Make it flat."
         ) from error
     if values is not None and not isinstance(values, dict):
         raise DataError(
@@ -167,7 +167,7 @@ class _StrictLoader(yaml.SafeLoader):
             event: Any = self.peek_event()
             if not isinstance(self.anchors.get(event.anchor), yaml.ScalarNode):
                 raise yaml.YAMLError(
-                    f"*{event.anchor} stands for a list or a block, which is not taken"
+                    f"*{event.anchor} stands for a list or a block, which is refused"
                     f"{event.start_mark}"
                 )
         return super().compose_node(parent, index)

@@ -160,7 +160,7 @@ def _refuse_size(path: Path, width: float, height: float) -> None:
 
 
 class CachedImages(Images):
-    """Images cached for repeated use: the last ones read, as many as `ROOM` holds."""
+    """Images cached for repeated use: the last ones read, up to `CACHE_BYTES`."""
 
     def __init__(self, images: Sequence[np.ndarray]) -> None:
         """Cache images, uint8 (height, width), at least one."""

@@ -7,7 +7,7 @@ from typing import Any
 
 
 class LazyModule:
-    """A module imported at its first use, such as `cv2 = Later("cv2")`.
+    """A module imported at its first use, such as `cv2 = LazyModule("cv2")`.
 
     It spares commands that do not need it: OpenCV takes 0.1 s to load, SciPy's
     rotations half a second.

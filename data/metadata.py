@@ -1,4 +1,4 @@
-"""The description of a dataset beside its tables: dataset.yaml."""
+"""The description of a dataset in its file dataset.yaml."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Block(BaseModel):
 
 
 class StringBlock(Block):
-    """The string.
+    """The block `string` of dataset.yaml.
 
     length: grasp to tip [m]. mass: of the string [kg]. tip_mass: hung at its tip [kg].
     """
@@ -74,14 +74,12 @@ class StringBlock(Block):
     @model_validator(mode="after")
     def _require_string_mass(self) -> StringBlock:
         if self.tip_mass and self.mass is UNSET:
-            raise ValueError(
-                "tip_mass says nothing without the string's own mass, in kg"
-            )
+            raise ValueError("tip_mass needs the string's own mass, in kg")
         return self
 
 
 class NoiseBlock(Block):
-    """The measurement noise.
+    """The block `noise` of dataset.yaml.
 
     point_sigma: one standard deviation of a measured coordinate [m].
     """
@@ -92,7 +90,7 @@ class NoiseBlock(Block):
 
 
 class ArmBlock(Block):
-    """The arm.
+    """The block `arm` of dataset.yaml.
 
     links: lengths, base first [m]. base: position of joint 1 [m].
     """
@@ -102,7 +100,7 @@ class ArmBlock(Block):
 
 
 class LensBlock(BaseModel):
-    """The lens.
+    """The block `camera.lens` of dataset.yaml.
 
     focal: lengths fx, fy [px]. centre: of the picture cx, cy [px]. distortion: k1, k2,
     p1, p2 of OpenCV.
@@ -115,7 +113,7 @@ class LensBlock(BaseModel):
 
 
 class CameraBlock(Block):
-    """The camera.
+    """The block `camera` of dataset.yaml.
 
     fps: as filmed [1/s]. width, height: [px]. px_per_m: [px/m]. origin_px: of the
     world's origin [px]. distortion: radial, of the squared share of half the picture's
@@ -142,14 +140,13 @@ class CameraBlock(Block):
             )
         if not self.lens and any(self.tilt or ()):
             raise ValueError(
-                "a tilt is seen by perspective, which needs camera.lens: calibrate, or "
-                "leave out the tilt"
+                "camera.tilt needs camera.lens: calibrate, or leave out the tilt"
             )
         return self
 
 
 class TrialBlock(Block):
-    """A trial.
+    """The block of one trial in dataset.yaml.
 
     role: held_out trials measure the gain. initial: whether the string rests when the
     trial begins. invalid: why it is not to be used.

@@ -34,7 +34,7 @@ MIN_RETURN_FRACTION = 0.25
 class RowCounts:
     """Counts of a file's rows.
 
-    read: all of them. dropped: unusable ones by reason. unordered: rows earlier than
+    total: rows in the file. dropped: unusable ones by reason. unordered: rows earlier than
     the row before them of the same trial (and arc length).
     """
 

@@ -1,8 +1,8 @@
 """Schemas of tables: what a column is called, measured in, and means.
 
-A `Table` is the schema of one Parquet file. `check` turns any data frame into one that
-fits, or names the wrong column; `arrow` is the same schema for pyarrow, with unit and
-meaning in each field's metadata.
+A `Table` is the schema of one Parquet file. `check` gives any data frame the
+declared columns, or names the wrong one. `arrow_schema` is the schema for pyarrow, with
+unit and meaning in each field's metadata.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Files of other programs, read into plain tables of named columns.
 
-Each file format has a module with `recognises` and `read`. `columns` says what a column
-means by its name, and `gathered` makes the tables of our own format.
+Each file format has a module with `recognises` and `read`. `columns` interprets
+the names of columns, and `gather` combines recordings into the tables of our format.
 """
 
 from __future__ import annotations

@@ -42,9 +42,7 @@ UNITS = {*TIME_UNITS, *LENGTH_UNITS, *ANGLE_UNITS, *PIXEL_WORDS}
 TIME_WORDS = _words("t time times timestamp stamp")
 TRIAL_WORDS = _words("trial episode run take cast shot recording")
 JOINT_WORDS = _words("joint q j axis a motor servo angle theta")
-HAND_WORDS = _words(
-    "tcp hand grasp gripper ee eef effector tool wrist flange clamp"
-)
+HAND_WORDS = _words("tcp hand grasp gripper ee eef effector tool wrist flange clamp")
 DIRECTION_WORDS = _words("theta yaw angle phi heading rz rotation orientation")
 QUATERNION_AXES = ("qx", "qy", "qz", "qw")
 ARC_LENGTH_WORDS = {"s", "arc", "arclength"}
@@ -62,8 +60,7 @@ NON_POSITION_WORDS = _words(
     f"{RATE_WORDS} {LOAD_WORDS} {COMMAND_WORDS} error residual width"
 )
 FILLER_WORDS = _words(
-    "pos position positions coord pose actual measured state ik of the "
-    "observation"
+    "pos position positions coord pose actual measured state ik of the observation"
 )
 # one over a second, as in `deg/s` and `mm_per_s`
 RATE_UNIT = re.compile(r"(/|_per_|\*\*-|\^-)\s*s")
@@ -117,9 +114,11 @@ def column_meaning(column: str) -> ColumnMeaning:
     if content in (["frame"], ["frame", "index"], ["frame", "number"]):
         return ColumnMeaning("frame")
     if TIME_WORDS & {*content} and not has_axis:
-        return ColumnMeaning("time", " ".join(content), unit=_only(unit, TIME_UNITS))
+        return ColumnMeaning(
+            "time", " ".join(content), unit=_unit_if_in(unit, TIME_UNITS)
+        )
     if first in ARC_LENGTH_WORDS and is_short and not has_axis:
-        return ColumnMeaning("arc", unit=_only(unit, LENGTH_UNITS))
+        return ColumnMeaning("arc", unit=_unit_if_in(unit, LENGTH_UNITS))
     return _position_meaning(content, unit)
 
 
@@ -134,7 +133,7 @@ def stated_unit(column: str, kind: str) -> str:
         "hand": LENGTH_UNITS | ANGLE_UNITS,
         "trial": {},
     }
-    return _only(unit, suitable.get(kind, LENGTH_UNITS))
+    return _unit_if_in(unit, suitable.get(kind, LENGTH_UNITS))
 
 
 def _is_rate(column: str, words: Sequence[str]) -> bool:
@@ -154,7 +153,7 @@ def _unit_word(words: Sequence[str]) -> str:
     return units[-1] if units else ""
 
 
-def _only(unit: str, units: dict[str, float]) -> str:
+def _unit_if_in(unit: str, units: dict[str, float]) -> str:
     return unit if unit in units else ""
 
 
@@ -178,7 +177,7 @@ def _position_meaning(words: Sequence[str], unit: str) -> ColumnMeaning:
         axis, unit = {"u": "x", "v": "y"}.get(pixel_axes[0], pixel_axes[0]), "px"
     else:
         axis = axes[0]
-        unit = "px" if unit in PIXEL_WORDS else _only(unit, LENGTH_UNITS)
+        unit = "px" if unit in PIXEL_WORDS else _unit_if_in(unit, LENGTH_UNITS)
     name = _point_name(words, ("x", "y", "z", "u", "v"))
     return ColumnMeaning("hand" if is_hand else "point", name, axis, unit)
 
@@ -186,7 +185,7 @@ def _position_meaning(words: Sequence[str], unit: str) -> ColumnMeaning:
 def _angle_meaning(words: Sequence[str], unit: str, is_hand: bool) -> ColumnMeaning:
     """Interpret the name of the hand's direction, or of a numbered joint's angle."""
     numbers = [word for word in words if word.isdigit()]
-    unit = _only(unit, ANGLE_UNITS)
+    unit = _unit_if_in(unit, ANGLE_UNITS)
     is_alone = len(words) == 1 and not numbers
     if DIRECTION_WORDS & {*words} and (is_hand or is_alone):
         return ColumnMeaning("hand", axis="angle", unit=unit)

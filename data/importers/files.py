@@ -31,7 +31,7 @@ def read_recordings(paths: Sequence[Path]) -> list[SourceRecording]:
 
     Returns
     -------
-    list of Recording
+    list of SourceRecording
         The recordings in the order of the files.
 
     Raises

@@ -1,7 +1,4 @@
-"""Recordings of arms and trackers as tables of our own format.
-
-It decides which column is what, in which unit, and of which trial.
-"""
+"""Combination of recordings of arms and trackers into tables of our format."""
 
 from __future__ import annotations
 
@@ -57,9 +54,9 @@ class ImportedTables:
         sigma [m], valid where the files have them.
     films
         Video files by trial.
-    taken
+    used_columns
         Every column that is used.
-    left
+    unused_columns
         Unused columns by file.
     fps
         Frame rate of the films, where their files state it [1/s].
@@ -93,7 +90,7 @@ def gather_tables(
 
     Returns
     -------
-    Gathered
+    ImportedTables
         Tables in metres, seconds and radians.
 
     Raises
@@ -102,41 +99,45 @@ def gather_tables(
         If something is missing or ambiguous.
     """
     _refuse_unknown_columns(recordings, hints)
-    taken: list[UsedColumn] = []
-    left: dict[Path, list[str]] = {}
-    moved: list[tuple[SourceRecording, pd.DataFrame]] = []
-    seen: list[tuple[SourceRecording, pd.DataFrame]] = []
+    used_columns: list[UsedColumn] = []
+    unused_columns: dict[Path, list[str]] = {}
+    motion_parts: list[tuple[SourceRecording, pd.DataFrame]] = []
+    point_parts: list[tuple[SourceRecording, pd.DataFrame]] = []
     films: list[SourceRecording] = []
     for recording in recordings:
         if recording.film is not None:
             films.append(recording)
             continue
         columns = _interpret_columns(recording, hints)
-        motion, points = _read_parts(recording, columns, hints, taken)
+        motion, points = _read_parts(recording, columns, hints, used_columns)
         if motion is not None:
-            moved.append((recording, motion))
+            motion_parts.append((recording, motion))
         if points is not None:
-            seen.append((recording, points))
-        used = {one.column for one in taken if one.file == recording.file}
-        left[recording.file] = [name for name in recording.table if name not in used]
-    if not moved:
+            point_parts.append((recording, points))
+        used = {c.column for c in used_columns if c.file == recording.file}
+        unused = [name for name in recording.table if name not in used]
+        unused_columns[recording.file] = unused
+    if not motion_parts:
         _refuse_incomplete(
             recordings,
             "no columns say how the hand moved: joint angles, or its place and direction",
         )
-    if not (seen or films):
+    if not (point_parts or films):
         _refuse_incomplete(recordings, "no column says where the string was")
 
-    names = _trial_names([r for r, _ in moved])
-    names |= _trial_names([*(r for r, _ in seen), *films])
-    motion, points = _join_parts(moved, names), _join_parts(seen, names)
+    names = _trial_names([recording for recording, _ in motion_parts])
+    names |= _trial_names([*(recording for recording, _ in point_parts), *films])
+    motion = _join_parts(motion_parts, names)
+    points = _join_parts(point_parts, names)
     film_of = {names[id(r)]: r.film for r in films if r.film is not None}
     fps = next((r.fps for r in films if r.fps), None)
     # several trials of one file have the same columns
-    unique = {(one.file, one.column, one.role): one for one in taken}
+    unique = {(c.file, c.column, c.role): c for c in used_columns}
     point_trials = points["trial"].unique() if len(points) else ()
     _require_common_trial(motion, [*film_of, *point_trials])
-    return ImportedTables(motion, points, film_of, list(unique.values()), left, fps)
+    return ImportedTables(
+        motion, points, film_of, list(unique.values()), unused_columns, fps
+    )
 
 
 def _refuse_unknown_columns(
@@ -262,7 +263,7 @@ def _read_parts(
     recording: SourceRecording,
     columns: Sequence[SourceColumn],
     hints: ColumnHints,
-    taken: list[UsedColumn],
+    used_columns: list[UsedColumn],
 ) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
     """Read the hand's motion and the string's points, in our units.
 
@@ -271,7 +272,7 @@ def _read_parts(
     kinds = {column.meaning.kind for column in columns}
     if kinds.isdisjoint(("joint", "hand", "point")):
         return None, None
-    reader = RecordingReader(recording, hints, taken)
+    reader = RecordingReader(recording, hints, used_columns)
     common = pd.DataFrame(
         {"t": reader.read_times(columns)}, index=recording.table.index
     )
@@ -308,14 +309,14 @@ def _trial_names(recordings: Sequence[SourceRecording]) -> dict[int, str]:
     return names
 
 
-def _require_common_trial(motion: pd.DataFrame, seen: Sequence[str]) -> None:
+def _require_common_trial(motion: pd.DataFrame, filmed: Sequence[str]) -> None:
     """Refuse recordings of the hand and of the string without a common trial."""
-    moved = list(motion["trial"].unique())
-    if not {*moved} & {*seen}:
+    performed = list(motion["trial"].unique())
+    if not {*performed} & {*filmed}:
         raise DataError(
-            f"The hand's recordings are of the trials {', '.join(moved)}, the string's "
-            f"of {', '.join(seen)}. Call files of one trial alike, such as robot_07.csv "
-            "and tracker_07.csv, or give both a column 'trial'."
+            f"The hand was recorded in the trials {', '.join(performed)}, the string "
+            f"in {', '.join(filmed)}. Give files of one trial the same ending, such as "
+            "robot_07.csv and tracker_07.csv, or give both a column 'trial'."
         )
 
 

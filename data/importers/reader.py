@@ -38,7 +38,7 @@ class ColumnHints:
         Unit of lengths by the file's name, or of all files under the empty name.
     degrees
         Whether angles without a unit are in degrees; None: detected from their range.
-    down
+    y_is_down
         Whether y of points is counted downwards.
     plane
         The two of three directions that are x and y, each with a sign.
@@ -65,7 +65,7 @@ class ColumnHints:
 class UsedColumn:
     """A used column as it was interpreted.
 
-    unit: in which it is stored. how: what told so: its name, its values, or an option.
+    unit: in which it is stored. how: source of the unit: name, values, or an option.
     low, high: range of its numbers, in our units.
     """
 
@@ -113,7 +113,7 @@ def list_columns(recording: SourceRecording) -> str:
 
 @dataclass(frozen=True)
 class RecordingReader:
-    """Reads columns of a recording and notes in `taken` how each was interpreted."""
+    """A reader of columns, which lists in `used_columns` how it interpreted them."""
 
     recording: SourceRecording
     hints: ColumnHints
@@ -140,13 +140,15 @@ class RecordingReader:
         self, column: SourceColumn, role: str, unit: str, how: str, values: np.ndarray
     ) -> None:
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
-        taken = UsedColumn(self.recording.file, column.name, role, unit, how, low, high)
-        self.used_columns.append(taken)
+        self.used_columns.append(
+            UsedColumn(self.recording.file, column.name, role, unit, how, low, high)
+        )
 
     def read_names(self, column: SourceColumn) -> np.ndarray:
         """Read names of trials, (K,)."""
-        taken = UsedColumn(self.recording.file, column.name, "trial", "", column.how)
-        self.used_columns.append(taken)
+        self.used_columns.append(
+            UsedColumn(self.recording.file, column.name, "trial", "", column.how)
+        )
         return self.recording.table[column.name].astype(str).map(trial_name).to_numpy()
 
     def read_times(self, columns: Sequence[SourceColumn]) -> np.ndarray:
@@ -302,9 +304,9 @@ class RecordingReader:
             is_down = self.hints.y_is_down and "point" in kinds
             return PlaneAxis(names[0]), PlaneAxis(names[1], -1.0 if is_down else 1.0)
         raise DataError(
-            f"{self.recording.file}: places have three coordinates, a cast has two. Say "
-            "which is to the right and which is up: --plane x,z, or --plane=-z,y where "
-            "z points to the left."
+            f"{self.recording.file}: positions have three coordinates, a cast has two. "
+            "Choose those to the right and up: --plane x,z, or --plane=-z,y if z points "
+            "to the left."
         )
 
     def read_points(self, columns: Sequence[SourceColumn]) -> pd.DataFrame | None:
@@ -341,8 +343,8 @@ class RecordingReader:
             scale, origin = self.hints.px_per_m, self.hints.origin_px
             if scale is None or origin is None:
                 raise DataError(
-                    f"{self.recording.file}: places are in pixels. Say how many are a "
-                    "metre and where the world's origin lies in the picture: "
+                    f"{self.recording.file}: positions are in pixels. Give the pixels of a "
+                    "metre and the pixel of the world's origin: "
                     "--px-per-m 340 --origin-px 251.5,387.5."
                 )
             # rows of pixels are counted from the top

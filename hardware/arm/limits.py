@@ -1,4 +1,4 @@
-"""The check of a whole movement before anything moves."""
+"""Checks of a whole movement before anything moves."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def check_movement(arm: Arm, workspace: Workspace, angles: np.ndarray) -> None:
     if not np.isfinite(angles).all():
         raise HardwareError(
             "arm: the movement holds angles that are no numbers; nothing was moved. "
-            "Make it anew."
+            "Generate it again."
         )
     speeds = arm.commanded_velocities(angles)
     accelerations = np.diff(speeds, axis=0, prepend=0.0) / arm.tick

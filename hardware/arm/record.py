@@ -66,7 +66,10 @@ def build_performance(
     ticks |= dict(zip(JOINTS, log.angles.T, strict=True))
     ticks["missed"] = missed
     return Performance(
-        _measured_angles(log, start), pd.DataFrame(ticks), pd.DataFrame([link]), log.start
+        _measured_angles(log, start),
+        pd.DataFrame(ticks),
+        pd.DataFrame([link]),
+        log.start,
     )
 
 

@@ -114,7 +114,9 @@ def confirm_and_clear(wire: Wire) -> None:
     It exits with the reason if that fails.
     """
     try:
-        answer = input("Is the arm safe to move, and nobody within its reach? Type yes: ")
+        answer = input(
+            "Is the arm safe to move, and nobody within its reach? Type yes: "
+        )
     except EOFError:  # there is nobody to look
         answer = ""
     if answer.strip() != "yes":

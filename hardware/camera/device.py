@@ -124,7 +124,7 @@ class Device(Source):
 
 
 class DeviceStream(Stream):
-    """An open camera."""
+    """A stream of frames from an open camera."""
 
     def __init__(self, capture: cv2.VideoCapture, name: str) -> None:
         """Wrap a capture that is already set; the name is for messages."""
@@ -151,5 +151,5 @@ class DeviceStream(Stream):
         return None
 
     def close(self) -> None:
-        """Release the device."""
+        """Close the camera device and release it."""
         self.capture.release()

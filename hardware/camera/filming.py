@@ -114,7 +114,7 @@ class FilmingCamera:
 
 
 class BackgroundFilm:
-    """One film in progress.
+    """The recording of one film by two threads.
 
     Attributes
     ----------

@@ -87,7 +87,7 @@ class ImageFolder(PlayedSource):
 
     @property
     def name(self) -> str:
-        """The folder's path."""
+        """The path of the folder with the images."""
         return f"images in {self.folder}"
 
     def images(self) -> Sequence[np.ndarray]:
@@ -116,7 +116,7 @@ class VideoFile(PlayedSource):
 
     @property
     def name(self) -> str:
-        """The file's path."""
+        """The path of the video file."""
         return f"video {self.path}"
 
     def images(self) -> Sequence[np.ndarray]:

@@ -1,4 +1,4 @@
-"""A recording from the frames that were taken: their times, and what was lost."""
+"""Exposure times and losses of the frames of a recording."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from stringcast.stages.model.camera import Camera
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame as the source gave it.
+    """A single frame with its times of arrival and exposure.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Stream(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Close the source."""
+        """Close the stream and release its device."""
 
 
 class Source(ABC):

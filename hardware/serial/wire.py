@@ -106,7 +106,7 @@ class SerialWire:
             )
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the serial port if it is open."""
         if self.link is not None:
             self.link.close()
             self.link = None
@@ -130,9 +130,7 @@ class SerialWire:
             if isinstance(report, Report):
                 clock = self._unwrap_clock(report.micros)
                 reason = HOLD_REASONS.get(report.state, "")
-                answers.append(
-                    ArmAnswer(report.sequence, clock, reason, report.angles)
-                )
+                answers.append(ArmAnswer(report.sequence, clock, reason, report.angles))
         return answers
 
     def stop(self) -> None:

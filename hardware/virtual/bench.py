@@ -91,7 +91,7 @@ class Specimen:
 
 @dataclass
 class VirtualBench:
-    """A virtual lab.
+    """The arm, camera, specimen and servo of a virtual lab.
 
     Attributes
     ----------

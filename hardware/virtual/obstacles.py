@@ -38,7 +38,7 @@ class Obstacles:
 
     @property
     def effects(self) -> tuple[type[BoxContact], ...]:
-        """One effect for each box."""
+        """The contact effects of the boxes, one for each box."""
         numbers = range(len(self.boxes))
         return tuple(numbered_effect(BoxContact, number) for number in numbers)
 

@@ -15,6 +15,7 @@ from stringcast.hardware.serial.protocol import (
     FrameError,
     FrameKind,
     Greeting,
+    LimitsAnswer,
     Report,
     decode_answer,
     decode_cobs,
@@ -24,7 +25,6 @@ from stringcast.hardware.serial.protocol import (
     encode_command,
     is_newer,
 )
-from stringcast.hardware.serial.protocol import LimitsAnswer as LimitsAnswer
 from stringcast.hardware.serial.wire import SerialWire, check_latency
 from stringcast.stages.execute.interfaces import HardwareError
 

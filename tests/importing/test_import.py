@@ -415,7 +415,7 @@ WRONG = {
             "t_c.csv": "t,x,y\n0,1,1\n",
             "t_d.csv": "t,x,y\n0,1,1\n",
         },
-        "of the trials a, b, the string's of c, d. Call files of one trial alike",
+        "in the trials a, b, the string in c, d. Give files of one trial the same ending",
     ),
     "ending": ({"a.xlsx": "x"}, "no such file is read. Export it as one of .csv"),
 }

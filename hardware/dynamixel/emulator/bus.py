@@ -45,7 +45,7 @@ FIRST_UNLOCKED_ADDRESS = 64  # addresses below are locked while the torque is on
 
 @dataclass
 class EmulatedServo:
-    """An emulated servo.
+    """The registers and the joint of an emulated servo.
 
     table: its control table. silence: time since the last packet on the bus [s]. speed:
     velocity that the joint follows [rad/s].
@@ -174,10 +174,9 @@ class EmulatedBus(EmulatedDevice):
         servo = self.servos[packet.id]
         if instruction == WRITE:
             return status_packet(packet.id, servo.write(start, parameters[2:]))
-        if instruction == PING:
-            return status_packet(packet.id, NO_ERROR, MODEL_REPLY)
-        if instruction == READ:
-            return status_packet(packet.id, NO_ERROR, bytes(servo.table[block]))
+        replies = {PING: MODEL_REPLY, READ: bytes(servo.table[block])}
+        if instruction in replies:
+            return status_packet(packet.id, NO_ERROR, replies[instruction])
         return status_packet(packet.id, UNKNOWN)
 
 
