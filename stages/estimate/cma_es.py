@@ -1,8 +1,8 @@
-"""CMA-ES on the matching rate, for when the paper's random search is too slow to
-converge.
+"""CMA-ES on the matching rate, where the paper's random search converges too slowly.
 
-Reference: N. Hansen, The CMA evolution strategy: a tutorial, arXiv 1604.00772 (cmaes
-package).
+References
+----------
+Hansen, The CMA evolution strategy: a tutorial, arXiv 1604.00772 (cmaes package).
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from pydantic import Field
 
 from stringcast.data.artifacts import Estimate, Observation
 from stringcast.stages.common import Progress
-from stringcast.stages.estimate.least_squares import posterior_samples
 from stringcast.stages.estimate.matching import (
     Matching,
     matching_rate,
@@ -24,12 +23,14 @@ from stringcast.stages.estimate.matching import (
 )
 from stringcast.stages.estimate.result import (
     Candidates,
-    build_estimate,
-    insensitive_parameters,
+    build_search_estimate,
     start_chi,
 )
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import parameter_values
+
+# The first mean keeps off the bounds: about a point there half of the draws lie beyond
+MEAN_RANGE = (0.05, 0.95)
+REJECTED_COST = 1.0  # of a run that diverged: more than any other, as E is at least 0
 
 
 def estimate(
@@ -45,55 +46,56 @@ def estimate(
     matching: Matching,
     progress: Progress = lambda share: None,
 ) -> Estimate:
-    """Parameters with the highest E. sigma: first step in chi, divided by
-    `manipulation`.
+    """Search the parameters with the highest matching rate E.
 
-    A search that has come to rest begins again somewhere else, until `candidates` are
-    spent.
+    A search that has converged starts again at random until `candidates` are spent.
+
+    Parameters
+    ----------
+    previous
+        Estimate of the last manipulation, where the search starts.
+    manipulation
+        Number of the manipulation, from 1.
+    candidates
+        Number of candidates.
+    sigma
+        First step in chi, which is divided by `manipulation`.
+    population
+        Candidates of a generation.
+    matching
+        Settings of E.
     """
-    goals = matching_targets(model, observations, matching)
+    targets = matching_targets(model, observations, matching)
     before = start_chi(model.parameters, previous)
-    # about a point on a bound half of what is drawn lies beyond
-    middle = (
-        np.clip(before, 0.05, 0.95)
-        if previous is not None
-        else np.full(len(before), 0.5)
-    )
-    bounds = np.tile([0.0, 1.0], (len(before), 1))
-    settings = {
-        "sigma": sigma / manipulation,
-        "bounds": bounds,
-        "population_size": population,
-    }
-    search, rng = CMA(mean=middle, seed=seed, **settings), np.random.default_rng(seed)
-    tried, rates = (
-        [before[None]],
-        [matching_rate(goals, parameter_values(model.parameters, before[None]))],
-    )
-    rounds = max((candidates - 1) // population, 1)
-    for number in range(rounds):
-        if search.should_stop():
-            search = CMA(
-                mean=rng.uniform(0, 1, len(before)),
-                seed=int(rng.integers(2**31)),
-                **settings,
-            )
-        chi = np.stack([search.ask() for _ in range(population)])
-        rate = matching_rate(goals, parameter_values(model.parameters, chi))
-        # E is at least 0: a run that was rejected is worse than any other
-        search.tell(
-            [(c, -r if np.isfinite(r) else 1.0) for c, r in zip(chi, rate, strict=True)]
+    count = len(before)
+    rng = np.random.default_rng(seed)
+    bounds = np.tile([0.0, 1.0], (count, 1))
+    step = sigma / manipulation
+
+    def start_search(mean: np.ndarray, search_seed: int) -> CMA:
+        return CMA(
+            mean=mean,
+            sigma=step,
+            bounds=bounds,
+            population_size=population,
+            seed=search_seed,
         )
+
+    mean = np.full(count, 0.5)
+    if previous is not None:
+        mean = np.clip(before, *MEAN_RANGE)
+    search = start_search(mean, seed)
+    tried, rates = [before[None]], [matching_rate(targets, before[None])]
+    generations = max((candidates - 1) // population, 1)
+    for number in range(generations):
+        if search.should_stop():
+            search = start_search(rng.uniform(0, 1, count), int(rng.integers(2**31)))
+        chi = np.stack([search.ask() for _ in range(population)])
+        rate = matching_rate(targets, chi)
+        cost = np.where(np.isfinite(rate), -rate, REJECTED_COST)
+        search.tell(list(zip(chi, cost.tolist(), strict=True)))
         tried.append(chi)
         rates.append(rate)
-        progress((number + 1) / rounds)
+        progress((number + 1) / generations)
     found = Candidates("CMA-ES", np.concatenate(tried), np.concatenate(rates))
-    best = found.chi[found.best_index]
-    return build_estimate(
-        goals,
-        before,
-        best,
-        found,
-        insensitive_parameters(goals, found),
-        posterior_samples(goals, best, seed),
-    )
+    return build_search_estimate(targets, before, found, seed)

@@ -1,4 +1,4 @@
-"""The matching rate E of IV-B: mass points against dilated images of the real string."""
+"""The matching rate E of IV-B: mass points against dilated images of the string."""
 
 from __future__ import annotations
 
@@ -17,17 +17,27 @@ from stringcast.stages.extract.score import pixel_scores, rasterise
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
 from stringcast.stages.model.engine.threads import parallel_for
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import parameter_values
 
-# candidates that are worth a thread: each takes ten microseconds and more
-CANDIDATES_PER_THREAD = 64
+CANDIDATES_PER_THREAD = 64  # at least: each takes ten microseconds and more
+LINE_WIDTH_PX = 3  # of the measured centre-line, where a frame has no image
 Count = Annotated[int, Field(ge=1, le=255)]
 
 
 @dataclass(frozen=True)
 class Matching:
-    """Settings by which E is scored. dilations: p_max; step_px: growth of one dilation;
-    tip_step_px: distance per score lost at the tip; delta_w: increase of the weight
-    from point to point (Eq. 6).
+    """The settings by which E is scored.
+
+    Parameters
+    ----------
+    dilations
+        Number of dilations, p_max.
+    step_px
+        Growth by one dilation.
+    tip_step_px
+        Distance from the tip that costs one score.
+    delta_w
+        Increase of the weight from point to point (Eq. 6).
     """
 
     dilations: Count
@@ -38,11 +48,24 @@ class Matching:
 
 @dataclass(frozen=True)
 class MatchingTarget:
-    """One trial's images as scores, its tips (F, 2) [px], and weights (F, n).
+    """What simulated strings are matched with in one trial.
 
-    scores: uint8, of each frame those near its string, row by row and frame after
-    frame: a whole score map is nearly all zeros. windows: (F, 5), where a frame's begin
-    in them, its first row and column, and its height and width [px].
+    Parameters
+    ----------
+    trial
+        Its motion and measured points.
+    matching
+        Settings of the score.
+    scores
+        Scores of the pixels near the string, uint8, row by row and frame after frame:
+        the rest of a score map is zero.
+    windows
+        Of each frame, where its scores begin, its first row and column, and its height
+        and width [px], (F, 5).
+    tips
+        Positions of the tip, (F, 2) [px].
+    weights
+        Of the mass points in each frame, (F, n).
     """
 
     trial: PreparedTrial
@@ -52,45 +75,49 @@ class MatchingTarget:
     tips: np.ndarray
     weights: np.ndarray
 
-    def rates_by_frame(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """E_f of each candidate and frame, (C, F), NaN where a run was rejected, and
-        who stayed finite (C,).
-        """
+    def rates_by_frame(self, values: np.ndarray) -> np.ndarray:
+        """Compute E_f of candidates (C, P), (C, F); NaN where a run was rejected."""
         rates = np.full((len(values), len(self.windows)), np.nan)
-        finite = np.zeros(len(values), dtype=bool)
-        for some, motion in self.trial.simulate(values):
-            pixels = self.trial.model.camera.pixels(motion.points)
-            seen = (self.scores, self.windows, self.tips)
+        for chunk, motion in self.trial.simulate(values):
             found = frame_matching_rates(
-                pixels,
-                *seen,
+                self.trial.model.camera.pixels(motion.points),
+                self.scores,
+                self.windows,
+                self.tips,
                 self.matching.tip_step_px,
                 float(self.matching.dilations),
                 self.weights,
             )
-            rates[some] = np.where(motion.finite[:, None], found, np.nan)
-            finite[some] = motion.finite
-        return rates, finite
+            rates[chunk] = np.where(motion.finite[:, None], found, np.nan)
+        return rates
 
 
 def matching_targets(
     model: Model, observations: Sequence[Observation], matching: Matching
 ) -> list[MatchingTarget]:
-    """What each observation is compared with: its score maps, and weights of the mass
-    points.
-    """
-    return [
-        _matching_target(prepare_trial(model, o), o, matching) for o in observations
-    ]
+    """Prepare each observation for the matching rate."""
+    targets = []
+    for observation in observations:
+        trial = prepare_trial(model, observation)
+        targets.append(_matching_target(trial, observation, matching))
+    return targets
 
 
-def matching_rate(goals: Sequence[MatchingTarget], values: np.ndarray) -> np.ndarray:
-    """E of each candidate (C, P) over all frames of all trials, (C,); NaN where a run
-    was rejected (Eq. 5).
+def matching_rate(targets: Sequence[MatchingTarget], chi: np.ndarray) -> np.ndarray:
+    """Compute E of candidates over all frames of all trials (Eq. 5).
+
+    Parameters
+    ----------
+    chi
+        Exponents, (C, P).
+
+    Returns
+    -------
+    E, (C,); NaN where a run was rejected.
     """
-    return np.concatenate(
-        [goal.rates_by_frame(values)[0] for goal in goals], axis=1
-    ).mean(axis=1)
+    values = parameter_values(targets[0].trial.model.parameters, chi)
+    rates = [target.rates_by_frame(values) for target in targets]
+    return np.concatenate(rates, axis=1).mean(axis=1)
 
 
 def frame_matching_rates(
@@ -102,20 +129,30 @@ def frame_matching_rates(
     most: float,
     weights: np.ndarray,
 ) -> np.ndarray:
-    """E_f = sum p_i w_i / (p_max sum w_i) of candidates (C, F, n, 2) [px], (C, F) (Eq.
-    5).
+    """Compute E_f = sum p_i w_i / (p_max sum w_i) of candidates, (C, F) (Eq. 5).
 
-    A point scores what `Target.scores` have at its pixel, 0 outside a frame's window;
-    the tip scores p_max less one for each `tip_step` pixels from the real tip. weights:
-    w_i in each frame, (F, n).
+    A point scores what `scores` have at its pixel, 0 outside a frame's window. The tip
+    scores p_max less one for each `tip_step` pixels from the measured tip.
+
+    Parameters
+    ----------
+    pixels
+        Mass points, (C, F, n, 2) [px].
+    scores, windows, tips, weights
+        As of `MatchingTarget`.
+    tip_step
+        [px].
+    most
+        The highest score, p_max.
     """
     result = np.empty(pixels.shape[:2])
-    given = (pixels, scores, windows, tips, tip_step, most, weights)
-    parallel_for(
-        lambda first, last: _match_candidates(*given, first, last, result),
-        len(pixels),
-        CANDIDATES_PER_THREAD,
-    )
+
+    def match(first: int, last: int) -> None:
+        _match_candidates(
+            pixels, scores, windows, tips, tip_step, most, weights, first, last, result
+        )
+
+    parallel_for(match, len(pixels), CANDIDATES_PER_THREAD)
     return result
 
 
@@ -132,7 +169,7 @@ def _match_candidates(
     last: int,
     result: np.ndarray,
 ) -> None:
-    """Some of the candidates. result: (C, F), filled in place."""
+    """Fill the rows `first` to `last` of the result (C, F)."""
     frames, n = pixels.shape[1:3]
     for c in range(first, last):
         for f in range(frames):
@@ -143,53 +180,57 @@ def _match_candidates(
                 v = np.floor(pixels[c, f, i, 1] + 0.5) - top
                 if 0 <= u < width and 0 <= v < height:
                     total += scores[begin + int(v) * width + int(u)] * weights[f, i]
-            away = np.hypot(
-                pixels[c, f, n - 1, 0] - tips[f, 0], pixels[c, f, n - 1, 1] - tips[f, 1]
-            )
-            total += max(most - np.floor(away / tip_step), 0.0) * weights[f, n - 1]
+            off_u = pixels[c, f, n - 1, 0] - tips[f, 0]
+            off_v = pixels[c, f, n - 1, 1] - tips[f, 1]
+            lost = np.floor(np.hypot(off_u, off_v) / tip_step)
+            total += max(most - lost, 0.0) * weights[f, n - 1]
             result[c, f] = total / (most * weights[f].sum())
 
 
 def _matching_target(
-    ready: PreparedTrial, observation: Observation, matching: Matching
+    trial: PreparedTrial, observation: Observation, matching: Matching
 ) -> MatchingTarget:
-    """Scores from the binary images, or from the measured points where there are none;
-    and the weights of Eq. 6.
-    """
-    images = (
-        dict(zip(observation.masks["t"], observation.masks["png"], strict=True))
-        if len(observation.masks)
-        else {}
-    )
-    camera, string = ready.model.camera, ready.model.string
-    near, tips = [], []
-    for number, t in enumerate(ready.times):
-        line = camera.pixels(ready.points[ready.frame == number])
+    """Score the images, or the measured points of frames without; weigh the points."""
+    masks, images = observation.masks, {}
+    if len(masks):
+        images = dict(zip(masks["t"], masks["png"], strict=True))
+    camera = trial.model.camera
+    begin = 0
+    scores, windows, tips = [], [], []
+    for number, t in enumerate(trial.times):
+        points = trial.frame == number
+        line = camera.pixels(trial.points[points])
         if t in images:
-            mask = cv2.imdecode(
-                np.frombuffer(images[t], np.uint8), cv2.IMREAD_GRAYSCALE
-            )
-            # the store has checked the table; its PNGs are ours
-            assert mask is not None
+            png = np.frombuffer(images[t], np.uint8)
+            mask = cv2.imdecode(png, cv2.IMREAD_GRAYSCALE)
+            assert mask is not None  # the store has checked the table
         else:
-            mask = rasterise(line, (camera.height, camera.width), 3)
-        near.append(pixel_scores(mask, matching.dilations, matching.step_px))
-        tips.append(line[np.argmax(ready.s[ready.frame == number])])
-    begins = np.cumsum([0, *(part.size for _, _, part in near)])
-    windows = np.array(
-        [
-            [begin, *at, *part.shape]
-            for begin, (*at, part) in zip(begins, near, strict=False)
-        ]
+            mask = rasterise(line, (camera.height, camera.width), LINE_WIDTH_PX)
+        top, left, part = pixel_scores(mask, matching.dilations, matching.step_px)
+        windows.append([begin, top, left, *part.shape])
+        scores.append(part.ravel())
+        tips.append(line[np.argmax(trial.s[points])])
+        begin += part.size
+    return MatchingTarget(
+        trial,
+        matching,
+        np.concatenate(scores),
+        np.array(windows),
+        np.array(tips),
+        _point_weights(trial, matching.delta_w),
     )
-    scores = np.concatenate([part.ravel() for _, _, part in near])
 
-    # w_i = 1 + (i - 1) delta_w of the mass points that a frame shows, (F, n); 0 for
-    # those it does not: where the tip is hidden, or only a marker was measured, nothing
-    # is known of the rest
+
+def _point_weights(trial: PreparedTrial, delta_w: float) -> np.ndarray:
+    """Weigh the mass points that each frame shows by Eq. 6, (F, n).
+
+    w_i = 1 + (i - 1) delta_w. Where the tip is hidden, or only a marker was measured,
+    nothing is known of the other points: their weight is 0.
+    """
+    string = trial.model.string
     s, half = string.arc_lengths(), string.segment_length / 2
-    measured = pd.Series(np.clip(ready.s, 0, string.length)).groupby(ready.frame)
-    first, last = measured.min().to_numpy()[:, None], measured.max().to_numpy()[:, None]
+    measured = pd.Series(np.clip(trial.s, 0, string.length)).groupby(trial.frame)
+    first = measured.min().to_numpy()[:, None]
+    last = measured.max().to_numpy()[:, None]
     shown = (s >= first - half) & (s <= last + half)
-    weights = np.where(shown, 1 + np.arange(len(s)) * matching.delta_w, 0.0)
-    return MatchingTarget(ready, matching, scores, windows, np.array(tips), weights)
+    return np.where(shown, 1 + np.arange(len(s)) * delta_w, 0.0)

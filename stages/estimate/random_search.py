@@ -1,6 +1,4 @@
-"""The paper's estimation: random search on the matching rate, narrowing as it goes
-(IV-A).
-"""
+"""The paper's estimation: a narrowing random search on the matching rate (IV-A)."""
 
 from __future__ import annotations
 
@@ -12,7 +10,6 @@ from pydantic import Field
 
 from stringcast.data.artifacts import Estimate, Observation
 from stringcast.stages.common import Progress
-from stringcast.stages.estimate.least_squares import posterior_samples
 from stringcast.stages.estimate.matching import (
     Matching,
     matching_rate,
@@ -20,12 +17,10 @@ from stringcast.stages.estimate.matching import (
 )
 from stringcast.stages.estimate.result import (
     Candidates,
-    build_estimate,
-    insensitive_parameters,
+    build_search_estimate,
     start_chi,
 )
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import parameter_values
 
 
 def estimate(
@@ -42,41 +37,45 @@ def estimate(
     matching: Matching,
     progress: Progress = lambda share: None,
 ) -> Estimate:
-    """Parameters with the highest matching rate E.
+    """Search the parameters with the highest matching rate E.
 
     Candidate m is chi_best + chi_0 / M beta^m RAND(-1, 1), clipped to [0, 1] (Eq. 4),
-    each parameter with a random number of its own; M is `manipulation`, from 1.
-    chi_best begins with the previous manipulation's estimate and is then the best so
-    far: the narrowing by beta^m would make no sense around a point that stays.
-    Candidates are drawn `batch` at a time from the same chi_best, so that they fill the
-    machine: 1 is one by one, and as many as `candidates` is Eq. 4 to the letter, where
-    chi_best is the previous manipulation's estimate.
+    each parameter with a random number of its own. chi_best is the best so far: the
+    narrowing by beta^m would make no sense about a point that stays.
+
+    Parameters
+    ----------
+    previous
+        Estimate of the last manipulation, where the search starts.
+    manipulation
+        M, from 1.
+    candidates
+        Number of candidates.
+    chi_0, beta
+        First range of the exponents, and its narrowing by each candidate.
+    batch
+        Candidates drawn at a time from the same chi_best, so that they fill the machine:
+        1 is one by one, as many as `candidates` is Eq. 4 to the letter.
+    matching
+        Settings of E.
     """
-    goals = matching_targets(model, observations, matching)
+    targets = matching_targets(model, observations, matching)
     before = start_chi(model.parameters, previous)
     rng = np.random.default_rng(seed)
-    chi, rate = (
-        before[None],
-        matching_rate(goals, parameter_values(model.parameters, before[None])),
-    )
-    best, best_rate = before, rate[0]
+    chi = before[None]
+    rate = matching_rate(targets, chi)
+    best, best_rate = before, np.nan_to_num(rate[0], nan=-np.inf)
     for first in range(1, candidates, batch):
         m = np.arange(first, min(first + batch, candidates))
-        step = chi_0 / manipulation * beta**m
-        drawn = np.clip(
-            best + step[:, None] * rng.uniform(-1, 1, (len(m), len(before))), 0, 1
-        )
-        scores = matching_rate(goals, parameter_values(model.parameters, drawn))
+        step = (chi_0 / manipulation * beta**m)[:, None]
+        drawn = best + step * rng.uniform(-1, 1, (len(m), len(before)))
+        drawn = np.clip(drawn, 0, 1)
+        drawn_rate = matching_rate(targets, drawn)
         progress((m[-1] + 1) / candidates)
-        chi, rate = np.concatenate([chi, drawn]), np.concatenate([rate, scores])
-        if np.nanmax(scores, initial=-np.inf) > np.nan_to_num(best_rate, nan=-np.inf):
-            best, best_rate = drawn[int(np.nanargmax(scores))], np.nanmax(scores)
+        chi = np.concatenate([chi, drawn])
+        rate = np.concatenate([rate, drawn_rate])
+        if np.nanmax(drawn_rate, initial=-np.inf) > best_rate:
+            winner = int(np.nanargmax(drawn_rate))
+            best, best_rate = drawn[winner], drawn_rate[winner]
     search = Candidates("random search", chi, rate)
-    return build_estimate(
-        goals,
-        before,
-        best,
-        search,
-        insensitive_parameters(goals, search),
-        posterior_samples(goals, best, seed),
-    )
+    return build_search_estimate(targets, before, search, seed)

@@ -1,4 +1,4 @@
-"""One estimation of a run, by whichever method its settings name."""
+"""One estimation of a run, by the method that its settings name."""
 
 from __future__ import annotations
 
@@ -8,12 +8,18 @@ from stringcast.stages.spec import StageCall
 
 
 def run(call: StageCall, trials: TrialSet, estimate: Estimate | None) -> Estimate:
-    """Estimate from trials until their string touches an obstacle, beginning with the
-    last estimate.
+    """Estimate from trials, cut where their string touches an obstacle.
+
+    estimate: the last one, where the search starts.
     """
-    observations = [
-        trim_at_contact(trial, call.setup.obstacles) for trial in trials.observations
-    ]
-    how = {"seed": call.seed, "manipulation": call.number, "progress": call.progress}
-    made: Estimate = call.by(call.setup.model, observations, estimate, **how)
-    return made
+    obstacles = call.setup.obstacles
+    observations = [trim_at_contact(trial, obstacles) for trial in trials.observations]
+    result: Estimate = call.by(
+        call.setup.model,
+        observations,
+        estimate,
+        seed=call.seed,
+        manipulation=call.number,
+        progress=call.progress,
+    )
+    return result

@@ -1,3 +1,1 @@
-"""Inference: how likely trials are under a model, the most likely parameters, and how
-sure they are.
-"""
+"""Inference: the likelihood of trials, the best parameters, and their uncertainty."""

@@ -184,6 +184,6 @@ def _stack_states(states: Sequence[StringState], count: int) -> StringState | No
 
 
 def _stack_rows(parts: Sequence[np.ndarray], count: int) -> np.ndarray:
-    """Stack rows (1 or C, ...) of several trials, `count` candidates each, (C', ...)."""
+    """Stack rows (1 or C, ...) of several trials for `count` candidates of each."""
     rows = [np.broadcast_to(part, (count, *part.shape[1:])) for part in parts]
     return np.concatenate(rows)

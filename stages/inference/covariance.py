@@ -42,8 +42,10 @@ class Covariance:
 
     Parameters
     ----------
-    matrix : the covariance, (P, P).
-    blocks : the number of blocks that it rests on.
+    matrix
+        The covariance, (P, P).
+    block_count
+        The number of blocks that it rests on.
     """
 
     matrix: np.ndarray
@@ -84,9 +86,12 @@ def jackknife_covariance(
 
     Parameters
     ----------
-    slope : of the white residuals with the parameters, (P, N).
-    residual, weight : white residuals and their robust weights, (N,).
-    block : the number of each residual's block, (N,).
+    slope
+        Of the white residuals with the parameters, (P, N).
+    residual, weight
+        White residuals and their robust weights, (N,).
+    block
+        The number of each residual's block, (N,).
     """
     order = np.argsort(block, kind="stable")
     ends = np.flatnonzero(np.diff(block[order])) + 1

@@ -58,13 +58,19 @@ class Discrepancy:
 
     Parameters
     ----------
-    splines : basis functions at the measured points, (n, B).
-    turn : from sums over points of residuals over sigma times splines to coefficients,
-        (M, B).
-    unturn : from coefficients back to splines, (B, M).
-    variance : of the coefficients of a discrepancy of s = 1 m, (M,).
-    nuisance : U in coefficients, (2 M, m).
-    modes : U at the points over sigma, (2 n, m).
+    splines
+        Basis functions at the measured points, (n, B).
+    to_coefficients
+        From sums over points of residuals over sigma times splines to coefficients, (M,
+        B).
+    to_splines
+        From coefficients back to splines, (B, M).
+    variance
+        Of the coefficients of a discrepancy of s = 1 m, (M,).
+    nuisance_coefficients
+        U in coefficients, (2 M, m).
+    nuisance_shapes
+        U at the points over sigma, (2 n, m).
     """
 
     splines: csr_array
@@ -83,9 +89,12 @@ class Discrepancy:
 
         Parameters
         ----------
-        trial : times, places and noise matter.
-        growth : of d at each frame, (F,).
-        nuisance : U over sigma, (2 n, m).
+        trial
+            Times, places and noise matter.
+        growth
+            Of d at each frame, (F,).
+        nuisance
+            U over sigma, (2 n, m).
         """
         time = time_splines(trial.times)
         place = place_functions(trial.s, trial.model.string.length)

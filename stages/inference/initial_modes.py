@@ -81,10 +81,14 @@ def fit_initial_state(
 
     Parameters
     ----------
-    seen : the part of the trial that is fitted.
-    values : of the model's parameters, (P,).
-    white : whitens residuals over sigma (C, 2 N).
-    limit : standard deviations from which a residual counts less.
+    seen
+        The part of the trial that is fitted.
+    values
+        Of the model's parameters, (P,).
+    white
+        Whitens residuals over sigma (C, 2 N).
+    limit
+        Standard deviations from which a residual counts less.
     """
     problem = _InitialStateProblem(
         seen, values, initial_state_parameters(ready.model.string), white, limit

@@ -48,13 +48,20 @@ class Fit:
 
     Parameters
     ----------
-    hypothesis : that was fitted.
-    chi : exponents, (P,).
-    residuals : of each trial, over sigma, (2 n,).
-    slopes : of the residuals with chi, (P, 2 n) of each trial.
-    sizes : the number of the most likely scale of each trial's discrepancy, (K,).
-    by_trial : log-likelihood of each trial, whatever that scale, (K,).
-    evidence : ln p(y | h).
+    hypothesis
+        That was fitted.
+    chi
+        Exponents, (P,).
+    residuals
+        Of each trial, over sigma, (2 n,).
+    slopes
+        Of the residuals with chi, (P, 2 n) of each trial.
+    scale_indices
+        The index of the most likely scale of each trial's discrepancy, (K,).
+    log_likelihood_by_trial
+        Log-likelihood of each trial, whatever that scale, (K,).
+    log_evidence
+        Ln p(y | h).
     """
 
     hypothesis: Hypothesis
@@ -98,9 +105,12 @@ def fit_hypothesis(
 
     Parameters
     ----------
-    starts : exponents, (C, P).
-    sizes : numbers of the scales to start with, (K,).
-    enough : a step that gains less of the log-likelihood ends its turn.
+    starts
+        Exponents, (C, P).
+    sizes
+        Indices of the scales to start with, (K,).
+    enough
+        A step that gains less of the log-likelihood ends its turn.
     """
     return evaluate_fit(
         data, hypothesis, best_exponents(data, hypothesis, starts, sizes, enough)
@@ -180,9 +190,12 @@ def log_prior(
 
     Parameters
     ----------
-    distance : of the exponent from where the cause is absent.
-    tip_shift : how far the cause moves the tip [m].
-    tip_slope : the same by the exponent, where it is absent [m].
+    distance
+        Of the exponent from where the cause is absent.
+    tip_shift
+        How far the cause moves the tip [m].
+    tip_slope
+        The same by the exponent, where it is absent [m].
     """
     two_sided = amplitude.low < amplitude.start < amplitude.high
     shift, slope = 0.0, tip_slope

@@ -33,14 +33,19 @@ class Likelihood:
 
     Parameters
     ----------
-    data : the trials with their error models.
-    model : that is fitted to them.
-    sizes : the number of the scale of each trial's discrepancy, (K,); none where no
-        trial has a discrepancy.
-    limit : standard deviations beyond which a residual counts less (Huber), or infinite.
-    uniform : indices of parameters that may lie anywhere in their range. Each has a
-        normal prior of a uniform one's variance, which keeps it in the middle if the
-        trials do not determine it.
+    data
+        The trials with their error models.
+    model
+        That is fitted to them.
+    scale_indices
+        The index of the scale of each trial's discrepancy, (K,); none where no trial
+        has a discrepancy.
+    limit
+        Standard deviations beyond which a residual counts less (Huber), or infinite.
+    uniform_indices
+        Indices of parameters that may lie anywhere in their range. Each has a normal
+        prior of a uniform one's variance, which keeps it in the middle if the trials do
+        not determine it.
     """
 
     data: TrialData
@@ -95,7 +100,7 @@ class Likelihood:
 
 
 def time_blocks(trials: Sequence[PreparedTrial]) -> np.ndarray:
-    """Number the block of time of each residual, (N,), through all trials."""
+    """Find the block of time of each residual, (N,), counted through all trials."""
     blocks, first = [], 0
     for trial in trials:
         block = np.floor(trial.times[trial.frame] / BLOCK_S).astype(int)

@@ -21,9 +21,13 @@ class MeshCorrection:
 
     Parameters
     ----------
-    names : names of the parameters, (P,). chi : exponents (P,) at which the
-    discretisation error was subtracted from the measured points. slopes : of each
-    trial, the slopes (P, 2 n) of the change of its residuals over sigma.
+    parameter_names
+        Names of the parameters, (P,).
+    chi
+        Exponents (P,) at which the discretisation error was subtracted from the
+        measured points.
+    slopes
+        Of each trial, the slopes (P, 2 n) of the change of its residuals over sigma.
     """
 
     parameter_names: tuple[str, ...]

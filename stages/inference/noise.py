@@ -35,8 +35,10 @@ class Noise:
 
     Parameters
     ----------
-    places : covariance of functions of place over that of white noise, (K, K).
-    before : correlation with the frame before.
+    place_covariance
+        Covariance of functions of place over that of white noise, (K, K).
+    frame_correlation
+        Correlation with the frame before.
     """
 
     place_covariance: np.ndarray
@@ -55,8 +57,10 @@ class Noise:
 
         Parameters
         ----------
-        time : functions of time at each frame, (F, B).
-        place : roots of the Gram matrices of functions of place, (F, K, K).
+        time
+            Functions of time at each frame, (F, B).
+        place
+            Roots of the Gram matrices of functions of place, (F, K, K).
         """
         frames = time.shape[0]
         products = np.einsum("fij,fb->fijb", place, time.toarray())
@@ -81,8 +85,10 @@ class NoiseTrack:
 
     Parameters
     ----------
-    smooth : functions of time, (F, B).
-    told : residuals in functions of place that are orthonormal in each frame, of both
+    time_splines
+        Functions of time, (F, B).
+    place_residuals
+        Residuals in functions of place that are orthonormal in each frame, of both
         coordinates, (F, 2 K).
     """
 

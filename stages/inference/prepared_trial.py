@@ -38,21 +38,32 @@ class PreparedTrial:
 
     Parameters
     ----------
-    name : of the trial.
-    model : of the arm, the string and the camera.
-    motion : joint angles or poses of the grasp.
-    times : frame times with valid readings, (F,) [s].
-    frame, s : frame index and arc length [m] of each measured point, (N,).
-    points : measured, (N, 2) [m].
-    sigma : their standard deviations, (N,) [m].
-    initial : the state in which the trial begins, by the camera's clock; None if the
-        string is at rest before the hand moves.
-    turn : the side of the hand on which the string is at rest, as of
+    name
+        Of the trial.
+    model
+        Of the arm, the string and the camera.
+    motion
+        Joint angles or poses of the grasp.
+    times
+        Frame times with valid readings, (F,) [s].
+    frame, s
+        Frame index and arc length [m] of each measured point, (N,).
+    points
+        Measured, (N, 2) [m].
+    sigma
+        Their standard deviations, (N,) [m].
+    initial_state
+        The state in which the trial begins, by the camera's clock; None if the string
+        is at rest before the hand moves.
+    turn
+        The side of the hand on which the string is at rest, as of
         `equilibrium.hanging`.
-    change : how far the state is from that of the first frames, in modes
-        (`initial_modes`).
-    noise : the correlation of the points' noise.
-    error_model : what residuals over sigma may be.
+    mode_amplitudes
+        How far the state is from that of the first frames, in modes (`initial_modes`).
+    noise
+        The correlation of the points' noise.
+    error_model
+        What residuals over sigma may be.
     """
 
     name: str

@@ -81,8 +81,10 @@ def search_parameters(
 
     Parameters
     ----------
-    starts : exponents (K, P), the best first.
-    most : iterations of each start before the last horizon.
+    starts
+        Exponents (K, P), the best first.
+    most
+        Iterations of each start before the last horizon.
     """
     chi, ahead = starts, horizons(likelihood)
     meshes = _mesh_of_each_horizon(likelihood, len(ahead))

@@ -82,14 +82,22 @@ class SolverRuns:
 
     Parameters
     ----------
-    chi : (K, P).
-    residual : (K, N).
-    loss : of the residuals, as `huber.loss`, (K,).
-    width : of chi, over which the next differences are taken, (K, P).
-    damping : that was right last, (K,).
-    stale : runs whose curvature and gradient are those of an earlier place, (K,).
-    active : runs that may still gain, (K,).
-    normal, gradient : curvature (K, P, P) and gradient (K, P) of half the loss.
+    chi
+        (K, P).
+    residual
+        (K, N).
+    loss
+        Of the residuals, as `huber.loss`, (K,).
+    width
+        Of chi, over which the next differences are taken, (K, P).
+    damping
+        That was right last, (K,).
+    stale
+        Runs whose curvature and gradient are those of an earlier place, (K,).
+    active
+        Runs that may still gain, (K,).
+    normal, gradient
+        Curvature (K, P, P) and gradient (K, P) of half the loss.
     """
 
     chi: np.ndarray
@@ -130,9 +138,12 @@ def fit_least_squares(
 
     Parameters
     ----------
-    starts : exponents, (K, P).
-    most : iterations at most.
-    enough : a run that gains less of the log-likelihood ends.
+    starts
+        Exponents, (K, P).
+    most
+        Iterations at most.
+    enough
+        A run that gains less of the log-likelihood ends.
     """
     fits = SolverRuns.start(problem, starts)
     for _ in range(most):
@@ -257,8 +268,10 @@ def minimise_in_box(
 
     Parameters
     ----------
-    normal, gradient : curvature (P, P) and gradient (P,) at zero.
-    low, high : bounds of the step, low <= 0 <= high, (P,).
+    normal, gradient
+        Curvature (P, P) and gradient (P,) at zero.
+    low, high
+        Bounds of the step, low <= 0 <= high, (P,).
 
     Returns
     -------

@@ -49,10 +49,13 @@ class TrialData:
 
     Parameters
     ----------
-    trials : each with its error model.
-    varying : by the name of a cause that differs from trial to trial, the shapes of each
+    trials
+        Each with its error model.
+    random_effects
+        By the name of a cause that differs from trial to trial, the shapes of each
         trial's random effect, over sigma, (2 n, m). Their amplitudes are N(0, 1).
-    finer : the mesh correction that residuals have, or None.
+    mesh_correction
+        The mesh correction that residuals have, or None.
     """
 
     trials: tuple[PreparedTrial, ...]

@@ -16,8 +16,11 @@ class LowRankWhitening:
 
     Parameters
     ----------
-    basis : Q, (N, M). taken : the share (M,) of a residual along each direction of the
-    basis that whitening removes.
+    basis
+        Q, (N, M).
+    removed_share
+        The share of a residual along each direction of the basis that whitening
+        removes, (M,).
     """
 
     basis: np.ndarray
@@ -43,9 +46,11 @@ class IndependentErrors:
 
     Parameters
     ----------
-    scale : the standard deviation of residuals, in the points' own sigma. nuisance : U
-    over sigma, (2 n, M): shapes whose amplitudes are N(0, 1), such as another initial
-    state; or None.
+    scale
+        The standard deviation of residuals, in the points' own sigma.
+    nuisance
+        U over sigma, (2 n, M), or None: shapes whose amplitudes are N(0, 1), such as of
+        another initial state.
     """
 
     scale: float = 1.0
