@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar, Protocol
 
 import numpy as np
 from scipy.linalg import eigh
@@ -38,11 +38,9 @@ from stringcast.stages.inference.basis import (
     time_nodes,
     time_splines,
 )
-from stringcast.stages.inference.noise import NoiseTrack, gram_roots, noise_track
+from stringcast.stages.inference.noise import Noise, NoiseTrack, gram_roots, noise_track
 from stringcast.stages.inference.whitening import LowRankWhitening
-
-if TYPE_CHECKING:
-    from stringcast.stages.inference.prepared_trial import PreparedTrial
+from stringcast.stages.model.model import Model
 
 MATERN_TIME_S = 0.08  # [s]: 0.05 to 0.12 suited nine fits of strings of 0.3 m
 # Scales s [m], each 1.56 times the last; no string is farther off.
@@ -50,6 +48,34 @@ DISCREPANCY_SCALES_M = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])
 MEDIAN_SCALE_M = 5e-4  # [m] of s: half of all trials have less (half-Cauchy)
 # of all numbers: fewer beyond what splines reach do not give the noise
 MIN_FREE_SHARE = 0.2
+
+
+class MeasuredTrial(Protocol):
+    """The part of a prepared trial that the discrepancy depends on."""
+
+    @property
+    def model(self) -> Model:
+        """The model, whose string's length counts."""
+
+    @property
+    def times(self) -> np.ndarray:
+        """The frame times, (F,) [s]."""
+
+    @property
+    def frame(self) -> np.ndarray:
+        """The frame index of each measured point, (n,)."""
+
+    @property
+    def s(self) -> np.ndarray:
+        """The arc length of each measured point, (n,) [m]."""
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """The standard deviation of each measured point, (n,) [m]."""
+
+    @property
+    def noise(self) -> Noise:
+        """The correlation of the points' noise."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +109,7 @@ class Discrepancy:
 
     @classmethod
     def for_trial(
-        cls, trial: PreparedTrial, growth: np.ndarray, nuisance: np.ndarray
+        cls, trial: MeasuredTrial, growth: np.ndarray, nuisance: np.ndarray
     ) -> Discrepancy:
         """Build the basis of a trial in which noise and discrepancy are diagonal.
 
@@ -104,99 +130,91 @@ class Discrepancy:
         kept = values > RANK_TOLERANCE * values[-1]
         vectors = vectors[:, kept]
 
-        # from sums over points to coefficients in which noise is white
-        whitened = (vectors / np.sqrt(values[kept])).T
-        smooth = whitened @ (splines.T @ _kernel_root(trial, growth))
-        variance, turn = eigh(smooth @ smooth.T)
-        of_splines = whitened @ (splines.T @ splines).toarray() @ vectors
-        unturn = vectors @ np.linalg.solve(of_splines, turn)
+        # From sums over points to coefficients in which noise is white
+        whiten = (vectors / np.sqrt(values[kept])).T
+        smooth_root = whiten @ (splines.T @ _kernel_root(trial, growth))
+        variance, rotation = eigh(smooth_root @ smooth_root.T)
+        of_splines = whiten @ (splines.T @ splines).toarray() @ vectors
+        to_splines = vectors @ np.linalg.solve(of_splines, rotation)
 
-        no_coefficients = np.zeros((2 * len(variance), 0))
-        no_shapes = np.zeros((2 * len(trial.s), 0))
-        variance = np.maximum(variance, 0.0)
-        plain = cls(
-            splines, turn.T @ whitened, unturn, variance, no_coefficients, no_shapes
+        without_nuisance = cls(
+            splines,
+            to_coefficients=rotation.T @ whiten,
+            to_splines=to_splines,
+            variance=np.maximum(variance, 0.0),
+            nuisance_coefficients=np.zeros((2 * len(variance), 0)),
+            nuisance_shapes=np.zeros((2 * len(trial.s), 0)),
         )
-        return plain.with_nuisance(nuisance)
+        return without_nuisance.with_nuisance(nuisance)
 
     def coefficients(self, residual: np.ndarray) -> np.ndarray:
         """Expand residuals over sigma (C, 2 n) in the basis, (C, 2 M)."""
-        count, points, number = (
-            len(residual),
-            self.splines.shape[0],
-            len(self.to_coefficients),
-        )
+        count, points = len(residual), self.splines.shape[0]
+        number = len(self.to_coefficients)
         by_point = residual.reshape(count, points, 2).transpose(1, 0, 2)
         sums = self.splines.T @ by_point.reshape(points, 2 * count)
-        found = (self.to_coefficients @ sums).reshape(number, count, 2)
-        return np.asarray(found.transpose(1, 0, 2).reshape(count, 2 * number))
+        by_basis = (self.to_coefficients @ sums).reshape(number, count, 2)
+        return np.asarray(by_basis.transpose(1, 0, 2).reshape(count, 2 * number))
 
     def with_nuisance(self, modes: np.ndarray) -> Discrepancy:
         """Add nuisance shapes: U over sigma, (2 n, m)."""
-        nuisance = np.hstack([self.nuisance_coefficients, self.coefficients(modes.T).T])
+        added = self.coefficients(modes.T).T
         return replace(
             self,
-            nuisance_coefficients=nuisance,
+            nuisance_coefficients=np.hstack([self.nuisance_coefficients, added]),
             nuisance_shapes=np.hstack([self.nuisance_shapes, modes]),
         )
 
     def replace_leading_nuisance(self, modes: np.ndarray, count: int) -> Discrepancy:
         """Replace the first `count` nuisance shapes by U over sigma, (2 n, m)."""
-        later = replace(
-            self,
-            nuisance_coefficients=self.nuisance_coefficients[:, count:],
-            nuisance_shapes=self.nuisance_shapes[:, count:],
-        )
-        nuisance = np.hstack(
-            [self.coefficients(modes.T).T, later.nuisance_coefficients]
-        )
+        first = self.coefficients(modes.T).T
+        later = self.nuisance_coefficients[:, count:]
+        shapes = [modes, self.nuisance_shapes[:, count:]]
         return replace(
             self,
-            nuisance_coefficients=nuisance,
-            nuisance_shapes=np.hstack([modes, later.nuisance_shapes]),
+            nuisance_coefficients=np.hstack([first, later]),
+            nuisance_shapes=np.hstack(shapes),
         )
 
     def whiten(self, residual: np.ndarray, size: int) -> np.ndarray:
-        """Whiten residuals over sigma (C, 2 n) at a number of SIZES, (C, 2 M)."""
+        """Whiten residuals over sigma (C, 2 n) at the scale of this index, (C, 2 M)."""
         return self.whiten_coefficients(self.coefficients(residual), size)
 
     def whiten_coefficients(self, coefficients: np.ndarray, size: int) -> np.ndarray:
-        """Compute V(s)^(-1/2) of coefficients (C, 2 M), at a number of SIZES."""
-        deviation, rank = self._whitening_by_scale[size]
-        return rank(coefficients / deviation)
+        """Compute V(s)^(-1/2) of coefficients (C, 2 M), at the scale of this index."""
+        deviation, whitening = self._whitening_by_scale[size]
+        return whitening(coefficients / deviation)
 
     def log_likelihood_by_scale(self, coefficients: np.ndarray) -> np.ndarray:
-        """Compute the log-likelihood of coefficients (C, 2 M) at all SIZES, (C, S)."""
-        found = []
-        for deviation, rank in self._whitening_by_scale:
-            square = np.sum(rank(coefficients / deviation) ** 2, axis=1)
-            log_volume = np.log(deviation).sum()
-            found.append(
-                -0.5 * square - log_volume + np.log1p(-rank.removed_share).sum()
-            )
-        return np.stack(found, axis=1)
+        """Compute the log-likelihood of coefficients (C, 2 M) at all scales, (C, S)."""
+        by_scale = []
+        for deviation, whitening in self._whitening_by_scale:
+            square = np.sum(whitening(coefficients / deviation) ** 2, axis=1)
+            log_deviation = np.log(deviation).sum()
+            log_removed = np.log1p(-whitening.removed_share).sum()
+            by_scale.append(-0.5 * square - log_deviation + log_removed)
+        return np.stack(by_scale, axis=1)
 
     def posterior_mean(self, coefficients: np.ndarray, size: int) -> np.ndarray:
         """Compute the most likely discrepancy over sigma (2 n,), given coefficients."""
         variance = np.repeat(DISCREPANCY_SCALES_M[size] ** 2 * self.variance, 2)
-        explained = self.nuisance_coefficients @ self._nuisance_amplitudes(
-            coefficients, size
-        )
+        amplitudes = self._nuisance_amplitudes(coefficients, size)
+        explained = self.nuisance_coefficients @ amplitudes
         smooth = (coefficients - explained) * variance / (1.0 + variance)
         by_spline = self.to_splines @ smooth.reshape(-1, 2)
         return np.asarray((self.splines @ by_spline).ravel())
 
     def nuisance_mean(self, coefficients: np.ndarray, size: int) -> np.ndarray:
         """Compute what the nuisance most likely explains of coefficients, (2 n,)."""
-        return np.asarray(
-            self.nuisance_shapes @ self._nuisance_amplitudes(coefficients, size)
-        )
+        amplitudes = self._nuisance_amplitudes(coefficients, size)
+        return np.asarray(self.nuisance_shapes @ amplitudes)
 
     def _nuisance_amplitudes(self, coefficients: np.ndarray, size: int) -> np.ndarray:
         deviation, _ = self._whitening_by_scale[size]
         root = self.nuisance_coefficients / deviation[:, None]
         normal = np.eye(root.shape[1]) + root.T @ root
-        return np.asarray(np.linalg.solve(normal, root.T @ (coefficients / deviation)))
+        projected = root.T @ (coefficients / deviation)
+        return np.asarray(np.linalg.solve(normal, projected))
 
     def sample_posterior(
         self, coefficients: np.ndarray, size: int, count: int, rng: np.random.Generator
@@ -212,19 +230,17 @@ class Discrepancy:
 
     @cached_property
     def _whitening_by_scale(self) -> list[tuple[np.ndarray, LowRankWhitening]]:
-        """At each of SIZES, deviations (2 M,) without nuisance, and the rest of V."""
-        whitening = []
-        for size in DISCREPANCY_SCALES_M:
-            deviation = np.repeat(np.sqrt(1.0 + size**2 * self.variance), 2)
-            rank = LowRankWhitening.from_columns(
-                self.nuisance_coefficients / deviation[:, None]
-            )
-            whitening.append((deviation, rank))
-        return whitening
+        """Deviations (2 M,) without nuisance at each scale, and the rest of V there."""
+        by_scale = []
+        for scale in DISCREPANCY_SCALES_M:
+            deviation = np.repeat(np.sqrt(1.0 + scale**2 * self.variance), 2)
+            columns = self.nuisance_coefficients / deviation[:, None]
+            by_scale.append((deviation, LowRankWhitening.from_columns(columns)))
+        return by_scale
 
 
 def remove_smooth_motion(
-    trial: PreparedTrial, residual: np.ndarray
+    trial: MeasuredTrial, residual: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Remove smooth motion from residuals (n, 2) over sigma.
 
@@ -243,7 +259,7 @@ def remove_smooth_motion(
     return rest, float(mad_sigma(rest) / np.sqrt(free))
 
 
-def noise_track_of_trial(trial: PreparedTrial, residual: np.ndarray) -> NoiseTrack:
+def noise_track_of_trial(trial: MeasuredTrial, residual: np.ndarray) -> NoiseTrack:
     """Project residuals (n, 2) over their noise on what the noise is estimated from."""
     time = time_splines(trial.times, knot_spacing(trial.times))
     place = place_functions(trial.s, trial.model.string.length)
@@ -251,10 +267,12 @@ def noise_track_of_trial(trial: PreparedTrial, residual: np.ndarray) -> NoiseTra
 
 
 def log_scale_prior() -> np.ndarray:
-    """Compute the log prior of SIZES, (S,): half-Cauchy between midpoints."""
-    midpoints = np.sqrt(DISCREPANCY_SCALES_M[1:-1] * DISCREPANCY_SCALES_M[2:])
-    edges = np.concatenate([[0.0, DISCREPANCY_SCALES_M[1] / 2], midpoints, [np.inf]])
-    return np.asarray(np.log(np.diff(2 / np.pi * np.arctan(edges / MEDIAN_SCALE_M))))
+    """Compute the log prior of the scales, (S,): half-Cauchy between midpoints."""
+    scales = DISCREPANCY_SCALES_M
+    midpoints = np.sqrt(scales[1:-1] * scales[2:])
+    edges = np.concatenate([[0.0, scales[1] / 2], midpoints, [np.inf]])
+    cumulative = 2 / np.pi * np.arctan(edges / MEDIAN_SCALE_M)
+    return np.asarray(np.log(np.diff(cumulative)))
 
 
 def marginal_log_likelihood(log_likelihoods: np.ndarray) -> np.ndarray:
@@ -263,11 +281,11 @@ def marginal_log_likelihood(log_likelihoods: np.ndarray) -> np.ndarray:
 
 
 def best_scale_index(log_likelihoods: np.ndarray) -> np.ndarray:
-    """Find the number of the most likely of SIZES, given log-likelihoods (..., S)."""
+    """Find the index of the most likely scale, given log-likelihoods (..., S)."""
     return np.asarray(np.argmax(log_likelihoods + log_scale_prior(), axis=-1))
 
 
-def _kernel_root(trial: PreparedTrial, growth: np.ndarray) -> np.ndarray:
+def _kernel_root(trial: MeasuredTrial, growth: np.ndarray) -> np.ndarray:
     """Compute a root (n, K) of the discrepancy's covariance, of unit rms at the tip."""
     knots = time_nodes(trial.times, KNOT_SPACING_S)
     rate = np.sqrt(3) / max(MATERN_TIME_S, 2 * (knots[1] - knots[0]))

@@ -36,14 +36,13 @@ class Hypothesis:
         return tuple(cause.name for cause in self.causes)
 
     def with_cause(self, cause: type[Effect]) -> Hypothesis:
-        """Add one cause."""
+        """Add a cause to the active ones."""
         return replace(self, causes=(*self.causes, cause))
 
     def without_cause(self, cause: type[Effect]) -> Hypothesis:
-        """Remove one cause."""
-        return replace(
-            self, causes=tuple(other for other in self.causes if other is not cause)
-        )
+        """Remove a cause from the active ones."""
+        others = tuple(other for other in self.causes if other is not cause)
+        return replace(self, causes=others)
 
     def parameter_indices(
         self, cause: type[Effect], parameters: Sequence[Parameter]

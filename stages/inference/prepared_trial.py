@@ -34,7 +34,7 @@ TIP_TOLERANCE_M = 1e-3  # [m]: points so near to the outermost are the tip
 
 @dataclass(frozen=True)
 class PreparedTrial:
-    """One trial: the motion as the arm reports it, and what was measured.
+    """A trial with the motion that the arm reports and the measured points.
 
     Parameters
     ----------
@@ -92,30 +92,25 @@ class PreparedTrial:
 
     @property
     def is_tip(self) -> np.ndarray:
-        """Which of the points are the tip, (N,)."""
+        """A mask of the points that are the tip, (N,)."""
         return np.asarray(self.s > self.s.max() - TIP_TOLERANCE_M)
 
     def simulate(self, values: np.ndarray) -> Iterator[tuple[slice, StringMotion]]:
         """Simulate candidates (C, P) at the frame times, chunk by chunk."""
         for first in range(0, len(values), MAX_BATCH_CANDIDATES):
             chunk = slice(first, min(first + MAX_BATCH_CANDIDATES, len(values)))
-            start = (
-                None
-                if self.initial_state is None
-                else self.initial_state.for_candidates(chunk)
+            start = self.initial_state
+            if start is not None:
+                start = start.for_candidates(chunk)
+            motion = self.model.simulate_observation(
+                self.motion, values[chunk], self.times, start, self.turn
             )
-            yield (
-                chunk,
-                self.model.simulate_observation(
-                    self.motion, values[chunk], self.times, start, self.turn
-                ),
-            )
+            yield chunk, motion
 
     def sample_at_points(self, points: np.ndarray) -> np.ndarray:
         """Interpolate strings (C, F, n, 2) at the measured points, (C, N, 2) [m]."""
-        return interpolate_measurements(
-            points, self.frame, self.s / self.model.string.segment_length
-        )
+        position = self.s / self.model.string.segment_length
+        return interpolate_measurements(points, self.frame, position)
 
     def cut_after(self, last: float) -> PreparedTrial:
         """Cut the trial after a time [s]."""
@@ -123,9 +118,8 @@ class PreparedTrial:
 
     def first_frames(self, frames: int) -> PreparedTrial:
         """Cut the trial after so many frames."""
-        return replace(
-            self.select_points(self.frame < frames), times=self.times[:frames]
-        )
+        kept = self.select_points(self.frame < frames)
+        return replace(kept, times=self.times[:frames])
 
     def select_points(self, kept: np.ndarray) -> PreparedTrial:
         """Select points (N,). An error model is that of a whole trial, and is dropped."""
@@ -139,10 +133,9 @@ class PreparedTrial:
         )
 
     def mean_square_distances(self, values: np.ndarray) -> tuple[float, float]:
-        """Compute mean square distances of one candidate (P,) from measured points
-        [m2].
+        """Compute mean square distances of one candidate (P,) from measured points.
 
-        Returns that of all points and that of those nearest the tip.
+        Returns that of all points and that of those nearest the tip [m2].
         """
         _, motion = next(self.simulate(values[None]))
         offset = self.sample_at_points(motion.points)[0] - self.points
@@ -180,12 +173,10 @@ def prepare_trial(model: Model, observation: Observation) -> PreparedTrial:
     if not _hand_points_up(hand):
         return trial
     try:
-        return replace(
-            trial,
-            turn=_turn_from_hand(hand, _estimate_start(trial, hand, sigma_is_known)),
-        )
+        start = _estimate_start(trial, hand, sigma_is_known)
     except DataError:  # the first frames do not show the side
         return trial
+    return replace(trial, turn=_turn_from_hand(hand, start))
 
 
 def _estimate_start(
