@@ -5,7 +5,7 @@ run [OVERRIDES]    the main job: `python -m pipeline +experiment=stringB method=
 test [ARGUMENTS]   style, types and tests; arguments go to pytest
 test --all         ... with the long ones
 study NAME ...     a study of tests/benchmarks, such as diagnosis; arguments are its settings
-bench              how fast strings are simulated and estimated, beside peers; see tests/speed
+bench              speed of simulations and of a diagnosis; see tests/benchmarks/speed
 setup              only make the environment
 
 The environment is `.venv`, made from `requirements.lock` and made again when that
@@ -26,7 +26,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent
 ENVIRONMENT = ROOT / ".venv"
 LOCK = ROOT / "requirements.lock"
-BENCH_LOCK = ROOT / "tests" / "speed" / "requirements.lock"
+BENCH_LOCK = ROOT / "tests" / "benchmarks" / "speed" / "requirements.lock"
 PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 SIDE_BY_SIDE = ("--numprocesses=auto", "--dist=loadfile", "--no-loadscope-reorder")
 # how the folders of this clone are one package
@@ -194,8 +194,9 @@ def study(rest: list[str]) -> int:
 
 def bench(rest: list[str]) -> int:
     """Run the speed benchmark, with the packages it compares with."""
-    install_peers()
-    return call("tests.speed", *rest)
+    if rest != ["diagnosis"]:
+        install_peers()
+    return call("tests.benchmarks.speed.bench", *rest)
 
 
 def install_peers() -> None:

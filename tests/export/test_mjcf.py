@@ -20,7 +20,7 @@ from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.statics.equilibrium import hanging_shape
-from tests.speed.trial import TIMES, pose
+from tests.benchmarks.speed.cord import TIMES, hand_pose
 
 MASS, STEP = 0.01, 2.5e-4  # [kg], [s]
 STIFF = TRUTH | {"axial_stiffness": 6e8, "axial_damping": 3e3}
@@ -54,7 +54,7 @@ def strings(arm, more):
 def tips_of_ours(model, values):
     t = np.arange(-0.1, TIMES[-1] + 0.1, 1e-3)
     return simulate(
-        model.string, resample_hand_motion(t, pose(t)), values[None], TIMES
+        model.string, resample_hand_motion(t, hand_pose(t)), values[None], TIMES
     ).tip[0]
 
 
@@ -67,13 +67,13 @@ def tips_of_theirs(mujoco, model, values):
     pushes = (
         CARRIAGE_MASS_KG
         * MASS
-        * np.diff(pose(np.arange(-1, steps + 2) * STEP), n=2, axis=0)
+        * np.diff(hand_pose(np.arange(-1, steps + 2) * STEP), n=2, axis=0)
         / STEP**2
     )
     angles = hanging_shape(
-        model.string, model.string.material(values[None]), pose(0.0)[None]
+        model.string, model.string.material(values[None]), hand_pose(0.0)[None]
     )[0][0]
-    data.qpos[:3], data.qpos[3:] = pose(0.0), np.diff(angles, prepend=pose(0.0)[2])
+    data.qpos[:3], data.qpos[3:] = hand_pose(0.0), np.diff(angles, prepend=hand_pose(0.0)[2])
     tips = []
     for push in pushes:
         mujoco.mj_forward(theirs, data)

@@ -11,7 +11,7 @@ from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import horizons
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.parameter import parameter_exponents
-from tests.speed.estimation_sets import drawn, model
+from tests.inference.estimation_sets import drawn, model
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,4 @@
-"""The engine against Eq. 1 written by hand, twice: for one candidate and for many
-(tests/speed).
-"""
+"""The engine against Eq. 1 written by hand."""
 
 import numpy as np
 import pytest
@@ -8,8 +6,8 @@ import pytest
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.engine.stability import steps_per_tick
 from stringcast.stages.model.string import String
-from tests.speed import fused, scalar
-from tests.speed.trial import TIMES, hand
+from tests.benchmarks.speed.cord import TIMES, hand_motion
+from tests.known_answers import equation_1
 
 STRING = String(0.3)
 B = {
@@ -40,10 +38,10 @@ def simulated(values):
     """Positions at the ticks (K, n, 2) by the engine, and the path of the hand at its
     steps.
     """
-    steps, _ = steps_per_tick(STRING, STRING.material(values[None]), hand().tick)
-    points = simulate(STRING, hand(), values[None], TIMES).points[0, :-1]
+    steps, _ = steps_per_tick(STRING, STRING.material(values[None]), hand_motion().tick)
+    points = simulate(STRING, hand_motion(), values[None], TIMES).points[0, :-1]
     assert np.isfinite(points).all()
-    return points, scalar.path(hand(), int(steps[0]))
+    return points, equation_1.path(hand_motion(), int(steps[0]))
 
 
 @pytest.mark.parametrize(
@@ -54,24 +52,5 @@ def simulated(values):
 def test_the_engine_is_equation_1_to_rounding(values):
     """At every tick of a trial of 1.5 s; 9e-13 m measured."""
     engine, path = simulated(values)
-    by_hand = scalar.cast(engine[0], values, STRING.segment_length, path, hand().tick)
+    by_hand = equation_1.cast(engine[0], values, STRING.segment_length, path, hand_motion().tick)
     np.testing.assert_allclose(by_hand, engine, rtol=0, atol=1e-11)
-
-
-def test_the_hand_fused_loop_is_equation_1_too():
-    values = STRING.values(B | AIR)
-    engine, path = simulated(values)
-    seen = np.empty((2, len(path), 2, STRING.points, fused.W))
-    parameters = np.tile(np.repeat(values, fused.W), (2, 1))
-    fused.cast(
-        fused.state(engine[0], 2),
-        parameters,
-        STRING.points,
-        STRING.segment_length,
-        path,
-        hand().tick,
-        seen,
-    )
-    np.testing.assert_allclose(
-        seen[1, ..., 7].transpose(0, 2, 1), engine, rtol=0, atol=1e-11
-    )

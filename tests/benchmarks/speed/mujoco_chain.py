@@ -1,14 +1,13 @@
-"""The cord in MuJoCo: a planar chain of rigid links on hinges with stiffness and
-damping, rolled out on its threads.
+"""The cord in MuJoCo: a planar chain of rigid links on hinges with stiffness and damping.
 
-The hand is a carriage on two slides and a hinge, a million times as heavy as the cord,
-so that the cord does not move it; at each step it is pushed so that it lands on the
-next pose. That costs less than a weld to a moving frame, and is exact. Contacts and
-constraints are off.
+The hand is a carriage on two slides and a hinge, a million times as heavy as the cord, so
+that the cord does not move it. At each step a force moves it to the next pose. That costs
+less than a weld to a moving frame, and is exact. Contacts and constraints are off.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,9 +15,9 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from tests.speed.trial import CORD, TIMES, pose
+from tests.benchmarks.speed.cord import CORD, TIMES, hand_pose
 
-CARRIAGE = 1e4  # [kg], [kg m^2]
+CARRIAGE_MASS = 1e4  # [kg], [kg m^2]
 
 MODEL = """
 <mujoco>
@@ -67,7 +66,7 @@ class Chain:
             MODEL.format(
                 step=self.step,
                 integrator=self.integrator,
-                carriage=CARRIAGE,
+                carriage=CARRIAGE_MASS,
                 chain=chain,
             )
         )
@@ -85,7 +84,7 @@ class Chain:
         )
 
     @cached_property
-    def pushes(self) -> np.ndarray:
+    def forces(self) -> np.ndarray:
         """(1, steps + 1, 3) forces that land the carriage on its poses: M (p_+1 - 2 p +
         p_-1) / dt^2.
 
@@ -93,26 +92,32 @@ class Chain:
         step begins.
         """
         steps = round(TIMES[-1] / self.step)
-        poses = pose(np.arange(-1, steps + 2) * self.step)
-        return CARRIAGE * np.diff(poses, n=2, axis=0)[None] / self.step**2
+        poses = hand_pose(np.arange(-1, steps + 2) * self.step)
+        return CARRIAGE_MASS * np.diff(poses, n=2, axis=0)[None] / self.step**2
 
     @cached_property
     def start(self) -> np.ndarray:
         """(state,) the chain at rest in the hand, straight down."""
         data = mujoco.MjData(self.model)
-        data.qpos[:3] = pose(0.0)
+        data.qpos[:3] = hand_pose(0.0)
         kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
         state = np.empty(mujoco.mj_stateSize(self.model, kind))
         mujoco.mj_getState(self.model, data, state, kind)
         return state
 
-    def rollout(self, count: int, threads: int) -> np.ndarray:
-        """Simulate `count` cords on so many threads. (count, F, 2) their tips at TIMES
-        [m].
+    def prepare_rollout(self, count: int) -> Callable[[], np.ndarray]:
+        """Compile the model; return what simulates `count` cords on one thread.
+
+        It returns their tips at TIMES, (count, F, 2) [m].
         """
-        data = [mujoco.MjData(self.model) for _ in range(threads)]
-        with Rollout(nthread=threads if threads > 1 else 0) as pool:
-            start = np.tile(self.start, (count, 1))
-            _, seen = pool.rollout(self.model, data, start, self.pushes)
+        model, forces = self.model, self.forces
+        data = [mujoco.MjData(model)]
+        start = np.tile(self.start, (count, 1))
         every = round((TIMES[1] - TIMES[0]) / self.step)
-        return seen[:, ::every, :2]
+
+        def run() -> np.ndarray:
+            with Rollout(nthread=0) as rollout:
+                _, sensors = rollout.rollout(model, data, start, forces)
+            return sensors[:, ::every, :2]
+
+        return run

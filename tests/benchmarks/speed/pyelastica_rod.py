@@ -8,13 +8,14 @@ of ours.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import elastica
 import numpy as np
 
-from tests.speed.trial import CORD, TIMES, pose, stretched
+from tests.benchmarks.speed.cord import CORD, GRAVITY, TIMES, hand_pose, hanging_depth
 
 # out of the plane of motion: the first director of every element
 NORMAL = np.array([0.0, 0.0, 1.0])
@@ -97,36 +98,42 @@ class Rods:
     elements: int
     step: float
 
-    def rollout(self, count: int, duration: float = float(TIMES[-1])) -> np.ndarray:
-        """Simulate `count` cords at once. (count, F, 2) their tips at TIMES, up to
-        `duration` [m].
-        """
-        simulator, rods = self._assembled(count)
-        stepper = elastica.PositionVerlet()
-        every, frames = (
-            round((TIMES[1] - TIMES[0]) / self.step),
-            round(duration / TIMES[1]),
-        )
-        tips = np.empty((count, frames + 1, 2))
-        time = np.float64(0.0)
-        for frame in range(frames + 1):
-            tips[:, frame] = [rod.position_collection[:2, -1] for rod in rods]
-            for _ in range(every if frame < frames else 0):
-                time = stepper.step(simulator, time, self.step)
-        return tips
+    def prepare_rollout(
+        self, count: int, duration: float = float(TIMES[-1])
+    ) -> Callable[[], np.ndarray]:
+        """Assemble `count` rods; return what simulates them together, once.
 
-    def _assembled(self, count: int) -> tuple[Simulator, list[Any]]:
+        It returns their tips at TIMES up to `duration` [s], (count, F, 2) [m].
+        """
+        simulator, rods = self._assemble(count)
+        stepper = elastica.PositionVerlet()
+        every = round((TIMES[1] - TIMES[0]) / self.step)
+        frames = round(duration / TIMES[1])
+
+        def run() -> np.ndarray:
+            tips = np.empty((count, frames + 1, 2))
+            time = np.float64(0.0)
+            for frame in range(frames + 1):
+                tips[:, frame] = [rod.position_collection[:2, -1] for rod in rods]
+                if frame < frames:
+                    for _ in range(every):
+                        time = stepper.step(simulator, time, self.step)
+            return tips
+
+        return run
+
+    def _assemble(self, count: int) -> tuple[Simulator, list[Any]]:
         """A simulator with its rods, at rest in the hand."""
         simulator = Simulator()
         length = CORD.length / (self.elements - 0.5)
-        halves = pose(np.arange(2 * round(TIMES[-1] / self.step) + 1) * self.step / 2)
+        halves = hand_pose(np.arange(2 * round(TIMES[-1] / self.step) + 1) * self.step / 2)
         rates = np.gradient(halves, self.step / 2, axis=0)
         rods = [self._rod(length) for _ in range(count)]
         for rod in rods:
             simulator.append(rod)
             simulator.constrain(rod).using(Hand, halves, rates, self.step, length / 2)
             simulator.add_forcing_to(rod).using(
-                elastica.GravityForces, acc_gravity=np.array([0.0, -9.81, 0.0])
+                elastica.GravityForces, acc_gravity=np.array([0.0, -GRAVITY, 0.0])
             )
             simulator.add_forcing_to(rod).using(
                 BendingDamping, CORD.bending_damping * CORD.mass
@@ -139,7 +146,7 @@ class Rods:
         area = np.pi * CORD.radius**2
         modulus = CORD.axial * CORD.mass / area
         s = (np.arange(self.elements + 1) - 0.5) * length
-        x, y, _ = pose(0.0)
+        x, y, _ = hand_pose(0.0)
         rod = elastica.CosseratRod.straight_rod(
             self.elements,
             np.array([x, y - s[0], 0.0]),
@@ -151,5 +158,5 @@ class Rods:
             youngs_modulus=modulus,
             shear_modulus=modulus / 3,
         )
-        rod.position_collection[1, 1:] = y - stretched(s[1:])
+        rod.position_collection[1, 1:] = y - hanging_depth(s[1:])
         return rod

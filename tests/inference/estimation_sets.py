@@ -27,7 +27,7 @@ from stringcast.stages.model.engine.sampling import interpolate_along_string
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from tests.speed.trial import ROOT
+from tests.benchmarks.speed.cord import ROOT
 
 CASTS = 4
 DURATION = (0.5, 0.8)  # [s] of the movement; the string swings on until END

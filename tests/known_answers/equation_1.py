@@ -1,8 +1,7 @@
 """Eq. 1 by hand, for one candidate: a plain Numba loop, in the paper's own parameters.
 
-It shares no line with the engine, and so is a test of it too (tests/known_answers). One
-pass a step goes along the string; what the next point needs of this one stays in
-registers.
+It shares no line with the engine. One pass a step goes along the string; what the next
+point needs of this one stays in registers.
 """
 
 from __future__ import annotations

@@ -1,0 +1,214 @@
+"""Speed of the string engine and of a diagnosis: `python3 tasks.py bench`.
+
+The engine, MuJoCo and PyElastica simulate the same cord at nearly equal tip errors, one or many at
+a time, on one core. Models are built and compiled before the clock starts. Contenders take turns;
+their ratios within one run count, for machines differ and are shared. Seconds are processor time.
+
+`bench diagnosis` diagnoses data/sample alone, which needs no peer.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+import numba
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.table import Table
+
+from stringcast.stages.model.engine.accuracy import richardson_limit
+from stringcast.stages.model.engine.simulate import simulate
+from tests.benchmarks.speed.cord import ROOT, TIMES, cord_string, hand_motion
+
+ROUNDS = 5
+SINGLE_THREAD = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+MEASURE_PROCESS = """
+import os, subprocess, sys
+process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL)
+_, status, usage = os.wait4(process.pid, 0)
+print(os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1e3)
+"""  # in a process of its own: a child's peak memory starts with that of its parent
+
+Resolution = tuple[int, float]  # points, links or elements; step [s]
+Prepare = Callable[[Resolution, int], Callable[[], np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One way to simulate the cord.
+
+    Attributes
+    ----------
+    name
+        Its name in the table.
+    prepare
+        Builds what simulates so many cords at a resolution; calling that returns their tips
+        (count, F, 2) [m].
+    resolutions
+        The cheapest resolution with a tip error below 3 mm, and below 1 mm.
+    converged
+        Two resolutions from which the limit of the tip is extrapolated.
+    counts
+        How many cords are simulated at a time.
+    """
+
+    name: str
+    prepare: Prepare
+    resolutions: tuple[Resolution, Resolution]
+    converged: tuple[Resolution, Resolution]
+    counts: tuple[int, ...]
+
+    def tip_error(self, resolution: Resolution) -> float:
+        """Return the largest distance of the tip from its limit [m]."""
+        coarse, fine, tip = (
+            self.prepare(r, 1)()[0] for r in (*self.converged, resolution)
+        )
+        limit = richardson_limit(coarse, fine)
+        return float(np.linalg.norm(tip - limit, axis=-1).max())
+
+
+def prepare_engine(resolution: Resolution, count: int) -> Callable[[], np.ndarray]:
+    """Build the engine's string and compile its step loop."""
+    string, values = cord_string(*resolution)
+    hand, parameters = hand_motion(), np.tile(values, (count, 1))
+    simulate(string, hand, parameters, TIMES[:2])
+    return lambda: simulate(string, hand, parameters, TIMES).tip
+
+
+def prepare_mujoco(resolution: Resolution, count: int) -> Callable[[], np.ndarray]:
+    """Build and compile MuJoCo's chain."""
+    chain = import_module("tests.benchmarks.speed.mujoco_chain").Chain(*resolution)
+    return chain.prepare_rollout(count)
+
+
+def prepare_pyelastica(resolution: Resolution, count: int) -> Callable[[], np.ndarray]:
+    """Assemble PyElastica's rods and compile their kernels."""
+    rods = import_module("tests.benchmarks.speed.pyelastica_rod").Rods(*resolution)
+    rods.prepare_rollout(count, duration=TIMES[2])()
+    return rods.prepare_rollout(count)
+
+
+ENGINE = Contender(
+    "engine (points)",
+    prepare_engine,
+    resolutions=((24, 2e-3), (40, 2e-3)),
+    converged=((25, 5e-5), (49, 5e-5)),
+    counts=(1, 16, 256),
+)
+PEERS = (
+    Contender(
+        "MuJoCo (links)",
+        prepare_mujoco,
+        resolutions=((16, 1.25e-3), (26, 1e-3)),
+        converged=((20, 2.5e-5), (40, 2.5e-5)),
+        counts=(1, 16, 256),
+    ),
+    Contender(
+        "PyElastica (elements)",
+        prepare_pyelastica,
+        resolutions=((10, 2.5e-4), (18, 1.25e-4)),
+        converged=((20, 5e-5), (40, 5e-5)),
+        counts=(8,),
+    ),
+)
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the benchmarks and print a line for each result."""
+    if list(arguments) not in ([], ["diagnosis"]):
+        sys.exit(__doc__)
+    if not arguments:
+        numba.set_num_threads(1)
+        for accuracy in (0, 1):
+            Console(width=110).print(simulation_table(accuracy, ROUNDS))
+    print(diagnosis_line())
+
+
+def simulation_table(accuracy: int, rounds: int) -> Table:
+    """Return a table of simulation speeds. accuracy: which of each contender's resolutions."""
+    seconds = time_contenders((ENGINE, *PEERS), accuracy, rounds)
+    title = f"Simulations of {TIMES[-1]} s, tip error below {(3, 1)[accuracy]} mm"
+    table = Table(title=f"{title} (median and range of {rounds} rounds, one core)")
+    for column in ("contender", "tip error", "at a time", "CPU ms each", "engine's speed over it"):
+        table.add_column(column)
+    for contender in (ENGINE, *PEERS):
+        parts, step = contender.resolutions[accuracy]
+        error = contender.tip_error((parts, step))
+        for count in contender.counts:
+            each = 1e3 * seconds[contender.name, count] / count
+            engine_count = count if count in ENGINE.counts else ENGINE.counts[-1]
+            ratio = each / (1e3 * seconds[ENGINE.name, engine_count] / engine_count)
+            table.add_row(
+                f"{contender.name}: {parts}, {1e3 * step:g} ms",
+                f"{1e3 * error:.1f} mm",
+                str(count),
+                median_and_range(each),
+                "" if contender is ENGINE else median_and_range(ratio),
+            )
+    return table
+
+
+def time_contenders(contenders: Sequence[Contender], accuracy: int, rounds: int) -> pd.DataFrame:
+    """Return processor seconds, a row a round, a column a contender and count."""
+    rows = []
+    for _ in range(rounds):
+        row = {}
+        for contender in contenders:
+            for count in contender.counts:
+                run = contender.prepare(contender.resolutions[accuracy], count)
+                started = time.process_time()
+                run()
+                row[contender.name, count] = time.process_time() - started
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def median_and_range(values: pd.Series) -> str:
+    """Return the median and the range of the rounds in words."""
+    return f"{values.median():.3g} ({values.min():.3g} to {values.max():.3g})"
+
+
+def diagnosis_line() -> str:
+    """Diagnose data/sample on one thread; return seconds, memory and verdict in a line."""
+    with tempfile.TemporaryDirectory() as folder:
+        started = time.perf_counter()
+        words = ("+experiment=diagnose", "trials=data/sample", f"hydra.run.dir={folder}")
+        seconds, megabytes = measure_command(*words)
+        wall = time.perf_counter() - started
+        document = json.loads((Path(folder) / "diagnosis.json").read_text(encoding="utf-8"))
+    causes = ", ".join(cause["effect"] for cause in document["causes"])
+    return (
+        f"Diagnosis of data/sample: {seconds:.1f} s of processor, {wall:.1f} s, "
+        f"{megabytes:.0f} MB, verdict {document['verdict']} ({causes})"
+    )
+
+
+def measure_command(*arguments: str) -> tuple[float, float]:
+    """Return processor time [s] and peak memory [MB] of a command on one thread.
+
+    Raises CalledProcessError where it fails.
+    """
+    command = [sys.executable, "-m", "pipeline", *arguments]
+    environment = os.environ | dict.fromkeys(SINGLE_THREAD, "1")
+    watched = [sys.executable, "-c", MEASURE_PROCESS, *command]
+    done = subprocess.run(
+        watched, cwd=ROOT, env=environment, check=True, capture_output=True, text=True
+    )
+    status, seconds, megabytes = map(float, done.stdout.split())
+    if status:
+        raise subprocess.CalledProcessError(int(status), command)
+    return seconds, megabytes
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
