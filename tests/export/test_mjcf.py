@@ -73,7 +73,10 @@ def tips_of_theirs(mujoco, model, values):
     angles = hanging_shape(
         model.string, model.string.material(values[None]), hand_pose(0.0)[None]
     )[0][0]
-    data.qpos[:3], data.qpos[3:] = hand_pose(0.0), np.diff(angles, prepend=hand_pose(0.0)[2])
+    data.qpos[:3], data.qpos[3:] = (
+        hand_pose(0.0),
+        np.diff(angles, prepend=hand_pose(0.0)[2]),
+    )
     tips = []
     for push in pushes:
         mujoco.mj_forward(theirs, data)

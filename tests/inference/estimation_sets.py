@@ -1,10 +1,9 @@
-"""Sets of casts from which a string's eight parameters are estimated, each drawn from
-its seed.
+"""Random sets of casts from which a string's eight parameters are estimated.
 
 Four casts of a second and one that is held out. Even seeds are the virtual lab's
-strings A to D in turn, odd ones are drawn from the whole of the paper's ranges (Table
+strings A to D in turn, odd ones are draw_cast_set from the whole of the paper's ranges (Table
 3), limp and stiff, with next to no drag and with much. Places that are measured are the
-mass points of the fitted chain, with noise. Seeds below MATCHED come from a chain like
+mass points of the fitted chain, with noise. Seeds below FIRST_FINER_SEED come from a chain like
 the one that is fitted, so that nothing but noise keeps a fit from the truth; those
 above from a finer one, whose difference no fit can explain.
 """
@@ -35,22 +34,20 @@ END = 1.0  # [s]
 # [m/s] of the hand at its fastest
 SPEEDS = (2.0, 10.0)
 ALPHA = 150.0  # [rad/s2], as conf/generate/bezier.yaml
-FRAMES = np.arange(201) / 200  # [s], at the rate of conf/camera/highspeed.yaml
+FRAME_TIMES = np.arange(201) / 200  # [s], at the rate of conf/camera/highspeed.yaml
 NOISE = 7e-4  # [m], of a point that the extract stage reads
 PLACES = np.linspace(0.3 / 19, 0.3, 19)  # [m] of arc length
-MATCHED = 24
+FIRST_FINER_SEED = 24
 FITTED, FINER, FINEST = (20, 1e-3), (28, 5e-4), (57, 5e-4)  # points and step [s]
 # [m] by which FINER may move the tip: of a cast more chaotic than that no chain knows
 # the end
-KNOWN = 0.02
-LAB = ("A", "B", "C", "D")
+MAX_MESH_ERROR_M = 0.02
+LAB_STRINGS = ("A", "B", "C", "D")
 
 
 @dataclass(frozen=True)
 class CastSet:
-    """name: of the string. truth: (P,) its parameters. trials: with noise. held_out:
-    without.
-    """
+    """Trials with noise and one held out without, of a string with parameters (P,)."""
 
     name: str
     truth: np.ndarray
@@ -60,10 +57,10 @@ class CastSet:
 
 @cache
 def model(points: int = FITTED[0], step: float = FITTED[1]) -> Model:
-    """The model that is fitted: as string=coarse, with the paper's arm."""
+    """Return the model that is fitted: string=coarse with the paper's arm."""
     arm, camera = (
-        Arm(**configured("arm/paper.yaml")),
-        Camera(**configured("camera/highspeed.yaml")),
+        Arm(**read_block("arm/paper.yaml")),
+        Camera(**read_block("camera/highspeed.yaml")),
     )
     second_order = {
         "tip_cell": 0.5,
@@ -74,8 +71,8 @@ def model(points: int = FITTED[0], step: float = FITTED[1]) -> Model:
     return Model(String(0.3, points=points, **second_order), arm, camera)
 
 
-def configured(path: str) -> dict:  # type: ignore[type-arg]
-    """A block of conf/, lists as tuples."""
+def read_block(path: str) -> dict:  # type: ignore[type-arg]
+    """Return a block of conf/ with lists as tuples."""
     block = yaml.safe_load((ROOT / "conf" / path).read_text())
     return {
         k: tuple(v) if isinstance(v, list) else v
@@ -84,37 +81,42 @@ def configured(path: str) -> dict:  # type: ignore[type-arg]
     }
 
 
-def drawn(seed: int) -> CastSet:
-    """The set of a seed."""
+def draw_cast_set(seed: int) -> CastSet:
+    """Draw the set of a seed."""
     rng = np.random.default_rng([seed, 32])
-    name = LAB[seed // 2 % len(LAB)] if seed % 2 == 0 else f"random {seed}"
+    name = (
+        LAB_STRINGS[seed // 2 % len(LAB_STRINGS)] if seed % 2 == 0 else f"random {seed}"
+    )
     string = model().string
     truth = np.array([p.value(rng.uniform()) for p in string.parameters])
-    if name in LAB:
-        truth = string.values(configured(f"specimen/{name}.yaml")["parameters"])
-    chain = model(*FITTED) if seed < MATCHED else model(*FINEST)
-    casts = [_known_cast(truth, rng) for _ in range(CASTS + 1)]
+    if name in LAB_STRINGS:
+        truth = string.values(read_block(f"specimen/{name}.yaml")["parameters"])
+    chain = model(*FITTED) if seed < FIRST_FINER_SEED else model(*FINEST)
+    casts = [_draw_regular_cast(truth, rng) for _ in range(CASTS + 1)]
     seen = [
-        _seen(f"t{k}", chain, truth, log, rng, NOISE * (k < CASTS))
+        _observe(f"t{k}", chain, truth, log, rng, NOISE * (k < CASTS))
         for k, log in enumerate(casts)
     ]
     return CastSet(name, truth, tuple(seen[:CASTS]), seen[CASTS])
 
 
-def _known_cast(truth: np.ndarray, rng: np.random.Generator) -> pd.DataFrame:
-    """The joints' log of the first of random casts that is not chaotic."""
+def _draw_regular_cast(truth: np.ndarray, rng: np.random.Generator) -> pd.DataFrame:
+    """Return the joint log of the first of random casts that is not chaotic."""
     arm = model().arm
     while True:
-        log = _log(arm, _movement(arm, rng))
+        log = _joint_log(arm, _draw_movement(arm, rng))
         rough, finer = (
-            _simulated(model(*chain), truth, log) for chain in (FITTED, FINER)
+            _simulate(model(*chain), truth, log) for chain in (FITTED, FINER)
         )
-        if np.linalg.norm(rough[:, -1] - finer[:, -1], axis=-1).max() < KNOWN:
+        if (
+            np.linalg.norm(rough[:, -1] - finer[:, -1], axis=-1).max()
+            < MAX_MESH_ERROR_M
+        ):
             return log
 
 
-def _log(arm: Arm, curves: Curves) -> pd.DataFrame:
-    """What the arm reports of a movement, and of the rest after it."""
+def _joint_log(arm: Arm, curves: Curves) -> pd.DataFrame:
+    """Return what the arm reports of a movement and of the rest after it."""
     angles, _ = curves.sample(arm.tick, END)
     return pd.DataFrame(
         {"t": arm.tick * np.arange(angles.shape[1])}
@@ -122,8 +124,8 @@ def _log(arm: Arm, curves: Curves) -> pd.DataFrame:
     )
 
 
-def _movement(arm: Arm, rng: np.random.Generator) -> Curves:
-    """The first of random movements that the arm can do, its hand as fast as wanted."""
+def _draw_movement(arm: Arm, rng: np.random.Generator) -> Curves:
+    """Draw movements until the arm can do one and its hand is fast enough."""
     while True:
         curves = first_curves(arm, rng, 1, DURATION, ALPHA * rng.uniform())
         angles, speeds = curves.sample(arm.tick, END)
@@ -135,13 +137,13 @@ def _movement(arm: Arm, rng: np.random.Generator) -> Curves:
             return curves
 
 
-def _simulated(chain: Model, truth: np.ndarray, log: pd.DataFrame) -> np.ndarray:
-    """The string in each frame, (F, n, 2) [m]."""
+def _simulate(chain: Model, truth: np.ndarray, log: pd.DataFrame) -> np.ndarray:
+    """Simulate the string in each frame, (F, n, 2) [m]."""
     motion = resample_joint_motion(log["t"].to_numpy(), log[list(JOINTS)].to_numpy())
-    return chain.simulate_string(motion, truth[None], FRAMES).points[0]
+    return chain.simulate_string(motion, truth[None], FRAME_TIMES).points[0]
 
 
-def _seen(
+def _observe(
     name: str,
     chain: Model,
     truth: np.ndarray,
@@ -149,15 +151,15 @@ def _seen(
     rng: np.random.Generator,
     noise: float,
 ) -> Observation:
-    """A cast with the measured places of the string in each frame. noise: [m]."""
-    points = _simulated(chain, truth, log)
+    """Observe a cast at PLACES in each frame, with noise [m]."""
+    points = _simulate(chain, truth, log)
     place = PLACES / chain.string.segment_length
     line = interpolate_along_string(points[None], place[None])[0]
     x, y = (line + noise * rng.standard_normal(line.shape)).reshape(-1, 2).T
     seen = pd.DataFrame(
         {
-            "t": np.repeat(FRAMES, len(PLACES)),
-            "s": np.tile(PLACES, len(FRAMES)),
+            "t": np.repeat(FRAME_TIMES, len(PLACES)),
+            "s": np.tile(PLACES, len(FRAME_TIMES)),
             "x": x,
             "y": y,
         }

@@ -11,12 +11,12 @@ from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import horizons
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.parameter import parameter_exponents
-from tests.inference.estimation_sets import drawn, model
+from tests.inference.estimation_sets import draw_cast_set, model
 
 
 @pytest.fixture(scope="module")
 def given():
-    return drawn(2)
+    return draw_cast_set(2)
 
 
 def likelihood(given, points, step):
@@ -47,7 +47,10 @@ def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(given)
     as far as points without noise are from a chain of 77.
     """
     chi = parameter_exponents(model().parameters, given.truth)
-    meshes = [likelihood(given, *mesh).cut_after_onset(0.4) for mesh in ((20, 1e-3), (39, 5e-4))]
+    meshes = [
+        likelihood(given, *mesh).cut_after_onset(0.4)
+        for mesh in ((20, 1e-3), (39, 5e-4))
+    ]
     coarse, fine = (discretisation_error(mesh, chi) for mesh in meshes)
     assert coarse / fine == pytest.approx(4.0, rel=0.05)
     trial = given.held_out

@@ -15,8 +15,9 @@ GRAVITY = 9.81
 
 
 def path(hand: HandMotion, steps: int) -> np.ndarray:
-    """The grasp at every step of a tick, (ticks, steps, 6): x, y, theta and their
-    rates; Hermite's cubic.
+    """Return the grasp at every step of a tick by Hermite's cubic, (ticks, steps, 6).
+
+    Columns are x, y, theta and their rates.
     """
     u = (np.arange(steps) / steps)[:, None]
     (p0, p1), tick = (hand.pose[0, :-1, None], hand.pose[0, 1:, None]), hand.tick
@@ -36,8 +37,7 @@ def cast(
     hand: np.ndarray,
     tick: float,
 ) -> np.ndarray:
-    """Positions of the mass points at the ticks, (ticks, n, 2) [m], at the beginning of
-    each.
+    """Simulate mass points; return their positions at the ticks, (ticks, n, 2) [m].
 
     start: (n, 2) at rest [m]. parameters: k_s, c_s, k_h, c_h, C_c1, C_c2, k_ph, c_ph,
     per unit mass of one mass point. length: of a segment [m]. hand: see `path`.

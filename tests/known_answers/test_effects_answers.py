@@ -640,7 +640,9 @@ def test_other_clocks_show_the_string_at_other_moments(name, size, there):
         model.simulate_string(motion, values[:1], there(t)).points[0],
         atol=1e-12,
     )
-    np.testing.assert_array_equal(seen[1], model.simulate_observation(motion, values[1:], t).points[0])
+    np.testing.assert_array_equal(
+        seen[1], model.simulate_observation(motion, values[1:], t).points[0]
+    )
 
 
 REAL = {

@@ -52,5 +52,7 @@ def simulated(values):
 def test_the_engine_is_equation_1_to_rounding(values):
     """At every tick of a trial of 1.5 s; 9e-13 m measured."""
     engine, path = simulated(values)
-    by_hand = equation_1.cast(engine[0], values, STRING.segment_length, path, hand_motion().tick)
+    by_hand = equation_1.cast(
+        engine[0], values, STRING.segment_length, path, hand_motion().tick
+    )
     np.testing.assert_allclose(by_hand, engine, rtol=0, atol=1e-11)

@@ -189,11 +189,10 @@ ELSEWHERE = {  # which test runs it, or why none can
     "tasks.py study strings ../shared/measured": "needs recordings of others, which may not be handed on",
     "tasks.py test": "is what runs this",
     "tasks.py setup": "made the environment that this runs in",
-    "tasks.py bench": "installs what it compares with; a small one: tests/speed/test_smoke.py",
-    "tasks.py bench waits": "compares two commits by the clock of an idle machine",
-    "tasks.py bench estimates": "takes five minutes; one set of it: tests/speed/test_smoke.py",
+    "tasks.py bench": "installs what it compares with; a small one: "
+    "tests/benchmarks/speed/test_bench.py",
+    "tasks.py bench diagnosis": "as bench; a diagnosis of the sample runs elsewhere",
     "pip install dynamixel-sdk": "installs",
-    'pytest --noconftest -p no:xdist -x -q ..."': "of cosmic-ray, for an hour, in an environment of its own",
 }
 
 

@@ -139,7 +139,13 @@ def simulation_table(accuracy: int, rounds: int) -> Table:
     seconds = time_contenders((ENGINE, *PEERS), accuracy, rounds)
     title = f"Simulations of {TIMES[-1]} s, tip error below {(3, 1)[accuracy]} mm"
     table = Table(title=f"{title} (median and range of {rounds} rounds, one core)")
-    for column in ("contender", "tip error", "at a time", "CPU ms each", "engine's speed over it"):
+    for column in (
+        "contender",
+        "tip error",
+        "at a time",
+        "CPU ms each",
+        "engine's speed over it",
+    ):
         table.add_column(column)
     for contender in (ENGINE, *PEERS):
         parts, step = contender.resolutions[accuracy]
@@ -158,7 +164,9 @@ def simulation_table(accuracy: int, rounds: int) -> Table:
     return table
 
 
-def time_contenders(contenders: Sequence[Contender], accuracy: int, rounds: int) -> pd.DataFrame:
+def time_contenders(
+    contenders: Sequence[Contender], accuracy: int, rounds: int
+) -> pd.DataFrame:
     """Return processor seconds, a row a round, a column a contender and count."""
     rows = []
     for _ in range(rounds):
@@ -182,10 +190,16 @@ def diagnosis_line() -> str:
     """Diagnose data/sample on one thread; return seconds, memory and verdict in a line."""
     with tempfile.TemporaryDirectory() as folder:
         started = time.perf_counter()
-        words = ("+experiment=diagnose", "trials=data/sample", f"hydra.run.dir={folder}")
+        words = (
+            "+experiment=diagnose",
+            "trials=data/sample",
+            f"hydra.run.dir={folder}",
+        )
         seconds, megabytes = measure_command(*words)
         wall = time.perf_counter() - started
-        document = json.loads((Path(folder) / "diagnosis.json").read_text(encoding="utf-8"))
+        document = json.loads(
+            (Path(folder) / "diagnosis.json").read_text(encoding="utf-8")
+        )
     causes = ", ".join(cause["effect"] for cause in document["causes"])
     return (
         f"Diagnosis of data/sample: {seconds:.1f} s of processor, {wall:.1f} s, "

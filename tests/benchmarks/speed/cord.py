@@ -27,8 +27,16 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Cord:
-    """A cord: length [m], mass [kg/m], and per mass: axial stiffness EA [m^2/s^2], bending
-    stiffness EI [m^4/s^2], bending damping [m^4/s].
+    """A round cord.
+
+    Attributes
+    ----------
+    length
+        [m].
+    mass
+        Per length [kg/m].
+    axial, bending, bending_damping
+        EA [m^2/s^2], EI [m^4/s^2] and bending damping [m^4/s], all per mass and length.
     """
 
     length: float = 0.300

@@ -56,9 +56,7 @@ class Chain:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """The compiled model; its positions are the carriage's pose and the hinges'
-        angles.
-        """
+        """Compiled model; its positions are the carriage's pose and the hinges' angles."""
         length = CORD.length / self.links
         chain = "".join(self._link(i, length) for i in range(self.links))
         chain += f'<site name="tip" pos="{length} 0 0"/>' + "</body>" * self.links
@@ -85,11 +83,10 @@ class Chain:
 
     @cached_property
     def forces(self) -> np.ndarray:
-        """(1, steps + 1, 3) forces that land the carriage on its poses: M (p_+1 - 2 p +
-        p_-1) / dt^2.
+        """Forces (1, steps + 1, 3) that move the carriage from pose to pose.
 
-        One step more than the time takes, for a sensor tells of the moment at which a
-        step begins.
+        M (p_+1 - 2 p + p_-1) / dt^2. There is one step more than the time takes, because
+        a sensor reports the moment at which a step begins.
         """
         steps = round(TIMES[-1] / self.step)
         poses = hand_pose(np.arange(-1, steps + 2) * self.step)
@@ -97,7 +94,7 @@ class Chain:
 
     @cached_property
     def start(self) -> np.ndarray:
-        """(state,) the chain at rest in the hand, straight down."""
+        """State of the chain at rest in the hand, straight down."""
         data = mujoco.MjData(self.model)
         data.qpos[:3] = hand_pose(0.0)
         kind = mujoco.mjtState.mjSTATE_FULLPHYSICS

@@ -1,5 +1,4 @@
-"""The cord in PyElastica: Cosserat rods, several in one simulator so that its kernels
-work on all at once.
+"""The cord in PyElastica: several Cosserat rods in one simulator, for speed.
 
 The first element is centred on the clamp, so that the rod is clamped where the cord is,
 and not half an element further. Bending damping, which PyElastica has not, is a couple
@@ -26,7 +25,7 @@ class Simulator(
     elastica.Constraints,
     elastica.Forcing,
 ):
-    """What of PyElastica the cord needs."""
+    """The features of PyElastica that the cord needs."""
 
 
 class Hand(elastica.ConstraintBase):
@@ -38,12 +37,10 @@ class Hand(elastica.ConstraintBase):
         rates: np.ndarray,
         step: float,
         half: float,
-        **given: Any,
+        **options: Any,
     ) -> None:
-        """poses, rates: (2 steps + 1, 3) at half steps; half: of an element's length
-        [m].
-        """
-        super().__init__(**given)
+        """Take poses and rates (2 steps + 1, 3) at half steps, and half an element [m]."""
+        super().__init__(**options)
         self.poses, self.rates, self.every, self.half = poses, rates, step / 2, half
 
     def constrain_values(self, system: Any, time: float) -> None:
@@ -91,8 +88,9 @@ class BendingDamping(elastica.NoForces):
 
 @dataclass(frozen=True)
 class Rods:
-    """elements: between grasp and tip, and a half. step: [s], a whole part of a camera
-    frame.
+    """Rods of so many elements, half an element longer than from grasp to tip.
+
+    The step [s] divides a camera frame.
     """
 
     elements: int
@@ -123,10 +121,12 @@ class Rods:
         return run
 
     def _assemble(self, count: int) -> tuple[Simulator, list[Any]]:
-        """A simulator with its rods, at rest in the hand."""
+        """Assemble a simulator with its rods at rest in the hand."""
         simulator = Simulator()
         length = CORD.length / (self.elements - 0.5)
-        halves = hand_pose(np.arange(2 * round(TIMES[-1] / self.step) + 1) * self.step / 2)
+        halves = hand_pose(
+            np.arange(2 * round(TIMES[-1] / self.step) + 1) * self.step / 2
+        )
         rates = np.gradient(halves, self.step / 2, axis=0)
         rods = [self._rod(length) for _ in range(count)]
         for rod in rods:

@@ -27,8 +27,9 @@ def test_the_engine_is_timed_as_a_caller_uses_it():
 
 
 def test_mujoco_is_read_at_the_frames_time():
-    """The tip's lead over the engine's does not depend on the step. Read a step early, it
-    would differ by 0.5 ms.
+    """The tip's lead over the engine's does not depend on the step.
+
+    If the tip were read a step early, the lead would differ by 0.5 ms.
     """
     pytest.importorskip("mujoco", reason="installed by `python3 tasks.py bench`")
     engine = prepare_engine((25, 2e-4), 1)()[0]
