@@ -1,3 +1,1 @@
-"""Whether measured data can be trusted: what is there, what looks wrong and what to do,
-before anything runs.
-"""
+"""Checks of measured data: what is there, what looks wrong and how to correct it."""

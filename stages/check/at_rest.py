@@ -1,6 +1,4 @@
-"""A string hanging at rest: its length, the arc lengths of its points, and when it
-begins to move.
-"""
+"""A string hanging at rest: arc lengths of its points."""
 
 from __future__ import annotations
 
@@ -9,71 +7,82 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-# frames at the beginning, of which the median tells where a point rests
-REST_FRAMES = 5
+REST_FRAMES = 5  # the median of so many frames gives the place of rest
 
 
 def grasp_poses(
     motion: pd.DataFrame, links: np.ndarray, base: np.ndarray
 ) -> pd.DataFrame:
-    """Poses of the grasp: columns x, y [m], theta [rad], from joint angles q1, q2 ...
-    [rad] of a planar arm.
+    """Compute poses of the grasp of a planar arm.
 
-    links: (J,) [m], base first. base: (2,) where joint 1 sits [m].
+    Parameters
+    ----------
+    motion
+        Columns q1, q2 ... hold joint angles [rad].
+    links
+        Lengths of the links (J,), base first [m].
+    base
+        Place of joint 1 (2,) [m].
+
+    Returns
+    -------
+    DataFrame
+        Columns x, y [m] and theta [rad], a row for each row of `motion`.
     """
-    turned = np.cumsum(
-        motion[[f"q{n + 1}" for n in range(len(links))]].to_numpy(), axis=1
-    )
-    place = [
-        axis + (links * turn(turned)).sum(axis=1)
-        for axis, turn in zip(base, (np.cos, np.sin), strict=True)
-    ]
-    return pd.DataFrame(
-        {"x": place[0], "y": place[1], "theta": turned[:, -1]}, index=motion.index
-    )
+    columns = [f"q{number + 1}" for number in range(len(links))]
+    angles = np.cumsum(motion[columns].to_numpy(), axis=1)  # of the links to +x
+    pose = {
+        "x": base[0] + (links * np.cos(angles)).sum(axis=1),
+        "y": base[1] + (links * np.sin(angles)).sum(axis=1),
+        "theta": angles[:, -1],
+    }
+    return pd.DataFrame(pose, index=motion.index)
 
 
 def estimate_arc_lengths(
     points: pd.DataFrame, grasp: pd.DataFrame
 ) -> dict[str, np.ndarray]:
-    """Arc length of each of the string's named points [m], nearest first, by every
-    trial (K,).
+    """Estimate the arc length of each named point of a string at rest.
 
-    At rest a limp string hangs straight, so that from the grasp on, in the order of
-    their distance, points are as far from one another as along the string; a stiff one
-    bends below the grasp, and is longer. points: columns trial, t, point, x, y. grasp:
-    columns trial, x, y [m], in the order of time.
+    At rest a limp string hangs straight, so that distances from the grasp on, from
+    point to point, are arc lengths. A stiff string bends below the grasp and is longer.
+
+    Parameters
+    ----------
+    points
+        Columns trial, t, point, x, y.
+    grasp
+        Columns trial, x, y [m], in the order of time.
+
+    Returns
+    -------
+    dict
+        Arc lengths by point [m], one for each trial, the nearest point first.
     """
-    known = points[
-        np.isfinite(points[["x", "y"]]).all(axis=1) & points.get("valid", True)
-    ]
-    first = (
-        known.sort_values("t", kind="stable")
-        .groupby(["trial", "point"])
-        .head(REST_FRAMES)
-    )
-    # where each point rests at first
+    is_known = np.isfinite(points[["x", "y"]]).all(axis=1) & points.get("valid", True)
+    by_time = points[is_known].sort_values("t", kind="stable")
+    first = by_time.groupby(["trial", "point"]).head(REST_FRAMES)
     rest = first.groupby(["trial", "point"])[["x", "y"]].median()
-    hand = grasp.groupby("trial")[["x", "y"]].first()
-    found: dict[str, list[float]] = {}
-    for trial, there in rest.groupby(level="trial"):
-        if trial not in hand.index:
+    hands = grasp.groupby("trial")[["x", "y"]].first()
+    arc_lengths: dict[str, list[float]] = {}
+    for trial, places in rest.groupby(level="trial"):
+        if trial not in hands.index:
             continue
-        place = hand.loc[trial].to_numpy()
-        xy = there.droplevel("trial")
-        order = np.argsort(np.linalg.norm(xy.to_numpy() - place, axis=1))
-        way = np.linalg.norm(
-            np.diff(np.vstack([place, xy.to_numpy()[order]]), axis=0), axis=1
-        ).cumsum()
-        for name, s in zip(xy.index[order], way, strict=True):
-            found.setdefault(str(name), []).append(float(s))
-    return {
-        name: np.array(values)
-        for name, values in sorted(found.items(), key=lambda item: item[1][0])
-    }
+        hand = hands.loc[trial].to_numpy()
+        places = places.droplevel("trial")
+        xy = places.to_numpy()
+        order = np.argsort(np.linalg.norm(xy - hand, axis=1))
+        steps = np.diff(np.vstack([hand, xy[order]]), axis=0)
+        path = np.linalg.norm(steps, axis=1).cumsum()
+        for name, s in zip(places.index[order], path, strict=True):
+            arc_lengths.setdefault(str(name), []).append(float(s))
+    nearest_first = sorted(arc_lengths.items(), key=lambda item: item[1][0])
+    return {name: np.array(values) for name, values in nearest_first}
 
 
-def attach_arc_lengths(points: pd.DataFrame, at: Mapping[str, float]) -> pd.DataFrame:
-    """Points of which it is known how far along they lie, with that as column s [m]."""
-    kept = points[points["point"].isin(list(at))]
-    return kept.assign(s=kept["point"].map(at).astype(float))
+def attach_arc_lengths(
+    points: pd.DataFrame, arc_lengths: Mapping[str, float]
+) -> pd.DataFrame:
+    """Keep the points of known arc length [m], with that as column s."""
+    known = points[points["point"].isin(list(arc_lengths))]
+    return known.assign(s=known["point"].map(arc_lengths).astype(float))

@@ -1,6 +1,4 @@
-"""All checks of measured data, and what follows from them. A check more is a function
-more in CHECKS.
-"""
+"""All checks of measured data. To add a check, add its function to CHECKS."""
 
 from __future__ import annotations
 
@@ -48,34 +46,51 @@ CHECKS: tuple[Check, ...] = (
 )
 
 
-def collect_findings(measured: CheckedDataset) -> list[Finding]:
-    """Findings of all checks, the worst first; those of the same place with the same
-    remedy as one, in the words of the first.
+def collect_findings(dataset: CheckedDataset) -> list[Finding]:
+    """Run all checks.
+
+    Findings of the same place with the same remedy become one, with the statement of
+    the first and all their trials.
+
+    Parameters
+    ----------
+    dataset
+        The data with arm, camera and length.
+
+    Returns
+    -------
+    list of Finding
+        The worst first.
     """
-    whole: dict[tuple[str, ...], Finding] = {}
-    for finding in (finding for check in CHECKS for finding in check(measured)):
-        key = (finding.severity, finding.file, finding.field, finding.remedy)
-        first = whole.setdefault(key, finding)
-        whole[key] = replace(
-            first, trials=tuple(dict.fromkeys((*first.trials, *finding.trials)))
-        )
-    return sorted(
-        whole.values(), key=lambda finding: list(Severity).index(finding.severity)
-    )
+    merged: dict[tuple[str, ...], Finding] = {}
+    for check in CHECKS:
+        for finding in check(dataset):
+            key = (finding.severity, finding.file, finding.field, finding.remedy)
+            first = merged.setdefault(key, finding)
+            trials = dict.fromkeys((*first.trials, *finding.trials))
+            merged[key] = replace(first, trials=tuple(trials))
+    order = list(Severity)
+    return sorted(merged.values(), key=lambda finding: order.index(finding.severity))
 
 
-def refuse_errors(measured: CheckedDataset) -> None:
-    """Raise DataError where something is certainly wrong."""
-    errors = [
-        finding
-        for finding in collect_findings(measured)
-        if finding.severity is Severity.ERROR
-    ]
+def refuse_errors(dataset: CheckedDataset) -> None:
+    """Refuse data with errors.
+
+    Parameters
+    ----------
+    dataset
+        The data with arm, camera and length.
+
+    Raises
+    ------
+    DataError
+        If a check found an error.
+    """
+    findings = collect_findings(dataset)
+    errors = [finding for finding in findings if finding.severity is Severity.ERROR]
     if errors:
-        place = measured.data.folder
-        more = (
-            f" {len(errors) - 1} more:" if len(errors) > 1 else " All that was found:"
-        )
+        folder = dataset.data.folder
+        more = f"{len(errors) - 1} more" if len(errors) > 1 else "All findings"
         raise DataError(
-            f"{place}: {errors[0].sentence}{more} python -m pipeline check {place}"
+            f"{folder}: {errors[0].sentence} {more}: python -m pipeline check {folder}"
         )

@@ -1,6 +1,4 @@
-"""Clocks: their unit, their rate, what arm and camera have in common, and who moves
-first.
-"""
+"""Checks of times: unit, rate, overlap of both clocks, and what moves first."""
 
 from __future__ import annotations
 
@@ -8,228 +6,219 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from stringcast.stages.check.finding import Finding, Severity
+from stringcast.stages.check.finding import Finding, error, note, warning
 from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
 
-SLOW_RATE = 0.5  # [s] between samples: no string's motion can be told from them
-CERTAIN_FACTOR = 10  # samples from which a unit is told
-LONGEST_TRIAL_S = 3600.0  # [s] of a trial: as it is simulated tick by tick, 7e5 of 5 ms
+MAX_INTERVAL_S = 0.5  # samples further apart do not show the motion of any string
+MIN_SAMPLES_FOR_UNIT = 10
+MAX_TRIAL_S = 3600.0  # a trial is simulated in ticks of 5 ms: 7e5 of them
 TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
-# of the time in which the string was seen: so little of the hand's motion says too
-# little
+# share of the time in which the string was seen for which the hand's motion is known
 MIN_COVERED_SHARE = 0.5
-RATE_TOLERANCE = 0.05  # by which fps may differ from what the times say
-EARLY_S, LATE_S = 0.1, 0.3  # [s] by which the string may move before and after the hand
-GAP_INTERVALS = 10.0  # times the usual distance of samples
-MIN_GAP_S = 0.05  # [s] of a gap in the hand's motion
+RATE_TOLERANCE = 0.05  # relative difference of fps from the rate of the times
+# the string may begin to move so much before and after the hand
+MAX_LEAD_S, MAX_LAG_S = 0.1, 0.3
+GAP_INTERVALS = 10.0  # a gap is so many usual intervals
+MIN_GAP_S = 0.05
+MIN_GAP_DISTANCE = 0.01  # of the hand within a gap, relative to the string's length
 
 
 def times_by_file(
-    measured: CheckedDataset, seen: CheckedTrial
+    dataset: CheckedDataset, trial: CheckedTrial
 ) -> dict[str, np.ndarray]:
-    """Times [s] by file."""
-    return {measured.hand_file: seen.hand_t, measured.file("points"): seen.frame_t}
+    """Return times (F,) [s] of hand and string by file."""
+    return {dataset.hand_file: trial.hand_t, dataset.points_file: trial.frame_t}
 
 
 def usual_interval(t: np.ndarray) -> float:
-    """Distance of samples [s]; 0 where there are none."""
+    """Return the median distance of samples [s]; 0 if there are fewer than two."""
     return float(np.median(np.diff(t))) if len(t) > 1 else 0.0
 
 
 def time_unit_factor(t: np.ndarray) -> float:
-    """The factor by which times (F,) are too large for seconds: 1 where they may be
-    seconds, infinity where by no unit's.
+    """Return the factor by which times (F,) are too large for seconds.
+
+    It is 1 if they may be seconds, and infinity if no known unit explains them.
     """
-    return next(
-        f
-        for f in (1.0, *TIME_UNITS, np.inf)
-        if usual_interval(t) / f < SLOW_RATE or len(t) < CERTAIN_FACTOR
-    )
+    if len(t) < MIN_SAMPLES_FOR_UNIT:
+        return 1.0
+    for factor in (1.0, *TIME_UNITS):
+        if usual_interval(t) / factor < MAX_INTERVAL_S:
+            return factor
+    return np.inf
 
 
-def check_time_unit(measured: CheckedDataset) -> Iterator[Finding]:
-    """Times that are no seconds."""
-    for seen in measured.with_points():
-        for file, t in times_by_file(measured, seen).items():
+def check_time_unit(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find times that are not in seconds."""
+    for trial in dataset.with_points():
+        for file, t in times_by_file(dataset, trial).items():
             factor = time_unit_factor(t)
             if factor in TIME_UNITS:
-                said = f"times are in {TIME_UNITS[factor]}, not in seconds as it seems: samples are {usual_interval(t):.4g} apart"
-                yield Finding(
-                    Severity.ERROR,
-                    file,
-                    "t",
-                    said,
-                    f"Multiply t by {1 / factor:g}",
-                    (seen.name,),
+                statement = (
+                    f"times seem to be in {TIME_UNITS[factor]}, not in seconds: "
+                    f"samples are {usual_interval(t):.4g} apart"
                 )
+                remedy = f"Multiply t by {1 / factor:g}"
+                yield error(file, "t", statement, remedy, trial.name)
 
 
 def trials_in_seconds(
-    measured: CheckedDataset, trials: Iterable[CheckedTrial]
+    dataset: CheckedDataset, trials: Iterable[CheckedTrial]
 ) -> Iterator[CheckedTrial]:
-    """The trials of whose clocks more can be said than that they count in another unit."""
-    for seen in trials:
-        if not any(
-            time_unit_factor(t) in TIME_UNITS
-            for t in times_by_file(measured, seen).values()
-        ):
-            yield seen
+    """Yield the trials whose times are not in another unit."""
+    for trial in trials:
+        times = times_by_file(dataset, trial).values()
+        if TIME_UNITS.keys().isdisjoint(map(time_unit_factor, times)):
+            yield trial
 
 
-def check_duration(measured: CheckedDataset) -> Iterator[Finding]:
-    """Trials of hours: a time that is wrong, as a rule."""
-    for seen in measured.trials:
-        for file, t in times_by_file(measured, seen).items():
-            if (
-                len(t)
-                and not np.ptp(t) <= LONGEST_TRIAL_S
-                and time_unit_factor(t) not in TIME_UNITS
-            ):
-                said = f"times span {np.ptp(t):.4g} s; at most {LONGEST_TRIAL_S:.0f} s are simulated"
-                remedy = (
-                    "Correct the time that is wrong, or cut the trial into shorter ones"
+def check_duration(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find trials of hours, in which usually one time is wrong."""
+    for trial in dataset.trials:
+        for file, t in times_by_file(dataset, trial).items():
+            if not len(t) or time_unit_factor(t) in TIME_UNITS:
+                continue
+            if not np.ptp(t) <= MAX_TRIAL_S:  # NaN is found, too
+                statement = (
+                    f"times span {np.ptp(t):.4g} s; at most {MAX_TRIAL_S:.0f} s are "
+                    "simulated"
                 )
-                yield Finding(Severity.ERROR, file, "t", said, remedy, (seen.name,))
+                remedy = "Correct the time that is wrong, or split the trial"
+                yield error(file, "t", statement, remedy, trial.name)
 
 
-def check_clock_start(measured: CheckedDataset) -> Iterator[Finding]:
-    """Clocks that began long before their trial."""
-    for name, begin in measured.data.clock_starts.items():
-        said = f"times begin at {begin:.15g} s; in what is made of them they are counted from there"
-        yield Finding(
-            Severity.NOTE,
-            measured.hand_file,
-            "t",
-            said,
-            "Nothing needs to be done",
-            (name,),
-        )
+def check_clock_start(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Report clocks that began long before their trial."""
+    for name, start in dataset.data.clock_starts.items():
+        statement = f"times begin at {start:.15g} s; results count time from there"
+        remedy = "Nothing needs to be done"
+        yield note(dataset.hand_file, "t", statement, remedy, name)
 
 
-def check_frame_rate(measured: CheckedDataset) -> Iterator[Finding]:
-    """Frames that come at another rate than the camera is said to have."""
-    stated = (measured.data.metadata.get("camera") or {}).get("fps")
-    for seen in measured.informative_trials():
-        step = usual_interval(seen.frame_t)
-        if stated is None or not 0 < step < SLOW_RATE:
+def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find frames at another rate than the stated one of the camera."""
+    fps = (dataset.data.metadata.get("camera") or {}).get("fps")
+    if fps is None:
+        return
+    fps = float(fps)
+    for trial in dataset.informative_trials():
+        interval = usual_interval(trial.frame_t)
+        if not 0 < interval < MAX_INTERVAL_S:
             continue
-        fps = 1 / step
-        # every second frame may have been kept
-        whole = max(round(float(stated) / fps), 1)
-        if abs(fps * whole / float(stated) - 1) > RATE_TOLERANCE:
-            said = f"frames come {fps:.4g} times a second, camera.fps in dataset.yaml is {float(stated):g}"
-            remedy = "Correct the one that is wrong; of slow motion count the frames as filmed"
-            yield Finding(
-                Severity.WARNING,
-                measured.file("points"),
-                "t",
-                said,
-                remedy,
-                (seen.name,),
+        rate = 1 / interval
+        # possibly only every second or third frame was kept
+        frames_per_sample = max(round(fps / rate), 1)
+        if abs(rate * frames_per_sample / fps - 1) > RATE_TOLERANCE:
+            statement = (
+                f"there are {rate:.4g} frames per second, but camera.fps in "
+                f"dataset.yaml is {fps:g}"
             )
-
-
-def check_overlap(measured: CheckedDataset) -> Iterator[Finding]:
-    """A hand whose motion is known for little of the time."""
-    for seen in trials_in_seconds(measured, measured.with_points()):
-        first, last = (
-            max(seen.hand_t[0], seen.frame_t[0]),
-            min(seen.hand_t[-1], seen.frame_t[-1]),
-        )
-        span = float(np.ptp(seen.frame_t))
-        if last - first < MIN_COVERED_SHARE * span:
-            said = f"arm and camera have {last - first:.2f} s in common of {span:.2f} s in which the string was seen"
-            remedy = "See that both clocks begin together, or leave out points of other times"
-            yield Finding(
-                Severity.WARNING,
-                measured.file("points"),
-                "t",
-                said,
-                remedy,
-                (seen.name,),
-            )
-
-
-def check_onsets(measured: CheckedDataset) -> Iterator[Finding]:
-    """A string at rest that moves long before or after the hand."""
-    for seen in trials_in_seconds(measured, measured.informative_trials()):
-        hand, string = seen.hand_onset, seen.string_onset
-        if seen.starts_moving or hand is None or string is None or is_restless(seen):
-            continue
-        if hand - string > EARLY_S or string - hand > LATE_S:
-            later = string - hand
-            said = f"the string begins to move {abs(later):.2f} s {'after' if later > 0 else 'before'} the hand"
-            remedy = f"If the clocks differ by that, {'subtract it from' if later > 0 else 'add it to'} t of points"
-            yield Finding(
-                Severity.WARNING,
-                measured.file("points"),
-                "t",
-                said,
-                remedy,
-                (seen.name,),
-            )
-
-
-def check_rest(measured: CheckedDataset) -> Iterator[Finding]:
-    """A string that moves without the hand, though it is said to be at rest."""
-    for seen in measured.informative_trials():
-        if not seen.starts_moving and is_restless(seen):
-            said = "the string moves before the hand does, or the hand never moves"
             remedy = (
-                "If it was let go or already swung, write 'initial: moving' in dataset.yaml (for one trial, under "
-                "trials); else begin the trial earlier"
+                "Correct the one that is wrong; in slow motion count the frames as "
+                "filmed"
             )
-            yield Finding(
-                Severity.WARNING,
-                measured.file("points"),
-                "t",
-                said,
-                remedy,
-                (seen.name,),
-            )
+            yield warning(dataset.points_file, "t", statement, remedy, trial.name)
 
 
-def check_sampling(measured: CheckedDataset) -> Iterator[Finding]:
-    """A string that was seen so seldom that its motion cannot be told."""
-    for seen in trials_in_seconds(measured, measured.with_points()):
-        if seen.is_undersampled:
-            said = (
-                f"each place was seen {seen.rate:.2g} times a second; a string of {seen.length:.3g} m swings so fast "
-                f"that {seen.least_rate:.2g} are the least"
+def check_overlap(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find trials in which the hand's motion is known for little of the time."""
+    for trial in trials_in_seconds(dataset, dataset.with_points()):
+        first = max(trial.hand_t[0], trial.frame_t[0])
+        last = min(trial.hand_t[-1], trial.frame_t[-1])
+        duration = float(np.ptp(trial.frame_t))
+        if last - first < MIN_COVERED_SHARE * duration:
+            statement = (
+                f"arm and camera have {last - first:.2f} s in common of "
+                f"{duration:.2f} s in which the string was seen"
             )
-            remedy = "Film faster, or track more frames: how the string moves between them is unknown"
-            yield Finding(
-                Severity.ERROR, measured.file("points"), "t", said, remedy, (seen.name,)
+            remedy = (
+                "See that both clocks begin together, or leave out points of other "
+                "times"
             )
+            yield warning(dataset.points_file, "t", statement, remedy, trial.name)
 
 
-def is_restless(seen: CheckedTrial) -> bool:
-    """Whether the string moves though the hand never does, or as soon as it is seen and
-    long before the hand.
+def check_onsets(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find strings at rest that begin to move long before or after the hand."""
+    for trial in trials_in_seconds(dataset, dataset.informative_trials()):
+        hand, string = trial.hand_onset, trial.string_onset
+        if hand is None or string is None:
+            continue
+        if trial.starts_moving or is_restless(trial):
+            continue
+        if hand - string > MAX_LEAD_S:
+            order, remedy = "before", "add it to"
+        elif string - hand > MAX_LAG_S:
+            order, remedy = "after", "subtract it from"
+        else:
+            continue
+        statement = (
+            f"the string begins to move {abs(string - hand):.2f} s {order} the hand"
+        )
+        remedy = f"If the clocks differ by that, {remedy} t of points"
+        yield warning(dataset.points_file, "t", statement, remedy, trial.name)
+
+
+def check_rest(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find strings that should be at rest and move without the hand."""
+    for trial in dataset.informative_trials():
+        if not trial.starts_moving and is_restless(trial):
+            statement = "the string moves before the hand does, or the hand never moves"
+            remedy = (
+                "If it was released or already swung, write 'initial: moving' in "
+                "dataset.yaml (for one trial, under trials); else begin the trial "
+                "earlier"
+            )
+            yield warning(dataset.points_file, "t", statement, remedy, trial.name)
+
+
+def check_sampling(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find strings that were seen too seldom to show their motion."""
+    for trial in trials_in_seconds(dataset, dataset.with_points()):
+        if trial.is_undersampled:
+            statement = (
+                f"each place was seen {trial.rate:.2g} times a second; a string of "
+                f"{trial.length:.3g} m needs at least {trial.least_rate:.2g}"
+            )
+            remedy = (
+                "Film faster, or track more frames: how the string moves between "
+                "them is unknown"
+            )
+            yield error(dataset.points_file, "t", statement, remedy, trial.name)
+
+
+def is_restless(trial: CheckedTrial) -> bool:
+    """Return whether the string moves although the hand rests.
+
+    Either the hand never moves, or the string moves from its first frame on and long
+    before the hand.
     """
-    hand, string = seen.hand_onset, seen.string_onset
+    hand, string = trial.hand_onset, trial.string_onset
     if string is None or hand is None:
         return string is not None
-    return string - float(seen.frame_t[0]) < EARLY_S < hand - string
+    return string - float(trial.frame_t[0]) < MAX_LEAD_S < hand - string
 
 
-def check_gaps(measured: CheckedDataset) -> Iterator[Finding]:
-    """Long times without a sample: of the hand while it moves, or of the string."""
-    for seen in measured.with_points():
-        for file, t in times_by_file(measured, seen).items():
-            steps = np.diff(t)
-            widest = float(steps.max(initial=0.0))
-            if widest < max(GAP_INTERVALS * usual_interval(t), MIN_GAP_S):
+def check_gaps(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find long times without a sample of the hand or of the string."""
+    for trial in dataset.with_points():
+        for file, t in times_by_file(dataset, trial).items():
+            intervals = np.diff(t)
+            longest = float(intervals.max(initial=0.0))
+            limit = GAP_INTERVALS * usual_interval(t)
+            if longest < max(limit, MIN_GAP_S):
                 continue
-            said = f"{int((steps > GAP_INTERVALS * usual_interval(t)).sum())} gap(s), the longest {widest:.3f} s"
-            gap = int(np.argmax(steps))
-            # of the hand in it
-            way = float(np.linalg.norm(np.diff(seen.pose[gap : gap + 2, :2], axis=0)))
-            moved = file == measured.hand_file and way > 0.01 * seen.length
-            severity = Severity.WARNING if moved else Severity.NOTE
-            remedy = (
-                "The hand's motion in them is a guess: leave the trial out"
-                if moved
-                else "Nothing needs to be done"
-            )
-            yield Finding(severity, file, "t", said, remedy, (seen.name,))
+            gaps = int((intervals > limit).sum())
+            statement = f"{gaps} gap(s), the longest {longest:.3f} s"
+
+            # only motion of the hand within the gap does harm
+            start = int(np.argmax(intervals))
+            ends = trial.pose[start : start + 2, :2]
+            distance = float(np.linalg.norm(np.diff(ends, axis=0)))
+            is_hand = file == dataset.hand_file
+            if is_hand and distance > MIN_GAP_DISTANCE * trial.length:
+                remedy = "The hand's motion in them is unknown: leave the trial out"
+                yield warning(file, "t", statement, remedy, trial.name)
+            else:
+                remedy = "Nothing needs to be done"
+                yield note(file, "t", statement, remedy, trial.name)

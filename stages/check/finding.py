@@ -1,4 +1,4 @@
-"""The result of a check: a finding."""
+"""Findings of the checks."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from enum import StrEnum
 
 
 class Severity(StrEnum):
-    """error: certainly wrong, nothing runs on it. warning: suspicious, or left out.
-    note: good to know.
+    """How bad a finding is.
+
+    An error is certainly wrong, and nothing runs on such data. A warning is suspicious
+    or means that data are left out. A note needs no action.
     """
 
     ERROR = "error"
@@ -19,11 +21,22 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was found.
+    """One result of a check.
 
-    file: where. field: column or key there; empty if it is about the whole file. said:
-    what is so. remedy: what to do; findings of several trials with the same remedy are
-    told as one. trials: in which; empty if in all of the data.
+    Attributes
+    ----------
+    severity
+        How bad it is.
+    file
+        The file that it concerns.
+    field
+        The column or key there; empty if it concerns the whole file.
+    statement
+        What was found.
+    remedy
+        What to do about it.
+    trials
+        The trials that it concerns; empty if it concerns all of the data.
     """
 
     severity: Severity
@@ -37,12 +50,28 @@ class Finding:
     def sentence(self) -> str:
         """The finding in one line."""
         place = " ".join(filter(None, (self.file, self.field)))
-        where = f" (trial {', '.join(self.trials)})" if self.trials else ""
-        return (
-            f"{place}{where}: {self.statement}. {self.remedy}{full_stop(self.remedy)}"
-        )
+        trials = f" (trial {', '.join(self.trials)})" if self.trials else ""
+        end = full_stop(self.remedy)
+        return f"{place}{trials}: {self.statement}. {self.remedy}{end}"
+
+
+def error(file: str, field: str, statement: str, remedy: str, *trials: str) -> Finding:
+    """Return a finding that stops a run."""
+    return Finding(Severity.ERROR, file, field, statement, remedy, trials)
+
+
+def warning(
+    file: str, field: str, statement: str, remedy: str, *trials: str
+) -> Finding:
+    """Return a finding that is suspicious."""
+    return Finding(Severity.WARNING, file, field, statement, remedy, trials)
+
+
+def note(file: str, field: str, statement: str, remedy: str, *trials: str) -> Finding:
+    """Return a finding that is good to know."""
+    return Finding(Severity.NOTE, file, field, statement, remedy, trials)
 
 
 def full_stop(remedy: str) -> str:
-    """The full stop behind a remedy; none behind a command, which is to be pasted."""
+    """Return the full stop behind a remedy; none behind a command to be pasted."""
     return "" if re.search(r": (python|rm|printf) \S", remedy) else "."

@@ -1,4 +1,4 @@
-"""Films: frames that a camera dropped, and pictures in which no string can be read."""
+"""Checks of films: dropped frames, and a camera that cannot show the string."""
 
 from __future__ import annotations
 
@@ -7,73 +7,69 @@ from collections.abc import Iterator
 import numpy as np
 
 from stringcast.data.metadata import DATASET_FILE
-from stringcast.stages.check.clocks import SLOW_RATE, usual_interval
-from stringcast.stages.check.finding import Finding, Severity
+from stringcast.stages.check.clocks import MAX_INTERVAL_S, usual_interval
+from stringcast.stages.check.finding import Finding, error, note, warning
 from stringcast.stages.check.measured import CheckedDataset
 
-GRID_PLACES = 9  # in either direction of a picture, at which it is asked where they lie
-# [px] from where a place must come back from the plane: nearer, no pixel is another's
-MAX_RETURN_PX = 0.5
-# of the places, the outermost of a lens that bends much: no string hangs there
-CORNER_SHARE = 0.1
-MIN_STRING_PX = 3.0  # [px] of a string: shorter, it has no direction
-# pictures that a string is long: a frame shows nothing of its shape
-MAX_PICTURES = 20.0
-MAX_DROPPED_SHARE = 0.02  # share of a film's frames: so many are more than bad luck
+GRID_SIZE = 9  # pixels tested in either direction of a picture
+# a pixel must come back from the plane so near to where it was
+MAX_RETURN_ERROR_PX = 0.5
+# share of pixels that may lie nowhere: the corners of a strongly bending lens
+MAX_LOST_CORNERS = 0.1
+MIN_STRING_PX = 3.0  # a shorter string has no direction
+MAX_STRING_PICTURES = 20.0  # a longer string shows nothing of its shape
+MAX_DROPPED_SHARE = 0.02  # of a film's frames
 
 
-def check_camera_view(measured: CheckedDataset) -> Iterator[Finding]:
-    """A picture that the camera's numbers fold, or in which the string would be a speck
-    or everything.
-    """
-    if not measured.data.films:
+def check_camera_view(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find cameras that fold the picture, or show the string far too small or large."""
+    if not dataset.data.films:
         return
-    camera, size = (
-        measured.camera,
-        np.array([measured.camera.width, measured.camera.height]),
-    )
-    places = np.stack(
-        np.meshgrid(*(np.linspace(0, side - 1, GRID_PLACES) for side in size)), axis=-1
-    ).reshape(-1, 2)
-    with np.errstate(all="ignore"):  # what is no number is found
-        there = camera.world(places)
-        lost = ~(np.linalg.norm(camera.pixels(there) - places, axis=-1) < MAX_RETURN_PX)
-    if lost.mean() > CORNER_SHARE:
-        severity = Severity.ERROR if lost.mean() > 0.5 else Severity.WARNING
-        said = f"{lost.mean():.0%} of the picture lies nowhere in the plane by these numbers, or twice"
-        yield Finding(
-            severity,
-            DATASET_FILE,
-            "camera",
-            said,
-            "Correct lens, distortion or tilt, or calibrate anew",
+    camera = dataset.camera
+    size = np.array([camera.width, camera.height])
+    columns, rows = (np.linspace(0, side - 1, GRID_SIZE) for side in size)
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    with np.errstate(all="ignore"):  # NaN counts as lost
+        places = camera.world(pixels)
+        errors = np.linalg.norm(camera.pixels(places) - pixels, axis=-1)
+    is_kept = errors < MAX_RETURN_ERROR_PX
+    lost = (~is_kept).mean()
+    if lost > MAX_LOST_CORNERS:
+        statement = (
+            f"{lost:.0%} of the picture lies nowhere in the plane by these numbers, or "
+            "twice"
         )
+        remedy = "Correct lens, distortion or tilt, or calibrate again"
+        report = error if lost > 0.5 else warning
+        yield report(DATASET_FILE, "camera", statement, remedy)
         return
+
     with np.errstate(all="ignore"):
-        long = measured.length / np.ptp(there[~lost], axis=0)  # in pictures
-    if not ((long * size >= MIN_STRING_PX).all() and (long <= MAX_PICTURES).all()):
-        said = "by these numbers the string is as long as {:.2g} pictures are wide, and as {:.2g} are high".format(
-            *long
+        pictures = dataset.length / np.ptp(places[is_kept], axis=0)
+    is_large_enough = (pictures * size >= MIN_STRING_PX).all()
+    if not (is_large_enough and (pictures <= MAX_STRING_PICTURES).all()):
+        statement = (
+            f"by these numbers the string is as long as {pictures[0]:.2g} pictures are "
+            f"wide, and as {pictures[1]:.2g} are high"
         )
-        yield Finding(
-            Severity.ERROR,
-            DATASET_FILE,
-            "camera",
-            said,
-            "Correct px_per_m, width and height, or the lens",
-        )
+        remedy = "Correct px_per_m, width and height, or the lens"
+        yield error(DATASET_FILE, "camera", statement, remedy)
 
 
-def check_dropped_frames(measured: CheckedDataset) -> Iterator[Finding]:
-    """Places on the schedule of a film that are empty."""
-    for name, film in measured.data.films.items():
-        step = usual_interval(film.t)
-        if not 0 < step < SLOW_RATE:
+def check_dropped_frames(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find frames that are missing from the schedule of a film."""
+    for name, film in dataset.data.films.items():
+        interval = usual_interval(film.t)
+        if not 0 < interval < MAX_INTERVAL_S:
             continue
-        lost = int((np.rint(np.diff(film.t) / step) - 1).clip(0).sum())
-        share = lost / (len(film.t) + lost)
+        lost = int((np.rint(np.diff(film.t) / interval) - 1).clip(0).sum())
         if lost:
-            said = f"{lost} of {len(film.t) + lost} frames are missing ({share:.1%})"
-            remedy = "Where many are: shorten the exposure, film fewer or smaller frames, or free the computer"
-            severity = Severity.WARNING if share > MAX_DROPPED_SHARE else Severity.NOTE
-            yield Finding(severity, measured.file("frames"), "t", said, remedy, (name,))
+            scheduled = len(film.t) + lost
+            share = lost / scheduled
+            statement = f"{lost} of {scheduled} frames are missing ({share:.1%})"
+            remedy = (
+                "Where many are: shorten the exposure, film fewer or smaller frames, "
+                "or free the computer"
+            )
+            report = warning if share > MAX_DROPPED_SHARE else note
+            yield report(dataset.file("frames"), "t", statement, remedy, name)

@@ -1,51 +1,60 @@
-"""Mistakes that make a string impossible: units, axes, the end from which arc length is
-counted.
+"""Checks for mistakes that make a string impossible: units, axes, origin of arc length.
 
-A string is as long as it is, so that neighbouring points lie as far apart as their arc
-lengths say, and begins in the hand. Where it cannot be so, each common mistake is
-undone in turn, then two at once; what makes it possible is said.
+Neighbouring points lie as far apart as their arc lengths say, and the string begins
+in the hand. If the data contradict this, each common mistake is undone in turn, then
+two at once. The mistake that makes the string possible is reported.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import partial
 from itertools import product
 
 import numpy as np
 
 from stringcast.data.dataset import MAX_ARC_LENGTH_RATIO, exclude_stray_points
-from stringcast.stages.check.finding import Finding, Severity
+from stringcast.data.metadata import DATASET_FILE
+from stringcast.stages.check.finding import Finding, error, warning
 from stringcast.stages.check.gravity import median_gravity
 from stringcast.stages.check.measured import GRAVITY, CheckedDataset, CheckedTrial
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
-FIRST_FRAMES = 10  # at the beginning, when the clocks matter least
-# of the length: so much further from the hand than its arc length is no point of this
-# string
-MAX_GAP_LENGTHS = 0.25
-MIN_SEEN_SHARE = 0.8  # of the points must be possible: others may be outliers
-NEAR_TIP_SHARE = 0.95  # of the points lie no further along than the string's end
-MAX_STRETCH = 1.5  # times as long as its arc length is no piece of it
-DENSE_SHARE = 0.15  # of the length: pieces so short are nearly straight
-PLAUSIBLE_LENGTHS_M = (0.01, 20.0)  # [m] of strings at all
-# [m] of strings that arms swing: what is taken for a mistake must leave no longer one
-SWUNG_LENGTHS = 2.0
-TIE_TOLERANCE = 1e-6  # of the misfit: as likely
-MAX_RADIANS = 4 * np.pi  # a joint does not turn further
-MAX_TURNS = 12 * np.pi  # nor does a hand
-MOSTLY_SHARE = 0.9  # of the samples: others may be outliers
+INITIAL_FRAMES = 10  # wrong clocks matter least at the beginning
+# no point is so much further from the hand than its arc length, relative to the length
+MAX_GAP = 0.25
+GAP_QUANTILE = 0.8  # so many points must be possible: others may be outliers
+TIP_QUANTILE = 0.95  # so many points lie no further along than the tip
+MAX_STRETCH = 1.5  # no piece is so many times as long as its arc length
+DENSE_SPACING = 0.15  # relative to the length: shorter pieces are nearly straight
+PLAUSIBLE_LENGTHS_M = (0.01, 20.0)
+MAX_CORRECTED_LENGTH_M = 2.0  # no arm casts a longer string
+MISFIT_TOLERANCE = 1e-6  # mistakes with equal misfit are equally likely
+MAX_JOINT_ANGLE_RAD = 4 * np.pi
+MAX_HAND_ANGLE_RAD = 12 * np.pi
+ANGLE_QUANTILE = 0.9  # of the samples: others may be outliers
 
 
 @dataclass(frozen=True)
 class InitialView:
-    """The string at the beginning of a trial.
+    """The string at the beginning of a trial, as the data describe it.
 
-    t (N,) [s], s (N,) [m], xy (N, 2) [m]: its points, by time and arc length. joints
-    (N, J) [rad] or None; hand (N, 2) [m]: where the grasp is then, where there are no
-    joints. length: of the string [m].
+    Attributes
+    ----------
+    t, s
+        Times (N,) [s] and arc lengths (N,) [m] of the points, in that order.
+    xy
+        Positions of the points (N, 2) [m].
+    joints
+        Joint angles at these times (N, J) [rad], or None.
+    hand
+        Positions of the grasp (N, 2) [m] if there are no joint angles.
+    length
+        Length of the string [m].
+    arm, camera
+        The arm and the camera that a run would use.
     """
 
     t: np.ndarray
@@ -59,104 +68,106 @@ class InitialView:
 
     @property
     def grasp(self) -> np.ndarray:
-        """Positions of the grasp, (N, 2) [m]."""
-        return (
-            self.hand
-            if self.joints is None
-            else self.arm.grasp_pose(self.joints)[:, :2]
-        )
+        """Positions of the grasp (N, 2) [m]."""
+        if self.joints is None:
+            return self.hand
+        return self.arm.grasp_pose(self.joints)[:, :2]
 
     @property
     def gap(self) -> float:
-        """Excess of the points' distance from the hand over their arc lengths, in
-        lengths of the string.
-        """
-        return float(
-            np.quantile(
-                (np.linalg.norm(self.xy - self.grasp, axis=1) - self.s) / self.length,
-                MIN_SEEN_SHARE,
-            )
-        )
+        """Excess of distances from the hand over arc lengths, in lengths."""
+        excess = np.linalg.norm(self.xy - self.grasp, axis=1) - self.s
+        return float(np.quantile(excess / self.length, GAP_QUANTILE))
 
     @property
     def stretch(self) -> tuple[float, bool]:
-        """Distance over arc length of neighbouring points, and whether they lie close
-        together; 1 if there are none.
+        """Median distance over arc length of neighbours, and whether they are close.
+
+        The ratio is 1 if there are no neighbours.
         """
-        ds, same = np.diff(self.s), np.diff(self.t) == 0
-        pieces = same & (ds > 1e-9)
+        ds, is_same_frame = np.diff(self.s), np.diff(self.t) == 0
+        pieces = is_same_frame & (ds > 1e-9)
         if not pieces.any():
             return 1.0, False
-        ratio = np.linalg.norm(np.diff(self.xy, axis=0), axis=1)[pieces] / ds[pieces]
-        return float(np.median(ratio)), bool(
-            np.median(ds[pieces]) < DENSE_SHARE * self.length
-        )
+        distances = np.linalg.norm(np.diff(self.xy, axis=0), axis=1)[pieces]
+        ratio = float(np.median(distances / ds[pieces]))
+        return ratio, bool(np.median(ds[pieces]) < DENSE_SPACING * self.length)
 
     @property
     def end(self) -> float:
-        """The largest arc length that is seen [m], but for a few that may be wrong."""
-        return float(np.quantile(self.s, NEAR_TIP_SHARE, method="lower"))
+        """Largest arc length [m], apart from a few that may be wrong."""
+        return float(np.quantile(self.s, TIP_QUANTILE, method="lower"))
 
     @property
     def is_possible(self) -> bool:
-        """Whether it can be a string in a hand."""
-        ratio, dense = self.stretch
+        """Whether this can be a string in a hand."""
+        ratio, is_dense = self.stretch
         return bool(
             PLAUSIBLE_LENGTHS_M[0] <= self.length <= PLAUSIBLE_LENGTHS_M[1]
             and self.end <= MAX_ARC_LENGTH_RATIO * self.length
             and ratio < MAX_STRETCH
-            and (ratio > 1 / MAX_STRETCH or not dense)
-            and self.gap < MAX_GAP_LENGTHS
+            and (ratio > 1 / MAX_STRETCH or not is_dense)
+            and self.gap < MAX_GAP
         )
 
     @property
     def misfit(self) -> float:
-        """Misfit of the string, 0 for one that is seen to its tip, is as long as stated
-        and begins in the hand.
-        """
+        """Misfit of length, spacing and gap; 0 for a string that is seen to its tip."""
         ratio, _ = self.stretch
-        return float(
-            abs(np.log(ratio))
-            + abs(np.log(self.end / self.length))
-            + max(self.gap, 0.0)
-        )
+        end_ratio = self.end / self.length
+        return float(abs(np.log(ratio)) + abs(np.log(end_ratio)) + max(self.gap, 0.0))
 
 
-def initial_views(
-    seen: CheckedTrial, camera: Camera
-) -> tuple[InitialView, InitialView]:
-    """The first frames of a trial, with the hand where the clocks say, and where it
-    begins if the clocks are wrong.
+# the string with the hand at its own time, and with the hand where its log begins
+Views = tuple[InitialView, InitialView]
+
+
+def initial_views(trial: CheckedTrial, camera: Camera) -> Views:
+    """Return the first frames of a trial with right clocks, and with wrong ones.
+
+    With wrong clocks, the hand is where its log begins.
     """
-    first = seen.points[seen.points["t"] <= seen.frame_t[:FIRST_FRAMES][-1]]
-    t, s, xy = (
-        first["t"].to_numpy(),
-        first["s"].to_numpy(),
-        first[["x", "y"]].to_numpy(),
+    last = trial.frame_t[:INITIAL_FRAMES][-1]
+    points = trial.points[trial.points["t"] <= last]
+    t, s = points["t"].to_numpy(), points["s"].to_numpy()
+    xy = points[["x", "y"]].to_numpy()
+    log = trial.pose[:, :2] if trial.joints is None else trial.joints
+    columns = [np.interp(t, trial.hand_t, column) for column in log.T]
+    synchronous = np.stack(columns, axis=-1)
+    first = np.broadcast_to(log[0], synchronous.shape)
+    no_hand = np.empty((len(t), 0))
+    context = (trial.length, trial.arm, camera)
+    if trial.joints is None:
+        return (
+            InitialView(t, s, xy, None, synchronous, *context),
+            InitialView(t, s, xy, None, first, *context),
+        )
+    return (
+        InitialView(t, s, xy, synchronous, no_hand, *context),
+        InitialView(t, s, xy, first, no_hand, *context),
     )
-    moved = seen.pose[:, :2] if seen.joints is None else seen.joints
-    now = np.stack([np.interp(t, seen.hand_t, column) for column in moved.T], axis=-1)
-    begun = np.broadcast_to(moved[0], now.shape)
-    if seen.joints is None:
-        one, other = (
-            InitialView(t, s, xy, None, hand, seen.length, seen.arm, camera)
-            for hand in (now, begun)
-        )
-    else:
-        one, other = (
-            InitialView(
-                t, s, xy, hand, np.empty((len(t), 0)), seen.length, seen.arm, camera
-            )
-            for hand in (now, begun)
-        )
-    return one, other
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """table, field: where it was made. said: what is so. remedy: what undoes it.
-    undone: the string without it. parts, factor: of a wrong unit, which lengths are too
-    large, and metres in one of it. option: for `import`.
+    """A common mistake in measured data.
+
+    Attributes
+    ----------
+    table, field
+        Where it was made.
+    statement
+        What is wrong.
+    remedy
+        How to undo it.
+    undo
+        Returns the view of the string without it.
+    unit
+        The wrong unit; empty for other mistakes.
+    parts, factor
+        Of a wrong unit of length: which parts of a view have it, and its size [m].
+    option
+        The option of `import` that undoes it.
     """
 
     table: str
@@ -164,59 +175,71 @@ class Mistake:
     statement: str
     remedy: str
     undo: Callable[[InitialView], InitialView]
+    unit: str = ""
     parts: tuple[str, ...] = ()
     factor: float = 1.0
     option: str = ""
 
 
-SCALE: Mapping[str, Callable[[InitialView, float], InitialView]] = {
-    "xy": lambda v, factor: replace(v, xy=factor * v.xy),
-    "s": lambda v, factor: replace(v, s=factor * v.s),
-    "length": lambda v, factor: replace(v, length=factor * v.length),
-    "hand": lambda v, factor: (
-        replace(v, hand=factor * v.hand) if v.joints is None else v
-    ),
-    "links": lambda v, factor: replace(
-        v, arm=replace(v.arm, links=tuple(factor * link for link in v.arm.links))
-    ),
-    "base": lambda v, factor: replace(
-        v, arm=replace(v.arm, base=(factor * v.arm.base[0], factor * v.arm.base[1]))
-    ),
-}
-# where they are, what is said of them, what is to be multiplied, and what that scales
+Correction = tuple[Mistake, ...]  # mistakes that are undone together
+
+LENGTH_PARTS = ("xy", "s", "length", "hand", "links", "base")
+# table, field, subject of the statement, object of the remedy, parts with a wrong unit
 LENGTH_FIELDS = (
     ("points", "x, y", "positions are", "x and y", ("xy",)),
     ("points", "s", "arc lengths are", "s", ("s",)),
-    ("dataset.yaml", "string.length", "it is", "it", ("length",)),
+    (DATASET_FILE, "string.length", "it is", "it", ("length",)),
     ("grasp", "x, y", "positions are", "x and y", ("hand",)),
-    ("dataset.yaml", "arm.links", "they are", "them", ("links",)),
-    ("dataset.yaml", "arm.base", "it is", "it", ("base",)),
-    ("dataset.yaml", "arm.links, arm.base", "both are", "both", ("links", "base")),
+    (DATASET_FILE, "arm.links", "they are", "them", ("links",)),
+    (DATASET_FILE, "arm.base", "it is", "it", ("base",)),
+    (DATASET_FILE, "arm.links, arm.base", "both are", "both", ("links", "base")),
     ("points", "s, x, y", "all three are", "s, x and y", ("s", "xy")),
     ("grasp", "x, y", "here and in points, positions are", "both", ("hand", "xy")),
     ("points", "s", "s and string.length are", "both", ("s", "length")),
     (
-        *("points", "s, x, y", "these, string.length and the hand's positions are"),
-        *("all of them, and arm.links and arm.base,", tuple(SCALE)),
+        "points",
+        "s, x, y",
+        "these, string.length and the hand's positions are",
+        "all of them, and arm.links and arm.base,",
+        LENGTH_PARTS,
     ),
 )
 
 
-def unit_mistakes(unit: str, factor: float) -> tuple[Mistake, ...]:
-    """Lengths in another unit than metres. factor: metres in one of it."""
-    said, remedy = f"in {unit}, not in metres", f"by {factor:g}"
-    return tuple(
-        Mistake(
-            *(table, field, f"{what} {said}", f"Multiply {those} {remedy}"),
-            *(partial(scale_view, factor=factor, parts=parts), parts, factor),
-        )
-        for table, field, what, those, parts in LENGTH_FIELDS
+def scale_view(view: InitialView, factor: float, parts: Collection[str]) -> InitialView:
+    """Multiply some lengths of a view by a factor."""
+    scale = {part: factor if part in parts else 1.0 for part in LENGTH_PARTS}
+    links = tuple(scale["links"] * link for link in view.arm.links)
+    x, y = view.arm.base
+    base = (scale["base"] * x, scale["base"] * y)
+    return replace(
+        view,
+        xy=scale["xy"] * view.xy,
+        s=scale["s"] * view.s,
+        length=scale["length"] * view.length,
+        hand=scale["hand"] * view.hand,
+        arm=replace(view.arm, links=links, base=base),
     )
 
 
-def scale_view(view: InitialView, factor: float, parts: Iterable[str]) -> InitialView:
-    """The view with some of its parts in another unit."""
-    return reduce(lambda v, part: SCALE[part](v, factor), parts, view)
+def unit_mistakes(unit: str, factor: float) -> list[Mistake]:
+    """Return the mistakes of lengths in another unit, of `factor` metres."""
+    mistakes = []
+    for table, field, subject, target, parts in LENGTH_FIELDS:
+        statement = f"{subject} in {unit}, not in metres"
+        remedy = f"Multiply {target} by {factor:g}"
+        undo = partial(scale_view, factor=factor, parts=parts)
+        mistakes.append(
+            Mistake(table, field, statement, remedy, undo, unit, parts, factor)
+        )
+    return mistakes
+
+
+def degrees_to_radians(view: InitialView) -> InitialView:
+    """Convert the joint angles of a view from degrees."""
+    if view.joints is None:
+        return view
+    return replace(view, joints=np.radians(view.joints))
 
 
 MISTAKES = (
@@ -227,14 +250,14 @@ MISTAKES = (
         "s",
         "arc lengths are counted from the tip, not from the grasp",
         "Replace s by string.length - s",
-        lambda v: replace(v, s=v.length - v.s),
+        lambda view: replace(view, s=view.length - view.s),
     ),
     Mistake(
         "points",
         "y",
         "y points down, not up",
         "Multiply y by -1",
-        lambda v: replace(v, xy=v.xy * np.array([1, -1])),
+        lambda view: replace(view, xy=view.xy * np.array([1, -1])),
         option="--y-down",
     ),
     Mistake(
@@ -242,7 +265,7 @@ MISTAKES = (
         "x",
         "x points to the left, not to the right",
         "Multiply x by -1",
-        lambda v: replace(v, xy=v.xy * np.array([-1, 1])),
+        lambda view: replace(view, xy=view.xy * np.array([-1, 1])),
         option="--plane=-x,y",
     ),
     Mistake(
@@ -250,216 +273,230 @@ MISTAKES = (
         "x, y",
         "x and y have changed places",
         "Exchange the two columns",
-        lambda v: replace(v, xy=v.xy[:, ::-1]),
+        lambda view: replace(view, xy=view.xy[:, ::-1]),
         option="--plane=y,x",
     ),
     Mistake(
         "points",
         "x, y",
         "positions are in pixels, not in metres",
-        "Take x = (u - camera.origin_px[0]) / camera.px_per_m and y = (camera.origin_px[1] - v) / camera.px_per_m",
-        lambda v: replace(v, xy=v.camera.world(v.xy)),
+        "Take x = (u - camera.origin_px[0]) / camera.px_per_m and "
+        "y = (camera.origin_px[1] - v) / camera.px_per_m",
+        lambda view: replace(view, xy=view.camera.world(view.xy)),
+        unit="pixels",
     ),
     Mistake(
         "arm",
         "q1, q2, q3",
         "angles are in degrees, not in radians",
         "Multiply them by pi / 180",
-        lambda v: v if v.joints is None else replace(v, joints=np.radians(v.joints)),
+        degrees_to_radians,
+        unit="degrees",
         option="--deg",
     ),
 )
 
 
-def check_mistakes(measured: CheckedDataset) -> Iterator[Finding]:
-    """Strings that cannot be, and the mistake that would explain all of them best."""
-    contradictory = impossible_views(measured)
-    if not contradictory or unknown_arm_fields(measured):
+def check_mistakes(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find impossible strings, and the mistake that explains all of them best."""
+    contradictory = impossible_views(dataset)
+    if not contradictory or unknown_arm_fields(dataset):
         return
-    likely = likeliest_mistakes(measured, contradictory)
+    likely = likeliest_mistakes(dataset, contradictory)
     if not likely:
-        yield from (
-            unexplained_finding(measured, name, both[0])
-            for name, both in contradictory.items()
-        )
+        for name, views in contradictory.items():
+            yield unexplained_finding(dataset, name, views[0])
         return
-    here = next(iter(contradictory.values()))[0]
+    view = next(iter(contradictory.values()))[0]
 
-    # the second best explanation, where two units fit
-    instead = ""
+    # the second best explanation, if two units fit
+    alternative = ""
     if len(likely) > 1 and length_factor(likely[0]) != length_factor(likely[1]):
-        lengths = [
-            reduce(lambda view, mistake: mistake.undo(view), made, here).length
-            for made in likely[:2]
-        ]
-        other = likely[1][0].statement.partition(" in ")[2].partition(",")[0]
-        instead = f" (a string of {lengths[0]:.3g} m; {other} would fit too, and make it {lengths[1]:.3g} m)"
+        best, second = (correct_view(view, correction) for correction in likely[:2])
+        alternative = (
+            f" (a string of {best.length:.3g} m; {likely[1][0].unit} would fit too, and"
+            f" make it {second.length:.3g} m)"
+        )
     for mistake in likely[0]:
-        file = mistake.table if "." in mistake.table else measured.file(mistake.table)
-        said = (
-            f"{mistake.statement} as it seems: {describe_contradiction(here)}{instead}"
+        file = mistake.table if "." in mistake.table else dataset.file(mistake.table)
+        statement = (
+            f"{mistake.statement} as it seems: {describe_contradiction(view)}"
+            f"{alternative}"
         )
-        yield Finding(
-            Severity.ERROR,
-            file,
-            mistake.field,
-            said,
-            mistake.remedy,
-            tuple(contradictory),
-        )
+        yield error(file, mistake.field, statement, mistake.remedy, *contradictory)
 
 
-def impossible_views(
-    measured: CheckedDataset,
-) -> dict[str, tuple[InitialView, InitialView]]:
-    """Strings that cannot be, by trial. Where nobody says how long they are, as long as
-    they were seen to be.
+def impossible_views(dataset: CheckedDataset) -> dict[str, Views]:
+    """Return the strings that cannot be, by trial.
+
+    If the length is not stated, the string is as long as it was seen to be.
     """
-    looked = {
-        seen.name: initial_views(seen, measured.camera)
-        for seen in measured.with_points()
+    views_by_trial = {
+        trial.name: initial_views(trial, dataset.camera)
+        for trial in dataset.with_points()
     }
-    if "length" not in (measured.data.metadata.get("string") or {}):
-        end = max((both[0].end for both in looked.values()), default=0.0)
-        if end > MAX_ARC_LENGTH_RATIO * measured.length:
-            looked = {
-                name: (replace(a, length=end), replace(b, length=end))
-                for name, (a, b) in looked.items()
-            }
+    if "length" not in (dataset.data.metadata.get("string") or {}):
+        ends = [views[0].end for views in views_by_trial.values()]
+        end = max(ends, default=0.0)
+        if end > MAX_ARC_LENGTH_RATIO * dataset.length:
+            for name, (right, wrong) in views_by_trial.items():
+                views_by_trial[name] = (
+                    replace(right, length=end),
+                    replace(wrong, length=end),
+                )
     return {
-        name: both
-        for name, both in looked.items()
-        if not any(here.is_possible for here in both)
+        name: views
+        for name, views in views_by_trial.items()
+        if not any(view.is_possible for view in views)
     }
 
 
-def unknown_arm_fields(measured: CheckedDataset) -> list[str]:
-    """The fields of an arm (links, base) that dataset.yaml lacks although there are
-    joint angles.
-    """
-    given = measured.data.metadata.get("arm") or {}
-    by_joints = any(seen.joints is not None for seen in measured.trials)
-    return [key for key in ("links", "base") if key not in given and by_joints]
+def unknown_arm_fields(dataset: CheckedDataset) -> list[str]:
+    """Return the fields of the arm that joint angles need and dataset.yaml lacks."""
+    if all(trial.joints is None for trial in dataset.trials):
+        return []
+    block = dataset.data.metadata.get("arm") or {}
+    return [key for key in ("links", "base") if key not in block]
 
 
 def likeliest_mistakes(
-    measured: CheckedDataset,
-    contradictory: Mapping[str, tuple[InitialView, InitialView]],
-) -> list[tuple[Mistake, ...]]:
-    """The mistakes without which all of these strings are possible and fit best, the
-    likeliest first: that with which they fall as things do, and millimetres before
-    centimetres. Where no single one is enough, a unit and a direction that are both
-    wrong; none if these are not enough either.
+    dataset: CheckedDataset, contradictory: Mapping[str, Views]
+) -> list[Correction]:
+    """Return the mistakes that explain all impossible strings best.
+
+    If no single mistake is enough, a wrong unit and a wrong direction are tried
+    together. Among equals, that comes first with which the strings fall as things do.
+
+    Parameters
+    ----------
+    dataset
+        The data.
+    contradictory
+        The impossible strings by trial.
+
+    Returns
+    -------
+    list of tuple of Mistake
+        The likeliest first; empty if nothing explains the strings.
     """
-    # with s in another unit, all would lie at one place
+    # with s in another unit, all points would lie at one place
     units = [m for m in MISTAKES if m.parts and "s" not in m.parts]
     directions = [m for m in MISTAKES if m.option]
-    for tried in (((m,) for m in MISTAKES), product(units, directions)):
-        explained = {
-            made: left
-            for made in tried
-            if (left := misfit_without(made, contradictory.values())) is not None
-        }
-        best = [
-            made
-            for made, left in explained.items()
-            if left <= min(explained.values()) + TIE_TOLERANCE
-        ]
-        if best:
-            seen = median_gravity(measured.with_points()) if len(best) > 1 else np.nan
-            return sorted(
-                best,
-                key=lambda made: np.nan_to_num(
-                    abs(np.log(abs(seen) * length_factor(made) / GRAVITY))
-                ),
-            )
+    for corrections in (product(MISTAKES), product(units, directions)):
+        misfits: dict[Correction, float] = {}
+        for correction in corrections:
+            misfit = misfit_without(correction, contradictory.values())
+            if misfit is not None:
+                misfits[correction] = misfit
+        if not misfits:
+            continue
+        limit = min(misfits.values()) + MISFIT_TOLERANCE
+        best = [correction for correction, misfit in misfits.items() if misfit <= limit]
+        if len(best) == 1:
+            return best
+        gravity = abs(median_gravity(dataset.with_points()))
+
+        def gravity_error(correction: Correction, gravity: float = gravity) -> float:
+            ratio = gravity * length_factor(correction) / GRAVITY
+            return float(np.nan_to_num(abs(np.log(ratio))))
+
+        return sorted(best, key=gravity_error)
     return []
 
 
-def length_factor(made: tuple[Mistake, ...]) -> float:
-    """The factor on positions of points that undoes mistakes."""
-    return float(np.prod([mistake.factor for mistake in made if "xy" in mistake.parts]))
+def length_factor(correction: Correction) -> float:
+    """Return the factor by which a correction multiplies positions of points."""
+    factors = [mistake.factor for mistake in correction if "xy" in mistake.parts]
+    return float(np.prod(factors))
+
+
+def correct_view(view: InitialView, correction: Correction) -> InitialView:
+    """Undo mistakes one after another."""
+    for mistake in correction:
+        view = mistake.undo(view)
+    return view
 
 
 def misfit_without(
-    made: tuple[Mistake, ...], contradictory: Iterable[tuple[InitialView, InitialView]]
+    correction: Correction, contradictory: Iterable[Views]
 ) -> float | None:
-    """The misfit of strings after mistakes are undone, summed, or None if one of them
-    still cannot be.
+    """Return the summed misfit of corrected strings.
+
+    None means that one of them is still impossible.
     """
-    left = []
-    for both in contradictory:
-        undone = (
-            reduce(lambda view, mistake: mistake.undo(view), made, here)
-            for here in both
-        )
-        left.append(
-            [
-                view.misfit
-                for view in undone
-                if view.is_possible and view.length <= SWUNG_LENGTHS
-            ]
-        )
-        if not left[-1]:
+    total = 0.0
+    for views in contradictory:
+        corrected = [correct_view(view, correction) for view in views]
+        misfits = [
+            view.misfit
+            for view in corrected
+            if view.is_possible and view.length <= MAX_CORRECTED_LENGTH_M
+        ]
+        if not misfits:
             return None
-    return sum(min(each) for each in left)
+        total += min(misfits)
+    return total
 
 
-def describe_contradiction(here: InitialView) -> str:
-    """The contradiction in numbers."""
-    ratio, _ = here.stretch
-    far = float(np.median(np.linalg.norm(here.xy - here.grasp, axis=1)))
+def describe_contradiction(view: InitialView) -> str:
+    """Return the contradiction in numbers."""
+    ratio, _ = view.stretch
+    distance = float(np.median(np.linalg.norm(view.xy - view.grasp, axis=1)))
     return (
-        f"s goes up to {np.max(here.s):.4g} on a string of {here.length:.4g} m, neighbouring points are {ratio:.4g} "
-        f"times as far apart as their arc lengths, and at s = {np.median(here.s):.4g} m points are {far:.4g} m from "
-        "the grasp"
+        f"s goes up to {np.max(view.s):.4g} on a string of {view.length:.4g} m, "
+        f"neighbouring points are {ratio:.4g} times as far apart as their arc lengths, "
+        f"and at s = {np.median(view.s):.4g} m points are {distance:.4g} m from the "
+        "grasp"
     )
 
 
 def unexplained_finding(
-    measured: CheckedDataset, name: str, here: InitialView
+    dataset: CheckedDataset, name: str, view: InitialView
 ) -> Finding:
-    """An impossible string that no common mistake explains. One that is merely too
-    short is left out of a run, which is an error where no other is left.
+    """Return the finding of an impossible string that no common mistake explains.
+
+    If merely its length is too small, the trial is left out of a run, which is an error
+    if no other trial remains.
     """
-    nearest = here.s == here.s.min()
-    off = np.median((here.xy - here.grasp)[nearest], axis=0)
-    severity = Severity.ERROR
-    if here.gap >= MAX_GAP_LENGTHS:
-        said = f"the point at s = {here.s.min():.3f} m is ({off[0]:.3f}, {off[1]:.3f}) m from the grasp"
+    report = error
+    if view.gap >= MAX_GAP:
+        is_nearest = view.s == view.s.min()
+        x, y = np.median((view.xy - view.grasp)[is_nearest], axis=0)
+        statement = (
+            f"the point at s = {view.s.min():.3f} m is ({x:.3f}, {y:.3f}) m from the "
+            "grasp"
+        )
         remedy = (
-            "Give points and hand in one frame of reference: see arm.base and camera.origin_px in dataset.yaml, and "
-            "whether the angles count from +x, counter-clockwise"
+            "Give points and hand in one frame of reference: see arm.base and "
+            "camera.origin_px in dataset.yaml, and whether the angles count from +x, "
+            "counter-clockwise"
         )
-    elif replace(here, length=float(here.s.max())).is_possible:
-        severity = (
-            Severity.WARNING
-            if exclude_stray_points(measured.data, measured.length).trials
-            else Severity.ERROR
+    elif replace(view, length=float(view.s.max())).is_possible:
+        if exclude_stray_points(dataset.data, dataset.length).trials:
+            report = warning
+        statement = (
+            f"s goes up to {view.s.max():.3f} m on a string of {view.length:.3f} m, and"
+            " the trial is left out"
         )
-        said = f"s goes up to {here.s.max():.3f} m on a string of {here.length:.3f} m, and the trial is left out"
         remedy = "Correct string.length in dataset.yaml, or s"
     else:
-        said, remedy = (
-            describe_contradiction(here),
-            "Look at the units of s, x, y and string.length: all are metres",
-        )
-    return Finding(severity, measured.file("points"), "s, x, y", said, remedy, (name,))
+        statement = describe_contradiction(view)
+        remedy = "Look at the units of s, x, y and string.length: all are metres"
+    return report(dataset.points_file, "s, x, y", statement, remedy, name)
 
 
-def check_angles(measured: CheckedDataset) -> Iterator[Finding]:
-    """Angles beyond what anything turns."""
-    for seen in measured.trials:
-        names = ("theta",) if seen.joints is None else ("q1", "q2", "q3")
-        worst = float(seen.motion[list(names)].abs().quantile(MOSTLY_SHARE).max())
-        if worst > (MAX_TURNS if seen.joints is None else MAX_RADIANS):
-            field = ", ".join(names)
-            said = f"angles are in degrees, not in radians as it seems: they go up to {worst:.4g}"
-            yield Finding(
-                Severity.ERROR,
-                measured.hand_file,
-                field,
-                said,
-                "Multiply them by pi / 180",
-                (seen.name,),
+def check_angles(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find angles beyond what joints and hands turn."""
+    for trial in dataset.trials:
+        if trial.joints is None:
+            columns, limit = ["theta"], MAX_HAND_ANGLE_RAD
+        else:
+            columns, limit = ["q1", "q2", "q3"], MAX_JOINT_ANGLE_RAD
+        largest = float(trial.motion[columns].abs().quantile(ANGLE_QUANTILE).max())
+        if largest > limit:
+            statement = (
+                "angles seem to be in degrees, not in radians: they go up to "
+                f"{largest:.4g}"
             )
+            field, remedy = ", ".join(columns), "Multiply them by pi / 180"
+            yield error(dataset.hand_file, field, statement, remedy, trial.name)

@@ -1,6 +1,4 @@
-"""How hand and string move: frozen readings, jumps, a string that hangs upwards, motion
-that says nothing.
-"""
+"""Checks of motion: frozen readings, jumps, repeated points, gravity, stillness."""
 
 from __future__ import annotations
 
@@ -9,149 +7,144 @@ from collections.abc import Iterator
 import numpy as np
 
 from stringcast.stages.check.clocks import time_unit_factor, usual_interval
-from stringcast.stages.check.finding import Finding, Severity
+from stringcast.stages.check.finding import Finding, error, warning
 from stringcast.stages.check.gravity import median_gravity
-from stringcast.stages.check.measured import CLEAR_SIGMAS, GRAVITY, CheckedDataset
+from stringcast.stages.check.measured import (
+    CLEAR_SIGMAS,
+    GRAVITY,
+    CheckedDataset,
+    CheckedTrial,
+)
 from stringcast.stages.check.mistakes import impossible_views
 
-# [s] for which a reading is the same to the last digit while others change
+# a joint's reading may stay the same to the last digit so long while others change
 MAX_FROZEN_S = 0.1
-# of the steps of moving points: so many are not by chance the same to the last digit
-MAX_REPEATED_SHARE = 0.05
-TURN_JUMP_RAD = 1.5 * np.pi  # a jump so large within two samples is a wrapped angle
-# times less and more than gravity: of 17 benches 5 to 19 m/s2, of a clamped strip 41
-MIN_GRAVITY, MAX_GRAVITY_RATIO = 4.0, 10.0
-# of its arc length: so far above the grasp no limp string rests
-MIN_HEIGHT_LENGTHS = 0.5
+MAX_REPEATED_SHARE = 0.05  # of the steps of moving points
+TURN_JUMP_RAD = 1.5 * np.pi  # so large a step between two samples is a wrapped angle
+# gravity may seem so many times smaller and larger: 17 datasets show 5 to 19 m/s2, a
+# clamped strip 41
+GRAVITY_RATIO_LOW, GRAVITY_RATIO_HIGH = 4.0, 10.0
+# no limp string rests so far above the grasp, relative to arc length
+MAX_HEIGHT = 0.5
 
 
-def check_frozen_joints(measured: CheckedDataset) -> Iterator[Finding]:
-    """Joints whose reading never changes, or stands still while the others move."""
-    for seen in measured.trials:
-        if seen.joints is None or seen.hand_onset is None:
+def joint_readings(
+    dataset: CheckedDataset,
+) -> Iterator[tuple[CheckedTrial, str, np.ndarray]]:
+    """Yield trial, column and angles (K,) [rad] of every joint."""
+    for trial in dataset.trials:
+        if trial.joints is not None:
+            for number, angles in enumerate(trial.joints.T, start=1):
+                yield trial, f"q{number}", angles
+
+
+def check_frozen_joints(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find joints whose reading never changes, or stands still while others move."""
+    for trial, field, angles in joint_readings(dataset):
+        if trial.joints is None or trial.hand_onset is None:
             continue
-        moving = (np.diff(seen.joints, axis=0) != 0).any(axis=1)
-        for number, reading in enumerate(seen.joints.T, start=1):
-            same = (np.diff(reading) == 0) & moving
-            runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]]))) - 1
-            longest = float(runs.max()) * usual_interval(seen.hand_t)
-            said = (
-                f"it stands still for {longest:.2f} s while other joints move"
-                if longest > MAX_FROZEN_S
-                else ""
-            )
-            said = "it never changes" if np.ptp(reading) == 0 else said
-            if said:
-                remedy = f"If joint {number} moved, its log is frozen: leave the trial out, or record it again"
-                yield Finding(
-                    Severity.WARNING,
-                    measured.hand_file,
-                    f"q{number}",
-                    said,
-                    remedy,
-                    (seen.name,),
-                )
+        if np.ptp(angles) == 0:
+            statement = "it never changes"
+        else:
+            is_moving = (np.diff(trial.joints, axis=0) != 0).any(axis=1)
+            is_frozen = (np.diff(angles) == 0) & is_moving
+            breaks = np.flatnonzero(np.concatenate([[True], ~is_frozen, [True]]))
+            samples = float((np.diff(breaks) - 1).max())
+            longest = samples * usual_interval(trial.hand_t)
+            if not longest > MAX_FROZEN_S:
+                continue
+            statement = f"it stands still for {longest:.2f} s while other joints move"
+        remedy = (
+            f"If joint {field[1:]} moved, its log is frozen: leave the trial out, or "
+            "record it again"
+        )
+        yield warning(dataset.hand_file, field, statement, remedy, trial.name)
 
 
-def check_wrapped_angles(measured: CheckedDataset) -> Iterator[Finding]:
-    """Joint angles that jump by a turn. Of theta it does not matter: a direction is the
-    same after a turn.
+def check_wrapped_angles(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find joint angles that jump by a turn.
+
+    For theta it does not matter: a direction is the same after a turn.
     """
-    for seen in measured.trials:
-        if seen.joints is None:
+    for trial, field, angles in joint_readings(dataset):
+        jumps = int((np.abs(np.diff(angles)) > TURN_JUMP_RAD).sum())
+        if jumps and np.ptp(angles) < 2 * np.pi + 0.01:
+            statement = f"{jumps} jump(s) by a whole turn: the angle is wrapped at +-pi"
+            remedy = "Unwrap it, as numpy.unwrap does"
+            yield error(dataset.hand_file, field, statement, remedy, trial.name)
+
+
+def check_hanging(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find strings that rest above the hand."""
+    for trial in dataset.with_points():
+        tip = trial.points[trial.points["t"] == trial.frame_t[0]].iloc[-1]
+        grasp_y = np.interp(tip["t"], trial.hand_t, trial.pose[:, 1])
+        height = float(tip["y"] - grasp_y)
+        if trial.starts_moving or tip["s"] <= 0.5 * trial.length:
             continue
-        for number, reading in enumerate(seen.joints.T, start=1):
-            jumps = int((np.abs(np.diff(reading)) > TURN_JUMP_RAD).sum())
-            if jumps and np.ptp(reading) < 2 * np.pi + 0.01:
-                said = f"{jumps} jump(s) by a whole turn: the angle is wrapped at +-pi"
-                remedy = "Unwrap it, as numpy.unwrap does"
-                yield Finding(
-                    Severity.ERROR,
-                    measured.hand_file,
-                    f"q{number}",
-                    said,
-                    remedy,
-                    (seen.name,),
-                )
-
-
-def check_hanging(measured: CheckedDataset) -> Iterator[Finding]:
-    """A string that rests above the hand."""
-    for seen in measured.with_points():
-        first = seen.points[seen.points["t"] == seen.frame_t[0]]
-        tip = first.iloc[-1]
-        grasp = np.interp(tip["t"], seen.hand_t, seen.pose[:, 1])
-        above = float(tip["y"] - grasp)
-        if (
-            not seen.starts_moving
-            and tip["s"] > 0.5 * seen.length
-            and MIN_HEIGHT_LENGTHS * tip["s"] < above < seen.length
-        ):
-            said = f"at rest the string's end is {above:.3f} m above the grasp"
-            remedy = "If it hung down, y points down: multiply y of points and of the hand by -1 (and theta too)"
-            yield Finding(
-                Severity.WARNING,
-                measured.file("points"),
-                "y",
-                said,
-                remedy,
-                (seen.name,),
+        if MAX_HEIGHT * tip["s"] < height < trial.length:
+            statement = f"at rest the string's end is {height:.3f} m above the grasp"
+            remedy = (
+                "If it hung down, y points down: multiply y of points and of the hand "
+                "by -1 (and theta too)"
             )
+            yield warning(dataset.points_file, "y", statement, remedy, trial.name)
 
 
-def check_repeated_points(measured: CheckedDataset) -> Iterator[Finding]:
-    """Points that a tracker repeated to the last digit."""
-    for seen in measured.with_points():
-        same, moved = 0, 0
-        for _, xy in seen.tracks:
+def check_repeated_points(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find moving points that a tracker repeated to the last digit."""
+    for trial in dataset.with_points():
+        repeated, moved = 0, 0
+        for _, xy in trial.tracks:
             steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
-            far = steps > CLEAR_SIGMAS * np.nan_to_num(seen.noise) + 1e-12
-            beside = np.concatenate([far[1:], [False]]) | np.concatenate(
-                [[False], far[:-1]]
-            )
-            same += int(((steps == 0) & beside).sum())
-            moved += int(far.sum())
-        share = same / (same + moved) if moved else 0.0
+            is_moving = steps > CLEAR_SIGMAS * np.nan_to_num(trial.noise) + 1e-12
+            padded = np.pad(is_moving, 1)
+            has_moving_neighbour = padded[2:] | padded[:-2]
+            repeated += int(((steps == 0) & has_moving_neighbour).sum())
+            moved += int(is_moving.sum())
+        share = repeated / (repeated + moved) if moved else 0.0
         if share > MAX_REPEATED_SHARE:
-            said = f"{share:.0%} of the steps of moving points are none: the same to the last digit"
-            remedy = "If the tracker held its last value, drop those rows or set 'valid' to false"
-            yield Finding(
-                Severity.WARNING,
-                measured.file("points"),
-                "x, y",
-                said,
-                remedy,
-                (seen.name,),
+            statement = (
+                f"{share:.0%} of the positions of moving points repeat the last one to "
+                "the last digit"
             )
+            remedy = (
+                "If the tracker held its last value, drop those rows or set 'valid' to "
+                "false"
+            )
+            yield warning(dataset.points_file, "x, y", statement, remedy, trial.name)
 
 
-def check_fall(measured: CheckedDataset) -> Iterator[Finding]:
-    """A string that falls as nothing does on Earth."""
-    if impossible_views(measured) or any(
-        time_unit_factor(seen.frame_t) != 1 for seen in measured.with_points()
-    ):
-        return  # which makes it fall otherwise, and is said
-    seen = median_gravity(measured.informative_trials())
-    if not (seen < GRAVITY / MIN_GRAVITY or seen > GRAVITY * MAX_GRAVITY_RATIO):
+def check_fall(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find strings that fall as nothing does on Earth."""
+    if impossible_views(dataset):
+        return  # another check reports what changes the fall
+    if any(time_unit_factor(trial.frame_t) != 1 for trial in dataset.with_points()):
         return
-    said = f"the string's end falls with {seen:.2g} m/s2 as it seems, and not with {GRAVITY}"
-    if seen < GRAVITY:
-        remedy = "Of slow motion count the frames as filmed: times are too long as they are, or lengths too small"
+    gravity = median_gravity(dataset.informative_trials())
+    if gravity < GRAVITY / GRAVITY_RATIO_LOW:
+        remedy = (
+            "Of slow motion count the frames as filmed: either times are too long, or "
+            "lengths too small"
+        )
+    elif gravity > GRAVITY * GRAVITY_RATIO_HIGH:
+        remedy = (
+            "See in which unit lengths and times are; a very stiff string may seem to "
+            "fall so fast"
+        )
     else:
-        remedy = "See in which unit lengths and times are; a very stiff string may seem to fall so fast"
-    yield Finding(Severity.WARNING, measured.file("points"), "t, x, y", said, remedy)
+        return
+    statement = (
+        f"the string's end falls with {gravity:.2g} m/s2 as it seems, and not with "
+        f"{GRAVITY}"
+    )
+    yield warning(dataset.points_file, "t, x, y", statement, remedy)
 
 
-def check_stillness(measured: CheckedDataset) -> Iterator[Finding]:
-    """A trial in which nothing happens."""
-    for seen in measured.with_points():
-        if seen.hand_onset is None and seen.string_onset is None:
-            said = "neither hand nor string leaves its place"
-            yield Finding(
-                Severity.WARNING,
-                measured.hand_file,
-                "t",
-                said,
-                "It says little: leave it out",
-                (seen.name,),
-            )
+def check_stillness(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find trials without any motion."""
+    for trial in dataset.with_points():
+        if trial.hand_onset is None and trial.string_onset is None:
+            statement = "neither hand nor string leaves its place"
+            remedy = "It carries little information: leave it out"
+            yield warning(dataset.hand_file, "t", statement, remedy, trial.name)

@@ -14,7 +14,7 @@ from stringcast.stages.check.clocks import is_restless, usual_interval
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset
 
-# units as people say them
+# factor and name of the units that people read
 DISPLAY_UNITS = {
     "s": (1e3, "ms"),
     "m": (1e3, "mm"),
@@ -22,17 +22,36 @@ DISPLAY_UNITS = {
     "1": (100.0, "%"),
 }
 DETECTION_NOTE = (
-    "Found from: the size from which on a diagnosis would find an effect in these trials, and how far it then moves "
-    "the tip. Like the string: the share of what it does that the string's own parameters can imitate. Taken for: "
-    "effects that are as likely at that size; larger ones are told apart. What depends on place is not asked."
+    "Found from: the size from which on a diagnosis would find an effect in these "
+    "trials, and how far it then moves the tip. Like the string: the share of its "
+    "motion that the string's own parameters can imitate. Taken for: effects that are "
+    "as likely at that size; larger ones can be distinguished. Effects that depend on a "
+    "place are not listed."
 )
 
 
 @dataclass(frozen=True)
 class OverviewRow:
-    """One trial. duration: seen [s]. common: seen by the arm's clock too [s]. fps,
-    hand_rate: samples [1/s]. points: in a usual frame. noise: of a coordinate [m], None
-    if unknown. path: of the hand [m]. begins: at rest, moving, or what contradicts it.
+    """One trial of the overview.
+
+    Attributes
+    ----------
+    trial
+        Its name.
+    duration, common
+        Time seen by the camera, and by the arm's clock as well [s].
+    frames
+        Number of frames.
+    fps, hand_rate
+        Samples of string and hand [1/s].
+    points
+        Mean number of points in a frame.
+    noise
+        Of a coordinate [m], None if unknown.
+    path
+        Length of the hand's path [m].
+    begins
+        "at rest", "moving", or "moving?" if it seems to move against what is stated.
     """
 
     trial: str
@@ -48,55 +67,85 @@ class OverviewRow:
 
 
 def sample_rate(t: np.ndarray) -> float | None:
-    """The usual rate of samples [1/s]."""
-    return 1 / usual_interval(t) if usual_interval(t) > 0 else None
+    """Return the usual rate of samples [1/s]; None if there are fewer than two."""
+    interval = usual_interval(t)
+    return 1 / interval if interval > 0 else None
 
 
-def overview_rows(measured: CheckedDataset) -> list[OverviewRow]:
-    """The overview's rows, one for each usable trial."""
-    found, films = [], measured.data.films
-    for seen in measured.trials:
-        filmed = films[seen.name].t if seen.name in films else None
-        # where no points were measured
-        t = seen.frame_t if len(seen.frame_t) or filmed is None else filmed
-        common = min(t[-1], seen.hand_t[-1]) - max(t[0], seen.hand_t[0])
-        path = float(np.linalg.norm(np.diff(seen.pose[:, :2], axis=0), axis=1).sum())
-        begins = "moving" if seen.starts_moving else "at rest"
-        if len(seen.points) and not seen.starts_moving and is_restless(seen):
+def overview_rows(dataset: CheckedDataset) -> list[OverviewRow]:
+    """Return a row for each usable trial."""
+    rows, films = [], dataset.data.films
+    for trial in dataset.trials:
+        # without points, frames of the film count
+        t = trial.frame_t
+        if not len(t) and trial.name in films:
+            t = films[trial.name].t
+        common = min(t[-1], trial.hand_t[-1]) - max(t[0], trial.hand_t[0])
+        steps = np.linalg.norm(np.diff(trial.pose[:, :2], axis=0), axis=1)
+        begins = "moving" if trial.starts_moving else "at rest"
+        if len(trial.points) and not trial.starts_moving and is_restless(trial):
             begins = "moving?"
-        each = float(len(seen.points) / max(len(seen.frame_t), 1))
-        noise = None if np.isnan(seen.noise) else seen.noise
-        rates = sample_rate(t), sample_rate(seen.hand_t)
-        times = (float(np.ptp(t)), float(common), len(t))
-        found.append(OverviewRow(seen.name, *times, *rates, each, noise, path, begins))
-    return found
+        row = OverviewRow(
+            trial=trial.name,
+            duration=float(np.ptp(t)),
+            common=float(common),
+            frames=len(t),
+            fps=sample_rate(t),
+            hand_rate=sample_rate(trial.hand_t),
+            points=float(len(trial.points) / max(len(trial.frame_t), 1)),
+            noise=None if np.isnan(trial.noise) else trial.noise,
+            path=float(steps.sum()),
+            begins=begins,
+        )
+        rows.append(row)
+    return rows
 
 
-def detection_limit_text(told: Mapping[str, Any]) -> str:
-    """The size from which on an effect would be found, in plain words. told: as of
-    `check --effects`.
+def detection_limit_text(limit: Mapping[str, Any]) -> str:
+    """Describe the size from which on an effect would be found.
+
+    Parameters
+    ----------
+    limit
+        An entry of `effects` in the output of `check --effects`.
+
+    Returns
+    -------
+    str
+        The size with its unit.
     """
-    factor, unit = DISPLAY_UNITS.get(told["unit"], (1.0, told["unit"]))
-    if told["found_from"] is None:
-        return f"never: {told['most_tip_m'] * 1e3:.1f} mm at most"
-    if told["absent"]:
-        return f"{told['absent'] * factor:.4g} {unit} to {told['found_from'] * factor:.4g} {unit}"
-    return f"{told['found_from'] * factor:.2g} {unit}"
+    factor, unit = DISPLAY_UNITS.get(limit["unit"], (1.0, limit["unit"]))
+    if limit["found_from"] is None:
+        return f"never: {limit['most_tip_m'] * 1e3:.1f} mm at most"
+    size = limit["found_from"] * factor
+    if limit["absent"]:
+        return f"{limit['absent'] * factor:.4g} {unit} to {size:.4g} {unit}"
+    return f"{size:.2g} {unit}"
 
 
-def dataset_overview(measured: CheckedDataset) -> dict[str, Any]:
-    """All that is known about the data, JSON-able; `usable` says whether an experiment
-    would run on them.
+def dataset_overview(dataset: CheckedDataset) -> dict[str, Any]:
+    """Return all that is known about the data, as JSON.
+
+    Parameters
+    ----------
+    dataset
+        The data with arm, camera and length.
+
+    Returns
+    -------
+    dict
+        `usable` says whether an experiment would run on the data; `trials`, `rejected`
+        and `findings` say why.
     """
-    found = collect_findings(measured)
-    errors = sum(finding.severity is Severity.ERROR for finding in found)
+    findings = collect_findings(dataset)
+    has_errors = any(finding.severity is Severity.ERROR for finding in findings)
+    usable_trials = exclude_stray_points(dataset.data, dataset.length).trials
     return {
         "format": 1,
-        "folder": str(measured.data.folder),
-        "usable": bool(exclude_stray_points(measured.data, measured.length).trials)
-        and not errors,
-        "string_length_m": measured.length,
-        "trials": [asdict(each) for each in overview_rows(measured)],
-        "rejected": dict(measured.data.rejection_reasons),
-        "findings": [asdict(finding) for finding in found],
+        "folder": str(dataset.data.folder),
+        "usable": bool(usable_trials) and not has_errors,
+        "string_length_m": dataset.length,
+        "trials": [asdict(row) for row in overview_rows(dataset)],
+        "rejected": dict(dataset.data.rejection_reasons),
+        "findings": [asdict(finding) for finding in findings],
     }
