@@ -173,9 +173,10 @@ def diagnose(
     reached = None
     try:
         # Base model, corrected data, and causes by forward selection
-        for reached in _search_until_trials_settle(
+        search = _search_until_trials_settle(
             data, excluded_effects, seed, starts, progress
-        ):
+        )
+        for reached in search:  # noqa: B007, an interruption needs the last one
             pass
         assert reached is not None
         searched, prepared, effects, state = reached

@@ -127,10 +127,10 @@ def remove_outliers(
     residuals = []
     levels = []
     for trial, residual in zip(trials, all_residuals, strict=True):
-        trial, residual, level = _remove_trial_outliers(trial, residual.reshape(-1, 2))
-        kept.append(trial)
-        residuals.append(residual)
-        levels.append(level)
+        cleaned = _remove_trial_outliers(trial, residual.reshape(-1, 2))
+        kept.append(cleaned[0])
+        residuals.append(cleaned[1])
+        levels.append(cleaned[2])
     return tuple(kept), residuals, levels
 
 

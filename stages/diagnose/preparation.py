@@ -202,6 +202,6 @@ def _fit_configured_mesh(prepared: PreparedData, model: Model) -> Fit | None:
     trials = []
     for trial, corrected in zip(prepared.trials, prepared.data.trials, strict=True):
         discrepancy = corrected.discrepancy
-        trial = replace(trial, model=own.model, error_model=discrepancy)
-        trials.append(reset_initial_state_linear(trial, discrepancy.nuisance_shapes))
+        chain = replace(trial, model=own.model, error_model=discrepancy)
+        trials.append(reset_initial_state_linear(chain, discrepancy.nuisance_shapes))
     return refit(TrialData(tuple(trials)), base, own)

@@ -1,22 +1,18 @@
-"""Strings that are let go: how each trial begins is told by its first frames alone, and
-is no cause.
-"""
+"""Released strings: first frames determine the initial state, which is no cause."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from conftest import TRUTH, ordinary
-from performed import SIGMA, said_of
+from synthetic_trials import diagnose_trials, make_observation
 
-from stringcast.data.artifacts import JOINTS, MASKS, READINGS, Observation
 from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.state import StringState
 
-LENGTH = 0.3
-FEW = (
+LENGTH_M = 0.3
+EFFECTS = (
     "tip_mass",
     "density_taper",
     "time_offset",
@@ -26,60 +22,41 @@ FEW = (
 )
 
 
-def leaning(turn):
-    """At rest, and more and more turned along the string, at its end by `turn` [rad]
-    from straight down.
-    """
-    s = np.linspace(0, LENGTH, 41)
-    return StringState(0.0, s, -np.pi / 2 + turn * s / LENGTH, np.zeros(41))
+def bent_state(turn):
+    """Make the state of a string at rest that turns by `turn` [rad] up to its tip."""
+    s = np.linspace(0, LENGTH_M, 41)
+    angle = -np.pi / 2 + turn * s / LENGTH_M
+    return StringState(0.0, s, angle, np.zeros(41))
 
 
-def released(model, wind):
-    """Three strings let go in a wind to the right [m/s], filmed from the moment of
-    letting go.
-    """
-    blown, rng = (
-        model.with_effects(*find_effects(["wind"])).with_segments(40),
-        np.random.default_rng(0),
-    )
-    values = blown.values({**TRUTH, "wind.along_x": wind, "wind.along_y": 0.0})[None]
+def simulate_releases(model, wind):
+    """Yield three strings that are released in a wind to the right [m/s]."""
+    windy = model.with_effects(*find_effects(["wind"])).with_segments(40)
+    rng = np.random.default_rng(0)
+    truth = {**TRUTH, "wind.along_x": wind, "wind.along_y": 0.0}
+    values = windy.values(truth)[None]
     t = model.arm.tick * np.arange(140)
     # the grasp points down
     angles = np.zeros((len(t), 3)) + [0.6, -0.5, -np.pi / 2 - 0.1]
+    motion = resample_joint_motion(t, angles)
+    places = np.arange(10, 41, 10)
     for number, turn in enumerate((0.5, -0.4, 0.3)):
-        seen = blown.simulate_observation(
-            resample_joint_motion(t, angles), values, t, leaning(turn)
-        ).points[0][:, 10::10]
-        x, y = (seen + SIGMA * rng.standard_normal(seen.shape)).reshape(-1, 2).T
-        s = np.tile(blown.string.arc_lengths()[10::10], len(t))
-        points = pd.DataFrame(
-            {"t": np.repeat(t, seen.shape[1]), "s": s, "x": x, "y": y, "sigma": SIGMA}
-        )
-        log = pd.DataFrame({"t": t} | dict(zip(JOINTS, angles.T, strict=True)))
-        yield Observation(
-            f"t{number}",
-            points,
-            READINGS.empty(),
-            MASKS.empty(),
-            log,
-            starts_moving=True,
+        strings = windy.simulate_observation(motion, values, t, bent_state(turn))
+        clean = strings.points[0][:, places]
+        yield make_observation(
+            f"t{number}", windy, t, angles, clean, places, rng, starts_moving=True
         )
 
 
 @pytest.mark.parametrize(("wind", "causes"), [(0.3, {"wind"}), (0.0, set())])
-def test_another_beginning_explains_itself_and_no_wind(arm, monkeypatch, wind, causes):
-    monkeypatch.setattr(
-        module,
-        "effects_by_name",
-        lambda: {effect.name: effect for effect in find_effects(FEW)},
-    )
-    said = said_of(
-        with_second_order_mesh(ordinary(arm)),
-        list(released(with_second_order_mesh(ordinary(arm)), wind)),
-        2,
-    )
-    assert set(said.causes["effect"]) == causes, said.sentence
-    assert said.verdict == ("effect" if causes else "none")
+def test_initial_states_explain_themselves_and_no_wind(arm, monkeypatch, wind, causes):
+    library = {effect.name: effect for effect in find_effects(EFFECTS)}
+    monkeypatch.setattr(module, "effects_by_name", lambda: library)
+    model = with_second_order_mesh(ordinary(arm))
+    trials = list(simulate_releases(model, wind))
+    diagnosis = diagnose_trials(model, trials, 2)
+    assert set(diagnosis.causes["effect"]) == causes, diagnosis.sentence
+    assert diagnosis.verdict == ("effect" if causes else "none")
     if causes:
-        along = said.causes.set_index("parameter").loc["wind.along_x"]
-        assert 0.5 * wind < along["low"] < wind < along["high"]
+        row = diagnosis.causes.set_index("parameter").loc["wind.along_x"]
+        assert 0.5 * wind < row["low"] < wind < row["high"]

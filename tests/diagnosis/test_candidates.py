@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
-from performed import performed, swings
+from synthetic_trials import simulate_trial, swing_angles, true_exponents
 
 from stringcast.stages.diagnose.contact_search import contact_candidates
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
@@ -15,7 +15,10 @@ from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.library import effects_by_name, find_effects
-from stringcast.stages.model.parameter import parameter_exponents, parameter_values
+from stringcast.stages.model.parameter import parameter_values
+
+PLACES = np.array([8, 14, 20])
+PLANE = {"contact.stiffness": 2e5, "contact.height": 0.575, "contact.tilt": -1.25}
 
 
 @pytest.fixture(scope="module")
@@ -23,126 +26,95 @@ def model(arm):
     return with_second_order_mesh(ordinary(arm))
 
 
+def simulate_swings(arm, model, true_model, values, seconds):
+    """Simulate two swings, prepared for a model."""
+    rng = np.random.default_rng(0)
+    trials = []
+    for k, angles in enumerate(swing_angles(arm, 2, seconds)):
+        seen = simulate_trial(f"t{k}", arm, true_model, values, angles, PLACES, rng)
+        trials.append(prepare_trial(model, seen))
+    return trials
+
+
 @pytest.fixture(scope="module")
 def trials(arm, model):
-    """Two swings."""
-    rng, places = np.random.default_rng(0), np.array([8, 14, 20])
-    made = (
-        performed(f"t{k}", arm, model, TRUTH, swung, places, rng)
-        for k, swung in enumerate(swings(arm, 2, 0.3))
-    )
-    return [prepare_trial(model, observation) for observation in made]
+    return simulate_swings(arm, model, model, TRUTH, 0.3)
 
 
-def names(model, trials):
-    return {
-        effect.name for effect in candidate_effects(model, effects_by_name(), trials)
-    }
+def candidate_names(model, trials):
+    candidates = candidate_effects(model, effects_by_name(), trials)
+    return {effect.name for effect in candidates}
 
 
-def test_grasp_poses_leave_out_what_acts_on_joints(arm, model, trials):
+def sample_planes(data, fit, hypothesis):
+    """Sample contact candidates: heights [m] and tilts [rad], (C,) each."""
+    candidates = contact_candidates(data, fit, hypothesis, 0).sample()
+    values = parameter_values(hypothesis.parameters, candidates)
+    names = hypothesis.model.names
+    height = values[:, names.index("contact.height")]
+    return height, values[:, names.index("contact.tilt")]
+
+
+def height_above_planes(x, y, height, tilt):
+    """Compute the distance of points (...) from planes (C,) [m], (C, ...)."""
+    shape = (-1, *[1] * x.ndim)
+    tilt = tilt.reshape(shape)
+    return np.cos(tilt) * y - np.sin(tilt) * x - height.reshape(shape)
+
+
+def test_grasp_poses_exclude_effects_on_joints(arm, model, trials):
     posed = [replace(trial, motion=trial.motion.hand_motion(arm)) for trial in trials]
-    assert "joint_gain" in names(model, trials)
-    assert "joint_gain" not in names(model, posed)
-    assert "arm_lag" in names(model, posed)
+    assert "joint_gain" in candidate_names(model, trials)
+    assert "joint_gain" not in candidate_names(model, posed)
+    assert "arm_lag" in candidate_names(model, posed)
 
 
-def test_what_is_at_work_or_excluded_is_no_candidate(model, trials):
-    weighed = model.with_effects(*find_effects(["tip_mass"]))
-    assert names(model, trials) - names(weighed, trials) == {"tip_mass"}
-    assert not {
-        effect.name
-        for effect in effects_by_name().values()
-        if effect.excluded_from_search
-    } & names(model, trials)
+def test_active_and_excluded_effects_are_no_candidates(model, trials):
+    names = candidate_names(model, trials)
+    heavier = model.with_effects(*find_effects(["tip_mass"]))
+    assert names - candidate_names(heavier, trials) == {"tip_mass"}
+    for effect in effects_by_name().values():
+        assert not (effect.excluded_from_search and effect.name in names)
 
 
-def test_nothing_stands_where_the_hand_was(arm, model, trials):
-    """Of a plane it is asked where the string passes and the hand does not."""
+def test_no_plane_stands_where_the_hand_moves(arm, model, trials):
     base = Hypothesis(model)
-    chi = parameter_exponents(
-        base.parameters, np.array([TRUTH[p.name] for p in base.parameters])
-    )
+    chi = true_exponents(base, TRUTH)
     data = attach_discrepancy_model(trials, base, chi)
-    touched = base.with_cause(effects_by_name()["contact"])
-    drawn = contact_candidates(data, evaluate_fit(data, base, chi), touched, 0).sample()
-    assert len(drawn) > 10
-    values = parameter_values(touched.parameters, drawn)
-    height, tilt = (
-        values[:, touched.model.names.index(f"contact.{name}")]
-        for name in ("height", "tilt")
-    )
-    hand = np.concatenate(
-        [trial.motion.actual_hand_motion(arm, ()).pose[0, :, :2] for trial in trials]
-    )
-    along = hand[:, 0] * -np.sin(tilt)[:, None] + hand[:, 1] * np.cos(tilt)[:, None]
-    assert (along > height[:, None]).all()
+    touching = base.with_cause(effects_by_name()["contact"])
+    height, tilt = sample_planes(data, evaluate_fit(data, base, chi), touching)
+    assert len(height) > 10
+    poses = [trial.motion.actual_hand_motion(arm, ()).pose[0] for trial in trials]
+    x, y = np.concatenate(poses)[:, :2].T
+    assert (height_above_planes(x, y, height, tilt) > 0).all()
 
 
 def test_a_plane_is_found_that_one_trial_touches_late(arm, model):
-    """By 2 cm in the way of the second of two swings, in its last twentieth of a
-    second.
-    """
-    base, touched = (
-        Hypothesis(model),
-        Hypothesis(model).with_cause(effects_by_name()["contact"]),
-    )
-    there = TRUTH | {
-        "contact.stiffness": 2e5,
-        "contact.height": 0.575,
-        "contact.tilt": -1.25,
-    }
-    rng, places, motions = (
-        np.random.default_rng(0),
-        np.array([8, 14, 20]),
-        swings(arm, 2, 0.6),
-    )
-    seen = [
-        performed(f"t{k}", arm, touched.model, there, q, places, rng)
-        for k, q in enumerate(motions)
-    ]
-    chi = parameter_exponents(
-        base.parameters, np.array([TRUTH[p.name] for p in base.parameters])
-    )
-    data = attach_discrepancy_model(
-        [prepare_trial(model, each) for each in seen], base, chi
-    )
+    """It stands 2 cm in the path of the second swing, in the last 0.05 s."""
+    base = Hypothesis(model)
+    touching = base.with_cause(effects_by_name()["contact"])
+    truth = dict.fromkeys(touching.model.names, 0.0) | TRUTH | PLANE
+    trials = simulate_swings(arm, model, touching.model, TRUTH | PLANE, 0.6)
+    chi = true_exponents(base, TRUTH)
+    data = attach_discrepancy_model(trials, base, chi)
     parent = evaluate_fit(data, base, chi)
     (plane,) = propose_causes(data, parent, [effects_by_name()["contact"]], 0)
-    found = fit_hypothesis(data, plane.hypothesis, plane.starts, parent.scale_indices)
-    known = np.array(
-        [
-            {**dict.fromkeys(touched.model.names, 0.0), **there}[name]
-            for name in touched.model.names
-        ]
-    )
-    true = evaluate_fit(data, touched, parameter_exponents(touched.parameters, known))
-    assert true.log_evidence - parent.log_evidence > 50
-    assert found.log_evidence - parent.log_evidence > 0.9 * (
-        true.log_evidence - parent.log_evidence
-    )
-    assert found.values["contact.height"] == pytest.approx(0.575, abs=0.02)
-    assert found.values["contact.tilt"] == pytest.approx(-1.25, abs=0.1)
+    fit = fit_hypothesis(data, plane.hypothesis, plane.starts, parent.scale_indices)
+    true_fit = evaluate_fit(data, touching, true_exponents(touching, truth))
+    true_gain = true_fit.log_evidence - parent.log_evidence
+    assert true_gain > 50
+    assert fit.log_evidence - parent.log_evidence > 0.9 * true_gain
+    assert fit.values["contact.height"] == pytest.approx(0.575, abs=0.02)
+    assert fit.values["contact.tilt"] == pytest.approx(-1.25, abs=0.1)
 
-    likely = parameter_values(
-        touched.parameters, contact_candidates(data, parent, touched, 0).sample()[:10]
-    )
-    height, tilt = (
-        likely[:, touched.model.names.index(f"contact.{name}"), None]
-        for name in ("height", "tilt")
-    )
-    (x0, y0), (x1, y1) = (
-        model.simulate_string(
-            trial.motion, parameter_values(base.parameters, chi[None]), trial.times
-        )
-        .points[0]
-        .transpose(2, 0, 1)
-        for trial in data.trials
-    )
-    over = [
-        (np.cos(tilt)[..., None] * y - np.sin(tilt)[..., None] * x).min(axis=2) - height
-        for x, y in ((x0, y0), (x1, y1))
-    ]
-    assert (over[0] > 0).all()  # nothing touches the first
-    first = data.trials[1].times[(over[1] < 0).argmax(axis=1)]
-    assert (first > 0.5).all()  # and all of them the second when it departs
+    # The likeliest planes touch the second string as it departs, and never the first
+    height, tilt = (each[:10] for each in sample_planes(data, parent, touching))
+    values = parameter_values(base.parameters, chi[None])
+    clearance = []
+    for trial in data.trials:
+        strings = model.simulate_string(trial.motion, values, trial.times)
+        x, y = strings.points[0].transpose(2, 0, 1)
+        clearance.append(height_above_planes(x, y, height, tilt).min(axis=2))
+    assert (clearance[0] > 0).all()
+    first = data.trials[1].times[(clearance[1] < 0).argmax(axis=1)]
+    assert (first > 0.5).all()

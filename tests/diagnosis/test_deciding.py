@@ -1,10 +1,11 @@
-"""Deciding between look-alikes: which motion is proposed, and what is said of it."""
+"""Which motion is proposed to distinguish look-alikes, and what is stated about it."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
+from synthetic_trials import CRITERIA, SIGMA, SWING, true_exponents
 
 from stringcast.stages.diagnose.candidate_motions import (
     DesignSettings,
@@ -25,17 +26,16 @@ from stringcast.stages.inference.laplace import fit_hypothesis
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.effects.arm_lag import ArmLag
 from stringcast.stages.model.effects.time_offset import TimeOffset
-from stringcast.stages.model.parameter import parameter_exponents, parameter_values
+from stringcast.stages.model.parameter import parameter_values
 
-SIGMA = 7e-4
-ENOUGH = float(np.log(0.95 / 0.05))
+LAG_S = 0.008
 DESIGN = DesignSettings(
     motions=12, shortest=0.2, longest=0.6, alpha=150.0, before=0.1, after=0.1
 )
 
 
 class Lead(TimeOffset):
-    """The same by nature, counted the other way."""
+    """The time offset with the opposite sign."""
 
     name = "lead"
 
@@ -44,12 +44,20 @@ class Lead(TimeOffset):
         return t - offset
 
 
-class _Like:
-    """What `imagined` takes of a trial."""
+class TrialLike:
+    """The fields of a trial that a synthetic trial copies."""
 
     def __init__(self, s):
-        self.s, self.frame = s, np.zeros(len(s), dtype=int)
+        self.s = s
+        self.frame = np.zeros(len(s), dtype=int)
         self.sigma = np.full(len(s), SIGMA)
+
+
+TIP_ONLY = TrialLike(np.array([0.3]))
+
+
+def select_curve(curves, number):
+    return curves.select(np.array([number]))
 
 
 @pytest.fixture(scope="module")
@@ -58,165 +66,140 @@ def model(arm):
 
 
 @pytest.fixture(scope="module")
-def slow(model):
-    """Two gentle swings of joints that lag by 8 ms, as they would be measured."""
-    speeds = np.array([[1.0, 0.6, -0.4, -1.0], [0.5, 0.9, 0.2, -0.8], [0.3] * 4])
+def slow_trials(model):
+    """Simulate two gentle swings of joints that lag."""
     control = np.zeros((2, 3, 6))
-    control[..., 1:-1] = np.array([0.8, 1.2])[:, None, None] * speeds
-    curves = Curves(
-        np.array([[0.3, 0.5, 0.2], [0.6, 0.2, -0.3]]), np.array([0.6, 0.6]), control
-    )
-    like, late = _Like(np.linspace(0.03, 0.3, 8)), model.with_effects(ArmLag)
-    cases = [
-        synthetic_trial(model, curves.select(np.array([i])), like, DESIGN)
-        for i in range(2)
-    ]
-    values, rng = (
-        late.values({**TRUTH, "arm_lag.time_constant": 0.008})[None],
-        np.random.default_rng(0),
-    )
-    seen = [
-        case.sample_at_points(
-            late.simulate_observation(case.motion, values, case.times).points
-        )[0]
-        for case in cases
-    ]
-    pairs = zip(cases, seen, strict=True)
-    return [
-        replace(case, points=points + SIGMA * rng.standard_normal(points.shape))
-        for case, points in pairs
-    ]
+    control[..., 1:-1] = np.array([0.8, 1.2])[:, None, None] * SWING
+    start = np.array([[0.3, 0.5, 0.2], [0.6, 0.2, -0.3]])
+    curves = Curves(start, np.array([0.6, 0.6]), control)
+    like = TrialLike(np.linspace(0.03, 0.3, 8))
+    lagging = model.with_effects(ArmLag)
+    values = lagging.values({**TRUTH, "arm_lag.time_constant": LAG_S})[None]
+    rng = np.random.default_rng(0)
+    trials = []
+    for number in range(2):
+        curve = select_curve(curves, number)
+        trial = synthetic_trial(model, curve, like, DESIGN)
+        strings = lagging.simulate_observation(trial.motion, values, trial.times)
+        clean = trial.sample_at_points(strings.points)[0]
+        points = clean + SIGMA * rng.standard_normal(clean.shape)
+        trials.append(replace(trial, points=points))
+    return trials
 
 
-def rivals(model, slow, *effects):
-    """The base model with each of some effects, all fitted."""
+def fit_rivals(model, trials, *effects):
+    """Fit the base model with each of some effects."""
     base = Hypothesis(model)
-    data = attach_discrepancy_model(
-        slow,
-        base,
-        parameter_exponents(
-            base.parameters, np.array([TRUTH[p.name] for p in base.parameters])
-        ),
-    )
-    fits, sizes = {}, np.zeros(len(slow), dtype=int)
+    data = attach_discrepancy_model(trials, base, true_exponents(base, TRUTH))
+    no_discrepancy = np.zeros(len(trials), dtype=int)
+    fits = {}
     for effect in effects:
         hypothesis = base.with_cause(effect)
-        start = [TRUTH.get(p.name, p.start) for p in hypothesis.parameters]
-        fits[effect.name] = fit_hypothesis(
-            data,
-            hypothesis,
-            parameter_exponents(hypothesis.parameters, np.array(start))[None],
-            sizes,
-        )
-    return Rivals(fits, data, ENOUGH)
+        start = true_exponents(hypothesis, TRUTH)
+        fit = fit_hypothesis(data, hypothesis, start[None], no_discrepancy)
+        fits[effect.name] = fit
+    return Rivals(fits, data, CRITERIA.deciding_log_odds)
 
 
 @pytest.fixture(scope="module")
-def contest(model, slow):
-    return rivals(model, slow, ArmLag, TimeOffset)
+def rivals(model, slow_trials):
+    return fit_rivals(model, slow_trials, ArmLag, TimeOffset)
+
+
+def sample_motions(model, obstacles=()):
+    rng = np.random.default_rng(1)
+    return sample_motions_within_limits(model, obstacles, DESIGN, rng)
 
 
 @pytest.fixture(scope="module")
 def curves(model):
-    return sample_motions_within_limits(model, (), DESIGN, np.random.default_rng(1))
+    return sample_motions(model)
 
 
-def proposal_of(contest):
-    return design_experiment(contest, (), DESIGN, np.random.default_rng(1))
+def propose(rivals):
+    return design_experiment(rivals, (), DESIGN, np.random.default_rng(1))
 
 
-def test_motions_are_within_the_arms_limits_and_clear_of_obstacles(model, curves):
-    arm = model.arm
+def is_allowed(arm, obstacles, curves):
+    """Whether each motion respects the limits and avoids the obstacles."""
     sampled = curves.sample(arm.tick, float(curves.duration.max()))
-    assert len(curves.duration) == DESIGN.motions
-    assert (arm_faults(arm, (), *sampled) == "").all()
+    return arm_faults(arm, obstacles, *sampled) == ""
+
+
+def test_motions_respect_limits_and_avoid_obstacles(model, curves):
+    arm = model.arm
     wall = Box(0.5, 0.4, 0.1, 0.1)
-    around = sample_motions_within_limits(
-        model, (wall,), DESIGN, np.random.default_rng(1)
-    )
-    sampled = around.sample(arm.tick, float(around.duration.max()))
-    assert (arm_faults(arm, (wall,), *sampled) == "").all()
-    assert not (
-        arm_faults(arm, (wall,), *curves.sample(arm.tick, float(curves.duration.max())))
-        == ""
-    ).all()
+    assert len(curves.duration) == DESIGN.motions
+    assert is_allowed(arm, (), curves).all()
+    assert is_allowed(arm, (wall,), sample_motions(model, (wall,))).all()
+    assert not is_allowed(arm, (wall,), curves).all()
 
 
-def test_joints_that_lag_arrive_where_they_are_sent(model, curves):
-    """Or a lag would be told from an offset by a hand that stops short, which none
-    does.
-    """
-    curve = curves.select(np.array([2]))
-    case = synthetic_trial(model, curve, _Like(np.array([0.3])), DESIGN)
-    late = case.motion.actual_hand_motion(
-        model.arm, [(ArmLag, {"time_constant": np.full((1, 1, 1), 0.008)})]
-    )
-    there = model.arm.grasp_pose(
-        curve.sample(model.arm.tick, float(curve.duration[0]))[0][0, -1]
-    )
-    assert late.end > case.times[-1] - model.arm.tick
-    np.testing.assert_allclose(late.pose[0, -1], there, atol=1e-5)
+def test_lagging_joints_arrive_at_the_end_of_their_motion(model, curves):
+    """A hand that stops short would wrongly distinguish a lag from an offset."""
+    arm = model.arm
+    curve = select_curve(curves, 2)
+    trial = synthetic_trial(model, curve, TIP_ONLY, DESIGN)
+    lag = {"time_constant": np.full((1, 1, 1), LAG_S)}
+    hand = trial.motion.actual_hand_motion(arm, [(ArmLag, lag)])
+    angles, *_ = curve.sample(arm.tick, float(curve.duration[0]))
+    assert hand.end > trial.times[-1] - arm.tick
+    expected = arm.grasp_pose(angles[0, -1])
+    np.testing.assert_allclose(hand.pose[0, -1], expected, atol=1e-5)
 
 
-def test_no_motion_takes_any_part_of_the_string_through_an_obstacle(
-    model, contest, curves
-):
-    """Not even where the tip alone is measured, which passes by it."""
-    cases = [
-        synthetic_trial(
-            model, curves.select(np.array([i])), _Like(np.array([0.3])), DESIGN
-        )
-        for i in range(3)
-    ]
-    fit = contest.fits["arm_lag"]
+def test_no_part_of_the_string_crosses_an_obstacle(model, rivals, curves):
+    """Not even if only the tip is measured, which passes by it."""
+    trials = []
+    for number in range(3):
+        curve = select_curve(curves, number)
+        trials.append(synthetic_trial(model, curve, TIP_ONLY, DESIGN))
+    fit = rivals.fits["arm_lag"]
     values = parameter_values(fit.hypothesis.parameters, fit.chi[None])
-    line = fit.hypothesis.model.simulate_string(
-        cases[1].motion, values, cases[1].times
-    ).points[0]
-    post = Box(*line[0, line.shape[1] // 4], 0.02, 0.02)
-    assert not post.is_crossed_by(line[:-1, -1], line[1:, -1]).any()
-    assert 1 in _most_different_motions(contest, cases, ())
-    assert 1 not in _most_different_motions(contest, cases, (post,))
+    trial = trials[1]
+    strings = fit.hypothesis.model.simulate_string(trial.motion, values, trial.times)
+    points = strings.points[0]
+    post = Box(*points[0, points.shape[1] // 4], 0.02, 0.02)
+    assert not post.is_crossed_by(points[:-1, -1], points[1:, -1]).any()
+    assert 1 in _most_different_motions(rivals, trials, ())
+    assert 1 not in _most_different_motions(rivals, trials, (post,))
 
 
-def test_the_motion_proposed_tells_more_than_others_and_than_what_was_done(
-    model, slow, contest, curves
+def test_the_proposed_motion_decides_better_than_others(
+    model, slow_trials, rivals, curves
 ):
-    made = proposal_of(contest)
-    said = made.next_experiment
-    assert said["between"] == ["arm_lag", "time_offset"]
-    assert said["inseparable"] == []
-    assert said["expected_log_odds"] > ENOUGH
-    assert said["probability_to_decide"] > 0.95
-    assert (
-        said["already_performed"]["expected_log_odds"] < 0.5 * said["expected_log_odds"]
-    )
-    cases = [
-        synthetic_trial(model, curves.select(np.array([i])), slow[0], DESIGN)
-        for i in range(0, DESIGN.motions, 4)
-    ]
+    proposal = propose(rivals)
+    experiment = proposal.next_experiment
+    log_odds = experiment["expected_log_odds"]
+    assert experiment["between"] == ["arm_lag", "time_offset"]
+    assert experiment["inseparable"] == []
+    assert log_odds > CRITERIA.deciding_log_odds
+    assert experiment["probability_to_decide"] > 0.95
+    assert experiment["already_performed"]["expected_log_odds"] < 0.5 * log_odds
+
     base = Hypothesis(model)
-    chi = parameter_exponents(
-        base.parameters, np.array([TRUTH[p.name] for p in base.parameters])
-    )
-    told = [
-        contest.expected_log_odds(attach_discrepancy_model([case], base, chi))[0].min()
-        for case in cases
-    ]
-    assert said["expected_log_odds"] > np.median(told)
-    assert len(made.commands) > 20
-    assert set(made.predicted["hypothesis"]) == {"arm_lag", "time_offset"}
+    chi = true_exponents(base, TRUTH)
+    others = []
+    for number in range(0, DESIGN.motions, 4):
+        curve = select_curve(curves, number)
+        trial = synthetic_trial(model, curve, slow_trials[0], DESIGN)
+        data = attach_discrepancy_model([trial], base, chi)
+        others.append(rivals.expected_log_odds(data)[0].min())
+    assert log_odds > np.median(others)
+    assert len(proposal.commands) > 20
+    assert set(proposal.predicted["hypothesis"]) == {"arm_lag", "time_offset"}
 
 
-def test_what_is_the_same_by_nature_is_said_to_be(model, slow):
-    alike = proposal_of(rivals(model, slow, Lead, TimeOffset))
-    said = alike.next_experiment
-    assert said["inseparable"] == [["lead", "time_offset"]]
-    assert said["probability_to_decide"] < 0.01
-    assert abs(said["expected_log_odds"]) < 0.1
-    assert "none tells all of them apart" in said["sentence"]
-    assert alike.commands.empty
+def test_equal_effects_are_stated_to_be_inseparable(model, slow_trials):
+    proposal = propose(fit_rivals(model, slow_trials, Lead, TimeOffset))
+    experiment = proposal.next_experiment
+    assert experiment["inseparable"] == [["lead", "time_offset"]]
+    assert experiment["probability_to_decide"] < 0.01
+    assert abs(experiment["expected_log_odds"]) < 0.1
+    assert "none tells all of them apart" in experiment["sentence"]
+    assert proposal.commands.empty
 
 
-def test_one_hypothesis_needs_no_experiment(model, slow):
-    assert proposal_of(rivals(model, slow, ArmLag)).next_experiment is None
+def test_one_hypothesis_needs_no_experiment(model, slow_trials):
+    rivals = fit_rivals(model, slow_trials, ArmLag)
+    assert propose(rivals).next_experiment is None

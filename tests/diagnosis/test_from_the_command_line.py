@@ -1,4 +1,4 @@
-"""A diagnosis as a person asks for it, and the model that it leaves."""
+"""A diagnosis by its command, and experiments with the model that it extends."""
 
 import json
 
@@ -12,93 +12,92 @@ from tests.diagnosis.slow_casts import write_slow_casts
 
 
 @pytest.fixture(scope="module")
-def places(arm, camera, tmp_path_factory):
-    """Two slow casts whose joints lag by 3 ms, and the run that diagnosed them."""
-    place = tmp_path_factory.mktemp("lag")
-    write_slow_casts(place / "data", arm, camera, {"arm_lag.time_constant": 3e-3})
-    asked = (
+def folder(arm, camera, tmp_path_factory):
+    """Diagnose two slow casts whose joints lag by 3 ms; return data/ and run/."""
+    folder = tmp_path_factory.mktemp("lag")
+    write_slow_casts(folder / "data", arm, camera, {"arm_lag.time_constant": 3e-3})
+    command = pipeline(
         "+experiment=diagnose",
-        f"trials={place / 'data'}",
+        f"trials={folder / 'data'}",
         "diagnose.design.motions=60",
+        f"hydra.run.dir={folder / 'run'}",
     )
-    done = pipeline(*asked, f"hydra.run.dir={place / 'run'}")
-    assert done.returncode == 0, done.stderr
-    return place
+    assert command.returncode == 0, command.stderr
+    return folder
 
 
-def test_a_lag_and_an_offset_of_the_clock_are_not_told_apart(places):
-    said = json.loads((places / "run" / "diagnosis.json").read_text())
-    assert said["verdict"] == "ambiguous"
-    assert [set(group) for group in said["indistinguishable"]] == [
-        {"arm_lag", "time_offset"}
-    ]
-    whole = [each["probability"] for each in (*said["causes"], *said["alternatives"])]
-    assert sum(whole) == pytest.approx(1.0, abs=1e-6)
-    assert said["gain"]["rms_m"]["extended"] < said["gain"]["rms_m"]["base"]
+@pytest.fixture(scope="module")
+def document(folder):
+    return json.loads((folder / "run" / "diagnosis.json").read_text())
 
 
-def test_the_motion_that_tells_them_apart_is_proposed(places):
-    said = json.loads((places / "run" / "diagnosis.json").read_text())[
-        "next_experiment"
-    ]
-    assert set(said["between"]) == {"arm_lag", "time_offset"}
-    assert (
-        said["probability_to_decide"]
-        > said["already_performed"]["probability_to_decide"]
-    )
-    assert len(load(Motion, places / "run" / said["motion"]).commands) > 20
-    assert said["sentence"] in (places / "run" / "report.html").read_text().replace(
-        "&#39;", "'"
-    )
+def test_a_lag_and_a_clock_offset_are_look_alikes(document):
+    assert document["verdict"] == "ambiguous"
+    groups = [set(group) for group in document["indistinguishable"]]
+    assert groups == [{"arm_lag", "time_offset"}]
+    rows = [*document["causes"], *document["alternatives"]]
+    total = sum(row["probability"] for row in rows)
+    assert total == pytest.approx(1.0, abs=1e-6)
+    rms = document["gain"]["rms_m"]
+    assert rms["extended"] < rms["base"]
 
 
-def test_an_arm_is_not_moved_for_trials_of_which_nobody_says_where_they_were_made(
-    places, called, tmp_path
-):
-    done = called(
+def test_a_motion_that_distinguishes_them_is_proposed(folder, document):
+    experiment = document["next_experiment"]
+    assert set(experiment["between"]) == {"arm_lag", "time_offset"}
+    repeated = experiment["already_performed"]["probability_to_decide"]
+    assert experiment["probability_to_decide"] > repeated
+    motion = load(Motion, folder / "run" / experiment["motion"])
+    assert len(motion.commands) > 20
+    page = (folder / "run" / "report.html").read_text().replace("&#39;", "'")
+    assert experiment["sentence"] in page
+
+
+def test_deciding_needs_an_arm_for_trials_of_unknown_origin(folder, called, tmp_path):
+    command = called(
         "+experiment=decide",
-        f"trials={places / 'data'}",
+        f"trials={folder / 'data'}",
         f"hydra.run.dir={tmp_path / 'run'}",
     )
-    assert done.returncode == 1
-    assert "hardware=serial" in done.stderr
-    assert "Traceback" not in done.stderr
+    assert command.returncode == 1
+    assert "hardware=serial" in command.stderr
+    assert "Traceback" not in command.stderr
 
 
-def test_it_leaves_evidence_and_a_page(places):
-    stored = next((places / "run" / "iterations").glob("*/diagnosis"))
-    made = load(Diagnosis, stored)
-    assert made.verdict == "ambiguous"
-    assert set(made.residuals["trial"]) == set(made.held_out["trial"])
-    assert "arm_lag" in (places / "run" / "report.html").read_text()
+def test_a_diagnosis_leaves_evidence_and_a_page(folder):
+    stored = next((folder / "run" / "iterations").glob("*/diagnosis"))
+    diagnosis = load(Diagnosis, stored)
+    assert diagnosis.verdict == "ambiguous"
+    assert set(diagnosis.residuals["trial"]) == set(diagnosis.held_out["trial"])
+    assert "arm_lag" in (folder / "run" / "report.html").read_text()
 
 
-def test_other_experiments_take_the_extended_model(places, called):
-    extended = yaml.safe_load((places / "run" / "extended.yaml").read_text())
+def test_other_experiments_use_the_extended_model(folder, called):
+    extended = yaml.safe_load((folder / "run" / "extended.yaml").read_text())
     assert set(extended["effects"]) <= {"arm_lag", "time_offset"}
-    wanted = (
+    command = called(
         "+experiment=estimate",
-        f"trials={places / 'data'}",
-        f"model_from={places / 'run'}",
+        f"trials={folder / 'data'}",
+        f"model_from={folder / 'run'}",
+        "estimate.candidates=20",
+        f"hydra.run.dir={folder / 'estimate'}",
     )
-    done = called(
-        *wanted, "estimate.candidates=20", f"hydra.run.dir={places / 'again'}"
-    )
-    assert done.returncode == 0, done.stderr
-    settings = json.loads((places / "again" / "config.json").read_text())
+    assert command.returncode == 0, command.stderr
+    settings = json.loads((folder / "estimate" / "config.json").read_text())
+    string = settings["string"]
     assert settings["effects"] == extended["effects"]
-    assert settings["string"]["points"] == extended["string"]["points"]
-    assert settings["string"]["length"] == pytest.approx(extended["string"]["length"])
+    assert string["points"] == extended["string"]["points"]
+    assert string["length"] == pytest.approx(extended["string"]["length"])
     assert settings["parameter_values"] == extended["parameter_values"]
 
 
-def test_what_is_not_a_diagnosis_is_refused_by_name(places, called, tmp_path):
-    wanted = (
+def test_a_folder_without_a_diagnosis_is_refused(folder, called, tmp_path):
+    command = called(
         "+experiment=estimate",
-        f"trials={places / 'data'}",
+        f"trials={folder / 'data'}",
         f"model_from={tmp_path}",
+        f"hydra.run.dir={tmp_path / 'run'}",
     )
-    done = called(*wanted, f"hydra.run.dir={tmp_path / 'run'}")
-    assert done.returncode == 1
-    assert "extended.yaml" in done.stderr
-    assert "Traceback" not in done.stderr
+    assert command.returncode == 1
+    assert "extended.yaml" in command.stderr
+    assert "Traceback" not in command.stderr

@@ -1,56 +1,50 @@
-"""A diagnosis that is interrupted ends with what it knows, and names nothing."""
+"""A diagnosis that is interrupted reports what it knows, and names nothing."""
 
 import json
 from types import SimpleNamespace
 
 import pytest
 import yaml
+from synthetic_trials import CRITERIA
 
 from stringcast.stages.common import InterruptRequest
 from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose import verdict
 from stringcast.stages.diagnose.forward_selection import SelectionState, SelectionStep
 from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
-from tests.diagnosis.performed import CRITERIA
-from tests.diagnosis.test_forward_selection import casts, said_of
+from tests.diagnosis.test_forward_selection import diagnose_casts
 
 
 def interrupt(*given):
     raise InterruptRequest
 
 
-def test_what_had_entered_is_said_and_nothing_is_named(arm, camera, monkeypatch):
+def test_accepted_causes_are_reported_and_none_is_named(arm, camera, monkeypatch):
     monkeypatch.setattr(module, "swap_lookalikes_until_stable", interrupt)
-    made = said_of(
-        *casts(arm, camera, ["tip_mass"], {"tip_mass.ratio": 0.05}), monkeypatch
-    )
-    said = json.loads(made.finding["diagnosis"].iloc[0])
-    assert (said["verdict"], said["interrupted"], said["causes"]) == (
-        "insufficient",
-        True,
-        [],
-    )
-    assert (
-        "interrupted; so far it had found tip_mass (1.00)"
-        in said["unexplained"]["sentence"]
-    )
-    assert "cannot answer" not in made.sentence
-    assert {
-        each["effect"] for each in said["alternatives"] if each["probability"] > 0.5
-    } == {"tip_mass"}
-    assert yaml.safe_load(made.finding["extended"].iloc[0])["effects"] == []
-    assert len(made.held_out) == 0
-    assert made.hypotheses["causes"].str.contains("tip_mass").any()
-    assert set(made.entries["cause"]) == {"tip_mass"}
+    diagnosis = diagnose_casts(arm, camera, {"tip_mass.ratio": 0.05}, monkeypatch)
+    document = json.loads(diagnosis.finding["diagnosis"].iloc[0])
+    assert document["verdict"] == "insufficient"
+    assert document["interrupted"]
+    assert document["causes"] == []
+    sentence = document["unexplained"]["sentence"]
+    assert "interrupted; so far it had found tip_mass (1.00)" in sentence
+    assert "cannot answer" not in diagnosis.sentence
+    rows = document["alternatives"]
+    probable = [row["effect"] for row in rows if row["probability"] > 0.5]
+    assert probable == ["tip_mass"]
+    extended = yaml.safe_load(diagnosis.finding["extended"].iloc[0])
+    assert extended["effects"] == []
+    assert len(diagnosis.held_out) == 0
+    assert diagnosis.hypotheses["causes"].str.contains("tip_mass").any()
+    assert set(diagnosis.entries["cause"]) == {"tip_mass"}
 
 
 def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
     """Of two that were accepted, the first was not needed in addition to the second."""
-    weighed = []
-    hypotheses = {
-        names: SimpleNamespace(cause_names=names, base=None, causes=names)
-        for names in (("a",), ("a", "b"), ("b",))
-    }
+    hypotheses = {}
+    for names in (("a",), ("a", "b"), ("b",)):
+        hypothesis = SimpleNamespace(cause_names=names, base=None, causes=names)
+        hypotheses[names] = hypothesis
     steps = []
     for names in (("a",), ("a", "b")):
         fit = SimpleNamespace(hypothesis=hypotheses[names])
@@ -59,6 +53,7 @@ def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
     prepared = SimpleNamespace(data=data, base_fit=None)
     fit = SimpleNamespace(hypothesis=hypotheses["b",])
     state = SelectionState(prepared, fit, steps)
+    weighed = []
 
     def posterior(data, step, *given):
         weighed.append(step)
@@ -74,7 +69,7 @@ def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
     assert judgement.verdict.remark.endswith("so far it had found b (0.90).")
 
 
-def test_before_there_is_a_base_model_nothing_is_known(arm, camera, monkeypatch):
+def test_without_a_base_model_nothing_is_reported(arm, camera, monkeypatch):
     monkeypatch.setattr(module, "prepare_data", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        said_of(*casts(arm, camera, [], {}), monkeypatch)
+        diagnose_casts(arm, camera, {}, monkeypatch)

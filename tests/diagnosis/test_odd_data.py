@@ -1,6 +1,4 @@
-"""Data that are allowed and seldom: a trial that says nothing, one that begins moving,
-and numbers that do not exist.
-"""
+"""Rare data: unusable trials, trials that begin moving, and numbers that are missing."""
 
 import json
 from dataclasses import replace
@@ -9,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import TRUTH, ordinary
+from synthetic_trials import SWING, sample_curve, true_exponents
 
 from stringcast.data.artifacts import HELD_OUT, JOINTS, MASKS, READINGS, Observation
 from stringcast.stages.diagnose.document import (
@@ -23,11 +22,17 @@ from stringcast.stages.diagnose.predictions import (
 )
 from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.estimate.matching import Matching
-from stringcast.stages.generate.curves import Curves
+from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.prepared_trial import prepare_trial
 
 S = np.array([0.1, 0.2, 0.3])
-FINE = Matching(dilations=20, step_px=1, tip_step_px=1.0, delta_w=0.25)
+FINE_MATCHING = Matching(dilations=20, step_px=1, tip_step_px=1.0, delta_w=0.25)
+GAIN_BLOCKS = {
+    "rms_m": {"base", "extended", "noise_floor"},
+    "tip_rms_m": {"base", "extended"},
+    "matching_rate": {"base", "extended"},
+    "log_likelihood_per_trial": {"difference", "standard_error"},
+}
 
 
 @pytest.fixture(scope="module")
@@ -36,118 +41,96 @@ def model(arm):
 
 
 @pytest.fixture(scope="module")
-def begun(arm, model):
-    """A swing of which the camera missed the first fifth of a second."""
+def moving_trial(arm, model):
+    """Simulate a swing whose first fifth of a second was not filmed."""
     control = np.zeros((1, 3, 6))
-    control[0, :, 1:-1] = 3 * np.array(
-        [[1.0, 0.6, -0.4, -1.0], [0.5, 0.9, 0.2, -0.8], [0.3] * 4]
-    )
-    angles = Curves(np.array([[0.3, 0.5, 0.2]]), np.array([0.5]), control).sample(
-        arm.tick, 0.5
-    )[0][0]
+    control[0, :, 1:-1] = 3 * SWING
+    angles = sample_curve(arm, control, 0.5)
     t = arm.tick * np.arange(len(angles))
     joints = pd.DataFrame({"t": t} | dict(zip(JOINTS, angles.T, strict=True)))
-    whole = Observation("t0", pd.DataFrame(), READINGS.empty(), MASKS.empty(), joints)
-    motion = prepare_trial(
-        model, replace(whole, points=at(t, np.zeros((len(t), len(S), 2))))
-    ).motion
-    seen = model.simulate_observation(motion, model.values(TRUTH)[None], t).points[0]
+    empty = (READINGS.empty(), MASKS.empty())
+    unseen = Observation(
+        "t0", points_table(t, np.zeros((len(t), 3, 2))), *empty, joints
+    )
+    motion = prepare_trial(model, unseen).motion
+    strings = model.simulate_observation(motion, model.values(TRUTH)[None], t)
     places = np.searchsorted(model.string.arc_lengths(), S - 1e-9)
-    return replace(
-        whole, points=at(t, seen[:, places]).query("t > 0.2"), starts_moving=True
-    )
+    points = points_table(t, strings.points[0][:, places]).query("t > 0.2")
+    return replace(unseen, points=points, starts_moving=True)
 
 
-def at(t, points):
-    """Points (F, S, 2) as a table."""
+def points_table(t, points):
+    """Arrange points (F, 3, 2) as a table."""
     x, y = points.reshape(-1, 2).T
-    return pd.DataFrame(
-        {
-            "t": np.repeat(t, len(S)),
-            "s": np.tile(S, len(t)),
-            "x": x,
-            "y": y,
-            "sigma": 1e-3,
-        }
-    )
+    s = np.tile(S, len(t))
+    columns = {"t": np.repeat(t, len(S)), "s": s, "x": x, "y": y, "sigma": 1e-3}
+    return pd.DataFrame(columns)
 
 
-def test_a_trial_that_says_nothing_is_left_out_with_the_reason(model, begun):
-    """And does not keep the others from being diagnosed."""
-    unread = replace(begun, trial="t1", points=begun.points.assign(valid=False))
-    short = replace(begun, trial="t2", points=begun.points[begun.points["t"] < 0.211])
-    good, faults = usable_trials(model, [begun, unread, short])
-    assert [o.trial for o in good] == ["t0"]
+def test_unusable_trials_are_rejected_with_the_reason(model, moving_trial):
+    """The others are diagnosed all the same."""
+    points = moving_trial.points
+    unread = replace(moving_trial, trial="t1", points=points.assign(valid=False))
+    short = replace(moving_trial, trial="t2", points=points[points["t"] < 0.211])
+    usable, faults = usable_trials(model, [moving_trial, unread, short])
+    assert [observation.trial for observation in usable] == ["t0"]
     assert "no valid point" in faults["t1"]
     assert "begins moving" in faults["t2"]
     assert not any(reason.startswith("trial") for reason in faults.values())
 
 
-def test_the_matching_rate_is_that_of_the_state_in_which_the_trial_begins(model, begun):
-    """Some twenty frames of a trial are too far apart to tell it from."""
-    ready, chi = (
-        prepare_trial(model, begun),
-        np.array([float(p.chi(np.asarray(TRUTH[p.name]))) for p in model.parameters]),
-    )
-    assert RATED_FRAMES <= thin_frames(begun).points["t"].nunique() < 2 * RATED_FRAMES
-    right = matching_rate(model, chi, ready, begun, FINE)
-    elsewhere = replace(
-        ready,
-        initial_state=replace(
-            ready.initial_state, angle=ready.initial_state.angle + 0.5
-        ),
-    )
-    assert right > 0.8  # measured: 0.825, and 0.25 elsewhere
-    assert matching_rate(model, chi, elsewhere, begun, FINE) < right - 0.3
+def test_matching_rate_uses_the_initial_state_of_the_whole_trial(model, moving_trial):
+    """Some twenty frames of a trial are too far apart to estimate it from."""
+    count = thin_frames(moving_trial).points["t"].nunique()
+    assert RATED_FRAMES <= count < 2 * RATED_FRAMES
+    trial = prepare_trial(model, moving_trial)
+    chi = true_exponents(Hypothesis(model), TRUTH)
+    rate = matching_rate(model, chi, trial, moving_trial, FINE_MATCHING)
+    state = trial.initial_state
+    turned = replace(trial, initial_state=replace(state, angle=state.angle + 0.5))
+    turned_rate = matching_rate(model, chi, turned, moving_trial, FINE_MATCHING)
+    assert rate > 0.8
+    assert turned_rate < rate - 0.3
 
 
-def rows(**other):
+def held_out_rows(**columns):
+    """Make a table HELD_OUT of two trials."""
     numbers = {c.name: [0.003, 0.004] for c in HELD_OUT.columns if c.kind == "float"}
-    return HELD_OUT.check(pd.DataFrame({"trial": ["t0", "t1"]} | numbers | other))
+    return HELD_OUT.check(pd.DataFrame({"trial": ["t0", "t1"]} | numbers | columns))
 
 
-def test_the_gain_has_all_that_the_format_says_even_where_nothing_is_known():
-    whole, nothing = (
-        replace_non_finite(gain_document(table)) for table in (rows(), HELD_OUT.empty())
-    )
-    assert {
-        name: set(block) for name, block in whole.items() if isinstance(block, dict)
-    } == {
-        "rms_m": {"base", "extended", "noise_floor"},
-        "tip_rms_m": {"base", "extended"},
-        "matching_rate": {"base", "extended"},
-        "log_likelihood_per_trial": {"difference", "standard_error"},
-    }
-    assert whole["rms_m"]["base"] == pytest.approx(np.sqrt(12.5) * 1e-3)
-    assert nothing["held_out_trials"] == []
-    assert {name for name, block in nothing.items() if isinstance(block, dict)} == {
-        *whole
-    } - {"held_out_trials"}
-    assert all(
-        value is None
-        for block in nothing.values()
-        if isinstance(block, dict)
-        for value in block.values()
-    )
+def blocks_of(document):
+    """Select the blocks of a document."""
+    return {name: block for name, block in document.items() if isinstance(block, dict)}
 
 
-def test_the_gain_is_json_that_everybody_can_read():
-    """Of one trial there is no standard error, of a run that was rejected no matching
-    rate.
-    """
-    said = replace_non_finite(gain_document(rows(E_extended=[np.nan, np.nan])[:1]))
-    json.dumps(said, allow_nan=False)
-    assert said["matching_rate"] == {"base": pytest.approx(0.003), "extended": None}
-    assert said["log_likelihood_per_trial"]["standard_error"] is None
-    assert replace_non_finite({"a": [(1, "b", float("inf"))]}) == {
-        "a": [[1, "b", None]]
-    }
+def test_gain_has_all_blocks_even_if_nothing_was_left_out():
+    full = replace_non_finite(gain_document(held_out_rows()))
+    assert {name: set(block) for name, block in blocks_of(full).items()} == GAIN_BLOCKS
+    assert full["rms_m"]["base"] == pytest.approx(np.sqrt(12.5) * 1e-3)
+    empty = replace_non_finite(gain_document(HELD_OUT.empty()))
+    assert empty["held_out_trials"] == []
+    assert blocks_of(empty).keys() == GAIN_BLOCKS.keys()
+    for block in blocks_of(empty).values():
+        assert set(block.values()) == {None}
 
 
-def test_wider_ranges_are_told_to_the_other_stages(model):
-    wide = replace(model.string.parameters[2], high=1e9)
-    other = replace(model.string, ranges={**model.string.ranges, wide.name: wide})
-    assert widened_ranges(model.string, other) == {
-        wide.name: {"low": wide.low, "high": 1e9}
-    }
-    assert widened_ranges(model.string, model.string) == {}
+def test_gain_is_valid_json():
+    """One trial has no standard error, a rejected run no matching rate."""
+    one_trial = held_out_rows(E_extended=[np.nan, np.nan])[:1]
+    document = replace_non_finite(gain_document(one_trial))
+    json.dumps(document, allow_nan=False)
+    rate = document["matching_rate"]
+    assert rate == {"base": pytest.approx(0.003), "extended": None}
+    assert document["log_likelihood_per_trial"]["standard_error"] is None
+    nested = {"a": [(1, "b", float("inf"))]}
+    assert replace_non_finite(nested) == {"a": [[1, "b", None]]}
+
+
+def test_widened_ranges_are_passed_to_other_stages(model):
+    string = model.string
+    wide = replace(string.parameters[2], high=1e9)
+    other = replace(string, ranges={**string.ranges, wide.name: wide})
+    expected = {wide.name: {"low": wide.low, "high": 1e9}}
+    assert widened_ranges(string, other) == expected
+    assert widened_ranges(string, string) == {}

@@ -1,6 +1,4 @@
-"""Trials made by other simulations than the diagnosis' own: of mass points, as Eq. 1
-has them.
-"""
+"""Trials of other simulations than the diagnosis' own: equal mass points, as in Eq. 1."""
 
 from dataclasses import replace
 
@@ -8,9 +6,8 @@ import numpy as np
 import pytest
 from conftest import TRUTH as ORDINARY
 from conftest import ordinary
-from performed import performed, said_of
+from synthetic_trials import SWING, diagnose_trials, sample_curve, simulate_trial
 
-from stringcast.stages.generate.curves import Curves
 from stringcast.stages.model.effects.tip_mass import TipMass
 
 TRUTH = ORDINARY | {
@@ -21,61 +18,48 @@ TRUTH = ORDINARY | {
 
 
 @pytest.fixture(scope="module")
-def eq1(arm):
-    """The paper's string: ten equal points."""
+def chain(arm):
+    """Return the paper's string: ten equal points."""
     return ordinary(arm)
 
 
-def measured(arm, model, values, rng, trials=2):
-    """Observations of swings there and back, with points where the mass points are."""
-    for k in range(trials):
+def diagnose_swings(arm, configured, true_model, values, seed):
+    """Diagnose two swings of a string whose points are all mass points but one."""
+    rng = np.random.default_rng(seed)
+    places = np.arange(1, true_model.string.points)
+    trials = []
+    for k in range(2):
         control = np.zeros((1, 3, 6))
-        control[0, :, 1:-1] = (3 + k) * np.array(
-            [[1.0, 0.6, -0.4, -1.0], [0.5, 0.9, 0.2, -0.8], [0.3] * 4]
-        )
-        angles = Curves(np.array([[0.3, 0.5, 0.2]]), np.array([0.5]), control).sample(
-            arm.tick, 0.5
-        )[0][0]
-        yield performed(
-            f"t{k}", arm, model, values, angles, np.arange(1, model.string.points), rng
-        )
+        control[0, :, 1:-1] = (3 + k) * SWING
+        angles = sample_curve(arm, control, 0.5)
+        trial = simulate_trial(f"t{k}", arm, true_model, values, angles, places, rng)
+        trials.append(trial)
+    return diagnose_trials(configured, trials, 4)
 
 
-def test_the_configured_model_itself_is_left_alone(arm, eq1):
-    """It differs from a string without mass points by ten sigmas, which is nobody's
-    fault.
-    """
-    said = said_of(eq1, list(measured(arm, eq1, TRUTH, np.random.default_rng(0))), 4)
-    assert said.verdict == "none", said.sentence
+def test_the_configured_mesh_itself_is_no_cause(arm, chain):
+    """It differs from a string without mass points by ten standard deviations."""
+    diagnosis = diagnose_swings(arm, chain, chain, TRUTH, 0)
+    assert diagnosis.verdict == "none", diagnosis.sentence
 
 
 @pytest.mark.long
-def test_what_is_hidden_in_such_a_chain_has_the_size_it_has_there(arm, eq1):
-    """Against a string without mass points the tip would seem heavier by half a
-    segment, 5.6 %.
-    """
-    heavy = eq1.with_effects(TipMass)
-    said = said_of(
-        eq1,
-        list(
-            measured(
-                arm, heavy, TRUTH | {"tip_mass.ratio": 0.1}, np.random.default_rng(1)
-            )
-        ),
-        4,
-    )
-    assert said.verdict == "effect"
-    found = said.causes[said.causes["parameter"] == "tip_mass.ratio"].iloc[0]
-    assert set(said.causes["effect"]) == {"tip_mass"}
-    assert found["low"] < 0.1 < found["high"]
+def test_a_cause_on_the_configured_mesh_has_its_size_there(arm, chain):
+    """On a fine mesh the tip would seem heavier by half a segment, 5.6 %."""
+    heavy = chain.with_effects(TipMass)
+    truth = TRUTH | {"tip_mass.ratio": 0.1}
+    diagnosis = diagnose_swings(arm, chain, heavy, truth, 1)
+    assert diagnosis.verdict == "effect"
+    assert set(diagnosis.causes["effect"]) == {"tip_mass"}
+    row = diagnosis.causes.set_index("parameter").loc["tip_mass.ratio"]
+    assert row["low"] < 0.1 < row["high"]
 
 
 @pytest.mark.long
-def test_a_chain_of_other_points_than_ours_is_one(arm, eq1):
-    """Its last point stands for half a segment too much: in gentle swings that may also
-    be a tip mass.
-    """
-    other = replace(eq1, string=replace(eq1.string, points=30))
-    said = said_of(eq1, list(measured(arm, other, TRUTH, np.random.default_rng(2))), 4)
-    assert said.verdict in ("effect", "ambiguous"), said.sentence
-    assert "equal_points" in set(said.causes["effect"]) <= {"equal_points", "tip_mass"}
+def test_a_chain_of_other_points_is_a_cause(arm, chain):
+    """Its last point has half a segment too much: a tip mass may look alike."""
+    other = replace(chain, string=replace(chain.string, points=30))
+    diagnosis = diagnose_swings(arm, chain, other, TRUTH, 2)
+    assert diagnosis.verdict in ("effect", "ambiguous"), diagnosis.sentence
+    causes = set(diagnosis.causes["effect"])
+    assert "equal_points" in causes <= {"equal_points", "tip_mass"}

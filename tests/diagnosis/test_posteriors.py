@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from performed import CRITERIA
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
+from synthetic_trials import CRITERIA
 
 from stringcast.stages.diagnose import forward_selection, posteriors
 from stringcast.stages.diagnose.background_effects import (

@@ -1,13 +1,11 @@
-"""From trials to data: noise, outliers, ends at rest, trials that nobody can simulate,
-ranges that end too early.
-"""
+"""Preparation of data: noise, outliers, rest, chaotic trials, and ranges."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
-from performed import performed, swings
+from synthetic_trials import SIGMA, simulate_trial, swing_angles, true_exponents
 
 from stringcast.stages.diagnose.base_model import (
     MAX_SEARCH_ITERATIONS,
@@ -41,10 +39,12 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
 from stringcast.stages.model.parameter import parameter_exponents
 
-SIGMA = 7e-4
+STATED_SIGMA_M = 1e-3
+NOISE = SIGMA / STATED_SIGMA_M
 S = np.linspace(0.1, 0.3, 5)
 T = np.arange(0, 1.5, 0.005)
-TOLERANCE = 2e-3  # [m]
+PLACES = np.array([8, 14, 20])
+TOLERANCE_M = 2e-3
 
 
 @pytest.fixture(scope="module")
@@ -52,244 +52,219 @@ def model(arm):
     return with_second_order_mesh(ordinary(arm))
 
 
-def trial(model, frame, s, off=None):
-    """A trial of which only times and places matter, and where its points are, (n, 2)
-    [m].
-    """
-    points = np.zeros((len(s), 2)) if off is None else off
-    return PreparedTrial("t", model, None, T, frame, s, points, np.full(len(s), 1e-3))
+def make_trial(model, frame, s, points, times=T):
+    """Make a trial of which only times and places matter, with points (n, 2) [m]."""
+    sigma = np.full(len(s), STATED_SIGMA_M)
+    return PreparedTrial("t", model, None, times, frame, s, points, sigma)
+
+
+def simulate_swings(arm, model, strings):
+    """Simulate a swing of each string, given by its parameter values."""
+    rng = np.random.default_rng(0)
+    trials = []
+    for k, angles in enumerate(swing_angles(arm, len(strings), 0.3)):
+        values = strings[k]
+        trial = simulate_trial(f"t{k}", arm, model, values, angles, PLACES, rng)
+        trials.append(prepare_trial(model, trial))
+    return tuple(trials)
 
 
 @pytest.fixture(scope="module")
-def observed(arm, model):
-    """Three swings, as they would be measured."""
-    rng, places = np.random.default_rng(0), np.array([8, 14, 20])
-    return [
-        performed(f"t{k}", arm, model, TRUTH, angles, places, rng)
-        for k, angles in enumerate(swings(arm, 3, 0.3))
-    ]
+def trials(arm, model):
+    return simulate_swings(arm, model, [TRUTH] * 3)
 
 
 @pytest.mark.parametrize("kind", ["wandering", "dense", "occluded"])
-def test_noise_is_told_from_what_a_model_lacks_wherever_points_are(model, kind):
-    """A traced line has points where it has them, some closer than a millimetre, and
-    frames lack some.
-    """
+def test_noise_is_separated_from_misfit_wherever_points_are(model, kind):
+    """A traced line has irregular points, some closer than a millimetre."""
     rng = np.random.default_rng(1)
     grid = np.linspace(0.02, 0.3, 600 if kind == "dense" else 15)
-    frame, s = np.repeat(np.arange(len(T)), len(grid)), np.tile(grid, len(T))
+    frame = np.repeat(np.arange(len(T)), len(grid))
+    s = np.tile(grid, len(T))
     if kind == "wandering":
         s = s + np.repeat(rng.uniform(-0.01, 0.01, len(T)), len(grid))
     elif kind == "occluded":
-        there = rng.random(len(s)) < 0.5
-        frame, s = frame[there], s[there]
-    lack = (
-        3e-3
-        * np.sin(4 * np.pi * T[frame] + 5 * s)[:, None]
-        * s[:, None]
-        / 0.3
-        * np.ones(2)
-    )
-    off = lack + SIGMA * rng.standard_normal((len(s), 2))
-    assert remove_smooth_motion(trial(model, frame, s), off / 1e-3)[1] == pytest.approx(
-        0.7, rel=0.05
-    )
+        visible = rng.random(len(s)) < 0.5
+        frame = frame[visible]
+        s = s[visible]
+    misfit_m = 3e-3 * np.sin(4 * np.pi * T[frame] + 5 * s) * s / 0.3
+    points = misfit_m[:, None] + SIGMA * rng.standard_normal((len(s), 2))
+    trial = make_trial(model, frame, s, points)
+    _, noise = remove_smooth_motion(trial, points / STATED_SIGMA_M)
+    assert noise == pytest.approx(NOISE, rel=0.05)
 
 
-def test_points_that_are_far_out_are_left_out_and_hardly_any_other(model):
-    """However far the model itself is off. Smooth motion follows an outlier a little,
-    and leaves its neighbours.
+def test_outliers_are_removed_and_hardly_any_other_point(model):
+    """The model itself is off by far more.
+
+    Smooth motion follows an outlier a little, and its neighbours stay.
     """
     rng = np.random.default_rng(2)
-    s, frame = np.tile(S, len(T)), np.repeat(np.arange(len(T)), len(S))
-    off = 0.05 * np.sin(9 * T[frame])[:, None] * s[
-        :, None
-    ] / 0.3 + SIGMA * rng.standard_normal((len(s), 2))
-    wrong = rng.choice(len(s), 8, replace=False)
-    off[wrong] += 0.04
-    kept, _, noise = _remove_trial_outliers(trial(model, frame, s, off), off / 1e-3)
+    s = np.tile(S, len(T))
+    frame = np.repeat(np.arange(len(T)), len(S))
+    misfit_m = 0.05 * np.sin(9 * T[frame]) * s / 0.3
+    points = misfit_m[:, None] + SIGMA * rng.standard_normal((len(s), 2))
+    outliers = rng.choice(len(s), 8, replace=False)
+    points[outliers] += 0.04
+    trial = make_trial(model, frame, s, points)
+    kept, _, noise = _remove_trial_outliers(trial, points / STATED_SIGMA_M)
     assert len(kept.s) > 0.95 * len(s)
-    assert not set(map(tuple, off[wrong])) & set(map(tuple, kept.points))
-    assert noise == pytest.approx(0.7, rel=0.1)
+    remaining = {tuple(point) for point in kept.points}
+    assert not any(tuple(point) in remaining for point in points[outliers])
+    assert noise == pytest.approx(NOISE, rel=0.1)
 
 
 def test_a_trial_of_scattered_points_is_not_emptied(model):
-    """A tip that a tracker lost, six frames of it."""
-    frame, off = np.arange(6), 0.05 * np.random.default_rng(3).standard_normal((6, 2))
-    lost = replace(trial(model, frame, np.full(6, 0.3), off), times=frame / 30)
-    assert len(_remove_trial_outliers(lost, off / 1e-3)[0].s) == 6
-
-
-def test_what_hangs_still_is_looked_at_once(model):
-    times = np.arange(0, 10, 0.01)
-    # within 3 mm of rest from about 3.5 s on
-    swing = 0.1 * np.exp(-times) * np.cos(9 * times)
-    points = np.stack(
-        [np.outer(swing, np.linspace(0.1, 1, 5)), np.zeros((len(times), 5))], axis=-1
-    ).reshape(-1, 2)
-    ready = trial(
-        model, np.repeat(np.arange(len(times)), 5), np.tile(S, len(times)), points
-    )
-    ready = replace(ready, times=times)
-    last = times[np.flatnonzero(np.abs(swing) > 0.003)[-1]]
-    kept = trim_trailing_rest(ready)
-    assert kept.times[-1] == pytest.approx(last + KEPT_REST_S, abs=0.011)
-    assert len(kept.points) == 5 * len(kept.times)
-    # the rest that counts is that at the end, wherever the string was for most of the
-    # time
-    before = replace(
-        ready, points=ready.points + 0.1 * (ready.times[ready.frame] < 6.0)[:, None]
-    )
-    assert trim_trailing_rest(before).times[-1] == pytest.approx(
-        6.0 + KEPT_REST_S, abs=0.011
-    )
-    # a string that still moves at the end is left as it is, one that never moves is
-    # looked at shortly
-    assert len(
-        trim_trailing_rest(replace(ready, points=ready.points * 1e3)).times
-    ) == len(times)
-    assert trim_trailing_rest(replace(ready, points=ready.points * 1e-3)).times[
-        -1
-    ] == pytest.approx(KEPT_REST_S, abs=0.011)
+    """A tracker lost the tip in all six frames."""
+    frame = np.arange(6)
+    points = 0.05 * np.random.default_rng(3).standard_normal((6, 2))
+    trial = make_trial(model, frame, np.full(6, 0.3), points, times=frame / 30)
+    kept, *_ = _remove_trial_outliers(trial, points / STATED_SIGMA_M)
+    assert len(kept.s) == 6
 
 
 @pytest.fixture(scope="module")
-def prepared(model, observed):
-    trials, hypothesis = (
-        tuple(prepare_trial(model, o) for o in observed),
-        Hypothesis(model),
-    )
-    chi = parameter_exponents(
-        hypothesis.parameters, np.array([TRUTH[p.name] for p in hypothesis.parameters])
-    )
+def damped_swing():
+    """Compute times [s] and tip displacements [m] of a swing, still after 3.5 s."""
+    times = np.arange(0, 10, 0.01)
+    return times, 0.1 * np.exp(-times) * np.cos(9 * times)
+
+
+@pytest.fixture(scope="module")
+def swinging_trial(model, damped_swing):
+    times, swing = damped_swing
+    x = np.outer(swing, np.linspace(0.1, 1, 5)).ravel()
+    points = np.stack([x, np.zeros(len(x))], axis=-1)
+    frame = np.repeat(np.arange(len(times)), 5)
+    return make_trial(model, frame, np.tile(S, len(times)), points, times=times)
+
+
+def test_rest_at_the_end_is_trimmed(swinging_trial, damped_swing):
+    times, swing = damped_swing
+    last = times[np.flatnonzero(np.abs(swing) > 0.003)[-1]]
+    trimmed = trim_trailing_rest(swinging_trial)
+    assert trimmed.times[-1] == pytest.approx(last + KEPT_REST_S, abs=0.011)
+    assert len(trimmed.points) == 5 * len(trimmed.times)
+
+
+def test_rest_is_that_at_the_end(swinging_trial):
+    """For most of the time the string rests elsewhere."""
+    trial = swinging_trial
+    is_early = trial.times[trial.frame] < 6.0
+    moved = replace(trial, points=trial.points + 0.1 * is_early[:, None])
+    end = trim_trailing_rest(moved).times[-1]
+    assert end == pytest.approx(6.0 + KEPT_REST_S, abs=0.011)
+
+
+@pytest.mark.parametrize(("factor", "end"), [(1e3, 9.99), (1e-3, KEPT_REST_S)])
+def test_a_string_that_moves_or_rests_throughout(swinging_trial, factor, end):
+    scaled = replace(swinging_trial, points=swinging_trial.points * factor)
+    trimmed = trim_trailing_rest(scaled)
+    assert trimmed.times[-1] == pytest.approx(end, abs=0.011)
+
+
+@pytest.fixture(scope="module")
+def prepared(model, trials):
+    hypothesis = Hypothesis(model)
+    chi = true_exponents(hypothesis, TRUTH)
     data = attach_discrepancy_model(trials, hypothesis, chi)
-    return PreparedData(
-        data, evaluate_fit(data, hypothesis, chi), trials, trials, 0, np.zeros(3)
-    )
+    fit = evaluate_fit(data, hypothesis, chi)
+    return PreparedData(data, fit, trials, trials, 0, np.zeros(3))
 
 
 @pytest.mark.parametrize(
-    ("doubts", "chaotic"),
-    [((0.1, 0.2, 0.3), ()), ((0.1, 5.0, 0.3), ("t1",)), ((0.1, 5.0, 5.0), ())],
+    ("uncertainties_mm", "chaotic"),
+    [((0.2, 0.4, 0.6), ()), ((0.2, 10.0, 0.6), ("t1",)), ((0.2, 10.0, 10.0), ())],
 )
-def test_a_chaotic_trial_is_set_aside_while_two_others_are_left(
-    prepared, doubts, chaotic
+def test_a_chaotic_trial_is_excluded_with_its_part_of_the_fit(
+    prepared, uncertainties_mm, chaotic
 ):
-    """doubts: what is in doubt of each trial's numerical error, over what is tolerated."""
-    kept = exclude_chaotic_trials(
-        replace(prepared, discretisation_uncertainty_m=np.array(doubts) * TOLERANCE),
-        TOLERANCE,
-    )
+    """Two other trials must remain."""
+    uncertainty_m = np.array(uncertainties_mm) / 1e3
+    uncertain = replace(prepared, discretisation_uncertainty_m=uncertainty_m)
+    kept = exclude_chaotic_trials(uncertain, TOLERANCE_M)
     assert kept.chaotic_trials == chaotic
     assert {t.name for t in kept.data.trials} == {"t0", "t1", "t2"} - {*chaotic}
     assert len(kept.base_fit.residuals) == len(kept.trials) == 3 - len(chaotic)
-    told = replace(
-        prepared,
-        discretisation_uncertainty_m=np.array(doubts) * TOLERANCE,
-        keep_if_chaotic=("t0", "t1", "t2"),
-    )
-    assert exclude_chaotic_trials(told, TOLERANCE) is told
+    resolved = replace(uncertain, keep_if_chaotic=("t0", "t1", "t2"))
+    assert exclude_chaotic_trials(resolved, TOLERANCE_M) is resolved
 
 
-def test_what_a_poorer_model_took_for_outliers_is_looked_at_again(prepared):
-    some = prepared.trials[0]
-    parts = {
-        name: getattr(some, name)[40:] for name in ("frame", "s", "points", "sigma")
-    }
-    poorer = replace(prepared, trials=(replace(some, **parts), *prepared.trials[1:]))
+def test_outliers_that_a_better_fit_explains_are_restored(prepared):
+    first = prepared.trials[0]
+    is_kept = np.arange(len(first.s)) >= 40
+    trials = (first.select_points(is_kept), *prepared.trials[1:])
+    poorer = replace(prepared, trials=trials)
     assert poorer.outlier_count == 40
     reconsidered = reestimate_noise(poorer, prepared.base_fit)
     assert reconsidered.point_counts == prepared.point_counts
 
 
-def test_a_search_is_not_taken_along_by_the_trial_that_another_string_made(arm, model):
-    """Of four: three casts of one string, and one of a string four times as stiff."""
-    rng, places, strings = np.random.default_rng(3), np.array([8, 14, 20]), [TRUTH] * 3
-    strings.append(TRUTH | {"bending_stiffness": 4 * TRUTH["bending_stiffness"]})
-    given = zip(strings, swings(arm, 4, 0.3), strict=True)
-    cases = tuple(
-        prepare_trial(model, performed(f"t{k}", arm, model, *each, places, rng))
-        for k, each in enumerate(given)
-    )
-    likelihood = Likelihood(TrialData(cases), model)
-    start = parameter_exponents(
-        model.parameters, np.array([p.start for p in model.parameters])
-    )
-    tried = np.concatenate([start[None], rng.uniform(size=(64, len(start)))])
-    _, chi = refine_solution(
-        likelihood,
-        search_parameters(
-            likelihood, screen_candidates(likelihood, tried, 8), MAX_SEARCH_ITERATIONS
-        ),
-    )
-    off = [
-        np.sqrt(np.mean(each**2))
-        for each in TrialData(cases).residuals(model, chi[None])
-    ]
-    assert max(off[:3]) < 1.1
-    assert off[3] > 10
+def test_one_trial_of_another_string_does_not_lead_the_search_astray(arm, model):
+    """Three trials are of one string, the fourth of one four times as stiff."""
+    stiff = TRUTH | {"bending_stiffness": 4 * TRUTH["bending_stiffness"]}
+    data = TrialData(simulate_swings(arm, model, [TRUTH] * 3 + [stiff]))
+    likelihood = Likelihood(data, model)
+    start = np.array([p.start for p in model.parameters])
+    configured = parameter_exponents(model.parameters, start)
+    rng = np.random.default_rng(3)
+    drawn = rng.uniform(size=(64, len(configured)))
+    candidates = np.concatenate([configured[None], drawn])
+    starts = screen_candidates(likelihood, candidates, 8)
+    found = search_parameters(likelihood, starts, MAX_SEARCH_ITERATIONS)
+    _, chi = refine_solution(likelihood, found)
+    residuals = data.residuals(model, chi[None])
+    rms = [np.sqrt(np.mean(residual**2)) for residual in residuals]
+    assert max(rms[:3]) < 1.1
+    assert rms[3] > 10
 
 
-def test_a_range_that_ends_too_early_is_widened_where_the_data_press(model, prepared):
-    narrow = replace(
-        next(p for p in model.string.parameters if p.name == "bending_stiffness"),
-        high=2.0,
-    )
-    ranges = {**model.string.ranges, "bending_stiffness": narrow}
-    squeezed = replace(model, string=replace(model.string, ranges=ranges))
-    likelihood = Likelihood(
-        TrialData(tuple(replace(t, model=squeezed) for t in prepared.trials)), squeezed
-    )
-    bending, axial = (
-        squeezed.names.index(name) for name in ("bending_stiffness", "axial_stiffness")
-    )
+def test_a_range_is_widened_only_if_the_data_need_it(model, prepared):
+    string = model.string
+    parameters = {p.name: p for p in string.parameters}
+    narrow = replace(parameters["bending_stiffness"], high=2.0)
+    ranges = {**string.ranges, narrow.name: narrow}
+    limited = replace(model, string=replace(string, ranges=ranges))
+    trials = tuple(replace(trial, model=limited) for trial in prepared.trials)
+    likelihood = Likelihood(TrialData(trials), limited)
+    bending = limited.names.index("bending_stiffness")
+    axial = limited.names.index("axial_stiffness")
+
     chi = np.clip(prepared.base_fit.chi, 0.1, 0.9)
     assert widen_range_if_supported(likelihood, chi, bending)[0] is likelihood
     chi[[bending, axial]] = 1.0
-    # as good anywhere
+    # The data do not determine the axial stiffness
     assert widen_range_if_supported(likelihood, chi, axial)[0] is likelihood
-    wider, there = widen_range_if_supported(likelihood, chi, bending)
-    assert wider.model.string.ranges["bending_stiffness"].high == pytest.approx(60.0)
-    assert {n for n, p in wider.model.string.ranges.items() if p != ranges.get(n)} == {
-        "bending_stiffness"
-    }
-    assert wider.parameters[bending].value(there[bending]) > 2.0
+
+    wider, chi = widen_range_if_supported(likelihood, chi, bending)
+    widened = wider.model.string.ranges
+    assert widened["bending_stiffness"].high == pytest.approx(60.0)
+    changed = {name for name, p in widened.items() if p != ranges.get(name)}
+    assert changed == {"bending_stiffness"}
+    assert wider.parameters[bending].value(chi[bending]) > 2.0
 
 
-def test_numerical_error_is_followed_as_parameters_move(model, observed):
-    """Strands that stick until a curvature of 0.02 /m, and 0.03: a coarse string slips
-    elsewhere than a fine one.
-    """
+def test_mesh_correction_follows_the_error_as_parameters_move(model, trials):
+    """Friction slips at 0.02 /m, then at 0.03 /m, elsewhere on a coarse string."""
     hypothesis = Hypothesis(model.with_effects(MaxwellSlip))
-    known = TRUTH | {"maxwell_slip.cap": 2e-3, "maxwell_slip.slip": 0.02}
-    here, there = (
-        parameter_exponents(hypothesis.parameters, hypothesis.model.values(each)[None])[
-            0
-        ]
-        for each in (known, known | {"maxwell_slip.slip": 0.03})
-    )
-    raw = tuple(
-        replace(prepare_trial(model, o), model=hypothesis.model) for o in observed
-    )
-    data, doubt = subtract_discretisation_error(raw, hypothesis, here)
-    fit = evaluate_fit(data, hypothesis, here)
-    made = PreparedData(data, fit, raw, raw, 0, doubt)
-    true = np.hstack(
-        [
-            r[0]
-            for r in subtract_discretisation_error(raw, hypothesis, there)[0].residuals(
-                hypothesis.model, there[None]
-            )
-        ]
-    )
-    off = {}
-    for name, finer in (
-        ("as it was", None),
-        ("followed", fit_mesh_correction(made, fit)),
-    ):
-        told = replace(data, mesh_correction=finer).residuals(
-            hypothesis.model, there[None]
-        )
-        off[name] = np.sqrt(np.mean((np.hstack([r[0] for r in told]) - true) ** 2))
-    assert off["followed"] < 0.5 * off["as it was"]
-    assert off["as it was"] > 0.01  # deviations: there is something to follow
+    truth = TRUTH | {"maxwell_slip.cap": 2e-3, "maxwell_slip.slip": 0.02}
+    chi = true_exponents(hypothesis, truth)
+    moved_chi = true_exponents(hypothesis, truth | {"maxwell_slip.slip": 0.03})
+    trials = tuple(replace(trial, model=hypothesis.model) for trial in trials)
+    data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
+    fit = evaluate_fit(data, hypothesis, chi)
+    prepared = PreparedData(data, fit, trials, trials, 0, uncertainty_m)
+
+    def moved_residuals(data):
+        residuals = data.residuals(hypothesis.model, moved_chi[None])
+        return np.hstack([residual[0] for residual in residuals])
+
+    exact, _ = subtract_discretisation_error(trials, hypothesis, moved_chi)
+    exact_residuals = moved_residuals(exact)
+    errors = []
+    for correction in (None, fit_mesh_correction(prepared, fit)):
+        corrected = replace(data, mesh_correction=correction)
+        error = moved_residuals(corrected) - exact_residuals
+        errors.append(np.sqrt(np.mean(error**2)))
+    assert errors[1] < 0.5 * errors[0]
+    assert errors[0] > 0.01  # standard deviations: there is something to follow

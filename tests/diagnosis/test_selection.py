@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from performed import CRITERIA
+from synthetic_trials import CRITERIA
 
 from stringcast.stages.diagnose import forward_selection, measures, rules
 from stringcast.stages.diagnose.forward_selection import SelectionState, SelectionStep

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from performed import CRITERIA
+from synthetic_trials import CRITERIA
 
 from stringcast.stages.diagnose import verdict
 from stringcast.stages.diagnose.measures import mean_explained_fraction

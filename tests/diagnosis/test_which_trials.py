@@ -5,7 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
-from performed import CRITERIA, performed, said_of, swings
+from synthetic_trials import (
+    CRITERIA,
+    diagnose_trials,
+    simulate_trial,
+    swing_angles,
+)
 
 from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose.chaos import unresolvable_trials
@@ -26,9 +31,9 @@ def test_causes_that_predict_no_trial_left_out_are_not_named(
     real = real.with_effects(effects_by_name()["joint_gain"]).with_segments(80)
     values, rng = TRUTH | {"joint_gain.gain": 0.03}, np.random.default_rng(5)
     places, trials = np.arange(8, 81, 8), []
-    for k, angles in enumerate(swings(arm, 2)):
-        trials.append(performed(f"t{k}", arm, real, values, angles, places, rng))
-    diagnosis = said_of(ordinary(arm), trials, 4)
+    for k, angles in enumerate(swing_angles(arm, 2)):
+        trials.append(simulate_trial(f"t{k}", arm, real, values, angles, places, rng))
+    diagnosis = diagnose_trials(ordinary(arm), trials, 4)
     assert diagnosis.finding["verdict"].iloc[0] == verdict
     named = list(diagnosis.causes["effect"].unique())
     assert named == (["joint_gain"] if predicts else [])
