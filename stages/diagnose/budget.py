@@ -18,7 +18,7 @@ from stringcast.stages.inference.laplace import Fit, sample_discrepancy_tip_rms
 
 @dataclass(frozen=True)
 class BudgetEntry:
-    """One source of the misfit at the tip.
+    """Source of misfit at the tip, with its size.
 
     Attributes
     ----------

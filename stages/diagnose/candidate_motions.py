@@ -16,7 +16,7 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 
-# A violent cast says little where its simulation is uncertain
+# Violent casts are hard to simulate: slower motions are tried as well
 ACCELERATION_FACTORS = (1.0, 0.5, 0.25, 0.12)
 MOTIONS_PER_DRAW = 512
 MAX_DRAWS = 200
@@ -29,7 +29,7 @@ RestSeconds = Annotated[float, Field(ge=0, le=10)]
 
 @dataclass(frozen=True)
 class DesignSettings:
-    """Which motions are considered.
+    """Settings of the search for the next motion.
 
     Attributes
     ----------

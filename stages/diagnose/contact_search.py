@@ -45,7 +45,7 @@ class ContactCandidates:
     start : numpy.ndarray, shape (P,)
         Exponents with the cause absent.
     parameter_indices : list of int
-        Of the cause's size, then of what says where it is.
+        Of the cause's size, then of its place.
     string_paths : sequence of dict
         Of each trial, the fitted string's path as arguments of laws, (M,) each.
     hand_path : dict
@@ -125,7 +125,7 @@ class ContactCandidates:
 
 
 def varied_parameters(effect: type[Effect]) -> list[Parameter]:
-    """List an effect's amplitudes, and what says where or when it acts.
+    """List an effect's amplitudes, and the parameters of its place and time.
 
     Other parameters that start at an end of their range, such as friction, stay there.
     """

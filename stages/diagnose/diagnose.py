@@ -132,7 +132,7 @@ def diagnose(
     excluded_effects: Annotated[Sequence[str], AfterValidator(check_effect_names)] = (),
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
-    """Find which effects the model lacks to explain the trials.
+    """Find the effects that explain the misfit between a model and trials.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def diagnose(
         assert reached is not None
         searched, prepared, effects, state = reached
 
-        # What cannot be told from the accepted causes
+        # Look-alikes of the accepted causes, and all probabilities
         posteriors = swap_lookalikes_until_stable(state, effects, criteria, seed)
         state = posteriors.state
         base_fit = fit_base_to(state)
@@ -487,7 +487,7 @@ def _propose_experiment(
     design: DesignSettings,
     seed: int,
 ) -> ProposedExperiment:
-    """Propose the motion that would tell the first group of look-alikes apart."""
+    """Propose the motion that distinguishes the first group of look-alikes."""
     groups = judgement.verdict.lookalike_groups
     names = groups[0] if groups else ()
     fits = {
@@ -592,7 +592,7 @@ def _finding_table(
 def _extended_model_yaml(
     data: DiagnosisInput, fit: Fit, intervals: Mapping[str, Sequence[float]]
 ) -> str:
-    """Write the model with its causes as settings; without a cause it says so."""
+    """Write the model with its causes as settings; a header marks a base model."""
     parameters = [
         c.qualified_name(p) for c in fit.hypothesis.causes for p in c.parameters
     ]

@@ -34,7 +34,7 @@ def diagnosis_document(
     next_experiment: Mapping[str, Any] | None,
     uncertainty: Mapping[str, Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """Build diagnosis.json.
+    """Assemble the document diagnosis.json.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def _cause_sentences(judgement: Judgement, causes: pd.DataFrame) -> list[str]:
     for group in verdict.lookalike_groups:
         either = ", or ".join(stated[name] for name in group)
         names = _join_with_and(list(group))
-        sentences.append(f"These trials cannot tell {names} apart: either {either}.")
+        sentences.append(f"These trials cannot distinguish {names}: either {either}.")
     return sentences
 
 

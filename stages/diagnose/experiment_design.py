@@ -67,7 +67,7 @@ class ProposedExperiment:
 
 @dataclass(frozen=True)
 class Rivals:
-    """Hypotheses that cannot be told apart.
+    """Hypotheses that explain the measured trials about equally well.
 
     Attributes
     ----------
@@ -238,26 +238,28 @@ def _experiment_document(
         if min(log_odds[a, b], log_odds[b, a]) < INSEPARABLE_LOG_ODDS:
             inseparable.append([names[a], names[b]])
     summary = _odds_summary(float(log_odds.min()), deciding)
-    already = {"trial": trials.trials[best].name}
-    already_performed = {**already, **_odds_summary(repeated[best], deciding)}
+    repeated_name = trials.trials[best].name
+    repeated_summary = _odds_summary(repeated[best], deciding)
 
     sentence = f"Of {motions} motions within the arm's limits, "
     if inseparable:
         pairs = "; ".join(" and ".join(pair) for pair in inseparable)
-        sentence += f"none tells all of them apart; the best one leaves alike: {pairs}."
+        sentence += (
+            f"none distinguishes all of them; the best one leaves alike: {pairs}."
+        )
     else:
         sentence += (
-            f"one tells {', '.join(names)} apart with a probability of "
+            f"one distinguishes {' and '.join(names)} with a probability of "
             f"{summary['probability_to_decide']:.2f} (expected log odds "
             f"{summary['expected_log_odds']:.1f}, spread {summary['spread']:.1f}; "
-            f"{deciding:.1f} decides). Repeating trial {already['trial']} would decide "
-            f"with {already_performed['probability_to_decide']:.2f}."
+            f"{deciding:.1f} decides). Repeating trial {repeated_name} would decide "
+            f"with {repeated_summary['probability_to_decide']:.2f}."
         )
     return {
         "sentence": sentence,
         "between": names,
         **summary,
-        "already_performed": already_performed,
+        "already_performed": {"trial": repeated_name, **repeated_summary},
         "inseparable": inseparable,
         "motions_compared": motions,
     }

@@ -1,8 +1,8 @@
 """Forward selection of causes by Bayes factors, as a sum of single effects (SuSiE).
 
-For every cause in the sum all candidates compete, and none among them; what cannot be
-told from the best stays as its look-alike (Wang, Sarkar, Carbonetto, Stephens, J. R.
-Stat. Soc. B 82, 1273, 2020). The rules are in `rules`.
+For every cause in the sum all candidates compete, and none among them; candidates that
+explain as much as the best stay as its look-alikes (Wang, Sarkar, Carbonetto, Stephens,
+J. R. Stat. Soc. B 82, 1273, 2020). The rules are in `rules`.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ MAX_RIVALS = 3  # that are refined in one step
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """One choice among all candidates.
+    """Comparison of all candidates for one more cause.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class SelectionStep:
 
 @dataclass(frozen=True)
 class SelectionState:
-    """Where a search stands.
+    """State of a search for causes.
 
     Attributes
     ----------

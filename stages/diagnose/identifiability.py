@@ -4,7 +4,7 @@ From which size on would each effect be found, and with which other effects woul
 confused? About the base model, fitted to the trials, each effect is simulated from
 little to the end of its range. What it moves that the string's parameters cannot
 imitate, to first order, must be evident by the rule of a diagnosis: a Bayes factor
-above 1/alpha, whichever trial is left out, where a smooth discrepancy of unknown scale
+above 1/alpha, with any trial left out, where a smooth discrepancy of unknown scale
 may explain it as well. That is the mean for data with the noise of these trials.
 """
 
@@ -40,7 +40,7 @@ NEGLIGIBLE_RESPONSE = 1e-9  # [m] at the tip, or of noises
 
 @dataclass(frozen=True)
 class DetectionLimit:
-    """What trials can show of one amplitude of an effect.
+    """Limit from which trials show an amplitude of an effect.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class DetectionLimit:
 
 @dataclass(frozen=True)
 class _EffectResponse:
-    """What an amplitude of an effect does at some fractions of its range.
+    """Response of trials to an amplitude, at some fractions of its range.
 
     Attributes
     ----------

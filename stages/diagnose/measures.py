@@ -52,7 +52,7 @@ def mean_explained_fraction(
 ) -> float:
     """Average the explained fraction over trials that misfit by more than a tolerance.
 
-    Every trial has one vote: a trial with a large misfit says nothing of the others.
+    Every trial has one vote, however large its misfit.
 
     Parameters
     ----------

@@ -31,13 +31,13 @@ from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesi
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
 
-PRIOR_NO_EFFECT = 0.5  # probability that the simulation lacks no effect of the library
+PRIOR_NO_EFFECT = 0.5  # probability that no effect of the library is active
 BOOTSTRAP_SAMPLES = 100  # probabilities are then known to 0.05
 
 
 @dataclass(frozen=True)
 class SingleEffectPosterior:
-    """What may be in one place of the sum of single effects.
+    """Posterior of the effects in one place of the sum of single effects.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ def swap_lookalikes_until_stable(
     """Replace causes by more probable look-alikes until none is left.
 
     A cause is replaced where its credible set holds another effect, or none, instead.
-    After as many changes as there are causes the last change is not asked again.
+    There are at most as many changes as causes.
     """
     for changes_left in range(len(state.fit.hypothesis.causes), -1, -1):
         background = background_responses(state.prepared.data, state.fit, effects)

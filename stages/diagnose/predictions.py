@@ -26,7 +26,7 @@ RATED_FRAMES = 20  # of a trial, from which the matching rate is counted
 
 @dataclass(frozen=True)
 class Prediction:
-    """One trial as a fit to others predicts it.
+    """Prediction of a trial by a fit that has not seen it.
 
     Attributes
     ----------

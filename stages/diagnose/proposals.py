@@ -48,7 +48,7 @@ NEGLIGIBLE_RESPONSE_SIGMAS = 1e-6
 
 @dataclass(frozen=True)
 class Proposal:
-    """One more cause.
+    """Proposal of a further cause, with starts of its fit.
 
     Attributes
     ----------

@@ -11,8 +11,8 @@ rule                       passes if
 `moves_tip_enough`         it moves the tip of a trial by `min_tip_shift_m`
 `explains_its_only_trial`  it touches the string in a single trial, and removes
                            `min_explained_fraction` of the misfit there
-`survives_leave_one_out`   its Bayes factor exceeds 1/alpha whichever trial is left
-                           out: with both fits kept, refitted, or cross-validated
+`survives_leave_one_out`   its Bayes factor exceeds 1/alpha without the trial that
+                           supports it most: fits kept, refitted, or cross-validated
 =========================  =========================================================
 
 An **accepted cause** stays while later causes are added:
@@ -122,7 +122,7 @@ class VerdictNumbers:
     causes : tuple of str
         Causes that were accepted.
     credible_sets : tuple of tuple of str
-        For each accepted cause, the effects that it cannot be told from, itself too.
+        For each accepted cause, the effects that explain the trials as well.
     inclusion_probability : dict
         Probability that each effect is active.
     diverged : bool
@@ -132,7 +132,7 @@ class VerdictNumbers:
     explained_fraction : float
         Of the base model's mean square misfit, by the causes together.
     largest_cause : str
-        The cause without which most misfit is left, if that was asked.
+        The cause without which most misfit is left, if that was evaluated.
     explained_beyond_largest : float
         Fraction of what the largest cause leaves that the others remove.
     mesh_too_coarse : bool

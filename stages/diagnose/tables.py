@@ -304,19 +304,16 @@ def parameter_uncertainty(
     """
     names = [p.name for p in fit.hypothesis.parameters]
     matrix = tempered_fit.correlation
-    pairs = []
-    for i, j in combinations(range(len(names)), 2):
-        if abs(matrix[i, j]) > MIN_SHOWN_CORRELATION:
-            pairs.append((i, j))
-    pairs.sort(key=lambda pair: -abs(matrix[pair]))
     intervals = {}
     for index, name in enumerate(names):
         interval = parameter_interval(fit, index, tempered_fit, half_width)
         intervals[name] = list(interval)
-    correlations = []
-    for i, j in pairs:
+    correlations: list[dict[str, Any]] = []
+    for i, j in combinations(range(len(names)), 2):
         value = float(matrix[i, j])
-        correlations.append({"parameters": [names[i], names[j]], "value": value})
+        if abs(value) > MIN_SHOWN_CORRELATION:
+            correlations.append({"parameters": [names[i], names[j]], "value": value})
+    correlations.sort(key=lambda row: -abs(row["value"]))
     return {"intervals": intervals, "correlations": correlations}
 
 

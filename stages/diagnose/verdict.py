@@ -44,7 +44,7 @@ RESOLUTION = "resolution"  # the cause that the configured mesh is too coarse
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is concluded.
+    """Conclusion of a diagnosis.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Verdict:
     causes : tuple of str
         Named causes, in the order of acceptance, with their look-alikes.
     lookalike_groups : tuple of tuple of str
-        Effects that cannot be told apart.
+        Effects that explain the trials about equally well.
     remark : str
         What else there is to say.
     """

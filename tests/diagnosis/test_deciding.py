@@ -196,7 +196,7 @@ def test_equal_effects_are_stated_to_be_inseparable(model, slow_trials):
     assert experiment["inseparable"] == [["lead", "time_offset"]]
     assert experiment["probability_to_decide"] < 0.01
     assert abs(experiment["expected_log_odds"]) < 0.1
-    assert "none tells all of them apart" in experiment["sentence"]
+    assert "none distinguishes all of them" in experiment["sentence"]
     assert proposal.commands.empty
 
 
