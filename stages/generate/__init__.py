@@ -1,4 +1,4 @@
-"""Generate: random joint-velocity curves until the simulated tip hits the target (III)."""
+"""Generate: random joint-velocity curves whose simulated tip hits the target (III)."""
 
 from stringcast.data.artifacts import Estimate, Motion
 from stringcast.stages.spec import MODEL, LatestIteration, StageSpec

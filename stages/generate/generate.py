@@ -36,27 +36,29 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.string import String
 from stringcast.stages.spec import StageCall
 
-# motions simulated at once: 90 MB of a string of 57 points for 1.5 s; after a hit no
-# more are
+# motions simulated at once, 90 MB of a string of 57 points for 1.5 s
 BATCH_SIZE = 64
-SUBSTEPS = 5  # looks at the tip in a tick: at 20 m/s it moves 20 mm between two
+SUBSTEPS = 5  # samples of the tip in a tick: at 20 m/s it moves 20 mm between two
+ROUNDING_S = 1e-9  # by which times may be off
 HIT = "hit"
 
 
 class MotionNotFoundError(ExpectedError):
-    """No motion was found in the budget; the message says why the tries failed and what
-    to change.
-    """
+    """No motion was found; the message says why the tries failed and what to change."""
 
 
 @dataclass(frozen=True)
 class MotionRanges(SettingsGroup):
-    """Settings by which motions are drawn. shortest, longest: range of T [s]. alpha:
-    limit of the random accelerations [rad/s^2]. fraction: of the control points' range
-    by which slight changes of the last motion differ.
+    """Settings by which motions are drawn.
+
+    Parameters
+    ----------
+    shortest, longest : range of the duration T [s]
+    alpha : limit of the random accelerations [rad/s^2]
+    fraction : share of the control points' range by which changes of the last motion
+        differ
     """
 
     shortest: Annotated[float, Field(gt=0)]
@@ -66,18 +68,25 @@ class MotionRanges(SettingsGroup):
 
     @property
     def durations(self) -> tuple[float, float]:
-        """Range of T [s]. Raises DataError where it is empty."""
+        """Range of T [s]; DataError where it is empty."""
         if self.shortest > self.longest:
-            ends = f"generate.shortest = {self.shortest} is above generate.longest = {self.longest}"
-            raise DataError(f"{ends}. Change one of them.")
+            raise DataError(
+                f"generate.shortest = {self.shortest} is above "
+                f"generate.longest = {self.longest}. Change one of them."
+            )
         return self.shortest, self.longest
 
 
 @dataclass(frozen=True)
 class SearchBudget(SettingsGroup):
-    """attempts: motions of a kind tried at most. batch: of these at a time. hits:
-    motions that hit, of which the one whose tip stays longest in the box is taken (1 is
-    the paper's first come).
+    """Effort of the search.
+
+    Parameters
+    ----------
+    attempts : largest number of motions of a kind that are tried
+    batch : number of these at a time
+    hits : number of motions that hit, from which the one whose tip stays longest in the
+        box is taken; the paper takes the first
     """
 
     attempts: Annotated[int, Field(ge=1)]
@@ -87,8 +96,13 @@ class SearchBudget(SettingsGroup):
 
 @dataclass(frozen=True)
 class SimulatedCandidates:
-    """Simulated candidates. times: (F,) [s]. points: (C, F, n, 2) [m]. inside: (C, F -
-    1) tip in the box.
+    """Simulated strings of C movements.
+
+    Parameters
+    ----------
+    times : (F,) [s]
+    points : (C, F, n, 2) points of the strings [m]
+    inside : (C, F - 1) whether the tip was in the target since the time before
     """
 
     times: np.ndarray
@@ -97,11 +111,13 @@ class SimulatedCandidates:
 
 
 def run(call: StageCall, motion: Motion | None, estimate: Estimate | None) -> Motion:
-    """A motion at the target, by what was cast and estimated before; as a stage."""
+    """Generate a motion from what was cast and estimated before, as a stage."""
     setup = call.setup
-    given = (setup.model, setup.target, setup.obstacles, motion, estimate)
-    made: Motion = call.by(*given, seed=call.seed, progress=call.progress)
-    return made
+    task = (setup.model, setup.target, setup.obstacles)
+    generated: Motion = call.by(
+        *task, motion, estimate, seed=call.seed, progress=call.progress
+    )
+    return generated
 
 
 def generate(
@@ -116,59 +132,96 @@ def generate(
     budget: SearchBudget,
     progress: Progress = lambda share: None,
 ) -> Motion:
-    """A motion whose simulated tip hits the target during the movement.
+    """Generate a random motion whose simulated tip hits the target.
 
-    previous: the last motion, slightly changed from the second manipulation on; where
-    no such change hits, any motion may (the paper does not say). estimate: of the
-    string, None before the first trial. Raises MotionNotFoundError, and DataError for a
-    target out of reach or an empty range of durations.
+    From the second cast on, slight changes of the last motion are tried first. Where
+    none of them hits, any motion may; the paper does not say.
+
+    Parameters
+    ----------
+    model : Model
+        String and arm.
+    target : Box
+        Box that the tip shall enter [m].
+    obstacles : sequence of Box
+        Boxes that arm and string may not touch [m].
+    previous : Motion or None
+        The last motion.
+    estimate : Estimate or None
+        Latest estimate of the string.
+    seed : int
+        Seed of the random motions.
+    drawing : MotionRanges
+        Ranges of the random motions.
+    budget : SearchBudget
+        Effort of the search.
+    progress : callable
+        Called with the share of attempts that are used.
+
+    Returns
+    -------
+    Motion
+        Commands, predicted string and outcome.
+
+    Raises
+    ------
+    MotionNotFoundError
+        If no attempt hits.
+    DataError
+        If the target is out of reach or the range of durations is empty.
     """
     check_reach(target, model.arm, model.string.length)
-    rng, count = np.random.default_rng(seed), Counter[str]()
+    rng = np.random.default_rng(seed)
     values = model.values({} if estimate is None else estimate.values())
-    given = (drawing.durations, drawing.alpha)
-    curves: list[Callable[[int], Curves]] = [
-        lambda size: first_curves(model.arm, rng, size, *given)
-    ]
+    ranges = (drawing.durations, drawing.alpha)
+
+    def draw_first(size: int) -> Curves:
+        return first_curves(model.arm, rng, size, *ranges)
+
+    kinds: list[Callable[[int], Curves]] = [draw_first]
     if previous is not None:
-        last = (curves_from_motion(previous), drawing.fraction)
-        curves.insert(0, lambda size: next_curves(model.arm, rng, size, *given, *last))
-    for draw in curves:
-        tried, found = Counter[str](), list[tuple[float, Motion]]()
-        while tried.total() < budget.attempts and len(found) < budget.hits:
+        last = curves_from_motion(previous)
+
+        def draw_next(size: int) -> Curves:
+            return next_curves(model.arm, rng, size, *ranges, last, drawing.fraction)
+
+        kinds.insert(0, draw_next)
+    counts = Counter[str]()
+    for draw in kinds:
+        tried = Counter[str]()
+        hits: list[tuple[float, Motion]] = []
+        while tried.total() < budget.attempts and len(hits) < budget.hits:
             size = min(budget.batch, budget.attempts - tried.total())
-            found += _try_curves(
+            hits += _try_curves(
                 model,
                 target,
                 obstacles,
                 values,
                 draw(size),
                 tried,
-                budget.hits - len(found),
+                budget.hits - len(hits),
             )
             progress(tried.total() / budget.attempts)
-        count += tried
-        if found:  # of several, the one whose tip stays longest in the box
-            return _motion_with_counts(max(found, key=lambda one: one[0])[1], count)
-    reasons = "; ".join(f"{reason}: {number}" for reason, number in count.most_common())
+        counts += tried
+        if hits:
+            _, best = max(hits, key=lambda hit: hit[0])
+            outcomes = pd.DataFrame(
+                sorted(counts.items()), columns=["outcome", "count"]
+            )
+            return replace(
+                best,
+                attempts=ATTEMPTS.check(outcomes),
+                outcome=best.outcome.assign(tried=counts.total()),
+            )
+    reasons = "; ".join(f"{reason}: {count}" for reason, count in counts.most_common())
     raise MotionNotFoundError(
-        f"no motion hits the target in {count.total()} tries ({reasons}). "
+        f"no motion hits the target in {counts.total()} tries ({reasons}). "
         "Allow more generate.attempts, a larger target box, or other limits of the arm."
     )
 
 
-def _motion_with_counts(best: Motion, count: Counter[str]) -> Motion:
-    """A motion with how many were tried, and what became of them."""
-    attempts = ATTEMPTS.check(
-        pd.DataFrame(sorted(count.items()), columns=["outcome", "count"])
-    )
-    return replace(
-        best, attempts=attempts, outcome=best.outcome.assign(tried=count.total())
-    )
-
-
 def curves_from_motion(motion: Motion) -> Curves:
-    """The curves of a motion found before."""
+    """Restore the curves of an earlier motion."""
     control = motion.control_points.pivot(
         index="joint", columns="index", values="velocity"
     ).to_numpy()
@@ -182,70 +235,75 @@ def _try_curves(
     obstacles: Sequence[Box],
     values: np.ndarray,
     curves: Curves,
-    count: Counter[str],
+    counts: Counter[str],
     wanted: int,
 ) -> list[tuple[float, Motion]]:
-    """Check the arm, simulate what is allowed, and keep what hits, in the order drawn."""
-    arm, until = model.arm, float(curves.duration.max())
-    angles, speeds = curves.sample(arm.tick, until)
-    reasons = arm_faults(arm, obstacles, angles, speeds)
-    allowed = np.flatnonzero(reasons == "")
-    found: list[tuple[float, Motion]] = []
-    for first in range(0, len(allowed), BATCH_SIZE):
-        some = allowed[first : first + BATCH_SIZE]
-        seen = _simulate_curves(
-            model, target, values, angles[some], speeds[some], until
+    """Check the arm, simulate what is feasible, and keep what hits, in order.
+
+    counts: of outcomes, updated. wanted: number of hits that are enough. Returns how
+    long each hit's tip stays in the box [s], and its motion.
+    """
+    until = float(curves.duration.max())
+    angles, speeds = curves.sample(model.arm.tick, until)
+    outcomes = arm_faults(model.arm, obstacles, angles, speeds)
+    feasible = np.flatnonzero(outcomes == "")
+    hits: list[tuple[float, Motion]] = []
+    for first in range(0, len(feasible), BATCH_SIZE):
+        batch = feasible[first : first + BATCH_SIZE]
+        simulated = _simulate_curves(
+            model, target, values, angles[batch], speeds[batch], until
         )
-        reasons[some] = _string_faults(seen, obstacles, curves.duration[some])
-        for index in np.flatnonzero(reasons[some] == HIT)[: wanted - len(found)]:
-            found.append(
-                _build_motion(
-                    arm,
-                    target,
-                    model.string,
-                    curves.select(some[[index]]),
-                    seen,
-                    int(index),
-                )
-            )
-        if len(found) == wanted:
-            count.update(reasons[: some[index] + 1])
-            return found
-    count.update(reasons)
-    return found
+        outcomes[batch] = _string_faults(simulated, obstacles, curves.duration[batch])
+        for index in np.flatnonzero(outcomes[batch] == HIT):
+            curve = curves.select(batch[[index]])
+            hits.append(_build_motion(model, target, curve, simulated, int(index)))
+            if len(hits) == wanted:
+                counts.update(outcomes[: batch[index] + 1])
+                return hits
+    counts.update(outcomes)
+    return hits
 
 
 def arm_faults(
     arm: Arm, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray
 ) -> np.ndarray:
-    """The limit of the arm that each movement violates, '' where none, (B,). Whole
-    curves are checked.
+    """Name the limit of the arm that each movement violates.
+
+    Parameters
+    ----------
+    arm : Arm
+        The arm with its limits.
+    obstacles : sequence of Box
+        Boxes that it may not touch [m].
+    angles : (B, K, J) array
+        Joint angles at the ticks, until after the end of each movement [rad].
+    speeds : (B, K, J) array
+        Joint speeds [rad/s].
+
+    Returns
+    -------
+    (B,) array of str
+        The limit; empty where none is violated.
     """
-    reasons = np.full(len(angles), "", dtype=object)
-    hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1)
+    faults = np.full(len(angles), "", dtype=object)
     joints = arm.joint_positions(angles)
-    change = (
-        np.abs(np.diff(arm.commanded_velocities(angles), axis=1, prepend=0.0))
-        / arm.tick
-    )
-    touched = [
-        box.is_crossed_by(joints[..., :-1, :], joints[..., 1:, :]).any(axis=(1, 2))
-        for box in obstacles
-    ]
+    for box in obstacles:
+        touched = box.is_crossed_by(joints[..., :-1, :], joints[..., 1:, :])
+        faults[touched.any(axis=(1, 2))] = "the arm touches an obstacle"
+    hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1)
+    commanded = arm.commanded_velocities(angles)
+    acceleration = np.abs(np.diff(commanded, axis=1, prepend=0.0)) / arm.tick
+    outside = (angles < arm.lowest) | (angles > arm.highest)
+    # the last of several limits is named
     checks = {
-        "the arm touches an obstacle": np.any(touched, axis=0)
-        if touched
-        else np.zeros(len(angles), dtype=bool),
-        "a joint accelerates too fast": (change > arm.acceleration).any(axis=(1, 2)),
-        "the hand is too fast": (hand > arm.hand_speed).any(axis=1),
-        "a joint is too fast": (np.abs(speeds) > arm.speed).any(axis=(1, 2)),
-        "a joint leaves its range": (
-            (angles < arm.lowest) | (angles > arm.highest)
-        ).any(axis=(1, 2)),
+        "a joint accelerates too fast": (acceleration > arm.acceleration).any(axis=2),
+        "the hand is too fast": hand > arm.hand_speed,
+        "a joint is too fast": (np.abs(speeds) > arm.speed).any(axis=2),
+        "a joint leaves its range": outside.any(axis=2),
     }
-    for reason, bad in checks.items():
-        reasons[bad] = reason
-    return reasons
+    for fault, violated in checks.items():
+        faults[violated.any(axis=1)] = fault
+    return faults
 
 
 def _simulate_curves(
@@ -256,7 +314,7 @@ def _simulate_curves(
     speeds: np.ndarray,
     until: float,
 ) -> SimulatedCandidates:
-    """The strings of allowed movements."""
+    """Simulate the strings of feasible movements."""
     tick = model.arm.tick
     times = np.arange(round(until / tick) * SUBSTEPS + 1) * tick / SUBSTEPS
     motion = model.simulate_string(
@@ -269,75 +327,112 @@ def _simulate_curves(
 
 
 def _string_faults(
-    seen: SimulatedCandidates, obstacles: Sequence[Box], duration: np.ndarray
+    simulated: SimulatedCandidates, obstacles: Sequence[Box], duration: np.ndarray
 ) -> np.ndarray:
-    """Why each string fails, or HIT, (C,)."""
-    reasons = np.full(len(duration), HIT, dtype=object)
-    moving = seen.times[None, 1:] <= duration[:, None] + 1e-9
+    """Name why each string fails, or HIT, (C,). duration: (C,) of the movements [s]."""
+    faults = np.full(len(duration), HIT, dtype=object)
+    moving = simulated.times[None, 1:] <= duration[:, None] + ROUNDING_S
+    points = simulated.points
     for box in obstacles:
-        touched = box.is_crossed_by(
-            seen.points[:, 1:, :-1], seen.points[:, 1:, 1:]
-        ).any(axis=2)
-        reasons[(touched & moving).any(axis=1)] = "the string touches an obstacle"
-    reasons[~(seen.inside & moving).any(axis=1)] = "the tip misses the target"
-    reasons[~np.isfinite(seen.points).all(axis=(1, 2, 3))] = (
-        "the simulation does not stay finite"
-    )
-    return reasons
+        touched = box.is_crossed_by(points[:, 1:, :-1], points[:, 1:, 1:]).any(axis=2)
+        faults[(touched & moving).any(axis=1)] = "the string touches an obstacle"
+    hits = (simulated.inside & moving).any(axis=1)
+    faults[~hits] = "the tip misses the target"
+    finite = np.isfinite(points).all(axis=(1, 2, 3))
+    faults[~finite] = "the simulation does not stay finite"
+    return faults
 
 
 def _build_motion(
-    arm: Arm,
+    model: Model,
     target: Box,
-    string: String,
     curve: Curves,
-    seen: SimulatedCandidates,
+    simulated: SimulatedCandidates,
     index: int,
 ) -> tuple[float, Motion]:
-    """The artifact of one hit, and how long its tip stays in the box [s]."""
+    """Build the artifact of one hit, and measure how long its tip stays inside [s]."""
+    times = simulated.times
     duration = float(curve.duration[0])
-    moving = seen.times[1:] <= duration + 1e-9
-    inside = np.flatnonzero(seen.inside[index] & moving)
-    tip = seen.points[index, 1:, -1]
-    at = inside[int(np.argmin(target.distance_to_centre(tip[inside])))]
-    outcome = {
-        "duration": duration,
-        "t_hit": seen.times[1 + at],
-        **{"tip_x": tip[at, 0], "tip_y": tip[at, 1], "tried": 0},
-        **{
-            "target_x": target.x,
-            "target_y": target.y,
-            "target_w": target.w,
-            "target_h": target.h,
-        },
-    }
-    stay = len(inside) * (seen.times[1] - seen.times[0])
-    ticks = np.flatnonzero(seen.times <= duration + 1e-9)[::SUBSTEPS]
-    return stay, Motion(
-        command_table(arm, curve),
-        control_point_table(curve),
-        predicted_string_table(
-            seen.times[ticks], string.arc_lengths(), seen.points[index, ticks]
-        ),
+    moving = times <= duration + ROUNDING_S
+    inside = np.flatnonzero(simulated.inside[index] & moving[1:])
+    tip = simulated.points[index, 1:, -1]
+    nearest = inside[int(np.argmin(target.distance_to_centre(tip[inside])))]
+    ticks = np.flatnonzero(moving)[::SUBSTEPS]
+    motion = motion_artifact(
+        model,
+        target,
+        curve,
+        times[ticks],
+        simulated.points[index, ticks],
         ATTEMPTS.empty(),
-        MOTION_OUTCOME.check(pd.DataFrame([outcome])),
+        t_hit=times[1 + nearest],
+        tip_x=tip[nearest, 0],
+        tip_y=tip[nearest, 1],
+        tried=0,
+    )
+    return len(inside) * (times[1] - times[0]), motion
+
+
+def motion_artifact(
+    model: Model,
+    target: Box,
+    curve: Curves,
+    times: np.ndarray,
+    points: np.ndarray,
+    attempts: pd.DataFrame,
+    **outcome: float,
+) -> Motion:
+    """Build the artifact of one movement.
+
+    Parameters
+    ----------
+    model : Model
+        String and arm.
+    target : Box
+        Box that the tip shall enter [m].
+    curve : Curves
+        The movement.
+    times : (T,) array
+        Ticks [s].
+    points : (T, n, 2) array
+        Predicted points of the string [m].
+    attempts : table ATTEMPTS
+        Outcomes of the motions that were tried.
+    **outcome
+        Columns of table MOTION_OUTCOME in addition to duration and target.
+
+    Returns
+    -------
+    Motion
+        Commands, control points, predicted string, attempts and outcome.
+    """
+    row = {
+        "duration": float(curve.duration[0]),
+        "target_x": target.x,
+        "target_y": target.y,
+        "target_w": target.w,
+        "target_h": target.h,
+    }
+    return Motion(
+        command_table(model.arm, curve),
+        control_point_table(curve),
+        _predicted_string_table(times, model.string.arc_lengths(), points),
+        attempts,
+        MOTION_OUTCOME.check(pd.DataFrame([row | outcome])),
     )
 
 
 def command_table(arm: Arm, curve: Curves) -> pd.DataFrame:
-    """Table COMMANDS of one movement: each velocity is the mean over the tick in which
-    it is held.
-    """
+    """Build table COMMANDS; a velocity is the mean over the tick that it is held."""
     angles = curve.sample(arm.tick, float(curve.duration[0]))[0][0]
     columns = {"t": np.arange(len(angles)) * arm.tick}
-    columns |= dict(zip(JOINTS, angles.T, strict=True)) | dict(
-        zip(SPEEDS, arm.commanded_velocities(angles).T, strict=True)
-    )
+    columns |= zip(JOINTS, angles.T, strict=True)
+    columns |= zip(SPEEDS, arm.commanded_velocities(angles).T, strict=True)
     return COMMANDS.check(pd.DataFrame(columns))
 
 
 def control_point_table(curve: Curves) -> pd.DataFrame:
-    """Table CONTROL_POINTS of one movement."""
+    """Build table CONTROL_POINTS of one movement."""
     joints, index = np.indices(curve.control.shape[1:])
     t = index * curve.duration[0] / INTERVALS
     columns = {
@@ -349,13 +444,10 @@ def control_point_table(curve: Curves) -> pd.DataFrame:
     return CONTROL_POINTS.check(pd.DataFrame(columns))
 
 
-def predicted_string_table(
-    times: np.ndarray, arc: np.ndarray, points: np.ndarray
+def _predicted_string_table(
+    times: np.ndarray, arc_lengths: np.ndarray, points: np.ndarray
 ) -> pd.DataFrame:
-    """Table PREDICTED_STRING. times: (T,) ticks [s]. arc: (n,) lengths [m]. points: (T,
-    n, 2) as simulated [m].
-    """
-    t, s = np.meshgrid(times, arc, indexing="ij")
+    t, s = np.meshgrid(times, arc_lengths, indexing="ij")
     columns = {
         "t": t.ravel(),
         "s": s.ravel(),

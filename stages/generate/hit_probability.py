@@ -1,6 +1,4 @@
-"""How near each of many motions brings the tip to the target, for each of many draws of
-what may be so.
-"""
+"""Distance of the tip from the target, for each of many motions and samples."""
 
 from __future__ import annotations
 
@@ -15,16 +13,21 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 
-# strings simulated at once: what is handed on stays in memory that is used again
+# strings simulated at once: more would not stay in memory that is used again
 BATCH_SIZE = 256
-# of the worth of a draw that touches nothing: of one that touches something at last
-CONTACT_DISTANCE = 0.5
+# worth of a sample that touches something only at the end, in that of one that does not
+CONTACT_WORTH = 0.5
 
 
 @dataclass(frozen=True)
 class CastTask:
-    """The task of a cast. obstacles: what the arm may not touch at all, and the string
-    not before it hits.
+    """The task of a cast.
+
+    Parameters
+    ----------
+    model : string, arm and camera
+    target : box that the tip shall enter
+    obstacles : boxes that the arm may not touch, nor the string before it hits
     """
 
     model: Model
@@ -34,13 +37,17 @@ class CastTask:
 
 @dataclass(frozen=True)
 class CastOutcome:
-    """Results of M motions under K draws.
+    """Outcome of M motions under K samples, (M, K) each.
 
-    clear: (M, K) share of the movement until something touches an obstacle, 1 where
-    nothing does. distance: (M, K) of the tip from the target's centre in half widths
-    and half heights, the least until then; infinite where the simulation diverges. hit:
-    (M, K) the tip enters the box until then, as `stages.hit_test` has it, and the arm
-    touches nothing afterwards either.
+    Parameters
+    ----------
+    distance : least distance of the tip from the target's centre until something is
+        touched, in half widths and half heights of the target; infinite where the
+        simulation diverges
+    free_share : share of the movement until something touches an obstacle, 1 where
+        nothing does
+    hit : whether the tip enters the target until then, as in `stages.hit_test`, and the
+        arm touches nothing afterwards either
     """
 
     distance: np.ndarray
@@ -49,134 +56,172 @@ class CastOutcome:
 
     @property
     def closeness(self) -> np.ndarray:
-        """(M,) a smooth stand-in for the share of draws that hit: 1 / (1 + d^2) is 1 at
-        the centre and 1/2 at the inscribed ellipse, and still tells far from farther.
-        Of two that come as near, one that touches nothing is worth more, and one that
-        touches something late.
+        """Smooth substitute for each motion's share of samples that hit, (M,).
+
+        1 / (1 + d^2) is 1 at the centre and 1/2 at the inscribed ellipse, and still
+        distinguishes far from farther. Of two that come equally near, a motion that
+        touches nothing is worth more, and so is one that touches something later.
         """
-        worth = np.where(self.free_share == 1, 1, CONTACT_DISTANCE * self.free_share)
-        return np.mean(worth / (1 + self.distance**2), axis=1)
+        touched_worth = CONTACT_WORTH * self.free_share
+        worth = np.where(self.free_share == 1, 1, touched_worth)
+        return np.asarray(np.mean(worth / (1 + self.distance**2), axis=1))
 
 
 def predict_outcome(
-    task: CastTask, curves: Curves, draws: UncertaintySamples
+    task: CastTask, curves: Curves, samples: UncertaintySamples
 ) -> CastOutcome:
-    """Simulate every motion under every draw. Movements of like duration run together:
-    none waits long for another.
+    """Simulate every motion under every sample.
+
+    Movements of similar duration run together, so that none waits long for another.
+
+    Parameters
+    ----------
+    task : CastTask
+        Model, target and obstacles.
+    curves : Curves
+        M motions.
+    samples : UncertaintySamples
+        K samples of the uncertain quantities.
+
+    Returns
+    -------
+    CastOutcome
+        Distance and hit of each motion under each sample.
     """
-    count = len(curves.duration)
-    made = CastOutcome(
-        *(np.empty((count, len(draws)), dtype=kind) for kind in (float, float, bool))
-    )
+    shape = (len(curves.duration), len(samples))
+    outcome = CastOutcome(np.empty(shape), np.empty(shape), np.empty(shape, bool))
     order = np.argsort(curves.duration, kind="stable")
-    for some in np.array_split(order, min(-(-count * len(draws) // BATCH_SIZE), count)):
-        part = _predict_batch(task, curves.select(some), draws)
-        made.distance[some], made.free_share[some], made.hit[some] = (
-            part.distance,
-            part.free_share,
-            part.hit,
-        )
-    return made
+    batches = min(-(-shape[0] * shape[1] // BATCH_SIZE), shape[0])
+    for batch in np.array_split(order, batches):
+        part = _predict_batch(task, curves.select(batch), samples)
+        outcome.distance[batch] = part.distance
+        outcome.free_share[batch] = part.free_share
+        outcome.hit[batch] = part.hit
+    return outcome
 
 
 def simulate_motions(
-    model: Model, curves: Curves, draws: UncertaintySamples
+    model: Model, curves: Curves, samples: UncertaintySamples
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles (M K, T, J) [rad] and strings (M K, T, n, 2) [m] at the ticks; each
-    motion under all draws in turn.
+    """Simulate each motion under all samples in turn.
 
-    What a simulation is off grows along the string to what it is at the tip.
+    The simulation's error grows along the string to its value at the tip.
+
+    Parameters
+    ----------
+    model : Model
+        String and arm.
+    curves : Curves
+        M motions.
+    samples : UncertaintySamples
+        K samples of the uncertain quantities.
+
+    Returns
+    -------
+    angles : (M K, T, J) array
+        Joint angles at the ticks [rad].
+    points : (M K, T, n, 2) array
+        Points of the string at the ticks [m].
     """
-    tick, until = model.arm.tick, float(curves.duration.max())
-    angles, speeds = (
-        each.repeat(len(draws), axis=0) for each in curves.sample(tick, until)
-    )
-    every = draws.select(np.tile(np.arange(len(draws)), len(curves.duration)))
-    more = 1 + every.amplitude[:, None]
-    motion = JointMotion(
-        0.0, tick, angles[:, :1] + more * (angles - angles[:, :1]), more * speeds
-    )
-    points = model.simulate_string(
-        motion, every.values, np.arange(angles.shape[1]) * tick
-    ).points
-    along = model.string.arc_lengths() / model.string.length
-    points += along[:, None] * every.tip_error[:, None, None]
+    tick = model.arm.tick
+    angles, speeds = curves.sample(tick, float(curves.duration.max()))
+    angles = angles.repeat(len(samples), axis=0)
+    speeds = speeds.repeat(len(samples), axis=0)
+    repeated = samples.select(np.tile(np.arange(len(samples)), len(curves.duration)))
+    gain = 1 + repeated.amplitude[:, None]
+    start = angles[:, :1]
+    motion = JointMotion(0.0, tick, start + gain * (angles - start), gain * speeds)
+    times = np.arange(angles.shape[1]) * tick
+    points = model.simulate_string(motion, repeated.values, times).points
+    share = model.string.arc_lengths() / model.string.length
+    points += share[:, None] * repeated.tip_error[:, None, None]
     return motion.angles, points
 
 
 def _predict_batch(
-    task: CastTask, curves: Curves, draws: UncertaintySamples
+    task: CastTask, curves: Curves, samples: UncertaintySamples
 ) -> CastOutcome:
-    """All at once."""
-    angles, points = simulate_motions(task.model, curves, draws)
-    shape = (len(curves.duration), len(draws))
-    tick, end = task.model.arm.tick, (curves.duration[:, None] - draws.lag).ravel()
-    moving = np.arange(points.shape[1]) * tick <= end[:, None] + 1e-9
-    way = midpoint_tip_path(points[:, :, -1])
-    finite = np.isfinite(way).all(axis=(1, 2))
-    arm, string = (each & moving for each in _contact_ticks(task, angles, points))
-    before = ~np.logical_or.accumulate(arm | string, axis=1)
-    clear = (before & moving).sum(axis=1) / moving.sum(axis=1)
-    # pieces of the way, two to a tick
-    counts = (before & moving)[:, 1:].repeat(2, axis=1)
-    # from the centre to each piece of the way, in half widths and heights
+    """Simulate all motions under all samples at once."""
+    angles, points = simulate_motions(task.model, curves, samples)
+    shape = (len(curves.duration), len(samples))
+    end = (curves.duration[:, None] - samples.lag).ravel()
+    times = np.arange(points.shape[1]) * task.model.arm.tick
+    moving = times <= end[:, None] + 1e-9
+    path = midpoint_tip_path(points[:, :, -1])
+    finite = np.isfinite(path).all(axis=(1, 2))
+
+    arm_touches, string_touches = _contact_ticks(task, angles, points)
+    arm_touches &= moving
+    string_touches &= moving
+    free = ~np.logical_or.accumulate(arm_touches | string_touches, axis=1) & moving
+    free_share = free.sum(axis=1) / moving.sum(axis=1)
+    counts = free[:, 1:].repeat(2, axis=1)  # segments of the path, two to a tick
+
+    # nearest point of each segment to the centre, in half widths and half heights
     target = task.target
-    scaled = (way - [target.x, target.y]) / [target.w / 2, target.h / 2]
-    start, piece = scaled[:, :-1], np.diff(scaled, axis=1)
-    square = np.maximum(piece[..., 0] ** 2 + piece[..., 1] ** 2, 1e-300)
-    share = np.clip(
-        -(start[..., 0] * piece[..., 0] + start[..., 1] * piece[..., 1]) / square, 0, 1
-    )
-    nearest = np.hypot(*np.moveaxis(start + share[..., None] * piece, -1, 0))
-    away = np.where(counts, nearest, np.inf).min(axis=1)
-    hit = (
-        (target.is_crossed_by(way[:, :-1], way[:, 1:]) & counts).any(axis=1)
-        & finite
-        & ~arm.any(axis=1)
-    )
+    scaled = (path - [target.x, target.y]) / [target.w / 2, target.h / 2]
+    start, segment = scaled[:, :-1], np.diff(scaled, axis=1)
+    square = np.maximum(segment[..., 0] ** 2 + segment[..., 1] ** 2, 1e-300)
+    product = start[..., 0] * segment[..., 0] + start[..., 1] * segment[..., 1]
+    share = np.clip(-product / square, 0, 1)
+    nearest = start + share[..., None] * segment
+    distance = np.hypot(nearest[..., 0], nearest[..., 1])
+    least = np.where(counts, distance, np.inf).min(axis=1)
+
+    entered = target.is_crossed_by(path[:, :-1], path[:, 1:]) & counts
+    hit = entered.any(axis=1) & finite & ~arm_touches.any(axis=1)
     return CastOutcome(
-        np.where(finite, away, np.inf).reshape(shape),
-        clear.reshape(shape),
+        np.where(finite, least, np.inf).reshape(shape),
+        free_share.reshape(shape),
         hit.reshape(shape),
     )
 
 
 def midpoint_tip_path(tip: np.ndarray) -> np.ndarray:
-    """The tip's way (C, T, 2) with a point between each two, by a cubic: (C, 2 T - 1,
-    2). The pieces are then straight to 1 mm even at 1000 m/s^2.
+    """Insert a point between each two of the tip's path by a cubic.
+
+    The segments are then straight to 1 mm even at 1000 m/s^2.
+
+    Parameters
+    ----------
+    tip : (C, T, 2) array
+        Positions of the tip at the ticks [m].
+
+    Returns
+    -------
+    (C, 2 T - 1, 2) array
+        Positions at the ticks and between them [m].
     """
-    padded = np.concatenate(
-        [2 * tip[:, :1] - tip[:, 1:2], tip, 2 * tip[:, -1:] - tip[:, -2:-1]], axis=1
-    )
-    before, first, second, after = (
-        padded[:, k : padded.shape[1] - 3 + k] for k in range(4)
-    )
-    way = np.empty((len(tip), 2 * tip.shape[1] - 1, 2))
-    way[:, ::2], way[:, 1::2] = tip, (9 * (first + second) - before - after) / 16
-    return way
+    before_start = 2 * tip[:, :1] - tip[:, 1:2]
+    after_end = 2 * tip[:, -1:] - tip[:, -2:-1]
+    padded = np.concatenate([before_start, tip, after_end], axis=1)
+    inner = tip[:, :-1] + tip[:, 1:]
+    path = np.empty((len(tip), 2 * tip.shape[1] - 1, 2))
+    path[:, ::2] = tip
+    path[:, 1::2] = (9 * inner - padded[:, :-3] - padded[:, 3:]) / 16
+    return path
 
 
 def _contact_ticks(
     task: CastTask, angles: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """At which ticks an obstacle is touched by the arm, and by the string or the tip's
-    way from the tick before; each (C, T).
+    """Ticks at which the arm and the string touch an obstacle, (C, T) each.
+
+    The tip's path from the tick before belongs to the string.
     """
     arm, string = np.zeros((2, *points.shape[:2]), dtype=bool)
     if not task.obstacles:
         return arm, string
     joints = task.model.arm.joint_positions(angles)
+    tip = points[:, :, -1]
+    lowest, highest = points.min(axis=2), points.max(axis=2)
     for box in task.obstacles:
         arm |= box.is_crossed_by(joints[..., :-1, :], joints[..., 1:, :]).any(axis=2)
-        # only strings beside it are looked at closely
-        x, y = points[..., 0], points[..., 1]
-        apart = (x.min(axis=2) > box.x + box.w / 2) | (
-            x.max(axis=2) < box.x - box.w / 2
-        )
-        apart |= (y.min(axis=2) > box.y + box.h / 2) | (
-            y.max(axis=2) < box.y - box.h / 2
-        )
-        near = points[~apart]
-        string[~apart] |= box.is_crossed_by(near[:, :-1], near[:, 1:]).any(axis=1)
-        string[:, 1:] |= box.is_crossed_by(points[:, :-1, -1], points[:, 1:, -1])
+        # only strings whose bounding box overlaps the obstacle are examined closely
+        centre, half = np.array([box.x, box.y]), np.array([box.w / 2, box.h / 2])
+        apart = (lowest > centre + half) | (highest < centre - half)
+        is_near = ~apart.any(axis=2)
+        near = points[is_near]
+        string[is_near] |= box.is_crossed_by(near[:, :-1], near[:, 1:]).any(axis=1)
+        string[:, 1:] |= box.is_crossed_by(tip[:, :-1], tip[:, 1:])
     return arm, string

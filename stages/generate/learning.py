@@ -1,11 +1,12 @@
-"""Expected information of a cast: how well, after it, the tip of the next one would be
-predicted at the target.
+"""Expected information of a cast: how well it would predict the next cast's tip.
 
-To first order: each motion's strings, under the draws, are fitted as linear in the
-exponents of the parameters (with the prior of `least_squares`); what is seen of a
+To first order, the strings of each motion under the samples are fitted as linear in the
+exponents of the parameters (with the prior of `least_squares`). What is observed of a
 motion narrows the exponents by its Fisher information, and these in turn the prediction
-of the tip on a motion of interest (c-optimal design: Atkinson, Donev and Tobias 2007,
-Optimum Experimental Designs, chapter 10).
+of the tip on a motion of interest (c-optimal design).
+
+Reference: A. Atkinson, A. Donev and R. Tobias, Optimum Experimental Designs, 2007,
+chapter 10.
 """
 
 from __future__ import annotations
@@ -21,62 +22,74 @@ from stringcast.stages.generate.hit_probability import (
 )
 from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 
-OBSERVED_PLACES = 4  # on the string, from its tip, that stand for all that are seen
-# ticks: a simulation's error lasts, so that nearer looks are no new evidence
+OBSERVED_PLACES = 4  # on the string, from its tip, that stand for all observed points
+# in ticks: simulation error lasts, so that a denser sampling is no new evidence
 TICK_STRIDE = 4
-MIN_SIGMA_M = 1e-3  # [m] what is seen and simulated is never surer
-RIDGE = 1e-3  # of the exponents' variance: keeps a fit to few draws in hand
+MIN_SIGMA_M = 1e-3  # of observation and simulation together
+RIDGE = 1e-3  # of the exponents' variance: stabilises a fit to few samples
 
 
 def predictive_sd(
-    task: CastTask, curves: Curves, draws: UncertaintySamples, interest: int
+    task: CastTask, curves: Curves, samples: UncertaintySamples, interest: int
 ) -> np.ndarray:
-    """Predictive standard deviation of the tip at the target on the motion of interest
-    after each motion, (M,) [m].
+    """Predict how uncertain the tip at the target is after each of several motions.
 
-    curves: M motions. interest: the number of one. Infinite for a motion on which a
-    simulation fails.
+    Parameters
+    ----------
+    task : CastTask
+        Model, target and obstacles.
+    curves : Curves
+        M motions.
+    samples : UncertaintySamples
+        K samples of the uncertain quantities.
+    interest : int
+        Number of the motion whose tip is to be predicted.
+
+    Returns
+    -------
+    (M,) array
+        Standard deviation of the tip [m]; infinite for a motion on which a simulation
+        fails.
     """
-    sigma = max(MIN_SIGMA_M, rms(draws.tip_error))
-    # Of the string alone: by few draws, what is chance would look like what the string
-    # does.
-    draws = UncertaintySamples(
-        draws.values,
-        *(0 * part for part in (draws.amplitude, draws.lag, draws.tip_error)),
+    sigma = max(MIN_SIGMA_M, rms(samples.tip_error))
+    # the string alone: with few samples, chance would look like an effect of the string
+    strings = UncertaintySamples(
+        samples.values,
+        0 * samples.amplitude,
+        0 * samples.lag,
+        0 * samples.tip_error,
     )
-    chi = np.stack(
-        [p.chi(draws.values[:, i]) for i, p in enumerate(task.model.parameters)],
-        axis=-1,
-    )
-    # (K, P), of parameters that draws do not share
+    chi = np.empty_like(samples.values)
+    for number, parameter in enumerate(task.model.parameters):
+        chi[:, number] = parameter.chi(samples.values[:, number])
+    # (K, P), of the parameters that vary
     exponents = (chi - chi.mean(axis=0))[:, np.ptp(chi, axis=0) > 0]
-    covariance = exponents.T @ exponents / len(draws) + RIDGE * np.eye(
-        exponents.shape[1]
-    )
-    _, points = simulate_motions(task.model, curves.select(np.array([interest])), draws)
-    # where each draw's tip is when the middle one is nearest to the target, (K, 2) [m]
-    way = midpoint_tip_path(points[:, :, -1])
-    away = task.target.distance_to_centre(way)
-    typical = int(np.argsort(away.min(axis=1), kind="stable")[len(way) // 2])
-    matters = _jacobian(exponents, way[:, int(np.argmin(away[typical]))])
+    ridge = RIDGE * np.eye(exponents.shape[1])
+    precision = np.linalg.inv(exponents.T @ exponents / len(strings) + ridge)
+
+    # each sample's tip (K, 2) [m] when the typical one is nearest to the target
+    interesting = curves.select(np.array([interest]))
+    _, points = simulate_motions(task.model, interesting, strings)
+    path = midpoint_tip_path(points[:, :, -1])
+    distance = task.target.distance_to_centre(path)
+    typical = np.argsort(distance.min(axis=1), kind="stable")[len(path) // 2]
+    tip_slopes = _jacobian(exponents, path[:, int(np.argmin(distance[typical]))])
+
     result = np.full(len(curves.duration), np.inf)
     for number in range(len(curves.duration)):
-        _, points = simulate_motions(
-            task.model, curves.select(np.array([number])), draws
-        )
+        motion = curves.select(np.array([number]))
+        _, points = simulate_motions(task.model, motion, strings)
         if np.isfinite(points).all():
-            seen = points[:, ::TICK_STRIDE, ::-1][
-                :, :, :: points.shape[2] // OBSERVED_PLACES
-            ].reshape(len(draws), -1)
-            slopes = _jacobian(exponents, seen) / sigma
-            after = np.linalg.inv(np.linalg.inv(covariance) + slopes @ slopes.T)
-            result[number] = np.sqrt(np.trace(matters.T @ after @ matters))
+            from_tip = points[:, ::TICK_STRIDE, ::-1]
+            observed = from_tip[:, :, :: points.shape[2] // OBSERVED_PLACES]
+            slopes = _jacobian(exponents, observed.reshape(len(strings), -1)) / sigma
+            covariance = np.linalg.inv(precision + slopes @ slopes.T)
+            result[number] = np.sqrt(np.trace(tip_slopes.T @ covariance @ tip_slopes))
     return result
 
 
-def _jacobian(exponents: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """(P, Y) slopes of what is seen (K, Y) with the exponents (K, P)."""
-    normal = exponents.T @ exponents + RIDGE * len(exponents) * np.eye(
-        exponents.shape[1]
-    )
-    return np.linalg.solve(normal, exponents.T @ (seen - seen.mean(axis=0)))
+def _jacobian(exponents: np.ndarray, observed: np.ndarray) -> np.ndarray:
+    """Slopes (P, Y) of observed quantities (K, Y) over the exponents (K, P)."""
+    ridge = RIDGE * len(exponents) * np.eye(exponents.shape[1])
+    centred = observed - observed.mean(axis=0)
+    return np.linalg.solve(exponents.T @ exponents + ridge, exponents.T @ centred)

@@ -1,8 +1,7 @@
-"""Random motions race: all on a few draws of what may be so, the nearer ones on more,
-and so on.
+"""A race of random motions: all on a few samples, the nearest ones on more, and so on.
 
-Successive halving: Jamieson and Talwalkar 2016, Non-stochastic best arm identification,
-AISTATS.
+Successive halving: K. Jamieson and A. Talwalkar, Non-stochastic best arm identification
+and hyperparameter optimization, AISTATS 2016.
 """
 
 from __future__ import annotations
@@ -26,11 +25,10 @@ from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 # of the accelerations: a gentle cast is predicted better
 SPEED_SHARES = (1.0, 0.5, 0.25)
 BATCH_SIZE = 128  # movements whose limits are checked together
-MAX_BATCHES = 100  # such batches of a kind at most
-# draws that the race begins with; each round takes MORE times as many,
-FIRST_SAMPLES = 3
-SAMPLE_GROWTH = 3
-MOTION_REDUCTION = 4  # for a share of 1 / FEWER of the motions
+MAX_BATCHES = 100  # of one kind
+FIRST_SAMPLES = 3  # with which the race begins
+SAMPLE_GROWTH = 3  # factor from one round to the next ...
+MOTION_REDUCTION = 4  # ... in which so many times fewer motions remain
 
 
 def sample_feasible_motions(
@@ -41,59 +39,53 @@ def sample_feasible_motions(
     count: int,
     rng: np.random.Generator,
 ) -> Curves:
-    """Random movements that the arm can make: anywhere, and a quarter of them near the
-    last one.
+    """Sample random movements that the arm can make.
 
-    Fewer than `count` where hardly any is possible.
+    A quarter of them are changes of the previous motion, if there is one. There are
+    fewer than `count` where hardly any movement is possible.
     """
-    arm, durations, found = space.arm, (space.shortest, space.longest), []
-    draw = [
+    arm = space.arm
+    durations = (space.shortest, space.longest)
+    feasible: list[Curves] = []
+    kinds = [
         partial(first_curves, arm, rng, BATCH_SIZE, durations, space.alpha * share)
         for share in SPEED_SHARES
     ]
     if previous is not None:
         last = curves_from_motion(previous)
-        found.append(feasible_motions(task, last))
-        draw.append(
-            partial(
-                next_curves,
-                arm,
-                rng,
-                BATCH_SIZE,
-                durations,
-                space.alpha,
-                last,
-                fraction,
-            )
-        )
-    for kind in draw:
-        own: list[Curves] = []
-        while (
-            sum(len(c.duration) for c in own) * len(draw) < count
-            and len(own) < MAX_BATCHES
-        ):
-            own.append(feasible_motions(task, kind()))
-        found += own
-    return join_curves(found)
+        feasible.append(feasible_motions(task, last))
+        change = (space.alpha, last, fraction)
+        kinds.append(partial(next_curves, arm, rng, BATCH_SIZE, durations, *change))
+    for draw in kinds:
+        found = 0
+        for _ in range(MAX_BATCHES):
+            if found * len(kinds) >= count:
+                break
+            batch = feasible_motions(task, draw())
+            found += len(batch.duration)
+            feasible.append(batch)
+    return join_curves(feasible)
 
 
 def feasible_motions(task: CastTask, curves: Curves) -> Curves:
-    """The movements that keep every limit of the arm."""
-    angles, speeds = curves.sample(task.model.arm.tick, float(curves.duration.max()))
-    return curves.select(
-        np.flatnonzero(arm_faults(task.model.arm, task.obstacles, angles, speeds) == "")
-    )
+    """Select the movements that keep every limit of the arm."""
+    arm = task.model.arm
+    angles, speeds = curves.sample(arm.tick, float(curves.duration.max()))
+    faults = arm_faults(arm, task.obstacles, angles, speeds)
+    return curves.select(np.flatnonzero(faults == ""))
 
 
-def race_motions(task: CastTask, curves: Curves, draws: UncertaintySamples) -> Curves:
-    """The movements that are left when all `draws` have been seen, the nearest first."""
+def race_motions(task: CastTask, curves: Curves, samples: UncertaintySamples) -> Curves:
+    """Rank movements on growing parts of the samples, and drop the worst each time.
+
+    Returns those left after the round with all samples, the nearest first.
+    """
     count = FIRST_SAMPLES
     while True:
-        closeness = predict_outcome(task, curves, draws.select(slice(count))).closeness
-        ranked = curves.select(np.argsort(-closeness, kind="stable"))
-        if count >= len(draws):
+        outcome = predict_outcome(task, curves, samples.select(slice(count)))
+        ranked = curves.select(np.argsort(-outcome.closeness, kind="stable"))
+        if count >= len(samples):
             return ranked
-        curves, count = (
-            ranked.select(np.arange(-(-len(closeness) // MOTION_REDUCTION))),
-            count * SAMPLE_GROWTH,
-        )
+        kept = -(-len(ranked.duration) // MOTION_REDUCTION)
+        curves = ranked.select(slice(kept))
+        count *= SAMPLE_GROWTH

@@ -1,4 +1,4 @@
-"""Refine motions by CMA-ES on a smooth stand-in for their chance of hitting.
+"""Refinement of motions by CMA-ES on a smooth substitute for their hit probability.
 
 Reference: N. Hansen, The CMA evolution strategy: a tutorial, arXiv 1604.00772 (cmaes
 package).
@@ -18,18 +18,26 @@ from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 from stringcast.stages.model.arm import Arm
 
 POPULATION_SIZE = 12  # candidates in a generation of CMA-ES
-INITIAL_STEP = 0.02  # first step, as a share of each coordinate's range
-# times alpha: accelerations that a refined motion may come to; the arm's limits hold
-# anyway
+INITIAL_STEP = 0.02  # as a share of each coordinate's range
+# largest acceleration of a refined motion, in alpha; the arm's limits hold in any case
 MAX_STEP_RATIO = 3.0
-# times as many are asked for as are simulated: some the arm cannot make
+# candidates drawn for each one simulated, because the arm cannot make some
 SPARE_FACTOR = 2
+INFEASIBLE_LOSS = 2.0  # worse than a motion that never comes near
 
 
 @dataclass(frozen=True)
 class MotionSpace:
-    """Movements as points (D,): start angles and T [s] as shares of their ranges, then
-    the accelerations alpha_n of Eq. 2 as shares of alpha [rad/s^2].
+    """Movements as points (D,) with coordinates of order one.
+
+    The coordinates are start angles and T as shares of their ranges, then the
+    accelerations alpha_n of Eq. 2 as shares of alpha.
+
+    Parameters
+    ----------
+    arm : the arm with its limits
+    shortest, longest : range of T [s]
+    alpha : limit of random accelerations [rad/s^2]
     """
 
     arm: Arm
@@ -41,92 +49,83 @@ class MotionSpace:
     def bounds(self) -> np.ndarray:
         """Least and greatest coordinates of the space, (D, 2)."""
         joints = len(self.arm.links)
-        return np.array(
-            [[0.0, 1.0]] * (joints + 1)
-            + [[-MAX_STEP_RATIO, MAX_STEP_RATIO]] * (joints * (INTERVALS - 1))
-        )
+        shares = [[0.0, 1.0]] * (joints + 1)
+        accelerations = [[-MAX_STEP_RATIO, MAX_STEP_RATIO]] * (joints * (INTERVALS - 1))
+        return np.array(shares + accelerations)
 
     def points(self, curves: Curves) -> np.ndarray:
-        """Movements as points of the space, (B, D), within `bounds`."""
+        """Convert movements to points (B, D)."""
         lowest, highest = np.array(self.arm.lowest), np.array(self.arm.highest)
         start = (curves.start - lowest) / (highest - lowest)
-        duration = (curves.duration - self.shortest) / max(
-            self.longest - self.shortest, self.arm.tick
-        )
-        share = (
-            curves.control[..., 1:-1]
-            * INTERVALS
-            / curves.duration[:, None, None]
-            / self.alpha
-        )
-        return np.concatenate(
-            [start, duration[:, None], share.reshape(len(start), -1)], axis=1
-        )
+        span = max(self.longest - self.shortest, self.arm.tick)
+        duration = (curves.duration - self.shortest) / span
+        scaled = curves.control[..., 1:-1] * INTERVALS / curves.duration[:, None, None]
+        acceleration = (scaled / self.alpha).reshape(len(start), -1)
+        return np.concatenate([start, duration[:, None], acceleration], axis=1)
 
     def curves(self, points: np.ndarray) -> Curves:
-        """The movements that are points (B, D) of the space."""
+        """Convert points (B, D) to movements."""
         lowest, highest = np.array(self.arm.lowest), np.array(self.arm.highest)
-        start, share, rest = np.split(points, [len(lowest), len(lowest) + 1], axis=1)
-        duration = whole_ticks(
-            self.shortest + share[:, 0] * (self.longest - self.shortest), self.arm.tick
-        )
-        control = np.zeros((len(points), len(lowest), INTERVALS + 1))
-        acceleration = (
-            rest.reshape(len(points), len(lowest), INTERVALS - 1) * self.alpha
-        )
-        control[..., 1:-1] = acceleration * duration[:, None, None] / INTERVALS
-        return Curves(lowest + start * (highest - lowest), duration, control)
+        joints = len(lowest)
+        start = lowest + points[:, :joints] * (highest - lowest)
+        duration = self.shortest + points[:, joints] * (self.longest - self.shortest)
+        duration = whole_ticks(duration, self.arm.tick)
+        shares = points[:, joints + 1 :].reshape(len(points), joints, INTERVALS - 1)
+        control = np.zeros((len(points), joints, INTERVALS + 1))
+        control[..., 1:-1] = shares * self.alpha * duration[:, None, None] / INTERVALS
+        return Curves(start, duration, control)
 
 
 def refine_motions(
     task: CastTask,
     space: MotionSpace,
     starts: Curves,
-    draws: UncertaintySamples,
-    rounds: int,
+    samples: UncertaintySamples,
+    iterations: int,
     seed: int,
 ) -> Curves:
-    """The best movement found from each start. All are tried on the same draws: chance
-    does not decide between two.
+    """Refine each start and return the best movement found from it.
+
+    All are tried on the same samples, so that chance does not decide between two. The
+    searches take their steps together: one batch of simulations serves them all.
     """
     points = space.points(starts)
-    best, most = points.copy(), predict_outcome(task, starts, draws).closeness
-    settings = {
-        "sigma": INITIAL_STEP,
-        "bounds": space.bounds,
-        "population_size": POPULATION_SIZE,
-    }
-    inside = np.clip(points, *space.bounds.T)
-    # NumPy takes no larger seed
-    searches = [
-        CMA(mean=point, seed=(seed + number) % 2**32, **settings)
-        for number, point in enumerate(inside)
-    ]
-    for _ in range(rounds):
-        asked = [_ask_points(task, space, search) for search in searches]
-        tried = np.concatenate([point[:count] for point, count in asked])
-        close = predict_outcome(task, space.curves(tried), draws).closeness
-        parts = np.split(close, np.cumsum([count for _, count in asked])[:-1])
-        for number, (search, (point, count), own) in enumerate(
-            zip(searches, asked, parts, strict=True)
-        ):
-            # what is not allowed is worse than what never comes near
-            value = np.concatenate([1 - own, np.full(len(point) - count, 2.0)])
-            search.tell(list(zip(point, value, strict=True)))
-            if count and own.max() > most[number]:
-                best[number], most[number] = point[np.argmax(own)], own.max()
+    best = points.copy()
+    best_closeness = predict_outcome(task, starts, samples).closeness
+    searches = []
+    for number, mean in enumerate(np.clip(points, *space.bounds.T)):
+        search = CMA(
+            mean=mean,
+            sigma=INITIAL_STEP,
+            bounds=space.bounds,
+            population_size=POPULATION_SIZE,
+            seed=(seed + number) % 2**32,  # NumPy takes no larger seed
+        )
+        searches.append(search)
+    for _ in range(iterations):
+        candidates = [_draw_candidates(task, space, search) for search in searches]
+        feasible = np.concatenate([drawn[:count] for drawn, count in candidates])
+        outcome = predict_outcome(task, space.curves(feasible), samples)
+        first = 0
+        for number, (drawn, count) in enumerate(candidates):
+            closeness = outcome.closeness[first : first + count]
+            first += count
+            loss = np.full(len(drawn), INFEASIBLE_LOSS)
+            loss[:count] = 1 - closeness
+            searches[number].tell(list(zip(drawn, loss, strict=True)))
+            if count and closeness.max() > best_closeness[number]:
+                best[number] = drawn[np.argmax(closeness)]
+                best_closeness[number] = closeness.max()
     return space.curves(best)
 
 
-def _ask_points(
+def _draw_candidates(
     task: CastTask, space: MotionSpace, search: CMA
 ) -> tuple[np.ndarray, int]:
-    """Points (POPULATION, D) that the search asks for, those first that the arm can
-    make, and how many these are.
-    """
+    """Points (POPULATION_SIZE, D) of a search, feasible ones first, and their count."""
     points = np.stack([search.ask() for _ in range(SPARE_FACTOR * POPULATION_SIZE)])
     curves = space.curves(points)
     sampled = curves.sample(space.arm.tick, float(curves.duration.max()))
-    fine = arm_faults(space.arm, task.obstacles, *sampled) == ""
-    order = np.argsort(~fine, kind="stable")[:POPULATION_SIZE]
-    return points[order], int(fine[order].sum())
+    feasible = arm_faults(space.arm, task.obstacles, *sampled) == ""
+    order = np.argsort(~feasible, kind="stable")[:POPULATION_SIZE]
+    return points[order], int(feasible[order].sum())

@@ -1,8 +1,7 @@
-"""Generate a motion that hits whatever the string may be: the highest chance over many
-draws of it.
+"""Generation of the motion most likely to hit, over many samples of the string.
 
-Random motions race, the winners are refined, and validation draws, which had no part in
-choosing, say how likely the chosen motion hits.
+Random motions race and the winners are refined. Validation samples, which had no part
+in the choice, give the hit probability of the chosen motion.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, Estimate, Motion
+from stringcast.data.artifacts import ATTEMPTS, Estimate, Motion
 from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.common import Progress, SettingsGroup, partial_progress
 from stringcast.stages.generate.curves import Curves, join_curves
@@ -23,9 +22,7 @@ from stringcast.stages.generate.generate import (
     HIT,
     MotionNotFoundError,
     MotionRanges,
-    command_table,
-    control_point_table,
-    predicted_string_table,
+    motion_artifact,
 )
 from stringcast.stages.generate.hit_probability import (
     CastTask,
@@ -48,14 +45,19 @@ from stringcast.stages.model.model import Model
 stats = LazyModule("scipy.stats")
 
 FINALIST_COUNT = 4  # winners of the race that are refined
-NEAREST_MOTIONS = 8  # winners of the race that may be chosen all the same
-SUFFICIENT_HIT_SHARE = 0.5  # of the draws hit: nothing else is sought
+RUNNER_UP_COUNT = 8  # winners of the race that may be chosen unrefined
+SUFFICIENT_HIT_SHARE = 0.5  # of the samples: no further search is made
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Motions found, of how many tried, and the largest share of draws that one of
-    those refined hits.
+    """Result of one search.
+
+    Parameters
+    ----------
+    best : motions from which one is chosen
+    tried : number of random motions
+    share : largest share of samples that a refined motion hits
     """
 
     best: Curves
@@ -65,11 +67,18 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class SearchEffort(SettingsGroup):
-    """Effort of the search. motions: random ones that race. string_samples: draws on which
-    winners are refined, for `cma_iterations` of CMA-ES. max_restarts: from other random motions
-    each, at most, while none found hits half of the draws; before the first trial, one.
-    exploration: closeness (see `Outcome`) that may be given up for a more informative
-    cast. validation: draws that had no part in the choice, for its hit probability.
+    """Effort of the search.
+
+    Parameters
+    ----------
+    motions : number of random motions that race
+    string_samples : number of samples on which winners are refined
+    cma_iterations : number of iterations of the refinement
+    max_restarts : largest number of searches, while no motion hits half of the samples;
+        one before the first trial
+    exploration : closeness (see `CastOutcome`) that may be given up for a more
+        informative cast
+    validation : number of independent samples for the hit probability
     """
 
     motions: Annotated[int, Field(ge=16)]
@@ -93,166 +102,196 @@ def generate(
     uncertainty: PlanningUncertainty,
     progress: Progress = lambda share: None,
 ) -> Motion:
-    """The motion with the highest chance that the tip enters the target box, as far as
-    is known.
+    """Generate the motion whose tip is most likely to hit the target.
 
-    previous: the last motion; a quarter of those tried are slight changes of it.
-    estimate: what is known of the string, None before the first trial. uncertainty: of
-    all but the string. Raises MotionNotFoundError where the arm can make no motion or
-    none is clear of the obstacles, and DataError for a target out of reach or an empty
-    range of durations; a motion that hits with no draw is still the one that comes
-    nearest.
+    A motion that hits with no sample is still returned: it comes nearest, and the cast
+    teaches what the string is like.
+
+    Parameters
+    ----------
+    model : Model
+        String and arm.
+    target : Box
+        Box that the tip shall enter [m].
+    obstacles : sequence of Box
+        Boxes that the arm may not touch, nor the string before it hits [m].
+    previous : Motion or None
+        The last motion; a quarter of those tried are slight changes of it.
+    estimate : Estimate or None
+        Latest estimate of the string.
+    seed : int
+        Seed of motions and samples.
+    drawing : MotionRanges
+        Ranges of the random motions.
+    search : SearchEffort
+        Effort of the search.
+    uncertainty : PlanningUncertainty
+        Uncertainty of arm and simulation.
+    progress : callable
+        Called with the share that is done.
+
+    Returns
+    -------
+    Motion
+        Commands, predicted string, and outcome with its hit probability.
+
+    Raises
+    ------
+    MotionNotFoundError
+        If the arm can make no motion, or none is clear of the obstacles.
+    DataError
+        If the target is out of reach or the range of durations is empty.
     """
     space = MotionSpace(model.arm, *drawing.durations, drawing.alpha)
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
     task = CastTask(model, target, obstacles)
-    draws = sample_uncertainty(model, estimate, uncertainty, search.string_samples, rng)
-    # half of all strings there may be are not hit by any motion
-    most = 1 if estimate is None else search.max_restarts
-    found: list[SearchResult] = []
-    while len(found) < most and not any(
-        each.share >= SUFFICIENT_HIT_SHARE for each in found
-    ):
+
+    def draw_samples(count: int) -> UncertaintySamples:
+        return sample_uncertainty(model, estimate, uncertainty, count, rng)
+
+    samples = draw_samples(search.string_samples)
+    # no motion hits half of all strings that are possible before the first trial
+    max_searches = 1 if estimate is None else search.max_restarts
+    results: list[SearchResult] = []
+    for number in range(max_searches):
         random = sample_feasible_motions(
             task, space, previous, drawing.fraction, search.motions, rng
         )
-        found.append(
-            search_motions(
-                task,
-                space,
-                random,
-                draws,
-                search.cma_iterations,
-                seed,
-                partial_progress(progress, len(found), most),
-            )
+        result = search_motions(
+            task,
+            space,
+            random,
+            samples,
+            search.cma_iterations,
+            seed,
+            partial_progress(progress, number, max_searches),
         )
-    final = join_curves([each.best for each in found])
-
+        results.append(result)
+        if result.share >= SUFFICIENT_HIT_SHARE:
+            break
+    candidates = join_curves([result.best for result in results])
     best = _choose_motion(
-        task,
-        final,
-        sample_uncertainty(model, estimate, uncertainty, search.string_samples, rng),
-        search.exploration,
+        task, candidates, draw_samples(search.string_samples), search.exploration
     )
     progress(1.0)
-    validation = sample_uncertainty(
-        model, estimate, uncertainty, search.validation, rng
-    )
     return build_motion_artifact(
         task,
-        final.select(np.array([best])),
-        validation,
-        sum(each.tried for each in found),
+        candidates.select(np.array([best])),
+        draw_samples(search.validation),
+        sum(result.tried for result in results),
     )
 
 
 def _choose_motion(
-    task: CastTask, final: Curves, fresh: UncertaintySamples, exploration: float
+    task: CastTask, candidates: Curves, samples: UncertaintySamples, exploration: float
 ) -> int:
-    """Number of the motion that comes nearest, or of one that is nearly so and teaches
-    more. fresh: draws by which none was chosen. exploration: closeness that may be
-    given for that.
+    """Choose the motion that teaches most among those almost as close as the best.
+
+    samples: by which none was found. exploration: closeness that may be given up.
     """
-    closeness = predict_outcome(task, final, fresh).closeness
+    closeness = predict_outcome(task, candidates, samples).closeness
     best = int(np.argmax(closeness))
     near = np.flatnonzero(closeness >= closeness[best] - exploration)
-    if len(near) > 1:
-        best = int(
-            near[
-                np.argmin(
-                    predictive_sd(
-                        task,
-                        final.select(near),
-                        fresh,
-                        int(np.searchsorted(near, best)),
-                    )
-                )
-            ]
-        )
-    return best
+    if len(near) == 1:
+        return best
+    interest = int(np.searchsorted(near, best))
+    tip_sd = predictive_sd(task, candidates.select(near), samples, interest)
+    return int(near[np.argmin(tip_sd)])
 
 
 def search_motions(
     task: CastTask,
     space: MotionSpace,
     random: Curves,
-    draws: UncertaintySamples,
-    rounds: int,
+    samples: UncertaintySamples,
+    iterations: int,
     seed: int,
     progress: Progress,
 ) -> SearchResult:
-    """The best of random motions, and these refined; raises MotionNotFoundError where
-    there is none.
+    """Find the best of random motions and refine them.
+
+    Parameters
+    ----------
+    task : CastTask
+        Model, target and obstacles.
+    space : MotionSpace
+        Coordinates of the refinement.
+    random : Curves
+        Motions that the arm can make.
+    samples : UncertaintySamples
+        Samples of the uncertain quantities.
+    iterations : int
+        Number of iterations of the refinement.
+    seed : int
+        Seed of the refinement.
+    progress : callable
+        Called with the share that is done.
+
+    Returns
+    -------
+    SearchResult
+        Refined motions first, then the winners of the race.
+
+    Raises
+    ------
+    MotionNotFoundError
+        If there are no random motions.
     """
     if not len(random.duration):
         raise MotionNotFoundError(
-            "no random motion keeps the arm's limits and clear of the obstacles. Widen them, or lower generate.alpha."
+            "no random motion keeps the arm's limits and clear of the obstacles. "
+            "Widen the limits, or lower generate.alpha."
         )
-    best = race_motions(task, random, draws)
+    winners = race_motions(task, random, samples)
     progress(0.4)
-    refined = refine_motions(
-        task, space, best.select(slice(FINALIST_COUNT)), draws, rounds, seed
-    )
+    finalists = winners.select(slice(FINALIST_COUNT))
+    refined = refine_motions(task, space, finalists, samples, iterations, seed)
     progress(0.9)
-    share = float(predict_outcome(task, refined, draws).hit.mean(axis=1).max())
-    return SearchResult(
-        join_curves([refined, best.select(slice(NEAREST_MOTIONS))]),
-        len(random.duration),
-        share,
-    )
+    hit_shares = predict_outcome(task, refined, samples).hit.mean(axis=1)
+    best = join_curves([refined, winners.select(slice(RUNNER_UP_COUNT))])
+    return SearchResult(best, len(random.duration), float(hit_shares.max()))
 
 
 def build_motion_artifact(
-    task: CastTask, curve: Curves, draws: UncertaintySamples, tried: int
+    task: CastTask, curve: Curves, samples: UncertaintySamples, tried: int
 ) -> Motion:
-    """The artifact of one movement, with its chance of hitting as these draws find it."""
-    made = predict_outcome(task, curve, draws)
-    hit, distance = (
-        made.hit[0],
-        np.where(made.hit[0] | (made.free_share[0] == 1), made.distance[0], np.inf),
-    )
+    """Build the artifact of one movement, with its hit probability under the samples.
+
+    The predicted string is that of a typical sample.
+    """
+    outcome = predict_outcome(task, curve, samples)
+    hit = outcome.hit[0]
+    is_usable = hit | (outcome.free_share[0] == 1)
+    distance = np.where(is_usable, outcome.distance[0], np.inf)
     if np.isinf(distance).all():
         raise MotionNotFoundError(
-            f"on the best motion found, each of {len(hit)} likely strings touches an obstacle or cannot be simulated. "
-            "Allow more generate.motions and generate.cma_iterations, or move the obstacles."
+            f"on the best motion found, each of {len(hit)} likely strings touches an "
+            "obstacle or cannot be simulated. Allow more generate.motions and "
+            "generate.cma_iterations, or move the obstacles."
         )
-    order = np.lexsort((distance, ~hit))  # those that hit come first, the nearest first
-    typical = int(order[hit.sum() // 2])
-    points = simulate_motions(task.model, curve, draws.select(np.array([typical])))[1][
-        0
-    ]
-    target, way = task.target, midpoint_tip_path(points[None, :, -1])[0]
-    at = int(np.argmin(target.distance_to_centre(way)))
-    share = stats.binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")
-    row = {
-        "duration": float(curve.duration[0]),
-        "t_hit": at * task.model.arm.tick / 2,
-        **{"tip_x": way[at, 0], "tip_y": way[at, 1], "tried": tried},
-        **{
-            "target_x": target.x,
-            "target_y": target.y,
-            "target_w": target.w,
-            "target_h": target.h,
-        },
-        **{
-            "chance": float(hit.mean()),
-            "chance_low": share.low,
-            "chance_high": share.high,
-        },
-    }
+    hits_first = np.lexsort((distance, ~hit))  # and the nearest of them first
+    typical = samples.select(hits_first[[hit.sum() // 2]])
+    points = simulate_motions(task.model, curve, typical)[1][0]
+    path = midpoint_tip_path(points[None, :, -1])[0]
+    nearest = int(np.argmin(task.target.distance_to_centre(path)))
+    interval = stats.binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")
+    tick = task.model.arm.tick
     attempts = pd.DataFrame(
         {"outcome": ["less likely to hit", HIT], "count": [tried - 1, 1]}
     )
-    return Motion(
-        command_table(task.model.arm, curve),
-        control_point_table(curve),
-        predicted_string_table(
-            np.arange(len(points)) * task.model.arm.tick,
-            task.model.string.arc_lengths(),
-            points,
-        ),
+    return motion_artifact(
+        task.model,
+        task.target,
+        curve,
+        np.arange(len(points)) * tick,
+        points,
         ATTEMPTS.check(attempts),
-        MOTION_OUTCOME.check(pd.DataFrame([row])),
+        t_hit=nearest * tick / 2,
+        tip_x=path[nearest, 0],
+        tip_y=path[nearest, 1],
+        tried=tried,
+        chance=float(hit.mean()),
+        chance_low=interval.low,
+        chance_high=interval.high,
     )

@@ -1,6 +1,4 @@
-"""Uncertainty of the next cast, as draws: of the string, of how the arm follows, of the
-simulation's error.
-"""
+"""Samples of what is uncertain in a cast: string, arm and simulation error."""
 
 from __future__ import annotations
 
@@ -18,11 +16,14 @@ SmallNumber = Annotated[float, Field(ge=0, le=0.1)]
 
 @dataclass(frozen=True)
 class PlanningUncertainty:
-    """Uncertainty beside the string's.
+    """Uncertainty of arm and simulation.
 
-    amplitude: of a joint's relative speed from one trial to the next, one sigma. lag:
-    how late joints follow their commands at most [s]. tip: error of the simulation at
-    the tip before a trial tells it, one sigma of a coordinate [m].
+    Parameters
+    ----------
+    amplitude : relative error of a joint's speed between trials, one sigma
+    lag : largest delay of the joints behind their commands [s]
+    tip : error of the simulated tip before the first trial, one sigma of a
+        coordinate [m]
     """
 
     amplitude: SmallNumber
@@ -32,9 +33,14 @@ class PlanningUncertainty:
 
 @dataclass(frozen=True)
 class UncertaintySamples:
-    """Draws of what may be so. values: (K, P) of the model's parameters. amplitude: (K,
-    J) what joints turn more than commanded, as a share. lag: (K,) [s]. off: (K, 2) of
-    the simulated tip [m].
+    """Samples of the uncertain quantities.
+
+    Parameters
+    ----------
+    values : (K, P) values of the model's parameters
+    amplitude : (K, J) share by which joints turn more than commanded
+    lag : (K,) delay of the joints [s]
+    tip_error : (K, 2) error of the simulated tip [m]
     """
 
     values: np.ndarray
@@ -43,11 +49,11 @@ class UncertaintySamples:
     tip_error: np.ndarray
 
     def __len__(self) -> int:
-        """How many."""
+        """Count the samples."""
         return len(self.values)
 
     def select(self, chosen: slice | np.ndarray) -> UncertaintySamples:
-        """Some of the draws, in the order of their numbers."""
+        """Select samples by their numbers."""
         return UncertaintySamples(
             self.values[chosen],
             self.amplitude[chosen],
@@ -63,34 +69,45 @@ def sample_uncertainty(
     count: int,
     rng: np.random.Generator,
 ) -> UncertaintySamples:
-    """Draws of the string, of how the arm follows, and of the simulation's error;
-    `count` of them.
+    """Sample the string, how the arm follows, and the simulation's error.
 
-    Strings come from what an estimate's trials leave possible; before the first, every
-    exponent within a parameter's range is as likely as another (Eq. 3), but for
-    parameters that are known. Once there is an estimate, the distance that it leaves
-    between simulated and measured strings says how far the simulation is off.
+    Strings are samples of the estimate. Before the first estimate, every exponent
+    within a parameter's range is equally likely (Eq. 3), except that known parameters
+    keep their values. The simulation's error is the RMS distance that the estimate
+    leaves between simulated and measured strings.
+
+    Parameters
+    ----------
+    model : Model
+        The string with its parameters, and the arm.
+    estimate : Estimate or None
+        Latest estimate of the string.
+    uncertainty : PlanningUncertainty
+        Uncertainty of arm and simulation.
+    count : int
+        Number of samples K.
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    UncertaintySamples
+        K independent samples.
     """
-    amplitude = uncertainty.amplitude * rng.standard_normal(
-        (count, len(model.arm.links))
-    )
+    amplitude = rng.standard_normal((count, len(model.arm.links)))
+    amplitude *= uncertainty.amplitude
     lag = rng.uniform(0, uncertainty.lag, count)
-    tip = (
-        uncertainty.tip
-        if estimate is None
-        else float(estimate.fit["rms_after"].iloc[0])
-    )
-    off = tip * rng.standard_normal((count, 2))
+    tip_sigma = uncertainty.tip
+    if estimate is not None:
+        tip_sigma = float(estimate.fit["rms_after"].iloc[0])
+    tip_error = tip_sigma * rng.standard_normal((count, 2))
     if estimate is None:
-        columns = [p.value(rng.uniform(0, 1, count)) for p in model.parameters]
-        known = [model.start_values.get(name) for name in model.names]
-        values = [
-            column if x is None else np.full(count, x)
-            for column, x in zip(columns, known, strict=True)
-        ]
-        return UncertaintySamples(np.stack(values, axis=-1), amplitude, lag, off)
-    # any as likely as another
-    every = np.stack([model.values(row) for row in estimate.draws.to_dict("records")])
-    return UncertaintySamples(
-        every[rng.integers(0, len(every), count)], amplitude, lag, off
-    )
+        values = np.empty((count, len(model.names)))
+        for number, parameter in enumerate(model.parameters):
+            values[:, number] = parameter.value(rng.uniform(0, 1, count))
+            if parameter.name in model.start_values:
+                values[:, number] = model.start_values[parameter.name]
+    else:
+        possible = [model.values(row) for row in estimate.draws.to_dict("records")]
+        values = np.stack(possible)[rng.integers(0, len(possible), count)]
+    return UncertaintySamples(values, amplitude, lag, tip_error)
