@@ -1,6 +1,4 @@
-"""What the driver tests share: an emulated device in a process of its own, a driver for
-it, a movement.
-"""
+"""Emulated devices, a driver and a movement that the driver tests share."""
 
 import json
 import subprocess
@@ -62,7 +60,7 @@ def emulator(
     command=(sys.executable, "-m", "stringcast.hardware.serial.emulator"),
     watchdog=WATCHDOG,
 ):
-    """The name of an emulated device's port; the device ends with the block."""
+    """Serve an emulated device within the block and return the name of its port."""
     patience = ["--watchdog", str(round(watchdog * 1e3))] if watchdog else []
     whole = [*command, "--log", str(log), "--until", "60", *patience, *options]
     process = subprocess.Popen(whole, stdout=subprocess.PIPE, text=True)
@@ -75,15 +73,17 @@ def emulator(
 
 
 def events(log):
-    """What the firmware noted, oldest first."""
+    """Read the events that the firmware recorded, oldest first."""
     return [
         json.loads(line) for line in log.read_text().splitlines() if line.endswith("}")
     ]
 
 
 def standstill(log, since, within=5.0):
-    """Seconds on the device's clock from the first event named `since` to the arm's
-    standstill for good; waits for it. None if it never comes.
+    """Wait until the arm stands for good.
+
+    Returns seconds on the device's clock since the first event named `since`; None if
+    the arm never stands.
     """
     end = time.monotonic() + within
     while time.monotonic() < end:

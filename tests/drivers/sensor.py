@@ -1,6 +1,4 @@
-"""A capture device that films its own clock, and can drop, repeat, delay, die, or do as
-it likes with settings.
-"""
+"""A capture device that films its own clock, with faults on request."""
 
 import time
 
@@ -11,15 +9,13 @@ from stringcast.hardware.camera.device import MAX_BUFFERED_FRAMES
 
 
 class Sensor:
-    """Takes the place of cv2.VideoCapture. Frame k is exposed at `begun` + k / fps,
-    whoever looks.
+    """A replacement of cv2.VideoCapture; frame k is exposed at `begun` + k / fps.
 
-    lost: numbers never delivered. again: numbers in whose place the frame before comes
-    again. held: how late a number is delivered [s]. dies: the first number that does
-    not come. stamps: whether it tells when a frame was exposed. obeys: what becomes of
-    a property that is set. size: (width, height), whatever it is asked. quiet: without
-    noise. decoding: how long it takes to decode a frame of this number [s]. damaged:
-    numbers that cannot be decoded.
+    lost: numbers never delivered. again: numbers replaced by the frame before. held:
+    delay of a number [s]. dies: the first number that does not come. stamps: whether
+    times of exposure are reported. obeys: what becomes of a property that is set. size:
+    (width, height), whatever is requested. quiet: without noise. decoding: time to
+    decode a frame of this number [s]. damaged: numbers that cannot be decoded.
     """
 
     def __init__(
@@ -66,8 +62,9 @@ class Sensor:
         return 0.0 if key in self.dumb else self.properties.get(key, 0.0)
 
     def film(self):
-        """Numbers in `lost`, `again`, `held` and `dies` count from the next frame on
-        that is kept.
+        """Start a film.
+
+        Numbers in `lost`, `again`, `held` and `dies` count from the next kept frame.
         """
         self.next = int((time.monotonic() - self.begun) * self.fps) + 1
         self.counting_from = self.next + MAX_BUFFERED_FRAMES

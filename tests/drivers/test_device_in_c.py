@@ -1,5 +1,7 @@
-"""The device's side in C: golden frames and fuzzed bytes give what the Python firmware
-gives, and the real driver drives it over a pseudo-terminal.
+"""The firmware in C gives the answers of the Python firmware.
+
+Golden frames and fuzzed bytes go to both, and the real driver drives the C device over
+a pseudo-terminal.
 """
 
 import random
@@ -95,8 +97,9 @@ def test_c_holds_the_golden_conversation(built):
 
 
 def fuzz(rng):
-    """Whole commands of every kind among torn, flipped, overlong and random ones, so
-    that states are reached.
+    """Make whole commands of every kind among torn, flipped, overlong and random ones.
+
+    The whole ones make sure that all states are reached.
     """
     sequence, stream = (
         0,
@@ -169,9 +172,7 @@ def test_c_answers_fuzzed_bytes_as_python_does(built, seed):
     ],
 )
 def test_a_device_that_is_wrong_is_found_out(tmp_path, right, wrong):
-    """The control: with the checksum, a limit or the watchdog switched off, fuzzed
-    bytes are answered otherwise.
-    """
+    """Control: without checksum, a limit or the watchdog, fuzzed bytes differ."""
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler")

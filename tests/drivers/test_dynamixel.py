@@ -1,6 +1,4 @@
-"""The Dynamixel driver, through the maker's own library, against an emulated bus on a
-real pseudo-terminal.
-"""
+"""The Dynamixel driver against an emulated bus, through the maker's own library."""
 
 import math
 import os
@@ -71,9 +69,7 @@ def bus(log, *options):
 
 
 def test_packets_are_those_of_the_makers_library():
-    """The library writes and checks with its own table-driven CRC and stuffing; ours is
-    bit by bit.
-    """
+    """The library computes CRC and stuffing by tables; ours goes bit by bit."""
     library = sdk.Protocol2PacketHandler()
     rng = np.random.default_rng(0)
     for size in (1, 10, 60):
@@ -243,8 +239,8 @@ def test_what_is_wrong_with_the_servos_is_one_clear_error(log, changed, words):
 
 
 @contextmanager
-def served(servos):
-    """The name of a port behind which these servos are, in a thread of this process."""
+def serve_servos(servos):
+    """Serve these servos in a thread and return the name of the port."""
     master, slave = pty.openpty()
     tty.setraw(slave)
     ended = threading.Event()
@@ -269,7 +265,8 @@ def served(servos):
 
 @dataclass
 class Deaf(Emulated):
-    """A servo that acknowledges writes to some registers and keeps what it had.
+    """A servo that acknowledges writes to some registers and keeps the old value.
+
     written: addresses, in order.
     """
 
@@ -300,7 +297,7 @@ def slow(port):
 
 def test_every_servo_is_told_the_arms_limits_and_the_lasting_one_is_written_once():
     servos = {i: Deaf() for i in (1, 2, 3)}
-    with served(servos) as port:
+    with serve_servos(servos) as port:
         for _ in range(2):
             with slow(port):
                 held = [
@@ -327,7 +324,7 @@ def test_a_servo_that_does_not_hold_what_it_was_asked_is_refused_before_anything
     register,
 ):
     servos = {1: Deaf(), 2: Deaf(keeps=(register.address,)), 3: Deaf()}
-    with served(servos) as port:
+    with serve_servos(servos) as port:
         with pytest.raises(
             HardwareError,
             match=rf"servo 2 holds \d+ in register {register.address} where \d+ was",
@@ -350,7 +347,7 @@ def test_a_servo_that_takes_accelerations_as_times_is_refused():
     servos = {i: Deaf() for i in (1, 2, 3)}
     servos[3].set(DRIVE_MODE, 4)
     with (
-        served(servos) as port,
+        serve_servos(servos) as port,
         pytest.raises(HardwareError, match=r"servo 3 takes accelerations as times"),
     ):
         slow(port).__enter__()
@@ -359,7 +356,7 @@ def test_a_servo_that_takes_accelerations_as_times_is_refused():
 
 def test_velocities_beyond_the_limit_never_reach_a_servo_and_nothing_does_before_limits_are_set():
     servos = {i: Deaf() for i in (1, 2, 3)}
-    with served(servos) as port:
+    with serve_servos(servos) as port:
         plain = DynamixelBus(port, 1_000_000, SERVOS, SLOW.speed, 0.2, PATIENCE)
         plain.open()
         assert plain.send(np.full(3, 1.0))[1].tolist() == [0.0, 0.0, 0.0]
@@ -377,9 +374,7 @@ def test_velocities_beyond_the_limit_never_reach_a_servo_and_nothing_does_before
 
 
 def test_the_device_keeps_its_limits_against_any_bytes():
-    """The emulated servo: a goal beyond its limit is not taken, and one within it is
-    gone to by its profile.
-    """
+    """The servo refuses goals beyond its limit and approaches others by its profile."""
     servo = Emulated()
     for register, value in (
         (OPERATING_MODE, 1),

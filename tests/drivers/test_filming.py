@@ -1,6 +1,4 @@
-"""Filming a device that drops, repeats, delays, dies, disobeys: what is lost is found,
-and what is wrong refused.
-"""
+"""Filming a device that drops, repeats, delays, dies and disobeys."""
 
 import time
 from types import SimpleNamespace
@@ -45,8 +43,9 @@ def plugged(monkeypatch):
 
 
 def film(camera, sensor, seconds=0.8):
-    """A recording whose movement begins when filming does, and the sensor's time of
-    each frame in it.
+    """Film a movement that begins with the film.
+
+    Returns the recording, and the sensor's time of each frame in it.
     """
     with camera:
         sensor.film()
@@ -74,8 +73,9 @@ def test_frames_have_the_times_at_which_they_were_exposed(plugged, stamps):
 
 
 def test_the_time_that_decoding_takes_is_none_of_the_exposures(plugged):
-    """As with MJPG: now 4 ms, now 12. What the driver held before is let go although
-    that is slow to decode too.
+    """Decoding takes 4 or 12 ms, as with MJPG.
+
+    Old frames of the driver are dropped although they are slow to decode as well.
     """
     sensor = Sensor()
     sensor.decoding = lambda number: 0.004 + 0.008 * (number % 2)
@@ -168,9 +168,7 @@ def test_whatever_goes_wrong_while_a_frame_is_taken_is_told(
 def test_an_image_that_cannot_be_made_grey_ends_the_film_with_the_reason(
     plugged, monkeypatch
 ):
-    """And nobody waits for ever for room in the queue: whoever takes frames ends as
-    well.
-    """
+    """Neither thread may wait forever for the other."""
     monkeypatch.setattr(filming, "QUEUE_FRAMES", 1)
     sensor = Sensor()
     with plugged(sensor) as camera:
@@ -358,9 +356,10 @@ def test_a_folder_without_images_and_images_of_another_size_are_refused(tmp_path
 # -----------------------------------------------------------------------------------------
 
 
-def jittered(rng, jitter, heavy, lost):
-    """Numbers and times of 200 frames at 199.4 Hz: late by chance [periods], some by
-    one and a half, some lost.
+def jittered_arrivals(rng, jitter, heavy, lost):
+    """Make numbers and times of 200 frames at 199.4 Hz.
+
+    They are late at random [periods], some by one and a half, and some are lost.
     """
     n = np.flatnonzero(rng.random(200) >= lost)
     late = rng.exponential(jitter, len(n)) + 1.5 * (rng.random(len(n)) < heavy)
@@ -383,7 +382,7 @@ def test_numbers_come_back_from_jittered_times(jitter, heavy, lost, wrong):
     rng = np.random.default_rng(1)
     missed, total = 0, 0
     for _ in range(10):
-        n, t = jittered(rng, jitter, heavy, lost)
+        n, t = jittered_arrivals(rng, jitter, heavy, lost)
         found = fit_schedule(t, 0.005)
         shift = np.median(found.numbers - n)
         missed, total = missed + int((found.numbers - shift != n).sum()), total + len(n)
@@ -394,9 +393,7 @@ def test_numbers_come_back_from_jittered_times(jitter, heavy, lost, wrong):
 
 
 def test_a_counter_that_poses_as_a_clock_is_not_believed():
-    """Some backends give the frame's number times a nominal period: it hides what was
-    dropped.
-    """
+    """Stamps made of frame numbers and a nominal period would hide dropped frames."""
     t = np.delete(np.arange(100), [30, 31, 32, 33]) * 0.005
     frames = [
         Frame(5.0 + at, (k + 1) * 0.005, np.full((2, 2), k, np.uint8))
@@ -409,8 +406,9 @@ def test_a_counter_that_poses_as_a_clock_is_not_believed():
 
 @pytest.mark.parametrize("clock", [np.nan, 100.0])
 def test_late_frames_are_put_where_they_were_exposed(clock):
-    """All come 30 ms after their exposure, every fifth 13 ms later by chance of the
-    bus; late is not lost. clock: by which the source stamps them, if it does.
+    """Frames come 30 ms after their exposure, every fifth 13 ms later.
+
+    Late is not lost. clock: by which the source stamps them, if it does.
     """
     due = np.arange(40) * 0.02
     held = np.where(np.arange(40) % 5 == 3, 0.013, 0.0)

@@ -1,6 +1,4 @@
-"""Every option of conf/hardware and conf/execute is a lab, or a stage, with settings
-that it takes.
-"""
+"""Every option of conf/hardware and conf/execute has valid settings."""
 
 from pathlib import Path
 

@@ -1,6 +1,4 @@
-"""When the loop sends, how long it waits and where each limit lies, by a clock of our
-own: nothing here takes time.
-"""
+"""Times and limits of the loop, by a simulated clock."""
 
 from types import SimpleNamespace
 
@@ -21,7 +19,7 @@ LOOK = 1e-6  # [s] that a look at the clock takes
 
 @pytest.fixture
 def now(monkeypatch):
-    """The time [s], which passes only where somebody sleeps or looks at the clock."""
+    """Return the time [s], which passes only in sleeps and looks at the clock."""
     time = SimpleNamespace(now=100.0, slept=[])
 
     def monotonic():
@@ -41,8 +39,9 @@ def now(monkeypatch):
 
 
 class Timed(Script):
-    """Notes when each command was sent. late: seconds by which each answer comes after
-    its command, by its number.
+    """A wire that records when each command was sent.
+
+    late: seconds by which each answer comes after its command, by its number.
     """
 
     def __init__(self, now, late=lambda number: 0.0):
@@ -122,9 +121,7 @@ def test_nobody_waits_where_all_have_answered(now):
 
 
 def test_answers_are_looked_at_even_where_the_loop_is_late(now):
-    """Between ticks that are overdue: else silence would be told of a device that
-    answers.
-    """
+    """A loop behind its ticks must not count an answering device as silent."""
 
     def stall(answer):
         now.now += 0.02
@@ -160,9 +157,7 @@ def test_it_slows_to_rest_as_the_acceleration_asks_tick_by_tick(now, speed, tick
 
 
 def after(leap, between=0.005, **how):
-    """What the guard says where joint 3 has turned by `leap` [rad] between two answers
-    `between` [s] apart.
-    """
+    """Return the guard's reason after joint 3 turned `leap` [rad] in `between` [s]."""
     log = reserve_log(np.zeros(3), np.zeros((4, 3)), ARM.tick)
     log.device_time[:2], log.angles[:2], log.last_checked, log.last_answered = (
         [7.0, 7.0 + between],
@@ -408,10 +403,8 @@ def test_what_cannot_be_driven_by_is_refused(name):
             build_dataclass(Driving, {**block, name: value}, "driving", "here")
 
 
-def swung(share, joint=1):
-    """Angles of a joint that speeds up to a share of its limit, within its
-    acceleration.
-    """
+def swinging_angles(share, joint=1):
+    """Make angles of a joint that speeds up to a share of its limit."""
     ticks = np.concatenate([np.linspace(0, 1, 20), np.linspace(1, 0, 20)])
     angles = np.zeros((41, 3))
     angles[1:, joint] = np.cumsum(share * ARM.speed[joint] * ticks) * ARM.tick
@@ -440,25 +433,25 @@ def refused(limits, angles, workspace=ANYWHERE):
 @pytest.mark.parametrize("joint", range(3))
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_the_speed_may_be_reached_and_not_more(joint, sign):
-    assert refused(ROOMY, sign * swung(1.0005, joint)) == ()
+    assert refused(ROOMY, sign * swinging_angles(1.0005, joint)) == ()
     # as it is fastest, in tick 19
-    assert refused(ROOMY, sign * swung(1.0015, joint)) == ("arm.speed", 0.095)
+    assert refused(ROOMY, sign * swinging_angles(1.0015, joint)) == ("arm.speed", 0.095)
 
 
 def test_the_acceleration_may_be_reached_and_not_more():
     change = (
-        np.abs(np.diff(ARM.commanded_velocities(swung(0.5)), axis=0, prepend=0.0)).max()
+        np.abs(np.diff(ARM.commanded_velocities(swinging_angles(0.5)), axis=0, prepend=0.0)).max()
         / ARM.tick
     )
     for share, said in ((1.0005, ""), (1.0015, "arm.acceleration")):
-        found = refused({**ROOMY, "acceleration": (change / share,) * 3}, swung(0.5))
+        found = refused({**ROOMY, "acceleration": (change / share,) * 3}, swinging_angles(0.5))
         assert (found[0] if found else "") == said
-    late = np.concatenate([np.repeat(swung(0.5)[:1], 30, axis=0), swung(0.5)])
+    late = np.concatenate([np.repeat(swinging_angles(0.5)[:1], 30, axis=0), swinging_angles(0.5)])
     assert refused({**ROOMY, "acceleration": (change / 1.0015,) * 3}, late)[1] >= 0.150
 
 
 def test_the_hands_speed_may_be_reached_and_not_more():
-    angles = swung(0.5, joint=0)
+    angles = swinging_angles(0.5, joint=0)
     speed = ARM.commanded_velocities(angles)[:, 0].max() * ARM.reach  # outstretched
     for share, said in ((1.0005, ""), (1.0015, "arm.hand_speed")):
         found = refused({**ROOMY, "hand_speed": speed / share}, angles)
@@ -468,7 +461,7 @@ def test_the_hands_speed_may_be_reached_and_not_more():
 @pytest.mark.parametrize("end", ["lowest", "highest"])
 @pytest.mark.parametrize("joint", range(3))
 def test_the_ends_of_the_range_may_be_touched(end, joint):
-    angles = swung(0.5, joint)
+    angles = swinging_angles(0.5, joint)
     reached = angles[:, joint].min() if end == "lowest" else angles[:, joint].max()
     tight = list(ROOMY[end])
     tight[joint] = float(reached)

@@ -1,6 +1,4 @@
-"""What is no number stops an arm: every comparison of guard and start check fails safe.
-Nothing here waits for a clock.
-"""
+"""Every comparison of guard and start check fails safe for NaN, without real clocks."""
 
 import math
 import struct

@@ -1,6 +1,4 @@
-"""Rehearsals: nothing moves, or moves slowly, or only in an emulator, and nobody learns
-from it.
-"""
+"""Rehearsals move nothing, slowly, or only an emulator, and no model is updated."""
 
 from dataclasses import replace
 

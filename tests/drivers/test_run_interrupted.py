@@ -1,6 +1,4 @@
-"""Whole runs by the command line whose process is told to end while the arm moves: it
-stands, and the run goes on.
-"""
+"""Runs that are interrupted while the arm moves: it stops, and the run can resume."""
 
 import json
 import os
@@ -23,9 +21,10 @@ SMALL = (
 )
 
 
-def told_to_end(number, record, *arguments):
-    """Exit status and words of a command that gets a signal once the arm moves; record:
-    the emulator's, whose arm stands in the end.
+def interrupt_command(number, record, *arguments):
+    """Send a signal to a command once the arm moves; return exit status and output.
+
+    record: file of the emulator, whose arm stands in the end.
     """
     record.unlink(missing_ok=True)
     command = [sys.executable, "-m", "pipeline", *arguments]
@@ -49,11 +48,11 @@ def told_to_end(number, record, *arguments):
 def test_a_run_told_to_end_while_the_arm_moves_leaves_it_at_rest_and_goes_on(tmp_path):
     record, folder = tmp_path / "record", tmp_path / "run"
     asked = (*SMALL, f"hardware.record={record}", f"hydra.run.dir={folder}")
-    status, words = told_to_end(signal.SIGTERM, record, *asked)
+    status, words = interrupt_command(signal.SIGTERM, record, *asked)
     assert status == 143
     assert f"-m pipeline resume {folder}" in words.partition("begins anew with: ")[2]
     assert not (folder / "run.json").exists()
-    assert told_to_end(signal.SIGINT, record, "resume", str(folder))[0] == 130
+    assert interrupt_command(signal.SIGINT, record, "resume", str(folder))[0] == 130
     command = [sys.executable, "-m", "pipeline", "resume", str(folder)]
     subprocess.run(
         command, cwd=ROOT, env=SHARED, check=True, capture_output=True, timeout=120

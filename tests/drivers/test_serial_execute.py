@@ -1,6 +1,4 @@
-"""The execute stage on the real driver and the OpenCV camera: an emulated arm, and a
-film played to it.
-"""
+"""The execute stage with an emulated arm and a film played to the OpenCV camera."""
 
 import time
 from types import SimpleNamespace
@@ -48,7 +46,7 @@ def film(tmp_path):
 
 
 def number_in(image):
-    """The number that a frame of `film` has in bits."""
+    """Decode the number in the bits of a frame of `film`."""
     cells = image.reshape(3, 16, 4, 16).mean(axis=(1, 3)).ravel() > 100
     return int((cells * 2 ** np.arange(12)).sum())
 
@@ -93,9 +91,7 @@ def test_a_trial_comes_back_whole_and_on_one_clock(port, film):
 
 
 def test_the_camera_is_told_when_the_arm_began_to_move(port, film, monkeypatch):
-    """Not when it was asked to: pings and checks lie between, and differ from cast to
-    cast.
-    """
+    """Pings and checks between request and motion differ in length."""
     sent, told = [], []
     send = SerialWire.send
 

@@ -1,6 +1,4 @@
-"""Frames and the state machine of the device, byte by byte and without any clock but
-the test's own.
-"""
+"""Frames and state machine of the device, byte by byte, by the test's clock."""
 
 import pytest
 from rig import ARM

@@ -1,6 +1,4 @@
-"""The loop that drives any wire, on a scripted one: every reason to stop, and how it
-stops.
-"""
+"""The velocity loop on a scripted wire: every reason to stop, and how it stops."""
 
 import gc
 import os
@@ -18,9 +16,7 @@ from stringcast.stages.execute.interfaces import HardwareError
 
 
 class Script:
-    """A wire whose arm follows perfectly, until `spoil` says otherwise of an answer
-    (None: it is lost).
-    """
+    """A wire with a perfect arm, until `spoil` changes an answer (None: lost)."""
 
     name, watchdog = "script", 0.025
 
@@ -200,9 +196,7 @@ def test_the_loop_leaves_the_process_as_it_found_it(priority):
 
 
 def test_angles_have_the_time_in_the_middle_of_the_quickest_exchanges():
-    """2 ms there and back; every second answer is held up for 6 ms more, which says
-    nothing of the clocks.
-    """
+    """Every second answer is 6 ms late, which must not shift the clock."""
     log = reserve_log(np.zeros(3), np.zeros((40, 3)), 0.005)
     log.sent, log.speeds_sent, log.angles = log.due, log.commanded, np.zeros((40, 3))
     log.device_time = 7.0 + log.sent + 0.001

@@ -1,6 +1,4 @@
-"""Logs of arms and tables of trackers, as others write them, become the dataset that
-they are of.
-"""
+"""Logs of arms and tables of trackers become the dataset that they record."""
 
 import re
 from math import pi
@@ -77,8 +75,9 @@ def sample():
 
 
 def logs(folder, sample, clock=81.0, **how):
-    """The robot's log in ms and degrees and the tracker's in s and mm, a pair of files
-    a trial; their paths.
+    """Write the robot's log (ms, degrees) and the tracker's (s, mm) for each trial.
+
+    Returns the paths of both.
     """
     for number, (arm, tips) in enumerate(sample, 8):
         robot = pd.DataFrame(
@@ -102,9 +101,7 @@ def logs(folder, sample, clock=81.0, **how):
 def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(
     sample, called, tmp_path, monkeypatch
 ):
-    """Degrees, ms and mm by the names of columns; clocks 81 s apart by the motion;
-    nothing else was said.
-    """
+    """Units come from the columns' names, clocks 81 s apart from the motion."""
     # which takes most of the time
     monkeypatch.setattr(
         "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
@@ -161,9 +158,7 @@ def test_the_tutorial_goes_as_its_page_says(called, tmp_path, monkeypatch):
 def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(
     sample, called, tmp_path, monkeypatch
 ):
-    """Names say nothing: millimetres, degrees and y down are seen from arm and string,
-    one after another.
-    """
+    """Millimetres, degrees and y down are detected from arm and string."""
     # which takes most of the time
     monkeypatch.setattr(
         "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
@@ -293,8 +288,9 @@ def test_names_of_a_person_come_first_with_sign_and_shift(tmp_path):
 
 
 def test_numbers_say_what_names_do_not(tmp_path):
-    """Times by their steps, angles by how far they turn; dates are seconds; a tracker's
-    guesses count for nothing.
+    """Times are scaled by their steps, angles by their range.
+
+    Dates become seconds; guesses of a tracker are not valid.
     """
     arm = table(
         tmp_path,
@@ -362,9 +358,7 @@ def test_deeplabcut_and_optitrack_are_known_by_their_first_line(tmp_path):
 
 
 def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_path):
-    """Two links of 0.3 m, outstretched to the right; points hang 0.1, 0.2 and 0.3 m
-    below the hand.
-    """
+    """Two links of 0.3 m point right; points hang 0.1, 0.2 and 0.3 m below the hand."""
     arm = table(tmp_path, "arm.csv", t=T, q1=0.0, q2=0.0)
     hung = {
         f"p{n}_{axis}": 0.6 if axis == "x" else -depth

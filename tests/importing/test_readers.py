@@ -1,6 +1,4 @@
-"""Files that other programs write, made by their own packages or in their layout, are
-read as what they hold.
-"""
+"""Files of other programs, made by their packages or in their layout, are read."""
 
 import json
 import pickle
@@ -36,7 +34,7 @@ POINT = (
 
 
 def lerobot(folder, names):
-    """A dataset in LeRobot's layout, version 2.1: two episodes."""
+    """Write a dataset of two episodes in LeRobot's layout, version 2.1."""
     features = {"observation.state": {"dtype": "float32", "shape": [3], "names": names}}
     features |= {"action": {"dtype": "float32", "shape": [3], "names": names}}
     features |= {

@@ -1,6 +1,4 @@
-"""Rows of measured tables: what cannot be used is left out and counted, CSV says the
-same as Parquet.
-"""
+"""Unusable rows are excluded and counted; CSV gives the same as Parquet."""
 
 import numpy as np
 import pandas as pd

@@ -96,9 +96,7 @@ def test_the_same_content_has_the_same_bytes_and_hash_whenever_and_wherever(
 def test_a_file_is_hashed_piece_by_piece_as_it_was_hashed_whole(
     points, tmp_path, monkeypatch
 ):
-    """Origins on people's disks hold hashes of whole files: pieces of any size must
-    give the same.
-    """
+    """Stored origins hold hashes of whole files; pieces must give the same."""
     store.save(points, tmp_path / "a", {"seed": 1})
     (tmp_path / "a" / "film.mp4").write_bytes(bytes(range(256)) * 9)
     whole = hashlib.sha256()
@@ -121,9 +119,7 @@ def test_a_file_is_hashed_piece_by_piece_as_it_was_hashed_whole(
 def test_everything_is_on_the_disk_before_it_has_its_name(
     points, tmp_path, monkeypatch
 ):
-    """A power cut after the name appears must find the content: files and folders are
-    synced before the rename.
-    """
+    """Files and folders are synced before the rename, in case of a power cut."""
     done = []
     true_sync, true_rename = os.fsync, os.replace
     monkeypatch.setattr(
@@ -221,9 +217,7 @@ def test_images_just_written_are_given_from_memory_once_and_then_read():
 
 
 def test_the_only_whole_copy_is_never_tidied_away(tmp_path, monkeypatch):
-    """A kill between the two renames of a replacement leaves the old one under its
-    other name alone.
-    """
+    """A kill between two renames leaves the old copy under its other name only."""
     path, kept = tmp_path / "a.txt", tmp_path / ".a.txt.0123abcd.replaced"
     kept.write_text("the only one")
 
