@@ -13,7 +13,7 @@ FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
 
 @dataclass(frozen=True)
 class Box:
-    """An upright rectangle.
+    """A rectangle with sides along x and y, such as a target or an obstacle.
 
     Parameters
     ----------

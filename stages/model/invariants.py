@@ -94,7 +94,7 @@ class Dissipative(Invariant):
         return float(max(-power.min(), 0.0) / max(np.abs(power).max(), 1e-300))
 
 
-def odd(law: str, *names: str) -> Invariant:
+def is_odd(law: str, *names: str) -> Invariant:
     """Declare that the value changes sign with these arguments, all together."""
     return Equivariant(
         law,
@@ -104,7 +104,7 @@ def odd(law: str, *names: str) -> Invariant:
     )
 
 
-def even(law: str, *names: str) -> Invariant:
+def is_even(law: str, *names: str) -> Invariant:
     """Declare that the value stays when these arguments change sign, all together."""
     return Equivariant(
         law,
@@ -140,7 +140,7 @@ def rotates_with(law: str, *vectors: str) -> Invariant:
     vectors: names less their x and y.
     """
 
-    def before(arguments: LawArguments) -> LawArguments:
+    def move_arguments(arguments: LawArguments) -> LawArguments:
         rotated = {}
         for name in vectors:
             x, y = f"{name}x", f"{name}y"
@@ -150,7 +150,7 @@ def rotates_with(law: str, *vectors: str) -> Invariant:
     return Equivariant(
         law,
         f"{law} knows no direction",
-        before,
+        move_arguments,
         lambda value, arguments: np.stack(_rotate(*value)),
     )
 
@@ -195,7 +195,7 @@ def rotates_about_centre(law: str) -> Invariant:
         x, y = np.moveaxis(points - centre, -1, 0)
         return centre + np.stack(_rotate(x, y), axis=-1)
 
-    def before(arguments: LawArguments) -> LawArguments:
+    def move_arguments(arguments: LawArguments) -> LawArguments:
         centre = arguments["camera"].centre
         return {
             "points": rotate_about(arguments["points"], centre),
@@ -205,7 +205,7 @@ def rotates_about_centre(law: str) -> Invariant:
     return Equivariant(
         law,
         f"{law} knows no direction",
-        before,
+        move_arguments,
         lambda value, arguments: rotate_about(value, arguments["camera"].centre),
     )
 

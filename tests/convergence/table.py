@@ -1,5 +1,6 @@
-"""Prints the tables of convergence of stages/model/README.md: `python -m
-tests.convergence.table`.
+"""Print the tables of convergence of the page on the model.
+
+Run `python -m tests.convergence.table`.
 """
 
 from __future__ import annotations
@@ -71,12 +72,12 @@ def tip(string: String, named: dict, hand: HandMotion = HAND) -> np.ndarray:
 
 
 def off(string: String, named: dict, exact: np.ndarray) -> float:
-    """Largest distance from the exact tip at any time [mm]."""
+    """Return the largest distance from the exact tip at any time [mm]."""
     return 1e3 * np.linalg.norm(tip(string, named) - exact, axis=-1).max()
 
 
 def cost(string: String, named: dict) -> float:
-    """Milliseconds for `CANDIDATES` strings, the best of five."""
+    """Return the milliseconds for `CANDIDATES` strings, the best of five."""
     values = np.repeat(string.values(named)[None], CANDIDATES, axis=0)
 
     def once() -> float:
@@ -162,9 +163,10 @@ def by_tolerance() -> list[list[str]]:
 
 
 def paper_motions(letter: str) -> Iterator[HandMotion]:
-    """What the paper's generator finds for a string at each of its targets, from four
-    seeds: the first motion of an experiment, by the smallest parameters, and one by the
-    true ones.
+    """Yield the motions that the paper's generator finds for a string.
+
+    Of each of its targets, from four seeds: the first motion of an experiment, by the
+    smallest parameters, and one by the true ones.
     """
     true = KnownString({"parameter_values": specimen(letter)})
     paper = yaml.safe_load(Path("conf/experiment/paper.yaml").read_text())
@@ -219,7 +221,7 @@ def by_motion() -> list[list[str]]:
 
 
 def _converged(hand: HandMotion, named: dict) -> np.ndarray:
-    """The tip of infinitely many points."""
+    """Return the tip of infinitely many points."""
     meshes = (115, 1e-4), (229, 5e-5)
     return richardson_limit(
         *(
@@ -230,8 +232,9 @@ def _converged(hand: HandMotion, named: dict) -> np.ndarray:
 
 
 def check() -> list[list[str]]:
-    """The reference of `by_step` against an explicit method of fourth order, where that
-    is practical.
+    """Compare the reference of `by_step` with an explicit method of fourth order.
+
+    Only where that is practical.
     """
     rows = []
     for points, kind in ((10, "A"), (25, "A"), (25, "D, limp")):

@@ -1,6 +1,4 @@
-"""The accuracy that is asked for is the accuracy that is got, and no dearer than
-needed.
-"""
+"""The mesh chosen for a tolerance keeps it, and is no finer than needed."""
 
 from dataclasses import replace
 

@@ -81,8 +81,9 @@ def test_second_order_in_the_number_of_points():
 
 
 def test_a_damped_string_in_a_clamp_is_of_second_order_too():
-    """Its half cell beside the clamp is damped as the rest is, although a clamp that
-    does not turn damps nothing.
+    """Its half cell beside the clamp is damped as the rest is.
+
+    Although a clamp that does not turn damps nothing.
     """
     settings = {
         "tip_cell": 0.5,

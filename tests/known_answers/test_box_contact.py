@@ -1,6 +1,4 @@
-"""A box that the string touches: potential, bounce, rest, friction, and the ledger of a
-string swung against it.
-"""
+"""A box that the string touches: potential, bounce, rest, friction and energy."""
 
 import numpy as np
 import pytest
@@ -18,7 +16,7 @@ STIFFNESS = 2e4
 
 
 def depth(x, y, box=BOX):
-    """d with 1/d^2 = 1/a^2 + 1/b^2."""
+    """Return the depth d with 1/d^2 = 1/a^2 + 1/b^2."""
     a = np.maximum(box["width"] / 2 - np.abs(x - box["centre_x"]), 0.0)
     b = np.maximum(box["height"] / 2 - np.abs(y - box["centre_y"]), 0.0)
     return a * b / np.hypot(np.hypot(a, b), 1e-30)
@@ -35,7 +33,7 @@ def pushed(x, y, vx=0.0, vy=0.0, stiffness=STIFFNESS, friction=0.0, loss=0.0):
 
 
 def thrown(start, end, gravity=0.0, **how):
-    """A mass point's state (x, y, vx, vy) at the end [s]."""
+    """Return a mass point's state (x, y, vx, vy) at the time `end` [s]."""
 
     def law(_, y):
         return np.concatenate([y[2:], pushed(*y, **how) + [0.0, -gravity]])
@@ -88,8 +86,9 @@ WAYS = {
 
 @pytest.mark.parametrize("side", WAYS)
 def test_a_bounce_off_a_side_gives_back_what_it_took(side):
-    """Mirrored but for what the edge 20 mm away turns: 1.5 mm deep, the way along the
-    side changes by 0.03 m/s.
+    """It is mirrored but for what the edge 20 mm away turns.
+
+    1.5 mm deep, the way along the side changes by 0.03 m/s.
     """
     start, mirror = WAYS[side]
     end = thrown(start, 0.01, stiffness=1e6)
@@ -100,8 +99,9 @@ def test_a_bounce_off_a_side_gives_back_what_it_took(side):
 
 @pytest.mark.parametrize("side", WAYS)
 def test_with_loss_it_leaves_as_slowly_as_hunt_and_crossley_say(side):
-    """v dv / (1 - a v) over the depth integrates to logarithms; along the side nothing
-    is lost.
+    """The integral of v dv / (1 - a v) over the depth gives logarithms.
+
+    Along the side nothing is lost.
     """
     start, mirror = WAYS[side]
     across = int(np.argmin(mirror))
@@ -133,11 +133,10 @@ def test_a_bounce_off_an_edge_gives_back_what_it_took(offset):
 
 
 def test_steps_across_an_edge_keep_energy_to_second_order():
-    """Semi-implicit steps, as the engine's, of points aimed at an edge: the push has no
-    jump anywhere on their way.
+    """Semi-implicit steps, as the engine's, of points aimed at an edge.
 
-    With the true distance for the depth the error fell by 2.0 a halving, and was 5
-    times larger at 0.1 ms.
+    The push has no jump anywhere on their way. With the true distance for the depth
+    the error fell by 2.0 a halving, and was 5 times larger at 0.1 ms.
     """
     rng = np.random.default_rng(0)
     beside, turn, speed = (
@@ -159,7 +158,7 @@ def test_steps_across_an_edge_keep_energy_to_second_order():
 
 
 def test_a_mass_dropped_on_top_rests_at_the_depth_of_its_weight():
-    """g / k, to the share 2 (depth / half the width)^2 = 0.05 %."""
+    """Its depth is g / k, to the share 2 (depth / half the width)^2 = 0.05 %."""
     end = thrown([0.3, -0.149, 0.0, 0.0], 6.0, gravity=9.81, loss=0.5)
     assert -0.15 - end[1] == pytest.approx(9.81 / STIFFNESS, rel=2e-3)
     assert np.abs(end[2:]).max() < 1e-3
@@ -189,8 +188,9 @@ LIMP = {
 
 
 def swung(boxes, t, **how):
-    """An undamped string of 10 points whose hand moves 0.2 m sideways in 0.25 s and
-    stops, (F, n, 2) [m].
+    """Simulate an undamped string of 10 points, (F, n, 2) [m].
+
+    Its hand moves 0.2 m sideways in 0.25 s and stops.
     """
     effects = [numbered_effect(BoxContact, i) for i in range(len(boxes))]
     string = String(
@@ -216,8 +216,9 @@ def swung(boxes, t, **how):
 
 
 def ledger(points, t, boxes, stiffness):
-    """Energy over the mass of a point: of speed, height, stretch, bending and depth,
-    (F,) [m^2/s^2].
+    """Return the energy over the mass of a point, (F,) [m^2/s^2].
+
+    Of speed, height, stretch, bending and depth.
     """
     velocity = np.gradient(points, t, axis=0)
     segment = np.diff(points, axis=1)
@@ -243,12 +244,11 @@ def ledger(points, t, boxes, stiffness):
     ids=lambda how: next(iter(how), "neither"),
 )
 def test_a_string_swung_between_two_boxes_stays_outside_and_gains_no_energy(how):
-    """Its middle hangs up on one, its tip bounces off the other; neither is deeper than
-    speed over frequency.
+    """Its middle hangs up on one box, its tip bounces off the other.
 
-    Without loss the ledger holds to 1.1e-4 m^2/s^2 where the boxes store 0.2 and the
-    swing has 10, velocities being differences over 0.1 ms. With loss or friction it
-    never rises again.
+    Neither is deeper than speed over frequency. Without loss the energy holds to 1.1e-4
+    m^2/s^2 where the boxes store 0.2 and the swing has 10, velocities being differences
+    over 0.1 ms. With loss or friction it never rises again.
     """
     stiffness = 1e5
     upper = {"centre_x": 0.33, "centre_y": -0.14, "width": 0.1, "height": 0.08}

@@ -1,6 +1,4 @@
-"""A string that begins elsewhere than stated moves as one of its own length that is
-held where it begins.
-"""
+"""A string that begins elsewhere moves as one held where it begins."""
 
 import numpy as np
 import pytest
@@ -41,8 +39,9 @@ SECOND_ORDER = {
 
 
 def hand(along=0.0, across=0.0):
-    """A swing of a body, at a place fixed to it: poses and rates from its own motion,
-    (1, K, 3).
+    """Return a swing of a body, at a place fixed to it, (1, K, 3).
+
+    Poses and rates are from its own motion.
     """
     theta, spin = -1.2 + 0.6 * np.sin(8 * T), 4.8 * np.cos(8 * T)
     arm = np.stack(
@@ -86,8 +85,9 @@ def values(string, **more):
 
 @pytest.mark.parametrize("hidden", [0.012, -0.006])
 def test_a_hidden_length_is_a_longer_string_held_further_up(hidden):
-    """To 1 um at the tip; between, as its curve through the points of the longer one
-    says.
+    """To 1 um at the tip.
+
+    Between, as its curve through the points of the longer one says.
     """
     along, across = 0.002, -0.003
     clamp = {"clamp.hidden": hidden, "clamp.along": along, "clamp.across": across}
@@ -108,8 +108,9 @@ def test_a_hidden_length_is_a_longer_string_held_further_up(hidden):
 
 
 def test_a_straight_string_passes_through_the_stated_grasp():
-    """It hangs down from 10 mm above; points are where they would be without, but for
-    the stretch.
+    """It hangs down from 10 mm above.
+
+    Points are where they would be without, but for the stretch.
     """
     string = clamped()
     still = HandMotion(
@@ -137,8 +138,9 @@ def test_a_clamp_changes_nothing_beside_it():
 
 
 def test_what_is_told_along_the_string_is_told_from_where_it_begins():
-    """A density that falls to the tip, a set, a hanging weight: as in the longer
-    string.
+    """Density that falls to the tip, rest curvature and a hanging weight.
+
+    They act as in the longer string.
     """
     laws = {
         "density_taper.change": -0.3,
@@ -155,11 +157,10 @@ def test_what_is_told_along_the_string_is_told_from_where_it_begins():
 
 
 def test_a_motion_goes_on_from_a_state_that_is_told_from_the_stated_grasp():
-    """Held firmly, and begun from where it is after 0.1 s: its tip is 0.29 mm off, 64
-    mm without the hidden part.
+    """Held firmly, and started from its state after 0.1 s.
 
-    What is hidden is known from how the string leaves it and from the clamp: bent
-    evenly.
+    Its tip is 0.29 mm off, 64 mm without the hidden part, whose shape follows from how
+    the string leaves it and from the clamp: bent evenly.
     """
     string = clamped(points=29)
     firm = {"grasp_stiffness": 500.0}

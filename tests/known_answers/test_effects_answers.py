@@ -1,5 +1,6 @@
-"""Each effect against an answer known from elsewhere. All in one model with every
-effect, one of them present.
+"""Each effect against a known answer.
+
+All in one model with every effect, one of them present.
 """
 
 from dataclasses import replace
@@ -67,7 +68,7 @@ def at_rest(named, theta=-np.pi / 2, points=41, **settings):
 
 
 def swinging(named, offset, t, points=41, theta=-np.pi / 2):
-    """A string whose grasp moves sideways, (F, n, 2) [m]."""
+    """Simulate a string whose grasp moves sideways, (F, n, 2) [m]."""
     string = String(
         LENGTH, points=points, effects=(*PAPER_EFFECTS, *MANY), **SECOND_ORDER
     )
@@ -102,8 +103,9 @@ def test_a_weight_at_the_tip_slows_a_pendulum(ratio):
 
 @pytest.mark.parametrize("taper", [-1.2, 1.2])
 def test_a_tapered_chain_swings_at_its_own_frequency(taper):
-    """(T x')' + omega^2 rho x = 0, T the weight beyond, by Ritz with polynomials that
-    vanish at the grasp.
+    """(T x')' + omega^2 rho x = 0, T the weight beyond.
+
+    By Ritz with polynomials that vanish at the grasp.
     """
     powers = np.arange(1, 9)
     rho = lambda z: 1 + taper * (z - 0.5)  # noqa: E731
@@ -125,7 +127,7 @@ def test_a_tapered_chain_swings_at_its_own_frequency(taper):
 
 
 def test_wind_holds_a_limp_string_at_an_angle():
-    """tan of the angle from the vertical is (C_c1 + C_c2 w) w / g."""
+    """The tangent of the angle from the vertical is (C_c1 + C_c2 w) w / g."""
     wind, c1, c2 = 1.7, 2.0, 0.5
     angles, _ = at_rest(
         LIMP | {"linear_drag": c1, "quadratic_drag": c2, "wind.along_x": wind}
@@ -163,8 +165,10 @@ def test_a_stiff_string_with_a_set_rests_on_a_circle(curvature):
 
 @pytest.mark.parametrize("hardening", [-1e-3, 2e-3])
 def test_a_string_that_stiffens_hangs_as_the_elastica_with_its_law(hardening):
-    """Clamped level: dM/ds = -g (L - s) cos(theta), kappa'(s) from the slope of the
-    law. A clamped first segment of the chain is a rod clamped at its middle.
+    """Clamped level: dM/ds = -g (L - s) cos(theta).
+
+    kappa'(s) is from the slope of the law. A clamped first segment of the chain is a
+    rod clamped at its middle.
     """
     stiffness, first = 30.0 * PER_LENGTH**2, LENGTH / 240
 
@@ -202,8 +206,9 @@ def test_a_string_that_stiffens_hangs_as_the_elastica_with_its_law(hardening):
 
 @pytest.mark.parametrize("hardening", [-5e-3, -3e-4, 5e-3])
 def test_bending_moments_never_fall_however_soft_the_string_becomes(hardening):
-    """Softening comes near to stiffness / (2 sqrt(-hardening)): a string that yields,
-    and buckles nowhere.
+    """Softening comes near to stiffness / (2 sqrt(-hardening)).
+
+    A string that yields, and buckles nowhere.
     """
     k = np.arange(200.0)
     moment = k * (1 + NonlinearBending.hinge_stiffness(k, 1.0, hardening))
@@ -226,8 +231,9 @@ def test_bending_moments_never_fall_however_soft_the_string_becomes(hardening):
 def test_a_steep_moment_costs_an_implicit_step_nothing_and_is_what_small_steps_make_of_it(
     name, value
 ):
-    """A swing with what would ask for 5 to 8 times the steps if it were explicit; noise
-    is 0.7 mm.
+    """A swing that would need 5 to 8 times the steps if it were explicit.
+
+    Noise is 0.7 mm.
     """
     t = np.arange(0, 1.0, 0.005)
     pose = np.stack(
@@ -314,8 +320,9 @@ FLOOR = {"contact.stiffness": 2e4, "contact.height": -0.2}
 
 
 def test_a_floor_carries_what_lies_on_it():
-    """The floor's push is the weight of the string less what still hangs from the hand,
-    L - 0.2 to a few per cent.
+    """The floor pushes with the weight of the string that lies on it.
+
+    That is all but what still hangs from the hand, L - 0.2 to a few per cent.
     """
     angles, lengths = at_rest(
         LIMP | FLOOR | {"bending_stiffness": 0.05, "grasp_stiffness": 0.01},
@@ -331,8 +338,9 @@ def test_a_floor_carries_what_lies_on_it():
 
 
 def test_the_engine_leaves_a_string_on_the_floor_alone():
-    """Statics and dynamics know the same floor. (A string straight above it would
-    stand, but not for long.)
+    """Statics and dynamics know the same floor.
+
+    (A string straight above it would stand, but not for long.)
     """
     t = np.linspace(0, 0.3, 61)
     named = (
@@ -353,8 +361,9 @@ def test_the_engine_leaves_a_string_on_the_floor_alone():
 
 @pytest.mark.parametrize(("loss", "tilt"), [(0.0, 0.0), (0.3, 0.0), (0.0, 1.1)])
 def test_a_bounce_gives_back_what_it_took_and_never_more(loss, tilt):
-    """A mass on the plane: without loss it leaves as fast as it came, with loss slower,
-    as Hunt and Crossley say.
+    """A mass on the plane leaves without loss as fast as it came.
+
+    With loss it is slower, as Hunt and Crossley say.
     """
     normal = np.array([-np.sin(tilt), np.cos(tilt)])
     given = {"dt": 0.0, "stiffness": 2e4, "height": 0.1, "friction": 0.0, "loss": loss}
@@ -383,8 +392,9 @@ def test_a_bounce_gives_back_what_it_took_and_never_more(loss, tilt):
 def test_friction_brakes_a_hard_impact_by_its_share_and_turns_no_slide_round(
     dt, within
 ):
-    """At any step: a mass loses friction times the 20 m/s that the plane gives it, or
-    all it has.
+    """At any step a mass loses friction times the impulse of the plane.
+
+    That is friction times 20 m/s, or all the speed that it has.
     """
     given = {
         "dt": dt,
@@ -408,8 +418,9 @@ def test_friction_brakes_a_hard_impact_by_its_share_and_turns_no_slide_round(
 
 
 def test_a_string_dropped_on_a_floor_gains_no_energy():
-    """The engine's own steps: the hand is lowered, and height, speed, bending and floor
-    together never rise again.
+    """The engine's own steps, while the hand is lowered.
+
+    Height, speed, bending and floor together never rise again.
     """
     t = np.arange(0, 1.0, 0.001)
     string = String(LENGTH, effects=(*PAPER_EFFECTS, *MANY), points=10)
@@ -477,7 +488,7 @@ def test_lag_is_the_differential_equation_of_first_order(constant):
 
 
 def test_a_ramp_is_followed_at_a_distance():
-    """u - y = v tau (1 - exp(-t / tau)), two candidates side by side."""
+    """The distance u - y is v tau (1 - exp(-t / tau)), two candidates side by side."""
     ramp = np.maximum(T - 0.1, 0)[None, :, None] * np.ones(3) * 2.0
     real = ArmLag.joints(T, ramp, np.array([0.01, 0.05])[:, None, None])
     behind = ramp[:, -1, 0] - real[:, -1, 0]
@@ -485,8 +496,9 @@ def test_a_ramp_is_followed_at_a_distance():
 
 
 def test_a_hand_that_lags_arrives_while_it_rests():
-    """From its log's last sample on it nears its goal as exp(-t / tau), and no log is
-    made longer than it takes.
+    """From its log's last sample on it nears its goal as exp(-t / tau).
+
+    No log is made longer than it takes.
     """
     pose = np.stack([0.3 * T**2, 0 * T, 0 * T], axis=-1)
     motion = resample_hand_motion(T, pose)
@@ -506,8 +518,9 @@ def test_a_hand_that_lags_arrives_while_it_rests():
 
 
 def test_play_leaves_a_joint_where_it_is_at_reversals():
-    """It turns half its gap less to either side, and stands still over a whole gap
-    after each reversal.
+    """It turns half its gap less to either side.
+
+    It stands still over a whole gap after each reversal.
     """
     wave, gaps = 0.2 * np.sin(2 * np.pi * T), (0.06, 0.0, 0.02)
     joints = Backlash.joints(
@@ -678,8 +691,9 @@ def test_a_rolled_camera_turns_the_picture_about_its_middle():
 
 
 def test_a_rolling_shutter_shears_a_line_that_moves_sideways():
-    """And is right for points that cross rows: it sees each where it is when its row is
-    exposed.
+    """Each point is seen where it is when its row is exposed.
+
+    That is right for points that cross rows, too.
     """
     law = effects_by_name()["rolling_shutter"].seen
     readout, stamped = np.full((1, 1, 1, 1), 0.01), np.full((1, 1, 1, 1), 0.25)
@@ -709,8 +723,9 @@ def test_a_rolling_shutter_shears_a_line_that_moves_sideways():
 
 
 def test_the_camera_knows_how_fast_the_string_goes():
-    """A rolling shutter is the string at the moments of its rows, to second order in
-    the readout.
+    """A rolling shutter shows the string at the moments of its rows.
+
+    To second order in the readout.
     """
     model, known, motion = views("rolling_shutter")
     t = np.linspace(0.1, 0.9, 9)
@@ -746,8 +761,9 @@ def test_more_mass_points_are_nearer_to_the_string():
 
 
 def test_the_last_of_equal_points_is_half_a_segment_too_much():
-    """A chain of Eq. 1 is one with half a point at its end, and the excess of its
-    number of points: mass and drag.
+    """A chain of Eq. 1 is one with half a point at its end.
+
+    Its excess is that of its number of points: mass and drag.
     """
     equal, known, motion = views()
     half = replace(equal, string=replace(equal.string, tip_cell=0.5)).with_effects(

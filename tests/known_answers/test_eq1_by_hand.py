@@ -35,9 +35,7 @@ WIDE = (
 
 
 def simulated(values):
-    """Positions at the ticks (K, n, 2) by the engine, and the path of the hand at its
-    steps.
-    """
+    """Return positions at the ticks, (K, n, 2), and the hand at its steps."""
     steps, _ = steps_per_tick(STRING, STRING.material(values[None]), hand_motion().tick)
     points = simulate(STRING, hand_motion(), values[None], TIMES).points[0, :-1]
     assert np.isfinite(points).all()

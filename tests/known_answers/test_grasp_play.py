@@ -1,5 +1,6 @@
-"""A stiff rod between jaws that hold it by dry friction: it hangs freely, and swings
-down evenly.
+"""A stiff rod between jaws that hold it by dry friction.
+
+It hangs freely, and swings down evenly.
 """
 
 import numpy as np
@@ -46,7 +47,7 @@ HELD = String(
 
 
 def still(theta):
-    """A hand that rests in this direction for 3 s, and when it is looked at."""
+    """Return a hand that rests in this direction for 3 s, and its times."""
     t = np.arange(0, 3.0, 0.005)
     return resample_hand_motion(t, np.stack([0 * t, 0 * t, 0 * t + theta], axis=-1)), t
 
@@ -59,8 +60,9 @@ def test_it_hangs_at_rest_as_if_nothing_held_it():
 
 
 def test_it_swings_down_by_as_much_from_swing_to_swing():
-    """W (cos b - cos a) = cap (a + b - 2 slip) from one end a of a swing to the next,
-    b: nearly a straight line.
+    """W (cos b - cos a) = cap (a + b - 2 slip) from one end a to the next, b.
+
+    That is nearly a straight line.
     """
     cap, slip, start = 0.02 * WEIGHT, 1e-3, 0.35
     hand, t = still(-np.pi / 2)

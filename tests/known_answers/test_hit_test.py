@@ -64,8 +64,9 @@ def test_a_slow_camera_can_see_a_hit():
 
 
 def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
-    """A straight string of three points sweeps to the right; a wall stands where it
-    passes at t = 0.05.
+    """A straight string of three points sweeps to the right.
+
+    A wall stands where it passes at t = 0.05.
     """
     t = np.arange(0, 0.1, 0.005)
     x = 0.5 + 4 * (t - 0.08)
@@ -88,8 +89,9 @@ def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
 
 
 def crossing(moment):
-    """A tip that enters the box between the fine times 94 and 95, and a string that
-    touches an obstacle at a moment.
+    """Return a string whose tip enters the box between two fine times, 94 and 95.
+
+    It touches an obstacle at a given moment.
     """
     t = np.arange(201) * 0.0005
     rows = pd.DataFrame(

@@ -65,8 +65,9 @@ def test_a_stiff_string_sags_like_a_cantilever():
 
 @pytest.mark.parametrize("lean", [0.0, 0.2])
 def test_from_a_hand_that_points_up_a_string_hangs_on_the_side_it_turns_to(lean):
-    """On either, though one is the longer way: of a hand as far off to the other side
-    it is the mirror image.
+    """On either side, though one is the longer way.
+
+    Of a hand as far off to the other side it is the mirror image.
     """
     string, named = (
         String(0.3, points=31, **SECOND_ORDER),
@@ -111,8 +112,9 @@ def test_a_limp_string_hangs_straight_down_whatever_the_grasp():
 @pytest.mark.parametrize("points", [10, 25, 60])
 @pytest.mark.parametrize("theta", [-np.pi / 2, 0.4, 1.5, 3.0])
 def test_the_engine_leaves_the_equilibrium_alone(points, theta, integrator):
-    """Statics and dynamics are written apart: neither may know a force the other does
-    not.
+    """Statics and dynamics are written apart.
+
+    Neither may know a force that the other does not.
     """
     string = String(0.3, points=points, integrator=integrator)
     t = np.linspace(0, 0.3, 61)
@@ -129,7 +131,7 @@ SLOPE = {"contact.height": -0.1, "contact.tilt": 0.3}
 
 
 def against(plane: dict, hardness: float, bending: float = 4.0) -> dict:
-    """A string that leaves the hand to the right, and a plane in its way."""
+    """Name the values of a string that leaves to the right, with a plane in its way."""
     return (
         STIFF
         | {
@@ -147,8 +149,9 @@ def against(plane: dict, hardness: float, bending: float = 4.0) -> dict:
 def test_the_engine_leaves_a_string_alone_that_leans_on_something(
     points, plane, hardness
 ):
-    """Something as hard as a table gives way by less than a string stretches: the rest
-    was not found, and it fell.
+    """A thing as hard as a table gives way by less than a string stretches.
+
+    Statics must balance it, or the string would fall.
     """
     string = String(
         0.3,
@@ -169,8 +172,9 @@ def test_the_engine_leaves_a_string_alone_that_leans_on_something(
 
 
 def test_a_floor_carries_what_the_hand_does_not():
-    """A limp string under a hand 0.2 m above the floor: what lies on it presses with
-    its weight, and hardly sinks in.
+    """A limp string hangs under a hand 0.2 m above the floor.
+
+    What lies on the floor presses with its weight, and hardly sinks in.
     """
     string = String(0.3, points=61, effects=(*PAPER_EFFECTS, Contact), **SECOND_ORDER)
     named = against(FLOOR | {"contact.height": -0.2}, 1e7, bending=0.05)

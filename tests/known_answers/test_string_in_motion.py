@@ -23,7 +23,7 @@ QUIET = {
 
 
 def nudged(t: np.ndarray, offset: np.ndarray) -> HandMotion:
-    """A grasp that points down and moves sideways by `offset`."""
+    """Return the motion of a grasp that points down and moves sideways."""
     return resample_hand_motion(
         t, np.stack([offset, 0 * t, 0 * t - np.pi / 2], axis=-1)
     )
@@ -87,8 +87,9 @@ def test_air_brings_a_falling_string_to_terminal_speed():
 
 
 def test_the_hinge_at_the_grasp_stays_continuous_through_full_turns():
-    """A hand that turns three times winds up the hinge no differently at any multiple
-    of pi.
+    """A hand that turns three times winds up the hinge evenly.
+
+    Nothing is different at a multiple of pi.
     """
     string = String(0.3, points=10)
     named = QUIET | {
@@ -114,8 +115,9 @@ def test_the_hinge_at_the_grasp_stays_continuous_through_full_turns():
 
 
 def energy(string: String, points: np.ndarray, dt: float, named: dict) -> np.ndarray:
-    """Kinetic, elastic, bending and potential energy of all points over the mass of one
-    [J/kg], (F,).
+    """Return the energy over the mass of one point, (F,) [J/kg].
+
+    Kinetic, elastic, bending and potential energy of all points.
     """
     velocity = np.gradient(points, dt, axis=0)
     segment = np.diff(points, axis=1)
@@ -196,8 +198,9 @@ def test_runs_that_do_not_stay_finite_are_rejected_and_leave_the_others_alone():
 
 
 def test_what_is_lost_later_does_not_matter_before():
-    """A candidate is told by its own times alone, however long others beside it are
-    simulated.
+    """A candidate is judged by its own times alone.
+
+    Others beside it may be simulated for longer.
     """
     t = np.arange(0, 1.5, 0.005)
     hand, string = nudged(t, np.where(t < 1.0, 0.02 * np.sin(6 * t), 1e5)), String(0.3)

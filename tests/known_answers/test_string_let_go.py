@@ -1,6 +1,4 @@
-"""Strings that begin displaced and in motion, against mechanics and against a motion
-they are taken from.
-"""
+"""Strings that start displaced and moving, against mechanics and other motions."""
 
 from dataclasses import replace
 
@@ -71,8 +69,9 @@ def state_of(points, number, tick=T[1]):
     "integrator", [SemiImplicitEuler(), RungeKutta4(), ImplicitLeapfrog()]
 )
 def test_a_rod_let_go_swings_as_a_pendulum(integrator, speed):
-    """phi = a cos(w t) + b / w sin(w t), w^2 = (3 / 2) g / L, for a thin rod; 0.7 % off
-    at most, as its frequency is.
+    """The angle is a cos(w t) + b / w sin(w t), w^2 = (3 / 2) g / L.
+
+    Of a thin rod; it is 0.7 % off at most, as its frequency is.
     """
     string = replace(FINE, points=20, integrator=integrator)
     start = StringState(
@@ -104,8 +103,9 @@ def test_a_motion_goes_on_from_any_of_its_states(integrator):
 
 
 def test_a_step_begins_where_its_velocities_are():
-    """Steps of 0.5 ms and twice that: second order, 2.8 and 8.6 um off; 295 and 540
-    without the half step back.
+    """Steps of 0.5 ms and twice that are of second order.
+
+    They are 2.8 and 8.6 um off; 295 and 540 without the half step back.
     """
     hand, values = resample_hand_motion(T, HELD), FINE.values(SOFT)[None]
     start = StringState(
@@ -120,8 +120,9 @@ def test_a_step_begins_where_its_velocities_are():
 
 
 def test_the_state_is_of_the_cameras_clock():
-    """A camera whose clock is off sees the same release, at the same times of its own;
-    the hand moves at others.
+    """A camera whose clock is off sees the same release.
+
+    At the same times of its own clock; the hand moves at others.
     """
     model = Model(FINE, None, None).with_effects(TimeOffset)
     start = StringState(0.3, np.array([0.0, 0.3]), np.array([-1.5, -0.8]), np.zeros(2))

@@ -1,5 +1,6 @@
-"""Every effect of the library through what it declares: invariants, zero, units,
-gradient, words, picture.
+"""Every effect of the library keeps what it declares.
+
+Invariants, zero, units, gradient, words, picture.
 """
 
 import re
@@ -130,8 +131,9 @@ def drawn(parameter: Parameter, rng: np.random.Generator, size: int) -> np.ndarr
 
 
 def arguments_of_string(effect, rng):
-    """Samples of all a law can take: its slot's arguments, the paper's parameters, its
-    own.
+    """Sample all that a law can take.
+
+    Its slot's arguments, the paper's parameters, its own.
     """
     sizes = {
         "curvature": 30.0,
@@ -155,7 +157,7 @@ def arguments_of_string(effect, rng):
 
 
 def arguments_elsewhere(effect, rng):
-    """Samples of a motion, of frame times and of points in view, a candidate a sample."""
+    """Sample a motion, frame times and points in view, one sample a candidate."""
     t = np.arange(60) * 0.005
     wave = np.cumsum(np.cumsum(rng.normal(size=(1, 60, 3)), axis=1), axis=1) * 0.02
     known = {"t": t, "angles": wave, "pose": wave, "times": t[:4], "camera": CAMERA}
@@ -180,7 +182,7 @@ def samples(effect, seed):
 
 
 def law_of(effect, name):
-    """The law as a function of all samples, its value an array."""
+    """Return the law as a function of all samples, its value an array."""
     law = effect.laws()[name]
     return lambda known: np.asarray(law(**{a: known[a] for a in law_arguments(law)}))
 
@@ -245,8 +247,9 @@ ELSEWHERE = {
 
 
 def exponents(unit: str) -> np.ndarray:
-    """Powers of metre and second in a unit like 'N s2/(m kg)'; mass cancels in all of
-    ours.
+    """Return the powers of metre and second in a unit like 'N s2/(m kg)'.
+
+    Mass cancels in all of ours.
     """
     known = {
         "m": (1, 0, 0),
@@ -318,8 +321,9 @@ def test_laws_do_not_depend_on_the_units_they_are_measured_in(effect, law):
 
 @pytest.fixture(scope="module")
 def swung(arm, camera):
-    """A swing seen by the plain model and by one with every effect; both at the base
-    values.
+    """Simulate a swing by the plain model and by one with every effect.
+
+    Both at the base values.
     """
     plain = Model(String(0.3), arm, camera)
     motion = swing()
@@ -340,8 +344,9 @@ def test_absent_is_present_with_zero(swung):
     "parameter", [e.qualified_name(p) for e in ADDED for p in e.parameters]
 )
 def test_every_parameter_moves_the_string_smoothly(swung, parameter):
-    """Central differences in exponents at a tenth of the range agree with those of half
-    the step, and are not zero.
+    """Central differences in exponents agree with those of half the step.
+
+    The step is a tenth of the range; differences are not zero.
     """
     _, full, motion, t = swung
     place = full.names.index(parameter)
@@ -363,8 +368,9 @@ def test_every_parameter_moves_the_string_smoothly(swung, parameter):
 
 
 def test_strings_with_every_effect_at_once_stay_finite(swung):
-    """Anywhere in all ranges, on a floor and a box below the hand: the step's bound
-    covers every force at work.
+    """Anywhere in all ranges, on a floor and a box below the hand.
+
+    The step's bound covers every active force.
     """
     _, full, motion, t = swung
     rng = np.random.default_rng(0)
@@ -395,7 +401,9 @@ def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swung):
             [full.string.values(NAMED | some | place) for place in (behind, before)]
         )
     )
-    steps, possible = steps_per_tick(*full.string.without_absent_effects(material), 5e-3)
+    steps, possible = steps_per_tick(
+        *full.string.without_absent_effects(material), 5e-3
+    )
     assert possible.all()
     assert steps[0] == steps[1]
 
@@ -425,7 +433,7 @@ def test_effects_speak_and_draw(effect):
     ("stiffness", "said"), [(140.0, "sinks 70 mm into it"), (1e5, "turned 0 degrees")]
 )
 def test_a_plane_that_nobody_would_call_one_is_said_to_be_soft(stiffness, said):
-    """m g = k d."""
+    """A mass sinks to the depth d with m g = k d."""
     known = {"stiffness": stiffness, "height": -0.2, "tilt": 0.0}
     assert LIBRARY["contact"].describe(known).endswith(said)
 
@@ -448,19 +456,26 @@ def test_parameters_have_bounds_around_their_absence(effect):
 
 
 def test_arguments_of_laws_are_known():
-    """A law may take its slot's arguments, the paper's parameters, its own, and what it
-    derives.
+    """A law may take arguments of four kinds.
+
+    Its slot's, the paper's parameters, its own, and what it derives.
     """
     for effect, law in LAWS:
         if law in SLOTS:
             own = {p.name: p.start for p in effect.parameters}
-            known = {*SLOTS[law].arguments, *PAPER, *own, *effect.derive_parameters(**own)}
+            known = {
+                *SLOTS[law].arguments,
+                *PAPER,
+                *own,
+                *effect.derive_parameters(**own),
+            }
             assert set(law_arguments(effect.laws()[law])) <= known, effect.name
 
 
 def test_effects_act_as_they_stand_in_the_world_whatever_is_named_first(swung):
-    """Gears play behind the motor: where that turns 10 % too far, a joint is half its
-    gap behind the end, not 0.55.
+    """Gears play behind the motor.
+
+    Where that turns 10 % too far, a joint is half its gap behind the end, not 0.55.
     """
     plain, _, motion, _ = swung
     gain, play = LIBRARY["joint_gain"], LIBRARY["backlash"]
@@ -468,7 +483,9 @@ def test_effects_act_as_they_stand_in_the_world_whatever_is_named_first(swung):
     for named in ((gain, play), (play, gain)):
         model = plain.with_effects(*named)
         known = NAMED | {"joint_gain.gain": 0.1, "backlash.gap_1": 0.1}
-        ends.append(model.joint_motion(motion, model.values(known)[None]).angles[0, -1, 0])
+        ends.append(
+            model.joint_motion(motion, model.values(known)[None]).angles[0, -1, 0]
+        )
     turned = np.ptp(motion.angles[0, :, 0])
     np.testing.assert_allclose(
         ends, motion.angles[0, 0, 0] + 1.1 * turned - 0.05, atol=1e-12

@@ -1,6 +1,4 @@
-"""The step loop that is compiled for the paper's string, as one can read it, and which
-loops there are besides.
-"""
+"""The generated step loops: their text, and which of them are compiled."""
 
 import ast
 from itertools import combinations
@@ -8,8 +6,8 @@ from itertools import combinations
 import numpy as np
 
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
-from stringcast.stages.model.engine.kernel_codegen import generate_source
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.kernel_codegen import generate_source
 from stringcast.stages.model.engine.print_loop import main as print_loop
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
@@ -21,8 +19,9 @@ from stringcast.stages.model.string import (
 
 
 def test_the_loop_can_be_printed(capsys):
-    """The printed text is a Python module: the compiled loop for the paper's forces and
-    the effects named.
+    """The printed text is a Python module.
+
+    The compiled loop for the paper's forces and the effects named.
     """
     print_loop([])
     paper = capsys.readouterr().out
@@ -47,9 +46,7 @@ def test_effects_without_a_memory_share_a_loop_and_those_with_one_have_their_own
             for string in strings
         ]
         return {
-            generate_source(
-                each.effects, each.row_names, each.integrator
-            )
+            generate_source(each.effects, each.row_names, each.integrator)
             for each in looped
         }
 
@@ -64,8 +61,9 @@ def test_effects_without_a_memory_share_a_loop_and_those_with_one_have_their_own
 
 
 def test_what_is_compiled_together_changes_nothing_where_it_is_absent(monkeypatch):
-    """Four effects of a size each, and the other three: in the loop of all, and in
-    loops of their own.
+    """Four effects of a size each, and the other three absent.
+
+    In the loop of all, and in loops of their own.
     """
     times = np.arange(0, 0.5, 0.005)
     wave = 0.3 * np.sin(2 * np.pi * times / 0.5) ** 2

@@ -11,8 +11,9 @@ PARAMETERS = {
 
 
 def test_units_in_the_kernel_are_those_of_equation_1():
-    """At n = 10 a law's material form gives back the paper's force per unit mass of a
-    mass point.
+    """At n = 10 a law's material form is the paper's force.
+
+    Per unit mass of a mass point.
     """
     string = String(0.3)
     values = string.values(PARAMETERS)

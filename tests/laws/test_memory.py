@@ -1,6 +1,4 @@
-"""Laws with memory: what a hinge holds by hand, on any path, and in the string whoever
-integrates it.
-"""
+"""Laws with memory: by hand, on any path, and in a string of any integrator."""
 
 from dataclasses import replace
 
@@ -49,8 +47,9 @@ FINE = np.concatenate(
 
 
 def moments(name, path, lapse=1e-3, **values):
-    """Moment along a path of curvatures or angles that begins straight, a step of time
-    `lapse` each.
+    """Return the moments along a path of curvatures or angles.
+
+    It begins straight; each step takes the time `lapse`.
     """
     laws, held, found = effects_by_name()[name].laws(), 0.0, []
     state, moment = next(
@@ -207,8 +206,9 @@ def test_a_string_moves_the_same_whoever_integrates_it(name, arm, motion):
 
 
 def test_a_string_that_hangs_at_rest_holds_nothing(arm):
-    """It hangs as without friction, and stays there: begun in equilibrium, or let go
-    where that is.
+    """It hangs as without friction, and stays there.
+
+    Started in equilibrium, or released there.
     """
     model = ordinary(arm).with_effects(effects_by_name()["maxwell_slip"])
     still = resample_joint_motion(
@@ -232,8 +232,9 @@ def test_a_string_that_hangs_at_rest_holds_nothing(arm):
 
 
 def test_pulled_aside_within_its_slip_a_string_is_only_stiffer(arm):
-    """A string that begins elsewhere was pulled there slowly: while it sticks, a stop
-    adds cap / slip to the stiffness.
+    """A string that begins elsewhere was pulled there slowly.
+
+    While it sticks, a stop adds cap / slip to the stiffness.
     """
     string = ordinary(arm).with_effects(effects_by_name()["maxwell_slip"]).string
     down = HandMotion(
@@ -291,8 +292,9 @@ def test_laws_take_what_their_slots_give():
 
 
 def test_several_of_a_kind_are_named_by_numbers(arm):
-    """Two slips side by side are one of their sum where they slip at the same
-    curvature.
+    """Two slips in parallel are one of their sum.
+
+    Where they slip at the same curvature.
     """
     both = ordinary(arm).with_effects(*find_effects(["maxwell_slip", "maxwell_slip_2"]))
     assert {"maxwell_slip.cap", "maxwell_slip_2.cap"} <= set(both.names)

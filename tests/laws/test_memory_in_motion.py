@@ -1,5 +1,6 @@
-"""Laws with memory in motion: against mechanics, against a rod that somebody else
-integrates, and at smaller steps.
+"""Laws with memory in motion.
+
+Against mechanics, an independent integration of a rod, and smaller steps.
 """
 
 from dataclasses import replace
@@ -45,8 +46,9 @@ FREQUENCY = np.sqrt(STIFFNESS / SEGMENT**4)
 
 
 def let_go(string, material, shape, t, theta=0.0):
-    """Points (F, n, 2) of a string that is let go from the angles of its segments,
-    before a hand at rest at 0.
+    """Return the points (F, n, 2) of a string released from given angles.
+
+    Before a hand at rest at 0.
     """
     hand = HandMotion(
         0.0, 0.005, np.tile([0.0, 0.0, theta], (1, len(t), 1)), np.zeros((1, len(t), 3))
@@ -79,7 +81,7 @@ def bent(named, curvature, seconds=2.0, string=HINGE):
 
 
 def turns(t, x):
-    """Times and sizes of the extremes, by parabolas through three points."""
+    """Find times and sizes of the extremes, by parabolas through three points."""
     at = 1 + np.flatnonzero((x[1:-1] - x[:-2]) * (x[2:] - x[1:-1]) < 0)
     before, here, after = x[at - 1], x[at], x[at + 1]
     share = 0.5 * (before - after) / (before - 2 * here + after)
@@ -88,8 +90,9 @@ def turns(t, x):
 
 @pytest.mark.parametrize("name", ["maxwell_slip", "dahl_friction"])
 def test_under_a_cap_swings_become_smaller_by_as_much_each_time(name):
-    """By 2 cap / stiffness, less what the slip curvature gives back: energy from one
-    end of a swing to the next.
+    """By 2 cap / stiffness, less what the slip curvature gives back.
+
+    From the energy at one end of a swing and the next.
     """
     start, cap, slip = 6.0, 0.25 * STIFFNESS, 0.02
     t, curvature = bent({f"{name}.cap": cap, f"{name}.slip": slip}, start, 4.0)
@@ -106,8 +109,9 @@ def test_under_a_cap_swings_become_smaller_by_as_much_each_time(name):
 
 
 def test_a_hinge_that_sticks_swings_faster_than_one_that_slips():
-    """With K = 3 B twice as fast; a swing of a hundred times the slip curvature is as
-    slow as without.
+    """With K = 3 B it is twice as fast.
+
+    A swing of a hundred times the slip curvature is as slow as without.
     """
     slip = 0.05
     named = {"maxwell_slip.cap": 3 * STIFFNESS * slip, "maxwell_slip.slip": slip}
@@ -186,9 +190,10 @@ def stop(rate, held, limit):
 
 
 def rates(theta, named):
-    """Of angles of three massless links with points at their ends (3), their rates (3),
-    and what two hinges (2, 2, 2) and the grasp hold (1): Lagrange's equations in the
-    links' angles.
+    """Return the rates of a rod's state by Lagrange's equations in the links' angles.
+
+    Of angles of three massless links with points at their ends (3), their rates (3),
+    and the memory of two hinges (2, 2, 2) and of the grasp (1).
     """
     length = LENGTH / 3
     carried = length * np.arange(3, 0, -1)  # [m] mass at and beyond each link's end
@@ -233,8 +238,9 @@ def rates(theta, named):
 
 
 def independent(shape, t, theta, named):
-    """Tip (F, 2) of the rod, pulled slowly from rest to these angles of its links and
-    let go.
+    """Return the tip (F, 2) of the rod, integrated independently.
+
+    It was pulled slowly from rest to these angles of its links and released.
     """
     change = rates(theta, named)
     rest = fsolve(
@@ -262,8 +268,9 @@ def independent(shape, t, theta, named):
 
 @pytest.mark.parametrize("law", [*MEMORY, "all"])
 def test_a_rod_that_somebody_else_integrates_moves_the_same(law):
-    """Within 0.05 mm, of which most is the stretch that it lacks; what is held moves
-    the tip by more than 5 mm.
+    """Within 0.05 mm, of which most is the stretch that it lacks.
+
+    Memory moves the tip by more than 5 mm.
     """
     absent = (
         HELD
@@ -322,8 +329,9 @@ class CreepingSlip(StringEffect):
 def test_a_law_with_memory_is_one_file_of_which_twelve_lines_are_the_law(
     tmp_path, monkeypatch
 ):
-    """Nothing else is edited: it is found, runs, is absent at zero, and takes from a
-    swing.
+    """Nothing else is edited.
+
+    It is found, runs, is absent at zero, and damps a swing.
     """
     assert len([line for line in LAW.splitlines() if line.strip()]) <= 12
     (tmp_path / "creeping_slip.py").write_text(FILE)

@@ -10,7 +10,7 @@ from stringcast.stages.model.effect import (
     Values,
     brakes,
     draw_line,
-    odd,
+    is_odd,
     rotates_with,
     vanishes_at_zero,
 )
@@ -42,7 +42,7 @@ class AirDrag(StringEffect):
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_c"
     invariants = (
-        odd("load", "ux", "uy"),
+        is_odd("load", "ux", "uy"),
         rotates_with("load", "u"),
         vanishes_at_zero("load", "ux", "uy"),
         brakes("load", "ux", "uy"),

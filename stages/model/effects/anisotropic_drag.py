@@ -10,7 +10,7 @@ from stringcast.stages.model.effect import (
     Values,
     brakes,
     draw_line,
-    odd,
+    is_odd,
     rotates_with,
     vanishes_at_zero,
 )
@@ -35,7 +35,7 @@ class AnisotropicDrag(StringEffect):
         "along and across a cylinder"
     )
     invariants = (
-        odd("load", "ux", "uy"),
+        is_odd("load", "ux", "uy"),
         rotates_with("load", "u", "t"),
         vanishes_at_zero("load", "ux", "uy"),
         brakes("load", "ux", "uy"),

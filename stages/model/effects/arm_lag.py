@@ -8,7 +8,7 @@ from stringcast.stages.model.effect import (
     Parameter,
     Quantity,
     Values,
-    odd,
+    is_odd,
     shifts_with,
 )
 
@@ -28,9 +28,9 @@ class ArmLag(HandEffect):
     )
     reference = "Response of a first-order system to a polynomial"
     invariants = (
-        odd("joints", "angles"),
+        is_odd("joints", "angles"),
         shifts_with("joints", "angles"),
-        odd("grasp", "pose"),
+        is_odd("grasp", "pose"),
         shifts_with("grasp", "pose"),
     )
 

@@ -5,7 +5,7 @@ from stringcast.stages.model.effect import (
     Quantity,
     StringEffect,
     Values,
-    odd,
+    is_odd,
     resists,
     vanishes_at_zero,
 )
@@ -29,7 +29,7 @@ class AxialDamper(StringEffect):
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_d"
     invariants = (
-        odd("tension", "rate"),
+        is_odd("tension", "rate"),
         vanishes_at_zero("tension", "rate"),
         resists("tension"),
     )

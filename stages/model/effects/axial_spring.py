@@ -5,7 +5,7 @@ from stringcast.stages.model.effect import (
     Quantity,
     StringEffect,
     Values,
-    odd,
+    is_odd,
     vanishes_at_zero,
 )
 
@@ -30,7 +30,7 @@ class AxialSpring(StringEffect):
         ),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_s"
-    invariants = (odd("tension", "stretch"), vanishes_at_zero("tension", "stretch"))
+    invariants = (is_odd("tension", "stretch"), vanishes_at_zero("tension", "stretch"))
 
     @staticmethod
     def describe(values: Values) -> str:

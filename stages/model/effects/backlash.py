@@ -7,7 +7,7 @@ from stringcast.stages.model.effect import (
     Parameter,
     Quantity,
     Values,
-    odd,
+    is_odd,
     shifts_with,
 )
 
@@ -31,7 +31,7 @@ class Backlash(HandEffect):
         "Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989): the play "
         "operator"
     )
-    invariants = (odd("joints", "angles"), shifts_with("joints", "angles"))
+    invariants = (is_odd("joints", "angles"), shifts_with("joints", "angles"))
 
     @staticmethod
     def describe(values: Values) -> str:

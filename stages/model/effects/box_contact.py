@@ -9,7 +9,7 @@ from stringcast.stages.model.effect import (
     StringEffect,
     Values,
     draw_line,
-    odd,
+    is_odd,
     vanishes_at_zero,
 )
 from stringcast.stages.model.effects.contact import Contact
@@ -50,7 +50,7 @@ class BoxContact(StringEffect):
     reference = Contact.reference
     invariants = (
         vanishes_at_zero("load", "stiffness"),
-        odd("load", "x", "y", "vx", "vy", "centre_x", "centre_y"),
+        is_odd("load", "x", "y", "vx", "vy", "centre_x", "centre_y"),
     )
     # no curvature of the potential is above that behind a side, k
     bound = staticmethod(Contact.bound)

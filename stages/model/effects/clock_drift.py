@@ -2,7 +2,13 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import ClockEffect, Parameter, Quantity, Values, odd
+from stringcast.stages.model.effect import (
+    ClockEffect,
+    Parameter,
+    Quantity,
+    Values,
+    is_odd,
+)
 
 
 class ClockDrift(ClockEffect):
@@ -23,7 +29,7 @@ class ClockDrift(ClockEffect):
         ),
     )
     reference = "Change of the unit of time"
-    invariants = (odd("times", "t"),)
+    invariants = (is_odd("times", "t"),)
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -5,8 +5,8 @@ from stringcast.stages.model.effect import (
     Quantity,
     StringEffect,
     Values,
+    is_odd,
     moment_percent_of_weight,
-    odd,
 )
 
 
@@ -35,8 +35,8 @@ class DahlFriction(StringEffect):
     )
     reference = "Dahl, Solid friction damping of mechanical vibrations (1976)"
     invariants = (
-        odd("hinge_memory", "memory", "change"),
-        odd("hinge_memory_moment", "memory"),
+        is_odd("hinge_memory", "memory", "change"),
+        is_odd("hinge_memory_moment", "memory"),
     )
 
     @staticmethod

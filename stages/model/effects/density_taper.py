@@ -5,7 +5,7 @@ from stringcast.stages.model.effect import (
     Quantity,
     StringEffect,
     Values,
-    odd,
+    is_odd,
 )
 
 
@@ -27,7 +27,7 @@ class DensityTaper(StringEffect):
         ),
     )
     reference = "Newton's second law for a string of uneven density"
-    invariants = (odd("density", "taper"),)
+    invariants = (is_odd("density", "taper"),)
 
     @staticmethod
     def describe(values: Values) -> str:

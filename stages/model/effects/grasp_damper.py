@@ -5,7 +5,7 @@ from stringcast.stages.model.effect import (
     Quantity,
     StringEffect,
     Values,
-    odd,
+    is_odd,
     resists,
     vanishes_at_zero,
 )
@@ -29,7 +29,7 @@ class GraspDamper(StringEffect):
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_phc"
     invariants = (
-        odd("grasp_moment", "rate"),
+        is_odd("grasp_moment", "rate"),
         vanishes_at_zero("grasp_moment", "rate"),
         resists("grasp_moment"),
     )

@@ -7,8 +7,8 @@ from stringcast.stages.model.effect import (
     Quantity,
     StringEffect,
     Values,
+    is_odd,
     moment_percent_of_weight,
-    odd,
 )
 
 
@@ -40,8 +40,8 @@ class GraspPlay(StringEffect):
         "dynamic response (1966)"
     )
     invariants = (
-        odd("grasp_memory", "memory", "change"),
-        odd("grasp_memory_moment", "memory"),
+        is_odd("grasp_memory", "memory", "change"),
+        is_odd("grasp_memory_moment", "memory"),
     )
 
     @staticmethod

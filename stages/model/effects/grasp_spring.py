@@ -5,7 +5,7 @@ from stringcast.stages.model.effect import (
     Quantity,
     StringEffect,
     Values,
-    odd,
+    is_odd,
     vanishes_at_zero,
 )
 
@@ -31,7 +31,7 @@ class GraspSpring(StringEffect):
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_ph"
     invariants = (
-        odd("grasp_moment", "angle"),
+        is_odd("grasp_moment", "angle"),
         vanishes_at_zero("grasp_moment", "angle"),
     )
 

@@ -5,7 +5,7 @@ from stringcast.stages.model.effect import (
     Quantity,
     StringEffect,
     Values,
-    odd,
+    is_odd,
     vanishes_at_zero,
 )
 
@@ -30,7 +30,10 @@ class HingeSpring(StringEffect):
         ),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_b"
-    invariants = (odd("moment", "curvature"), vanishes_at_zero("moment", "curvature"))
+    invariants = (
+        is_odd("moment", "curvature"),
+        vanishes_at_zero("moment", "curvature"),
+    )
 
     @staticmethod
     def describe(values: Values) -> str:

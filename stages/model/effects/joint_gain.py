@@ -7,7 +7,7 @@ from stringcast.stages.model.effect import (
     Parameter,
     Quantity,
     Values,
-    odd,
+    is_odd,
     shifts_with,
 )
 
@@ -30,7 +30,7 @@ class JointGain(HandEffect):
         ),
     )
     reference = "Scale error of an encoder or a gear"
-    invariants = (odd("joints", "angles"), shifts_with("joints", "angles"))
+    invariants = (is_odd("joints", "angles"), shifts_with("joints", "angles"))
 
     @staticmethod
     def describe(values: Values) -> str:

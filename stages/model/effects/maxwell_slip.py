@@ -5,8 +5,8 @@ from stringcast.stages.model.effect import (
     Quantity,
     StringEffect,
     Values,
+    is_odd,
     moment_percent_of_weight,
-    odd,
 )
 
 
@@ -38,8 +38,8 @@ class MaxwellSlip(StringEffect):
         "dynamic response (1966)"
     )
     invariants = (
-        odd("hinge_memory", "memory", "change"),
-        odd("hinge_memory_moment", "memory"),
+        is_odd("hinge_memory", "memory", "change"),
+        is_odd("hinge_memory_moment", "memory"),
     )
 
     @staticmethod

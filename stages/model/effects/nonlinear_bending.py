@@ -9,7 +9,7 @@ from stringcast.stages.model.effect import (
     StringEffect,
     Values,
     draw_line,
-    even,
+    is_even,
     vanishes_at_zero,
 )
 
@@ -38,7 +38,7 @@ class NonlinearBending(StringEffect):
         "properties"
     )
     invariants = (
-        even("hinge_stiffness", "curvature"),
+        is_even("hinge_stiffness", "curvature"),
         vanishes_at_zero("hinge_stiffness", "curvature"),
     )
 

@@ -8,7 +8,7 @@ from stringcast.stages.model.effect import (
     Parameter,
     Quantity,
     Values,
-    odd,
+    is_odd,
 )
 
 
@@ -24,7 +24,7 @@ class PixelScale(CameraEffect):
         Parameter("excess", "1", "reported over true size, less 1", -0.1, 0.1, 0.0),
     )
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
-    invariants = (odd("observe", "points"),)
+    invariants = (is_odd("observe", "points"),)
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -9,7 +9,7 @@ from stringcast.stages.model.effect import (
     StringEffect,
     Values,
     draw_line,
-    odd,
+    is_odd,
 )
 
 
@@ -39,7 +39,7 @@ class RestCurvature(StringEffect):
         "Antman, Nonlinear Problems of Elasticity (2005), 4.1: intrinsic curvature of "
         "a rod"
     )
-    invariants = (odd("rest_curvature", "curvature", "slope"),)
+    invariants = (is_odd("rest_curvature", "curvature", "slope"),)
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -5,7 +5,7 @@ from stringcast.stages.model.effect import (
     Quantity,
     StringEffect,
     Values,
-    odd,
+    is_odd,
 )
 
 
@@ -33,8 +33,8 @@ class StandardLinearSolid(StringEffect):
         "Viscoelasticity (1982), 1.6"
     )
     invariants = (
-        odd("hinge_memory", "memory", "change"),
-        odd("hinge_memory_moment", "memory"),
+        is_odd("hinge_memory", "memory", "change"),
+        is_odd("hinge_memory_moment", "memory"),
     )
 
     @staticmethod

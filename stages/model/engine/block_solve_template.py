@@ -1,5 +1,6 @@
-"""The solve of the implicit leapfrog, as a template (Jinja) of the text that runs after
-each pass.
+"""The solve of the implicit leapfrog, as a template (Jinja).
+
+Its text runs after each pass.
 
 `implicit_leapfrog.py` derives the matrix, which couples a point to two neighbours on
 each side. It is eliminated from the grasp to the tip in blocks of two by two, then

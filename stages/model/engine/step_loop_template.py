@@ -1,10 +1,12 @@
-"""The step loop of one set of effects and one integrator, as a template (Jinja) of a
-Python module for Numba.
+"""The step loop of one set of effects and one integrator, as a template.
+
+A template (Jinja) of a Python module for Numba.
 
 `kernel_codegen.generate_source` fills it in with
 
 - `laws`: the laws of the effects as text (`law_source.LawSource`),
-- `integrator`: the time step (`integrators.Integrator`), and `solve`, what it does after each pass,
+- `integrator`: the time step (`integrators.Integrator`),
+- `solve`: what the integrator does after each pass,
 - `rows`: number of each row of a mass point, by name,
 - `lanes`: candidates side by side.
 
