@@ -20,7 +20,7 @@ NAME_PATTERN = re.compile(r"[a-z][a-z0-9_]*")
 EFFECT_TEMPLATE = '''\
 """Say in a line what is so: here the whole string is pulled to the right."""
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero
+from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, vanishes_at_zero
 
 
 class {Name}(StringEffect):
@@ -31,14 +31,14 @@ class {Name}(StringEffect):
         Parameter("strength", "m/s2", "steady pull to the right, over mass", -2.0, 2.0, 0.0),
     )
     reference = "Where the law is from"
-    invariants = (nothing_at_zero("acceleration", "strength"),)  # tests hold it to these; others: invariants.py
+    invariants = (vanishes_at_zero("acceleration", "strength"),)  # tests hold it to these; others: invariants.py
 
     @staticmethod
     def describe(values: Values) -> str:
         return f"the string is pulled to the right with {{values['strength']:.3f}} m/s2"
 
     @staticmethod
-    def acceleration(strength: Quantity) -> tuple[Quantity, Quantity]:  # one of the slots in slots.py
+    def acceleration(strength: Quantity) -> tuple[Quantity, Quantity]:  # one of the slots in engine/law_slots.py
         return strength, 0.0 * strength
 '''
 STAGE_TEMPLATE = '''\
