@@ -1,4 +1,4 @@
-"""Shared helpers of stages: progress, robust scatter, and tracks of places on a string."""
+"""Helpers of stages: progress, robust scatter, and tracks of places on a string."""
 
 from __future__ import annotations
 
@@ -10,85 +10,92 @@ import numpy as np
 Progress = Callable[[float], object]  # called with the share of a stage that is done
 # standard deviation over median magnitude, of a normal distribution
 MAD_TO_SIGMA = 1.4826
-# [m] points of two frames so near along the string are of one place
+# points of two frames that lie so close along the string belong to one place
 PLACE_WIDTH_M = 1e-3
-FULL_TRACK_SHARE = 0.9  # of the frames have no more points than a full one
-# of the steps along a place's way that take as many frames as those before them, where
-# places are fixed
+FULL_FRAME_QUANTILE = 0.9  # of the frames' numbers of points
+# share of a place's steps that span as many frames as the step before, from which
+# places are taken to be fixed
 REPEATED_SHARE = 0.3
 
 
 @dataclass(frozen=True)
 class SettingsGroup:
-    """Settings that belong together: an argument of a stage's function whose fields are
-    settings of the stage's block, side by side with its others.
+    """Settings that belong together.
+
+    It is an argument of a stage's function. Its fields are settings of the stage's
+    group, next to the others.
     """
 
 
 class InterruptRequest(KeyboardInterrupt):
-    """Raised in a stage when whoever waits for it interrupts it: it may end with what
-    it knows and say so, or let this pass.
-    """
+    """A request to end a stage, which may return what it has and say so."""
 
 
 def partial_progress(progress: Progress, number: int, count: int) -> Progress:
-    """The progress of one of so many parts that take as long as each other."""
+    """Map the progress of one of `count` equally long parts to that of the whole."""
     return lambda share: progress((number + share) / count)
 
 
 def mad_sigma(values: np.ndarray, axis: int | None = None) -> np.ndarray:
-    """Robust standard deviation about zero, of all values (...) or along an axis, from
-    their median magnitude.
+    """Estimate the standard deviation about zero from the median magnitude.
+
+    It is that of all values of any shape, or along an axis, in their unit.
     """
     return MAD_TO_SIGMA * np.asarray(np.median(np.abs(values), axis=axis), dtype=float)
 
 
 def rms(values: np.ndarray) -> float:
-    """Root mean square of values of any shape, in their unit; NaN of none."""
-    return (
-        float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else float("nan")
-    )
+    """Compute the root mean square of values of any shape; NaN of none."""
+    if not np.size(values):
+        return float("nan")
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def track_places(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
-    """Indices of the points of each place, in the order of time, at most one a frame.
+    """Track places on the string through the frames.
 
-    frame: (N,) number of each point's frame, in order. s: (N,) its arc length [m], in
-    order within a frame. Where points were measured at other places in every frame,
-    places are as many as a full frame has points.
+    Where points were measured at other places in every frame, there are as many places
+    as a full frame has points.
+
+    Parameters
+    ----------
+    frame : (N,) array of int
+        Number of each point's frame, in order.
+    s : (N,) array
+        Arc length of each point [m], in order within a frame.
+
+    Returns
+    -------
+    list of arrays of int
+        Numbers of the points of each place in the order of time, at most one a frame.
     """
-    apart = np.diff(s)[np.diff(frame) == 0]  # of neighbours in a frame
-    apart = apart[apart > 0]
-    # of a place that is the same in all frames
-    width = (
-        min(PLACE_WIDTH_M, float(np.median(apart)) / 2) if apart.size else PLACE_WIDTH_M
-    )
+    spacing = np.diff(s)[np.diff(frame) == 0]
+    spacing = spacing[spacing > 0]
+    width = PLACE_WIDTH_M
+    if spacing.size:
+        width = min(width, float(np.median(spacing)) / 2)
     fixed = _binned_tracks(frame, s, width)
-    # in a full frame
-    most = (
-        int(np.quantile(np.unique(frame, return_counts=True)[1], FULL_TRACK_SHARE))
-        if len(frame)
-        else 0
-    )
-    # places that are fixed come again regularly
-    gaps = [np.diff(frame[track]) for track in fixed]
-    same = (
-        np.concatenate([gap[1:] == gap[:-1] for gap in gaps])
-        if gaps
-        else np.zeros(0, bool)
-    )
-    if (
-        most < 2
-        or np.ptp(s) <= PLACE_WIDTH_M
-        or (same.size > 0 and float(np.mean(same)) > REPEATED_SHARE)
-    ):
+
+    # fixed places recur at regular intervals
+    regular: list[bool] = []
+    for track in fixed:
+        interval = np.diff(frame[track])
+        regular.extend(interval[1:] == interval[:-1])
+    if regular and np.mean(regular) > REPEATED_SHARE:
         return fixed
-    return _binned_tracks(frame, s, float(np.ptp(s)) / (most - 1))
+    point_counts = np.unique(frame, return_counts=True)[1]
+    if not len(point_counts) or np.ptp(s) <= PLACE_WIDTH_M:
+        return fixed
+    full_count = int(np.quantile(point_counts, FULL_FRAME_QUANTILE))
+    if full_count < 2:
+        return fixed
+    return _binned_tracks(frame, s, float(np.ptp(s)) / (full_count - 1))
 
 
 def places_wander(s: np.ndarray, tracks: Sequence[np.ndarray]) -> bool:
-    """Whether points are measured at other places in every frame. tracks: as `tracked`
-    finds them.
+    """Decide whether points were measured at other places in every frame.
+
+    s: (N,) arc lengths [m]. tracks: from `track_places`.
     """
     return any(np.ptp(s[track]) > PLACE_WIDTH_M for track in tracks)
 
@@ -96,21 +103,41 @@ def places_wander(s: np.ndarray, tracks: Sequence[np.ndarray]) -> bool:
 def points_at_arc_lengths(
     frame: np.ndarray, s: np.ndarray, points: np.ndarray, places: np.ndarray
 ) -> np.ndarray:
-    """Positions (F, M, 2) [m] of arc lengths (M,) [m] in each frame, between its points
-    (N, 2) [m]; NaN beyond its ends.
+    """Interpolate each frame's points at given arc lengths.
+
+    Parameters
+    ----------
+    frame : (N,) array of int
+        Number of each point's frame.
+    s : (N,) array
+        Arc length of each point [m].
+    points : (N, 2) array
+        Positions [m].
+    places : (M,) array
+        Arc lengths at which positions are wanted [m].
+
+    Returns
+    -------
+    (F, M, 2) array
+        Positions in each frame [m]; NaN beyond its outermost points.
     """
     result = np.full((int(frame.max()) + 1, len(places), 2), np.nan)
     for number, line in enumerate(result):
-        now = frame == number
+        is_here = frame == number
         for axis in range(2):
+            coordinate = points[is_here, axis]
             line[:, axis] = np.interp(
-                places, s[now], points[now, axis], left=np.nan, right=np.nan
+                places, s[is_here], coordinate, left=np.nan, right=np.nan
             )
     return result
 
 
 def _binned_tracks(frame: np.ndarray, s: np.ndarray, width: float) -> list[np.ndarray]:
-    """Tracks of places so wide [m]."""
-    place = np.round(s / width).astype(int)
-    tracks = [np.flatnonzero(place == value) for value in np.unique(place)]
-    return [track[np.unique(frame[track], return_index=True)[1]] for track in tracks]
+    """Tracks of places of this width [m]."""
+    bins = np.round(s / width).astype(int)
+    tracks = []
+    for value in np.unique(bins):
+        points = np.flatnonzero(bins == value)
+        _, first_in_frame = np.unique(frame[points], return_index=True)
+        tracks.append(points[first_in_frame])
+    return tracks

@@ -1,5 +1,6 @@
-"""Hit test: did the real tip enter the target box during the movement, with the string
-clear of obstacles? And before it: can arm and string touch the target at all?
+"""Hit test: whether the real tip entered the target with the string clear of obstacles.
+
+Before a cast: whether arm and string can reach the target at all.
 """
 
 from __future__ import annotations
@@ -16,16 +17,20 @@ from stringcast.data.schema import DataError
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 
-TIME_STEP_S = 0.0005  # [s]
-MAX_GAP_S = 0.02  # [s] between readings over which the tip's way is still guessed
+TIME_STEP_S = 0.0005  # of the tip's path
+MAX_GAP_S = 0.02  # between readings across which the tip's path is interpolated
 
 
 @dataclass(frozen=True)
 class HitResult:
-    """hit: the tip was in the box, and until then the string touched no obstacle. t:
-    time of the closest approach to the box's centre [s], and the distance there [m];
-    NaN where no tip was read. touched: frames of the movement in which the string lies
-    in an obstacle.
+    """Result of the hit test.
+
+    Parameters
+    ----------
+    hit : whether the tip was in the target, and until then the string touched nothing
+    t : time of the closest approach to the target's centre [s]; NaN without a tip
+    distance : of the tip from the centre at that time [m]; NaN without a tip
+    touched : number of frames of the movement in which the string lies in an obstacle
     """
 
     hit: bool
@@ -37,76 +42,104 @@ class HitResult:
 def hit_test(
     seen: Points, target: Box, obstacles: Sequence[Box], duration: float
 ) -> HitResult:
-    """Follow the tip between frames (a cubic through the readings) for 0 <= t <=
-    duration [s].
+    """Test whether the tip enters the target during the movement.
 
-    At 20 m/s and 200 frames a second the tip moves 100 mm from frame to frame, so
-    frames alone would miss a hit. Obstacles are judged by the frames alone.
+    The tip is followed between frames by a cubic through the readings: at 20 m/s and
+    200 frames a second it moves 100 mm from frame to frame, so frames alone would miss
+    a hit. Contact with obstacles is judged by the frames alone.
+
+    Parameters
+    ----------
+    seen : Points
+        Points and readings of the frames.
+    target : Box
+        Box that the tip shall enter [m].
+    obstacles : sequence of Box
+        Boxes that the string may not touch before [m].
+    duration : float
+        Duration of the movement, which starts at 0 [s].
+
+    Returns
+    -------
+    HitResult
+        Hit, closest approach and frames with contact.
     """
-    # times of the movement's frames in which the string lies in an obstacle [s]
-    points = seen.points
-    moving = points[(points["t"] >= 0) & (points["t"] <= duration)].sort_values(
-        ["t", "s"]
-    )
-    place, frame = moving[["x", "y"]].to_numpy(), moving["t"].to_numpy()
-    joined = frame[1:] == frame[:-1]
-    crossed = [box.is_crossed_by(place[:-1], place[1:]) & joined for box in obstacles]
-    touched = (
-        np.unique(frame[1:][np.any(crossed, axis=0)])
-        if crossed and len(frame)
-        else np.empty(0)
+    contact_times = _contact_times(seen.points, obstacles, duration)
+    readings = seen.readings
+    t = readings.loc[readings["valid"].astype(bool), "t"].to_numpy()
+    times = np.empty(0)
+    if len(t):
+        end = min(t[-1], duration) + TIME_STEP_S / 2
+        times = np.arange(max(t[0], 0.0), end, TIME_STEP_S)
+    path = tip_path(readings, times)
+    if not np.isfinite(path).any():
+        return HitResult(False, np.nan, np.nan, len(contact_times))
+    inside = np.append(False, target.is_crossed_by(path[:-1], path[1:]))
+    hit = bool(inside.any())
+    if hit and len(contact_times):
+        hit = contact_times[0] > times[np.argmax(inside)]
+    is_known = np.isfinite(path[:, 0])
+    distance = np.where(is_known, target.distance_to_centre(path), np.inf)
+    nearest = int(np.argmin(distance))
+    return HitResult(
+        bool(hit), float(times[nearest]), float(distance[nearest]), len(contact_times)
     )
 
-    t = seen.readings.loc[seen.readings["valid"].astype(bool), "t"].to_numpy()
-    fine = (
-        np.arange(max(t[0], 0.0), min(t[-1], duration) + TIME_STEP_S / 2, TIME_STEP_S)
-        if len(t)
-        else np.empty(0)
-    )
-    way = tip_path(seen.readings, fine)
-    if not np.isfinite(way).any():
-        return HitResult(False, np.nan, np.nan, len(touched))
-    inside = np.concatenate([[False], target.is_crossed_by(way[:-1], way[1:])])
-    entered = fine[np.argmax(inside)] if inside.any() else -np.inf
-    away = np.where(np.isfinite(way[:, 0]), target.distance_to_centre(way), np.inf)
-    nearest = int(np.argmin(away))
-    clear = not (touched <= entered).any()
-    return HitResult(
-        bool(inside.any() and clear),
-        float(fine[nearest]),
-        float(away[nearest]),
-        len(touched),
-    )
+
+def _contact_times(
+    points: pd.DataFrame, obstacles: Sequence[Box], duration: float
+) -> np.ndarray:
+    """Find the times of frames in which the string lies in an obstacle [s]."""
+    moving = points[points["t"].between(0, duration)].sort_values(["t", "s"])
+    places, t = moving[["x", "y"]].to_numpy(), moving["t"].to_numpy()
+    same_frame = t[1:] == t[:-1]
+    touched = np.zeros(len(same_frame), dtype=bool)
+    for box in obstacles:
+        touched |= box.is_crossed_by(places[:-1], places[1:]) & same_frame
+    return np.unique(t[1:][touched])
 
 
 def tip_path(readings: pd.DataFrame, t: np.ndarray) -> np.ndarray:
-    """The tip at times (K,) [s], (K, 2) [m]: by a cubic through the readings, and
-    carried on beyond them; NaN in gaps that are too long to guess, and where fewer than
-    two were read. readings: table READINGS.
+    """Interpolate the tip by a cubic through the readings, and extrapolate it.
+
+    Parameters
+    ----------
+    readings : table READINGS
+        Tips of the frames.
+    t : (K,) array
+        Times [s].
+
+    Returns
+    -------
+    (K, 2) array
+        Positions [m]; NaN in gaps that are too long, or with fewer than two readings.
     """
-    good = readings[readings["valid"].astype(bool)]
-    read = good["t"].to_numpy()
-    if len(read) < 2:
+    valid = readings[readings["valid"].astype(bool)]
+    read_at = valid["t"].to_numpy()
+    if len(read_at) < 2:
         return np.full((len(t), 2), np.nan)
-    gap = np.diff(read)[
-        np.clip(np.searchsorted(read, t, side="right") - 1, 0, len(read) - 2)
-    ]
-    way = CubicSpline(read, good[["tip_x", "tip_y"]])(t)
-    # from frame to frame the way is always guessed; times of frames are rounded
-    longest = max(
-        MAX_GAP_S, 1.01 * float(np.median(np.diff(np.sort(readings["t"].to_numpy()))))
-    )
-    return np.where((gap <= longest)[:, None], way, np.nan)
+    interval = np.searchsorted(read_at, t, side="right") - 1
+    gap = np.diff(read_at)[np.clip(interval, 0, len(read_at) - 2)]
+    # between neighbouring frames the path is always known; their times are rounded
+    frame_interval = float(np.median(np.diff(np.sort(readings["t"].to_numpy()))))
+    longest = max(MAX_GAP_S, 1.01 * frame_interval)
+    path = CubicSpline(read_at, valid[["tip_x", "tip_y"]])(t)
+    return np.where((gap <= longest)[:, None], path, np.nan)
 
 
 def check_reach(target: Box, arm: Arm, string_length: float) -> None:
-    """Refuse a target that the outstretched arm and string cannot touch."""
+    """Refuse a target that the outstretched arm and string cannot touch.
+
+    Raises DataError. string_length: [m].
+    """
     reach = arm.reach + string_length
     gap = target.distance_to(*arm.base)
     if gap > reach:
+        base_x, base_y = arm.base
         raise DataError(
             f"target ({target.x * 1e3:.0f}, {target.y * 1e3:.0f}) mm is out of reach: "
-            f"{gap * 1e3:.0f} mm from the arm's base at ({arm.base[0] * 1e3:.0f}, {arm.base[1] * 1e3:.0f}) mm, "
+            f"{gap * 1e3:.0f} mm from the arm's base at "
+            f"({base_x * 1e3:.0f}, {base_y * 1e3:.0f}) mm, "
             f"arm and string reach {reach * 1e3:.0f} mm. "
             "Choose target.x and target.y closer, or move arm.base."
         )

@@ -1,6 +1,4 @@
-"""The description of a stage: `STAGE`, by which the shell finds, runs, stores and shows
-it.
-"""
+"""The description of a stage, by which the shell finds, runs, stores and shows it."""
 
 from __future__ import annotations
 
@@ -21,13 +19,13 @@ if TYPE_CHECKING:
     from stringcast.stages.model.model import Model
 
 EXTENDED = "extended.yaml"  # the model that a run made, for `model_from=`
-# settings of which the model is made
+# settings from which the model is made
 MODEL = ("arm", "camera", "string", "effects", "parameter_values")
 
 
 @dataclass(frozen=True)
 class Input(ABC):
-    """An artifact that a stage looks at. kind: its class, or several."""
+    """An artifact that a stage uses; kind is its class, or several."""
 
     kind: type | UnionType
 
@@ -35,64 +33,82 @@ class Input(ABC):
     def find(
         self, name: str, iterations: Sequence[Mapping[str, Any]]
     ) -> tuple[int, Any] | None:
-        """Number of its iteration and the artifact; None where there is none, and none
-        is needed.
+        """Find the artifact.
 
-        iterations: artifacts by name, of each iteration from the first; the last is the
-        one that is made now.
+        Parameters
+        ----------
+        name : str
+            Name of the artifact.
+        iterations : sequence of mappings
+            Artifacts by name, of each iteration from the first to the current one.
+
+        Returns
+        -------
+        tuple or None
+            Number of its iteration and the artifact; None where there is none and none
+            is needed.
         """
 
 
 class SameIteration(Input):
-    """The artifact of the same iteration. Raises LookupError where there is none."""
+    """The artifact of the current iteration; LookupError where there is none."""
 
     def find(
         self, name: str, iterations: Sequence[Mapping[str, Any]]
     ) -> tuple[int, Any] | None:
+        """Find the artifact of the current iteration."""
         if name not in iterations[-1]:
-            raise LookupError(f"no stage before it makes `{name}`")
+            raise LookupError(f"no earlier stage makes `{name}`")
         return len(iterations), iterations[-1][name]
 
 
 class LatestIteration(Input):
-    """The latest of an earlier iteration, if there is one."""
+    """The latest artifact of an earlier iteration, if there is one."""
 
     def find(
         self, name: str, iterations: Sequence[Mapping[str, Any]]
     ) -> tuple[int, Any] | None:
-        earlier = enumerate(iterations[:-1], start=1)
-        return next(
-            (
-                (number, made[name])
-                for number, made in reversed([*earlier])
-                if name in made
-            ),
-            None,
-        )
+        """Find the latest artifact of an earlier iteration."""
+        for number in range(len(iterations) - 1, 0, -1):
+            if name in iterations[number - 1]:
+                return number, iterations[number - 1][name]
+        return None
 
 
 class StageSetup(Protocol):
-    """The part of a run that every stage may use beside artifacts. own: effects whose
-    values differ from trial to trial.
-    """
+    """The part of a run that every stage may use in addition to artifacts."""
 
     @property
-    def model(self) -> Model: ...
+    def model(self) -> Model:
+        """String, arm and camera with their effects."""
+
     @property
-    def target(self) -> Box: ...
+    def target(self) -> Box:
+        """Box that the tip shall enter [m]."""
+
     @property
-    def obstacles(self) -> tuple[Box, ...]: ...
+    def obstacles(self) -> tuple[Box, ...]:
+        """Boxes that arm and string may not touch [m]."""
+
     @property
-    def effects_per_recording(self) -> Sequence[str]: ...
+    def effects_per_recording(self) -> Sequence[str]:
+        """Names of the effects whose values differ between trials."""
 
     def lab(self, trial: int) -> Lab:
-        """Arm and camera, as configured. trial: number of the iteration."""
+        """Configure arm and camera for the iteration of this number."""
 
 
 @dataclass(frozen=True)
 class StageCall:
-    """One call of a stage. by: the function that its settings name, with these bound;
-    of a stage without settings, nothing. number: of the iteration, from 1.
+    """One call of a stage.
+
+    Parameters
+    ----------
+    by : the function that its settings name, with these bound; None without settings
+    setup : model, target and devices of the run
+    seed : of the call's random numbers
+    number : of the iteration, from 1
+    progress : called with the share that is done
     """
 
     by: Any
@@ -111,26 +127,30 @@ class StageSummary:
     table: pd.DataFrame
 
 
-def _default_summary(made: Any) -> StageSummary:
-    """The summary of a stage without one of its own: the number of rows it made."""
-    counts = {name: len(getattr(made, name)) for name in made.TABLES}
+def _default_summary(artifact: Any) -> StageSummary:
+    """Summarise an artifact by the numbers of rows of its tables."""
+    counts = {name: len(getattr(artifact, name)) for name in artifact.TABLES}
     rows = pd.DataFrame({"table": counts.keys(), "rows": counts.values()})
-    return StageSummary(type(made).__name__, f"Made {', '.join(counts)}.", rows)
+    return StageSummary(type(artifact).__name__, f"Made {', '.join(counts)}.", rows)
 
 
 @dataclass(frozen=True)
 class StageSpec:
-    """name: of the stage and, where it has one, of its group of settings. makes: its
-    artifact's class, a dataclass of tables (`data.artifacts`). folder: of the artifact
-    within an iteration, and the artifact's name for stages after it. uses: settings
-    that decide what comes out. run: a function from a `Call` and the inputs, by name,
-    to the artifact. inputs: by the names of artifacts. by: functions that `_target_` of
-    its settings may name, if it has settings. Functions that are named as text are
-    within `stringcast`.
+    """The description of a stage; functions named as text are within `stringcast`.
 
-    summary: what is said of an artifact. files: texts that a run leaves in its folder,
-    by name, from the artifact and the folder of the iteration after it. page: the
-    function that makes report.html from `report.records.Facts`.
+    Parameters
+    ----------
+    name : of the stage and, where it has one, of its group of settings
+    makes : class of its artifact, a dataclass of tables (`data.artifacts`)
+    folder : of the artifact within an iteration, and its name for later stages
+    uses : settings that decide the result; a new value makes it out of date
+    run : function from a `StageCall` and the inputs, by name, to the artifact
+    inputs : by the names of artifacts
+    by : functions that `_target_` of its settings may name
+    summary : function from the artifact to its summary in the terminal
+    files : function from the artifact and the folder of the next iteration to texts
+        that a run leaves in its folder, by name
+    page : function that makes report.html from `report.records.Facts`
     """
 
     name: str
@@ -141,5 +161,5 @@ class StageSpec:
     inputs: Mapping[str, Input] = field(default_factory=dict)
     by: tuple[str, ...] = ()
     summary: Callable[[Any], StageSummary] = _default_summary
-    files: Callable[[Any, Path], Mapping[str, str]] = lambda made, ahead: {}
+    files: Callable[[Any, Path], Mapping[str, str]] = lambda artifact, ahead: {}
     page: str = "stages.report.pages.tables.tables_page"

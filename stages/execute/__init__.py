@@ -1,6 +1,4 @@
-"""Execute: perform a motion with an arm and film it with a camera, or make a dry run of
-it.
-"""
+"""Execute: perform a motion with an arm and film it, or make a dry run of it."""
 
 from stringcast.data.artifacts import Motion, Trial
 from stringcast.stages.spec import SameIteration, StageSpec

@@ -1,6 +1,4 @@
-"""Dry runs of a cast: all that `execute` does, without the arm or slowly; their trials
-are marked invalid.
-"""
+"""Dry runs of a cast, with the arm disabled or slow, which give invalid trials."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
 from stringcast.stages.execute.execute import (
     execute,
     film_motion,
-    mark_distrusted,
+    mark_invalid,
     pad_commands,
 )
 from stringcast.stages.execute.interfaces import ArmDevice, CameraDevice
@@ -29,18 +27,40 @@ def dry_run(
     before: Annotated[float, Field(ge=0, le=10)],
     after: Annotated[float, Field(ge=0, le=10)],
 ) -> Trial:
-    """A dry run with the arm disabled: the link is tested, `motion` checked, zero
-    velocity sent on its schedule, and filmed.
+    """Make a dry run with the arm disabled.
 
-    before, after: rest filmed around the movement [s]. Raises what the devices raise.
+    The link is tested, the motion is checked, zero velocity is sent on its schedule,
+    and the arm is filmed.
+
+    Parameters
+    ----------
+    motion : Motion
+        Commands of the movement.
+    arm : ArmDevice
+        The arm that is tested.
+    camera : CameraDevice
+        The camera that films it.
+    before, after : float
+        Rest filmed before and after the movement [s].
+
+    Returns
+    -------
+    Trial
+        The trial, marked invalid.
+
+    Raises
+    ------
+    HardwareError
+        If a device fails, or the motion leaves a limit of the arm.
     """
     commands = pad_commands(motion.commands, before, after)
     with camera, arm:
         arm.check(commands)
-        here = dict(zip(JOINTS, arm.angles(), strict=True))
-        still = commands.assign(**here, **dict.fromkeys(SPEEDS, 0.0))
+        still = commands.copy()
+        still[list(JOINTS)] = arm.angles()
+        still[list(SPEEDS)] = 0.0
         trial = film_motion(still, arm, camera, end=motion.duration + after)
-    return mark_distrusted(trial, "dry run with the arm disabled")
+    return mark_invalid(trial, "dry run with the arm disabled")
 
 
 def slow_run(
@@ -52,32 +72,52 @@ def slow_run(
     after: Annotated[float, Field(ge=0, le=10)],
     share: Annotated[float, Field(gt=0, lt=1)],
 ) -> Trial:
-    """A run along the same path at a share of the speed. before, after: rest filmed
-    around the movement [s]. Raises what the devices raise.
+    """Make a slow run along the same path.
+
+    Parameters
+    ----------
+    motion : Motion
+        Commands of the movement.
+    arm : ArmDevice
+        The arm that performs it.
+    camera : CameraDevice
+        The camera that films it.
+    before, after : float
+        Rest filmed before and after the movement [s].
+    share : float
+        Share of the speed.
+
+    Returns
+    -------
+    Trial
+        The trial, marked invalid.
+
+    Raises
+    ------
+    HardwareError
+        If a device fails.
     """
-    outcome = motion.outcome.assign(duration=motion.duration / share)
     slower = replace(
-        motion, commands=slow_commands(motion.commands, share), outcome=outcome
+        motion,
+        commands=slow_commands(motion.commands, share),
+        outcome=motion.outcome.assign(duration=motion.duration / share),
     )
     trial = execute(slower, arm, camera, before=before, after=after)
-    return mark_distrusted(trial, f"dry run at {share:g} of the speed")
+    return mark_invalid(trial, f"dry run at {share:g} of the speed")
 
 
 def slow_commands(commands: pd.DataFrame, share: float) -> pd.DataFrame:
-    """Commands (table COMMANDS) along the same path at `share` of the speed, on the
-    same tick. Speed falls by `share`, acceleration no less.
+    """Slow commands (table COMMANDS) down to a share of their speed, on the same tick.
+
+    Accelerations fall by `share` at least.
     """
-    t, angles = commands["t"].to_numpy(), commands[list(JOINTS)].to_numpy()
+    t = commands["t"].to_numpy()
     tick = float(np.median(np.diff(t)))
     count = int(np.ceil((len(t) - 1) / share)) + 1
     place = np.minimum(np.arange(count) * share, len(t) - 1)
-    q = np.stack(
-        [np.interp(place, np.arange(len(t)), angle) for angle in angles.T], axis=-1
-    )
-    w = np.concatenate([np.diff(q, axis=0) / tick, np.zeros((1, q.shape[1]))])
-    columns = {"t": t[0] + tick * np.arange(count)}
-    return pd.DataFrame(
-        columns
-        | dict(zip(JOINTS, q.T, strict=True))
-        | dict(zip(SPEEDS, w.T, strict=True))
-    )
+    slow = pd.DataFrame({"t": t[0] + tick * np.arange(count)})
+    for joint, speed in zip(JOINTS, SPEEDS, strict=True):
+        angle = np.interp(place, np.arange(len(t)), commands[joint])
+        slow[joint] = angle
+        slow[speed] = np.append(np.diff(angle) / tick, 0.0)
+    return slow[["t", *JOINTS, *SPEEDS]]

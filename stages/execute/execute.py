@@ -13,12 +13,14 @@ from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
 from stringcast.stages.execute.interfaces import ArmDevice, CameraDevice, HardwareError
 from stringcast.stages.spec import StageCall
 
+ROUNDING_S = 1e-9  # by which times of frames may be off
+
 
 def run(call: StageCall, motion: Motion) -> Trial:
-    """The stage: the trial that the lab's arm and camera record of a motion."""
+    """Perform and film a motion in the configured lab, as a stage."""
     lab = call.setup.lab(call.number)
-    made: Trial = call.by(motion, lab.arm, lab.camera)
-    return made
+    trial: Trial = call.by(motion, lab.arm, lab.camera)
+    return trial
 
 
 def execute(
@@ -29,10 +31,30 @@ def execute(
     before: Annotated[float, Field(ge=0, le=10)],
     after: Annotated[float, Field(ge=0, le=10)],
 ) -> Trial:
-    """Perform `motion` and record the trial: commands, measured angles, frames.
+    """Perform a motion and record the trial.
 
-    before, after: rest filmed around the movement [s] (V: 0.2 s). Devices are opened
-    here and always left stopped. Raises what the devices raise.
+    Devices are opened here and always left stopped.
+
+    Parameters
+    ----------
+    motion : Motion
+        Commands of the movement.
+    arm : ArmDevice
+        The arm that performs it.
+    camera : CameraDevice
+        The camera that films it.
+    before, after : float
+        Rest filmed before and after the movement [s]; 0.2 s in the paper (V).
+
+    Returns
+    -------
+    Trial
+        Commands, measured angles and frames.
+
+    Raises
+    ------
+    HardwareError
+        If a device fails.
     """
     commands = pad_commands(motion.commands, before, after)
     with camera, arm:
@@ -42,8 +64,9 @@ def execute(
 def film_motion(
     commands: pd.DataFrame, arm: ArmDevice, camera: CameraDevice, end: float
 ) -> Trial:
-    """Go to the start of `commands` and play them on film, with open devices. end: of
-    the film [s]. Raises HardwareError where no frame came meanwhile.
+    """Move to the start of commands and perform them on film, with open devices.
+
+    end: time of the last frame [s]. Raises HardwareError where no frame came.
     """
     begin = float(commands["t"].iloc[0])
     arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
@@ -51,50 +74,40 @@ def film_motion(
     performance = arm.perform(commands)
     recording = camera.stop(performance.started_at - begin)
 
-    # frames at the very ends count, whatever the rounding
-    inside = np.flatnonzero((recording.t >= begin - 1e-9) & (recording.t <= end + 1e-9))
+    t = recording.t
+    inside = np.flatnonzero((t >= begin - ROUNDING_S) & (t <= end + ROUNDING_S))
     if not len(inside):
-        why = recording.fault or "its clock or delay is wrong"
+        reason = recording.fault or "its clock or delay is wrong"
         raise HardwareError(
-            f"camera: no frame came during the movement ({why}). Check the device and source.delay."
+            f"camera: no frame came during the movement ({reason}). "
+            "Check the device and source.delay."
         )
-    files = [f"images/{number:06d}.png" for number in range(len(inside))]
-    frames = pd.DataFrame(
-        {"frame": np.arange(len(inside)), "t": recording.t[inside], "file": files}
-    )
-    frames = frames.assign(
-        **{name: column.to_numpy()[inside] for name, column in recording.counts.items()}
-    )
+    frames = pd.DataFrame({"frame": np.arange(len(inside)), "t": t[inside]})
+    frames["file"] = [f"images/{number:06d}.png" for number in range(len(inside))]
+    for name, column in recording.counts.items():
+        frames[name] = column.to_numpy()[inside]
     images = [recording.images[int(i)] for i in inside]
     link = performance.link.assign(**recording.summary)
     trial = Trial(performance.arm, performance.ticks, frames, link, images)
-    return mark_distrusted(trial, recording.fault) if recording.fault else trial
+    return mark_invalid(trial, recording.fault) if recording.fault else trial
 
 
-def mark_distrusted(trial: Trial, reason: str) -> Trial:
-    """The trial marked, so that no later stage learns from it."""
-    reasons = "; ".join(filter(None, (reason, str(trial.link["reason"].iloc[0]))))
+def mark_invalid(trial: Trial, reason: str) -> Trial:
+    """Mark a trial, so that no later stage learns from it."""
+    earlier = str(trial.link["reason"].iloc[0])
+    reasons = f"{reason}; {earlier}" if earlier else reason
     return replace(trial, link=trial.link.assign(valid=False, reason=reasons))
 
 
 def pad_commands(commands: pd.DataFrame, before: float, after: float) -> pd.DataFrame:
-    """Commands with rest before and after, on the same tick; the movement still starts
-    at t = 0.
+    """Add rest [s] before and after commands, on the same tick.
+
+    The movement still starts at t = 0.
     """
     tick = float(np.median(np.diff(commands["t"])))
-    early, late = (round(rest / tick) for rest in (before, after))
-    still = dict.fromkeys(SPEEDS, 0.0)
-    first = (
-        pd.concat([commands.iloc[:1]] * early, ignore_index=True).assign(**still)
-        if early
-        else commands.iloc[:0]
-    )
-    last = (
-        pd.concat([commands.iloc[-1:]] * late, ignore_index=True).assign(**still)
-        if late
-        else commands.iloc[:0]
-    )
-    whole = pd.concat([first, commands, last], ignore_index=True)
-    return whole.assign(
-        t=commands["t"].iloc[0] + tick * (np.arange(len(whole)) - early)
-    )
+    early, late = round(before / tick), round(after / tick)
+    rows = np.arange(-early, len(commands) + late)
+    padded = commands.iloc[rows.clip(0, len(commands) - 1)].reset_index(drop=True)
+    is_rest = (rows < 0) | (rows >= len(commands))
+    padded.loc[is_rest, list(SPEEDS)] = 0.0
+    return padded.assign(t=commands["t"].iloc[0] + tick * rows)

@@ -1,9 +1,8 @@
-"""The two device interfaces of a lab: an arm that follows velocity commands and a
-camera that films.
+"""The device interfaces of a lab: an arm that follows velocities, and a camera.
 
 `stages.execute` knows these and nothing else of the hardware. A device that cannot do
-what is asked raises `HardwareError` with the device, what is wrong and the remedy, and
-raises it before anything moves wherever it can be known before.
+what it is told raises `HardwareError` with the device, the fault and the remedy, and
+does so before anything moves wherever possible.
 """
 
 from __future__ import annotations
@@ -20,17 +19,23 @@ from stringcast.data.errors import ExpectedError
 
 
 class HardwareError(ExpectedError):
-    """A device cannot do what is asked; the message names the device, the fault and the
-    remedy.
-    """
+    """A fault of a device; the message names the device, the fault and the remedy."""
 
 
 @dataclass(frozen=True)
 class Performance:
-    """The record of one motion by an arm. `arm` and `ticks` are tables ARM and TICKS,
-    `link` is table LINK (data.artifacts).
+    """The record of one motion by an arm; tables as in `data.artifacts`.
 
-    begun: host time (time.monotonic) at which the first command was due [s].
+    Parameters
+    ----------
+    arm : table ARM
+        Measured joint angles.
+    ticks : table TICKS
+        Commands as they were sent.
+    link : table LINK
+        State of the link, in one row.
+    started_at : float
+        Host time (time.monotonic) at which the first command was due [s].
     """
 
     arm: pd.DataFrame
@@ -41,13 +46,22 @@ class Performance:
 
 @dataclass(frozen=True)
 class Recording:
-    """The frames of one motion by a camera: `t` (F,) mid-exposure times [s] on the
-    camera's clock, 0 at the start of the movement, and `images`, F uint8 arrays
-    (height, width).
+    """The frames of one motion by a camera.
 
-    A camera that can be late or lose frames reports it: `counts` has a row a frame,
-    `summary` is about them all: the optional columns of tables FRAMES and LINK
-    (data.artifacts). fault: why it cannot be trusted; empty if it can.
+    A camera that can be late or lose frames reports it in `counts` and `summary`.
+
+    Parameters
+    ----------
+    t : (F,) array
+        Mid-exposure times on the camera's clock [s], 0 at the start of the movement.
+    images : sequence of F uint8 arrays (height, width)
+        The frames.
+    counts : pandas.DataFrame
+        Optional columns of table FRAMES, a row for each frame.
+    summary : mapping
+        Optional columns of table LINK, about all frames.
+    fault : str
+        Reason for which the recording cannot be trusted; empty if it can.
     """
 
     t: np.ndarray
@@ -58,60 +72,142 @@ class Recording:
 
 
 class ArmDevice(Protocol):
-    """An arm. A context manager: entering opens and checks the link, leaving stops the
-    arm, always.
+    """An arm that follows joint velocities.
+
+    It is a context manager: entering opens and checks the link, and leaving always
+    stops the arm.
     """
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        """Open the arm and check its link."""
 
     def __exit__(
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
-    ) -> None: ...
+    ) -> None:
+        """Stop the arm and close its link."""
 
     def angles(self) -> np.ndarray:
-        """Joint angles as measured now, (J,) [rad]."""
+        """Measure the joint angles.
+
+        Returns
+        -------
+        (J,) array
+            Present angles [rad].
+
+        Raises
+        ------
+        HardwareError
+            If the arm does not answer.
+        """
 
     def check(self, commands: pd.DataFrame) -> None:
-        """Refuse a table COMMANDS that leaves a limit of the arm anywhere; nothing
-        moves.
+        """Refuse commands that leave a limit of the arm; nothing moves.
+
+        Parameters
+        ----------
+        commands : table COMMANDS
+            A row for each tick: t [s], angles q1..q3 [rad], velocities w1..w3 [rad/s].
+
+        Raises
+        ------
+        HardwareError
+            If a limit is left anywhere.
         """
 
     def move_to(self, angles: Sequence[float]) -> None:
-        """Go slowly to joint angles [rad] and wait until the string has settled."""
+        """Move slowly to joint angles and wait until the string has settled.
+
+        Parameters
+        ----------
+        angles : sequence of J floats
+            Joint angles [rad].
+
+        Raises
+        ------
+        HardwareError
+            If the arm cannot reach them.
+        """
 
     def perform(self, commands: pd.DataFrame) -> Performance:
-        """Play a table COMMANDS (t, q1..q3, w1..w3) tick by tick; the arm is at rest at
-        the end.
+        """Perform commands tick by tick; the arm rests at the end.
+
+        Parameters
+        ----------
+        commands : table COMMANDS
+            A row for each tick: t [s], angles q1..q3 [rad], velocities w1..w3 [rad/s].
+
+        Returns
+        -------
+        Performance
+            Measured angles and the commands as sent.
+
+        Raises
+        ------
+        HardwareError
+            If the arm cannot perform them.
         """
 
 
 class CameraDevice(Protocol):
-    """A camera. Filming goes on in the background between `start` and `stop`."""
+    """A camera that films in the background between `start` and `stop`.
 
-    def __enter__(self) -> Self: ...
+    It is a context manager: entering opens the camera, and leaving closes it.
+    """
+
+    def __enter__(self) -> Self:
+        """Open the camera."""
 
     def __exit__(
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
-    ) -> None: ...
+    ) -> None:
+        """Close the camera."""
 
     def start(self) -> None:
-        """Begin filming; raises HardwareError where no frame comes."""
+        """Begin filming.
+
+        Raises
+        ------
+        HardwareError
+            If no frame arrives.
+        """
 
     def stop(self, moved_at: float) -> Recording:
-        """End filming, once the last frames are there. `moved_at`: host time
-        (time.monotonic) of the start of the movement.
+        """End filming once the last frames have arrived.
+
+        Parameters
+        ----------
+        moved_at : float
+            Host time (time.monotonic) of the start of the movement [s].
+
+        Returns
+        -------
+        Recording
+            Frames on the movement's time.
+
+        Raises
+        ------
+        HardwareError
+            If the camera fails.
         """
 
 
 @dataclass(frozen=True)
 class Lab:
-    """An arm and the camera that watches it."""
+    """An arm and the camera that watches it.
+
+    Parameters
+    ----------
+    arm : ArmDevice
+        The arm that casts the string.
+    camera : CameraDevice
+        The camera that films it.
+    """
 
     arm: ArmDevice
     camera: CameraDevice
