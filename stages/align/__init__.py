@@ -1,6 +1,4 @@
-"""Align: rotation, origin and scale of the camera in the arm's frame, and the offset of
-their clocks, as measured.
-"""
+"""The align stage: pose and clock of the camera relative to the arm."""
 
 from __future__ import annotations
 
@@ -20,30 +18,28 @@ from stringcast.stages.spec import (
 )
 
 
-def summary(made: Alignment) -> StageSummary:
-    """The alignment in a table: pose and clock of the camera relative to the arm's."""
-    rows = [
-        {
-            "parameter": row.name,
-            "value": f"{row.value:.2e}",
-            "95 % interval": f"{row.low:.2e} to {row.high:.2e}",
-            "unit": row.unit,
-            "": ""
-            if not row.low <= 0 <= row.high
-            else "may be 0"
-            if row.found
-            else "not seen",
+def summary(alignment: Alignment) -> StageSummary:
+    """Return pose and clock of the camera relative to the arm's, as a table."""
+    rows = []
+    for parameter in alignment.measured.itertuples():
+        remark = ""
+        if parameter.low <= 0 <= parameter.high:
+            remark = "may be 0" if parameter.found else "not seen"
+        row = {
+            "parameter": parameter.name,
+            "value": f"{parameter.value:.2e}",
+            "95 % interval": f"{parameter.low:.2e} to {parameter.high:.2e}",
+            "unit": parameter.unit,
+            "": remark,
         }
-        for row in made.measured.itertuples()
-    ]
-    return StageSummary(
-        "camera and clock against the arm", made.sentence, pd.DataFrame(rows)
-    )
+        rows.append(row)
+    title = "camera and clock relative to the arm"
+    return StageSummary(title, alignment.sentence, pd.DataFrame(rows))
 
 
-def files(made: Alignment, ahead: Path) -> Mapping[str, str]:
-    """The model with the alignment, as settings."""
-    return {EXTENDED: made.extended_yaml}
+def files(alignment: Alignment, folder: Path) -> Mapping[str, str]:
+    """Return the model with the alignment as settings."""
+    return {EXTENDED: alignment.extended_yaml}
 
 
 STAGE = StageSpec(

@@ -1,4 +1,4 @@
-"""When an alignment is refused, and why: what is left, and what it goes with."""
+"""Rules by which an alignment is refused, with the reason."""
 
 from __future__ import annotations
 
@@ -13,127 +13,179 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.effect import amplitude_parameters
 from stringcast.stages.model.library import find_effects
 
-MIN_FRAMES = 30  # in which the arm must be seen
-MIN_HAND_SPEED = 0.1  # [m/s] a hand that never gets faster shows nothing of the clocks
-MIN_SIGHTING_SPAN_M = 1e-3  # [m] spread that tells nothing of units
-SCALE_RANGE = (0.7, 1.4)  # times as far as the joints say that what is seen may spread
-MAX_MISFIT = 3.0  # times its own uncertainty that a residual may be
-MAX_STRUCTURED_MISFIT = 1.5  # the same where it has a pattern
-MIN_EXPLAINED_SHARE = 0.5  # share of it that the pattern explains
+MIN_FRAMES = 30  # in which the arm is seen
+MIN_HAND_SPEED = 0.1  # [m/s]: a slower hand does not show the clocks
+MIN_SIGHTING_SPAN_M = 1e-3  # a smaller spread does not show units
+SCALE_RANGE = (0.7, 1.4)  # seen over expected spread
+MAX_MISFIT = 3.0  # of the residuals, in their standard deviations
+MAX_STRUCTURED_MISFIT = 1.5  # the same if the residuals have a pattern
+MIN_PATTERN_SHARE = 0.5  # of the residuals, explained by a pattern
+MIN_NAMED_SHARE = 0.2  # of the residuals, for a cause to be named
 REQUIRED_PRECISION = {
     "time_offset.offset": (2e-3, "s"),
     "camera_rotation.angle": (0.02, "rad"),
     "pixel_scale.excess": (0.02, "1"),
 }
-MIN_EXCESS = 0.2  # share of the rest that something must explain to be named at all
-RANGE_EDGE = 1e-3  # share of its range within which a parameter sits at its end
+RANGE_EDGE = 1e-3  # of a parameter's range: nearer to its end, the parameter is at it
 
 
 def max_hand_speed(arm: Arm, trial: SightedTrial) -> float:
-    """The greatest speed of the hand in a trial [m/s]."""
+    """Return the largest speed of the hand in a trial [m/s]."""
     motion = trial.motion
-    return float(
-        np.linalg.norm(
-            arm.grasp_velocity(motion.angles, motion.speeds)[..., :2], axis=-1
-        ).max()
-    )
+    velocity = arm.grasp_velocity(motion.angles, motion.speeds)[..., :2]
+    return float(np.linalg.norm(velocity, axis=-1).max())
 
 
 def refuse_sight(problem: AlignmentProblem) -> None:
-    """Refuse trials in which the arm is hardly seen, hardly moves, or is seen in other
-    units. Raises DataError.
+    """Refuse trials in which the arm is hardly seen, hardly moves, or has other units.
+
+    Parameters
+    ----------
+    problem
+        The sighted trials.
+
+    Raises
+    ------
+    DataError
+        With the reason.
     """
     frames = sum(len(np.unique(trial.sightings.frame)) for trial in problem.trials)
     if frames < MIN_FRAMES:
         raise DataError(
-            f"the arm is seen in {frames} frames only, {MIN_FRAMES} are needed. Film it longer, or light it."
+            f"the arm is seen in {frames} frames only, {MIN_FRAMES} are needed. Film"
+            " it longer, or light it."
         )
-    fastest = max(max_hand_speed(problem.model.arm, trial) for trial in problem.trials)
-    if fastest < MIN_HAND_SPEED:
+    speed = max(max_hand_speed(problem.model.arm, trial) for trial in problem.trials)
+    if speed < MIN_HAND_SPEED:
         raise DataError(
-            f"the hand moves at {fastest:.3f} m/s at most: too slow to compare clocks, {MIN_HAND_SPEED} m/s are needed. Swing it."
+            f"the hand moves at {speed:.3f} m/s at most: too slow to compare clocks, "
+            f"{MIN_HAND_SPEED} m/s are needed. Swing it."
         )
-    # of the arm as it is seen, over those that its reported motion makes expect: their
-    # logarithms
-    spreads = []
+    # seen over expected spread of the arm
+    log_ratios = []
+    values = problem.model.values({})[None]
     for trial in problem.trials:
         seen = trial.sightings
-        joints = problem.model.observed_arm(
-            trial.motion, problem.model.values({})[None], seen.times
-        )
-        places = (seen.position, points_on_links(joints, seen)[0])
-        sizes = [
-            MIN_SIGHTING_SPAN_M + float(np.linalg.norm(np.ptp(each, axis=0)))
-            for each in places
-        ]
-        spreads.append(np.log(sizes[0] / sizes[1]))
-    ratio = np.exp(np.median(spreads))
+        joints = problem.model.observed_arm(trial.motion, values, seen.times)
+        seen_span = _span(seen.position)
+        expected_span = _span(points_on_links(joints, seen)[0])
+        log_ratios.append(np.log(seen_span / expected_span))
+    ratio = np.exp(np.median(log_ratios))
     if not SCALE_RANGE[0] < ratio < SCALE_RANGE[1]:
         raise DataError(
-            f"what is seen spreads {ratio:.3g} times as far as the joints say. x and y must be in metres, joint angles "
-            "in radians; or correct camera.px_per_m and arm.links."
+            f"what is seen spreads {ratio:.3g} times as far as the joints say. x and y "
+            "must be in metres, joint angles in radians; or correct camera.px_per_m"
+            " and arm.links."
         )
+
+
+def _span(points: np.ndarray) -> float:
+    return MIN_SIGHTING_SPAN_M + float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
 def refuse_fit(problem: AlignmentProblem, fit: AlignmentFit) -> None:
-    """Refuse a fit that is at an end of a range, leaves more than noise, or tells too
-    little. Raises DataError.
+    """Refuse a fit at the end of a range, with misfit, or too imprecise.
+
+    Parameters
+    ----------
+    problem
+        The sighted trials.
+    fit
+        The selected fit.
+
+    Raises
+    ------
+    DataError
+        With the reason.
     """
     low, high = problem.ranges(fit.names)
-    for name, value, least, most in zip(fit.names, fit.x, low, high, strict=True):
-        if value > most - RANGE_EDGE * (most - least) or (
-            least < 0 and value < least + RANGE_EDGE * (most - least)
-        ):
-            raise DataError(
-                f"{name} would be {value:.3g} or beyond, where the search ends. Correct conf/camera or conf/arm first."
-            )
+    edge = RANGE_EDGE * (high - low)
+    is_at_end = (fit.x > high - edge) | ((low < 0) & (fit.x < low + edge))
+    if is_at_end.any():
+        place = int(np.argmax(is_at_end))
+        raise DataError(
+            f"{fit.names[place]} would be {fit.x[place]:.3g} or beyond, where the"
+            " search ends. Correct conf/camera or conf/arm first."
+        )
     refuse_misfit(problem, fit)
-    for name, (most, unit) in REQUIRED_PRECISION.items():
-        reach = fit.half_widths[fit.names.index(name)]
-        if reach > most:
-            fastest = max(
-                max_hand_speed(problem.model.arm, trial) for trial in problem.trials
-            )
+    for name, (limit, unit) in REQUIRED_PRECISION.items():
+        half_width = fit.half_widths[fit.names.index(name)]
+        if half_width > limit:
+            arm = problem.model.arm
+            speed = max(max_hand_speed(arm, trial) for trial in problem.trials)
             raise DataError(
-                f"{name} would be known to +- {reach:.2g} {unit} only, {most:g} is needed: the hand reaches "
-                f"{fastest:.2f} m/s. Swing it faster and further, or film it longer."
+                f"{name} would be known to +- {half_width:.2g} {unit} only, {limit:g}"
+                f" is needed: the hand reaches {speed:.2f} m/s. Swing it faster and"
+                " further, or film it longer."
             )
 
 
 def refuse_misfit(problem: AlignmentProblem, fit: AlignmentFit) -> None:
-    """Refuse a fit that leaves much more than noise, or more than noise with a pattern.
-    Raises DataError.
+    """Refuse residuals far beyond the noise, or beyond it with a pattern.
+
+    Parameters
+    ----------
+    problem
+        The sighted trials.
+    fit
+        The selected fit.
+
+    Raises
+    ------
+    DataError
+        With the likeliest cause.
     """
-    size = robust_sigma(fit.residual)
-    if size < MAX_STRUCTURED_MISFIT:
+    misfit = robust_sigma(fit.residual)
+    if misfit < MAX_STRUCTURED_MISFIT:
         return
 
-    # share of the weighted rest that each explains beyond the parameters that were
-    # fitted
-    root, shares = np.sqrt(fit.weight)[:, None], {}
-    fixed, rest = root * fit.jacobian, root[:, 0] * fit.residual
-    for words, columns in suspected_causes(problem, fit):
-        both = root * np.concatenate([fit.jacobian, columns], axis=1)
-        left = [
-            float(np.sum((rest - a @ np.linalg.lstsq(a, rest, rcond=None)[0]) ** 2))
-            for a in (fixed, both)
-        ]
-        shares[words] = 1 - left[1] / max(left[0], 1e-300)
-    words, share = max(shares.items(), key=lambda one: one[1])
-    if size < MAX_MISFIT and share < MIN_EXPLAINED_SHARE:
+    # share of the weighted residuals that each cause explains beyond the parameters
+    root = np.sqrt(fit.weight)[:, None]
+    residual = root[:, 0] * fit.residual
+    unexplained = _residual_sum(root * fit.jacobian, residual)
+    shares = {}
+    for sentence, columns in suspected_causes(problem, fit):
+        extended = root * np.concatenate([fit.jacobian, columns], axis=1)
+        remaining = _residual_sum(extended, residual)
+        shares[sentence] = 1 - remaining / max(unexplained, 1e-300)
+    sentence, share = max(shares.items(), key=lambda item: item[1])
+    if misfit < MAX_MISFIT and share < MIN_PATTERN_SHARE:
         return
-    named = f"It is mostly as if {words}: that explains {100 * share:.0f} % of it."
+    cause = "No known cause explains it."
+    if share > MIN_NAMED_SHARE:
+        cause = (
+            f"It is mostly as if {sentence}: that explains {100 * share:.0f} % of it."
+        )
     raise DataError(
-        f"what is left is {size:.1f} times what noise explains. "
-        f"{named if share > MIN_EXCESS else 'It goes with nothing that is known.'} Nothing is taken over."
+        f"the misfit is {misfit:.1f} times what noise explains. {cause} No alignment"
+        " is made."
     )
+
+
+def _residual_sum(jacobian: np.ndarray, residual: np.ndarray) -> float:
+    """Return the sum of squares that linear least squares leaves."""
+    solution = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+    return float(np.sum((residual - jacobian @ solution) ** 2))
 
 
 def suspected_causes(
     problem: AlignmentProblem, fit: AlignmentFit
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Causes that could explain a remaining residual, as sentences, with the residual's
-    change under each, (N, K).
+    """Yield possible causes of a misfit.
+
+    Parameters
+    ----------
+    problem
+        The sighted trials.
+    fit
+        The selected fit.
+
+    Yields
+    ------
+    sentence
+        The cause in words.
+    columns
+        Changes of the residuals under it (N, K).
     """
     yield (
         "the joints turned more or less than they report",
@@ -143,48 +195,62 @@ def suspected_causes(
         "a joint had play at its reversals",
         residual_changes(problem, fit, "backlash", 0.01),
     )
-    lens = problem.jacobian(
-        (*fit.names, "lens_distortion.radial"), np.append(fit.x, 0.0)
-    )[:, -1:]
     yield (
         "the lens bent it, growing with the distance from the middle of the picture",
-        lens,
+        _added_column(problem, fit, "lens_distortion.radial", 0.0),
     )
-    lag = problem.jacobian(
-        (*fit.names, "arm_lag.time_constant"), np.append(fit.x, 0.01)
-    )[:, -1:]
-    yield "the arm lagged, following its speed", lag
+    yield (
+        "the arm lagged, following its speed",
+        _added_column(problem, fit, "arm_lag.time_constant", 0.01),
+    )
     links = np.concatenate([trial.sightings.link for trial in problem.trials])
     yield (
         "the outline lay beside the line from joint to joint",
         (links[:, None] == np.unique(links)).astype(float),
     )
-    along = np.concatenate([trial.sightings.direction for trial in problem.trials])
+    directions = np.concatenate([t.sightings.direction for t in problem.trials])
     for moment in np.quantile(problem.times, np.linspace(0.1, 0.9, 17)):
-        late = (problem.times > moment)[:, None]
-        yield f"camera or arm was knocked at {moment:.2f} s", along * late
+        is_later = (problem.times > moment)[:, None]
+        yield f"camera or arm was knocked at {moment:.2f} s", directions * is_later
+
+
+def _added_column(
+    problem: AlignmentProblem, fit: AlignmentFit, name: str, value: float
+) -> np.ndarray:
+    """Return the Jacobian of one more parameter at a value (N, 1)."""
+    return problem.jacobian((*fit.names, name), np.append(fit.x, value))[:, -1:]
 
 
 def residual_changes(
     problem: AlignmentProblem, fit: AlignmentFit, name: str, size: float
 ) -> np.ndarray:
-    """Changes of the residuals over sigma by components of this size of a hand's
-    effect, (N, K).
+    """Return changes of the residuals over sigma under a hand's effect.
+
+    Parameters
+    ----------
+    problem
+        The sighted trials.
+    fit
+        The selected fit.
+    name
+        Name of the effect.
+    size
+        Size of each of its amplitudes.
+
+    Returns
+    -------
+    array
+        A column for each amplitude (N, K).
     """
     effect = find_effects([name])[0]
     model = problem.model.with_effects(effect)
-    known = [
-        fit.values,
-        *(
-            fit.values | {effect.qualified_name(p): size}
-            for p in amplitude_parameters(effect)
-        ),
-    ]
-    values = [model.values(each)[None] for each in known]
-    off = np.stack(
-        [
-            np.concatenate([trial.residuals(model, one)[0] for trial in problem.trials])
-            for one in values
-        ]
-    )
-    return np.asarray((off[1:] - off[0]).T / problem.sigma[:, None])
+    settings = [fit.values]
+    for parameter in amplitude_parameters(effect):
+        settings.append(fit.values | {effect.qualified_name(parameter): size})
+    residuals = []
+    for setting in settings:
+        values = model.values(setting)[None]
+        parts = [trial.residuals(model, values)[0] for trial in problem.trials]
+        residuals.append(np.concatenate(parts))
+    changes = np.stack(residuals[1:]) - residuals[0]
+    return np.asarray(changes.T / problem.sigma[:, None])

@@ -1,6 +1,4 @@
-"""Align: how the camera and its clock stand to the arm, measured from a motion that
-both saw.
-"""
+"""The align stage: pose and clock of the camera relative to the arm."""
 
 from __future__ import annotations
 
@@ -38,20 +36,36 @@ from stringcast.stages.align.lookalike import (
     likelihood_profile,
 )
 from stringcast.stages.align.outline import sightings_from_films
+from stringcast.stages.align.sightings import SightedTrial
 from stringcast.stages.common import Progress, rms
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.spec import StageCall
 
-TARGET_PRECISION = 1e-3  # [s] to which the clocks should be known
+TARGET_PRECISION_S = 1e-3  # half of the 95 % interval of the clock offset
+
+EffectRanges = dict[str, tuple[float, float, float]]  # value, low, high by name
 
 
 def run(call: StageCall, trials: TrialSet) -> Alignment:
-    """The alignment in all trials, as a stage."""
-    made: Alignment = call.by(
+    """Align camera and arm, as a stage.
+
+    Parameters
+    ----------
+    call
+        Model, progress and the configured function.
+    trials
+        The trials with their films.
+
+    Returns
+    -------
+    Alignment
+        The alignment from all trials together.
+    """
+    alignment: Alignment = call.by(
         call.setup.model, trials.observations, trials.films, progress=call.progress
     )
-    return made
+    return alignment
 
 
 def align(
@@ -62,32 +76,47 @@ def align(
     arm_width: Annotated[float, Field(gt=0)],
     progress: Progress = lambda share: None,
 ) -> Alignment:
-    """The alignment of camera and arm in all trials together.
+    """Align camera and arm from all trials together.
 
-    films: of trials that were filmed, by name: in these the arm's outline is read; of
-    others the points at the grasp are taken. arm_width: of the links [m]. Raises
-    DataError where the data cannot tell, with the reason.
+    Parameters
+    ----------
+    model
+        The model.
+    observations
+        The trials. Of those that were not filmed, points at the grasp are used.
+    films
+        Films by trial. The arm's outline is read in these.
+    arm_width
+        Width of the links [m].
+    progress
+        Reports the share that is done.
+
+    Returns
+    -------
+    Alignment
+        Parameters with 95 % intervals, sightings, and the likelihood's profile.
+
+    Raises
+    ------
+    DataError
+        If the data do not determine the alignment, with the reason.
     """
     if not observations:
         raise DataError(
             "there is no trial that can be used. Look at the reasons given for each."
         )
-    full = measurement_model(model)
+    full_model = measurement_model(model)
     filmed = {name: film for name, film in films.items() if film.arm is not None}
-    seen = (
-        sightings_from_films(
-            full, filmed, arm_width, lambda share: progress(0.6 * share)
+    trials: list[SightedTrial] = []
+    if filmed:
+        trials += sightings_from_films(
+            full_model, filmed, arm_width, lambda share: progress(0.6 * share)
         )
-        if filmed
-        else ()
-    )
-    by_points = tuple(
-        grasp_sightings(o, model.arm) for o in observations if o.trial not in filmed
-    )
-    problem = AlignmentProblem(
-        full,
-        tuple(trial for trial in (*seen, *by_points) if len(trial.sightings.frame)),
-    )
+    for observation in observations:
+        if observation.trial not in filmed:
+            trials.append(grasp_sightings(observation, model.arm))
+    sighted = tuple(trial for trial in trials if len(trial.sightings.frame))
+    problem = AlignmentProblem(full_model, sighted)
     refuse_sight(problem)
     fit = select_effects(problem)
     progress(0.8)
@@ -98,32 +127,13 @@ def align(
 def build_alignment(
     model: Model, problem: AlignmentProblem, fit: AlignmentFit
 ) -> Alignment:
-    """The artifact of a fit: parameters with their ranges, sightings before and after,
-    and the sentence.
-    """
-    alike = likelihood_profile(problem, fit)
-    lag = largest_hidden_lag(alike, fit)
+    """Return the artifact of a fit."""
+    profile = likelihood_profile(problem, fit)
+    lag = largest_hidden_lag(profile, fit)
     measured = measured_table(problem, fit, lag)
-    before = problem.residuals(
-        problem.parameters(REQUIRED_EFFECTS),
-        np.zeros((1, len(problem.parameters(REQUIRED_EFFECTS)))),
-    )[0]
+    names = problem.parameters(REQUIRED_EFFECTS)
+    before = problem.residuals(names, np.zeros((1, len(names))))[0]
     after = fit.residual * problem.sigma
-
-    # the model with the alignment, as settings that other experiments take
-    ours = {*REQUIRED_EFFECTS, *CANDIDATE_EFFECTS}
-    others = [
-        e.name
-        for e in model.effects
-        if "." in (e.qualified_name(e.parameters[0]) if e.parameters else ".")
-    ]
-    known: dict[str, object] = {
-        n: v for n, v in model.start_values.items() if n.split(".")[0] not in ours
-    }
-    for found in measured[measured["found"]].itertuples():
-        known[found.name] = {"value": found.value, "low": found.low, "high": found.high}
-    effects = sorted({*others, *fit.effects} - {"gravity"} - (ours - {*fit.effects}))
-
     row = {
         "sentence": alignment_sentence(measured, fit, lag),
         "rms_before": rms(before),
@@ -131,110 +141,143 @@ def build_alignment(
         "noise": rms(problem.sigma),
         "speed": max(max_hand_speed(model.arm, trial) for trial in problem.trials),
         "most_lag": lag,
-        "extended": yaml.safe_dump(
-            {"effects": effects, "parameter_values": known}, sort_keys=False
-        ),
+        "extended": extended_settings(model, measured, fit),
     }
-    parts = []
+    return Alignment(
+        measured,
+        sightings_table(problem, before, after),
+        profile,
+        ALIGNMENT_SUMMARY.check(pd.DataFrame([row])),
+    )
+
+
+def extended_settings(model: Model, measured: pd.DataFrame, fit: AlignmentFit) -> str:
+    """Return the model with the alignment as settings that other experiments take."""
+    alignment_effects = {*REQUIRED_EFFECTS, *CANDIDATE_EFFECTS}
+    effects = {*fit.effects}
+    for effect in model.effects:
+        is_named = not effect.parameters or "." in effect.qualified_name(
+            effect.parameters[0]
+        )
+        if is_named and effect.name not in alignment_effects:
+            effects.add(effect.name)
+    values: dict[str, object] = {
+        name: value
+        for name, value in model.start_values.items()
+        if name.split(".")[0] not in alignment_effects
+    }
+    for row in measured[measured["found"]].itertuples():
+        values[row.name] = {"value": row.value, "low": row.low, "high": row.high}
+    settings = {"effects": sorted(effects - {"gravity"}), "parameter_values": values}
+    return yaml.safe_dump(settings, sort_keys=False)
+
+
+def sightings_table(
+    problem: AlignmentProblem, before: np.ndarray, after: np.ndarray
+) -> pd.DataFrame:
+    """Return table SIGHTINGS with residuals (N,) [m] before and after the fit."""
+    tables = []
     for trial in problem.trials:
-        s = trial.sightings
+        seen = trial.sightings
         columns = {
             "trial": trial.name,
-            "t": s.times[s.frame],
-            "link": s.link,
-            "share": s.share,
-            "sigma": s.sigma,
+            "t": seen.times[seen.frame],
+            "link": seen.link,
+            "share": seen.share,
+            "sigma": seen.sigma,
+            "x": seen.position[:, 0],
+            "y": seen.position[:, 1],
+            "along_x": seen.direction[:, 0],
+            "along_y": seen.direction[:, 1],
         }
-        columns |= dict(
-            zip(
-                ("x", "y", "along_x", "along_y"),
-                (*s.position.T, *s.direction.T),
-                strict=True,
-            )
-        )
-        parts.append(pd.DataFrame(columns))
-    seen = SIGHTINGS.check(
-        pd.concat(parts, ignore_index=True).assign(before=before, after=after)
-    )
-    return Alignment(
-        measured, seen, alike, ALIGNMENT_SUMMARY.check(pd.DataFrame([row]))
-    )
+        tables.append(pd.DataFrame(columns))
+    table = pd.concat(tables, ignore_index=True)
+    return SIGHTINGS.check(table.assign(before=before, after=after))
 
 
 def measured_table(
     problem: AlignmentProblem, fit: AlignmentFit, lag: float
 ) -> pd.DataFrame:
-    """Table MEASURED. An interval holds whether what was looked for and not seen is
-    there unseen or not, but for a lag.
+    """Return the parameters with their 95 % intervals.
 
-    lag: up to which one would not be seen [s].
+    Intervals hold whether a candidate effect that was not seen is present or not. An
+    unseen lag is the exception.
+
+    Parameters
+    ----------
+    problem
+        The sighted trials.
+    fit
+        The selected fit.
+    lag
+        The largest lag that would not be seen [s].
+
+    Returns
+    -------
+    DataFrame
+        Table MEASURED_PARAMETERS.
     """
-    others = [
-        name for name in CANDIDATE_EFFECTS if name not in (*fit.effects, "arm_lag")
-    ]
-    free = add_effects(problem, fit, *others)
-    ends = {
-        name: (x, x - r, x + r)
-        for name, x, r in zip(free.names, free.x, free.half_widths, strict=True)
-    }
-    own = {
-        name: (x, x - r, x + r)
-        for name, x, r in zip(fit.names, fit.x, fit.half_widths, strict=True)
-    }
-    ends |= {
-        n: (x, min(low, ends[n][1]), max(high, ends[n][2]))
-        for n, (x, low, high) in own.items()
-    }
+    fitted = (*fit.effects, "arm_lag")
+    unseen = [name for name in CANDIDATE_EFFECTS if name not in fitted]
+    ranges = _intervals(add_effects(problem, fit, *unseen))
+    for name, (value, low, high) in _intervals(fit).items():
+        _, low_unseen, high_unseen = ranges[name]
+        ranges[name] = (value, min(low, low_unseen), max(high, high_unseen))
     if "arm_lag" not in fit.effects:
-        ends[LAG] = (0.0, 0.0, lag)
-    known = {p.name: p for p in problem.model.parameters}
-    ends = {
-        n: (x, max(low, known[n].low), min(high, known[n].high))
-        for n, (x, low, high) in ends.items()
-    }
-    rows = [
-        {
+        ranges[LAG] = (0.0, 0.0, lag)
+    parameters = {p.name: p for p in problem.model.parameters}
+    rows = []
+    for name, (value, low, high) in ranges.items():
+        parameter = parameters[name]
+        row = {
             "name": name,
-            "unit": known[name].unit,
-            "meaning": known[name].meaning,
+            "unit": parameter.unit,
+            "meaning": parameter.meaning,
             "found": name in fit.names,
+            "value": value,
+            "low": max(low, parameter.low),
+            "high": min(high, parameter.high),
         }
-        | dict(zip(("value", "low", "high"), numbers, strict=True))
-        for name, numbers in ends.items()
-    ]
+        rows.append(row)
+    table = pd.DataFrame(rows)
     return MEASURED_PARAMETERS.check(
-        pd.DataFrame(rows).sort_values(["found", "name"], ascending=[False, True])
+        table.sort_values(["found", "name"], ascending=[False, True])
     )
+
+
+def _intervals(fit: AlignmentFit) -> EffectRanges:
+    """Return value and ends of the 95 % interval by name."""
+    low, high = fit.x - fit.half_widths, fit.x + fit.half_widths
+    intervals = zip(fit.x, low, high, strict=True)
+    return dict(zip(fit.names, intervals, strict=True))
 
 
 def alignment_sentence(measured: pd.DataFrame, fit: AlignmentFit, lag: float) -> str:
-    """The result of an alignment in sentences: what was measured, and what it cannot be
-    told from.
-    """
+    """Describe what was measured, and what cannot be distinguished from it."""
     rows = measured.set_index("name")
-    said, agreed = [], []
+    sentences, aligned = [], []
     for effect in find_effects(fit.effects):
-        ends = rows.loc[
-            [effect.qualified_name(p) for p in effect.parameters], ["low", "high"]
-        ].to_numpy()
-        if (ends[:, 0] <= 0).all() and (ends[:, 1] >= 0).all():
-            agreed.append(effect.name)
+        names = {p.name: effect.qualified_name(p) for p in effect.parameters}
+        intervals = rows.loc[list(names.values())]
+        if (intervals["low"] <= 0).all() and (intervals["high"] >= 0).all():
+            aligned.append(effect.name)
             continue
-        words = effect.describe(
-            {p.name: fit.values[effect.qualified_name(p)] for p in effect.parameters}
+        values = {short: fit.values[name] for short, name in names.items()}
+        words = effect.describe(values)
+        sentences.append(words[0].upper() + words[1:])
+    if aligned:
+        sentences.append(
+            f"Nothing is off, within the intervals, in {', '.join(aligned)}"
         )
-        said.append(words[0].upper() + words[1:])
-    if agreed:
-        said.append(f"Nothing is off, within the intervals, in {', '.join(agreed)}")
-    reach = float(rows.loc[OFFSET, "high"] - rows.loc[OFFSET, "low"]) / 2
-    clocks = f"The clocks are compared to +- {1e3 * reach:.2f} ms (95 %)"
-    clocks += (
-        "."
-        if reach < TARGET_PRECISION
-        else f", which is more than the {1e3 * TARGET_PRECISION:.0f} ms that are aimed at."
-    )
-    alike = (
-        f" An arm that lags by up to {1e3 * lag:.1f} ms would look the same in this motion, with clocks that much "
-        "further apart: only the two together are measured."
-    )
-    return f"{'. '.join(said)}. {clocks}{alike if lag else ''}"
+    half_width = float(rows.loc[OFFSET, "high"] - rows.loc[OFFSET, "low"]) / 2
+    precision = f"The clock offset is known to +- {1e3 * half_width:.2f} ms (95 %)"
+    if half_width >= TARGET_PRECISION_S:
+        precision += f", which is more than {1e3 * TARGET_PRECISION_S:.0f} ms, the goal"
+    text = f"{'. '.join(sentences)}. {precision}."
+    if lag:
+        text += (
+            f" An arm that lags by up to {1e3 * lag:.1f} ms would look the same in this"
+            " motion, with clocks that much further apart: only the sum of both is "
+            "measured."
+        )
+    return text

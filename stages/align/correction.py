@@ -1,4 +1,4 @@
-"""Where things really are that an aligned camera reports."""
+"""Correction of points that an aligned camera reports."""
 
 from __future__ import annotations
 
@@ -9,32 +9,42 @@ import numpy as np
 from stringcast.data.artifacts import Points
 from stringcast.stages.model.model import Model
 
-# of the fixed point: each leaves a tenth of what was off, or less
-FIXED_POINT_ROUNDS = 12
+FIXED_POINT_ROUNDS = 12  # each round leaves at most a tenth of the error
 
 
 def transform_to_arm_frame(points: Points, model: Model) -> Points:
-    """The points in the arm's frame, as far as the alignment was measured; times stay
-    the camera's.
+    """Move points to the arm's frame, as far as the alignment was measured.
 
-    For the hit test. A rolling shutter is left as it is: it depends on speeds.
+    The hit test uses this. Times stay the camera's. A rolling shutter is not corrected,
+    because its effect depends on speeds.
+
+    Parameters
+    ----------
+    points
+        Points and tips that the camera reports.
+    model
+        The model, with the alignment as its measured values.
+
+    Returns
+    -------
+    Points
+        The same with x and y in the arm's frame.
     """
     if not model.measured_ranges:
         return points
     values = model.values({})[None]
-    # at which the camera is asked for places that do not move
+    # camera effects need places at three times, which are the same: nothing moves
     moments = 3 if model.camera_effects else 1
-    right = []
-    for table, places in (
+    corrected = []
+    for table, columns in (
         (points.points, ["x", "y"]),
         (points.readings, ["tip_x", "tip_y"]),
     ):
-        t, seen = table["t"].to_numpy(), table[places].to_numpy()
+        t, seen = table["t"].to_numpy(), table[columns].to_numpy()
         true = seen
         for _ in range(FIXED_POINT_ROUNDS if len(table) else 0):
-            reported = model.observed_points(
-                np.tile(true[None, :, None], (1, moments, 1, 1)), values, t
-            )
+            places = np.tile(true[None, :, None], (1, moments, 1, 1))
+            reported = model.observed_points(places, values, t)
             true = true + seen - reported[0, :, 0]
-        right.append(table.assign(**dict(zip(places, true.T, strict=True))))
-    return replace(points, points=right[0], readings=right[1])
+        corrected.append(table.assign(**dict(zip(columns, true.T, strict=True))))
+    return replace(points, points=corrected[0], readings=corrected[1])

@@ -1,8 +1,8 @@
-"""The fit: what is seen of the arm against where the joints say that it is.
+"""Fit of the alignment: where the arm is seen against where the joints have it.
 
-The forward model does it all: rotation, origin and scale of the picture and the offset
-of the clocks are its effects, and so are the others that are looked for. Solver, robust
-loss and covariance are those of every fit (`inference`).
+Rotation, origin and scale of the picture, the offset of the clocks and all candidates
+are effects of the forward model. Solver, robust loss and covariance are those of every
+fit (`inference`).
 """
 
 from __future__ import annotations
@@ -29,120 +29,110 @@ from stringcast.stages.model.parameter import (
 
 REQUIRED_EFFECTS = ("time_offset", "camera_rotation", "pixel_scale", "camera_offset")
 CANDIDATE_EFFECTS = ("arm_lag", "clock_drift", "rolling_shutter", "lens_distortion")
-TIME_BLOCKS = 20  # pieces into which the time is cut
+TIME_BLOCKS = 20  # of the jackknife
 DIFFERENCE_STEP = 1e-4  # of a parameter's range, for the central difference
-# of the log-likelihood: an improvement that ends them, for deviances are compared
+# a smaller gain of log-likelihood ends the search: deviances are compared
 CONVERGENCE_TOLERANCE = 1e-3
-MAX_ROUNDS = 3  # in which the robust scale settles
-# deviance that an effect must explain to be seen: by chance 1 in 400
-MIN_DEVIANCE_GAIN = 9.0
-# [s] from which a lag is sought: at none it cannot be told from an offset
-START_LAG_S = 0.004
+MAX_SCALE_ROUNDS = 3  # in which the robust scale settles
+MIN_DEVIANCE_GAIN = 9.0  # of an effect to be added: by chance 1 in 400
+START_LAG_S = 0.004  # a lag of zero cannot be distinguished from an offset
 
 
 def measurement_model(model: Model) -> Model:
-    """The arm and camera of a model with every effect that alignment looks for, and no
-    other.
+    """Return arm and camera of a model with exactly the effects of an alignment.
 
-    In the order of their names, in which the settings keep them: a turn and a shift do
-    not commute.
+    Effects are in the order of their names, as in the settings: a rotation and a shift
+    do not commute.
     """
-    return Model(model.string, model.arm, model.camera).with_effects(
-        *find_effects(sorted((*REQUIRED_EFFECTS, *CANDIDATE_EFFECTS)))
-    )
+    effects = find_effects(sorted((*REQUIRED_EFFECTS, *CANDIDATE_EFFECTS)))
+    return Model(model.string, model.arm, model.camera).with_effects(*effects)
 
 
 @dataclass(frozen=True)
 class AlignmentProblem:
-    """Trials that share one alignment. model: with every effect that is looked for, and
-    nothing else.
-    """
+    """Trials that share one alignment, and a model with all candidate effects."""
 
     model: Model
     trials: tuple[SightedTrial, ...]
 
     @cached_property
     def sigma(self) -> np.ndarray:
-        """(N,) of all sightings [m]."""
+        """Standard deviations of all sightings (N,) [m]."""
         return np.concatenate([trial.sightings.sigma for trial in self.trials])
 
     @cached_property
     def times(self) -> np.ndarray:
-        """(N,) of all sightings, by the camera's clock [s]."""
-        return np.concatenate(
-            [trial.sightings.times[trial.sightings.frame] for trial in self.trials]
-        )
+        """Times of all sightings (N,) [s], by the camera's clock."""
+        sightings = [trial.sightings for trial in self.trials]
+        return np.concatenate([seen.times[seen.frame] for seen in sightings])
 
     @cached_property
     def blocks(self) -> np.ndarray:
-        """(N,) number of the block of time in which each sighting lies; none reaches
-        over two trials.
-        """
-        spans = [
-            max(float(np.ptp(trial.sightings.times)), 1e-9) for trial in self.trials
-        ]
-        length = sum(spans) / TIME_BLOCKS
-        parts, first = [], 0
-        for trial, span in zip(self.trials, spans, strict=True):
-            count = max(round(span / length), 1)
-            # below 1 for the last one too, which then has a block
-            share = (trial.sightings.times - trial.sightings.times[0]) / (
-                span * (1 + 1e-9)
-            )
-            parts.append(first + (share * count).astype(int)[trial.sightings.frame])
+        """Time block of each sighting (N,); blocks do not cross trials."""
+        durations = [max(float(np.ptp(t.sightings.times)), 1e-9) for t in self.trials]
+        block_length = sum(durations) / TIME_BLOCKS
+        blocks, first = [], 0
+        for trial, duration in zip(self.trials, durations, strict=True):
+            seen = trial.sightings
+            count = max(round(duration / block_length), 1)
+            # below 1 for the last time, too
+            share = (seen.times - seen.times[0]) / (duration * (1 + 1e-9))
+            blocks.append(first + (share * count).astype(int)[seen.frame])
             first += count
-        return np.concatenate(parts)
+        return np.concatenate(blocks)
 
     @staticmethod
     def parameters(effects: Sequence[str]) -> tuple[str, ...]:
-        """Qualified names of the sizes of these effects: where and when they act is not
-        asked.
-        """
-        return tuple(
-            effect.qualified_name(p)
-            for effect in find_effects(effects)
-            for p in amplitude_parameters(effect)
-        )
+        """Return the qualified names of the amplitudes of effects."""
+        names: list[str] = []
+        for effect in find_effects(effects):
+            names += map(effect.qualified_name, amplitude_parameters(effect))
+        return tuple(names)
 
     def ranges(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bounds of parameters."""
-        found = {p.name: p for p in self.model.parameters}
-        return np.array([found[n].low for n in names]), np.array(
-            [found[n].high for n in names]
-        )
+        """Return lower and upper bounds (P,) of parameters."""
+        by_name = {p.name: p for p in self.model.parameters}
+        parameters = [by_name[name] for name in names]
+        low, high = [p.low for p in parameters], [p.high for p in parameters]
+        return np.array(low), np.array(high)
 
     def residuals(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
-        """Reported less seen positions of candidates x (C, P) of these parameters, the
-        others absent, (C, N) [m].
+        """Return simulated less seen positions of candidates.
+
+        Parameters
+        ----------
+        names
+            Qualified names of parameters; the others are absent.
+        x
+            Their values (C, P).
+
+        Returns
+        -------
+        array
+            Residuals (C, N) [m].
         """
         values = np.tile(self.model.values({}), (len(x), 1))
         values[:, [self.model.names.index(name) for name in names]] = x
-        parts = [
-            np.broadcast_to(
-                t.residuals(self.model, values), (len(x), len(t.sightings.frame))
-            )
-            for t in self.trials
-        ]
+        parts = []
+        for trial in self.trials:
+            shape = (len(x), len(trial.sightings.frame))
+            parts.append(np.broadcast_to(trial.residuals(self.model, values), shape))
         return np.concatenate(parts, axis=1)
 
     def jacobian(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
-        """The Jacobian (N, P) of the residuals over sigma at x (P,)."""
+        """Return the Jacobian (N, P) of the residuals over sigma at x (P,)."""
         low, high = self.ranges(names)
         step = DIFFERENCE_STEP * (high - low)
         middle = np.clip(x, low + step, high - step)
-        ends = self.residuals(
-            names, np.concatenate([middle + np.diag(step), middle - np.diag(step)])
-        )
-        return ((ends[: len(x)] - ends[len(x) :]) / (2 * step[:, None])).T / self.sigma[
-            :, None
-        ]
+        ends = np.concatenate([middle + np.diag(step), middle - np.diag(step)])
+        upper, lower = np.split(self.residuals(names, ends), 2)
+        slopes = (upper - lower) / (2 * step[:, None])
+        return slopes.T / self.sigma[:, None]
 
 
 @dataclass(frozen=True)
 class FreeParameters:
-    """Some parameters of a problem, as the solver asks for them. held: values of
-    others.
-    """
+    """Free parameters of a problem for the solver, with fixed values of others."""
 
     problem: AlignmentProblem
     names: tuple[str, ...]
@@ -154,30 +144,41 @@ class FreeParameters:
         """The free parameters, uniform in their ranges."""
         low, high = self.problem.ranges(self.names)
         return tuple(
-            Parameter(n, "", "", a, b, 0.0)
-            for n, a, b in zip(self.names, low, high, strict=True)
+            Parameter(name, "", "", least, most, 0.0)
+            for name, least, most in zip(self.names, low, high, strict=True)
         )
 
     def residuals(self, chi: np.ndarray) -> np.ndarray:
-        """Residuals over sigma (C, N) of candidates chi (C, P)."""
-        values = parameter_values(self.parameters, chi)
-        others = np.broadcast_to(
-            np.array(list(self.fixed_values.values())),
-            (len(chi), len(self.fixed_values)),
-        )
-        return (
-            self.problem.residuals(
-                (*self.names, *self.fixed_values), np.hstack([values, others])
-            )
-            / self.problem.sigma
-        )
+        """Return residuals over sigma (C, N) of candidates chi (C, P)."""
+        free = parameter_values(self.parameters, chi)
+        fixed = np.tile(list(self.fixed_values.values()), (len(chi), 1))
+        names = (*self.names, *self.fixed_values)
+        residuals = self.problem.residuals(names, np.hstack([free, fixed]))
+        return residuals / self.problem.sigma
 
 
 @dataclass(frozen=True)
 class AlignmentFit:
-    """Parameters that fit. effects: those at work. x: (P,) values; width: (P,) of their
-    ranges. residual: (N,) over sigma. slope: (N, P). limit: size from which a residual
-    counts less. deviance: twice Huber's cost.
+    """Parameters that fit.
+
+    Attributes
+    ----------
+    effects
+        Names of the fitted effects.
+    names, x
+        Qualified names of the parameters and their values (P,).
+    width
+        Widths of their ranges (P,).
+    residual
+        Residuals over sigma (N,).
+    jacobian
+        Derivative of the residuals by the parameters (N, P).
+    limit
+        Residuals beyond it count less (Huber).
+    deviance
+        Twice Huber's cost.
+    blocks
+        Time block of each residual (N,).
     """
 
     effects: tuple[str, ...]
@@ -197,31 +198,28 @@ class AlignmentFit:
 
     @cached_property
     def weight(self) -> np.ndarray:
-        """(N,) Huber's."""
+        """Huber's weights (N,)."""
         return huber_weights(self.residual, self.limit)
 
     @cached_property
     def _relative_covariance(self) -> Covariance:
-        """Covariance of the parameters as shares of their ranges."""
-        return jackknife_covariance(
-            (self.jacobian * self.width).T, self.residual, self.weight, self.blocks
-        )
+        """Covariance of the parameters relative to the widths of their ranges."""
+        jacobian = (self.jacobian * self.width).T
+        return jackknife_covariance(jacobian, self.residual, self.weight, self.blocks)
 
     @property
     def covariance(self) -> np.ndarray:
-        """(P, P)."""
+        """Covariance of the parameters (P, P)."""
         return self._relative_covariance.matrix * np.outer(self.width, self.width)
 
     @property
     def half_widths(self) -> np.ndarray:
-        """(P,) half widths of the 95 % intervals."""
+        """Half widths of the 95 % intervals (P,)."""
         return self._relative_covariance.half_width_95 * self.width
 
     @cached_property
     def inflation(self) -> float:
-        """The variance inflation factor of correlated noise, on average over the
-        residuals.
-        """
+        """Mean variance inflation factor of correlated noise."""
         plain = np.linalg.pinv((self.weight[:, None] * self.jacobian).T @ self.jacobian)
         return float(np.mean(np.diag(self.covariance) / np.diag(plain)))
 
@@ -230,74 +228,94 @@ def fit_alignment(
     problem: AlignmentProblem,
     effects: Sequence[str],
     start: Mapping[str, float] | None = None,
-    held: Mapping[str, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
     limit: float | None = None,
 ) -> AlignmentFit:
-    """The best parameters of these effects.
+    """Fit the parameters of effects by robust least squares.
 
-    start: values at which the search begins. held: values of parameters that are not
-    fitted. limit: as of another fit, so that deviances can be compared; else it is
-    found.
+    Parameters
+    ----------
+    problem
+        The sighted trials.
+    effects
+        Names of the effects.
+    start
+        Initial values by qualified name; the others begin at 0.
+    fixed
+        Values of parameters that are not fitted.
+    limit
+        Huber's limit of another fit, so that deviances can be compared. By default it
+        is estimated.
+
+    Returns
+    -------
+    AlignmentFit
+        The best fit.
     """
-    held = held or {}
-    names = tuple(name for name in problem.parameters(effects) if name not in held)
-    sought = FreeParameters(problem, names, held, limit or np.inf)
-    chi = parameter_exponents(
-        sought.parameters, np.array([(start or {}).get(name, 0.0) for name in names])
-    )
-    for _ in range(MAX_ROUNDS if limit is None else 1):
-        scale = limit or HUBER_LIMIT * robust_sigma(sought.residuals(chi[None]))
+    start, fixed = start or {}, fixed or {}
+    names = tuple(name for name in problem.parameters(effects) if name not in fixed)
+    free = FreeParameters(problem, names, fixed, limit or np.inf)
+    initial = np.array([start.get(name, 0.0) for name in names])
+    chi = parameter_exponents(free.parameters, initial)
+    for _ in range(MAX_SCALE_ROUNDS if limit is None else 1):
+        scale = limit or HUBER_LIMIT * robust_sigma(free.residuals(chi[None]))
+        free = replace(free, limit=scale)
         chi = solver.fit_least_squares(
-            replace(sought, limit=scale), chi[None], enough=CONVERGENCE_TOLERANCE
+            free, chi[None], enough=CONVERGENCE_TOLERANCE
         ).chi[0]
-    residual = sought.residuals(chi[None])[0]
+    residual = free.residuals(chi[None])[0]
     scale = limit or HUBER_LIMIT * robust_sigma(residual)
     low, high = problem.ranges(names)
-    x = parameter_values(sought.parameters, chi)
-    slope = problem.jacobian((*names, *held), np.array([*x, *held.values()]))[
-        :, : len(names)
-    ]
-    deviance = len(residual) * float(huber_loss(residual, scale))
+    x = parameter_values(free.parameters, chi)
+    all_x = np.array([*x, *fixed.values()])
+    jacobian = problem.jacobian((*names, *fixed), all_x)
     return AlignmentFit(
         tuple(effects),
         names,
         x,
-        high - low,
-        residual,
-        slope,
-        scale,
-        deviance,
-        problem.blocks,
+        width=high - low,
+        residual=residual,
+        jacobian=jacobian[:, : len(names)],
+        limit=scale,
+        deviance=len(residual) * float(huber_loss(residual, scale)),
+        blocks=problem.blocks,
     )
 
 
 def robust_sigma(residual: np.ndarray) -> float:
-    """Standard deviation about zero of residuals (N,), from their median, in their
-    unit.
-    """
-    # never zero, for residuals are divided by it
+    """Return the standard deviation of residuals (N,) about zero, from their median."""
+    # never zero, because residuals are divided by it
     return float(mad_sigma(residual)) + 1e-12
 
 
 def select_effects(problem: AlignmentProblem) -> AlignmentFit:
-    """The fit with all that is always measured, and those of the effects sought that
-    make a difference.
+    """Fit the required effects, and add candidates while they improve the fit.
+
+    Parameters
+    ----------
+    problem
+        The sighted trials.
+
+    Returns
+    -------
+    AlignmentFit
+        The fit with all effects that are significant.
     """
     best = fit_alignment(problem, REQUIRED_EFFECTS)
     while True:
-        others = [name for name in CANDIDATE_EFFECTS if name not in best.effects]
-        tried = [add_effects(problem, best, name) for name in others]
-        gains = [(best.deviance - other.deviance) / best.inflation for other in tried]
+        candidates = [name for name in CANDIDATE_EFFECTS if name not in best.effects]
+        fits = [add_effects(problem, best, name) for name in candidates]
+        gains = [(best.deviance - fit.deviance) / best.inflation for fit in fits]
         if not gains or max(gains) < MIN_DEVIANCE_GAIN:
             return best
-        further = tried[int(np.argmax(gains))]
-        best = fit_alignment(problem, further.effects, further.values)
+        extended = fits[int(np.argmax(gains))]
+        best = fit_alignment(problem, extended.effects, extended.values)
 
 
 def add_effects(
     problem: AlignmentProblem, fit: AlignmentFit, *effects: str
 ) -> AlignmentFit:
-    """The fit with further effects at work, judged by the same limit."""
+    """Fit further effects in addition, with the same limit of Huber's loss."""
     start = dict(fit.values)
     if "arm_lag" in effects:
         start |= {"arm_lag.time_constant": START_LAG_S}

@@ -1,6 +1,4 @@
-"""The grasp as measured points show it: the string's beginning, which is rigid with the
-last link.
-"""
+"""Sightings of the grasp from measured points at the string's beginning."""
 
 from __future__ import annotations
 
@@ -13,72 +11,98 @@ from stringcast.stages.common import mad_sigma
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.hand import resample_joint_motion
 
-# [m] of arc length: a point as near to the grasp as that is the grasp
-MATCH_TOLERANCE_M = 1e-3
-# [m] a point nearer than that to where the joints have it was not measured
-MAX_MEASURED_MISMATCH_M = 1e-5
-MIN_SIGMA_M = 1e-4  # [m] a standard deviation that is not given is not less
+MAX_GRASP_ARC_LENGTH_M = 1e-3  # a point of smaller arc length is the grasp
+# points so near to where the joints have the grasp were computed, not measured
+MAX_COMPUTED_DISTANCE_M = 1e-5
+MIN_SIGMA_M = 1e-4  # smallest estimate of the noise
 
 
 def grasp_sightings(observation: Observation, arm: Arm) -> SightedTrial:
-    """The grasp as a trial's points have it, each in x and in y. Raises DataError where
-    they do not show it.
+    """Return the grasp in a trial's points, in x and in y.
+
+    Parameters
+    ----------
+    observation
+        A trial with joint angles and points.
+    arm
+        The arm.
+
+    Returns
+    -------
+    SightedTrial
+        Two sightings for each point at the grasp.
+
+    Raises
+    ------
+    DataError
+        If the points do not show the grasp.
     """
+    trial = f"trial {observation.trial}"
     if observation.arm is None:
-        raise DataError(
-            f"trial {observation.trial}: alignment needs joint angles. Add arm.parquet."
-        )
+        raise DataError(f"{trial}: alignment needs joint angles. Add arm.parquet.")
     points = observation.valid_points
-    grasp = points[
-        (points["s"] <= MATCH_TOLERANCE_M) & np.isfinite(points[["x", "y"]]).all(axis=1)
-    ].sort_values("t")
+    is_finite = np.isfinite(points[["x", "y"]]).all(axis=1)
+    is_grasp = (points["s"] <= MAX_GRASP_ARC_LENGTH_M) & is_finite
+    grasp = points[is_grasp].sort_values("t")
     if grasp.empty:
         raise DataError(
-            f"trial {observation.trial}: no frames, and no point at the grasp (s = 0). Measure the string's beginning, "
-            "or add the frames."
+            f"{trial}: no frames, and no point at the grasp (s = 0). Measure the "
+            "string's beginning, or add the frames."
         )
     t, seen = grasp["t"].to_numpy(), grasp[["x", "y"]].to_numpy()
-    reported = np.stack(
-        [np.interp(t, observation.arm["t"], observation.arm[q]) for q in JOINTS],
-        axis=-1,
-    )
-    off = arm.joint_positions(reported)[:, -1] - seen
-    if np.median(np.linalg.norm(off, axis=-1)) < MAX_MEASURED_MISMATCH_M:
+    log_t = observation.arm["t"].to_numpy()
+    log = observation.arm[list(JOINTS)].to_numpy()
+    reported = [np.interp(t, log_t, angles) for angles in log.T]
+    error = arm.joint_positions(np.stack(reported, axis=-1))[:, -1] - seen
+    if np.median(np.linalg.norm(error, axis=-1)) < MAX_COMPUTED_DISTANCE_M:
         raise DataError(
-            f"trial {observation.trial}: its points begin where the joints say that the grasp is, which "
+            f"{trial}: its points begin where the joints say that the grasp is, which "
             "shows nothing. Add the frames."
         )
-    # of what goes on evenly from frame to frame but for noise
-    jumps = np.diff(off, 2, axis=0)
-    noise = (
-        max(float(mad_sigma(jumps)) / np.sqrt(6), MIN_SIGMA_M)
-        if len(jumps)
-        else MIN_SIGMA_M
-    )
-    sigma = (
-        grasp["sigma"].to_numpy() if "sigma" in grasp else np.full(len(grasp), noise)
-    )
-    motion = resample_joint_motion(
-        observation.arm["t"].to_numpy(), observation.arm[list(JOINTS)].to_numpy()
-    ).extended_until(t.max())
-    return SightedTrial(
-        observation.trial, motion, hand_sightings(t, seen, sigma, len(JOINTS))
-    )
+
+    if "sigma" in grasp:
+        sigma = grasp["sigma"].to_numpy()
+    else:
+        # second differences remove the smooth part; noise is left, times sqrt(6)
+        noise = MIN_SIGMA_M
+        if len(error) > 2:
+            estimate = float(mad_sigma(np.diff(error, 2, axis=0))) / np.sqrt(6)
+            noise = max(estimate, MIN_SIGMA_M)
+        sigma = np.full(len(grasp), noise)
+    motion = resample_joint_motion(log_t, log).extended_until(t.max())
+    sightings = hand_sightings(t, seen, sigma, len(JOINTS))
+    return SightedTrial(observation.trial, motion, sightings)
 
 
 def hand_sightings(
     t: np.ndarray, seen: np.ndarray, sigma: np.ndarray, links: int
 ) -> Sightings:
-    """Sightings of the hand in both directions. t: (K,) [s]. seen: (K, 2) [m]. sigma:
-    (K,) [m].
+    """Return sightings of the hand in x and in y.
+
+    Parameters
+    ----------
+    t
+        Times (K,) [s].
+    seen
+        Positions (K, 2) [m].
+    sigma
+        Standard deviations of a coordinate (K,) [m].
+    links
+        Number of the arm's links.
+
+    Returns
+    -------
+    Sightings
+        2 K sightings.
     """
     times, frame = np.unique(t, return_inverse=True)
     count = 2 * len(t)
-    along = np.tile(np.eye(2), (len(t), 1))
-    where = (
-        np.repeat(frame, 2),
-        np.full(count, links),
-        np.ones(count),
-        np.repeat(seen, 2, axis=0),
+    return Sightings(
+        times,
+        frame=np.repeat(frame, 2),
+        link=np.full(count, links),
+        share=np.ones(count),
+        position=np.repeat(seen, 2, axis=0),
+        direction=np.tile(np.eye(2), (len(t), 1)),
+        sigma=np.repeat(sigma, 2),
     )
-    return Sightings(times, *where, along, np.repeat(sigma, 2))

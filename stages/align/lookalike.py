@@ -1,6 +1,4 @@
-"""Offset or lag? An arm that lags a little looks like a clock that is off; how far, the
-likelihood says.
-"""
+"""Which clock offset and which arm lag look alike: the profile of the likelihood."""
 
 from __future__ import annotations
 
@@ -11,52 +9,64 @@ from stringcast.data.alignment import LIKELIHOOD
 from stringcast.stages.align.fit import AlignmentFit, AlignmentProblem, fit_alignment
 
 OFFSET, LAG = "time_offset.offset", "arm_lag.time_constant"
-# [s]
 CANDIDATE_LAGS_S = (
     np.array([0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0]) * 1e-3
 )
 CHI_SQUARE_95 = 3.84  # rise of the deviance at the end of a 95 % interval
-CLEAR_DEVIANCE = 10 * CHI_SQUARE_95  # rise beyond which nothing more is asked
-PROFILE_OFFSETS = np.linspace(-4, 4, 17)  # standard deviations
+CLEAR_DEVIANCE = 10 * CHI_SQUARE_95  # no larger lag is tried beyond this rise
+PROFILE_OFFSETS = np.linspace(-4, 4, 17)  # in standard deviations
 
 
 def likelihood_profile(problem: AlignmentProblem, fit: AlignmentFit) -> pd.DataFrame:
-    """Table LIKELIHOOD about the fit that was chosen."""
-    rows = (
-        _profile_with_lag(problem, fit)
-        if "arm_lag" in fit.effects
-        else _profile_without_lag(problem, fit)
-    )
+    """Return the deviance over the clock offset, with and without a lag.
+
+    Parameters
+    ----------
+    problem
+        The sighted trials.
+    fit
+        The selected fit.
+
+    Returns
+    -------
+    DataFrame
+        Table LIKELIHOOD.
+    """
+    if "arm_lag" in fit.effects:
+        rows = _profile_with_lag(problem, fit)
+    else:
+        rows = _profile_without_lag(problem, fit)
     columns = ["offset", "alone", "with_lag", "lag"]
     return LIKELIHOOD.check(pd.DataFrame(rows, columns=columns).sort_values("offset"))
 
 
-def largest_hidden_lag(table: pd.DataFrame, fit: AlignmentFit) -> float:
-    """Up to which lag [s] nothing shows whether there is one; 0 where one was measured."""
+def largest_hidden_lag(profile: pd.DataFrame, fit: AlignmentFit) -> float:
+    """Return the largest lag that would not be seen [s]; 0 if a lag was measured."""
     if "arm_lag" in fit.effects:
         return 0.0
-    rising = table[table["lag"] > 0]
-    rise, lag = (np.concatenate([[0.0], rising[name]]) for name in ("with_lag", "lag"))
+    rising = profile[profile["lag"] > 0]
+    rise = np.concatenate([[0.0], rising["with_lag"]])
+    lag = np.concatenate([[0.0], rising["lag"]])
     return float(np.interp(CHI_SQUARE_95, np.maximum.accumulate(rise), lag))
 
 
 def _profile_without_lag(
     problem: AlignmentProblem, fit: AlignmentFit
 ) -> list[tuple[float, ...]]:
-    """No lag was seen: how large it could be with the offset growing along."""
+    """Profile a fit without lag: how large a lag may be if the offset grows with it."""
     place = fit.names.index(OFFSET)
     offset, sigma = fit.x[place], np.sqrt(fit.covariance[place, place])
     rows: list[tuple[float, ...]] = [
         (offset + k * sigma, k**2, k**2, 0.0) for k in PROFILE_OFFSETS
     ]
     values = dict(fit.values)
+    effects = (*fit.effects, "arm_lag")
     for lag in CANDIDATE_LAGS_S:
-        held = {OFFSET: offset + lag}
-        best = fit_alignment(
-            problem, (*fit.effects, "arm_lag"), values | {LAG: lag}, held, fit.limit
-        )
-        values = best.values
-        rise = max((best.deviance - fit.deviance) / fit.inflation, 0.0)
+        fixed = {OFFSET: offset + lag}
+        start = values | {LAG: lag}
+        lagging = fit_alignment(problem, effects, start, fixed, fit.limit)
+        values = lagging.values
+        rise = max((lagging.deviance - fit.deviance) / fit.inflation, 0.0)
         rows.append((offset + lag, (lag / sigma) ** 2, rise, values[LAG]))
         if rise > CLEAR_DEVIANCE:
             break
@@ -66,23 +76,19 @@ def _profile_without_lag(
 def _profile_with_lag(
     problem: AlignmentProblem, fit: AlignmentFit
 ) -> list[tuple[float, ...]]:
-    """A lag was seen: how much worse an offset alone does."""
-    alone = fit_alignment(
-        problem,
-        tuple(e for e in fit.effects if e != "arm_lag"),
-        fit.values,
-        limit=fit.limit,
-    )
-    place, lag = fit.names.index(OFFSET), fit.names.index(LAG)
+    """Profile a fit with lag: how much worse an offset alone is."""
+    effects = tuple(effect for effect in fit.effects if effect != "arm_lag")
+    alone = fit_alignment(problem, effects, fit.values, limit=fit.limit)
+    loss = (alone.deviance - fit.deviance) / fit.inflation
+    place, lag_place = fit.names.index(OFFSET), fit.names.index(LAG)
+    place_alone = alone.names.index(OFFSET)
     variance = fit.covariance[place, place]
-    own = alone.names.index(OFFSET)
-    more = (alone.deviance - fit.deviance) / fit.inflation
+    slope = fit.covariance[lag_place, place] / variance
     rows: list[tuple[float, ...]] = []
     for k in PROFILE_OFFSETS:
         offset = fit.x[place] + k * np.sqrt(variance)
-        off = (offset - alone.x[own]) ** 2 / alone.covariance[own, own]
-        follows = fit.x[lag] + fit.covariance[lag, place] / variance * (
-            offset - fit.x[place]
-        )
-        rows.append((offset, more + off, k**2, follows))
+        distance = offset - alone.x[place_alone]
+        rise = distance**2 / alone.covariance[place_alone, place_alone]
+        lag = fit.x[lag_place] + slope * (offset - fit.x[place])
+        rows.append((offset, loss + rise, k**2, lag))
     return rows

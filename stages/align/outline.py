@@ -1,9 +1,14 @@
-"""The arm's outline in frames: where the middle of each link is seen, across the link.
+"""Sightings of the arm's outline in frames, across each link.
 
-The arm is what differs from the scene and is wider than any string. Its pixels belong
-to the link that the model has nearest; what they are off on average, across it, is what
-is seen (iterated closest points, point to line: Chen and Medioni 1992). It begins with
-few frames and far off, and ends with all and within the link's own width.
+The arm is what differs from the scene and is wider than any string. Each pixel belongs
+to the link that the model has nearest. The mean distance of a link's pixels across it
+is the sighting. The search begins with few frames and far pixels, and ends with all
+frames and pixels within the link's own width.
+
+References
+----------
+Chen and Medioni, "Object modelling by registration of multiple range images", 1992
+(iterated closest points, point to line).
 """
 
 from __future__ import annotations
@@ -28,27 +33,37 @@ from stringcast.stages.extract.stabilise import sample_numbers
 from stringcast.stages.model.hand import JointMotion, resample_joint_motion
 from stringcast.stages.model.model import Model
 
-PIECES_PER_LINK = 6  # pieces of a link, each a sighting
-# share of a link at its ends that is left out: there links and gripper overlap
+PIECES_PER_LINK = 6  # each piece is a sighting
+# share of a link at either end that is not used: there links and gripper overlap
 LINK_END_SHARE = 0.15
-OPENING_SHARE = 0.5  # of the arm's width: what is narrower is not arm
-MIN_CONTRAST = 25.0  # [grey levels] an arm that differs less from the scene is not seen
-COARSE_FRAMES = 60  # frames of a trial with which it begins
-MAX_FRAMES = 500  # frames of a trial that are looked at
-# arm widths within which pixels count, one round after the other
+OPENING_SHARE = 0.5  # of the arm's width: narrower things are not arm
+MIN_CONTRAST = 25.0  # grey levels between arm and scene
+COARSE_FRAMES = 60  # of a trial, at the beginning of the search
+MAX_FRAMES = 500  # of a trial
+# arm widths within which pixels count, in each round of the search
 SEARCH_WIDTHS = (6.0, 3.0, 1.5, 1.0)
-MAX_DISTANCE_WIDTHS = 1.0  # the same at the end
-# arm widths that the middle of another link must be away from a piece's edges
-MIN_VISIBLE_SHARE = 0.8
-# times the usual number of pixels: a piece with others is hidden, or hides something
-WIDTH_RATIO_RANGE = (0.85, 1.15)
-EDGE_SIGMA_PX = 0.1  # [px] one standard deviation of a sighting
+FINAL_WIDTHS = 1.0
+# other links must be so many arm widths away from a piece's edges
+MIN_CLEARANCE_WIDTHS = 0.8
+# pixels relative to the usual number: other pieces are hidden, or hide something
+PIXEL_RATIO_RANGE = (0.85, 1.15)
+EDGE_SIGMA_PX = 0.1  # standard deviation of a sighting
 
 
 @dataclass(frozen=True)
 class Silhouettes:
-    """The arm in some frames of a trial. times: (F,) [s]. pixels: for each frame (n, 2)
-    the pixels that are arm.
+    """The arm in some frames of a trial.
+
+    Attributes
+    ----------
+    name
+        The trial.
+    motion
+        Motion of the joints.
+    times
+        Times of the frames (F,) [s].
+    pixels
+        Pixels of the arm in each frame (n, 2).
     """
 
     name: str
@@ -59,231 +74,299 @@ class Silhouettes:
 
 def sightings_from_films(
     model: Model, films: Mapping[str, Film], width: float, progress: Progress
-) -> tuple[SightedTrial, ...]:
-    """Trials as their films show them. model: with every effect that is looked for.
-    width: of the links [m].
+) -> list[SightedTrial]:
+    """Read the arm's outline in films.
 
-    Raises DataError where no arm is seen.
+    Parameters
+    ----------
+    model
+        The model with every candidate effect.
+    films
+        Films with joint angles, by trial.
+    width
+        Width of the links [m].
+    progress
+        Reports the share that is done.
+
+    Returns
+    -------
+    list of SightedTrial
+        A trial for each film.
+
+    Raises
+    ------
+    DataError
+        If no arm is seen.
     """
-    # an even one would shift what it leaves
+    # an odd size does not shift the outline
     opening = round(width * model.camera.px_per_m * OPENING_SHARE) // 2 * 2 + 1
-    seen = []
+    silhouettes = []
     for name, film in films.items():
-        seen.append(extract_silhouettes(name, film, opening))
-        progress(len(seen) / len(films))
-    known = model.values({})
+        silhouettes.append(extract_silhouettes(name, film, opening))
+        progress(len(silhouettes) / len(films))
+
+    values = model.values({})
     for reach in SEARCH_WIDTHS:
         trials = []
-        for one in seen:  # some frames of each
-            some = np.arange(0, len(one.times), max(len(one.times) // COARSE_FRAMES, 1))
-            trials.append(
-                build_sighted_trial(
-                    one,
-                    some,
-                    find_pieces(model, known, one, some, width, reach),
-                    width / 4,
-                )
-            )
-        if not sum(len(trial.sightings.frame) for trial in trials):
+        for trial in silhouettes:
+            step = max(len(trial.times) // COARSE_FRAMES, 1)
+            frames = np.arange(0, len(trial.times), step)
+            pieces = find_pieces(model, values, trial, frames, width, reach)
+            trials.append(build_sighted_trial(trial, frames, pieces, width / 4))
+        if not any(len(trial.sightings.frame) for trial in trials):
             raise DataError(
-                "the arm's outline is nowhere where the joints say that it is. Correct camera.px_per_m and "
-                "camera.origin_px, and align.arm_width."
+                "the arm's outline is nowhere where the joints say that it is. Correct "
+                "camera.px_per_m and camera.origin_px, and align.arm_width."
             )
-        known = model.values(
-            fit_alignment(
-                AlignmentProblem(model, tuple(trials)), REQUIRED_EFFECTS
-            ).values
-        )
-    found = []
-    for one in seen:  # all frames, and of these the pieces of links that are seen whole
-        every = np.arange(len(one.times))
-        table = drop_hidden_pieces(
-            find_pieces(model, known, one, every, width, MAX_DISTANCE_WIDTHS)
-        )
-        found.append(
-            build_sighted_trial(
-                one, every, table, EDGE_SIGMA_PX / model.camera.px_per_m
-            )
-        )
-    return tuple(found)
+        problem = AlignmentProblem(model, tuple(trials))
+        values = model.values(fit_alignment(problem, REQUIRED_EFFECTS).values)
+
+    sigma = EDGE_SIGMA_PX / model.camera.px_per_m
+    trials = []
+    for trial in silhouettes:
+        frames = np.arange(len(trial.times))
+        pieces = find_pieces(model, values, trial, frames, width, FINAL_WIDTHS)
+        visible = drop_hidden_pieces(pieces)
+        trials.append(build_sighted_trial(trial, frames, visible, sigma))
+    return trials
 
 
 def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
-    """Pixels of the arm in each frame: those that differ from the scene and are wider
-    than `opening` [px]. film: one with joints.
+    """Extract pixels that differ from the scene and belong to wide things.
+
+    Parameters
+    ----------
+    name
+        The trial.
+    film
+        A film with joint angles.
+    opening
+        Narrower things are not arm [px].
+
+    Returns
+    -------
+    Silhouettes
+        The arm in at most MAX_FRAMES frames.
+
+    Raises
+    ------
+    DataError
+        If the contrast is too small.
     """
     assert film.arm is not None
-    motion = resample_joint_motion(
-        film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy()
-    ).extended_until(film.t[-1])
+    log_t, log = film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy()
+    motion = resample_joint_motion(log_t, log).extended_until(film.t[-1])
     chosen = np.unique(np.linspace(0, len(film.t) - 1, MAX_FRAMES).astype(int))
-    scene = estimate_scene(
-        np.stack([film.images[i] for i in sample_numbers(len(film.images))])
-    )
+    samples = [film.images[number] for number in sample_numbers(len(film.images))]
+    scene = estimate_scene(np.stack(samples))
 
-    # contrast of the arm with the scene [grey levels]: the upper of the two classes of
-    # what differs (Otsu)
-    few = chosen[:: max(len(chosen) // COARSE_FRAMES, 1)]
-    off = np.stack(
-        [cv2.absdiff(film.images[int(n)].astype(np.float32), scene) for n in few]
-    )
-    limit, _ = cv2.threshold(
-        np.clip(off, 0, 255).astype(np.uint8).reshape(1, -1), 0, 255, cv2.THRESH_OTSU
-    )
-    contrast = float(np.median(off[off > limit])) if (off > limit).any() else 0.0
+    def difference(number: int) -> np.ndarray:
+        return cv2.absdiff(film.images[int(number)].astype(np.float32), scene)
+
+    # contrast of the arm: the upper of two classes of differences (Otsu)
+    coarse = chosen[:: max(len(chosen) // COARSE_FRAMES, 1)]
+    differences = np.stack([difference(number) for number in coarse])
+    levels = np.clip(differences, 0, 255).astype(np.uint8).reshape(1, -1)
+    limit, _ = cv2.threshold(levels, 0, 255, cv2.THRESH_OTSU)
+    upper = differences[differences > limit]
+    contrast = float(np.median(upper)) if len(upper) else 0.0
     if contrast < MIN_CONTRAST:
         raise DataError(
-            f"the arm differs from the scene by {contrast:.0f} grey levels only: it cannot be seen. Give it more "
-            "light, or another colour than the background."
+            f"the arm differs from the scene by {contrast:.0f} grey levels only: it "
+            "cannot be seen. Give it more light, or another colour than the background."
         )
 
-    round_ = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (opening, opening))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (opening, opening))
     pixels = []
     for number in chosen:
-        mask = (
-            cv2.absdiff(film.images[int(number)].astype(np.float32), scene)
-            > contrast / 2
-        ).astype(np.uint8)
-        rows, columns = np.nonzero(cv2.morphologyEx(mask, cv2.MORPH_OPEN, round_))
+        mask = (difference(number) > contrast / 2).astype(np.uint8)
+        rows, columns = np.nonzero(cv2.morphologyEx(mask, cv2.MORPH_OPEN, disc))
         pixels.append(np.stack([columns, rows], axis=-1).astype(float))
     return Silhouettes(name, motion, film.t[chosen], pixels)
 
 
-def estimate_scene(stack: np.ndarray) -> np.ndarray:
-    """The scene, (height, width) float32, before which an arm moves that is brighter or
-    darker. stack: (F, h, w) uint8.
+def estimate_scene(frames: np.ndarray) -> np.ndarray:
+    """Estimate the scene behind an arm that is brighter or darker.
 
-    An arm is in few places of its swing at a time: taken for scene, it would differ
-    from more of what is seen.
+    The arm is at few places at a time. If it were taken for scene, more of the picture
+    would differ from it.
+
+    Parameters
+    ----------
+    frames
+        Frames (F, height, width), uint8.
+
+    Returns
+    -------
+    array
+        The scene (height, width), float32.
     """
 
-    def off(scene: np.ndarray) -> float:
-        return float(
-            np.mean(
-                [cv2.absdiff(frame.astype(np.float32), scene).mean() for frame in stack]
-            )
-        )
+    def mean_difference(scene: np.ndarray) -> float:
+        frame_means = [
+            cv2.absdiff(frame.astype(np.float32), scene).mean() for frame in frames
+        ]
+        return float(np.mean(frame_means))
 
-    return min(
-        uncovered_brightness(list(stack)),
-        255 - uncovered_brightness(list(255 - stack)),
-        key=off,
-    )
+    behind_bright_arm = uncovered_brightness(list(frames))
+    behind_dark_arm = 255 - uncovered_brightness(list(255 - frames))
+    return min(behind_bright_arm, behind_dark_arm, key=mean_difference)
 
 
 def find_pieces(
     model: Model,
-    known: np.ndarray,
-    seen: Silhouettes,
-    some: np.ndarray,
+    values: np.ndarray,
+    trial: Silhouettes,
+    frames: np.ndarray,
     width: float,
     reach: float,
 ) -> np.ndarray:
-    """The table of `pieces` in some frames, with the frame's number as first column,
-    (K, 9).
+    """Find pieces of links in some frames of a trial.
+
+    Parameters
+    ----------
+    model, values
+        Where the arm is expected.
+    trial
+        The arm's pixels.
+    frames
+        Indices of the frames.
+    width
+        Width of the links [m].
+    reach
+        Arm widths within which pixels count.
+
+    Returns
+    -------
+    array
+        Rows of `link_pieces`, with the position in `frames` as first column (K, 8).
     """
-    there = model.observed_arm(seen.motion, known[None], seen.times[some])[0]
-    parts = [
-        link_pieces(model, seen.pixels[int(i)], joints, width, reach)
-        for i, joints in zip(some, there, strict=True)
-    ]
-    return np.concatenate(
-        [np.column_stack([np.full(len(p), n), p]) for n, p in enumerate(parts)]
-    )
+    times = trial.times[frames]
+    joints_by_frame = model.observed_arm(trial.motion, values[None], times)[0]
+    tables = []
+    for position, (frame, joints) in enumerate(
+        zip(frames, joints_by_frame, strict=True)
+    ):
+        pieces = link_pieces(model, trial.pixels[int(frame)], joints, width, reach)
+        tables.append(np.column_stack([np.full(len(pieces), position), pieces]))
+    return np.concatenate(tables)
 
 
 def build_sighted_trial(
-    seen: Silhouettes, some: np.ndarray, table: np.ndarray, sigma: float
+    trial: Silhouettes, frames: np.ndarray, pieces: np.ndarray, sigma: float
 ) -> SightedTrial:
-    """The trial with what was seen in some of its frames. table: (K, 9) of
-    `looked_for`. sigma: [m].
-    """
-    frame, link, share, x, y, along_x, along_y, _ = table.T
-    where = (frame.astype(int), link.astype(int), share, np.stack([x, y], axis=-1))
-    along = np.stack([along_x, along_y], axis=-1)
-    return SightedTrial(
-        seen.name,
-        seen.motion,
-        Sightings(seen.times[some], *where, along, np.full(len(table), sigma)),
+    """Return the sightings of pieces (K, 8) in some frames, with sigma [m]."""
+    sightings = Sightings(
+        trial.times[frames],
+        frame=pieces[:, 0].astype(int),
+        link=pieces[:, 1].astype(int),
+        share=pieces[:, 2],
+        position=pieces[:, 3:5],
+        direction=pieces[:, 5:7],
+        sigma=np.full(len(pieces), sigma),
     )
+    return SightedTrial(trial.name, trial.motion, sightings)
 
 
 def link_pieces(
     model: Model, pixels: np.ndarray, joints: np.ndarray, width: float, reach: float
 ) -> np.ndarray:
-    """The middle of each piece of each link as it is seen: link, share, x, y, the
-    normal, and how many pixels, (K, 8).
+    """Locate the middle of each piece of each link.
 
-    pixels: (n, 2). joints: (J + 1, 2) where they are looked for [m].
+    Parameters
+    ----------
+    model
+        The model with the camera.
+    pixels
+        Pixels of the arm (n, 2).
+    joints
+        Expected places of the joints (J + 1, 2) [m].
+    width
+        Width of the links [m].
+    reach
+        Arm widths within which pixels count.
+
+    Returns
+    -------
+    array
+        Link, share, x, y, normal and number of pixels of each piece (K, 7).
     """
     points = model.camera.world(pixels)
-    share, across, distance = link_coordinates(points, joints)
-    nearest = np.argmin(distance, axis=1)
-    own = (np.arange(len(points)), nearest)
-    good = (
-        (distance[own] < reach * width)
-        & (share[own] > LINK_END_SHARE)
-        & (share[own] < 1 - LINK_END_SHARE)
+    shares, offsets, distances = link_coordinates(points, joints)  # (n, J) each
+    nearest = np.argmin(distances, axis=1)
+    at_nearest = (np.arange(len(points)), nearest)
+    share, offset = shares[at_nearest], offsets[at_nearest]
+    is_used = (
+        (distances[at_nearest] < reach * width)
+        & (share > LINK_END_SHARE)
+        & (share < 1 - LINK_END_SHARE)
     )
-    piece = (
-        (share[own] - LINK_END_SHARE) / (1 - 2 * LINK_END_SHARE) * PIECES_PER_LINK
-    ).astype(int)
-    number = (nearest * PIECES_PER_LINK + piece)[good]
+    position = (share - LINK_END_SHARE) / (1 - 2 * LINK_END_SHARE) * PIECES_PER_LINK
+    number = (nearest * PIECES_PER_LINK + position.astype(int))[is_used]
+
+    # means over the pixels of each piece
     count = np.bincount(number, minlength=PIECES_PER_LINK * (len(joints) - 1))
-    there = np.flatnonzero(count)
-    off, at = (
-        np.bincount(number, v[own][good], len(count))[there] / count[there]
-        for v in (across, share)
-    )
-    link = there // PIECES_PER_LINK
-    way = joints[link + 1] - joints[link]
-    normal = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(
-        way, axis=1, keepdims=True
-    )
-    axis = joints[link] + at[:, None] * way
-    # other links must be clear of both edges of a piece, so that neither side is cut or
-    # added to
-    near = np.full(len(axis), np.inf)
+    pieces = np.flatnonzero(count)
+    offset_sum = np.bincount(number, offset[is_used], len(count))
+    share_sum = np.bincount(number, share[is_used], len(count))
+    mean_offset = offset_sum[pieces] / count[pieces]
+    mean_share = share_sum[pieces] / count[pieces]
+    link = pieces // PIECES_PER_LINK
+    vector = joints[link + 1] - joints[link]
+    lengths = np.linalg.norm(vector, axis=1, keepdims=True)
+    normal = np.stack([-vector[:, 1], vector[:, 0]], axis=-1) / lengths
+    axis = joints[link] + mean_share[:, None] * vector
+    middle = axis + mean_offset[:, None] * normal
+
+    # other links near an edge would cut the piece, or add to it
+    clearance = np.full(len(axis), np.inf)
     for side in (-width / 2, width / 2):
-        others = link_coordinates(axis + side * normal, joints)[2]
-        others[np.arange(len(axis)), link] = np.inf
-        near = np.minimum(near, others.min(axis=1))
-    clear = near > MIN_VISIBLE_SHARE * width
-    return np.column_stack(
-        [link + 1, at, axis + off[:, None] * normal, normal, count[there]]
-    )[clear]
+        to_links = link_coordinates(axis + side * normal, joints)[2]
+        to_links[np.arange(len(axis)), link] = np.inf
+        clearance = np.minimum(clearance, to_links.min(axis=1))
+    is_clear = clearance > MIN_CLEARANCE_WIDTHS * width
+    columns = [link + 1, mean_share, middle, normal, count[pieces]]
+    return np.column_stack(columns)[is_clear]
 
 
 def link_coordinates(
     points: np.ndarray, joints: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Share along each link, distance from its line to its left and from itself [m],
-    (n, J) each. points: (n, 2).
+    """Return coordinates of points relative to each link.
+
+    Parameters
+    ----------
+    points
+        Places (n, 2) [m].
+    joints
+        Places of the joints (J + 1, 2) [m].
+
+    Returns
+    -------
+    share
+        Share along the link (n, J).
+    offset
+        Distance from the link's line, to its left (n, J) [m].
+    distance
+        Distance from the link itself (n, J) [m].
     """
-    way = np.diff(joints, axis=0)
-    length = np.linalg.norm(way, axis=1)
-    normal = np.stack([-way[:, 1], way[:, 0]], axis=-1) / length[:, None]
+    vector = np.diff(joints, axis=0)
+    length = np.linalg.norm(vector, axis=1)
+    normal = np.stack([-vector[:, 1], vector[:, 0]], axis=-1) / length[:, None]
     from_start = points[:, None] - joints[None, :-1]
-    share = np.einsum("nji,ji->nj", from_start, way) / length**2
-    across = np.einsum("nji,ji->nj", from_start, normal)
-    return (
-        share,
-        across,
-        np.hypot(across, np.maximum(np.maximum(-share, share - 1), 0) * length),
-    )
+    share = np.einsum("nji,ji->nj", from_start, vector) / length**2
+    offset = np.einsum("nji,ji->nj", from_start, normal)
+    beyond_ends = np.maximum(np.maximum(-share, share - 1), 0) * length
+    return share, offset, np.hypot(offset, beyond_ends)
 
 
-def drop_hidden_pieces(table: np.ndarray) -> np.ndarray:
-    """Without pieces of a link that are hidden in part, or in which something else is
-    seen. table: (K, 9).
-    """
-    kept = np.zeros(len(table), bool)
-    for link in np.unique(table[:, 1]):
-        own = table[:, 1] == link
-        usual = np.median(table[own, -1])
-        kept |= (
-            own
-            & (table[:, -1] > WIDTH_RATIO_RANGE[0] * usual)
-            & (table[:, -1] < WIDTH_RATIO_RANGE[1] * usual)
-        )
-    return table[kept]
+def drop_hidden_pieces(pieces: np.ndarray) -> np.ndarray:
+    """Drop pieces (K, 8) that are partly hidden, or in which something else is seen."""
+    is_kept = np.zeros(len(pieces), bool)
+    low, high = PIXEL_RATIO_RANGE
+    pixels = pieces[:, -1]
+    for link in np.unique(pieces[:, 1]):
+        is_link = pieces[:, 1] == link
+        usual = np.median(pixels[is_link])
+        is_kept |= is_link & (pixels > low * usual) & (pixels < high * usual)
+    return pieces[is_kept]

@@ -1,6 +1,4 @@
-"""Sightings: where points that are rigid with the arm were seen, and where the model
-has them.
-"""
+"""Sightings of the arm: where points on its links were seen and are simulated."""
 
 from __future__ import annotations
 
@@ -14,7 +12,25 @@ from stringcast.stages.model.model import Model
 
 @dataclass(frozen=True)
 class Sightings:
-    """Observations of the arm in one trial."""
+    """Observations of points on the arm in one trial.
+
+    Attributes
+    ----------
+    times
+        Times of the frames (F,) [s], by the camera's clock.
+    frame
+        Index of each sighting's frame (N,).
+    link
+        Number of its link (N,), from 1.
+    share
+        Where on the link the point is (N,), from 0 at its joint to 1.
+    position
+        Where it was seen (N, 2) [m].
+    direction
+        Unit vector (N, 2) along which it was measured.
+    sigma
+        Standard deviation of that measurement (N,) [m].
+    """
 
     times: np.ndarray
     frame: np.ndarray
@@ -34,20 +50,28 @@ class SightedTrial:
     sightings: Sightings
 
     def residuals(self, model: Model, values: np.ndarray) -> np.ndarray:
-        """Residuals of candidates, (C, N) [m]: each point as simulated less as seen,
-        along its direction. values: (C, P).
+        """Return simulated less seen positions along the measured directions.
+
+        Parameters
+        ----------
+        model
+            The model of arm and camera.
+        values
+            Parameters of candidates (C, P).
+
+        Returns
+        -------
+        array
+            Residuals (C, N) [m].
         """
-        there = points_on_links(
-            model.observed_arm(self.motion, values, self.sightings.times),
-            self.sightings,
-        )
-        return np.sum(
-            (there - self.sightings.position) * self.sightings.direction, axis=-1
-        )
+        seen = self.sightings
+        joints = model.observed_arm(self.motion, values, seen.times)
+        error = points_on_links(joints, seen) - seen.position
+        return np.sum(error * seen.direction, axis=-1)
 
 
 def points_on_links(joints: np.ndarray, sightings: Sightings) -> np.ndarray:
-    """The points that were sighted, (C, N, 2) [m]. joints: (C, F, J + 1, 2)."""
+    """Return the sighted points (C, N, 2) [m] of joints at (C, F, J + 1, 2) [m]."""
     near = joints[:, sightings.frame, sightings.link - 1]
     far = joints[:, sightings.frame, sightings.link]
     return near + sightings.share[:, None] * (far - near)

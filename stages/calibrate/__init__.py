@@ -1,6 +1,4 @@
-"""Calibrate: from pictures of a printed board, the lens of a camera and where it sees
-the plane of motion.
-"""
+"""The calibrate stage: lens and plane of motion from pictures of a printed board."""
 
 from __future__ import annotations
 
@@ -15,31 +13,34 @@ from stringcast.stages.spec import SameIteration, StageSpec, StageSummary
 CAMERA = "camera.yaml"  # the camera that a calibration measured, for `camera_from=`
 
 
-def summary(made: Calibration) -> StageSummary:
-    """The calibration's result with its errors, for the terminal."""
-    outcome = made.outcome.iloc[0]
+def summary(calibration: Calibration) -> StageSummary:
+    """Return the camera's parameters with their errors, as a table."""
+    outcome = calibration.outcome.iloc[0]
     sentence = (
-        f"This calibration cannot be used: {made.reason}"
-        if made.reason
-        else f"The camera is known: reprojection error {outcome['rms']:.2f} px, {outcome['held_out_rms']:.2f} px on "
-        f"views left out, {outcome['plane_rms']:.2f} px in the plane of motion."
+        f"The camera is known: reprojection error {outcome['rms']:.2f} px, "
+        f"{outcome['held_out_rms']:.2f} px on views left out, "
+        f"{outcome['plane_rms']:.2f} px in the plane of motion."
     )
-    rows = [
-        {
-            "parameter": row.name,
-            "value": f"{row.value:.6g}",
-            "sigma": f"{row.sigma:.2g}",
-            "unit": row.unit,
-            "": row.meaning,
+    if calibration.reason:
+        sentence = f"This calibration cannot be used: {calibration.reason}"
+    rows = []
+    for parameter in calibration.measured.itertuples():
+        row = {
+            "parameter": parameter.name,
+            "value": f"{parameter.value:.6g}",
+            "sigma": f"{parameter.sigma:.2g}",
+            "unit": parameter.unit,
+            "": parameter.meaning,
         }
-        for row in made.measured.itertuples()
-    ]
+        rows.append(row)
     return StageSummary("the camera", sentence, pd.DataFrame(rows))
 
 
-def files(made: Calibration, ahead: Path) -> Mapping[str, str]:
-    """The camera as settings, if it can be used."""
-    return {} if made.reason else {CAMERA: str(made.outcome["camera"].iloc[0])}
+def files(calibration: Calibration, folder: Path) -> Mapping[str, str]:
+    """Return the camera as settings, if it can be used."""
+    if calibration.reason:
+        return {}
+    return {CAMERA: str(calibration.outcome["camera"].iloc[0])}
 
 
 STAGE = StageSpec(

@@ -1,6 +1,4 @@
-"""The ChArUco board: a chessboard with a marker in each white square, so that every
-corner has a name.
-"""
+"""The ChArUco board: a chessboard with markers, so that every corner has a name."""
 
 from __future__ import annotations
 
@@ -14,11 +12,21 @@ from pydantic import Field
 
 @dataclass(frozen=True)
 class Board:
-    """squares: columns and rows. square, marker: their sides [m]. dictionary: of the
-    markers, by OpenCV's name.
+    """A board with a marker in each white square.
 
-    Garrido-Jurado et al., Automatic generation and detection of highly reliable
-    fiducial markers (2014).
+    Attributes
+    ----------
+    squares
+        Columns and rows.
+    square, marker
+        Their sides [m].
+    dictionary
+        OpenCV's name of the set of markers.
+
+    References
+    ----------
+    Garrido-Jurado et al., "Automatic generation and detection of highly reliable
+    fiducial markers", 2014.
     """
 
     squares: tuple[Annotated[int, Field(ge=3)], Annotated[int, Field(ge=3)]]
@@ -27,7 +35,7 @@ class Board:
     dictionary: str
 
     def __post_init__(self) -> None:
-        """Refuse a board that cannot be."""
+        """Refuse an impossible board."""
         if self.marker >= self.square:
             raise ValueError("a marker must be smaller than the square that it lies in")
         if not hasattr(cv2.aruco, self.dictionary):
@@ -36,22 +44,23 @@ class Board:
             )
         if self.markers > self.dictionary_size:
             raise ValueError(
-                f"{self.dictionary} has {self.dictionary_size} markers, the board needs {self.markers}"
+                f"{self.dictionary} has {self.dictionary_size} markers, the board "
+                f"needs {self.markers}"
             )
 
     @property
     def markers(self) -> int:
-        """The number of markers on the board."""
+        """Number of markers on the board."""
         return self.squares[0] * self.squares[1] // 2
 
     @property
     def dictionary_size(self) -> int:
-        """The number of markers in the dictionary."""
-        return len(
-            cv2.aruco.getPredefinedDictionary(
-                getattr(cv2.aruco, self.dictionary)
-            ).bytesList
-        )
+        """Number of markers in the dictionary."""
+        return len(self._markers.bytesList)
+
+    @property
+    def _markers(self) -> cv2.aruco.Dictionary:
+        return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
 
     @property
     def size(self) -> np.ndarray:
@@ -61,35 +70,30 @@ class Board:
     @property
     def pattern(self) -> cv2.aruco.CharucoBoard:
         """The pattern as OpenCV's class."""
-        dictionary = cv2.aruco.getPredefinedDictionary(
-            getattr(cv2.aruco, self.dictionary)
-        )
         return cv2.aruco.CharucoBoard(
-            self.squares, self.square, self.marker, dictionary
+            self.squares, self.square, self.marker, self._markers
         )
 
     @property
     def corners(self) -> np.ndarray:
-        """(N, 2) inner corners [m]: x to the right, y up, from the lower left corner of
-        the printed pattern.
-        """
-        return np.array([0.0, self.size[1]]) + self.points[:, :2] * np.array(
-            [1.0, -1.0]
-        )
+        """Inner corners (N, 2) [m], x right and y up from the lower left corner."""
+        upper_left = np.array([0.0, self.size[1]])
+        return upper_left + self.points[:, :2] * np.array([1.0, -1.0])
 
     @property
     def points(self) -> np.ndarray:
-        """(N, 3) inner corners [m] as OpenCV has them: y down, from the upper left
-        corner of the pattern, z into it.
+        """Inner corners (N, 3) [m] in OpenCV's axes.
+
+        y points down from the upper left corner of the pattern, z into it.
         """
         return np.array(self.pattern.getChessboardCorners(), dtype=float)
 
     @property
     def marker_corners(self) -> np.ndarray:
-        """(M, 4, 2) corners of each marker [m], x and y as of `points`."""
+        """Corners of each marker (M, 4, 2) [m], x and y as of `points`."""
         return np.array(self.pattern.getObjPoints(), dtype=float)[..., :2]
 
     def image(self, px_per_square: int) -> np.ndarray:
-        """The pattern without a border, uint8."""
+        """Draw the pattern without a border, uint8."""
         size = (self.squares[0] * px_per_square, self.squares[1] * px_per_square)
         return np.asarray(self.pattern.generateImage(size))

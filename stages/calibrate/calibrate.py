@@ -1,6 +1,4 @@
-"""Calibrate: the lens from many tilted views of a board, the plane of motion from one
-view of it in that plane.
-"""
+"""Calibration of a camera: lens and plane from views of a board."""
 
 from __future__ import annotations
 
@@ -28,10 +26,8 @@ from stringcast.stages.common import Progress
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.spec import StageCall
 
-MIN_SOLVABLE_VIEWS = 4  # views below which there is nothing to judge
-# of the cross-validation of the lens: each view is predicted by a lens that has not
-# seen it
-FOLDS = 4
+MIN_SOLVABLE_VIEWS = 4  # with fewer, nothing can be computed
+FOLDS = 4  # of the cross-validation of the lens
 
 
 def run(
@@ -40,11 +36,26 @@ def run(
     flat: Sequence[np.ndarray],
     board: Board,
 ) -> Calibration:
-    """The camera, as a stage."""
-    made: Calibration = call.by(
+    """Calibrate the camera, as a stage.
+
+    Parameters
+    ----------
+    call
+        Camera, progress and the configured function.
+    tilted, flat
+        Pictures of the tilted board, and of the board in the plane of motion.
+    board
+        The board.
+
+    Returns
+    -------
+    Calibration
+        The camera, or the reason why it cannot be used.
+    """
+    calibration: Calibration = call.by(
         tilted, flat, board, call.setup.model.camera, progress=call.progress
     )
-    return made
+    return calibration
 
 
 def calibrate(
@@ -61,72 +72,100 @@ def calibrate(
     astray: Annotated[float, Field(gt=1)],
     progress: Progress = lambda share: None,
 ) -> Calibration:
-    """Calibration of `camera`, whose rate and exposure are kept.
+    """Calibrate a camera with pictures of a board.
 
-    pictures: of the board tilted in all directions. flat: of the board held in the
-    plane of motion, of which the one with most corners is used. Both uint8 (height,
-    width) or (height, width, 3).
+    Parameters
+    ----------
+    pictures
+        Pictures of the board tilted in all directions, uint8 (height, width) or
+        (height, width, 3).
+    flat
+        The same of the board in the plane of motion. The one with most corners is used.
+    board
+        The board.
+    camera
+        The camera, whose rate and exposure are kept.
+    place
+        Place of the board in the plane of motion.
+    views
+        Smallest number of usable views.
+    spread
+        Smallest angle between any two of them [rad].
+    coverage
+        Smallest share of the picture in which corners were seen.
+    rms
+        Largest reprojection error [px].
+    astray
+        Largest error of a view relative to the usual one.
+    progress
+        Reports the share that is done.
 
-    place: of the board in that plane. views: fewest that must be usable. spread: least
-    angle between two of them [rad]. coverage: least share of the picture where corners
-    were seen. rms: largest reprojection error [px]. astray: times the usual error that
-    no view's may be. What misses one of these is in the artifact, with the reason.
-    Raises DataError where there is too little to work out anything.
+    Returns
+    -------
+    Calibration
+        The camera. If it violates one of these limits, the reason says so.
+
+    Raises
+    ------
+    DataError
+        If too few pictures show the board.
     """
-    seen = []
+    all_views = []
     for number, picture in enumerate(pictures):
-        seen.append(detect_board(number, picture, board))
-        # most of the time goes into finding the markers
+        all_views.append(detect_board(number, picture, board))
+        # detection takes most of the time
         progress(0.9 * (number + 1) / len(pictures))
-    used = _readable_views(seen)
-    held = _plane_view(flat, board)
-    sizes = sorted({view.image.shape[::-1] for view in (*seen, held)})
+    used_views = _readable_views(all_views)
+    plane_view = _plane_view(flat, board)
+    sizes = sorted({view.image.shape[::-1] for view in (*all_views, plane_view)})
     if len(sizes) > 1:
-        several = " and ".join(f"{width}x{height}" for width, height in sizes[:2])
+        two_sizes = " and ".join(f"{width}x{height}" for width, height in sizes[:2])
         raise DataError(
-            f"pictures are {several} px. Take all with the camera set as for the experiment."
+            f"pictures are {two_sizes} px. Take all with the camera set as for the "
+            "experiment."
         )
-    size = (int(sizes[0][0]), int(sizes[0][1]))
-    lens = fit_lens(used, board, size)
-    alone = held_out_rms(used, board, size, FOLDS)
-    plane = fit_plane(
-        held, board, place, lens, replace(camera, width=size[0], height=size[1])
-    )
-    solution = CalibrationSolution(used, lens, alone, held, plane, size)
-    return calibration_tables(
-        solution,
-        seen,
-        rejection_reason(
-            solution, CalibrationThresholds(views, spread, coverage, rms, astray)
+    width, height = map(int, sizes[0])
+    lens = fit_lens(used_views, board, (width, height))
+    solution = CalibrationSolution(
+        used_views,
+        lens,
+        held_out_rms(used_views, board, (width, height), FOLDS),
+        plane_view,
+        fit_plane(
+            plane_view, board, place, lens, replace(camera, width=width, height=height)
         ),
+        (width, height),
     )
+    thresholds = CalibrationThresholds(views, spread, coverage, rms, astray)
+    reason = rejection_reason(solution, thresholds)
+    return calibration_tables(solution, all_views, reason)
 
 
-def _readable_views(seen: Sequence[BoardView]) -> list[BoardView]:
-    """The views in which the board can be read. Raises DataError where there are too
-    few.
-    """
-    used = [view for view in seen if not view.reason]
-    if len(used) < MIN_SOLVABLE_VIEWS:
-        reasons = Counter(view.reason for view in seen if view.reason)
-        why = f"; of most, {reasons.most_common(1)[0][0]}" if reasons else ""
+def _readable_views(views: Sequence[BoardView]) -> list[BoardView]:
+    """Return the views in which the board can be read; refuse too few."""
+    readable = [view for view in views if not view.reason]
+    if len(readable) < MIN_SOLVABLE_VIEWS:
+        reasons = Counter(view.reason for view in views if view.reason)
+        reason = f"; of most, {reasons.most_common(1)[0][0]}" if reasons else ""
         raise DataError(
-            f"the board can be read in {len(used)} of {len(seen)} pictures{why}. Take ten and more of the board in the "
-            "settings (board=...), sharp, lit evenly, tilted in all directions and all over the picture."
+            f"the board can be read in {len(readable)} of {len(views)} pictures"
+            f"{reason}. Take ten and more of the board in the settings (board=...), "
+            "sharp, lit evenly, tilted in all directions and all over the picture."
         )
-    return used
+    return readable
 
 
 def _plane_view(flat: Sequence[np.ndarray], board: Board) -> BoardView:
-    """The view in the plane of motion."""
-    seen = [detect_board(number, picture, board) for number, picture in enumerate(flat)]
-    if not seen:
+    """Return the view in the plane of motion with most corners."""
+    if not len(flat):
         raise DataError(
             "the board in the plane of motion: there is no picture of it. Take one."
         )
-    best = max(seen, key=lambda view: len(view.corners))
+    views = [detect_board(number, image, board) for number, image in enumerate(flat)]
+    best = max(views, key=lambda view: len(view.corners))
     if best.reason:
         raise DataError(
-            f"the board in the plane of motion: {best.reason}. Hold it in view, lit and still."
+            f"the board in the plane of motion: {best.reason}. Hold it in view, lit and "
+            "still."
         )
     return best

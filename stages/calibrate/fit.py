@@ -1,5 +1,8 @@
-"""The lens from many views of a plane (Zhang, A flexible new technique for camera
-calibration, 2000).
+"""Fit of the lens to many views of a plane.
+
+References
+----------
+Zhang, "A flexible new technique for camera calibration", 2000.
 """
 
 from __future__ import annotations
@@ -23,9 +26,18 @@ Pose = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class LensFit:
-    """lens, and of each view the pose: turn (3,) [rad] and place (3,) [m] of the board
-    before the camera. covariance: (8, 8) of NAMES. errors: measured less projected
-    corners of each view, (N, 2) [px].
+    """A fitted lens.
+
+    Attributes
+    ----------
+    lens
+        The lens.
+    poses
+        Rotation vector (3,) [rad] and place (3,) [m] of the board in each view.
+    covariance
+        Covariance of LENS_PARAMETERS (8, 8).
+    errors
+        Measured less projected corners of each view (N, 2) [px].
     """
 
     lens: Lens
@@ -35,8 +47,8 @@ class LensFit:
 
     @property
     def normals(self) -> np.ndarray:
-        """(V, 3), of the board in front of the camera."""
-        return np.array([cv2.Rodrigues(turn)[0][:, 2] for turn, _ in self.poses])
+        """Normals of the board in the camera's frame (V, 3)."""
+        return np.array([cv2.Rodrigues(vector)[0][:, 2] for vector, _ in self.poses])
 
     @property
     def rms(self) -> float:
@@ -45,53 +57,63 @@ class LensFit:
 
 
 def distance_rms(errors: np.ndarray) -> float:
-    """Root mean square of distances. errors: (N, 2) [px]."""
+    """Return the root mean square length of errors (N, 2) [px]."""
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
 
 
 def fit_lens(
     views: Sequence[BoardView], board: Board, size: tuple[int, int]
 ) -> LensFit:
-    """The lens that explains all views best. size: width and height [px]."""
-    solid = [_board_points(board, view) for view in views]
-    seen = [view.pixels.astype(np.float32) for view in views]
-    _, matrix, bent, turns, places = cv2.calibrateCamera(
-        solid, seen, size, None, None, flags=FLAGS
+    """Fit the lens to all views, of pictures of a size (width, height) [px]."""
+    points = [_board_points(board, view) for view in views]
+    pixels = [view.pixels.astype(np.float32) for view in views]
+    _, matrix, distortion, rotations, places = cv2.calibrateCamera(
+        points, pixels, size, None, None, flags=FLAGS
     )
     lens = lens_from_values(
-        [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *bent.ravel()[:4]]
+        [
+            matrix[0, 0],
+            matrix[1, 1],
+            matrix[0, 2],
+            matrix[1, 2],
+            *distortion.ravel()[:4],
+        ]
     )
     poses = [
-        (turn.ravel(), place.ravel()) for turn, place in zip(turns, places, strict=True)
+        (rotation.ravel(), place.ravel())
+        for rotation, place in zip(rotations, places, strict=True)
     ]
     errors = [
-        view.pixels - project_corners(lens, board, view, *at)
-        for view, at in zip(views, poses, strict=True)
+        view.pixels - project_corners(lens, board, view, *pose)
+        for view, pose in zip(views, poses, strict=True)
     ]
 
-    # covariance of the lens: the inverse of what the views say of it once each has
-    # chosen its own pose
-    known = np.zeros((LENS_PARAMETER_COUNT, LENS_PARAMETER_COUNT))
-    for points, (turn, place) in zip(solid, poses, strict=True):
-        _, slopes = cv2.projectPoints(
-            points, turn, place, lens.matrix, np.array(lens.distortion)
+    # covariance of the lens, with the pose of each view unknown
+    information = np.zeros((LENS_PARAMETER_COUNT, LENS_PARAMETER_COUNT))
+    for board_points, (rotation, place) in zip(points, poses, strict=True):
+        _, jacobian = cv2.projectPoints(
+            board_points, rotation, place, lens.matrix, np.array(lens.distortion)
         )
-        own, common = slopes[:, :6], slopes[:, 6 : 6 + LENS_PARAMETER_COUNT]
-        left = common - own @ np.linalg.lstsq(own, common, rcond=None)[0]
-        known += left.T @ left
-    every = np.concatenate(errors)
-    freedom = every.size - LENS_PARAMETER_COUNT - 6 * len(poses)
-    covariance = np.linalg.inv(known) * float((every**2).sum()) / max(freedom, 1)
+        by_pose, by_lens = np.split(
+            jacobian[:, : 6 + LENS_PARAMETER_COUNT], [6], axis=1
+        )
+        along_pose = by_pose @ np.linalg.lstsq(by_pose, by_lens, rcond=None)[0]
+        remaining = by_lens - along_pose
+        information += remaining.T @ remaining
+    all_errors = np.concatenate(errors)
+    freedom = all_errors.size - LENS_PARAMETER_COUNT - 6 * len(poses)
+    variance_sum = float((all_errors**2).sum())
+    covariance = np.linalg.inv(information) * variance_sum / max(freedom, 1)
     return LensFit(lens, poses, covariance, errors)
 
 
 def lens_values(lens: Lens) -> np.ndarray:
-    """Values (8,) of a lens in the order of NAMES."""
+    """Return the values of a lens in the order of LENS_PARAMETERS (8,)."""
     return np.array([*lens.focal, *lens.centre, *lens.distortion])
 
 
 def lens_from_values(values: Iterable[float]) -> Lens:
-    """The lens with these values of NAMES (8,)."""
+    """Return the lens with these values of LENS_PARAMETERS (8,)."""
     fx, fy, cx, cy, k1, k2, p1, p2 = map(float, values)
     return Lens((fx, fy), (cx, cy), (k1, k2, p1, p2))
 
@@ -99,51 +121,53 @@ def lens_from_values(values: Iterable[float]) -> Lens:
 def held_out_rms(
     views: Sequence[BoardView], board: Board, size: tuple[int, int], folds: int
 ) -> np.ndarray:
-    """RMS of each view with the lens of the others, (V,) [px]; only its pose is its
-    own.
+    """Cross-validate the lens: fit only the pose of a view with the lens of others.
+
+    Parameters
+    ----------
+    views
+        Views of the board.
+    board
+        The board.
+    size
+        Width and height of the pictures [px].
+    folds
+        Number of groups of views, each predicted by a lens from the other groups.
+
+    Returns
+    -------
+    array
+        RMS of each view (V,) [px].
     """
     errors = np.zeros(len(views))
     for fold in range(folds):
-        left = list(range(fold, len(views), folds))
-        lens = fit_lens(
-            [view for k, view in enumerate(views) if k not in left], board, size
-        ).lens
-        for k in left:
-            errors[k] = distance_rms(
-                views[k].pixels
-                - project_corners(
-                    lens, board, views[k], *board_pose(lens, board, views[k])
-                )
-            )
+        training = [view for k, view in enumerate(views) if k % folds != fold]
+        lens = fit_lens(training, board, size).lens
+        for k in range(fold, len(views), folds):
+            pose = board_pose(lens, board, views[k])
+            projected = project_corners(lens, board, views[k], *pose)
+            errors[k] = distance_rms(views[k].pixels - projected)
     return errors
 
 
 def board_pose(lens: Lens, board: Board, view: BoardView) -> Pose:
-    """Turn (3,) [rad] and place (3,) [m] of the board before a known lens."""
-    bent = np.array(lens.distortion)
-    _, turn, place = cv2.solvePnP(
-        _board_points(board, view),
-        view.pixels,
-        lens.matrix,
-        bent,
-        flags=cv2.SOLVEPNP_IPPE,
-    )
-    turn, place = cv2.solvePnPRefineLM(
-        _board_points(board, view), view.pixels, lens.matrix, bent, turn, place
-    )
-    return turn.ravel(), place.ravel()
+    """Return rotation vector (3,) [rad] and place (3,) [m] of the board in a view."""
+    points, distortion = _board_points(board, view), np.array(lens.distortion)
+    known = (points, view.pixels, lens.matrix, distortion)
+    _, rotation, place = cv2.solvePnP(*known, flags=cv2.SOLVEPNP_IPPE)
+    rotation, place = cv2.solvePnPRefineLM(*known, rotation, place)
+    return rotation.ravel(), place.ravel()
 
 
 def project_corners(
-    lens: Lens, board: Board, view: BoardView, turn: np.ndarray, place: np.ndarray
+    lens: Lens, board: Board, view: BoardView, rotation: np.ndarray, place: np.ndarray
 ) -> np.ndarray:
-    """Corners of a view as the lens projects them, (N, 2) [px]."""
-    pixels, _ = cv2.projectPoints(
-        _board_points(board, view), turn, place, lens.matrix, np.array(lens.distortion)
-    )
+    """Project the corners of a view (N, 2) [px]."""
+    points, distortion = _board_points(board, view), np.array(lens.distortion)
+    pixels, _ = cv2.projectPoints(points, rotation, place, lens.matrix, distortion)
     return pixels.reshape(-1, 2)
 
 
 def _board_points(board: Board, view: BoardView) -> np.ndarray:
-    """Corners on the board, (N, 3) [m], as OpenCV has them: y down."""
+    """Return corners on the board (N, 3) [m] in OpenCV's axes."""
     return board.points[view.corners].astype(np.float32)

@@ -1,6 +1,4 @@
-"""Where a camera with a known lens sees the plane of motion, from one view of the board
-held in it.
-"""
+"""Fit of the plane of motion to one view of the board, with a known lens."""
 
 from __future__ import annotations
 
@@ -27,23 +25,37 @@ PLANE_PARAMETERS = ("px_per_m", "origin_u", "origin_v", "rotation", "tilt_x", "t
 
 @dataclass(frozen=True)
 class BoardPlacement:
-    """The place of the lower left corner of the board's pattern in the world [m], and
-    by how much its lower edge is turned from the world's x, counter-clockwise [rad].
+    """Place of the board's pattern in the world.
+
+    Attributes
+    ----------
+    corner
+        Its lower left corner [m].
+    turn
+        Angle of its lower edge to the world's x, counter-clockwise [rad].
     """
 
     corner: tuple[float, float]
     turn: float
 
     def to_world(self, board: np.ndarray) -> np.ndarray:
-        """World points (N, 2) [m] of points on the board (N, 2) [m]."""
+        """Transform points on the board (N, 2) [m] to the world."""
         c, s = np.cos(self.turn), np.sin(self.turn)
         return board @ np.array([[c, s], [-s, c]]) + np.array(self.corner)
 
 
 @dataclass(frozen=True)
 class PlaneFit:
-    """camera: with lens and plane. sigma: (6,) of NAMES, that of the lens included.
-    fit: (N, 2) corners as the camera has them [px].
+    """A camera with lens and plane.
+
+    Attributes
+    ----------
+    camera
+        The camera.
+    sigma
+        Standard deviations of PLANE_PARAMETERS (6,), with that of the lens.
+    fit
+        Projected corners (N, 2) [px].
     """
 
     camera: Camera
@@ -54,57 +66,71 @@ class PlaneFit:
 def fit_plane(
     view: BoardView, board: Board, place: BoardPlacement, lens: LensFit, camera: Camera
 ) -> PlaneFit:
-    """The camera that sees the view's corners where they are. camera: its size, rate
-    and exposure are kept.
+    """Fit scale, origin, rotation and tilt of the camera.
+
+    Parameters
+    ----------
+    view
+        The view of the board in the plane of motion.
+    board
+        The board.
+    place
+        Where the board was.
+    lens
+        The fitted lens.
+    camera
+        Its size, rate and exposure are kept.
+
+    Returns
+    -------
+    PlaneFit
+        The camera with errors.
     """
     world = place.to_world(board.corners[view.corners])
     plain = replace(camera, distortion=0.0, lens=lens.lens)
 
     # start: from OpenCV's pose of the board, whose y is down and whose z goes into it
-    turn, at = board_pose(lens.lens, board, view)
-    spin = Rotation.from_euler("z", -place.turn).as_matrix()
-    turned = cv2.Rodrigues(turn)[0] @ CAMERA_AXES @ spin
-    lower_left = at + cv2.Rodrigues(turn)[0] @ np.array([0, board.size[1], 0])
-    origin = lower_left - turned @ np.array([*place.corner, 0.0])
-    tilt_x, tilt_y, roll = Rotation.from_matrix(turned @ CAMERA_AXES).as_euler("XYZ")
-    depth = turned[:, 2] @ origin / turned[2, 2]
+    vector, board_place = board_pose(lens.lens, board, view)
+    board_axes = cv2.Rodrigues(vector)[0]
+    turn = Rotation.from_euler("z", -place.turn).as_matrix()
+    axes = board_axes @ CAMERA_AXES @ turn  # of the world in the camera's frame
+    lower_left = board_place + board_axes @ np.array([0, board.size[1], 0])
+    origin = lower_left - axes @ np.array([*place.corner, 0.0])
+    tilt_x, tilt_y, roll = Rotation.from_matrix(axes @ CAMERA_AXES).as_euler("XYZ")
+    depth = axes[:, 2] @ origin / axes[2, 2]
     u, v, w = lens.lens.matrix @ origin
     start = np.array(
         [lens.lens.mean_focal / depth, u / w, v / w, -roll, tilt_x, tilt_y]
     )
 
-    values, slopes = _solve_plane(plain, world, view.pixels, start)
-    error = distance_rms(view.pixels - _camera(plain, values).pixels(world))
-    covariance = (
-        np.linalg.inv(slopes.T @ slopes)
-        * error**2
-        / 2
-        * view.pixels.size
-        / (view.pixels.size - len(values))
-    )
+    values, jacobian = _solve_plane(plain, world, view.pixels, start)
+    fitted = _camera(plain, values)
+    error = distance_rms(view.pixels - fitted.pixels(world))
+    count = view.pixels.size
+    inverse = np.linalg.inv(jacobian.T @ jacobian)
+    covariance = inverse * error**2 / 2 * count / (count - len(values))
+    # uncertainty of the lens
     for step in np.linalg.cholesky(lens.covariance).T:
         other = replace(plain, lens=lens_from_values(lens_values(lens.lens) + step))
         change = _solve_plane(other, world, view.pixels, values)[0] - values
         covariance += np.outer(change, change)
-    found = _camera(plain, values)
-    return PlaneFit(found, np.sqrt(np.diag(covariance)), found.pixels(world))
+    return PlaneFit(fitted, np.sqrt(np.diag(covariance)), fitted.pixels(world))
 
 
 def _solve_plane(
     camera: Camera, world: np.ndarray, pixels: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """NAMES (6,) and the slopes of the pixels by them, (2 N, 6)."""
-    found = least_squares(
-        lambda values: (_camera(camera, values).pixels(world) - pixels).ravel(),
-        start,
-        x_scale="jac",
-        xtol=1e-12,
-    )
-    return found.x, found.jac
+    """Return PLANE_PARAMETERS (6,) and the Jacobian of the pixels by them (2 N, 6)."""
+
+    def residuals(values: np.ndarray) -> np.ndarray:
+        return (_camera(camera, values).pixels(world) - pixels).ravel()
+
+    solution = least_squares(residuals, start, x_scale="jac", xtol=1e-12)
+    return solution.x, solution.jac
 
 
 def _camera(camera: Camera, values: np.ndarray) -> Camera:
-    """The camera with these NAMES."""
+    """Return the camera with these PLANE_PARAMETERS."""
     scale, u, v, rotation, tilt_x, tilt_y = map(float, values)
     return replace(
         camera,

@@ -1,4 +1,4 @@
-"""A calibration as tables."""
+"""Tables of a calibration."""
 
 from __future__ import annotations
 
@@ -43,16 +43,28 @@ PLANE_ROWS = (
 
 
 def calibration_tables(
-    solution: CalibrationSolution, seen: Sequence[BoardView], reason: str
+    solution: CalibrationSolution, views: Sequence[BoardView], reason: str
 ) -> Calibration:
-    """The calibration as tables. seen: every picture of the tilted board, used or not.
-    reason: why it cannot be used, or empty.
+    """Return a calibration as tables.
+
+    Parameters
+    ----------
+    solution
+        The results.
+    views
+        All views of the tilted board, used or not.
+    reason
+        Why the calibration cannot be used; empty if it can.
+
+    Returns
+    -------
+    Calibration
+        Views, corners, parameters and summary.
     """
-    columns = zip(solution.used_views, solution.lens.errors, strict=True)
-    corners = [
-        _corner_rows(view, view.pixels - error, False) for view, error in columns
-    ]
-    corners.append(_corner_rows(solution.plane_view, solution.plane.fit, True))
+    corners = []
+    for view, error in zip(solution.used_views, solution.lens.errors, strict=True):
+        corners.append(_corner_rows(view, view.pixels - error, plane=False))
+    corners.append(_corner_rows(solution.plane_view, solution.plane.fit, plane=True))
     camera = solution.plane.camera
     assert camera.lens is not None
     values = [
@@ -81,7 +93,7 @@ def calibration_tables(
         ),
     }
     return Calibration(
-        VIEWS.check(pd.DataFrame(_view_rows(solution, seen))),
+        VIEWS.check(pd.DataFrame(_view_rows(solution, views))),
         CORNERS.check(pd.concat(corners, ignore_index=True)),
         MEASURED_PARAMETERS.check(measured),
         CALIBRATION_SUMMARY.check(pd.DataFrame([outcome])),
@@ -89,32 +101,26 @@ def calibration_tables(
 
 
 def _view_rows(
-    solution: CalibrationSolution, seen: Sequence[BoardView]
+    solution: CalibrationSolution, views: Sequence[BoardView]
 ) -> list[dict[str, object]]:
-    """Rows of every view of the tilted board, and of that in the plane of motion."""
+    """Return a row for every view, that in the plane of motion last."""
     lens, camera = solution.lens, solution.plane.camera
     tilts = np.arccos(np.clip(np.abs(lens.normals[:, 2]), 0, 1))
-    columns = zip(
-        solution.used_views,
-        solution.errors,
-        solution.held_out_rms,
-        tilts,
-        lens.poses,
-        strict=True,
-    )
-    known = {
-        view.number: {
-            "rms": error,
-            "held_out_rms": alone,
-            "tilt": tilt,
+    errors = solution.errors
+    results = {}
+    for k, view in enumerate(solution.used_views):
+        _, place = lens.poses[k]
+        results[view.number] = {
+            "rms": errors[k],
+            "held_out_rms": solution.held_out_rms[k],
+            "tilt": tilts[k],
             "distance": float(np.linalg.norm(place)),
         }
-        for view, error, alone, tilt, (_, place) in columns
-    }
-    nothing = dict.fromkeys(("rms", "held_out_rms", "tilt", "distance"), np.nan)
-    rows = [
-        _view_row(view, plane=False) | known.get(view.number, nothing) for view in seen
-    ]
+    missing = dict.fromkeys(("rms", "held_out_rms", "tilt", "distance"), np.nan)
+    rows = []
+    for view in views:
+        result = results.get(view.number, missing)
+        rows.append(_view_row(view, plane=False) | result)
     assert camera.lens is not None
     flat = {"rms": solution.plane_rms, "held_out_rms": np.nan}
     flat["tilt"] = float(np.arccos(np.cos(camera.tilt[0]) * np.cos(camera.tilt[1])))
@@ -123,28 +129,32 @@ def _view_rows(
 
 
 def _view_row(view: BoardView, plane: bool) -> dict[str, object]:
-    good, jpeg = cv2.imencode(".jpg", view.image, [cv2.IMWRITE_JPEG_QUALITY, 80])
-    assert good
-    about = {
+    success, jpeg = cv2.imencode(".jpg", view.image, [cv2.IMWRITE_JPEG_QUALITY, 80])
+    assert success
+    return {
         "view": view.number,
         "plane": plane,
         "corners": len(view.corners),
         "reason": view.reason,
+        "picture": jpeg.tobytes(),
     }
-    return about | {"picture": jpeg.tobytes()}
 
 
 def _corner_rows(view: BoardView, fit: np.ndarray, plane: bool) -> pd.DataFrame:
-    seen = dict(
-        zip(("u", "v", "fit_u", "fit_v"), [*view.pixels.T, *fit.T], strict=True)
-    )
-    return pd.DataFrame(
-        {"view": view.number, "plane": plane, "corner": view.corners} | seen
-    )
+    columns = {
+        "view": view.number,
+        "plane": plane,
+        "corner": view.corners,
+        "u": view.pixels[:, 0],
+        "v": view.pixels[:, 1],
+        "fit_u": fit[:, 0],
+        "fit_v": fit[:, 1],
+    }
+    return pd.DataFrame(columns)
 
 
 def _plain_values(value: object) -> object:
-    """Without tuples and numpy's numbers, which YAML does not know."""
+    """Replace tuples and NumPy's numbers, which YAML does not know."""
     if isinstance(value, dict):
         return {name: _plain_values(inside) for name, inside in value.items()}
     if isinstance(value, list | tuple):

@@ -335,7 +335,7 @@ def taken_over(model, made):
     return replace(
         model.with_effects(*find_effects(told["effects"])),
         start_values=known,
-        measured=measured,
+        measured_ranges=measured,
     )
 
 
@@ -373,7 +373,9 @@ def test_estimation_is_better_with_the_alignment_known(bench, model, later):
     t, s = np.arange(0.1, 1.1, 0.04), model.string.arc_lengths()
     motion = resample_joint_motion(cast["t"].to_numpy(), cast[list(JOINTS)].to_numpy())
     truth = model.with_effects(*find_effects(sorted({n.split(".")[0] for n in OFF})))
-    seen = truth.seen(motion, truth.values(known | OFF)[None], t).points[0]
+    seen = truth.simulate_observation(
+        motion, truth.values(known | OFF)[None], t
+    ).points[0]
     seen = seen + 1e-3 * np.random.default_rng(0).normal(size=seen.shape)
     rows = {
         "t": np.repeat(t, len(s)),
@@ -483,9 +485,7 @@ def test_motions_are_ranked_by_how_well_they_tell_the_clocks_where_only_these_co
     """Against what sightings 10 ms apart say of the offset, all else but a lag unknown;
     drawn ones differ by half.
     """
-    monkeypatch.setattr(
-        "stringcast.stages.align.excitation.excite.CLOCK_PARAMETERS", 1e6
-    )
+    monkeypatch.setattr("stringcast.stages.align.excitation.excite.CLOCK_WEIGHT", 1e6)
     told, known = [], []
     for seed in range(6):
         angles, speeds = draw_swings(
