@@ -70,8 +70,8 @@ def draw_law(
         return
     slot, law = next(iter(laws.items()))
     units = SLOTS[slot].arguments
-    own = [name for name in law_arguments(law) if name in units]
-    across = [*own, *units][0]
+    argument_names = [name for name in law_arguments(law) if name in units]
+    across = [*argument_names, *units][0]
     if "length" in units:
         x = np.linspace(0.0, 1.0, 401)
         label = f"{across} / length"
@@ -80,7 +80,7 @@ def draw_law(
         x = np.linspace(-reach, reach, 401)
         label = f"{across} / ({units[across]})"
     arguments: dict[str, Any] = dict.fromkeys(law_arguments(law), 1.0)
-    arguments |= dict.fromkeys(set(own) - {"length"}, 0.0)
+    arguments |= dict.fromkeys(set(argument_names) - {"length"}, 0.0)
     arguments |= {**values, across: x}
     y = law(**select_arguments(law, arguments))
     # over mass per length: the unit says it

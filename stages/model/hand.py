@@ -244,9 +244,11 @@ def _apply_law(
     if not present.any():
         return value, rate
     t = motion.start + motion.tick * np.arange(value.shape[1])
-    own = value if len(value) == 1 else value[present]
-    own_parameters = {name: p[present] for name, p in parameters.items()}
-    change = effect.laws()[law](t, own, **own_parameters) - own
+    present_values = value if len(value) == 1 else value[present]
+    present_parameters = {name: p[present] for name, p in parameters.items()}
+    change = (
+        effect.laws()[law](t, present_values, **present_parameters) - present_values
+    )
     shape = (len(present), *value.shape[1:])
     values = np.broadcast_to(value, shape).copy()
     rates = np.broadcast_to(rate, shape).copy()

@@ -192,8 +192,8 @@ class Model(Parametrised):
         if initial is not None:
             hand = hand.starting_at(initial.t)
             times = initial.times_since_start(times)
-        own = values[:, : len(self.string.parameters)]
-        return simulate(self.string, hand, own, times, initial, turn)
+        string_values = values[:, : len(self.string.parameters)]
+        return simulate(self.string, hand, string_values, times, initial, turn)
 
     def simulate_observation(
         self,

@@ -144,8 +144,8 @@ class String(Parametrised):
         for effect in self.effects:
             for parameter in effect.parameters:
                 name = effect.qualified_name(parameter)
-                own = replace(parameter, name=name)
-                parameters.append(self.ranges.get(name, own))
+                renamed = replace(parameter, name=name)
+                parameters.append(self.ranges.get(name, renamed))
         return tuple(parameters)
 
     # --- material: what the laws are evaluated with -------------------------
@@ -189,8 +189,8 @@ class String(Parametrised):
             self._soften_grasp(material)
         columns: list[np.ndarray] = []
         for effect in self.effects:
-            own = self.effect_parameters(effect, material)
-            columns += effect.derive_parameters(**own).values()
+            effect_values = self.effect_parameters(effect, material)
+            columns += effect.derive_parameters(**effect_values).values()
         if self._hidden_length_effects:
             per_segment = 1 / self.free_segment_lengths(material)
             columns += [self.free_length_ratio(material), per_segment]
@@ -236,8 +236,8 @@ class String(Parametrised):
 
         material: (C, rows).
         """
-        own = material[:, : len(self.names)]
-        present = np.any(own != self._absent_material, axis=0)
+        string_material = material[:, : len(self.names)]
+        present = np.any(string_material != self._absent_material, axis=0)
         kept = []
         for effect, places in self._removable_effects.items():
             if not places or present[places].any():
@@ -330,8 +330,8 @@ class String(Parametrised):
         ratio = np.ones(material.shape[:-1])
         for effect in self._hidden_length_effects:
             law = effect.laws()["hidden_length"]
-            own = self.effect_parameters(effect, material)
-            ratio = ratio + law(**select_arguments(law, own)) / self.length
+            effect_values = self.effect_parameters(effect, material)
+            ratio = ratio + law(**select_arguments(law, effect_values)) / self.length
         return ratio
 
     @cached_property

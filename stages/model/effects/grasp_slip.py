@@ -64,7 +64,7 @@ class GraspSlip(HandEffect):
         """
         rise, since = 0.005, t[:, None] - onset  # [s]
         begun, ended = (
-            np.logaddexp(0.0, each / rise) for each in (since, since - duration)
+            np.logaddexp(0.0, elapsed / rise) for elapsed in (since, since - duration)
         )
         distance = speed * rise * (begun - ended)
         theta = pose[..., 2:]

@@ -88,15 +88,15 @@ def _drag_rate(string: String, material: np.ndarray) -> np.ndarray:
     place says nothing.
     """
     undeclared = [e for e in string.effects if not hasattr(e, "bound")]
-    plain, own = string.with_only_effects(tuple(undeclared), material)
+    plain, undeclared_material = string.with_only_effects(tuple(undeclared), material)
     slow = MAX_DRAG_SPEED_M_S
     fast = slow * (1.0 + SPEED_DIFFERENCE)
     vx = np.array([[slow, fast, 0.0, 0.0]])
     vy = np.array([[0.0, 0.0, slow, fast]])
-    loads = load_sum(plain, own, {"vx": vx, "vy": vy})
+    loads = load_sum(plain, undeclared_material, {"vx": vx, "vy": vy})
     rises = np.abs(loads[:, 1::2] - loads[:, ::2]).max(axis=(1, 2))
     steepest = rises / (SPEED_DIFFERENCE * MAX_DRAG_SPEED_M_S)
-    masses, cells = plain.point_masses(own)
+    masses, cells = plain.point_masses(undeclared_material)
     return np.asarray(steepest * (cells / masses).max(axis=1))
 
 
@@ -129,8 +129,8 @@ def frequency_and_damping_bounds(string: String, material: np.ndarray) -> Slopes
     lightest = (cells / masses).max(axis=1)
     for effect in string.effects:
         if hasattr(effect, "bound"):
-            own = string.effect_parameters(effect, material)
-            declared_frequency2, declared_damping = effect.bound(**own)
+            effect_values = string.effect_parameters(effect, material)
+            declared_frequency2, declared_damping = effect.bound(**effect_values)
             frequency2.append(lightest * declared_frequency2)
             damping_rates.append(lightest * declared_damping)
     return np.stack(frequency2), np.stack(damping_rates)

@@ -218,7 +218,7 @@ class _RelaxingStrings:
         along = self.lengths * self.force_along
         across = self.force_across
         matrix = self._local_matrix(along, across) - yielding
-        stable = np.array([_is_positive_definite(one) for one in matrix])
+        stable = np.array([_is_positive_definite(block) for block in matrix])
         if not stable.all():
             pulls = np.maximum(along, MIN_TURN_STIFFNESS)
             held = self._local_matrix(pulls, np.zeros_like(across)) - yielding
