@@ -129,8 +129,8 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
     """The outcome of the casts in a sentence."""
     last = iterations[-1]
     if last.has_hit:
-        return f"The tip reached the target in manipulation {last.number}."
-    tries = f"{len(iterations)} manipulation{'s' if len(iterations) > 1 else ''}"
+        return f"The tip reached the target in cast {last.number}."
+    tries = f"{len(iterations)} cast{'s' if len(iterations) > 1 else ''}"
     return f"The tip did not reach the target in {tries}; the budget is spent."
 
 

@@ -28,20 +28,20 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # --- numbers
 def format_mm(metres: float | None, digits: int = 0) -> str:
     """Format a length in millimetres."""
-    return _scaled(metres, 1e3, digits, " mm")
+    return _format_scaled(metres, 1e3, digits, " mm")
 
 
 def format_ms(seconds: float, digits: int = 0) -> str:
     """Format a time in milliseconds."""
-    return _scaled(seconds, 1e3, digits, " ms")
+    return _format_scaled(seconds, 1e3, digits, " ms")
 
 
 def format_rate(share: float | None) -> str:
     """Format a matching rate E to three decimals."""
-    return _scaled(share, 1.0, 3, "")
+    return _format_scaled(share, 1.0, 3, "")
 
 
-def _scaled(value: float | None, factor: float, digits: int, unit: str) -> str:
+def _format_scaled(value: float | None, factor: float, digits: int, unit: str) -> str:
     if value is None or not np.isfinite(value):
         return NOT_KNOWN
     return f"{value * factor:.{digits}f}{unit}"

@@ -73,7 +73,7 @@ class Outcome:
 
     @property
     def title(self) -> str:
-        """Label and unit."""
+        """Label of the outcome with its unit in brackets."""
         return self.label if self.unit in ("", "1") else f"{self.label} [{self.unit}]"
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from markupsafe import Markup
 
 from stringcast.stages.report import formatting
+from stringcast.stages.report.records import StageRecord
 from stringcast.stages.report.theme import CSS_VARIABLES, MM_PER_M, Picture
 
 ASSET_FOLDER = Path(__file__).parent
@@ -351,6 +352,29 @@ class Page:
             title = "All settings, by their names on the command line"
             folded.append(Details(title, [settings_table(self.settings)]))
         return Section("How to reproduce this", folded)
+
+
+def stage_page(
+    facts: StageRecord,
+    kind: str,
+    sections: Sequence[Part | None],
+    heading: str = "",
+    lead: str = "",
+    tone: str = "",
+) -> str:
+    """Render the page of a stage; the result's sentence is the default of its texts."""
+    page = Page(
+        kind=kind,
+        name=facts.name,
+        heading=heading or facts.sentence,
+        lead=lead or facts.sentence,
+        sections=sections,
+        origin=facts.provenance,
+        settings=facts.settings,
+        tone=tone,
+        following=facts.next_commands,
+    )
+    return str(page)
 
 
 def _script_policy(scripts: Sequence[str]) -> str:

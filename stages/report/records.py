@@ -41,15 +41,15 @@ class StageRecord:
         Name of the run.
     sentence : str
         The result in a sentence.
-    made : artifact
-        The stage's artifact.
+    artifact : artifact
+        Output of the stage.
     model : Model
         As configured.
     settings : mapping
         Nested blocks.
-    origin : mapping
+    provenance : mapping
         Seed, code, packages.
-    following : sequence of (purpose, command)
+    next_commands : sequence of (purpose, command)
         Commands to continue with.
     """
 
@@ -149,7 +149,7 @@ class RunRecord:
     ----------
     estimates : tuple of Estimate
         All of the run, in order.
-    following : sequence of (purpose, command)
+    next_commands : sequence of (purpose, command)
         Commands to continue with.
     """
 
@@ -211,7 +211,7 @@ class DiagnosisRecord:
 
     @cached_property
     def document(self) -> dict[str, Any]:
-        """Content of diagnosis.json."""
+        """Parsed content of the file diagnosis.json."""
         return dict(json.loads(self.diagnosis.finding["diagnosis"].iloc[0]))
 
     @cached_property
@@ -282,11 +282,11 @@ class SweepRecord:
 
     Attributes
     ----------
-    table : DataFrame
+    jobs : DataFrame
         A row for each job; see `pipeline.sweep.table`.
-    given : sequence of str
+    setting_names : sequence of str
         Columns that are settings.
-    estimated : mapping
+    parameter_columns : mapping
         Unit of each column that is a parameter.
     settings : mapping
         Settings that all jobs share.
@@ -304,7 +304,7 @@ class SweepRecord:
     units: Mapping[str, str]
 
     @cached_property
-    def finished(self) -> pd.DataFrame:
+    def finished_jobs(self) -> pd.DataFrame:
         """Jobs that ran to their end, each with a seed."""
         finished = self.jobs[self.jobs["state"] == "done"]
         if SEED_COLUMN in finished:
@@ -312,19 +312,19 @@ class SweepRecord:
         return finished.assign(**{SEED_COLUMN: 0})
 
     @cached_property
-    def failed(self) -> pd.DataFrame:
-        """Jobs that failed."""
+    def failed_jobs(self) -> pd.DataFrame:
+        """Jobs that ended with an error."""
         return self.jobs[self.jobs["state"] == "failed"]
 
     @cached_property
-    def varied(self) -> list[str]:
+    def varied_settings(self) -> list[str]:
         """Settings with several values, seeds included."""
         return [name for name in self.setting_names if self.jobs[name].nunique() > 1]
 
     @cached_property
     def factors(self) -> list[str]:
         """Varied settings without the seed, whose values repeat the experiment."""
-        return [name for name in self.varied if name != SEED_COLUMN]
+        return [name for name in self.varied_settings if name != SEED_COLUMN]
 
     @cached_property
     def outcomes(self) -> list[Outcome]:
@@ -333,12 +333,12 @@ class SweepRecord:
             parameter_outcome(*item) for item in self.parameter_columns.items()
         ]
         candidates = [*CAST_OUTCOMES, *parameters]
-        return [o for o in candidates if self.finished[o.name].notna().any()]
+        return [o for o in candidates if self.finished_jobs[o.name].notna().any()]
 
     @property
     def seed_count(self) -> int:
         """Number of seeds among the finished jobs."""
-        return int(self.finished[SEED_COLUMN].nunique())
+        return int(self.finished_jobs[SEED_COLUMN].nunique())
 
 
 # --- the paper's experiments
@@ -378,7 +378,7 @@ class PaperRecord:
     ----------
     tables : mapping
         Tables by name; see `pipeline.paper`.
-    asked : int
+    requested_runs : int
         Number of runs requested.
     settings : mapping
         Settings that all runs share.

@@ -173,7 +173,7 @@ def test_failed_jobs_are_listed_and_left_out_of_the_means():
         np.nan,
     ]
     shown = record(table)
-    assert len(shown.finished) == 15
+    assert len(shown.finished_jobs) == 15
     page = sweep_page(shown)
     assert "15 of 16" in page
     assert "the &lt;string&gt; is too short" in page

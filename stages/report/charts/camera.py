@@ -40,7 +40,7 @@ class ImageRegion:
 
     @property
     def size_px(self) -> np.ndarray:
-        """Width and height."""
+        """Width and height of the region."""
         return np.array([self.right - self.left, self.bottom - self.top])
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib import style
 from matplotlib.axes import Axes
@@ -12,6 +14,10 @@ from stringcast.stages.report.theme import MM_PER_M, STYLE_SHEET
 
 POSE_COUNT = 5  # evenly over the time in which both arm and string are visible
 LATER_POSE_OPACITY = 0.25
+POSE_STYLES: dict[str, dict[str, Any]] = {
+    "arm": {"color": "axis", "marker": "o", "ms": 3, "lw": 2.4},
+    "string, as measured": {"color": "after", "marker": ".", "ms": 4, "lw": 1.2},
+}
 
 
 def trial_figure(seen: CheckedTrial) -> Figure:
@@ -54,25 +60,11 @@ def _draw_plane(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) 
         string = seen.points.loc[seen.points["t"] == frame_time, ["x", "y"]].to_numpy()
         arm = _arm_at(seen, moment)
         alpha = LATER_POSE_OPACITY if number else 1.0
-        labels = (None, None) if number else ("arm", "string, as measured")
-        axes.plot(
-            *(arm * MM_PER_M).T,
-            "o-",
-            color="axis",
-            ms=3,
-            lw=2.4,
-            alpha=alpha,
-            label=labels[0],
-        )
-        axes.plot(
-            *(np.vstack([arm[-1], string]) * MM_PER_M).T,
-            ".-",
-            color="after",
-            ms=4,
-            lw=1.2,
-            alpha=alpha,
-            label=labels[1],
-        )
+        shapes = {"arm": arm, "string, as measured": np.vstack([arm[-1], string])}
+        for name, points in shapes.items():
+            label = None if number else name
+            x, y = (points * MM_PER_M).T
+            axes.plot(x, y, alpha=alpha, label=label, **POSE_STYLES[name])
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
     _add_legend(axes, 3)
 

@@ -17,12 +17,12 @@ from stringcast.stages.report.page import (
     Card,
     Cell,
     Figure,
-    Page,
     Section,
     Table,
     Text,
     Tiles,
     number_cells,
+    stage_page,
 )
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.report.theme import (
@@ -47,16 +47,8 @@ def alignment_page(facts: StageRecord) -> str:
             _parameters_section(alignment),
             _fit_section(alignment),
         ]
-    page = Page(
-        kind="alignment",
-        name=facts.name,
-        heading="Camera and clock, measured against the arm",
-        lead=facts.sentence,
-        sections=sections,
-        origin=facts.provenance,
-        settings=facts.settings,
-    )
-    return str(page)
+    heading = "Camera and clock, measured against the arm"
+    return stage_page(facts, "alignment", sections, heading)
 
 
 def _tiles(alignment: Alignment) -> Tiles:

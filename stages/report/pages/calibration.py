@@ -21,7 +21,6 @@ from stringcast.stages.report.page import (
     Card,
     Cell,
     Figure,
-    Page,
     Section,
     Small,
     Table,
@@ -30,6 +29,7 @@ from stringcast.stages.report.page import (
     bold_text,
     join_sentences,
     number_cell,
+    stage_page,
 )
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.report.theme import (
@@ -69,17 +69,9 @@ def calibration_page(facts: StageRecord) -> str:
             "<code>camera.yaml</code> in this folder holds the camera; other "
             "experiments use it by <code>camera_from=</code> and this folder."
         )
-    page = Page(
-        kind="calibration",
-        name=facts.name,
-        heading=facts.sentence,
-        lead=join_sentences([pictures, result]),
-        sections=sections,
-        origin=facts.provenance,
-        settings=facts.settings,
-        tone="good" if outcome["valid"] else "bad",
-    )
-    return str(page)
+    lead = join_sentences([pictures, result])
+    tone = "good" if outcome["valid"] else "bad"
+    return stage_page(facts, "calibration", sections, lead=lead, tone=tone)
 
 
 def _tiles(outcome: Any) -> Tiles:

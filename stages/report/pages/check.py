@@ -40,7 +40,7 @@ def check_page(
     origin: Mapping[str, Any],
     following: Sequence[tuple[str, str]],
 ) -> str:
-    """Render the page.
+    """Render the page of a check of measured data.
 
     Parameters
     ----------

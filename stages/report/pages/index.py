@@ -28,7 +28,7 @@ COLUMNS = ("outcome", "run", "casts or trials", "best E", "time [s]", "result")
 
 
 def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> str:
-    """Render the page.
+    """Render the page of all runs in a folder.
 
     Parameters
     ----------

@@ -87,12 +87,12 @@ def _describe_largest_effect(record: SweepRecord, main: list[Outcome]) -> str:
 
     An outcome changes if the intervals of its least and largest mean do not overlap.
     """
-    if not record.factors or record.finished.empty:
+    if not record.factors or record.finished_jobs.empty:
         return ""
     for outcome in main:
         effects = {}
         for factor in record.factors:
-            means = mean_response(record.finished, outcome, [factor])
+            means = mean_response(record.finished_jobs, outcome, [factor])
             low, high = (
                 means.loc[means["mean"].idxmin()],
                 means.loc[means["mean"].idxmax()],
@@ -114,18 +114,18 @@ def _describe_largest_effect(record: SweepRecord, main: list[Outcome]) -> str:
 
 def _tiles(record: SweepRecord, main: list[Outcome]) -> Tiles:
     failed = Markup("")
-    if len(record.failed):
+    if len(record.failed_jobs):
         failed = Markup(', <strong class="bad">{} failed</strong>').format(
-            len(record.failed)
+            len(record.failed_jobs)
         )
     seconds = (
         f"; {record.jobs['seconds'].sum():.0f} s of computing in their last attempts"
     )
-    done = f"{len(record.finished)} of {len(record.jobs)}"
+    done = f"{len(record.finished_jobs)} of {len(record.jobs)}"
     tiles: list[tuple[str, str]] = [
         (done, Markup("jobs done{}{}").format(failed, seconds))
     ]
-    jobs = record.finished.assign(all=0)
+    jobs = record.finished_jobs.assign(all=0)
     for outcome in main:
         (row,) = mean_response(jobs, outcome, ["all"]).to_dict("records")
         unit = " %" if outcome.unit == "%" else ""
@@ -136,14 +136,14 @@ def _tiles(record: SweepRecord, main: list[Outcome]) -> Tiles:
 
 
 def _failures_section(record: SweepRecord) -> Section | None:
-    if record.failed.empty:
+    if record.failed_jobs.empty:
         return None
     lead = (
         "The following sections exclude them, which may favour the levels at which "
         "they failed."
     )
     rows = []
-    for job in record.failed.to_dict("records"):
+    for job in record.failed_jobs.to_dict("records"):
         rows.append(
             (
                 _job_cell(record, job),
@@ -158,7 +158,7 @@ def _failures_section(record: SweepRecord) -> Section | None:
 
 def _job_cell(record: SweepRecord, job: Mapping[str, Any]) -> Cell:
     """Name a job by the settings in which it differs from others."""
-    return Cell(" ".join(f"{name}={job[name]}" for name in record.varied), "code")
+    return Cell(" ".join(f"{name}={job[name]}" for name in record.varied_settings), "code")
 
 
 def _small_pictures(
@@ -179,7 +179,7 @@ def _response_section(record: SweepRecord, factor: str) -> Section:
     """Draw each outcome over a setting."""
 
     def draw(outcome: Outcome) -> Picture | None:
-        return outcome_curve(record.finished, outcome, factor, record.units)
+        return outcome_curve(record.finished_jobs, outcome, factor, record.units)
 
     pictures = _small_pictures(record.outcomes, draw)
     parts: list[Part] = [Text("Nothing is known: no job is done.", "missing")]
@@ -195,9 +195,9 @@ def _targets_section(record: SweepRecord) -> Section | None:
     There is a map for each combination of the other settings.
     """
     ended = record.jobs[record.jobs["state"].isin(["done", "failed"])]
-    if not set(TARGET_COLUMNS) <= set(record.factors) or record.finished.empty:
+    if not set(TARGET_COLUMNS) <= set(record.factors) or record.finished_jobs.empty:
         return None
-    most = int(record.finished["manipulations"].max())
+    most = int(record.finished_jobs["manipulations"].max())
     others = [name for name in record.factors if name not in TARGET_COLUMNS]
     maps = []
     for level, jobs in ended.groupby(others) if others else [((), ended)]:
@@ -216,12 +216,12 @@ def _targets_section(record: SweepRecord) -> Section | None:
 def _combinations_section(record: SweepRecord, main: list[Outcome]) -> Section | None:
     """Tabulate the mean outcomes for each combination of settings."""
     factors = record.factors
-    if not factors or record.finished.empty:
+    if not factors or record.finished_jobs.empty:
         return None
-    count = record.finished.groupby(factors, sort=True).size()
+    count = record.finished_jobs.groupby(factors, sort=True).size()
     means: dict[str, Mapping[Any, str]] = {}
     for outcome in main:
-        rows = mean_response(record.finished, outcome, factors)
+        rows = mean_response(record.finished_jobs, outcome, factors)
         texts = [format_mean(row) for row in rows.to_dict("records")]
         means[outcome.title] = dict(
             zip(rows.set_index(factors).index, texts, strict=True)

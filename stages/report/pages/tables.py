@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stringcast.stages.report.page import Card, Page, Section, Table, Text
+from stringcast.stages.report.page import Card, Section, Table, Text, stage_page
 from stringcast.stages.report.records import StageRecord
 
 MAX_ROWS = 50
@@ -22,13 +22,5 @@ def tables_page(facts: StageRecord) -> str:
         rows = frame[names].head(MAX_ROWS).to_numpy(object).tolist()
         parts = [Text(meaning), Card("", [Table(heads, rows)])]
         sections.append(Section(table.name, parts))
-    page = Page(
-        kind="stage",
-        name=facts.name,
-        heading=facts.sentence,
-        lead="The tables that the stage stored.",
-        sections=sections,
-        origin=facts.provenance,
-        settings=facts.settings,
-    )
-    return str(page)
+    lead = "The tables that the stage stored."
+    return stage_page(facts, "stage", sections, lead=lead)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from matplotlib import style
 
 from stringcast.stages.report.formatting import verdict_headline
-from stringcast.stages.report.page import Page
+from stringcast.stages.report.page import stage_page
 from stringcast.stages.report.pages.diagnosis.held_out import held_out_section
 from stringcast.stages.report.pages.diagnosis.residuals import (
     misfit_section,
@@ -44,15 +44,6 @@ def diagnosis_page(facts: StageRecord) -> str:
             unexplained_section(record),
             parameters_section(record),
         ]
-    page = Page(
-        kind="diagnosis",
-        name=facts.name,
-        heading=verdict_headline(record.document),
-        lead=facts.sentence,
-        sections=sections,
-        origin=facts.provenance,
-        settings=facts.settings,
-        tone=VERDICT_TONES.get(record.document["verdict"], ""),
-        following=facts.next_commands,
-    )
-    return str(page)
+    heading = verdict_headline(record.document)
+    tone = VERDICT_TONES.get(record.document["verdict"], "")
+    return stage_page(facts, "diagnosis", sections, heading, tone=tone)

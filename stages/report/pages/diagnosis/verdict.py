@@ -168,7 +168,7 @@ def budget_section(record: DiagnosisRecord) -> Section | None:
     size = {end: format_mm(value, 1) for end, value in misfit["tip_rms_m"].items()}
     tolerance = format_mm(misfit["tolerance_m"], 1)
     lead = (
-        "How far each source moves the string's tip, root mean square over the trials. "
+        "Shift of the string's tip by each source, rms over the trials. "
         f"Unexplained: {size['value']} ({size['low']} to {size['high']}, 95 %); "
         f"tolerance: {tolerance}."
     )
