@@ -16,8 +16,8 @@ OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND"
 PATIENCE = 60.0  # [s]
 
 
-def found():
-    """The path of an installed Chromium, or None."""
+def find_chromium():
+    """Return the path of an installed Chromium, or None."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
@@ -41,7 +41,7 @@ class Browser:
             {"sessionId": session} if session else {}
         )
         os.write(self.to, json.dumps(message).encode() + b"\0")
-        while (answer := self.heard()).get("id") != self.number:
+        while (answer := self.next_message()).get("id") != self.number:
             self.note(answer)
         assert "error" not in answer, f"{method}: {answer['error']}"
         return answer["result"]
@@ -49,8 +49,8 @@ class Browser:
     def call(self, method, **given):
         return self.send(method, self.session, **given)
 
-    def heard(self):
-        """The next message."""
+    def next_message(self):
+        """Read the next message of the browser."""
         while b"\0" not in self.buffer:
             more = os.read(self.said, 1 << 20)
             assert more, "the browser ended"
@@ -59,7 +59,7 @@ class Browser:
         return json.loads(message)
 
     def note(self, event):
-        """Errors and warnings of scripts, of the policy and of the network."""
+        """Note errors and warnings of scripts, of the policy and of the network."""
         kind, given = event.get("method"), event.get("params", {})
         if kind == "Runtime.exceptionThrown":
             self.faults.append(
@@ -73,7 +73,7 @@ class Browser:
             self.faults.append(json.dumps(given))
 
     def ask(self, expression):
-        """The value of an expression in the page."""
+        """Evaluate an expression in the page."""
         answer = self.call(
             "Runtime.evaluate",
             expression=expression,
@@ -84,14 +84,14 @@ class Browser:
         return answer["result"].get("value")
 
     def wait(self, expression):
-        """Until it is true."""
+        """Wait until an expression is true."""
         end = time.monotonic() + PATIENCE
         while not self.ask(expression):
             assert time.monotonic() < end, f"never: {expression}"
             time.sleep(0.02)
 
     def open(self, path, width=1060, height=900, dark=False):
-        """A page in a window of a size [px]."""
+        """Open a page in a window of a size [px]."""
         self.faults = []
         self.call(
             "Emulation.setDeviceMetricsOverride",
@@ -119,7 +119,7 @@ class Browser:
 
 @contextmanager
 def browser(folder):
-    """Started once, and gone at the end. folder: for its own files."""
+    """Start Chromium with its files in a folder, and end it afterwards."""
     ours, theirs = os.pipe(), os.pipe()
     # where Chromium looks for its pipe
     shell = f'exec "$0" "$@" 3<&{ours[0]} 4>&{theirs[1]}'
@@ -127,7 +127,7 @@ def browser(folder):
         "bash",
         "-c",
         shell,
-        found(),
+        find_chromium(),
         *QUIET.split(),
         OFFLINE,
         f"--user-data-dir={folder}",
