@@ -39,11 +39,11 @@ def cast(
 ) -> np.ndarray:
     """Simulate mass points; return their positions at the ticks, (ticks, n, 2) [m].
 
-    start: (n, 2) at rest [m]. parameters: k_s, c_s, k_h, c_h, C_c1, C_c2, k_ph, c_ph,
+    start: (n, 2) at rest [m]. parameters: k_s, c_s, k_h, c_h, c_c1, c_c2, k_ph, c_ph,
     per unit mass of one mass point. length: of a segment [m]. hand: see `path`.
     Semi-implicit Euler.
     """
-    k_s, c_s, k_h, c_h, C_c1, C_c2, k_ph, c_ph = parameters
+    k_s, c_s, k_h, c_h, c_c1, c_c2, k_ph, c_ph = parameters
     n, (ticks, steps, _) = len(start), hand.shape
     dt = tick / steps
     x, y = start[:, 0].copy(), start[:, 1].copy()
@@ -80,17 +80,17 @@ def cast(
                 fx = -pull * px - (moment - before) * inverse * py
                 fy = -pull * py + (moment - before) * inverse * px
                 if i > 1:
-                    _move(i - 1, x, y, vx, vy, gx - fx, gy - fy, C_c1, C_c2, dt)
+                    _move(i - 1, x, y, vx, vy, gx - fx, gy - fy, c_c1, c_c2, dt)
                 px, py, pull, inverse = tx, ty, tension, 1.0 / size
                 ux, uy, w, stiff, damp = tx, ty, omega, k_h, c_h
-            _move(n - 1, x, y, vx, vy, fx, fy, C_c1, C_c2, dt)
+            _move(n - 1, x, y, vx, vy, fx, fy, c_c1, c_c2, dt)
     return seen
 
 
 @njit(error_model="numpy", fastmath={"contract"}, inline="always")
-def _move(i, x, y, vx, vy, fx, fy, C_c1, C_c2, dt):  # type: ignore[no-untyped-def]
+def _move(i, x, y, vx, vy, fx, fy, c_c1, c_c2, dt):  # type: ignore[no-untyped-def]
     """One step of point i under its neighbours' forces, air (F_c) and gravity (F_g)."""
-    drag = C_c1 + C_c2 * np.sqrt(vx[i] * vx[i] + vy[i] * vy[i])
+    drag = c_c1 + c_c2 * np.sqrt(vx[i] * vx[i] + vy[i] * vy[i])
     vx[i] += dt * (fx - drag * vx[i])
     vy[i] += dt * (fy - drag * vy[i] - GRAVITY)
     x[i] += dt * vx[i]
