@@ -370,8 +370,8 @@ def _frame_files(files: pd.Series, folder: Path, path: Path) -> pd.Series:
         if is_outside(folder, str(file)):
             raise DataError(
                 f"{path}: the frame '{escape_control_characters(str(file))}' "
-                f"(column file) lies outside the folder {folder}. Copy it there, and name it by its path in the "
-                "folder."
+                f"(column file) lies outside the folder {folder}. "
+                "Copy it there, and name it by its path in the folder."
             )
     return files.where(exists)
 
