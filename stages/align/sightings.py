@@ -67,11 +67,13 @@ class SightedTrial:
         seen = self.sightings
         joints = model.observed_arm(self.motion, values, seen.times)
         error = points_on_links(joints, seen) - seen.position
-        return np.sum(error * seen.direction, axis=-1)
+        residuals: np.ndarray = np.sum(error * seen.direction, axis=-1)
+        return residuals
 
 
 def points_on_links(joints: np.ndarray, sightings: Sightings) -> np.ndarray:
     """Return the sighted points (C, N, 2) [m] of joints at (C, F, J + 1, 2) [m]."""
     near = joints[:, sightings.frame, sightings.link - 1]
     far = joints[:, sightings.frame, sightings.link]
-    return near + sightings.share[:, None] * (far - near)
+    points: np.ndarray = near + sightings.share[:, None] * (far - near)
+    return points

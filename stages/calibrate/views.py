@@ -65,8 +65,8 @@ def detect_board(number: int, image: np.ndarray, board: Board) -> BoardView:
     if ids is None or not len(ids):
         return BoardView(number, grey, reason="no marker of the dictionary is seen")
     numbers = np.zeros(0, int) if corners is None else corners.ravel()
-    markers = np.array(markers).reshape(-1, 4, 2)
-    reason = _board_mismatch(board, markers, ids.ravel())
+    marker_pixels = np.array(markers).reshape(-1, 4, 2)
+    reason = _board_mismatch(board, marker_pixels, ids.ravel())
     if not reason:
         reason = _corner_fault(board, numbers)
     if reason:

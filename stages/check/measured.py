@@ -74,19 +74,22 @@ class CheckedTrial:
         """Joint angles (K, J) [rad], or None if poses were measured."""
         if self.observation.arm is None:
             return None
-        return self.motion[list(JOINTS)].to_numpy()
+        joints: np.ndarray = self.motion[list(JOINTS)].to_numpy()
+        return joints
 
     @cached_property
     def pose(self) -> np.ndarray:
         """Pose of the grasp (K, 3): x [m], y [m], theta [rad]."""
-        if self.joints is None:
-            return self.motion[["x", "y", "theta"]].to_numpy()
-        return self.arm.grasp_pose(self.joints)
+        if self.joints is not None:
+            return self.arm.grasp_pose(self.joints)
+        pose: np.ndarray = self.motion[["x", "y", "theta"]].to_numpy()
+        return pose
 
     @cached_property
     def hand_t(self) -> np.ndarray:
         """Times of the hand's poses (K,) [s], by the arm's clock."""
-        return self.motion["t"].to_numpy()
+        times: np.ndarray = self.motion["t"].to_numpy()
+        return times
 
     @cached_property
     def frame_t(self) -> np.ndarray:

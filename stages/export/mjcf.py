@@ -1,9 +1,9 @@
-"""The string as MuJoCo has it: links that do not stretch on hinges with springs and
-dampers, mass points at their ends.
+"""Export of a string to MuJoCo.
 
-All that bends, weighs or is blown about is carried over as it is; a segment's stretch
-is not. Air resists each point by MuJoCo's ellipsoid model of a ball: its viscous force
-6 pi eta r v is the linear drag, its blunt drag rho C pi r^2 |v| v the squared one.
+Links are connected by hinges with springs and dampers, and carry a mass point at their
+end. Links do not stretch; everything else of the string is exported. MuJoCo's ellipsoid
+model of a sphere gives the drag of each point: its viscous force 6 pi eta r v is the
+linear drag, and its blunt drag rho C pi r^2 |v| v is the quadratic one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from stringcast.stages.model.statics.chain import grasp_rest_angle
 from stringcast.stages.model.statics.equilibrium import hanging_shape
 from stringcast.stages.model.string import PAPER_EFFECTS
 
-# slots that MuJoCo has, too
 EXPORTED_ARGUMENTS = {
     "acceleration",
     "flow",
@@ -28,20 +27,21 @@ EXPORTED_ARGUMENTS = {
     "density",
     "tip_mass",
     "tip_length",
+    "hidden_length",
+    "grasp_offset",
 }
-EXPORTED_ARGUMENTS |= {"hidden_length", "grasp_offset"}
-# of the air [Pa s], [kg/m3]: such that a ball moves no air to speak of along with it
-VISCOSITY, DENSITY = 0.1, 1.0
-MIN_MASS_SHARE = 1e-3  # radius of gyration of a mass point, in segments
+# of the air: spheres of the drag's size then carry hardly any air along
+VISCOSITY_PA_S, DENSITY_KG_M3 = 0.1, 1.0
+GYRATION_RADIUS = 1e-3  # of a mass point, in segments
 # pose of a grasp from which the string hangs straight
 HANGING_POSE = np.array([[0.0, 0.0, -np.pi / 2]])
-# times the string's mass (times m^2 for turns): a hand that the string does not move
-CARRIAGE_MASS_KG = 1e6
+# times the string's mass: the string does not move such a hand
+CARRIAGE_MASS_RATIO = 1e6
 
 DOCUMENT_TEMPLATE = """\
 <mujoco model="string">
   <!-- Written by stringcast: {segments} links, {length:g} m, {mass:g} kg. Planar, x to the right, y up.
-       Links do not stretch; hung up at rest, the string is {longer:.2f} mm longer.{stated}
+       Links do not stretch; hung up at rest, the string is {stretch:.2f} mm longer.{omitted}
        The hand is a carriage; to hang the string in a gripper of yours, take body link_1 with all that is in it. -->
   <compiler angle="radian"/>
   <option timestep="{step:g}" integrator="implicitfast" gravity="{gx:.9g} {gy:.9g} 0" wind="{wx:.9g} {wy:.9g} 0" \
@@ -66,7 +66,7 @@ density="{density:g}" viscosity="{viscosity:g}">
 </mujoco>
 """
 LINK_TEMPLATE = """\
-{pad}<body name="link_{number}" pos="{start:.9g} {beside:.9g} 0">
+{pad}<body name="link_{number}" pos="{start:.9g} {across:.9g} 0">
 {pad}  <joint name="hinge_{number}" type="hinge" axis="0 0 1" stiffness="{stiffness:.9g}" damping="{damping:.9g}" \
 springref="{rest:.9g}"/>
 {pad}  <inertial pos="{length:.9g} 0 0" mass="{mass:.9g}" diaginertia="{inertia:.9g} {inertia:.9g} {inertia:.9g}"/>
@@ -76,124 +76,126 @@ fluidshape="ellipsoid" fluidcoef="{blunt:.9g} 0 0 0 0"/>
 
 
 def build_mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> str:
-    """The string of a model as an MJCF document.
+    """Return the string of a model as an MJCF document.
 
-    values: (P,) of its parameters. mass: of the string [kg], which motion alone does
-    not tell. step: [s]. Effects on hand, clocks and camera are no part of a string, and
-    are left out. Raises DataError for one on the string that MuJoCo has no law for.
+    Effects on hand, clocks and camera are no part of a string and are left out.
+
+    Parameters
+    ----------
+    model
+        The model.
+    values
+        Its parameters (P,).
+    mass
+        Mass of the string [kg], which motion alone does not determine.
+    step
+        Time step [s].
+
+    Returns
+    -------
+    str
+        The document.
+
+    Raises
+    ------
+    DataError
+        If MuJoCo has no law for an effect on the string.
     """
     string = model.string
     for effect in string.effects:
-        if effect not in PAPER_EFFECTS and (
-            is_position_dependent(effect)
-            or not set(effect.laws()) <= EXPORTED_ARGUMENTS
-        ):
+        if effect in PAPER_EFFECTS:
+            continue
+        laws = effect.laws()
+        if is_position_dependent(effect) or not set(laws) <= EXPORTED_ARGUMENTS:
             raise DataError(
-                f"effect '{effect.name}': MuJoCo has no such law ({', '.join(effect.laws())}). Estimate the string "
-                "again without it, and export that."
+                f"effect '{effect.name}': MuJoCo has no such law ({', '.join(laws)}). "
+                "Estimate the string again without it, and export that."
             )
     material = string.material(values[None, : len(string.parameters)])
-    # mass per length, by which everything of ours is divided [kg/m]
-    over = mass / string.length
-    nothing = {"x": np.zeros((1, 1)), "y": np.zeros((1, 1)), "t": np.zeros((1, 1))}
-    gravity, wind = (
-        vector_slot_sum(string, material, slot, nothing)[0, 0]
-        for slot in ("acceleration", "flow")
-    )
-    beside = [
-        effect.name for effect in model.effects if not issubclass(effect, StringEffect)
-    ]
+    origin = {name: np.zeros((1, 1)) for name in ("x", "y", "t")}
+    gravity = vector_slot_sum(string, material, "acceleration", origin)[0, 0]
+    wind = vector_slot_sum(string, material, "flow", origin)[0, 0]
+    hanging_lengths = hanging_shape(string, material, HANGING_POSE)[1][0]
+    stretch = (hanging_lengths - string.free_segment_lengths(material)).sum()
+    others = [e.name for e in model.effects if not issubclass(e, StringEffect)]
+    omitted = f" Left out, for no part of the string: {', '.join(others)}."
 
-    # bodies one inside the other
-    links = _link_rows(model, material, over)
-    pads = ["  " * (3 + i) for i in range(len(links))]
-    opened = "".join(
-        LINK_TEMPLATE.format(pad=pad, **link)
-        for pad, link in zip(pads, links, strict=True)
-    )
-    tip = f'{pads[-1]}  <site name="tip" pos="{links[-1]["length"]:.9g} 0 0"/>\n'
-    closed = "\n".join(f"{pad}</body>" for pad in reversed(pads))
+    # each body lies in that before it
+    links = _link_rows(model, material, mass / string.length)
+    start, end = "", ""
+    for number, link in enumerate(links):
+        pad = "  " * (3 + number)
+        start += LINK_TEMPLATE.format(pad=pad, **link)
+        end = f"{pad}</body>\n{end}"
+    tip = f'{pad}  <site name="tip" pos="{links[-1]["length"]:.9g} 0 0"/>\n'
     return DOCUMENT_TEMPLATE.format(
-        **{
-            "segments": string.points - 1,
-            "length": string.length,
-            "mass": mass,
-            "step": step,
-        },
-        **{"gx": gravity[0], "gy": gravity[1], "wx": wind[0], "wy": wind[1]},
-        **{
-            "density": DENSITY,
-            "viscosity": VISCOSITY,
-            "heavy": CARRIAGE_MASS_KG * mass,
-        },
-        longer=1e3
-        * float(
-            (
-                hanging_shape(string, material, HANGING_POSE)[1][0]
-                - string.free_segment_lengths(material)
-            ).sum()
-        ),
-        stated=f" Left out, for no part of the string: {', '.join(beside)}."
-        if beside
-        else "",
-        chain=opened + tip + closed,
+        segments=string.points - 1,
+        length=string.length,
+        mass=mass,
+        step=step,
+        gx=gravity[0],
+        gy=gravity[1],
+        wx=wind[0],
+        wy=wind[1],
+        density=DENSITY_KG_M3,
+        viscosity=VISCOSITY_PA_S,
+        heavy=CARRIAGE_MASS_RATIO * mass,
+        stretch=1e3 * float(stretch),
+        omitted=omitted if others else "",
+        chain=start + tip + end.rstrip("\n"),
     )
 
 
-def _link_rows(model: Model, material: np.ndarray, over: float) -> list[dict[str, Any]]:
-    """The properties of each link, from the grasp to the tip. over: mass per length
-    [kg/m].
+def _link_rows(
+    model: Model, material: np.ndarray, mass_per_length: float
+) -> list[dict[str, Any]]:
+    """Return the properties of each link from the grasp to the tip.
+
+    Parameters of the model are per mass; `mass_per_length` [kg/m] converts them.
     """
     string = model.string
-    named = {
-        name: float(material[0, place]) for place, name in enumerate(string.row_names)
-    }
+    parameters = dict(zip(string.row_names, map(float, material[0]), strict=False))
     length = float(string.free_segment_lengths(material)[0])
-    masses, cells = (rows[0, 1:] * over for rows in string.point_masses(material))
-    places = string.free_arc_lengths(material)[:, 1:-1]
-    given = {
-        "s": places,
-        "length": string.length * string.free_length_ratio(material)[:, None],
-    }
-    rest = (
-        sum(
-            string.law_values("rest_curvature", material, given), np.zeros_like(places)
-        )[0]
-        * length
+    masses, cells = (
+        rows[0, 1:] * mass_per_length for rows in string.point_masses(material)
     )
-    hinges = [
-        (
-            named["grasp_stiffness"],
-            named["grasp_damping"],
-            float(grasp_rest_angle(string, material)[0, 0]),
-        )
-    ]
-    hinges += [
-        (named["bending_stiffness"] / length, named["bending_damping"] / length, angle)
-        for angle in rest
-    ]
-    # a sphere's drag: by Stokes its radius follows from the linear part, and the
-    # coefficient of the rest from both
-    radius = cells * named["linear_drag"] / (6 * np.pi * VISCOSITY)
-    blunt = cells * named["quadratic_drag"] / (DENSITY * np.pi * radius**2)
-    offsets = [
-        np.ravel(offset) for offset in string.law_values("grasp_offset", material, {})
-    ]
-    along, across = np.sum([np.zeros(2), *offsets], axis=0)
-    return [
-        {
-            "number": i + 1,
-            "start": length if i else along,
-            "beside": 0.0 if i else across,
+    hinges = string.free_arc_lengths(material)[:, 1:-1]
+    total_length = string.length * string.free_length_ratio(material)[:, None]
+    known = {"s": hinges, "length": total_length}
+    curvatures = string.law_values("rest_curvature", material, known)
+    curvature = sum(curvatures, np.zeros_like(hinges))[0]
+
+    # a sphere's drag: Stokes' law gives its radius from the linear part, and both parts
+    # give the coefficient of blunt drag
+    radius = cells * parameters["linear_drag"] / (6 * np.pi * VISCOSITY_PA_S)
+    blunt = cells * parameters["quadratic_drag"] / (DENSITY_KG_M3 * np.pi * radius**2)
+    offset = np.zeros(2)
+    for law_offset in string.law_values("grasp_offset", material, {}):
+        offset = offset + np.ravel(law_offset)
+    links = []
+    for number in range(len(masses)):
+        if number == 0:  # the clamp in the hand
+            start, across = map(float, offset)
+            stiffness = parameters["grasp_stiffness"]
+            damping = parameters["grasp_damping"]
+            rest = float(grasp_rest_angle(string, material)[0, 0])
+        else:
+            start, across = length, 0.0
+            stiffness = parameters["bending_stiffness"] / length
+            damping = parameters["bending_damping"] / length
+            rest = curvature[number - 1] * length
+        link = {
+            "number": number + 1,
+            "start": start,
+            "across": across,
+            "length": length,
+            "mass": masses[number],
+            "stiffness": stiffness * mass_per_length,
+            "damping": damping * mass_per_length,
+            "rest": rest,
+            "radius": radius[number],
+            "blunt": blunt[number],
+            "inertia": masses[number] * (GYRATION_RADIUS * length) ** 2,
         }
-        | {"length": length, "mass": masses[i]}
-        | {
-            "stiffness": stiff * over,
-            "damping": damped * over,
-            "rest": angle,
-            "radius": radius[i],
-            "blunt": blunt[i],
-        }
-        | {"inertia": masses[i] * (MIN_MASS_SHARE * length) ** 2}
-        for i, (stiff, damped, angle) in enumerate(hinges)
-    ]
+        links.append(link)
+    return links

@@ -14,7 +14,7 @@ from stringcast.data.schema import DataError
 from stringcast.known import KnownString
 from stringcast.pipeline.commands import load_command
 from stringcast.pipeline.settings.composition import UserError
-from stringcast.stages.export.mjcf import CARRIAGE_MASS_KG, build_mjcf
+from stringcast.stages.export.mjcf import CARRIAGE_MASS_RATIO, build_mjcf
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
@@ -65,7 +65,7 @@ def tips_of_theirs(mujoco, model, values):
     theirs = mujoco.MjModel.from_xml_string(build_mjcf(model, values, MASS, STEP))
     data, steps = mujoco.MjData(theirs), round(TIMES[-1] / STEP)
     pushes = (
-        CARRIAGE_MASS_KG
+        CARRIAGE_MASS_RATIO
         * MASS
         * np.diff(hand_pose(np.arange(-1, steps + 2) * STEP), n=2, axis=0)
         / STEP**2
