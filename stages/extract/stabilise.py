@@ -174,10 +174,11 @@ def _newton_steps(
 
 def _shift_image(image: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Shift an image by (d_u, d_v) [px]."""
-    return cv2.warpAffine(
+    shifted: np.ndarray = cv2.warpAffine(
         image,
         np.array([[1, 0, shift[0]], [0, 1, shift[1]]]),
         image.shape[::-1],
         flags=cv2.INTER_LANCZOS4,
         borderMode=cv2.BORDER_REPLICATE,
     )
+    return shifted
