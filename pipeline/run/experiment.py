@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from hydra.utils import get_object
@@ -39,43 +39,68 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.spec import StageCall
 
-BlockLocation = Callable[[str], str]
+BlockLocation = Callable[[str], str]  # from the name of a block to its file
+SAVEABLE_OUTPUTS = ("frames", "report")
+ALL_TRIALS = "all"  # a value of `trials_used`
 
 
 class Mode(ABC):
-    """A loop over stages: `mode` in the settings of a run."""
+    """A loop over stages, which the setting `mode` chooses."""
 
     @abstractmethod
     def perform(
         self, experiment: Experiment, folder: Path, console: Terminal
     ) -> RunResult:
-        """The whole run, kept in a folder and shown on the terminal. What is there
-        already is not made again.
+        """Perform the whole run, reuse what its folder holds, and show the result.
+
+        Parameters
+        ----------
+        experiment : Experiment
+            What the run works with.
+        folder : Path
+            Folder of the run.
+        console : Terminal
+            Where progress and result are shown.
         """
 
     @abstractmethod
     def check(self, experiment: Experiment) -> None:
-        """Raise UserError or DataError for settings that the mode cannot work with,
-        before anything is written.
+        """Refuse settings with which the mode cannot work, before anything is written.
+
+        Raises
+        ------
+        UserError, DataError
+            With the setting and the remedy.
         """
 
     def moves_arm(self, config: Mapping[str, Any]) -> bool:
-        """Whether an arm is moved, real or not."""
+        """Tell whether an arm is moved, real or virtual."""
         return False
 
     def picture_sources(self, config: Mapping[str, Any]) -> tuple[str, ...]:
-        """The settings that name where the pictures come from which are looked at."""
-        return (
-            ("source",)
-            if "source" in config["hardware"] and self.moves_arm(config)
-            else ()
-        )
+        """Return the blocks of settings that name sources of pictures in use."""
+        films = "source" in config["hardware"] and self.moves_arm(config)
+        return ("source",) if films else ()
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """All that a run works with; `stages` are functions with their settings bound.
-    Fills `stages.spec.StageSetup`.
+    """What a run works with; implements `stages.spec.Setup`.
+
+    Parameters
+    ----------
+    config : mapping
+        All settings of the run.
+    model : Model
+        String, arm and camera with the effects that are modelled.
+    target : Box
+        Where the tip must go.
+    obstacles : tuple of Box
+        What the string must not touch.
+    stages : mapping
+        Functions with their settings bound, by the name of the stage.
+    mode : Mode
+        Loop over the stages.
     """
 
     config: Mapping[str, Any]
@@ -87,22 +112,22 @@ class Experiment:
 
     @property
     def arm(self) -> Arm:
-        """The model's arm."""
+        """Arm of the model."""
         return self.model.arm
 
     @property
     def camera(self) -> Camera:
-        """The model's camera."""
+        """Camera of the model."""
         return self.model.camera
 
     @property
     def string(self) -> String:
-        """The model's string."""
+        """String of the model."""
         return self.model.string
 
     @property
     def seed(self) -> int:
-        """The run's seed."""
+        """Seed of the whole run."""
         return int(self.config["seed"])
 
     @property
@@ -111,103 +136,111 @@ class Experiment:
         return list(self.config["effects_per_recording"])
 
     def lab(self, trial: int) -> Lab:
-        """Arm and camera, real or virtual. trial: number of the iteration."""
-        made: Lab = self.stages["hardware"](
-            self.arm, self.camera, seed=self.seed, trial=trial
-        )
-        return made
+        """Return arm and camera, real or virtual, for the trial of an iteration."""
+        open_lab = self.stages["hardware"]
+        lab: Lab = open_lab(self.arm, self.camera, seed=self.seed, trial=trial)
+        return lab
 
     def run_step(self, step: Step, progress: Progress) -> Any:
-        """The artifact of a step, made now."""
-        stage = step.stage
-        call = StageCall(
-            self.stages.get(stage.name),
-            self,
-            step.derive_seed(self.seed),
-            step.number,
-            progress,
-        )
-        return get_object(f"stringcast.{stage.run}")(call, **step.inputs)
+        """Run the stage of a step and return its artifact."""
+        bound_function = self.stages.get(step.stage.name)
+        seed = step.derive_seed(self.seed)
+        call = StageCall(bound_function, self, seed, step.number, progress)
+        return get_object(f"stringcast.{step.stage.run}")(call, **step.inputs)
 
 
 def prepare_experiment(config: Mapping[str, Any], where: BlockLocation) -> Experiment:
-    """Check everything before anything moves or is written. where: the file of a block."""
+    """Check all settings and build what a run needs, before anything moves.
+
+    Parameters
+    ----------
+    config : mapping
+        All settings of the run.
+    where : callable
+        Returns the file of a block of settings, for messages.
+
+    Raises
+    ------
+    UserError, DataError
+        For a setting that cannot be used.
+    """
     check_run_settings(config, where)
     arm = build_dataclass(Arm, config["arm"], "arm", where("arm"))
     target = build_dataclass(Box, config["target"], "target", where("target"))
-    string = refine_string_to_tolerance(
-        build_string(config["string"], where("string")), arm, config, where("string")
-    )
+    string = build_string(config["string"], where("string"))
+    string = refine_string_to_tolerance(string, arm, config, where("string"))
     camera = build_dataclass(Camera, config["camera"], "camera", where("camera"))
-    plain = Model(string, arm, camera)
-    model = add_effects(plain, config["effects"], where("effects"))
-    add_effects(
-        plain,
-        config["effects_per_recording"],
-        where("effects_per_recording"),
-        "effects_per_recording",
-    )  # they need not be at work
-    known, measured = read_parameter_values(
-        config["parameter_values"], model, where("parameter_values")
+
+    bare_model = Model(string, arm, camera)
+    model = add_effects(bare_model, config["effects"], where("effects"))
+    setting = "effects_per_recording"
+    add_effects(bare_model, config[setting], where(setting), setting)  # only checked
+    values = config["parameter_values"]
+    start_values, measured_ranges = read_parameter_values(
+        values, model, where("parameter_values")
     )
-    model = replace(model, start_values=known, measured_ranges=measured)
-    boxes = config["obstacles"]["boxes"]
-    experiment = Experiment(
-        config,
-        model,
-        target,
-        tuple(
-            build_dataclass(Box, box, f"obstacles.boxes.{i}", where("obstacles"))
-            for i, box in enumerate(boxes)
-        ),
-        {
-            name: bind_stage(config[name], name, where(name))
-            for name in (*stages(), "hardware")
-            if name in config
-        },
-        build_chosen(config["mode"], "mode", where("mode")),
-    )
-    experiment.mode.check(experiment)
+    model = replace(model, start_values=start_values, measured_ranges=measured_ranges)
+
+    obstacles = []
+    for number, box in enumerate(config["obstacles"]["boxes"]):
+        place = f"obstacles.boxes.{number}"
+        obstacles.append(build_dataclass(Box, box, place, where("obstacles")))
+    functions = {}
+    for name in (*stages(), "hardware"):
+        if name in config:
+            functions[name] = bind_stage(config[name], name, where(name))
+    mode = build_chosen(config["mode"], "mode", where("mode"))
+    experiment = Experiment(config, model, target, tuple(obstacles), functions, mode)
+    mode.check(experiment)
     return experiment
 
 
-SAVEABLE_OUTPUTS = ("frames", "report")
-ALL_TRIALS = "all"  # of the trials, which `trials_used` may be
-
-
 def check_run_settings(config: Mapping[str, Any], where: BlockLocation) -> None:
-    """The few settings of the run itself."""
-    for name, other in (("max_casts", ""), ("trials_used", f", or {ALL_TRIALS}")):
-        if (type(config[name]) is not int or config[name] < 1) and not (
-            other and config[name] == ALL_TRIALS
-        ):
-            must = f"it must be a whole number from 1{other}"
-            raise UserError(
-                f"{name} = {config[name]!r} ({where(name)}): {must}. Change it."
-            )
-    if type(config["seed"]) is not int or config["seed"] < 0:
-        raise UserError(
-            f"seed = {config['seed']!r} ({where('seed')}): it must be a whole number from 0. Change it."
-        )
-    if not isinstance(config["saved_outputs"], list) or not set(
-        config["saved_outputs"]
-    ) <= set(SAVEABLE_OUTPUTS):
-        choices = ", ".join(SAVEABLE_OUTPUTS)
-        raise UserError(
-            f"saved_outputs = {config['saved_outputs']} ({where('saved_outputs')}): it must be a list of {choices}. Change it."
-        )
+    """Raise UserError for a setting of the run itself that has a wrong value."""
+
+    def refuse(name: str, requirement: str) -> NoReturn:
+        setting = f"{name} = {config[name]!r} ({where(name)})"
+        raise UserError(f"{setting}: it must be {requirement}. Change it.")
+
+    if not is_whole_number(config["max_casts"], least=1):
+        refuse("max_casts", "a whole number from 1")
+    trials_used = config["trials_used"]
+    if trials_used != ALL_TRIALS and not is_whole_number(trials_used, least=1):
+        refuse("trials_used", f"a whole number from 1, or {ALL_TRIALS}")
+    if not is_whole_number(config["seed"], least=0):
+        refuse("seed", "a whole number from 0")
+    saved = config["saved_outputs"]
+    if not isinstance(saved, list) or not set(saved) <= set(SAVEABLE_OUTPUTS):
+        refuse("saved_outputs", f"a list of {', '.join(SAVEABLE_OUTPUTS)}")
+
+
+def is_whole_number(value: Any, least: int) -> bool:
+    """Tell whether a value is an integer, and no truth value, of at least this size."""
+    return type(value) is int and value >= least
 
 
 def add_effects(
     model: Model, names: Any, where: str, setting: str = "effects"
 ) -> Model:
-    """The model with the effects of these names. setting: that gives them. Raises
-    UserError.
+    """Return the model with these effects.
+
+    Parameters
+    ----------
+    model : Model
+        The model without them.
+    names : object
+        Value of the setting, which must be a list of names.
+    where, setting : str
+        File and name of the setting, for messages.
+
+    Raises
+    ------
+    UserError
+        For a name that no effect has, or effects that exclude each other.
     """
     if not isinstance(names, list):
-        raise UserError(
-            f"{setting} = {names!r} ({where}): it must be a list, such as [rest_curvature]. Change it."
-        )
+        remedy = "it must be a list, such as [rest_curvature]. Change it."
+        raise UserError(f"{setting} = {names!r} ({where}): {remedy}")
     try:
         return model.with_effects(*find_effects([str(name) for name in names]))
     except ValueError as error:
@@ -215,113 +248,117 @@ def add_effects(
 
 
 def read_parameter_values(
-    block: Any, model: Model, where: str
+    block: Mapping[str, Any], model: Model, where: str
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
-    """Values of parameters that are known from before, and the ranges of those that
-    were measured.
+    """Read the setting `parameter_values`.
+
+    Returns
+    -------
+    values : dict
+        Value of each given parameter.
+    ranges : dict
+        Lower and upper end of each measured parameter.
     """
-    by_name: dict[str, Any] = {}
-    # on the command line, +parameter_values.tip_mass.ratio=0.05 is a block in a block
-    for name, given in block.items():
-        apart = isinstance(given, Mapping) and "value" not in given
-        by_name |= (
-            {f"{name}.{inner}": value for inner, value in given.items()}
-            if apart
-            else {name: given}
-        )
-    values, ranges = {}, {}
-    for name, given in by_name.items():
+    given: dict[str, Any] = {}
+    for name, value in block.items():
+        # +parameter_values.tip_mass.ratio=0.05 on the command line is a nested block
+        if isinstance(value, Mapping) and "value" not in value:
+            given |= {
+                f"{name}.{inner_name}": inner for inner_name, inner in value.items()
+            }
+        else:
+            given[name] = value
+
+    values: dict[str, float] = {}
+    ranges: dict[str, tuple[float, float]] = {}
+    for name, value in given.items():
+        setting = f"parameter_values.{name}"
         if name not in model.names:
-            effect = name.partition(".")[0]
-            remedy = f"Known are: {', '.join(model.names)}"
-            if effect in effect_files():
-                remedy = f"Model it: 'effects=[{effect}]' '+parameter_values.{effect}.<parameter>=<number>'"
-            raise UserError(
-                f"parameter_values.{name} ({where}): there is no such parameter of what is modelled. {remedy}."
-            )
-        # a number, or a value with its interval where it was measured
-        measured = isinstance(given, Mapping) and set(given) == {"value", "low", "high"}
-        parts = [given["value"], given["low"], given["high"]] if measured else [given]
-        if not all(
-            isinstance(part, float | int) and math.isfinite(part) for part in parts
-        ):
-            raise UserError(
-                f"parameter_values.{name} = {given!r} ({where}): it must be a number, or value, low and high if it was measured. "
-                "Change it."
-            )
-        values[name] = float(parts[0])
-        if measured:
-            value, low, high = parts
-            if not (low < high and low <= value <= high):
-                ends = f"low = {low} < high = {high} must enclose value = {value}"
-                raise UserError(
-                    f"parameter_values.{name} ({where}): {ends}. Change it."
-                )
+            remedy = unknown_parameter_remedy(name, model)
+            fault = "the model has no such parameter"
+            raise UserError(f"{setting} ({where}): {fault}. {remedy}.")
+        is_measured = isinstance(value, Mapping) and set(value) == {
+            "value",
+            "low",
+            "high",
+        }
+        numbers = (
+            [value[part] for part in ("value", "low", "high")]
+            if is_measured
+            else [value]
+        )
+        if not all(isinstance(n, float | int) and math.isfinite(n) for n in numbers):
+            remedy = "it must be a number, or value, low and high. Change it."
+            raise UserError(f"{setting} = {value!r} ({where}): {remedy}")
+        values[name] = float(numbers[0])
+        if is_measured:
+            best, low, high = numbers
+            if not (low < high and low <= best <= high):
+                fault = f"low = {low} < high = {high} must enclose value = {best}"
+                raise UserError(f"{setting} ({where}): {fault}. Change it.")
             ranges[name] = float(low), float(high)
     return values, ranges
 
 
+def unknown_parameter_remedy(name: str, model: Model) -> str:
+    """Say how to model the effect of an unknown parameter, or which ones are known."""
+    effect = name.partition(".")[0]
+    if effect in effect_files():
+        value = f"'+parameter_values.{effect}.<parameter>=<number>'"
+        return f"Model it: 'effects=[{effect}]' {value}"
+    return f"Known are: {', '.join(model.names)}"
+
+
 def build_string(block: Mapping[str, Any], where: str) -> String:
-    """The string model, with the ranges of its parameters."""
-    apart = ("ranges", "tolerance", "integrator")
-    settings = {key: value for key, value in block.items() if key not in apart}
-    plain = build_dataclass(String, settings, "string", where)
-    known = {p.name: p for p in plain.parameters}
-    integrator = load_callable(
-        block["integrator"]["_target_"], "string.integrator", where
-    )
-    if len(block["integrator"]) > 1:
-        asked = dict(block["integrator"])
-        raise UserError(
-            f"string.integrator = {asked} ({where}): it must hold only `_target_`. Change it."
-        )
+    """Build the string model with the ranges of its parameters."""
+    fields = dict(block)
+    limits_by_name, choice = fields.pop("ranges"), fields.pop("integrator")
+    del fields["tolerance"]
+    string = build_dataclass(String, fields, "string", where)
+    integrator = load_callable(choice["_target_"], "string.integrator", where)
+    if len(choice) > 1:
+        setting = f"string.integrator = {dict(choice)} ({where})"
+        raise UserError(f"{setting}: it must hold only `_target_`. Change it.")
+
+    parameters = {parameter.name: parameter for parameter in string.parameters}
     ranges = {}
-    for name, limits in block["ranges"].items():
-        if name not in known:
-            raise UserError(
-                f"string.ranges.{name} ({where}): there is no such parameter. Known are: {', '.join(known)}."
-            )
+    for name, limits in limits_by_name.items():
+        setting = f"string.ranges.{name}"
+        if name not in parameters:
+            known = ", ".join(parameters)
+            fault = "there is no such parameter"
+            raise UserError(f"{setting} ({where}): {fault}. Known are: {known}.")
         low, high, start = (float(limits[key]) for key in ("low", "high", "start"))
         if not low < high:
-            raise UserError(
-                f"string.ranges.{name} ({where}): low = {low} must be below high = {high}. Change one."
-            )
+            fault = f"low = {low} must be below high = {high}"
+            raise UserError(f"{setting} ({where}): {fault}. Change one.")
         if not low <= start <= high:
-            raise UserError(
-                f"string.ranges.{name}.start = {start} ({where}): it must lie from {low} to {high}. Change it."
-            )
-        ranges[name] = replace(known[name], low=low, high=high, start=start)
-    return replace(plain, ranges=ranges, integrator=integrator())
+            fault = f"it must lie from {low} to {high}"
+            raise UserError(f"{setting}.start = {start} ({where}): {fault}. Change it.")
+        ranges[name] = replace(parameters[name], low=low, high=high, start=start)
+    return replace(string, ranges=ranges, integrator=integrator())
 
 
 def refine_string_to_tolerance(
     string: String, arm: Arm, config: Mapping[str, Any], where: str
 ) -> String:
-    """The string with points and step that keep `string.tolerance`, if there is one.
+    """Return the string with points and step that keep `string.tolerance`, if given.
 
-    Measured on one plain cast of the arm, with all parameters in the middle of their
-    ranges.
+    The error is measured on one plain cast, with all parameters in mid-range.
     """
     tolerance = config["string"]["tolerance"]
     if tolerance is None:
         return string
+    setting = f"string.tolerance = {tolerance!r} ({where})"
     if not isinstance(tolerance, float | int) or tolerance <= 0:
-        raise UserError(
-            f"string.tolerance = {tolerance!r} ({where}): it must be metres above 0, or null. Change it."
-        )
-    cast = plain_cast(
-        arm,
-        float(np.sqrt(config["generate"]["shortest"] * config["generate"]["longest"])),
-    )
-    hand = JointMotion(
-        0.0, arm.tick, *cast.sample(arm.tick, float(cast.duration[0]))
-    ).hand_motion(arm)
+        raise UserError(f"{setting}: it must be metres above 0, or null. Change it.")
+
+    durations = config["generate"]["shortest"] * config["generate"]["longest"]
+    cast = plain_cast(arm, float(np.sqrt(durations)))
+    samples = cast.sample(arm.tick, float(cast.duration[0]))
+    hand = JointMotion(0.0, arm.tick, *samples).hand_motion(arm)
+    middle = np.array([p.value(np.array(0.5)) for p in string.parameters])
     try:
-        return find_converged_string(
-            string,
-            hand,
-            np.array([p.value(np.array(0.5)) for p in string.parameters]),
-            tolerance,
-        ).string
+        return find_converged_string(string, hand, middle, tolerance).string
     except ToleranceError as error:
-        raise UserError(f"string.tolerance = {tolerance} ({where}): {error}") from error
+        raise UserError(f"{setting}: {error}") from error

@@ -1,8 +1,8 @@
-"""Provenance: the origin of a stored step, and whether it would be made the same now.
+"""The origin of a stored step, and whether it would be made the same now.
 
-A footer holds settings, seed, inputs, code and packages. Nothing asks a clock: a step
-is stale if the content of an input, a setting, a source file or a package differs from
-its footer. What has the same content is the same, whenever it was written.
+The footer of a stored table holds settings, seed, inputs, code and packages. A step is
+stale if the content of an input, a setting, a source file or a package differs from its
+footer. Dates do not count.
 """
 
 from __future__ import annotations
@@ -42,144 +42,149 @@ RECORDED_PACKAGES = (
     "pydantic",
 )
 CODE_FOLDERS = ("data", "hardware", "pipeline", "stages")
-# they hand every stage what it is given
-SHARED_SOURCES = (
+SHARED_SOURCES = (  # used by every stage; their imports do not count
     "pipeline/run/iterations.py",
     "pipeline/run/experiment.py",
     "stages/spec.py",
 )
-# it imports every effect without naming any
+# imports every effect without naming any
 EFFECT_LIBRARY_FILE = PROJECT_FOLDER / "stages" / "model" / "library.py"
 MODEL_FILE = PROJECT_FOLDER / "stages" / "model" / "model.py"
-VIRTUAL_LAB_PREFIX = "hardware.virtual."  # what it does can be done again, to the bit
+VIRTUAL_LAB_PREFIX = "hardware.virtual."  # its trials can be repeated bit by bit
 ABSENT_VALUE = "absent"
-# kinds of things of which an origin holds a hash, which tells people nothing
-HASHED_KINDS = ("input ", "source ")
+HASHED_KINDS = ("input ", "source ")  # their values are hashes, which are not shown
 
 
-# --- what made a file
-# -----------------------------------------------------------------------
+# --- origin of a step
+
+
 def step_origin(
     config: Mapping[str, Any], step: str, seed: int, inputs: Mapping[str, str]
 ) -> dict[str, Any]:
-    """The origin of a step: all that is needed to make it again. inputs: content hashes
-    by path.
+    """Return the origin of a step: all that is needed to make it again.
+
+    Parameters
+    ----------
+    config : mapping
+        All settings of the run.
+    step : str
+        Name of the stage.
+    seed : int
+        Seed of the step.
+    inputs : mapping
+        Content hashes by path.
     """
-    made = {
+    origin = {
         "step": step,
         "seed": seed,
         "inputs": dict(inputs),
         "config": config,
         "python": platform.python_version(),
     }
-    return made | software_versions()
+    return origin | software_versions()
 
 
 def software_versions() -> dict[str, dict[str, str]]:
-    """The state of this code, and the installed versions of the packages that decide
-    about numbers, by name.
-    """
-    return {
-        "code": code_state(),
-        "packages": {name: package_version(name) for name in RECORDED_PACKAGES},
-    }
+    """Return the state of this code and the versions of the recorded packages."""
+    packages = {name: package_version(name) for name in RECORDED_PACKAGES}
+    return {"code": code_state(), "packages": packages}
 
 
-package_version = cache(version)  # which reads a file each time
+package_version = cache(version)  # reads a file each time
 
 
 @cache
 def code_state() -> dict[str, str]:
-    """The commit, if known, with a + behind it where sources are no longer as it has
-    them, and a hash of the source files as they are.
-    """
+    """Return the commit, followed by + if sources have changed, and a source hash."""
     digest = hashlib.sha256()
-    for file in sorted(
-        p for folder in CODE_FOLDERS for p in (PROJECT_FOLDER / folder).rglob("*.py")
-    ):
-        digest.update(
-            str(file.relative_to(PROJECT_FOLDER)).encode() + b"\0" + file.read_bytes()
-        )
-    asked = (("rev-parse", "HEAD"), ("status", "--porcelain", "--", *CODE_FOLDERS))
-    commit, changed = (
-        subprocess.run(
-            ["git", *words],
-            cwd=PROJECT_FOLDER,
-            capture_output=True,
-            text=True,
-            check=False,
-        ).stdout
-        for words in asked
+    files = [p for name in CODE_FOLDERS for p in (PROJECT_FOLDER / name).rglob("*.py")]
+    for file in sorted(files):
+        name = str(file.relative_to(PROJECT_FOLDER))
+        digest.update(name.encode() + b"\0" + file.read_bytes())
+    commit = git_output("rev-parse", "HEAD").strip() or "unknown"
+    changes = git_output("status", "--porcelain", "--", *CODE_FOLDERS)
+    if any(line.endswith(".py") for line in changes.splitlines()):
+        commit += "+"
+    return {"commit": commit, "source": digest.hexdigest()}
+
+
+def git_output(*arguments: str) -> str:
+    """Return the output of git in the project's folder; empty if it fails."""
+    process = subprocess.run(
+        ["git", *arguments],
+        cwd=PROJECT_FOLDER,
+        capture_output=True,
+        text=True,
+        check=False,
     )
-    dirty = "+" * any(line.endswith(".py") for line in changed.splitlines())
-    return {
-        "commit": (commit.strip() or "unknown") + dirty,
-        "source": digest.hexdigest(),
-    }
+    return process.stdout
 
 
-# --- the sources behind a step
-# --------------------------------------------------------------
+# --- sources of a step
+
+
 def source_digests(settings: Mapping[str, Any], stage: StageSpec) -> dict[str, str]:
-    """Digests of the files of a stage and of all that they import, however far.
-    settings: those that it uses.
+    """Return digests of a stage's sources and of all that they import.
+
+    Parameters
+    ----------
+    settings : mapping
+        Settings that the stage uses.
+    stage : StageSpec
+        The stage.
+
+    Returns
+    -------
+    dict
+        Digests by path from the project's folder.
     """
-    targets = {
-        name: target
-        for name, target in flatten_settings(settings).items()
-        if name.endswith("._target_")
-    }
-    named = [
-        require_allowed(target, name.removesuffix("._target_"), "config.json")
-        for name, target in targets.items()
-    ]
-    roots = {file_of_target(name) for name in (*named, stage.run)} | (
-        {MODEL_FILE} if "string" in settings else set()
-    )
-    roots |= {
-        effect_files()[split_effect_name(name)[0]]
-        for name in settings.get("effects", [])
-    }
-    behind = imported_files(roots) | {PROJECT_FOLDER / name for name in SHARED_SOURCES}
-    return {relative_name(file): parse_source(file)[1] for file in sorted(behind)}
+    roots = {file_of_target(stage.run)}
+    for name, target in flatten_settings(settings).items():
+        if name.endswith("._target_"):
+            place = name.removesuffix("._target_")
+            roots.add(file_of_target(require_allowed(target, place, "config.json")))
+    if "string" in settings:
+        roots.add(MODEL_FILE)
+    for name in settings.get("effects", []):
+        roots.add(effect_files()[split_effect_name(name)[0]])
+    files = imported_files(roots) | {PROJECT_FOLDER / name for name in SHARED_SOURCES}
+    return {relative_name(file): parse_source(file)[1] for file in sorted(files)}
 
 
 def file_of_target(target: str) -> Path:
-    """The file in which a `_target_` of ours is defined, without loading it, which
-    takes seconds: that of the module it is in, or of its own name, from where a package
-    has it.
+    """Return the file that defines a `_target_` of this package, without loading it.
+
+    It is the file of the module of this name, or of the module around it.
     """
-    file = module_file(f"stringcast.{target}") or module_file(
-        f"stringcast.{target.rpartition('.')[0]}"
-    )
-    assert file is not None, f"{target} lies in no file of ours"
+    module = target.rpartition(".")[0]
+    file = module_file(f"stringcast.{target}") or module_file(f"stringcast.{module}")
+    assert file is not None, f"{target} is in no file of this package"
     return file
 
 
 def imported_files(roots: Iterable[Path]) -> set[Path]:
-    """Files, and all of ours that they import."""
-    found: set[Path] = set()
-    ahead = list(roots)
-    while ahead:
-        file = ahead.pop()
-        if file not in found:
-            found.add(file)
-            ahead += (
-                () if relative_name(file) in SHARED_SOURCES else parse_source(file)[0]
-            )
-            ahead += effect_files().values() if file == EFFECT_LIBRARY_FILE else ()
-    return found
+    """Return these files and all files of this package that they import."""
+    files: set[Path] = set()
+    waiting = list(roots)
+    while waiting:
+        file = waiting.pop()
+        if file in files:
+            continue
+        files.add(file)
+        if relative_name(file) not in SHARED_SOURCES:
+            waiting += parse_source(file)[0]
+        if file == EFFECT_LIBRARY_FILE:
+            waiting += effect_files().values()
+    return files
 
 
 @cache
 def parse_source(file: Path) -> tuple[tuple[Path, ...], str]:
-    """The files of ours that a file imports, wherever in it, and a digest of what
-    Python runs of it: comments, line breaks and docstrings make no step stale. Of one
-    tree, for it takes as long to parse as all else.
+    """Return the files of this package that a file imports, and a digest of its code.
 
-    A new name or place does: a step called stale without need costs the time to make it
-    again, to the same bits; one called fresh without need, as where two functions swap
-    their names, costs the trust in all of them.
+    Comments, line breaks and docstrings do not change the digest; names do. A step that
+    is needlessly stale costs time; one that is wrongly fresh, as after two functions
+    swapped names, costs trust.
     """
     tree = ast.parse(file.read_text(encoding="utf-8"))
     names: set[str] = set()
@@ -187,56 +192,53 @@ def parse_source(file: Path) -> tuple[tuple[Path, ...], str]:
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
-            names |= {
-                node.module,
-                *(f"{node.module}.{alias.name}" for alias in node.names),
-            }
-        elif isinstance(
-            node, ast.Module | ast.ClassDef | ast.FunctionDef
-        ) and ast.get_docstring(node, clean=False):
-            del node.body[0]
-    packages = {
-        ".".join(name.split(".")[:end])
-        for name in names
-        for end in range(1, name.count(".") + 2)
-    }
-    imported = tuple(
-        path for name in sorted(packages) if (path := module_file(name)) is not None
-    )
-    return imported, hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:16]
+            names.add(node.module)
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+        elif isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            if ast.get_docstring(node, clean=False):
+                del node.body[0]
+
+    modules = set()  # with the packages around each
+    for name in names:
+        parts = name.split(".")
+        modules |= {".".join(parts[:end]) for end in range(1, len(parts) + 1)}
+    files = [module_file(module) for module in sorted(modules)]
+    digest = hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:16]
+    return tuple(file for file in files if file is not None), digest
 
 
 def module_file(module: str) -> Path | None:
-    """The file of a module of ours; None for others'."""
+    """Return the file of a module of this package; None for other modules."""
     package, *parts = module.split(".")
     if package != "stringcast" or not parts or parts[0] not in CODE_FOLDERS:
         return None
-    place = PROJECT_FOLDER.joinpath(*parts)
-    return next(
-        (
-            path
-            for path in (place.with_suffix(".py"), place / "__init__.py")
-            if path.is_file()
-        ),
-        None,
-    )
+    path = PROJECT_FOLDER.joinpath(*parts)
+    for file in (path.with_suffix(".py"), path / "__init__.py"):
+        if file.is_file():
+            return file
+    return None
 
 
 def relative_name(file: Path) -> str:
-    """The path from the project's folder; whole for an effect that lies elsewhere."""
-    return (
-        file.relative_to(PROJECT_FOLDER).as_posix()
-        if file.is_relative_to(PROJECT_FOLDER)
-        else str(file)
-    )
+    """Return the path from the project's folder; whole for an effect elsewhere."""
+    if file.is_relative_to(PROJECT_FOLDER):
+        return file.relative_to(PROJECT_FOLDER).as_posix()
+    return str(file)
 
 
 # --- fresh or stale
-# ---------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class StoredStep:
-    """A step on the disk. artifact: None where there is none that can be read. reasons:
-    why it is stale; empty if it is fresh.
+    """A step as it is stored.
+
+    Parameters
+    ----------
+    artifact : object
+        The artifact; None if there is none that can be read.
+    stale_reasons : tuple of str
+        Why it is stale; empty if it is fresh.
     """
 
     artifact: Any
@@ -246,152 +248,162 @@ class StoredStep:
 def load_step_with_staleness(
     config: Mapping[str, Any], folder: Path, step: Step
 ) -> StoredStep:
-    """A step in a run's folder, with all that has changed since it was made. config:
-    the run's settings.
+    """Load a step from a run's folder, with all that has changed since it was made.
+
+    Parameters
+    ----------
+    config : mapping
+        All settings of the run.
+    folder : Path
+        Folder of the run.
+    step : Step
+        The step to look for.
     """
-    place = folder / step.folder
-    if not place.is_dir():
+    step_folder = folder / step.folder
+    if not step_folder.is_dir():
         return StoredStep(None, ("it has not been made yet",))
     try:
-        artifact: Any = store.load(step.stage.makes, place)
+        artifact: Any = store.load(step.stage.makes, step_folder)
     except DataError as error:
         return StoredStep(None, (str(error),))
-    made = store.read_origin(place)
-    early = ("it was interrupted",) if getattr(artifact, "interrupted", False) else ()
-    return StoredStep(
-        artifact,
-        (
-            *early,
-            *origin_changes(
-                made, current_origin(config, folder, step), step.stage.uses
-            ),
-        ),
+    reasons = []
+    if getattr(artifact, "was_interrupted", False):
+        reasons.append("it was interrupted")
+    stored, current = (
+        store.read_origin(step_folder),
+        current_origin(config, folder, step),
     )
+    reasons += origin_changes(stored, current, step.stage.uses)
+    return StoredStep(artifact, tuple(reasons))
 
 
 def current_origin(
     config: Mapping[str, Any], folder: Path, step: Step
 ) -> dict[str, Any]:
-    """The origin that a step would have if it were made now, of inputs in the run's
-    folder and of stored ones.
-    """
-    used = {key: config[key] for key in step.stage.uses}
-    there = [place for place in step.input_folders if (folder / place).is_dir()]
-    inputs = {
-        place.as_posix(): store.content_hash(folder / place) for place in there
-    } | dict(step.file_hashes)
-    made = step_origin(
-        config, step.stage.name, step.derive_seed(int(config["seed"])), inputs
-    )
-    return made | {"sources": source_digests(used, step.stage)}
+    """Return the origin that a step would have if it were made now."""
+    inputs = {}
+    for path in step.input_folders:
+        if (folder / path).is_dir():
+            inputs[path.as_posix()] = store.content_hash(folder / path)
+    inputs |= step.file_hashes
+    seed = step.derive_seed(int(config["seed"]))
+    origin = step_origin(config, step.stage.name, seed, inputs)
+    used_settings = {name: config[name] for name in step.stage.uses}
+    origin["sources"] = source_digests(used_settings, step.stage)
+    return origin
 
 
 def stale_reasons(
-    folder: Path, place: Path, settings: Mapping[str, Any]
+    folder: Path, step_folder: Path, settings: Mapping[str, Any]
 ) -> tuple[str, ...]:
-    """The reasons why a stored step would be made again, by its files and the run's
-    settings alone: no model is built of these.
+    """Return why a stored step would be made again, without building a model.
+
+    Parameters
+    ----------
+    folder, step_folder : Path
+        Folders of the run and of the step.
+    settings : mapping
+        All settings of the run.
     """
     try:
-        made = store.read_origin(place)
-        inputs = input_hashes(folder, made["inputs"], settings["trials"])
-        return load_step_with_staleness(
-            settings,
-            folder,
-            Step(
-                stages()[made["step"]], int(place.parent.name), {}, file_hashes=inputs
-            ),
-        ).stale_reasons
+        origin = store.read_origin(step_folder)
+        hashes = input_hashes(folder, origin["inputs"], settings["trials"])
+        number = int(step_folder.parent.name)
+        step = Step(stages()[origin["step"]], number, {}, file_hashes=hashes)
+        return load_step_with_staleness(settings, folder, step).stale_reasons
     except KeyError as error:
-        return (
-            f"it or the settings lack {error}: another version of this code made the run",
-        )
+        return (f"{error} is missing in the step or in the settings",)
     except (DataError, UserError, *store.READ_ERRORS) as error:
         return (str(error),)
 
 
 def input_hashes(
-    folder: Path, paths: Mapping[str, str], trials: str | None
+    folder: Path, paths: Iterable[str], trials: str | None
 ) -> dict[str, str]:
-    """Content hashes of those of the paths that lie in the run's folder, or in that of
-    its stored trials, which begin as `trials` does.
+    """Return the content hashes of paths in a run's folder or in that of its trials.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the run.
+    paths : iterable of str
+        Paths of inputs; other paths are left out.
+    trials : str or None
+        Setting `trials` of the run.
     """
-    homes = [Path(home).resolve() for home in (folder, trials) if home is not None]
-    places = {
-        path: (
-            folder / path if path.startswith("iterations/") else Path(path)
-        ).resolve()
-        for path in paths
-    }
-    known = {
-        path: place
-        for path, place in places.items()
-        if any(place.is_relative_to(home) for home in homes)
-    }
-    return {
-        path: store.content_hash(place)
-        for path, place in known.items()
-        if place.is_dir() or place.is_file()
-    }
+    allowed_folders = [folder.resolve()]
+    if trials is not None:
+        allowed_folders.append(Path(trials).resolve())
+    hashes = {}
+    for name in paths:
+        path = folder / name if name.startswith("iterations/") else Path(name)
+        path = path.resolve()
+        is_allowed = any(path.is_relative_to(allowed) for allowed in allowed_folders)
+        if is_allowed and (path.is_dir() or path.is_file()):
+            hashes[name] = store.content_hash(path)
+    return hashes
 
 
 def origin_changes(
-    made: Mapping[str, Any], now: Mapping[str, Any], uses: Sequence[str]
+    stored: Mapping[str, Any], current: Mapping[str, Any], uses: Sequence[str]
 ) -> Iterator[str]:
-    """Differences of two origins, a line each, without the hashes. uses: the settings
-    that count.
+    """Yield the differences of two origins, a line each, without the hashes.
+
+    Parameters
+    ----------
+    stored, current : mapping
+        Origins of a step.
+    uses : sequence of str
+        Settings that count.
     """
-    decisive = []  # all of either that decides what comes out, by name
-    for one in (made, json.loads(json.dumps(now))):  # as stored: JSON knows no tuples
-        inputs, sources, packages = (
-            {f"{kind} {name}": value for name, value in one[f"{kind}s"].items()}
-            for kind in ("input", "source", "package")
-        )
-        settings = flatten_settings({key: one["config"].get(key) for key in uses})
-        decisive.append(
-            inputs | settings | sources | packages | {"Python": one["python"]}
-        )
-    for name, before, after in differing_values(*decisive):
-        became = (
-            "is new"
-            if before == ABSENT_VALUE
-            else "is gone"
-            if after == ABSENT_VALUE
-            else "has changed"
-        )
-        yield (
-            f"{name} {became}"
-            if name.startswith(HASHED_KINDS)
-            else f"{name} {before} -> {after}"
-        )
+    as_stored = json.loads(json.dumps(current))  # JSON has no tuples
+    before_and_after = decisive_values(stored, uses), decisive_values(as_stored, uses)
+    for name, before, after in differing_values(*before_and_after):
+        if not name.startswith(HASHED_KINDS):
+            yield f"{name} {before} -> {after}"
+        elif before == ABSENT_VALUE:
+            yield f"{name} is new"
+        elif after == ABSENT_VALUE:
+            yield f"{name} is gone"
+        else:
+            yield f"{name} has changed"
+
+
+def decisive_values(origin: Mapping[str, Any], uses: Sequence[str]) -> dict[str, Any]:
+    """Return all parts of an origin that decide about the artifact, by name."""
+    values = {f"input {name}": digest for name, digest in origin["inputs"].items()}
+    values |= flatten_settings({name: origin["config"].get(name) for name in uses})
+    values |= {f"source {name}": digest for name, digest in origin["sources"].items()}
+    values |= {f"package {name}": v for name, v in origin["packages"].items()}
+    return values | {"Python": origin["python"]}
 
 
 def differing_values(
-    a: Mapping[str, Any], b: Mapping[str, Any]
+    first: Mapping[str, Any], second: Mapping[str, Any]
 ) -> list[tuple[str, Any, Any]]:
-    """Names whose values differ, with both values; ABSENT where there is none."""
-    both = [
-        (name, a.get(name, ABSENT_VALUE), b.get(name, ABSENT_VALUE))
-        for name in dict.fromkeys([*a, *b])
-    ]
-    return [(name, one, other) for name, one, other in both if one != other]
+    """Return the names whose values differ with both values, or ABSENT_VALUE."""
+    differing = []
+    for name in dict.fromkeys([*first, *second]):
+        values = first.get(name, ABSENT_VALUE), second.get(name, ABSENT_VALUE)
+        if values[0] != values[1]:
+            differing.append((name, *values))
+    return differing
 
 
 def is_repeatable(config: Mapping[str, Any], artifact: str) -> bool:
-    """Whether an artifact can be made again: all but what a real arm and camera did."""
-    return artifact != "trial" or str(config["hardware"]["_target_"]).startswith(
-        VIRTUAL_LAB_PREFIX
-    )
+    """Tell whether an artifact can be made again, unlike the trial of a real arm."""
+    is_virtual = str(config["hardware"]["_target_"]).startswith(VIRTUAL_LAB_PREFIX)
+    return is_virtual or artifact != "trial"
 
 
 def arm_has_executed(
     config: Mapping[str, Any], folder: Path, number: int, artifact: str
 ) -> bool:
-    """Whether a real arm has moved by an artifact of an iteration: then it stays, for
-    what was measured hangs on it.
+    """Tell whether a real arm has moved by an artifact of an iteration.
+
+    Such an artifact is kept, for measurements depend on it.
     """
-    nearest = number if artifact in ("motion", "trial") else number + 1
-    return (
-        not is_repeatable(config, "trial")
-        and (folder / artifact_folder(nearest, "trial")).is_dir()
-    )
+    if is_repeatable(config, "trial"):
+        return False
+    trial_number = number if artifact in ("motion", "trial") else number + 1
+    return (folder / artifact_folder(trial_number, "trial")).is_dir()

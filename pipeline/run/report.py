@@ -8,7 +8,7 @@ from typing import Any
 
 from hydra.utils import get_object
 
-from stringcast.data.artifacts import Diagnosis
+from stringcast.data.artifacts import Diagnosis, Estimate
 from stringcast.data.store import write_text
 from stringcast.pipeline.cli.terminal import program_name
 from stringcast.pipeline.run.experiment import Experiment
@@ -21,59 +21,51 @@ from stringcast.stages.spec import StageSpec
 
 
 def write_report(experiment: Experiment, result: RunResult) -> None:
-    """`report.html` in the run's folder: the page of the stage that the run was for, or
-    that of its casts.
-    """
-    if result.stage is not None:
-        write_stage_page(
-            experiment,
-            result.stage,
-            result.final_artifact,
-            result.sentence,
-            result.folder,
-        )
-    else:
-        write_text(
-            result.folder / "report.html", cast_page(collect_casts(experiment, result))
-        )
+    """Write `report.html` in the run's folder: the page of a stage, or of casts."""
+    if result.stage is None:
+        page = cast_page(collect_casts(experiment, result))
+        write_text(result.folder / "report.html", page)
+        return
+    artifact = result.final_artifact
+    write_stage_page(experiment, result.stage, artifact, result.sentence, result.folder)
 
 
 def write_stage_page(
-    experiment: Experiment, stage: StageSpec, made: Any, sentence: str, folder: Path
+    experiment: Experiment, stage: StageSpec, artifact: Any, sentence: str, folder: Path
 ) -> None:
-    """The page of a stage. made: its artifact."""
-    name, config = experiment.config["name"], experiment.config
-    ahead = COMMANDS_AFTER_STAGE.get(stage.name, lambda made, config: [])(made, config)
-    facts = StageRecord(
-        name,
+    """Write `report.html` in a folder: the page of a stage's artifact."""
+    commands: list[tuple[str, str]] = []
+    if stage.name == "diagnose":
+        commands = commands_after_diagnosis(artifact, experiment.config)
+    record = StageRecord(
+        experiment.config["name"],
         sentence,
-        made,
+        artifact,
         experiment.model,
-        config,
+        experiment.config,
         page_provenance(experiment),
-        next_commands(ahead),
+        next_commands(commands),
     )
-    write_text(folder / "report.html", get_object(f"stringcast.{stage.page}")(facts))
+    make_page = get_object(f"stringcast.{stage.page}")
+    write_text(folder / "report.html", make_page(record))
 
 
 def collect_casts(experiment: Experiment, result: RunResult) -> RunRecord:
-    """The data of the page of casts."""
-    estimates = [i.artifacts.get("estimate") for i in result.iterations]
-    casts, previous = [], None
+    """Collect the data of the page of casts."""
+    casts, estimates = [], []
+    previous: Estimate | None = None
     for iteration in result.iterations:
-        if iteration.verdict is not None:  # else only estimation ran
-            done = iteration.artifacts
-            made = (done["motion"], done["trial"], done["points"], done.get("estimate"))
-            casts.append(
-                simulate_cast(
-                    experiment.model,
-                    iteration.observation,
-                    made,
-                    iteration.verdict,
-                    previous,
-                )
-            )
-            previous = done.get("estimate", previous)
+        artifacts = iteration.artifacts
+        estimate = artifacts.get("estimate")
+        if estimate is not None:
+            estimates.append(estimate)
+        if iteration.verdict is None:  # only estimated
+            continue
+        made = artifacts["motion"], artifacts["trial"], artifacts["points"], estimate
+        observation, verdict = iteration.observation, iteration.verdict
+        cast = simulate_cast(experiment.model, observation, made, verdict, previous)
+        casts.append(cast)
+        previous = previous if estimate is None else estimate
     return RunRecord(
         experiment.config["name"],
         result.sentence,
@@ -82,69 +74,68 @@ def collect_casts(experiment: Experiment, result: RunResult) -> RunRecord:
         experiment.target,
         experiment.obstacles,
         tuple(casts),
-        tuple(e for e in estimates if e is not None),
+        tuple(estimates),
         experiment.config,
         page_provenance(experiment),
         next_commands(commands_after_casts(result)),
     )
 
 
-def next_commands(ahead: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """The commands that a page offers, as this program is called. ahead: why, and the
-    arguments.
+def next_commands(commands: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return purpose and text of the commands that a page offers.
+
+    Parameters
+    ----------
+    commands : sequence of (str, str)
+        Purpose and arguments of each.
     """
-    always = ("Compute every step again and compare, to the bit", f"verify {HERE}")
-    return [(why, f"{program_name()} {words}") for why, words in (*ahead, always)]
+    verify = ("Compute every step again and compare bit by bit", f"verify {HERE}")
+    shown = [*commands, verify]
+    return [(purpose, f"{program_name()} {words}") for purpose, words in shown]
 
 
 def commands_after_casts(result: RunResult) -> list[tuple[str, str]]:
-    """The commands to offer after casts, or after estimation alone."""
-    wrong = (
-        "What does the simulation get wrong in these trials, and why?",
-        f"+experiment=diagnose trials={HERE}",
-    )
-    ahead = [wrong] if not all(i.refusal_reason for i in result.iterations) else []
-    if (
-        result.last_estimate is not None
-        and result.last_estimate.parameters["low"].isna().all()
-    ):
+    """Return the commands to offer after casts, or after estimation alone."""
+    commands = []
+    if not all(iteration.refusal_reason for iteration in result.iterations):
+        purpose = "What does the simulation get wrong in these trials, and why?"
+        commands.append((purpose, f"+experiment=diagnose trials={HERE}"))
+    estimate = result.last_estimate
+    if estimate is not None and estimate.parameters["low"].isna().all():
         words = f"+experiment=estimate estimate=least_squares trials={HERE}"
-        ahead.append(
-            ("Estimate the string from the same trials, with intervals", words)
-        )
-    if result.last_estimate is not None:
-        ahead.append(
-            (
-                "A card of the string's parameters, with units",
-                f"export {HERE} string.csv",
-            )
-        )
-    return ahead
+        purpose = "Estimate the string from the same trials, with intervals"
+        commands.append((purpose, words))
+    if estimate is not None:
+        purpose = "A table of the string's parameters, with units"
+        commands.append((purpose, f"export {HERE} string.csv"))
+    return commands
 
 
 def commands_after_diagnosis(
-    made: Diagnosis, config: Mapping[str, Any]
+    diagnosis: Diagnosis, config: Mapping[str, Any]
 ) -> list[tuple[str, str]]:
-    """The commands to offer after a diagnosis, by its verdict."""
-    look = (
-        "Look at the measurements: what is usable, what looks wrong",
+    """Return the commands to offer after a diagnosis, by its verdict."""
+    trials = f"trials={config['trials']}"
+    check = (
+        "Check the measurements: what is usable, what looks wrong",
         f"check {config['trials']}",
     )
     decide = (
-        "Perform the motion that tells the look-alikes apart",
-        f"+experiment=decide trials={config['trials']}",
+        "Perform the motion that distinguishes the candidate causes",
+        f"+experiment=decide {trials}",
     )
-    cast = ("Cast with the model that this diagnosis made", f"model_from={HERE}")
-    words = f"+experiment=estimate estimate=least_squares model_from={HERE} trials={config['trials']}"
-    fit = ("Estimate the string anew with the causes at work", words)
-    by_verdict = {"effect": [cast, fit], "ambiguous": [decide, look], "none": [cast]}
-    return by_verdict.get(made.verdict, [look])
-
-
-# what can be done after a stage, by its name
-COMMANDS_AFTER_STAGE = {"diagnose": commands_after_diagnosis}
+    cast = ("Cast with the model of this diagnosis", f"model_from={HERE}")
+    estimate = (
+        "Estimate the string again with the causes found",
+        f"+experiment=estimate estimate=least_squares model_from={HERE} {trials}",
+    )
+    if diagnosis.verdict == "effect":
+        return [cast, estimate]
+    if diagnosis.verdict == "ambiguous":
+        return [decide, check]
+    return [cast] if diagnosis.verdict == "none" else [check]
 
 
 def page_provenance(experiment: Experiment) -> dict[str, Any]:
-    """The provenance that a page shows."""
+    """Return the provenance that a page shows."""
     return {"seed": experiment.seed} | software_versions()

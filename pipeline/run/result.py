@@ -14,7 +14,19 @@ from stringcast.stages.spec import StageSpec
 
 @dataclass(frozen=True)
 class RunResult:
-    """stage: the one whose artifact the run was for, if it was for one."""
+    """How a run ended.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the run.
+    iterations : tuple of Iteration
+        Casts, or stored trials.
+    sentence : str
+        The outcome in words.
+    stage : StageSpec, optional
+        Stage whose artifact the run was for, if it was for one.
+    """
 
     folder: Path
     iterations: tuple[Iteration, ...]
@@ -23,56 +35,51 @@ class RunResult:
 
     @property
     def final_artifact(self) -> Any:
-        """The artifact that the run was for."""
+        """Artifact that the run was for."""
         assert self.stage is not None
         return self.iterations[-1].artifacts[self.stage.folder]
 
     @property
     def last_estimate(self) -> Estimate | None:
-        """The last one, if there is any."""
-        return next(
-            (
-                i.artifacts["estimate"]
-                for i in reversed(self.iterations)
-                if "estimate" in i.artifacts
-            ),
-            None,
-        )
+        """Estimate of the last iteration that has one."""
+        for iteration in reversed(self.iterations):
+            if "estimate" in iteration.artifacts:
+                estimate: Estimate = iteration.artifacts["estimate"]
+                return estimate
+        return None
 
     @property
     def has_hit(self) -> bool:
-        """Whether the real tip reached the target."""
-        return any(i.has_hit for i in self.iterations)
+        """Whether the real tip reached the target in a valid trial."""
+        return any(iteration.has_hit for iteration in self.iterations)
 
 
 def run_summary(result: RunResult) -> dict[str, Any]:
-    """The run in a few numbers: run.json."""
-    rows = []
-    for i in result.iterations:
-        fit = i.artifacts["estimate"].fit.iloc[0] if "estimate" in i.artifacts else {}
-        row = {
-            "number": i.number,
-            "E_before": fit.get("before"),
-            "E_after": fit.get("after"),
-        }
-        row |= {"rms_m": fit.get("rms_after"), "tip_rms_m": fit.get("tip_after")}
-        if "prediction" in i.artifacts:
-            score = i.artifacts["prediction"].score.iloc[0]
-            row |= {
-                "held_out": score["trial"],
-                "rms_m": score["rms"],
-                "tip_rms_m": score["tip"],
-            }
-        if i.verdict is not None:
-            row |= {
-                "hit": i.has_hit,
-                "miss_m": i.verdict.distance,
-                "t_closest": i.verdict.t,
-            }
-            row |= {"touched": i.verdict.touched}
-        row = {
-            name: None if isinstance(value, float) and not isfinite(value) else value
-            for name, value in row.items()
-        }
-        rows.append(row)
+    """Return the run in a few numbers, the content of run.json."""
+    rows = [iteration_summary(iteration) for iteration in result.iterations]
     return {"hit": result.has_hit, "sentence": result.sentence, "iterations": rows}
+
+
+def iteration_summary(iteration: Iteration) -> dict[str, Any]:
+    """Return an iteration in a few numbers; None for what is not finite."""
+    artifacts, verdict = iteration.artifacts, iteration.verdict
+    fit = artifacts["estimate"].fit.iloc[0] if "estimate" in artifacts else {}
+    row = {
+        "number": iteration.number,
+        "E_before": fit.get("before"),
+        "E_after": fit.get("after"),
+        "rms_m": fit.get("rms_after"),
+        "tip_rms_m": fit.get("tip_after"),
+    }
+    if "prediction" in artifacts:
+        score = artifacts["prediction"].score.iloc[0]
+        row["held_out"] = score["trial"]
+        row["rms_m"], row["tip_rms_m"] = score["rms"], score["tip"]
+    if verdict is not None:
+        row["hit"] = iteration.has_hit
+        row["miss_m"], row["t_closest"] = verdict.distance, verdict.t
+        row["touched"] = verdict.touched
+    for name, value in row.items():
+        if isinstance(value, float) and not isfinite(value):
+            row[name] = None
+    return row

@@ -48,15 +48,25 @@ from stringcast.pipeline.settings.settings_from_runs import DATASET_SETTINGS
 
 log = logging.getLogger(__name__)
 
-# what a run that made nothing leaves
 FILES_OF_EMPTY_RUN = {"config.json", LOCK_FILE, FAILURE_FILE, LOG_FILE}
 
 
 @dataclass
 class RunFolder:
-    """Makes the steps of a run and keeps them in its folder. say: tells the user of a
-    step that is made again. interrupted: whether one ended with what it knew, which is
-    kept until it is made again.
+    """An executor that makes the steps of a run and keeps them in its folder.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What the run works with.
+    folder : Path
+        Folder of the run.
+    bar : callable
+        Makes the progress bar of a step, by its name.
+    notify : callable
+        Tells the user about a step that is made again.
+    interrupted : bool
+        A step was interrupted and ended with what it knew.
     """
 
     experiment: Experiment
@@ -66,170 +76,168 @@ class RunFolder:
     interrupted: bool = False
 
     def obtain(self, step: Step) -> Any:
-        """Read a step's artifact if it is there and fresh, else make and store it.
-        Raises DataError for a damaged one that cannot be made again, KeyboardInterrupt
-        after one that was interrupted.
+        """Return a step's artifact: the stored one if it is fresh, else a new one.
+
+        Raises
+        ------
+        DataError
+            For a damaged artifact that cannot be made again.
+        KeyboardInterrupt
+            After a step that was interrupted.
         """
         if self.interrupted:
             raise KeyboardInterrupt
-        config, place = self.experiment.config, self.folder / step.folder
-        found = load_step_with_staleness(config, self.folder, step)
-        if found.artifact is not None and not found.stale_reasons:
-            log.info("%s is there, and fresh", step.folder)
-            return found.artifact
-        if not place.resolve().is_relative_to(self.folder.resolve()):
-            raise DataError(
-                f"{place}: it leads out of the run's folder by a link. Put the folder itself there."
-            )
-        if place.is_dir():
-            # stale: it is used all the same where a real arm has moved by it
-            stays = arm_has_executed(
-                config, self.folder, step.number, step.stage.folder
-            )
-            if stays and found.artifact is None:
-                raise DataError(
-                    f"{found.stale_reasons[0]} The arm has moved by it: it cannot be made again."
-                )
-            why = (
-                f"keeping {step.folder}, by which the arm has moved"
-                if stays
-                else f"recomputing {step.folder}"
-            )
-            message = f"{why}: {'; '.join(found.stale_reasons)}"
-            log.warning(message)
-            self.notify(message)
-            if stays:
-                return found.artifact
-        return self._make_artifact(step, place)
+        config, folder = self.experiment.config, self.folder / step.folder
+        stored = load_step_with_staleness(config, self.folder, step)
+        if stored.artifact is not None and not stored.stale_reasons:
+            log.info("%s is stored and fresh", step.folder)
+            return stored.artifact
+        if not folder.resolve().is_relative_to(self.folder.resolve()):
+            fault = "a link leads out of the run's folder"
+            raise DataError(f"{folder}: {fault}. Put the folder itself there.")
+        if not folder.is_dir():
+            return self._make_artifact(step, folder)
 
-    def _make_artifact(self, step: Step, place: Path) -> Any:
-        """A step's artifact, made now and stored."""
+        # a stale step is used all the same if a real arm has moved by it
+        reasons = "; ".join(stored.stale_reasons)
+        if not arm_has_executed(config, self.folder, step.number, step.stage.folder):
+            self._warn(f"recomputing {step.folder}: {reasons}")
+            return self._make_artifact(step, folder)
+        if stored.artifact is None:
+            fault = "The arm has moved by it: it cannot be made again."
+            raise DataError(f"{stored.stale_reasons[0]} {fault}")
+        self._warn(f"keeping {step.folder}, by which the arm has moved: {reasons}")
+        return stored.artifact
+
+    def _warn(self, message: str) -> None:
+        log.warning(message)
+        self.notify(message)
+
+    def _make_artifact(self, step: Step, folder: Path) -> Any:
+        """Make a step's artifact and store it."""
         disk.remove(self.folder / SUMMARY_FILE)
         with self.bar(f"{step.number}. {step.stage.name}") as progress:
-            at, begun = datetime.now(UTC), time.monotonic()
+            started_at, start = datetime.now(UTC), time.monotonic()
             with stop_stage_on_interrupt():
                 made = self.experiment.run_step(step, progress)
-            self.interrupted = getattr(made, "interrupted", False)
-            took = {
-                "made": {
-                    "at": at.isoformat(timespec="seconds"),
-                    "seconds": time.monotonic() - begun,
-                }
+            self.interrupted = getattr(made, "was_interrupted", False)
+            seconds = time.monotonic() - start
+            origin = current_origin(self.experiment.config, self.folder, step)
+            origin["made"] = {
+                "at": started_at.isoformat(timespec="seconds"),
+                "seconds": seconds,
             }
-            store.save(
-                made,
-                place,
-                current_origin(self.experiment.config, self.folder, step) | took,
-            )
-            log.info("%s made in %.1f s", step.folder, took["made"]["seconds"])
-        stored: Any = store.load(step.stage.makes, place)
-        return (
-            replace(stored, images=RecentImages(stored.images, made.images))
-            if isinstance(made, Trial)
-            else stored
-        )
+            store.save(made, folder, origin)
+            log.info("%s made in %.1f s", step.folder, seconds)
+        stored: Any = store.load(step.stage.makes, folder)
+        if isinstance(made, Trial):  # its images are still in memory
+            return replace(stored, images=RecentImages(stored.images, made.images))
+        return stored
 
     def publish(self, iterations: list[Iteration]) -> None:
-        """Keep the run a dataset that others can read. One that holds these trials
-        already stays: no reader of a finished run is to see fewer of them.
+        """Write the run as a dataset that others can read.
+
+        A dataset that holds these trials already stays: no reader of a finished run is
+        to see fewer of them.
         """
-        made_of = trial_hashes(self.folder, iterations)
+        hashes = trial_hashes(self.folder, iterations)
         try:
-            files = [
-                self.folder / f"{table.name}.parquet" for table in dataset.RUN_TABLES
-            ]
-            holds = all(
-                made_of.items() <= store.read_origin(file)["inputs"].items()
-                for file in files
-            )
+            holds_trials = True
+            for table in dataset.RUN_TABLES:
+                origin = store.read_origin(self.folder / f"{table.name}.parquet")
+                holds_trials &= hashes.items() <= origin["inputs"].items()
         except (*store.READ_ERRORS, KeyError):
-            holds = False
-        if not (holds and (self.folder / "dataset.yaml").exists()):
-            publish_dataset(self.experiment, made_of, self.folder, iterations)
+            holds_trials = False
+        if not (holds_trials and (self.folder / "dataset.yaml").exists()):
+            publish_dataset(self.experiment, hashes, self.folder, iterations)
 
 
 @contextmanager
 def exclusive_access(folder: Path) -> Iterator[None]:
-    """Nobody else works in a run's folder meanwhile; raises DataError where somebody
-    does, or it cannot be written.
+    """Lock a run's folder, which is made if it does not exist.
 
-    A folder in which a run that failed made nothing is removed again, unless something
-    lay in it before.
+    A folder in which a failed run made nothing is removed again, unless something was
+    in it before.
+
+    Raises
+    ------
+    DataError
+        If another process works in the folder, or it cannot be written.
     """
-    with ExitStack() as held:
+    with ExitStack() as stack:
         try:
             disk.make_folder(folder)
-            held.enter_context(disk.hold_lock(folder / LOCK_FILE))
+            stack.enter_context(disk.hold_lock(folder / LOCK_FILE))
         except BlockingIOError as error:
-            raise DataError(
-                f"{folder}: another process is working in this folder. Wait for it, or choose another folder."
-            ) from error
+            fault = "another process is working in this folder"
+            remedy = "Wait for it, or choose another folder."
+            raise DataError(f"{folder}: {fault}. {remedy}") from error
         except OSError as error:
-            raise DataError(
-                f"{folder}: cannot be written ({error.strerror}). {remedy_for(error)}."
-            ) from error
-        new = file_names_in(folder) <= {LOCK_FILE}
+            fault = f"cannot be written ({error.strerror})"
+            raise DataError(f"{folder}: {fault}. {remedy_for(error)}.") from error
+        is_new = file_names_in(folder) <= {LOCK_FILE}
         try:
             yield
         except Exception:
-            if new and file_names_in(folder) <= FILES_OF_EMPTY_RUN:
+            if is_new and file_names_in(folder) <= FILES_OF_EMPTY_RUN:
                 disk.remove(folder)
             raise
 
 
 def file_names_in(folder: Path) -> set[str]:
-    """Names of what lies in a folder."""
+    """Return the names of a folder's content."""
     return {file.name for file in folder.iterdir()}
 
 
 def begin_run(experiment: Experiment, folder: Path) -> None:
-    """Note the settings in the run's folder, or see that it is this one."""
+    """Write the settings to the run's folder, or check that they are the same."""
     path = folder / "config.json"
     text = json.dumps(experiment.config, indent=2, sort_keys=True)
-    before = path.read_text(encoding="utf-8") if path.exists() else None
-    if before not in (None, text) and read_json(path) != json.loads(text):
+    stored = path.read_text(encoding="utf-8") if path.exists() else None
+    if stored not in (None, text) and read_json(path) != json.loads(text):
         raise DataError(
             f"{folder}: this folder holds a run with other settings (see config.json). "
-            "Leave hydra.run.dir to its default, or repeat the settings of that run."
+            "Leave out hydra.run.dir, or repeat the settings of that run."
         )
-    if before != text:
+    if stored != text:
         store.write_text(path, text)
     disk.remove(folder / FAILURE_FILE)
 
 
 def write_stage_files(result: RunResult) -> None:
-    """Write what the stage leaves that the run was for."""
-    if result.stage is not None:
-        ahead = artifact_folder(result.iterations[-1].number + 1)
-        for name, text in result.stage.files(result.final_artifact, ahead).items():
-            store.write_text(result.folder / name, text)
+    """Write the files of the stage that the run was for."""
+    if result.stage is None:
+        return
+    next_folder = artifact_folder(result.iterations[-1].number + 1)
+    files = result.stage.files(result.final_artifact, next_folder)
+    for name, text in files.items():
+        store.write_text(result.folder / name, text)
 
 
 def write_summary(result: RunResult) -> None:
-    """Write run.json: the run in a few numbers."""
-    store.write_text(
-        result.folder / SUMMARY_FILE, json.dumps(run_summary(result), indent=2)
-    )
+    """Write run.json, the run in a few numbers."""
+    text = json.dumps(run_summary(result), indent=2)
+    store.write_text(result.folder / SUMMARY_FILE, text)
 
 
 def remove_frames(experiment: Experiment, result: RunResult) -> None:
-    """Remove the frames of a run that has ended; all that was read in them stays. A
-    real camera's are kept: nobody can film them again.
+    """Remove the frames of a run that has ended.
+
+    Frames of a real camera stay: they cannot be filmed again.
     """
     if not is_repeatable(experiment.config, "trial"):
         return
-    for made in (
-        result.folder / artifact_folder(i.number, "trial")
-        for i in result.iterations
-        if "trial" in i.artifacts
-    ):
-        for inside in (path for path in made.iterdir() if path.is_dir()):
-            disk.remove(inside)
+    for iteration in result.iterations:
+        if "trial" in iteration.artifacts:
+            trial_folder = result.folder / artifact_folder(iteration.number, "trial")
+            for path in list(trial_folder.iterdir()):
+                if path.is_dir():
+                    disk.remove(path)
 
 
 @contextmanager
 def record_failure(folder: Path) -> Iterator[None]:
-    """Note in the folder why a run stopped, as far as that can be written."""
+    """Write in the folder why a run stopped, if it can be written."""
     try:
         yield
     except Exception as error:
@@ -239,55 +247,59 @@ def record_failure(folder: Path) -> Iterator[None]:
 
 
 def remove_empty_folder(folder: Path) -> None:
-    """Remove the folder of a run that was refused before it began. One with anything in
-    it, which may be another run's, stays.
-    """
+    """Remove the folder of a run that was refused before it began, if it is empty."""
     with suppress(OSError):
         folder.rmdir()
 
 
 def publish_dataset(
     experiment: Experiment,
-    made_of: Mapping[str, str],
-    to: Path,
+    hashes: Mapping[str, str],
+    folder: Path,
     iterations: list[Iteration],
 ) -> None:
-    """Write the trials of a run as a dataset to a folder. made_of: `trial_hashes`."""
-    trials: dict[str, tuple[Trial, Points]] = {
-        i.trial_name: (i.artifacts["trial"], i.artifacts["points"]) for i in iterations
-    }
-    camera = {
-        k: experiment.config["camera"][k]
-        for k in DATASET_SETTINGS["camera"]
-        if k in experiment.config["camera"]
-    }
-    about = {
+    """Write the trials of a run to a folder as a dataset.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What the run works with.
+    hashes : mapping
+        Content hashes by path, of `trial_hashes`.
+    folder : Path
+        Where the dataset is written.
+    iterations : list of Iteration
+        Iterations with a trial and its points.
+    """
+    trials: dict[str, tuple[Trial, Points]] = {}
+    trial_folders = {}
+    invalid_trials = {}
+    for iteration in iterations:
+        name, artifacts = iteration.trial_name, iteration.artifacts
+        trials[name] = artifacts["trial"], artifacts["points"]
+        trial_folders[name] = artifact_folder(iteration.number, "trial")
+        if iteration.refusal_reason:
+            invalid_trials[name] = {"invalid": iteration.refusal_reason}
+
+    arm, camera = experiment.arm, experiment.config["camera"]
+    known_settings = [name for name in DATASET_SETTINGS["camera"] if name in camera]
+    metadata = {
         "name": experiment.config["name"],
         "string": {"length": experiment.string.length},
-        "arm": {"links": list(experiment.arm.links), "base": list(experiment.arm.base)},
-        "camera": camera,
+        "arm": {"links": list(arm.links), "base": list(arm.base)},
+        "camera": {name: camera[name] for name in known_settings},
     }
-    refused = {
-        i.trial_name: {"invalid": i.refusal_reason}
-        for i in iterations
-        if i.refusal_reason
-    }
-    about |= {"trials": refused} if refused else {}
-    places = {i.trial_name: artifact_folder(i.number, "trial") for i in iterations}
-    dataset.write_dataset(
-        to,
-        trials,
-        places,
-        about,
-        step_origin(experiment.config, "dataset", experiment.seed, made_of),
-    )
+    if invalid_trials:
+        metadata["trials"] = invalid_trials
+    origin = step_origin(experiment.config, "dataset", experiment.seed, hashes)
+    dataset.write_dataset(folder, trials, trial_folders, metadata, origin)
 
 
 def trial_hashes(folder: Path, iterations: list[Iteration]) -> dict[str, str]:
-    """Content hashes of what a dataset is made of, by path."""
-    made_of = [
-        artifact_folder(i.number, artifact)
-        for i in iterations
-        for artifact in ("trial", "points")
-    ]
-    return {place.as_posix(): store.content_hash(folder / place) for place in made_of}
+    """Return the content hashes of the trials and points of a run, by path."""
+    hashes = {}
+    for iteration in iterations:
+        for artifact in ("trial", "points"):
+            path = artifact_folder(iteration.number, artifact)
+            hashes[path.as_posix()] = store.content_hash(folder / path)
+    return hashes

@@ -31,68 +31,67 @@ from stringcast.pipeline.settings.settings_from_runs import (
     run_moves_arm,
 )
 
-# it tells of names of trials that look like dates
+# it warns about names of trials that look like dates
 logging.getLogger("matplotlib").setLevel(logging.WARNING)
 
 
 def main(config: DictConfig) -> float | None:
-    """E after the last estimation, if there is one. Ends the process where the run is
-    refused or interrupted.
+    """Perform a run, or one job of a sweep, from the settings that Hydra composed.
+
+    Returns
+    -------
+    float or None
+        Matching rate E after the last estimation, if there is one.
+
+    Raises
+    ------
+    SystemExit
+        If the run is refused or interrupted.
     """
     console = Terminal(stderr=True)
+    folder = Path(HydraConfig.get().runtime.output_dir)
     try:
         result = run_from_config(config, console)
     except ExpectedError as error:
         print_error(error, console)
-        run_folder.remove_empty_folder(Path(HydraConfig.get().runtime.output_dir))
+        run_folder.remove_empty_folder(folder)
         sys.exit(1)
     except KeyboardInterrupt as error:
-        place = HydraConfig.get().runtime.output_dir
-        said = f"Interrupted. What was finished is kept in {place}; the step under way begins anew with"
-        console.print(
-            with_program_name(f"{said}: python -m pipeline resume {place}"),
-            soft_wrap=True,
-            markup=False,
-        )
+        command = with_program_name(f"python -m pipeline resume {folder}")
+        console.print_line(f"Interrupted. Continue after the last step: {command}")
         sys.exit(interrupt_status(error))
-    return (
-        None
-        if result.last_estimate is None
-        else float(result.last_estimate.fit["after"].iloc[0])
-    )
+    if result.last_estimate is None:
+        return None
+    return float(result.last_estimate.fit["after"].iloc[0])
 
 
 def run_from_config(config: DictConfig, console: Terminal) -> RunResult:
-    """Check settings of what moves an arm, then run and report."""
+    """Check the settings, above all those that move an arm, then perform the run."""
+    own_settings = OmegaConf.to_container(config, resolve=True)
     given = given_names(HydraConfig.get().overrides.task)
-    if config.trials is not None and run_moves_arm(
-        OmegaConf.to_container(config, resolve=True)
-    ):
+    if config.trials is not None and run_moves_arm(own_settings):
         refuse_unknown_bench(Path(config.trials), given)
     settings = inherit_settings(config, given)
-    refuse_inherited_limits(
-        settings,
-        OmegaConf.to_container(config, resolve=True),
-        f"trials={config.trials}",
-    )
+    refuse_inherited_limits(settings, own_settings, f"trials={config.trials}")
     refuse_unusable_source(settings, given)
-    here = prepare_experiment(settings, file_of_block)
-    return perform_run(here, Path(HydraConfig.get().runtime.output_dir), console)
+    experiment = prepare_experiment(settings, file_of_block)
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    return perform_run(experiment, folder, console)
 
 
 def file_of_block(block: str) -> str:
-    """The file a block comes from, for messages."""
-    choice = HydraConfig.get().runtime.choices.get(block)
-    given = any(
-        o.lstrip("+").startswith((f"{block}.", f"{block}="))
-        for o in HydraConfig.get().overrides.task
-    )
-    file = f"conf/{block}/{choice}.yaml" if choice else "conf/config.yaml"
-    return f"{file} or the command line" if given else file
+    """Return the file from which a block of settings comes, for messages."""
+    hydra_config = HydraConfig.get()
+    option = hydra_config.runtime.choices.get(block)
+    file = f"conf/{block}/{option}.yaml" if option else "conf/config.yaml"
+    for override in hydra_config.overrides.task:
+        if override.lstrip("+").startswith((f"{block}.", f"{block}=")):
+            return f"{file} or the command line"
+    return file
 
 
 def perform_run(experiment: Experiment, folder: Path, console: Terminal) -> RunResult:
-    """Run and report; what is in `folder` already is not made again."""
+    """Perform a run in its folder; steps that are stored and fresh are not repeated."""
     with run_folder.exclusive_access(folder), log_to_folder(folder):
         run_folder.begin_run(experiment, folder)
         with run_folder.record_failure(folder):

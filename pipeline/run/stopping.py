@@ -1,6 +1,4 @@
-"""Ctrl-C while a stage works: the first asks it to end with what it knows, the next
-ends the run at once.
-"""
+"""End a stage with what it knows after a first Ctrl-C; end the run after a second."""
 
 from __future__ import annotations
 
@@ -14,20 +12,22 @@ from stringcast.stages.common import InterruptRequest
 
 @contextmanager
 def stop_stage_on_interrupt() -> Iterator[None]:
-    """Meanwhile a first SIGINT raises `Enough`; not where signals are ignored, or left
-    to others, and not in threads, which receive none.
+    """Raise `InterruptRequest` at the first SIGINT for the duration of the context.
+
+    Nothing changes if signals are ignored or handled by others, or outside the main
+    thread, which alone receives them.
     """
-    before = signal.getsignal(signal.SIGINT)
+    previous = signal.getsignal(signal.SIGINT)
 
     def stop(number: int, frame: object) -> None:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous)
         raise InterruptRequest
 
-    if not callable(before) or current_thread() is not main_thread():
+    if not callable(previous) or current_thread() is not main_thread():
         yield
         return
     signal.signal(signal.SIGINT, stop)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous)
