@@ -1,1 +1,1 @@
-"""The paper's experiments again, on the virtual lab: its numbers beside ours."""
+"""Repeat the paper's experiments on the virtual lab and compare the numbers."""

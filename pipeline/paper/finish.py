@@ -1,6 +1,4 @@
-"""The study's results: tables, figures, and one page with the paper's numbers beside
-ours.
-"""
+"""Write the study's tables and figures, and a page that compares with the paper."""
 
 from __future__ import annotations
 
@@ -8,7 +6,7 @@ from pathlib import Path
 
 from stringcast.data.schema import Table
 from stringcast.data.store import write_table, write_text
-from stringcast.pipeline.paper import scores, shown
+from stringcast.pipeline.paper import figure_data, scores
 from stringcast.pipeline.run.provenance import software_versions
 from stringcast.pipeline.sweep.finish import common_settings
 from stringcast.pipeline.sweep.ledger import Job, Ledger
@@ -20,49 +18,40 @@ TABLES: tuple[Table, ...] = (
     scores.CASTS,
     scores.RATES,
     scores.NEEDED,
-    shown.PARAMETERS,
-    *shown.TABLES,
+    scores.NUMBERS,
+    figure_data.PARAMETERS,
+    *figure_data.CAST_TABLES,
 )
 
 
 def finish(folder: Path) -> list[Job]:
-    """Write tables, figures and `report.html` from the ledger as it is now. Returns its
-    jobs.
-    """
+    """Write tables, figures and `report.html` from the ledger, and return its jobs."""
     ledger = Ledger(folder)
     jobs = ledger.jobs()
-    of_runs = scores.runs(ledger, jobs)
-    of_casts, counted = scores.casts(ledger, of_runs), scores.pooled(of_runs)
+    runs = scores.run_table(ledger, jobs)
+    casts = scores.cast_table(ledger, runs)
+    runs_with_pool = scores.add_pooled_experiment(runs)
+    typical_runs = figure_data.choose_typical_runs(runs)
     tables = {
-        "runs": of_runs,
-        "casts": of_casts,
-        "rates": scores.rates(counted),
-        "needed": scores.needed(counted),
+        "runs": runs,
+        "casts": casts,
+        "rates": scores.rate_table(runs_with_pool),
+        "needed": scores.needed_cast_table(runs_with_pool),
+        "numbers": scores.read_printed_numbers(),
+        "parameters": figure_data.parameter_table(folder, runs),
     }
-    tables |= {
-        "parameters": shown.parameters(folder, of_runs),
-        "numbers": scores.numbers(),
-    }
-    tables |= shown.shown(folder, shown.typical(of_runs), of_casts)
-    made = software_versions()
+    tables |= figure_data.cast_tables(folder, typical_runs, casts)
+
+    versions = software_versions()
+    origin = {"step": "paper"} | versions
     for table in TABLES:
-        write_table(
-            table,
-            tables[table.name],
-            folder / f"{table.name}.parquet",
-            {"step": "paper"} | made,
-        )
-    write_table(
-        scores.NUMBERS,
-        tables["numbers"],
-        folder / "numbers.parquet",
-        {"step": "paper"} | made,
-    )
-    record = PaperRecord(
-        tables, len(jobs), common_settings(jobs), {"seed": "of each run"} | made
-    )
-    drawn = paper_figures(record)
-    for name, picture in drawn.items():
+        path = folder / f"{table.name}.parquet"
+        write_table(table, tables[table.name], path, origin)
+
+    provenance = {"seed": "of each run"} | versions
+    record = PaperRecord(tables, len(jobs), common_settings(jobs), provenance)
+    figures = paper_figures(record)
+    for name, picture in figures.items():
         picture.figure.savefig(folder / f"{name}.png", dpi=150, facecolor="white")
-    write_text(folder / "report.html", paper_page(record, drawn))
+    write_text(folder / "report.html", paper_page(record, figures))
     return jobs

@@ -1,11 +1,9 @@
-"""How often it hit and how many manipulations that took, from the runs' own records;
-and the numbers that the paper prints of it, from one file, each with its place there.
-"""
+"""Hit rates and casts needed, from the records of runs, and the paper's numbers."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,30 +15,30 @@ from stringcast.data.schema import Column, Table
 from stringcast.pipeline.sweep.ledger import DONE_STATE, FAILED_STATE, Job, Ledger
 from stringcast.pipeline.sweep.table import setting_columns
 
-FILE = Path(__file__).with_name("numbers.csv")
-NINE = tuple(
-    f"{string}_{target}"
-    for string in "ABC"
-    for target in ("300_900", "400_700", "500_900")
-)
-CONDITION = "name"  # the setting that names a job's experiment
+NUMBERS_FILE = Path(__file__).with_name("numbers.csv")
+POOLED_TARGETS = ("300_900", "400_700", "500_900")
+POOLED_EXPERIMENTS = [
+    f"{string}_{target}" for string in "ABC" for target in POOLED_TARGETS
+]
+POOL_NAME = "nine"
+EXPERIMENT_SETTING = "name"  # the setting that names a job's experiment
 _EXPERIMENT = Column(
     "condition",
     "",
-    "experiment of conf/experiment/paper.yaml; nine: three strings, three targets",
+    "experiment of paper.yaml; nine: three strings, three targets",
     "text",
 )
 SHARE_COLUMNS = (
-    Column("right", "1", "how many of them", "int"),
-    Column("count", "1", "of how many", "int"),
-    Column("share", "1", "right over count; NaN of none"),
+    Column("right", "1", "number of hits", "int"),
+    Column("count", "1", "number of runs", "int"),
+    Column("share", "1", "right over count; NaN without runs"),
     Column("low", "1", "lower end of the 95 % interval (Clopper and Pearson)"),
     Column("high", "1", "upper end"),
 )
-_SEED = Column("seed", "1", "of the run", "int")
+_SEED = Column("seed", "1", "seed of the run", "int")
 RUNS = Table(
     "runs",
-    "a row a run that ended; one that failed counts as one that never hit",
+    "a row for each run that ended; a failed one counts as one that never hit",
     (
         _EXPERIMENT,
         _SEED,
@@ -49,17 +47,17 @@ RUNS = Table(
         Column(
             "hit_at",
             "1",
-            "manipulation in which the tip reached the target; infinite if in none",
+            "cast in which the tip reached the target; infinite if in none",
         ),
         Column("manipulations", "1", "casts made", "int"),
         Column("budget", "1", "casts allowed", "int"),
-        Column("seconds", "s", "that the run took"),
-        Column("folder", "", "the run's, relative to this file", "text"),
+        Column("seconds", "s", "duration of the run"),
+        Column("folder", "", "folder of the run, relative to this file", "text"),
     ),
 )
 CASTS = Table(
     "casts",
-    "a row a cast",
+    "a row for each cast",
     (
         _EXPERIMENT,
         _SEED,
@@ -67,194 +65,188 @@ CASTS = Table(
         Column(
             "hit",
             "",
-            "the tip reached the target, the string clear of obstacles",
+            "the tip reached the target and the string touched no obstacle",
             "bool",
         ),
         Column("miss_m", "m", "closest approach of the tip to the target's centre"),
-        Column("t_closest", "s", "when that was"),
+        Column("t_closest", "s", "time of the closest approach"),
         Column(
             "touched",
             "1",
-            "frames of the movement in which the string lies in an obstacle",
+            "frames in which the string lies in an obstacle",
             "int",
         ),
         Column(
             "E_before",
             "1",
-            "matching rate of the parameters with which the motion was made",
+            "matching rate of the parameters used for the motion",
         ),
         Column("E_after", "1", "matching rate after estimation"),
     ),
 )
 RATES = Table(
     "rates",
-    "how many runs hit within so many manipulations",
+    "runs that hit within some number of casts",
     (
         _EXPERIMENT,
-        Column("within", "1", "manipulations", "int"),
+        Column("within", "1", "casts", "int"),
         *SHARE_COLUMNS,
     ),
 )
 NEEDED = Table(
     "needed",
-    "manipulations until the tip hit; infinite where it did not within the budget",
+    "casts until the tip hit; infinite if it did not within the budget",
     (
         _EXPERIMENT,
         Column("count", "1", "runs", "int"),
-        Column("median", "1", "half of the runs needed no more"),
+        Column("median", "1", "half of the runs needed no more casts"),
         Column(
             "low",
             "1",
-            "lower end of the median's 95 % interval (order statistics); NaN for too few runs",
+            "lower end of the median's 95 % interval; NaN for too few runs",
         ),
         Column("high", "1", "upper end"),
         Column(
             "paper",
             "1",
-            "what the paper needed in its one run; NaN where it does not say",
+            "casts in the paper's one run; NaN if not stated",
         ),
     ),
 )
 
 NUMBERS = Table(
     "numbers",
-    "numbers that the paper prints; units as printed, with Nm written N m",
+    "numbers that the paper prints, in its units",
     (
         Column(
             "what",
             "",
-            "minimum and maximum of Table 3, a column of Table 4, hit_at, or a setting",
+            "bound of Table 3, column of Table 4, hit_at, or a setting",
             "text",
         ),
         Column("of", "", "parameter, string, or experiment", "text"),
-        Column("value", "", "as printed, in SI"),
-        Column("unit", "", "as printed", "text"),
-        Column("place", "", "in the paper", "text"),
+        Column("value", "", "printed value, in SI units"),
+        Column("unit", "", "printed unit", "text"),
+        Column("place", "", "place in the paper", "text"),
     ),
 )
 
 
-def numbers() -> pd.DataFrame:
-    """Table NUMBERS."""
-    return NUMBERS.check(pd.read_csv(FILE), str(FILE))
+def read_printed_numbers() -> pd.DataFrame:
+    """Read table NUMBERS."""
+    return NUMBERS.check(pd.read_csv(NUMBERS_FILE), str(NUMBERS_FILE))
 
 
-def of(what: str) -> dict[str, float]:
-    """Values of one kind, by what they are of."""
-    table = numbers()
-    some = table[table["what"] == what]
-    return dict(zip(some["of"], some["value"], strict=True))
+def printed_values(kind: str) -> dict[str, float]:
+    """Return the printed values of one kind, by parameter, string or experiment."""
+    table = read_printed_numbers()
+    rows = table[table["what"] == kind]
+    return dict(zip(rows["of"], rows["value"], strict=True))
 
 
-def runs(ledger: Ledger, jobs: Sequence[Job]) -> pd.DataFrame:
-    """Table RUNS of the jobs that ended."""
+def run_table(ledger: Ledger, jobs: Sequence[Job]) -> pd.DataFrame:
+    """Return table RUNS of the jobs that ended."""
     rows = []
-    for job, condition in zip(jobs, setting_columns(jobs)[CONDITION], strict=True):
-        if job.state in (DONE_STATE, FAILED_STATE):
-            made = (
-                list(_casts(ledger.job_folder(job.key)))
-                if job.state == DONE_STATE
-                else []
-            )
-            hits = [cast["manipulation"] for cast in made if cast["hit"]]
-            row = {
-                "condition": condition,
-                "seed": job.settings["seed"],
-                "state": job.state,
-                "error": job.error,
-            }
-            row |= {"hit_at": min(hits, default=np.inf), "manipulations": len(made)}
-            row |= {
-                "budget": job.settings["max_casts"],
-                "seconds": job.seconds,
-                "folder": job.key,
-            }
-            rows.append(row)
-    return RUNS.check(pd.DataFrame(rows)) if rows else RUNS.empty()
+    experiments = setting_columns(jobs)[EXPERIMENT_SETTING]
+    for job, experiment in zip(jobs, experiments, strict=True):
+        if job.state not in (DONE_STATE, FAILED_STATE):
+            continue
+        casts = []
+        if job.state == DONE_STATE:
+            casts = read_casts(ledger.job_folder(job.key))
+        hits = [cast["manipulation"] for cast in casts if cast["hit"]]
+        row = {
+            "condition": experiment,
+            "seed": job.settings["seed"],
+            "state": job.state,
+            "error": job.error,
+            "hit_at": min(hits, default=np.inf),
+            "manipulations": len(casts),
+            "budget": job.settings["max_casts"],
+            "seconds": job.seconds,
+            "folder": job.key,
+        }
+        rows.append(row)
+    return table_of_rows(RUNS, rows)
 
 
-def pooled(of_runs: pd.DataFrame) -> pd.DataFrame:
-    """Table RUNS with those of three strings to three targets once more, as one
-    experiment.
+def read_casts(run_folder: Path) -> list[dict[str, Any]]:
+    """Read the casts of a run from its run.json."""
+    text = (run_folder / "run.json").read_text(encoding="utf-8")
+    casts = json.loads(text)["iterations"]
+    return [{"manipulation": cast.pop("number"), **cast} for cast in casts]
+
+
+def table_of_rows(table: Table, rows: list[dict[str, Any]]) -> pd.DataFrame:
+    """Return the checked table of some rows, which may be none."""
+    return table.check(pd.DataFrame(rows)) if rows else table.empty()
+
+
+def add_pooled_experiment(runs: pd.DataFrame) -> pd.DataFrame:
+    """Append the runs of three strings and three targets as one experiment.
+
+    Parameters
+    ----------
+    runs : DataFrame
+        Table RUNS.
     """
-    return pd.concat(
-        [of_runs, of_runs[of_runs["condition"].isin(NINE)].assign(condition="nine")],
-        ignore_index=True,
-    )
+    pooled = runs[runs["condition"].isin(POOLED_EXPERIMENTS)]
+    return pd.concat([runs, pooled.assign(condition=POOL_NAME)], ignore_index=True)
 
 
-def casts(ledger: Ledger, of_runs: pd.DataFrame) -> pd.DataFrame:
-    """Table CASTS. of_runs: table RUNS."""
-    rows = [
-        {"condition": run.condition, "seed": run.seed, **cast}
-        for run in of_runs[of_runs["state"] == DONE_STATE].itertuples()
-        for cast in _casts(ledger.folder / run.folder)
-    ]
-    return CASTS.check(pd.DataFrame(rows)) if rows else CASTS.empty()
+def cast_table(ledger: Ledger, runs: pd.DataFrame) -> pd.DataFrame:
+    """Return table CASTS of the runs that are done."""
+    rows = []
+    for run in runs[runs["state"] == DONE_STATE].itertuples():
+        for cast in read_casts(ledger.folder / run.folder):
+            rows.append({"condition": run.condition, "seed": run.seed, **cast})
+    return table_of_rows(CASTS, rows)
 
 
-def rates(of_runs: pd.DataFrame) -> pd.DataFrame:
-    """Table RATES. of_runs: table RUNS."""
-    rows = [
-        {
-            "condition": condition,
-            "within": within,
-            **share_with_interval(some["hit_at"] <= within),
-        }
-        for condition, some in of_runs.groupby("condition", sort=False)
-        for within in range(1, int(some["budget"].max()) + 1)
-    ]
-    return RATES.check(pd.DataFrame(rows)) if rows else RATES.empty()
+def rate_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return table RATES of table RUNS."""
+    rows = []
+    for experiment, group in runs.groupby("condition", sort=False):
+        for within in range(1, int(group["budget"].max()) + 1):
+            share = share_with_interval(group["hit_at"] <= within)
+            rows.append({"condition": experiment, "within": within, **share})
+    return table_of_rows(RATES, rows)
 
 
-def needed(of_runs: pd.DataFrame) -> pd.DataFrame:
-    """Table NEEDED. of_runs: table RUNS."""
-    printed = of("hit_at")
-    rows = [
-        {
-            "condition": condition,
-            "paper": printed.get(str(condition), np.nan),
-            **median(some["hit_at"].to_numpy()),
-        }
-        for condition, some in of_runs.groupby("condition", sort=False)
-    ]
-    return NEEDED.check(pd.DataFrame(rows)) if rows else NEEDED.empty()
+def needed_cast_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return table NEEDED of table RUNS."""
+    rows = []
+    printed = printed_values("hit_at")
+    for experiment, group in runs.groupby("condition", sort=False):
+        paper = printed.get(str(experiment), np.nan)
+        median = median_with_interval(group["hit_at"].to_numpy())
+        rows.append({"condition": experiment, "paper": paper, **median})
+    return table_of_rows(NEEDED, rows)
 
 
 def share_with_interval(right: pd.Series) -> dict[str, float]:
-    """Count true values: SHARE_COLUMNS, with the exact 95 % interval."""
+    """Count true values and return SHARE_COLUMNS, with the exact 95 % interval."""
     n, k = len(right), int(right.sum())
     if n == 0:
         return {"right": 0, "count": 0, "share": np.nan, "low": 0.0, "high": 1.0}
-    interval = binomtest(k, n).proportion_ci(0.95, method="exact")
-    return {
-        "right": k,
-        "count": n,
-        "share": k / n,
-        "low": interval.low,
-        "high": interval.high,
-    }
+    low, high = binomtest(k, n).proportion_ci(0.95, method="exact")
+    return {"right": k, "count": n, "share": k / n, "low": low, "high": high}
 
 
-def median(values: np.ndarray) -> dict[str, float]:
-    """The lower median of (K,) values, and its exact 95 % interval, NaN where K is too
-    small for one.
+def median_with_interval(values: np.ndarray) -> dict[str, float]:
+    """Return the lower median and its exact 95 % interval, from order statistics.
 
-    Order statistics, so infinite values are no trouble.
+    Parameters
+    ----------
+    values : ndarray of shape (K,)
+        Values, which may be infinite.
+
+    Returns
+    -------
+    dict
+        `count`, `median`, `low` and `high`; an end is NaN if K is too small.
     """
-    middle = float(np.sort(values)[(len(values) - 1) // 2])
-    ends = quantile_test(values, q=middle, p=0.5).confidence_interval(0.95)
-    return {
-        "count": len(values),
-        "median": middle,
-        "low": float(ends.low),
-        "high": float(ends.high),
-    }
-
-
-def _casts(folder: Path) -> Iterator[dict[str, Any]]:
-    """The casts of a run, from its run.json."""
-    for cast in json.loads((folder / "run.json").read_text(encoding="utf-8"))[
-        "iterations"
-    ]:
-        yield {"manipulation": cast.pop("number"), **cast}
+    median = float(np.sort(values)[(len(values) - 1) // 2])
+    interval = quantile_test(values, q=median, p=0.5).confidence_interval(0.95)
+    low, high = float(interval.low), float(interval.high)
+    return {"count": len(values), "median": median, "low": low, "high": high}

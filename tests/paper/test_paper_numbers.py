@@ -8,7 +8,7 @@ import yaml
 from hydra.utils import get_object
 
 from stringcast.pipeline.paper.finish import finish
-from stringcast.pipeline.paper.scores import numbers, of
+from stringcast.pipeline.paper.scores import printed_values, read_printed_numbers
 from stringcast.pipeline.settings.composition import (
     CONF_FOLDER,
     UserError,
@@ -24,7 +24,7 @@ SYMBOLS = {p.name: p.symbol for p in String(0.3, points=10).parameters}
 
 
 def test_every_number_stands_once_with_a_place():
-    table = numbers()
+    table = read_printed_numbers()
     assert len(table) == 51
     assert not table.duplicated(["what", "of"]).any()
     assert (table[["unit", "place"]] != "").all(axis=None)
@@ -33,22 +33,22 @@ def test_every_number_stands_once_with_a_place():
 
 def test_table_3_is_what_is_searched():
     ranges = compose_settings(["string=paper"])["string"]["ranges"]
-    assert of("minimum") == {
+    assert printed_values("minimum") == {
         SYMBOLS[name]: block["low"] for name, block in ranges.items()
     }
-    assert of("maximum") == {
+    assert printed_values("maximum") == {
         SYMBOLS[name]: block["high"] for name, block in ranges.items()
     }
     assert all(block["start"] == block["low"] for block in ranges.values())
 
 
 def test_table_4_contradicts_table_3_where_the_page_says_so_and_nowhere_else():
-    low, high = of("minimum"), of("maximum")
+    low, high = printed_values("minimum"), printed_values("maximum")
     columns = ("initial", "string A", "string B", "string C")
     outside = {
         (what, name)
         for what in columns
-        for name, v in of(what).items()
+        for name, v in printed_values(what).items()
         if not low[name] <= v <= high[name]
     }
     assert outside == {("initial", "c_h"), ("initial", "c_ph"), ("string A", "k_ph")}
@@ -61,16 +61,18 @@ def test_the_ranges_of_table_4_hold_it_and_begin_with_its_initial_values():
             "ranges"
         ].items()
     }
-    for name, start in of("initial").items():
+    for name, start in printed_values("initial").items():
         assert ranges[name]["start"] == start
         assert all(
-            ranges[name]["low"] <= of(f"string {s}")[name] <= ranges[name]["high"]
+            ranges[name]["low"]
+            <= printed_values(f"string {s}")[name]
+            <= ranges[name]["high"]
             for s in "ABC"
         )
 
 
 def test_units_are_the_same_in_both_tables():
-    table = numbers()
+    table = read_printed_numbers()
     units = (
         table[table["place"].isin(["Table 3", "Table 4"])]
         .groupby("of")["unit"]
@@ -82,7 +84,7 @@ def test_units_are_the_same_in_both_tables():
 
 def test_settings_are_those_of_the_paper():
     table, config = (
-        numbers().set_index(["what", "of"])["value"],
+        read_printed_numbers().set_index(["what", "of"])["value"],
         compose_settings(["+experiment=stringB"]),
     )
     pairs = {
@@ -125,9 +127,12 @@ def test_every_experiment_is_swept_shown_and_what_its_name_says():
                 config["specimen"]
                 == compose_settings([f"specimen={letter}"])["specimen"]
             )
-    assert settings["D_500_500"]["string"]["points"] == of("points")["string D"]
+    assert (
+        settings["D_500_500"]["string"]["points"]
+        == printed_values("points")["string D"]
+    )
     assert len(settings["wall"]["obstacles"]["boxes"]) == 1
-    assert pd.Series(of("hit_at")).index.isin(EXPERIMENTS).all()
+    assert pd.Series(printed_values("hit_at")).index.isin(EXPERIMENTS).all()
 
 
 def test_a_job_runs_for_every_experiment_or_for_the_one_that_is_named():

@@ -13,7 +13,7 @@ import pytest
 
 from stringcast.data import store
 from stringcast.data.artifacts import ARM, Estimate, Motion, Points
-from stringcast.pipeline.paper import scores, shown
+from stringcast.pipeline.paper import figure_data, scores
 from stringcast.pipeline.paper.finish import TABLES, finish
 from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.pipeline.sweep.attempt import Attempt
@@ -50,7 +50,7 @@ def runs(**hits):
 
 def test_hit_rates_and_their_intervals_are_those_of_the_books():
     """Clopper and Pearson's intervals of 1, 3 and 4 of 4."""
-    table = scores.rates(runs(wall=[1, 2, 2, 5])).set_index("within")
+    table = scores.rate_table(runs(wall=[1, 2, 2, 5])).set_index("within")
     assert table["right"].to_dict() == {1: 1, 2: 3, 3: 3, 4: 3, 5: 4}
     assert (table["count"] == 4).all()
     assert table.loc[1, ["share", "low", "high"]].tolist() == pytest.approx(
@@ -65,7 +65,7 @@ def test_hit_rates_and_their_intervals_are_those_of_the_books():
 
 
 def test_experiments_are_counted_apart():
-    table = scores.rates(runs(wall=[1, INF], D_500_500=[2])).set_index(
+    table = scores.rate_table(runs(wall=[1, INF], D_500_500=[2])).set_index(
         ["condition", "within"]
     )
     assert table.loc[("wall", 5), ["right", "count"]].tolist() == [1, 2]
@@ -73,8 +73,8 @@ def test_experiments_are_counted_apart():
 
 
 def test_the_nine_are_counted_together_and_nothing_else_with_them():
-    table = scores.rates(
-        scores.pooled(
+    table = scores.rate_table(
+        scores.add_pooled_experiment(
             runs(
                 A_300_900=[1, 3],
                 C_500_900=[2],
@@ -93,20 +93,22 @@ def test_the_median_bears_runs_that_never_hit():
     """Of six values the least and the largest hold the median with 1 - 2 / 64 = 97 %,
     of five with 94 %: no interval.
     """
-    six = scores.median(np.array([INF, 1, 2, 2, 3, INF]))
+    six = scores.median_with_interval(np.array([INF, 1, 2, 2, 3, INF]))
     assert (six["median"], six["low"], six["high"]) == (2, 1, INF)
-    assert scores.median(np.array([INF, INF, 1]))["median"] == INF
-    assert np.isnan(scores.median(np.array([1.0, 2, 3, 4, 5]))["low"])
+    assert scores.median_with_interval(np.array([INF, INF, 1]))["median"] == INF
+    assert np.isnan(scores.median_with_interval(np.array([1.0, 2, 3, 4, 5]))["low"])
 
 
 def test_needed_stands_beside_the_paper():
-    table = scores.needed(runs(wall=[4, 5, 5], D_500_500=[2])).set_index("condition")
+    table = scores.needed_cast_table(runs(wall=[4, 5, 5], D_500_500=[2])).set_index(
+        "condition"
+    )
     assert table.loc["wall", ["median", "paper"]].tolist() == [5, 5]
     assert np.isnan(table.loc["D_500_500", "paper"])
 
 
 def test_the_run_that_is_drawn_is_no_lucky_one():
-    chosen = shown.typical(
+    chosen = figure_data.choose_typical_runs(
         runs(wall=[1, INF, 3, 5, 3], D_500_500=[INF, 2, INF])
     ).set_index("condition")["seed"]
     assert chosen.to_dict() == {"wall": 2, "D_500_500": 0}
@@ -236,7 +238,7 @@ def test_figures_show_what_the_runs_stored(study):
     assert "manipulation 1, missed by 50 mm" in first.get_title()
     assert "manipulation 2, hit" in last.get_title()
     for axes in (first, last):
-        assert len(axes.lines) == 3 * shown.MOMENTS
+        assert len(axes.lines) == 3 * figure_data.MOMENTS
         assert len(axes.patches) == 2  # target and wall
     measured = first.lines[-1]
     assert measured.get_ydata() == pytest.approx((0.8 - S + 0.9 * 0.2) * 1e3)
