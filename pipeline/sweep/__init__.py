@@ -1,3 +1,1 @@
-"""Sweeps: many runs, begun by one command, on this machine or a cluster; see README.md
-in this folder.
-"""
+"""Run sweeps: many runs by one command, on this machine or a cluster; see README.md."""

@@ -1,8 +1,7 @@
-"""One attempt at a job: the command that a person would give for it alone, in a process
-of its own.
+"""Run one job of a sweep as the command of a single run, in its own process.
 
-So a job that crashes or is killed takes nothing with it, and its numbers are those of a
-single run, whoever starts it.
+A job that crashes or is killed thus stops no other job, and its numbers are those of a
+single run, whichever launcher starts it.
 """
 
 from __future__ import annotations
@@ -42,10 +41,18 @@ THREAD_VARIABLES = (
 
 @dataclass(frozen=True)
 class Attempt:
-    """The job `key` of the sweep in `folder`, to be called on whatever machine.
+    """A job of a sweep that can be called on any machine.
 
-    command: what runs a job. place: where the sweep was begun, from which its settings
-    name folders.
+    Parameters
+    ----------
+    folder : Path
+        Folder of the sweep.
+    key : str
+        Key of the job.
+    command : tuple of str
+        Command that runs a job.
+    start_folder : Path
+        Working directory of the sweep, to which the paths in settings are relative.
     """
 
     folder: Path
@@ -54,37 +61,34 @@ class Attempt:
     start_folder: Path = field(default_factory=Path.cwd)
 
     def __call__(self, threads: int) -> str:
-        """Run the job, unless somebody is at it or it has ended, and enter how it
-        ended. Returns its key.
-        """
+        """Run the job, unless it is claimed or has ended, record it, return its key."""
         ledger = Ledger(self.folder)
         with ledger.claim(self.key) as log:
             job = ledger.read(self.key)
-            if log is not None and job.state in (PENDING_STATE, RUNNING_STATE):
-                begun = replace(
-                    job,
-                    state=RUNNING_STATE,
-                    error="",
-                    attempts=job.attempts + 1,
-                    host=socket.gethostname(),
-                )
-                ledger.write(begun)
-                start, said = time.monotonic(), log.tell()
-                code = self._run_process(job, log, threads)
-                text = Path(log.name).read_bytes()[said:].decode(errors="replace")
-                seconds = round(time.monotonic() - start, 3)
-                state, error = job_ending(code, text)
-                ledger.write(replace(begun, state=state, error=error, seconds=seconds))
+            if log is None or job.state not in (PENDING_STATE, RUNNING_STATE):
+                return self.key
+            running = replace(
+                job,
+                state=RUNNING_STATE,
+                error="",
+                attempts=job.attempts + 1,
+                host=socket.gethostname(),
+            )
+            ledger.write(running)
+            start, log_start = time.monotonic(), log.tell()
+            status = self._run_process(job, log, threads)
+            output = Path(log.name).read_bytes()[log_start:].decode(errors="replace")
+            seconds = round(time.monotonic() - start, 3)
+            state, error = job_ending(status, output)
+            ledger.write(replace(running, state=state, error=error, seconds=seconds))
         return self.key
 
     def _run_process(self, job: Job, log: BinaryIO, threads: int) -> int:
-        """The exit status of the job's process, which inherits the log, and with it the
-        lock.
-        """
+        """Run the job's process, which inherits the log and its lock; return its status."""
         escaped = str(self.folder / self.key).replace("'", "\\'")
-        place = f"hydra.run.dir='{escaped}'"  # as Hydra's grammar takes any text
+        folder = f"hydra.run.dir='{escaped}'"  # Hydra's grammar takes any quoted text
         return subprocess.run(
-            [*self.command, *job.overrides, "hydra.mode=RUN", place],
+            [*self.command, *job.overrides, "hydra.mode=RUN", folder],
             cwd=self.start_folder,
             env=os.environ | dict.fromkeys(THREAD_VARIABLES, str(threads)),
             stdin=subprocess.DEVNULL,
@@ -94,26 +98,21 @@ class Attempt:
         ).returncode
 
 
-def job_ending(code: int, said: str) -> tuple[str, str]:
-    """State and error of a job, from its exit status and what it said."""
-    if code == 0:
+def job_ending(status: int, output: str) -> tuple[str, str]:
+    """Return state and error of a job from its exit status and output."""
+    if status == 0:
         return DONE_STATE, ""
-    if code in INTERRUPT_STATUSES:
+    if status in INTERRUPT_STATUSES:
         return PENDING_STATE, ""
-    if code < 0:
-        return (
-            FAILED_STATE,
-            f"Killed by {signal.Signals(-code).name}. Was there memory enough?",
-        )
-    return FAILED_STATE, error_message(said) or f"It ended with exit status {code}."
+    if status < 0:
+        name = signal.Signals(-status).name
+        return FAILED_STATE, f"Killed by {name}, perhaps for lack of memory."
+    return FAILED_STATE, error_message(output) or f"It ended with exit status {status}."
 
 
-def error_message(said: str) -> str:
-    """The error in what a process said: from the last line that begins with one on,
-    else the last line.
-    """
-    lines = [line.rstrip() for line in said.splitlines() if line.strip()]
-    begins = [number for number, line in enumerate(lines) if line.startswith("Error: ")]
-    return "\n".join(lines[begins[-1] :] if begins else lines[-1:]).removeprefix(
-        "Error: "
-    )
+def error_message(output: str) -> str:
+    """Return the last error in the output of a process, or else its last line."""
+    lines = [line.rstrip() for line in output.splitlines() if line.strip()]
+    starts = [number for number, line in enumerate(lines) if line.startswith("Error: ")]
+    message = lines[starts[-1] :] if starts else lines[-1:]
+    return "\n".join(message).removeprefix("Error: ")

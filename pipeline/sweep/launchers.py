@@ -1,9 +1,8 @@
-"""Who runs the jobs of a sweep, a function each, chosen by `hydra/launcher=`; their
-settings are in `conf/hydra/launcher`.
+"""Run the jobs of a sweep: a function for each value of `hydra/launcher=`.
 
-A launcher is a generator function: from attempts, which can be pickled and are called
-with a number of threads, it yields the key of each when it has ended. What became of it
-stands in the ledger.
+A launcher is a generator function of attempts, which can be pickled and are called with
+a number of threads. It yields the key of each attempt that has ended; the ledger holds
+the outcome. The settings are in `conf/hydra/launcher`.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ ThreadCount = Annotated[int, Field(ge=1)]
 def serial(
     attempts: Sequence[Attempt], *, threads: Annotated[int, Field(ge=0)]
 ) -> Iterator[str]:
-    """One job after another on this machine. threads: of a job; 0 is all cores."""
+    """Run jobs one after another on this machine; 0 threads are all cores."""
     for attempt in attempts:
         yield attempt(threads or usable_cores())
 
@@ -36,19 +35,25 @@ def joblib(
     workers: Annotated[int, Field(ge=0)],
     threads: ThreadCount,
 ) -> Iterator[str]:
-    """Jobs side by side on this machine. workers: jobs at a time; 0 is as many as there
-    are cores for. threads: of each job.
+    """Run jobs in parallel on this machine, in threads that wait for processes.
 
-    Each worker is a thread that waits for its job's process.
+    Parameters
+    ----------
+    attempts : sequence of Attempt
+        Jobs to run.
+    workers : int
+        Parallel jobs; 0 is as many as there are cores for.
+    threads : int
+        Threads of each job.
     """
     package = import_package("joblib", "joblib")
-    many = package.Parallel(
+    run_parallel = package.Parallel(
         workers or max(usable_cores() // threads, 1),
         backend="threading",
         return_as="generator_unordered",
         batch_size=1,
     )
-    yield from many(package.delayed(attempt)(threads) for attempt in attempts)
+    yield from run_parallel(package.delayed(attempt)(threads) for attempt in attempts)
 
 
 def ray(
@@ -58,28 +63,33 @@ def ray(
     threads: ThreadCount,
     resources: dict[str, Any],
 ) -> Iterator[str]:
-    """Jobs on the machines of a Ray cluster, which all see the sweep's folder, this one
-    and Python by the same paths.
+    """Run jobs on a Ray cluster, whose machines share all folders and Python.
 
-    address: of the cluster's head; None begins one on this machine. threads: of a job,
-    and cores it takes. resources: what else a job needs, as `ray.remote` takes it, such
-    as {"memory": 2e9}.
+    Parameters
+    ----------
+    attempts : sequence of Attempt
+        Jobs to run.
+    address : str or None
+        Address of the cluster's head; None starts one on this machine.
+    threads : int
+        Threads and cores of a job.
+    resources : dict
+        Further needs of a job for `ray.remote`, such as {"memory": 2e9}.
     """
     package = import_package("ray", "ray")
     try:
         package.init(address=address, include_dashboard=False, log_to_driver=False)
     except Exception as error:  # Ray raises nothing more definite
         where = "conf/hydra/launcher/ray.yaml or the command line"
-        remedy = "Begin one with ray start --head, or give null to have one begun here"
-        raise UserError(
-            f"hydra.launcher.address = {address} ({where}): no Ray answers ({error}). {remedy}."
-        ) from error
+        setting = f"hydra.launcher.address = {address} ({where})"
+        remedy = "Start one with ray start --head, or give null to start one here."
+        raise UserError(f"{setting}: no Ray answers ({error}). {remedy}") from error
     try:
         task = package.remote(num_cpus=threads, **resources)(Attempt.__call__)
-        left = {task.remote(attempt, threads): attempt.key for attempt in attempts}
-        while left:
-            ended, _ = package.wait(list(left), num_returns=1)
-            yield left.pop(ended[0])  # a worker that was lost is seen in the ledger
+        keys = {task.remote(attempt, threads): attempt.key for attempt in attempts}
+        while keys:
+            ended, _ = package.wait(list(keys), num_returns=1)
+            yield keys.pop(ended[0])  # the ledger shows whether its worker was lost
     finally:
         package.shutdown()
 
@@ -91,12 +101,18 @@ def slurm(
     threads: ThreadCount,
     parameters: dict[str, Any],
 ) -> Iterator[str]:
-    """Jobs in the queue of a Slurm cluster, by submitit; its machines see the sweep's
-    folder and this one.
+    """Run jobs in the queue of a Slurm cluster, whose machines share all folders.
 
-    cluster: local is this machine, without a queue. threads: of a job, and cores it
-    asks for. parameters: of the queue, as submitit takes them: timeout_min, mem_gb,
-    slurm_partition, ...
+    Parameters
+    ----------
+    attempts : sequence of Attempt
+        Jobs to run.
+    cluster : str
+        "slurm", or "local": this machine, without a queue.
+    threads : int
+        Threads and cores of a job.
+    parameters : dict
+        Parameters of the queue for submitit, such as `timeout_min` and `mem_gb`.
     """
     package = import_package("submitit", "slurm")
     executor = package.AutoExecutor(
@@ -112,22 +128,17 @@ def slurm(
 
 
 def usable_cores() -> int:
-    """The number of cores that this process may use, where the system tells, else of
-    all.
-    """
-    return (
-        len(os.sched_getaffinity(0))
-        if hasattr(os, "sched_getaffinity")
-        else os.cpu_count() or 1
-    )
+    """Return the number of cores that this process may use, if the system knows."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def import_package(package: str, launcher: str) -> ModuleType:
-    """The package; raises UserError saying how to get it."""
+    """Import an optional package, or raise UserError that says how to install it."""
     try:
         return importlib.import_module(package)
     except ImportError as error:
-        remedy = f"Install it with pip install {package}"
-        raise UserError(
-            f"hydra/launcher={launcher}: the package {package} is missing ({error}). {remedy}."
-        ) from error
+        fault = f"the package {package} is missing ({error})"
+        remedy = f"Install it with pip install {package}."
+        raise UserError(f"hydra/launcher={launcher}: {fault}. {remedy}") from error

@@ -1,5 +1,6 @@
-"""The part of sweeps that Hydra loads for every command line; what launches them is
-loaded for a sweep.
+"""Launch sweeps with code that is loaded only for a sweep.
+
+Hydra loads this module for every command line.
 """
 
 from __future__ import annotations
@@ -13,48 +14,37 @@ from hydra.plugins.launcher import Launcher
 
 
 class LazyLauncher(Launcher):
-    """A launcher that hands all to `pipeline.sweep.launcher.LedgerLauncher`."""
+    """A launcher that hands everything to `pipeline.sweep.launcher.LedgerLauncher`."""
 
     current: ClassVar[Any] = None  # the launcher of this process' sweep
 
     def __init__(self, **settings: Any) -> None:
         """Take the launcher's settings."""
-        self.launcher = import_module(
-            "stringcast.pipeline.sweep.launcher"
-        ).LedgerLauncher(**settings)
+        module = import_module("stringcast.pipeline.sweep.launcher")
+        self.launcher = module.LedgerLauncher(**settings)
 
-    def setup(self, **given: Any) -> None:
-        """Take what Hydra hands over before `launch`, and check the settings; raises
-        UserError.
-        """
+    def setup(self, **arguments: Any) -> None:
+        """Take what Hydra passes before `launch`, and check the settings."""
         LazyLauncher.current = self.launcher
-        self.launcher.setup(**given)
+        self.launcher.setup(**arguments)
 
     def launch(
         self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
     ) -> Sequence[JobReturn]:
-        """Run what is missing of these jobs. Each returns E after its last estimation,
-        NaN if there is none.
-        """
+        """Run the missing jobs and return the matching rate E of each."""
         jobs: Sequence[JobReturn] = self.launcher.launch(job_overrides, initial_job_idx)
         return jobs
 
 
 def sweep_folder() -> str:
-    """The folder of this process' sweep, for errors of which Hydra does not say where
-    it writes.
-    """
-    return (
-        "the run's folder"
-        if LazyLauncher.current is None
-        else str(LazyLauncher.current.config.hydra.sweep.dir)
-    )
+    """Return the folder of this process' sweep, for errors in which Hydra omits it."""
+    if LazyLauncher.current is None:
+        return "the run's folder"
+    return str(LazyLauncher.current.config.hydra.sweep.dir)
 
 
 def finish_sweep() -> int:
-    """Write table and page of this process' sweep, if it had one, and say how it
-    stands: 0 if all its jobs are done.
-    """
-    return (
-        0 if LazyLauncher.current is None else int(LazyLauncher.current.finish_sweep())
-    )
+    """Finish this process' sweep, if any, and return the exit status."""
+    if LazyLauncher.current is None:
+        return 0
+    return int(LazyLauncher.current.finish_sweep())

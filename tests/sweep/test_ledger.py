@@ -75,7 +75,7 @@ def states(ledger):
 
 
 def begun(ledger, key):
-    file = ledger.place(key) / "begun"
+    file = ledger.job_folder(key) / "begun"
     return len(file.read_text()) if file.exists() else 0
 
 
@@ -132,9 +132,9 @@ def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(
     assert failed[2] == "the string is\ntoo short"
     assert "SIGKILL" in failed[3]
     assert {
-        (ledger.place(key) / "out").read_text()
+        (ledger.job_folder(key) / "out").read_text()
         for key in keys
-        if (ledger.place(key) / "out").exists()
+        if (ledger.job_folder(key) / "out").exists()
     } == {"2"}
     assert all(
         job.attempts == 1 and job.seconds > 0 and job.host for job in ledger.jobs()
@@ -147,12 +147,12 @@ def test_only_what_is_missing_runs_again_and_the_failed_on_request(tmp_path, sta
         Attempt(ledger.folder, key, stand_in)(1)
     assert states(ledger) == {0: PENDING_STATE, 1: DONE_STATE, 2: FAILED_STATE}
     entered(tmp_path / "sweep", 0, 1, 2)  # asked for again: nothing is forgotten
-    assert ledger.waiting(keys, ()) == [keys[0]]
+    assert ledger.reset_unfinished(keys, ()) == [keys[0]]
     for key in keys:
         Attempt(ledger.folder, key, stand_in)(1)
     assert [begun(ledger, key) for key in keys] == [1, 1, 1]
     (ledger.folder / "mended").touch()
-    assert ledger.waiting(keys, (FAILED_STATE,)) == [keys[2]]
+    assert ledger.reset_unfinished(keys, (FAILED_STATE,)) == [keys[2]]
     Attempt(ledger.folder, keys[2], stand_in)(1)
     mended = ledger.read(keys[2])
     assert (mended.state, mended.error, mended.attempts) == (DONE_STATE, "", 2)
@@ -205,13 +205,13 @@ def test_a_killed_worker_leaves_its_job_claimed_until_the_job_has_ended_too(
     worker = begin(ledger, key, stand_in)
     os.kill(worker.pid, signal.SIGKILL)
     worker.join()
-    assert ledger.waiting([key], ()) == []
+    assert ledger.reset_unfinished([key], ()) == []
     Attempt(ledger.folder, key, stand_in)(1)
-    ledger.settle([key])
+    ledger.mark_lost_as_failed([key])
     assert (states(ledger), begun(ledger, key)) == ({4: RUNNING_STATE}, 1)
     for number in working(stand_in[-1]):
         os.kill(number, signal.SIGKILL)
-    until(lambda: ledger.waiting([key], ()) == [key])
+    until(lambda: ledger.reset_unfinished([key], ()) == [key])
 
 
 def test_a_worker_that_was_lost_is_a_failure(tmp_path, stand_in):
@@ -219,9 +219,9 @@ def test_a_worker_that_was_lost_is_a_failure(tmp_path, stand_in):
     with ledger.claim(key) as log:
         assert log is not None
         ledger.write(replace(ledger.read(key), state=RUNNING_STATE, attempts=1))
-        ledger.settle([key])
+        ledger.mark_lost_as_failed([key])
         assert states(ledger) == {0: RUNNING_STATE}
-    ledger.settle([key])
+    ledger.mark_lost_as_failed([key])
     assert (ledger.read(key).state, ledger.read(key).error) == (
         FAILED_STATE,
         LOST_WORKER_ERROR,
