@@ -84,7 +84,7 @@ class Attempt:
         return self.key
 
     def _run_process(self, job: Job, log: BinaryIO, threads: int) -> int:
-        """Run the job's process, which inherits the log and its lock; return its status."""
+        """Return the status of the job's process, which inherits the log's lock."""
         escaped = str(self.folder / self.key).replace("'", "\\'")
         folder = f"hydra.run.dir='{escaped}'"  # Hydra's grammar takes any quoted text
         return subprocess.run(

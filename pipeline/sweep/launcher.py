@@ -1,8 +1,7 @@
-"""The Hydra launcher behind every `hydra/launcher=`: it keeps the ledger and runs what
-is missing.
+"""Launch a sweep for Hydra: keep the ledger and run the missing jobs.
 
-Hydra's sweeper says which jobs there are; here each becomes an entry of the ledger, and
-those that have not ended are given to the function that the config names.
+Hydra's sweeper composes the jobs. Each becomes an entry of the ledger, and those that
+have not ended are passed to the function that the setting `hydra.launcher.by` names.
 """
 
 from __future__ import annotations
@@ -33,11 +32,23 @@ STATE_COLOURS = {DONE_STATE: "green", FAILED_STATE: "red"}
 
 
 class LedgerLauncher:
-    """by: the function that runs jobs. finish: the one that makes table and page of a
-    sweep's folder. retry: run those that failed again. warm_up_jobs: jobs that run before the
-    others, so that machine code is compiled once, not by many at a time. variants:
-    overrides by name; each job runs once for every variant, or only for the one that
-    `name=` gives. settings: of the function `by`.
+    """A Hydra launcher that records jobs in a ledger.
+
+    Parameters
+    ----------
+    by : str
+        Name of the function that runs jobs.
+    finish : str
+        Name of the function that writes table and page in a sweep's folder.
+    retry : bool
+        Run failed jobs again.
+    warm_up_jobs : int
+        Jobs that run before the others, so that machine code is compiled only once.
+    variants : mapping of str to sequence of str, optional
+        Overrides by name. Each job runs once for every variant, or only for the one
+        that `name=` gives.
+    settings : object
+        Settings of the function `by`.
     """
 
     def __init__(
@@ -49,18 +60,14 @@ class LedgerLauncher:
         variants: Mapping[str, Sequence[str]] | None = None,
         **settings: Any,
     ) -> None:
-        """Take the settings unchecked; `setup` checks them, for Hydra hides what goes
-        wrong here.
-        """
-        self.by, self.finish, self.retry, self.warm_up_jobs, self.settings = (
-            by,
-            finish,
-            retry,
-            warm_up_jobs,
-            settings,
-        )
+        """Take the settings, which `setup` checks: Hydra hides errors raised here."""
+        self.by = by
+        self.finish = finish
+        self.retry = retry
+        self.warm_up_jobs = warm_up_jobs
         self.variants = variants or {}
-        # the sweep's folder, what finishes it
+        self.settings = settings
+        # the sweep's folder, and the function that finishes it
         self.launched: tuple[Path, Callable[[Path], list[Job]]] | None = None
 
     def setup(
@@ -70,27 +77,27 @@ class LedgerLauncher:
         task_function: TaskFunction,
         config: DictConfig,
     ) -> None:
-        """Take what Hydra hands over before `launch`, and check the settings; raises
-        UserError.
+        """Take what Hydra passes before `launch`, and check the settings.
+
+        Raises
+        ------
+        UserError
+            For a setting with a wrong value.
         """
         self.loader = hydra_context.config_loader
         self.config = config
-        if (
-            not isinstance(self.retry, bool)
-            or type(self.warm_up_jobs) is not int
-            or self.warm_up_jobs < 0
-        ):
-            wrong = f"retry = {self.retry!r}, warm_up_jobs = {self.warm_up_jobs!r}"
-            raise UserError(
-                f"hydra.launcher ({SETTINGS_PLACE}): {wrong}: give true or false, and a whole number from 0."
-            )
-        plain: Any = OmegaConf.to_container(OmegaConf.create(self.settings))
-        self.launch_all = bind_stage(
-            {"_target_": self.by} | plain, "hydra.launcher", SETTINGS_PLACE
-        )
+        where = f"hydra.launcher ({SETTINGS_PLACE})"
+        if not isinstance(self.retry, bool):
+            raise UserError(f"{where}: retry = {self.retry!r} must be true or false.")
+        if type(self.warm_up_jobs) is not int or self.warm_up_jobs < 0:
+            fault = f"warm_up_jobs = {self.warm_up_jobs!r}"
+            raise UserError(f"{where}: {fault} must be a whole number from 0.")
+        settings: Any = OmegaConf.to_container(OmegaConf.create(self.settings))
+        chosen = {"_target_": self.by} | settings
+        self.launch_all = bind_stage(chosen, "hydra.launcher", SETTINGS_PLACE)
 
     def expand_variants(self, overrides: Sequence[str]) -> list[list[str]]:
-        """Return the overrides of each variant of a job. Raises UserError."""
+        """Return the overrides of each variant of a job, or raise UserError."""
         if not self.variants:
             return [list(overrides)]
         named = [word for word in overrides if word.startswith("name=")]
@@ -107,64 +114,62 @@ class LedgerLauncher:
     def launch(
         self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
     ) -> Sequence[JobReturn]:
-        """Run what is missing of these jobs. Each returns E after its last estimation,
-        NaN if there is none.
+        """Run the missing jobs and return the matching rate E of each.
+
+        E is that after the last estimation, and NaN if there is none.
         """
+        finish = load_callable(self.finish, "hydra.launcher.finish", SETTINGS_PLACE)
         ledger = Ledger(Path(self.config.hydra.sweep.dir).absolute())
-        jobs = []
-        variants = [one for job in job_overrides for one in self.expand_variants(job)]
-        for number, overrides in enumerate(variants, start=initial_job_idx):
-            # with its settings composed and resolved as its own run will
-            config = self.loader.load_sweep_config(self.config, list(overrides))
-            settings = OmegaConf.masked_copy(
-                config, [str(name) for name in config if name != "hydra"]
-            )
-            plain: Any = OmegaConf.to_container(settings, resolve=True)
-            jobs.append(Job(number, tuple(overrides), plain))
+        jobs = self._compose_jobs(job_overrides, initial_job_idx)
         for job in jobs:
             ledger.add(job)
-        self.launched = (
-            ledger.folder,
-            load_callable(self.finish, "hydra.launcher.finish", SETTINGS_PLACE),
-        )
+        self.launched = (ledger.folder, finish)
+
         keys = [job.key for job in jobs]
-        waiting = [
-            Attempt(ledger.folder, key)
-            for key in ledger.reset_unfinished(
-                keys, (FAILED_STATE,) if self.retry else ()
-            )
-        ]
-        first = (
-            0
-            if any(ledger.read(key).state == DONE_STATE for key in keys)
-            else self.warm_up_jobs
-        )
+        states = (FAILED_STATE,) if self.retry else ()
+        pending = ledger.reset_unfinished(keys, states)
+        attempts = [Attempt(ledger.folder, key) for key in pending]
+        is_new = all(ledger.read(key).state != DONE_STATE for key in keys)
+        warm_up = self.warm_up_jobs if is_new else 0
+
         console = Terminal(stderr=True)
-        ended, begun, left_at_first = (
-            len(keys) - len(waiting),
-            time.monotonic(),
-            len(waiting),
-        )
+        start, ended = time.monotonic(), len(keys) - len(attempts)
         with progress_bars(console) as bar, bar("sweep") as progress:
-            for batch in filter(None, (waiting[:first], waiting[first:])):
+            for batch in filter(None, (attempts[:warm_up], attempts[warm_up:])):
                 for key in self.launch_all(batch):
                     ended += 1
                     progress(ended / len(keys))
-                    said = remaining_time(
-                        time.monotonic() - begun, len(keys) - ended, left_at_first
-                    )
-                    console.print(
-                        job_line(ledger.read(key), said),
-                        soft_wrap=True,
-                        highlight=False,
-                    )
+                    seconds = time.monotonic() - start
+                    left = remaining_time(seconds, len(keys) - ended, len(attempts))
+                    line = job_line(ledger.read(key), left)
+                    console.print(line, soft_wrap=True, highlight=False)
         # not after an interruption, which is no failure
         ledger.mark_lost_as_failed(keys)
         return [job_return(ledger, job) for job in jobs]
 
+    def _compose_jobs(
+        self, job_overrides: Sequence[Sequence[str]], first_number: int
+    ) -> list[Job]:
+        """Compose and resolve the settings of each job as its own run will."""
+        all_overrides = []
+        for overrides in job_overrides:
+            all_overrides += self.expand_variants(overrides)
+        jobs = []
+        for number, overrides in enumerate(all_overrides, start=first_number):
+            config = self.loader.load_sweep_config(self.config, overrides)
+            names = [str(name) for name in config if name != "hydra"]
+            own_config = OmegaConf.masked_copy(config, names)
+            settings: Any = OmegaConf.to_container(own_config, resolve=True)
+            jobs.append(Job(number, tuple(overrides), settings))
+        return jobs
+
     def finish_sweep(self) -> int:
-        """Write table and page of the sweep, if it was begun, and say how it stands: 0
-        if all its jobs are done.
+        """Write table and page of the sweep, if any, and print its state.
+
+        Returns
+        -------
+        int
+            Exit status: 0 if all jobs are done.
         """
         if self.launched is None:
             return 0
@@ -172,63 +177,69 @@ class LedgerLauncher:
         ledger = Ledger(folder)
         with ledger.lock_results():
             jobs = finish(folder)
-        said = sweep_summary(jobs, folder, ledger.count_running_elsewhere(jobs))
-        Terminal(stderr=True).print(said, soft_wrap=True, highlight=False, markup=False)
+        summary = sweep_summary(jobs, folder, ledger.count_running_elsewhere(jobs))
+        Terminal(stderr=True).print_line(summary)
         return int(any(job.state != DONE_STATE for job in jobs))
 
 
 def job_return(ledger: Ledger, job: Job) -> JobReturn:
-    """The return values of jobs for a sweeper that optimises."""
+    """Return the value of a job for a sweeper that optimises."""
     path = ledger.job_folder(job.key) / "run.json"
-    rows = (
-        json.loads(path.read_text(encoding="utf-8"))["iterations"]
-        if path.exists()
-        else []
-    )
-    rate = rows[-1].get("E_after") if rows else None
+    iterations = []
+    if path.exists():
+        iterations = json.loads(path.read_text(encoding="utf-8"))["iterations"]
+    rate = iterations[-1].get("E_after") if iterations else None
     result = JobReturn(overrides=list(job.overrides), status=JobStatus.COMPLETED)
     result.return_value = nan if rate is None else rate
     return result
 
 
 def job_line(job: Job, left: str) -> Text:
-    """A line about a job that ended, and about those left."""
-    said = Text.assemble(
-        (f"{job.state:<8}", STATE_COLOURS.get(job.state, "yellow")),
-        f"{job.seconds:7.1f} s  ",
-    )
-    said.append(f"{' '.join(job.overrides)}  {left}")
-    return (
-        said.append(f"\n         {job.error.splitlines()[0]}", "red")
-        if job.error
-        else said
-    )
+    """Return the line about a job that ended, with the remaining time."""
+    state = (f"{job.state:<8}", STATE_COLOURS.get(job.state, "yellow"))
+    line = Text.assemble(state, f"{job.seconds:7.1f} s  ")
+    line.append(f"{' '.join(job.overrides)}  {left}")
+    if job.error:
+        line.append(f"\n         {job.error.splitlines()[0]}", "red")
+    return line
 
 
 def remaining_time(seconds: float, waiting: int, of: int) -> str:
-    """The number of jobs that still wait, and the time that they take at the pace so
-    far. seconds: since the first.
+    """Return the number of waiting jobs and their time at the pace so far, in words.
+
+    Parameters
+    ----------
+    seconds : float
+        Time since the first of them started.
+    waiting, of : int
+        Jobs that wait, and jobs that waited at the start.
     """
-    ahead = timedelta(seconds=round(seconds / max(of - waiting, 1) * waiting))
-    return f"({waiting} left, about {ahead})" if waiting else ""
+    time_left = timedelta(seconds=round(seconds / max(of - waiting, 1) * waiting))
+    return f"({waiting} left, about {time_left})" if waiting else ""
 
 
 def sweep_summary(jobs: Sequence[Job], folder: Path, elsewhere: int) -> str:
-    """Numbers of jobs by how they ended, and what to do about the others. elsewhere:
-    how many another process is at.
+    """Return the number of jobs by state, and how to continue.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+        All jobs of the sweep.
+    folder : Path
+        Folder of the sweep.
+    elsewhere : int
+        Number of jobs that another process is running.
     """
     count = Counter(job.state for job in jobs)
     left = len(jobs) - count[DONE_STATE] - count[FAILED_STATE] - elsewhere
-    said = [f"{count[DONE_STATE]} of {len(jobs)} job(s) of the sweep are done."]
-    again = f"the same command with hydra.sweep.dir={folder}"
+    lines = [f"{count[DONE_STATE]} of {len(jobs)} job(s) of the sweep are done."]
+    command = f"the same command with hydra.sweep.dir={folder}"
     if elsewhere:
-        said.append(
-            f"{elsewhere} are run by another process, which completes the table when it ends; or {again} does."
-        )
+        completion = "which completes the table when it ends"
+        lines.append(f"{elsewhere} are run by another process, {completion}.")
     if left:
-        said.append(f"{left} did not end: give {again} to go on.")
-    if count[FAILED_STATE]:
-        said.append(
-            f"{count[FAILED_STATE]} job(s) of the sweep failed: give {again} hydra.launcher.retry=true to try again."
-        )
-    return "\n".join([*said, str(folder / "report.html")])
+        lines.append(f"{left} did not end: give {command} to continue.")
+    if failed := count[FAILED_STATE]:
+        retry = f"give {command} hydra.launcher.retry=true to try again"
+        lines.append(f"{failed} job(s) of the sweep failed: {retry}.")
+    return "\n".join([*lines, str(folder / "report.html")])

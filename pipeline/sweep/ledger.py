@@ -107,7 +107,7 @@ class Ledger:
     def claim(self, key: str) -> Iterator[BinaryIO | None]:
         """Claim a job and open its log, or give None if it is claimed already.
 
-        The claim ends when the log is closed, here and in all processes that inherited it.
+        It ends when the log is closed, here and in all processes that inherited it.
         """
         with open_for_lock(path := self._job_file(key).with_suffix(".log")) as log:
             yield log if try_lock(log, path) else None
@@ -156,7 +156,7 @@ class Ledger:
     def _change_state(
         self, key: str, states: Sequence[str], state: str, error: str = ""
     ) -> bool:
-        """Change an unclaimed job from one of `states`; tell whether it is in `state`.
+        """Change the state of an unclaimed job; tell whether it has the new state.
 
         It is claimed only if necessary, so that a worker does not find it claimed.
         """

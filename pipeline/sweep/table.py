@@ -1,6 +1,4 @@
-"""One tidy table for a sweep: a row a job, its settings, how it ended and what it
-found.
-"""
+"""Make one tidy table of a sweep: settings, state and results of each job."""
 
 from __future__ import annotations
 
@@ -18,20 +16,20 @@ from stringcast.pipeline.sweep.ledger import DONE_STATE, Job, Ledger
 
 SWEEP_TABLE = Table(
     "sweep",
-    "a row a job; beside these columns one for each setting that was given, and one for each parameter estimated",
+    "a row for each job; further columns hold given settings and estimated parameters",
     (
-        Column("job", "1", "its place in the command that asked for it", "int"),
-        Column("key", "", "hash of all its settings", "text"),
-        Column("folder", "", "its run, relative to this file", "text"),
+        Column("job", "1", "position in the command that named it", "int"),
+        Column("key", "", "hash of all settings", "text"),
+        Column("folder", "", "folder of the run, relative to this file", "text"),
         Column("state", "", "done, failed, pending or running", "text"),
-        Column("error", "", "why it failed", "text"),
-        Column("attempts", "1", "how often it was begun", "int"),
-        Column("seconds", "s", "that the last attempt took"),
+        Column("error", "", "why the job failed", "text"),
+        Column("attempts", "1", "number of attempts", "int"),
+        Column("seconds", "s", "duration of the last attempt"),
         Column("host", "", "machine of the last attempt", "text"),
         Column(
             "hit",
             "1",
-            "1: the tip reached the target, 0: it did not; this and what follows is NaN where unknown",
+            "1: the tip reached the target, 0: it did not; NaN: unknown",
         ),
         Column("manipulations", "1", "casts made, or trials estimated from"),
         Column("E_before", "1", "E before the last estimation"),
@@ -42,118 +40,102 @@ SWEEP_TABLE = Table(
 
 
 def sweep_table(ledger: Ledger, jobs: Sequence[Job]) -> tuple[Table, pd.DataFrame]:
-    """The table of these jobs with its schema, in which each setting and each parameter
-    is a column. Raises DataError where parameters cannot be read.
+    """Return the table of jobs and its schema.
+
+    Each given setting and each estimated parameter is a column of its own.
+
+    Raises
+    ------
+    DataError
+        If the parameters of a job cannot be read.
     """
-    given = setting_columns(jobs)
-    # of its last estimation
-    found: dict[str, dict[str, tuple[Column, float]]] = {job.key: {} for job in jobs}
-    for job in jobs:
-        made = sorted(
-            ledger.job_folder(job.key).glob("iterations/*/estimate/parameters.parquet")
-        )
-        if job.state == DONE_STATE and made:
-            rows = read_table(Estimate.TABLES["parameters"], made[-1]).itertuples()
-            found[job.key] |= {
-                r.name: (Column(r.name, r.unit, r.meaning, optional=True), r.value)
-                for r in rows
-            }
-    names = {
-        name: column
-        for parameters in found.values()
-        for name, (column, _) in parameters.items()
-    }
     frame = pd.DataFrame([job_row(ledger, job) for job in jobs])
-    for name, column in given.items():
-        frame[name] = column
-    for name in names:
+    setting_kinds = {"i": "int", "f": "float"}  # by NumPy's kind; text for others
+    columns = []
+    for name, values in setting_columns(jobs).items():
+        frame[name] = values
+        kind = setting_kinds.get(frame[name].dtype.kind, "text")
+        columns.append(Column(name, "", f"the setting {name}", kind))
+
+    parameter_columns: dict[str, Column] = {}
+    parameters = [last_parameters(ledger, job) for job in jobs]
+    for table in parameters:
+        for row in table.itertuples():
+            column = Column(row.name, row.unit, row.meaning, optional=True)
+            parameter_columns[row.name] = column
+    for name in parameter_columns:
         frame[name] = [
-            found[job.key].get(name, (None, float("nan")))[1] for job in jobs
+            table.set_index("name")["value"].get(name, float("nan"))
+            for table in parameters
         ]
-    kinds = {"i": "int", "f": "float"}  # of NumPy's; text for others
-    settings = tuple(
-        Column(
-            name, "", f"the setting {name}", kinds.get(frame[name].dtype.kind, "text")
-        )
-        for name in given
-    )
-    return replace(
-        SWEEP_TABLE, columns=(*SWEEP_TABLE.columns, *settings, *names.values())
-    ), frame
+    columns = [*SWEEP_TABLE.columns, *columns, *parameter_columns.values()]
+    return replace(SWEEP_TABLE, columns=tuple(columns)), frame
+
+
+def last_parameters(ledger: Ledger, job: Job) -> pd.DataFrame:
+    """Return the parameter table of a job's last estimation, or an empty one."""
+    pattern = "iterations/*/estimate/parameters.parquet"
+    paths = sorted(ledger.job_folder(job.key).glob(pattern))
+    table = Estimate.TABLES["parameters"]
+    if job.state != DONE_STATE or not paths:
+        return table.empty()
+    return read_table(table, paths[-1])
 
 
 def setting_columns(jobs: Sequence[Job]) -> dict[str, list[Any]]:
-    """Settings that were given to any of the jobs, by column, with the value of each
-    job: numbers, or else text.
+    """Return the settings that were given to any job, with the value of each job.
 
-    A column has the setting's name, unless an outcome has it: `manipulations` are asked
-    for, and made.
+    Values are numbers, or else text. A column has the setting's name, with `setting.`
+    before it if an outcome has the same name.
     """
-    given = [
-        dict(
-            override.lstrip("+~").split("=", 1)
-            for override in job.overrides
-            if "=" in override
-        )
-        for job in jobs
-    ]
-    names = dict.fromkeys(name for one in given for name in one)
-    taken = {column.name for column in SWEEP_TABLE.columns}
+    given_by_job = []
+    for job in jobs:
+        pairs = [word.lstrip("+~").split("=", 1) for word in job.overrides]
+        given_by_job.append({pair[0]: pair[1] for pair in pairs if len(pair) > 1})
+    names = dict.fromkeys(name for given in given_by_job for name in given)
+    outcomes = {column.name for column in SWEEP_TABLE.columns}
     columns: dict[str, list[Any]] = {}
     for name in names:
-        values = [
-            setting_value(job, name, one) for job, one in zip(jobs, given, strict=True)
-        ]
-        numbers = all(
-            isinstance(value, int | float) and not isinstance(value, bool)
-            for value in values
-        )
-        columns[f"setting.{name}" if name in taken else name] = (
-            values if numbers else list(map(str, values))
-        )
+        values = []
+        for job, given in zip(jobs, given_by_job, strict=True):
+            values.append(setting_value(job, name, given))
+        if not all(type(value) in (int, float) for value in values):
+            values = [str(value) for value in values]
+        columns[f"setting.{name}" if name in outcomes else name] = values
     return columns
 
 
 def setting_value(job: Job, name: str, given: Mapping[str, str]) -> Any:
-    """A setting as it stands among a job's settings; of a group or list, as it was
-    given.
-    """
-    here: Any = job.settings
+    """Return a job's value of a setting, or the given text for a group or list."""
+    value: Any = job.settings
     for part in name.split("."):
-        here = here.get(part) if isinstance(here, Mapping) else None
-    return here if isinstance(here, bool | int | float | str) else given.get(name, "")
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value if isinstance(value, bool | int | float | str) else given.get(name, "")
 
 
 def job_row(ledger: Ledger, job: Job) -> dict[str, Any]:
-    """A job, and how its run ended, from its run.json; NaN where it did not, and for
-    what it does not have.
-    """
-    place = ledger.job_folder(job.key)
-    known = {
+    """Return the row of a job, with the outcome of its run from run.json."""
+    row = {
         "job": job.number,
         "key": job.key,
-        "folder": place.name,
+        "folder": ledger.job_folder(job.key).name,
         "state": job.state,
-    }
-    known |= {
         "error": job.error,
         "attempts": job.attempts,
         "seconds": job.seconds,
         "host": job.host,
     }
-    path = place / "run.json"
-    done = job.state == DONE_STATE and path.exists()
-    ended: dict[str, Any] = (
-        json.loads(path.read_text(encoding="utf-8")) if done else {"iterations": []}
-    )
-    casts = ended["iterations"]
-    numbers = {
-        name: casts[-1].get(name) if casts else None
-        for name in ("E_before", "E_after", "miss_m")
-    }
-    numbers |= {"hit": ended["hit"] if any("hit" in cast for cast in casts) else None}
-    numbers |= {"manipulations": len(casts) or None}
-    return known | {
-        name: float("nan") if value is None else float(value)
-        for name, value in numbers.items()
-    }
+    outcome = dict.fromkeys(("hit", "manipulations", "E_before", "E_after", "miss_m"))
+    path = ledger.job_folder(job.key) / "run.json"
+    if job.state == DONE_STATE and path.exists():
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        casts = summary["iterations"]
+        if casts:
+            outcome["manipulations"] = len(casts)
+            for name in ("E_before", "E_after", "miss_m"):
+                outcome[name] = casts[-1].get(name)
+        if any("hit" in cast for cast in casts):
+            outcome["hit"] = summary["hit"]
+    for name, value in outcome.items():
+        row[name] = float("nan") if value is None else float(value)
+    return row
