@@ -1,6 +1,4 @@
-"""Write a small start of an arm, a camera, an effect or a stage of your own, that works
-as it is.
-"""
+"""Write a working start of your own arm, camera, effect or stage."""
 
 from __future__ import annotations
 
@@ -18,31 +16,39 @@ from stringcast.pipeline.settings.composition import CONF_FOLDER, UserError
 PROJECT_FOLDER = CONF_FOLDER.parent
 NAME_PATTERN = re.compile(r"[a-z][a-z0-9_]*")
 EFFECT_TEMPLATE = '''\
-"""Say in a line what is so: here the whole string is pulled to the right."""
+"""Describe the cause in a line: here the whole string is pulled to the right."""
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, vanishes_at_zero
+from stringcast.stages.model.effect import (
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    vanishes_at_zero,
+)
 
 
 class {Name}(StringEffect):
-    """Say what the law is, where it holds and what it leaves out."""
+    """Describe the law, where it holds and what it leaves out."""
 
     name = "{name}"
-    parameters = (  # name, unit, meaning, least, most, and where it begins: there the effect is absent
+    # name, unit, meaning, lower and upper bound, and the start: there the effect is absent
+    parameters = (
         Parameter("strength", "m/s2", "steady pull to the right, over mass", -2.0, 2.0, 0.0),
     )
-    reference = "Where the law is from"
-    invariants = (vanishes_at_zero("acceleration", "strength"),)  # tests hold it to these; others: invariants.py
+    reference = "Source of the law"
+    invariants = (vanishes_at_zero("acceleration", "strength"),)  # tested; see invariants.py
 
     @staticmethod
     def describe(values: Values) -> str:
         return f"the string is pulled to the right with {{values['strength']:.3f}} m/s2"
 
+    # a slot of law_slots.py
     @staticmethod
-    def acceleration(strength: Quantity) -> tuple[Quantity, Quantity]:  # one of the slots in engine/law_slots.py
+    def acceleration(strength: Quantity) -> tuple[Quantity, Quantity]:
         return strength, 0.0 * strength
 '''
 STAGE_TEMPLATE = '''\
-"""{Name}: say in a line what it finds out; here how far the tip of each trial goes from where it begins."""
+"""{Name}: the largest distance of each trial's tip from its start."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -51,40 +57,47 @@ import pandas as pd
 
 from stringcast.data.artifacts import TrialSet
 from stringcast.data.schema import Column, Table
-from stringcast.stages.spec import StageSpec, Summary, This
+from stringcast.stages.spec import SameIteration, StageSpec, StageSummary
 
 FARTHEST = Table(
-    "farthest", "a row a trial", (Column("trial", "", "its name", "text"), Column("sway", "m", "of its tip, at most"))
+    "farthest",
+    "a row for each trial",
+    (
+        Column("trial", "", "name of the trial", "text"),
+        Column("sway", "m", "largest distance of the tip from its start"),
+    ),
 )
 
 
 @dataclass(frozen=True)
 class {Name}:
-    """What it makes: a field for each table."""
+    """Artifact of the stage, with a field for each table."""
 
     farthest: pd.DataFrame
 
     TABLES: ClassVar[dict[str, Table]] = {{"farthest": FARTHEST}}
 
 
-def summary(made: {Name}) -> Summary:
-    """Title, sentence and table for the terminal."""
-    return Summary("{name}", f"The tip goes {{made.farthest['sway'].max():.3f}} m at most.", made.farthest.round(3))
+def summary(artifact: {Name}) -> StageSummary:
+    """Summarise the artifact for the terminal."""
+    farthest = artifact.farthest
+    sentence = f"The tip moves by at most {{farthest['sway'].max():.3f}} m."
+    return StageSummary("{name}", sentence, farthest.round(3))
 
 
 STAGE = StageSpec(
-    name="{name}",  # of its group of settings
+    name="{name}",  # also of its group of settings
     makes={Name},
-    folder="{name}",  # where it lies in an iteration
-    uses=("{name}",),  # settings that decide what comes out: another value makes it stale
-    run="stages.{name}.{name}.run",  # from the artifacts below to its own
-    inputs={{"trials": This(TrialSet)}},  # Last(Estimate): of an earlier iteration, if any
-    by=("stages.{name}.{name}.{name}",),  # what `_target_` of conf/{name}/*.yaml may name
+    folder="{name}",  # of the artifact in an iteration
+    uses=("{name}",),  # settings that change the artifact
+    run="stages.{name}.{name}.run",  # makes the artifact of its inputs
+    inputs={{"trials": SameIteration(TrialSet)}},
+    by=("stages.{name}.{name}.{name}",),  # allowed as `_target_` in conf/{name}/*.yaml
     summary=summary,
 )
 '''
 FUNCTION_TEMPLATE = '''\
-"""How far a tip goes."""
+"""Measure how far the tip moves."""
 
 from collections.abc import Sequence
 from typing import Annotated
@@ -95,14 +108,14 @@ from pydantic import Field
 
 from stringcast.data.artifacts import Observation, TrialSet
 from stringcast.stages.common import Progress
-from stringcast.stages.spec import Call
+from stringcast.stages.spec import StageCall
 from stringcast.stages.{name} import FARTHEST, {Name}
 
 
-def run(call: Call, trials: TrialSet) -> {Name}:
-    """The stage, on all trials that it is given."""
-    made: {Name} = call.by(trials.observations, progress=call.progress)
-    return made
+def run(call: StageCall, trials: TrialSet) -> {Name}:
+    """Run the stage on all trials."""
+    artifact: {Name} = call.by(trials.observations, progress=call.progress)
+    return artifact
 
 
 def {name}(
@@ -111,33 +124,39 @@ def {name}(
     least: Annotated[float, Field(ge=0)],
     progress: Progress = lambda share: None,
 ) -> {Name}:
-    """A pure function: artifacts by position, settings by name. least: that is told of [m]."""
+    """Measure the largest distance of each tip from its start, from `least` on [m].
+
+    The function is pure: artifacts are positional arguments, settings are keywords.
+    """
     rows = []
     for trial in observations:
-        tip = trial.read[trial.read["s"] == trial.read["s"].max()]
-        far = np.hypot(tip["x"] - tip["x"].iloc[0], tip["y"] - tip["y"].iloc[0]).max()
-        rows += [{{"trial": trial.trial, "sway": far}}] if far > least else []
+        points = trial.valid_points
+        tip = points[points["s"] == points["s"].max()]
+        x, y = tip["x"] - tip["x"].iloc[0], tip["y"] - tip["y"].iloc[0]
+        distance = np.hypot(x, y).max()
+        if distance > least:
+            rows.append({{"trial": trial.trial, "sway": distance}})
     return {Name}(FARTHEST.check(pd.DataFrame(rows)))
 '''
 SETTINGS_TEMPLATE = """\
-# What is to be set of it; each is a keyword of the function.
+# Settings of the stage; each is a keyword of the function.
 _target_: stages.{name}.{name}.{name}
-least: 0.0   # that is told of [m]
+least: 0.0   # smallest distance that is listed [m]
 """
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write the files; 0."""
+    """Write the files and return the exit status 0."""
     parser = CommandParser("python -m pipeline new", description=__doc__)
-    parser.add_argument("kind", choices=list(FILES_OF_KIND), help="of what")
-    parser.add_argument("name", help="its name: small letters, digits and _")
-    asked = parser.parse_args(arguments)
-    if not NAME_PATTERN.fullmatch(asked.name) or keyword.iskeyword(asked.name):
-        near = re.sub(r"\W+", "_", asked.name.lower()).strip("_0123456789") or "mine"
-        raise UserError(
-            f"{asked.name}: a name is of small letters, digits and _. Try: {program_name()} new {asked.kind} {near}"
-        )
-    files, use = FILES_OF_KIND[asked.kind](asked.name)
+    parser.add_argument("kind", choices=list(FILES_OF_KIND), help="what to write")
+    parser.add_argument("name", help="name of small letters, digits and _")
+    options = parser.parse_args(arguments)
+    if not NAME_PATTERN.fullmatch(options.name) or keyword.iskeyword(options.name):
+        near = re.sub(r"\W+", "_", options.name.lower()).strip("_0123456789") or "mine"
+        fault = f"{options.name}: a name consists of small letters, digits and _"
+        command = f"{program_name()} new {options.kind} {near}"
+        raise UserError(f"{fault}. Try: {command}")
+    files, example = FILES_OF_KIND[options.kind](options.name)
     for path in files:
         if path.exists():
             raise UserError(f"{path}: it is there already. Choose another name.")
@@ -148,12 +167,8 @@ def main(arguments: Sequence[str]) -> int:
         shown = (
             path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
         )
-        console.print(
-            f"Written: {shown}", highlight=False, markup=False, soft_wrap=True
-        )
-    console.print(
-        f"Try it: {program_name()} {use}", highlight=False, markup=False, soft_wrap=True
-    )
+        console.print_line(f"Written: {shown}")
+    console.print_line(f"Try it: {program_name()} {example}")
     return 0
 
 
@@ -161,51 +176,36 @@ Files = dict[Path, str]
 
 
 def arm_files(name: str) -> tuple[Files, str]:
-    """The settings of an arm: those of the paper's, to be changed."""
+    """Return settings of an arm, copied from the paper's arm."""
     return copied_settings("arm", name, "paper"), f"+experiment=quick arm={name}"
 
 
 def camera_files(name: str) -> tuple[Files, str]:
-    """Settings of a camera: those of the paper's bench, to be changed or measured."""
-    return copied_settings(
-        "camera", name, "highspeed"
-    ), f"+experiment=stringB method=robust camera={name}"
+    """Return settings of a camera, copied from the paper's camera."""
+    files = copied_settings("camera", name, "highspeed")
+    return files, f"+experiment=stringB method=robust camera={name}"
 
 
 def copied_settings(group: str, name: str, like: str) -> Files:
-    """An option of a group of settings, made of another whose comments say what each
-    is.
-    """
+    """Return an option of a group of settings, as a copy of another option."""
     text = (CONF_FOLDER / group / f"{like}.yaml").read_text(encoding="utf-8")
-    own = [line for line in text.splitlines() if not line.startswith("#")]
-    return {
-        CONF_FOLDER / group / f"{name}.yaml": "\n".join(
-            [f"# {name}: a copy of {like}. Change what is different.", *own, ""]
-        )
-    }
+    settings = [line for line in text.splitlines() if not line.startswith("#")]
+    heading = f"# {name}: a copy of {like}. Change what is different."
+    copy = "\n".join([heading, *settings, ""])
+    return {CONF_FOLDER / group / f"{name}.yaml": copy}
 
 
 def effect_files(name: str) -> tuple[Files, str]:
-    """An effect, among those of the library or in the first of the folders that
-    STRINGCAST_EFFECTS names.
-    """
-    elsewhere = [
-        folder
-        for folder in os.environ.get("STRINGCAST_EFFECTS", "").split(os.pathsep)
-        if folder
-    ]
-    folder = (
-        Path(elsewhere[0])
-        if elsewhere
-        else PROJECT_FOLDER / "stages" / "model" / "effects"
-    )
-    return {
-        folder / f"{name}.py": fill_template(EFFECT_TEMPLATE, name)
-    }, f"+experiment=quick 'effects=[{name}]' estimate=least_squares"
+    """Return an effect, in the first folder of STRINGCAST_EFFECTS or in the library."""
+    user_folders = os.environ.get("STRINGCAST_EFFECTS", "").split(os.pathsep)
+    library = PROJECT_FOLDER / "stages" / "model" / "effects"
+    folder = Path(next(filter(None, user_folders), library))
+    files = {folder / f"{name}.py": fill_template(EFFECT_TEMPLATE, name)}
+    return files, f"+experiment=quick 'effects=[{name}]' estimate=least_squares"
 
 
 def stage_files(name: str) -> tuple[Files, str]:
-    """A stage: a folder and a group of settings."""
+    """Return a stage: a folder and a group of settings."""
     folder = PROJECT_FOLDER / "stages" / name
     files = {
         folder / "__init__.py": fill_template(STAGE_TEMPLATE, name),
@@ -224,7 +224,6 @@ FILES_OF_KIND: dict[str, Callable[[str], tuple[Files, str]]] = {
 
 
 def fill_template(text: str, name: str) -> str:
-    """A template with a name put in, as it is and as a class is called."""
-    return text.format(
-        name=name, Name="".join(part.capitalize() for part in name.split("_"))
-    )
+    """Fill a name into a template, also as the name of a class."""
+    class_name = "".join(part.capitalize() for part in name.split("_"))
+    return text.format(name=name, Name=class_name)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import yaml
 from omegaconf import OmegaConf
-from rich.console import Console
 from studio import BOARD, SIZE, TILTED, picture, pose, tilted
 
 from stringcast.data import store
 from stringcast.data.calibration import Calibration
+from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import board
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import UserError, compose_settings
@@ -26,7 +26,7 @@ from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.calibrate.views import detect_board
 from stringcast.stages.model.camera import Camera
 
-SILENT = Console(quiet=True)
+SILENT = Terminal(quiet=True)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def settled(folders, *more):
 
 def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_path):
     here = settled(folders, "calibrate.place.corner=[0.1,0.2]")
-    said = Console(file=io.StringIO(), width=1000)
+    said = Terminal(file=io.StringIO(), width=1000)
     here.mode.perform(here, tmp_path, said)
     # nobody need do anything for images
     assert "Press Enter" not in said.file.getvalue()

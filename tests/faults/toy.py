@@ -15,10 +15,10 @@ import numpy as np
 import pandas as pd
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
-from rich.console import Console
 
 from stringcast.data import store
 from stringcast.data.artifacts import Estimate, Motion, Points, Trial
+from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run import report
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.run.file_names import LOG_FILE
@@ -164,7 +164,7 @@ def toy_run(folder, here):
     report.write_report = lambda here, result: store.write_text(
         result.folder / "report.html", "<html>"
     )
-    said = Console(file=io.StringIO(), width=1000)
+    said = Terminal(file=io.StringIO(), width=1000)
     try:
         perform_run(here, folder, said)
     finally:

@@ -65,7 +65,7 @@ def test_a_new_stage_is_a_folder_and_a_group_of_settings(package, tmp_path):
     made = pd.read_parquet(place / "farthest.parquet")
     assert len(made) == 5
     assert (made["sway"] > 0.01).all()
-    sentence = f"The tip goes {made['sway'].max():.3f} m at most."
+    sentence = f"The tip moves by at most {made['sway'].max():.3f} m."
     assert sentence in words
     assert json.loads((run / "run.json").read_text())["sentence"] == sentence
     assert made["trial"].iloc[0] in (run / "report.html").read_text()
