@@ -1,6 +1,4 @@
-"""Modes: a class for each loop over stages that differs; `mode` in the settings names
-one.
-"""
+"""Loops over stages, one of which the setting `mode` chooses."""
 
 from stringcast.pipeline.modes.batch import Batch
 from stringcast.pipeline.modes.calibrate import Calibrate

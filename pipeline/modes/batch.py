@@ -1,4 +1,4 @@
-"""One stage, asked of all trials together."""
+"""Run one stage on all trials together."""
 
 from __future__ import annotations
 
@@ -27,9 +27,18 @@ from stringcast.pipeline.settings.stage_registry import stages
 
 @dataclass(frozen=True)
 class Batch(Stepwise):
-    """stage: that is asked; one that looks at `trials`. read: points are extracted
-    where trials have frames alone. again: also where points are stored. first: stages
-    that make a trial where none are stored; none if some must be.
+    """A stage on all trials.
+
+    Parameters
+    ----------
+    stage : str
+        Stage that takes `trials`.
+    read : bool
+        Extract points of trials that have only frames.
+    again : bool
+        Extract points again where they are stored.
+    first : tuple of str
+        Stages that make a trial if none are stored; empty if stored ones are required.
     """
 
     stage: str
@@ -72,8 +81,12 @@ class Batch(Stepwise):
     def begin_history(
         self, experiment: Experiment, executor: Executor
     ) -> tuple[History, TrialSet]:
-        """All trials, stored, or one performed for it, and the history in which they
-        were read. Raises DataError where they cannot be used.
+        """Return the history and the trials: the stored ones, or one performed now.
+
+        Raises
+        ------
+        DataError
+            If they cannot be used.
         """
         if experiment.config["trials"] is None:
             history = History(executor)

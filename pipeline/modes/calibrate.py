@@ -1,6 +1,4 @@
-"""A calibration: pictures taken of a board, the camera measured, camera.yaml and the
-page in the run's folder.
-"""
+"""Calibrate the camera from pictures of a board; write camera.yaml and the page."""
 
 from __future__ import annotations
 
@@ -35,9 +33,7 @@ HOLD_REQUEST = "Hold the board still in the plane of motion."
 
 @dataclass(frozen=True)
 class Calibrate(Mode):
-    """Pictures of the board tilted in all directions, and of one held in the plane of
-    motion, of whatever source.
-    """
+    """Calibration from pictures of a tilted board and of one in the plane of motion."""
 
     def check(self, experiment: Experiment) -> None:
         refuse_trials(experiment)
@@ -48,8 +44,12 @@ class Calibrate(Mode):
     def perform(
         self, experiment: Experiment, folder: Path, console: Terminal
     ) -> RunResult:
-        """Calibrate, write the page, then raise UserError for a calibration that cannot
-        be used.
+        """Calibrate and write the page, then refuse an unusable calibration.
+
+        Raises
+        ------
+        UserError
+            If the calibration cannot be used.
         """
         stage = stages()["calibrate"]
         board = build_dataclass(
@@ -88,9 +88,7 @@ class Calibrate(Mode):
 def take_pictures(
     experiment: Experiment, name: str, ask: str, console: Terminal
 ) -> list[object]:
-    """The pictures of one of the sources, as configured. ask: request to the user
-    before a live camera films.
-    """
+    """Return the pictures of a source, after a request to the user of a live camera."""
     source: Source = build_chosen(
         experiment.config[name], name, f"conf/source, as {name}"
     )
@@ -98,7 +96,7 @@ def take_pictures(
 
 
 def ask_user(words: str, console: Terminal) -> None:
-    """Tell a person what to do before a live camera, and wait until it can film."""
+    """Ask the user to prepare the live camera's view, and wait."""
     try:
         console.input(f"{escape(words)} Press Enter. ")
     except EOFError as error:

@@ -1,4 +1,4 @@
-"""Cast until the real tip is in the box or the budget is spent (II-A)."""
+"""Cast until the measured tip hits the box or the budget is spent (II-A)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,13 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Cast(Stepwise):
-    """stages: of each cast, in their order."""
+    """Repeated casts.
+
+    Parameters
+    ----------
+    stages : tuple of str
+        Stages of each cast, in order.
+    """
 
     stages: tuple[str, ...]
 
@@ -44,7 +50,7 @@ class Cast(Stepwise):
         executor: Executor,
         before: Sequence[Iteration] = (),
     ) -> RunResult:
-        """Cast until a trial hits. before: casts made already, which count."""
+        """Cast until a trial hits; earlier casts count."""
         history = History(executor, [*before])
         by = require_allowed(
             experiment.config["execute"]["_target_"], "execute", "config.json"
@@ -103,9 +109,7 @@ def refuse_unknown_stages(names: Sequence[str]) -> None:
 def trials_for_estimation(
     experiment: Experiment, iterations: Sequence[Iteration]
 ) -> TrialSet:
-    """The trials that can be trusted and that an estimation looks at: the last ones, or
-    all.
-    """
+    """Return the trusted trials that an estimation uses: the last ones, or all."""
     seen = [i for i in iterations if "points" in i.artifacts and not i.refusal_reason]
     used = experiment.config["trials_used"]
     last = seen if used == ALL_TRIALS else seen[-used:]
@@ -116,7 +120,7 @@ def trials_for_estimation(
 
 
 def log_fit(iteration: Iteration) -> None:
-    """Note how an estimation went, if there was one."""
+    """Log the result of an estimation, if there was one."""
     if "estimate" not in iteration.artifacts:
         return
     fit = iteration.artifacts["estimate"].fit.iloc[0]
@@ -126,7 +130,7 @@ def log_fit(iteration: Iteration) -> None:
 
 
 def cast_outcome(iterations: Sequence[Iteration]) -> str:
-    """The outcome of the casts in a sentence."""
+    """Describe the outcome of the casts in a sentence."""
     last = iterations[-1]
     if last.has_hit:
         return f"The tip reached the target in cast {last.number}."
@@ -135,9 +139,7 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
 
 
 def dry_run_outcome(iteration: Iteration) -> str:
-    """The result of a dry run: how the link carries the ticks, and whether the string
-    can be read.
-    """
+    """Describe a dry run: the delays of the link, and how often the string was read."""
     link, read = (
         iteration.artifacts["trial"].link.iloc[0],
         iteration.artifacts["points"].readings["valid"],

@@ -1,6 +1,4 @@
-"""The diagnosis of stored trials; where the arm may move, of those that decide between
-look-alikes, too.
-"""
+"""Diagnose stored trials, and perform motions that distinguish candidate causes."""
 
 from __future__ import annotations
 
@@ -21,9 +19,12 @@ from stringcast.pipeline.settings.stage_registry import stages
 
 @dataclass(frozen=True)
 class Diagnose(Batch):
-    """While look-alikes are left that a motion tells apart, that motion is performed,
-    and diagnosed with all the others. motions: performed at most; with 0, the first is
-    left for another run.
+    """Diagnosis that is repeated with motions that distinguish candidate causes.
+
+    Parameters
+    ----------
+    motions : int
+        Largest number of performed motions; with 0 the first is left for another run.
     """
 
     motions: int
@@ -61,7 +62,7 @@ class Diagnose(Batch):
 
 
 def perform_proposed_motion(history: History, trials: TrialSet) -> TrialSet:
-    """Perform the motion that was proposed; what was seen joins the other trials."""
+    """Perform the proposed motion and add its trial to the others."""
     for name in ("execute", "extract"):
         history.make_artifact(name)
     current = history.iterations[-1]

@@ -1,4 +1,4 @@
-"""Estimation alone, from stored trials."""
+"""Estimate the string from stored trials."""
 
 from __future__ import annotations
 
@@ -25,12 +25,15 @@ from stringcast.pipeline.run.result import RunResult
 
 @dataclass(frozen=True)
 class Estimate(Stepwise):
-    """Each trial in turn, beginning with the estimate of the one before it, or all at
-    once (`trials_used=all`).
+    """Estimation from one trial after another, or from all (`trials_used=all`).
 
-    Trials that dataset.yaml holds out are not estimated from: what the last estimate
-    predicts of each comes after. again: points are extracted also where they are
-    stored.
+    Each estimation starts at the estimate before. The last estimate predicts the trials
+    that dataset.yaml holds out.
+
+    Parameters
+    ----------
+    again : bool
+        Extract points again where they are stored.
     """
 
     again: bool
@@ -73,7 +76,7 @@ class Estimate(Stepwise):
 
 
 def estimation_outcome(iterations: Sequence[Iteration], data: dataset.Dataset) -> str:
-    """The result of an estimation from stored trials, in a sentence or three."""
+    """Describe the result of an estimation from stored trials."""
     estimates = [
         i.artifacts["estimate"] for i in iterations if "estimate" in i.artifacts
     ]

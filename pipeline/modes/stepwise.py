@@ -1,6 +1,4 @@
-"""A run that is made of steps, each kept in its folder: it can be gone on with,
-verified and asked what is stale.
-"""
+"""Perform runs of stored steps, which can be continued, verified and compared."""
 
 from __future__ import annotations
 
@@ -22,20 +20,23 @@ from stringcast.stages.execute.interfaces import HardwareError
 
 
 class Stepwise(Mode):
-    """A mode whose steps an executor makes or looks up."""
+    """A mode whose steps an executor makes or reads."""
 
     @abstractmethod
     def run_steps(
         self, experiment: Experiment, folder: Path, executor: Executor
     ) -> RunResult:
-        """All steps in their order. folder: the run's."""
+        """Run all steps in order, in the folder of the run."""
 
     def perform(
         self, experiment: Experiment, folder: Path, console: Terminal
     ) -> RunResult:
-        """Make the steps, the report, and at last run.json, whose presence says that
-        all is there. Raises KeyboardInterrupt instead of that where a step was
-        interrupted, and ended with what it knew.
+        """Run the steps, write the report, and last run.json, which marks completion.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            Instead of writing run.json, if a step was interrupted.
         """
         if self.moves_arm(experiment.config) and not (folder / SUMMARY_FILE).exists():
             check_devices(experiment)
@@ -61,9 +62,7 @@ class Stepwise(Mode):
 
 
 def check_devices(experiment: Experiment) -> None:
-    """Open arm and camera before anything is planned for them. Raises HardwareError
-    with all that is wrong of both.
-    """
+    """Open arm and camera before planning, or raise HardwareError with all faults."""
     lab = experiment.lab(1)
     faults = []
     for device in (lab.arm, lab.camera):
@@ -77,7 +76,7 @@ def check_devices(experiment: Experiment) -> None:
 
 
 def require_trials(experiment: Experiment) -> None:
-    """Raise UserError where no stored trials are named."""
+    """Raise UserError without the setting `trials`."""
     if experiment.config["trials"] is None:
         raise UserError(
             "trials = null: this mode looks at stored trials. Give trials=<folder>, or another mode."
@@ -85,7 +84,7 @@ def require_trials(experiment: Experiment) -> None:
 
 
 def refuse_trials(experiment: Experiment) -> None:
-    """Raise UserError where stored trials are named."""
+    """Raise UserError if the setting `trials` is given."""
     if experiment.config["trials"] is not None:
         trials = experiment.config["trials"]
         raise UserError(

@@ -1,4 +1,4 @@
-"""Stored trials, ours or anybody's, as a run begins with them."""
+"""Read stored trials, of a run or of a dataset, for a new run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stringcast.stages.check.measured import CheckedDataset
 
 
 def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
-    """Stored trials that fit this string; raises DataError where there are none."""
+    """Read the stored trials that fit the string, or raise DataError without any."""
     trials = experiment.config["trials"]
     read = dataset.read_dataset(Path(trials))
     refuse_errors(
@@ -34,7 +34,7 @@ def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
 
 
 def held_out_trials(data: dataset.Dataset) -> tuple[str, ...]:
-    """Trials that dataset.yaml sets aside."""
+    """Return the names of the trials that dataset.yaml holds out."""
     return tuple(
         name
         for name, about in data.metadata.get("trials", {}).items()
@@ -43,9 +43,7 @@ def held_out_trials(data: dataset.Dataset) -> tuple[str, ...]:
 
 
 def history_of_dataset(data: dataset.Dataset, executor: Executor) -> History:
-    """The history of a run that begins with stored trials; it notes the content of each
-    of their files.
-    """
+    """Return the history of a run of stored trials, with the hashes of their files."""
     hashes = {
         (data.folder / name).as_posix(): digest for name, digest in data.hashes.items()
     }
@@ -55,10 +53,9 @@ def history_of_dataset(data: dataset.Dataset, executor: Executor) -> History:
 def read_points(
     history: History, data: dataset.Dataset, name: str, again: bool
 ) -> Observation:
-    """A trial with its points, in an iteration of its own. They are extracted from its
-    frames where none are stored.
+    """Return a trial with its points, in an iteration of its own.
 
-    again: also where there are.
+    Points are extracted from frames if none are stored, or if `again` is true.
     """
     stored, film = data.trials[name], data.films.get(name)
     if film is None or not (stored.points.empty or again):
@@ -72,5 +69,5 @@ def read_points(
 
 
 def describe_rejected(rejected: Mapping[str, str]) -> str:
-    """Trials that cannot be used, each with its reason."""
+    """List the rejected trials with their reasons."""
     return "; ".join(f"{name}: {reason}" for name, reason in rejected.items())

@@ -1,4 +1,4 @@
-"""The iterations of a run, and the steps of which each is made."""
+"""Hold the iterations of a run and the steps of which each consists."""
 
 from __future__ import annotations
 
@@ -19,9 +19,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Step:
-    """A stage to be run in an iteration, from 1. inputs: artifacts, by name. places:
-    where those lie that this run made, relative to its folder. hashes: of the content
-    of files elsewhere, by path.
+    """A stage that runs in an iteration.
+
+    Parameters
+    ----------
+    stage : StageSpec
+        The stage.
+    number : int
+        Number of the iteration, from 1.
+    inputs : mapping
+        Artifacts by name.
+    input_folders : tuple of Path
+        Folders of the inputs that this run made, relative to its folder.
+    file_hashes : mapping
+        Content hashes of files elsewhere, by path.
     """
 
     stage: StageSpec
@@ -32,20 +43,31 @@ class Step:
 
     @property
     def folder(self) -> Path:
-        """The folder of its artifact, relative to the run's."""
+        """Folder of the artifact, relative to that of the run."""
         return artifact_folder(self.number, self.stage.folder)
 
     def derive_seed(self, seed: int) -> int:
-        """A seed of its own. seed: the run's."""
+        """Derive the seed of the step from that of the run."""
         text = f"{seed}/{self.number}/{self.stage.name}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
 
 
 @dataclass(frozen=True)
 class Iteration:
-    """One manipulation. done: artifacts that its steps made, given: those that it began
-    with, by name. verdict: whether the tip hit. trial: name of its trial, if it is not
-    to be called by its number.
+    """One cast, or one stored trial, of a run.
+
+    Parameters
+    ----------
+    number : int
+        Number from 1.
+    artifacts : dict
+        Artifacts that the steps made, by name.
+    verdict : HitResult, optional
+        Whether the tip hit.
+    custom_trial_name : str
+        Name of the trial, if it is not derived from the number.
+    given_artifacts : dict
+        Artifacts with which the iteration began, by name.
     """
 
     number: int
@@ -56,7 +78,7 @@ class Iteration:
 
     @property
     def trial_name(self) -> str:
-        """Name of its trial."""
+        """Name of the trial."""
         return self.custom_trial_name or f"t{self.number:02d}"
 
     @property
@@ -76,7 +98,7 @@ class Iteration:
 
     @property
     def observation(self) -> Observation:
-        """The trial as estimation sees it."""
+        """Trial in the form that estimation takes."""
         trial, points = self.artifacts["trial"], self.artifacts["points"]
         return Observation(
             self.trial_name, points.points, points.readings, points.masks, arm=trial.arm
@@ -84,21 +106,21 @@ class Iteration:
 
 
 class Executor(Protocol):
-    """The source of the artifacts of steps: a run makes and keeps them
-    (`pipeline.run.run_folder`), `verify` computes them again, `why` asks what has
-    changed.
+    """Source of the artifacts of steps.
+
+    A run makes and stores them, `verify` computes them again, `why` looks for changes.
     """
 
     def obtain(self, step: Step) -> Any:
-        """The artifact of a step."""
+        """Return the artifact of a step."""
 
     def publish(self, iterations: list[Iteration]) -> None:
-        """Take note that a cast is whole; called after each."""
+        """Publish the trials so far; called after each complete cast."""
 
 
 @dataclass
 class History:
-    """The iterations of a run so far. hashes: of the content of stored trials, by path."""
+    """Iterations of a run so far, with content hashes of stored trials by path."""
 
     executor: Executor
     iterations: list[Iteration] = field(default_factory=list)
@@ -121,8 +143,19 @@ class History:
         return self.iterations[-1]
 
     def make_artifact(self, name: str, **given: Any) -> Any:
-        """The artifact of a stage in the last iteration. given: artifacts that no stage
-        makes, such as `trials`. Raises TypeError for an input of another kind.
+        """Run a stage in the last iteration and return its artifact.
+
+        Parameters
+        ----------
+        name : str
+            Name of the stage.
+        **given : object
+            Artifacts that no stage makes, such as `trials`.
+
+        Raises
+        ------
+        TypeError
+            For an input of a wrong type.
         """
         current, stage = self.iterations[-1], stages()[name]
         current.given_artifacts.update(given)
