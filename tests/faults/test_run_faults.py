@@ -138,7 +138,7 @@ def test_a_run_that_fails_says_why_and_does_not_pass_for_ended(tmp_path):
 HOLDER = """
 import sys, time; sys.path.insert(0, {root!r})
 from pathlib import Path
-from stringcast.pipeline import run_folder
+from stringcast.pipeline.run import run_folder
 with run_folder.alone(Path({folder!r})):
     print("held", flush=True)
     time.sleep(60)
@@ -219,7 +219,7 @@ def test_a_run_of_which_nothing_was_made_can_be_refused_and_forgotten(tmp_path):
 HOLDING = """
 import sys
 from pathlib import Path
-from stringcast.pipeline import run_folder
+from stringcast.pipeline.run import run_folder
 with run_folder.alone(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
