@@ -97,5 +97,7 @@ def estimate(
         tried.append(chi)
         rates.append(rate)
         progress((number + 1) / generations)
-    found = Candidates("CMA-ES", np.concatenate(tried), np.concatenate(rates))
-    return build_search_estimate(targets, before, found, seed)
+    tried_candidates = Candidates(
+        "CMA-ES", np.concatenate(tried), np.concatenate(rates)
+    )
+    return build_search_estimate(targets, before, tried_candidates, seed)

@@ -93,8 +93,8 @@ def estimate(
     trials = tuple(target.trial for target in targets)
     likelihood = Likelihood(TrialData(trials), model)
     chosen = screen_candidates(likelihood, tried, starts)
-    found = search_parameters(likelihood, chosen, iterations, progress)
-    likelihood, best = refine_solution(likelihood, found)
+    best = search_parameters(likelihood, chosen, iterations, progress)
+    likelihood, best = refine_solution(likelihood, best)
 
     pairs = zip(targets, likelihood.data.trials, strict=True)
     targets = [replace(target, trial=trial) for target, trial in pairs]

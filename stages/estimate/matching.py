@@ -48,7 +48,7 @@ class Matching:
 
 @dataclass(frozen=True)
 class MatchingTarget:
-    """What simulated strings are matched with in one trial.
+    """The images and points of a trial that simulated strings are matched with.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class MatchingTarget:
         """Compute E_f of candidates (C, P), (C, F); NaN where a run was rejected."""
         rates = np.full((len(values), len(self.windows)), np.nan)
         for chunk, motion in self.trial.simulate(values):
-            found = frame_matching_rates(
+            rate = frame_matching_rates(
                 self.trial.model.camera.pixels(motion.points),
                 self.scores,
                 self.windows,
@@ -88,7 +88,7 @@ class MatchingTarget:
                 float(self.matching.dilations),
                 self.weights,
             )
-            rates[chunk] = np.where(motion.finite[:, None], found, np.nan)
+            rates[chunk] = np.where(motion.finite[:, None], rate, np.nan)
         return rates
 
 
@@ -117,7 +117,7 @@ def matching_rate(targets: Sequence[MatchingTarget], chi: np.ndarray) -> np.ndar
     """
     values = parameter_values(targets[0].trial.model.parameters, chi)
     rates = [target.rates_by_frame(values) for target in targets]
-    return np.concatenate(rates, axis=1).mean(axis=1)
+    return np.asarray(np.concatenate(rates, axis=1).mean(axis=1))
 
 
 def frame_matching_rates(

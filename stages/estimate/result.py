@@ -214,7 +214,11 @@ def describe_undetermined(
     """Name the parameters that the data cannot determine; `clear` if there are none."""
     if determined.all():
         return clear
-    loose = [parameter_label(parameters[i]) for i in np.flatnonzero(~determined)]
+    loose = [
+        parameter_label(parameter)
+        for parameter, known in zip(parameters, determined, strict=True)
+        if not known
+    ]
     why = "other values fit as well, or the best lies at the end of the range"
     return f"This data cannot determine {', '.join(loose)}: {why}."
 

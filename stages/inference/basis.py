@@ -46,14 +46,13 @@ def time_splines(times: np.ndarray, every: float = KNOT_SPACING_S) -> csr_array:
 def place_functions(s: np.ndarray, length: float) -> np.ndarray:
     """Evaluate functions that are zero at the grasp at arc lengths (n,) [m], (n, K).
 
-    length: of the string [m]. K: PLACES.
+    length: of the string [m]. K: PLACE_FUNCTIONS.
     """
     places = length * np.arange(1, PLACE_FUNCTIONS + 1) / PLACE_FUNCTIONS
 
     def squared_exponential(gap: np.ndarray) -> np.ndarray:
-        return np.asarray(
-            np.exp(-0.5 * (gap / (PLACE_CORRELATION_SHARE * length)) ** 2)
-        )
+        scaled = gap / (PLACE_CORRELATION_SHARE * length)
+        return np.asarray(np.exp(-0.5 * scaled**2))
 
     return nystrom_root(s, places, squared_exponential) * (s / length)[:, None]
 

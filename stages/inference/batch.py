@@ -144,8 +144,8 @@ def _simulate_batch(
     reported = []
     strings = np.split(motion.points, len(cases))
     for trial, lane, points in zip(cases, lanes, strings, strict=True):
-        own = points[:, : lane.times.shape[-1]]
-        reported.append(model.observed_points(own, values, trial.times))
+        kept = points[:, : lane.times.shape[-1]]
+        reported.append(model.observed_points(kept, values, trial.times))
     return reported
 
 

@@ -55,7 +55,7 @@ class Covariance:
     def correlation(self) -> np.ndarray:
         """The correlation of the exponents, (P, P)."""
         deviation = np.sqrt(np.diag(self.matrix))
-        return self.matrix / np.outer(deviation, deviation)
+        return np.asarray(self.matrix / np.outer(deviation, deviation))
 
     @property
     def half_width_95(self) -> np.ndarray:

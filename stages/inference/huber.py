@@ -26,4 +26,4 @@ def huber_weights(residual: np.ndarray, limit: float) -> np.ndarray:
     They are 1 within the limit and less beyond it.
     """
     size = np.maximum(np.abs(residual), np.finfo(float).tiny)
-    return np.minimum(1.0, limit / size)
+    return np.asarray(np.minimum(1.0, limit / size))

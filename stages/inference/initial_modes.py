@@ -59,9 +59,8 @@ def refine_initial_state(
     if ready.initial_state is None:
         return ready
     early = ready.cut_after(ready.times[0] + span)
-    residual = _residuals_at_amplitudes(early, values, initial_amplitudes(ready)[None])[
-        0
-    ]
+    amplitudes = initial_amplitudes(ready)[None]
+    residual = _residuals_at_amplitudes(early, values, amplitudes)[0]
     noise = float(mad_sigma(residual)) + 1e-12
     if not np.isfinite(noise):
         return ready
@@ -90,9 +89,8 @@ def fit_initial_state(
     limit
         Standard deviations from which a residual counts less.
     """
-    problem = _InitialStateProblem(
-        seen, values, initial_state_parameters(ready.model.string), white, limit
-    )
+    parameters = initial_state_parameters(ready.model.string)
+    problem = _InitialStateProblem(seen, values, parameters, white, limit)
     start = parameter_exponents(problem.parameters, initial_amplitudes(ready))
     best = fit_least_squares(problem, start[None]).chi[0]
     return with_initial_amplitudes(ready, parameter_values(problem.parameters, best))
@@ -189,13 +187,13 @@ def with_initial_amplitudes(ready: PreparedTrial, to: np.ndarray) -> PreparedTri
     more = amplitudes - ready.mode_amplitudes
     wave = (np.arange(INITIAL_MODES)[:, None] + 0.5) * np.pi * state.s / length
     shapes = np.sin(wave)
-    begun = replace(
+    moved_state = replace(
         state,
         angle=state.angle + SHAPE_MODE_SIGMA_RAD * more[..., :INITIAL_MODES] @ shapes,
         rate=state.rate + RATE_MODE_SIGMA_RAD_S * more[..., INITIAL_MODES:] @ shapes,
         memory_reversal=LET_BACK_SIGMA * to[..., 2 * INITIAL_MODES :].sum(axis=-1),
     )
-    return replace(ready, initial_state=begun, mode_amplitudes=amplitudes)
+    return replace(ready, initial_state=moved_state, mode_amplitudes=amplitudes)
 
 
 def _residuals_at_amplitudes(
@@ -231,20 +229,17 @@ def with_initial_states_at(data: TrialData, fit: Fit) -> TrialData:
     """Restart trials in the most likely initial states, with the modes about those."""
     if all(trial.initial_state is None for trial in data.trials):
         return data
-    begun = trials_with_reestimated_start(data, fit)
-    columns = initial_mode_columns(
-        begun, parameter_values(fit.hypothesis.parameters, fit.chi[None])[0]
-    )
+    values = parameter_values(fit.hypothesis.parameters, fit.chi[None])[0]
+    started = trials_with_reestimated_start(data, fit)
+    columns = initial_mode_columns(started, values)
     trials = []
-    for trial, start, shapes in zip(data.trials, begun, columns, strict=True):
+    for trial, start, shapes in zip(data.trials, started, columns, strict=True):
         discrepancy = trial.discrepancy
         plain = reset_initial_state_linear(trial, -discrepancy.nuisance_shapes)
-        restarted = reset_initial_state_linear(
-            replace(start, points=plain.points), shapes
-        )
-        updated = discrepancy.replace_leading_nuisance(
-            shapes, len(initial_amplitudes(trial))
-        )
+        centred = replace(start, points=plain.points)
+        restarted = reset_initial_state_linear(centred, shapes)
+        count = len(initial_amplitudes(trial))
+        updated = discrepancy.replace_leading_nuisance(shapes, count)
         trials.append(replace(restarted, error_model=updated))
     return replace(data, trials=tuple(trials))
 

@@ -213,7 +213,8 @@ def _straight_line_angles(
     step = np.diff(line, axis=0)
     directions = np.arctan2(step[:, 1], step[:, 0])
     angles = np.unwrap(np.concatenate([pose[2:], directions]))[1:]
-    return np.interp(_piece_middles(length), (ends[1:] + ends[:-1]) / 2, angles)
+    middles = (ends[1:] + ends[:-1]) / 2
+    return np.asarray(np.interp(_piece_middles(length), middles, angles))
 
 
 def _fit_turning_rates(
@@ -234,7 +235,7 @@ def _fit_turning_rates(
         walk, evidence = _random_walk_posterior(slope, offset, sigma, size, hinge)
         if evidence > highest:
             best, highest = walk, evidence
-    return rate[2] + best
+    return np.asarray(rate[2] + best)
 
 
 def _random_walk_posterior(
@@ -274,10 +275,11 @@ def _length_before(s: np.ndarray, length: float) -> np.ndarray:
     piece = length / CURVE_PIECES
     before = np.clip(s[:, None] - piece * np.arange(CURVE_PIECES), 0.0, piece)
     before[:, -1] += np.maximum(s - length, 0.0)
-    return before
+    return np.asarray(before)
 
 
 def _place_slopes(s: np.ndarray, angle: np.ndarray, length: float) -> np.ndarray:
     """Compute how places move as the pieces turn, (2 M, PIECES) [m/rad]."""
     across = np.stack([-np.sin(angle), np.cos(angle)])
-    return (_length_before(s, length)[:, None] * across).reshape(-1, CURVE_PIECES)
+    slopes = _length_before(s, length)[:, None] * across
+    return np.asarray(slopes.reshape(-1, CURVE_PIECES))

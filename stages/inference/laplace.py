@@ -112,9 +112,8 @@ def fit_hypothesis(
     enough
         A step that gains less of the log-likelihood ends its turn.
     """
-    return evaluate_fit(
-        data, hypothesis, best_exponents(data, hypothesis, starts, sizes, enough)
-    )
+    chi = best_exponents(data, hypothesis, starts, sizes, enough)
+    return evaluate_fit(data, hypothesis, chi)
 
 
 def best_exponents(
@@ -124,7 +123,7 @@ def best_exponents(
     sizes: np.ndarray,
     enough: float = solver.MIN_GAIN,
 ) -> np.ndarray:
-    """Find the exponents (P,) of a fit. Parameters: as of `fitted`."""
+    """Find the exponents (P,) of a fit. Parameters as of `fit_hypothesis`."""
     data, model = data.for_hypothesis(hypothesis), hypothesis.model
 
     def likelihood() -> Likelihood:
@@ -238,18 +237,15 @@ def sample_discrepancy_tip_rms(
 ) -> np.ndarray:
     """Draw discrepancies given the data, and compute their size at each tip.
 
-    Returns root mean squares [m], (K, DRAWS).
+    Returns root mean squares [m], (K, DISCREPANCY_DRAWS).
     """
     data = data.for_hypothesis(fit.hypothesis)
     draws = []
     for number, trial in enumerate(data.trials):
         residual, size = fit.residuals[number], int(fit.scale_indices[number])
         coefficients = trial.discrepancy.coefficients(residual[None])[0]
-        draws.append(
-            trial.discrepancy.sample_posterior(
-                coefficients, size, DISCREPANCY_DRAWS, rng
-            )
-        )
+        sample = trial.discrepancy.sample_posterior
+        draws.append(sample(coefficients, size, DISCREPANCY_DRAWS, rng))
     return data.tip_rms_by_trial(draws)
 
 
@@ -261,8 +257,7 @@ def _residual_slopes(
     sizes: np.ndarray,
     more: np.ndarray,
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Difference each trial's residuals (2 n,) by the exponents (P,), as the solver
-    does.
+    """Difference each trial's residuals (2 n,) by the exponents (P,).
 
     Returns slopes (P, 2 n), and residuals (A, 2 n) at more exponents (A, P): further
     lanes of a batch cost little.
@@ -278,7 +273,6 @@ def _residual_slopes(
             lost = (moved == DIVERGED_RESIDUAL) | (residual == DIVERGED_RESIDUAL)
             slopes.append(np.where(lost, 0.0, moved - residual) / offset[:, None])
             others.append(rows[len(chi) :])
-        width = solver.difference_widths(data.whiten(slopes, sizes)[None], np.ones(1))[
-            0
-        ]
+        white = data.whiten(slopes, sizes)[None]
+        width = solver.difference_widths(white, np.ones(1))[0]
     return slopes, others

@@ -67,7 +67,8 @@ class Likelihood:
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Compute white residuals of candidates (C, P), (C, N).
 
-        Those of the prior come last. In a trial that diverged they are LOST.
+        Those of the prior come last. In a trial that diverged they are
+        DIVERGED_RESIDUAL.
         """
         prior = np.sqrt(PRIOR_PRECISION) * (chi[:, list(self.uniform_indices)] - 0.5)
         return np.concatenate([*self.residuals_by_trial(chi), prior], axis=1)
@@ -89,9 +90,8 @@ class Likelihood:
         trials = []
         for trial in self.data.trials:
             second_frame = trial.times[:2][-1]
-            trials.append(
-                trial.cut_after(max(_motion_onset(trial) + seconds, second_frame))
-            )
+            last = max(_motion_onset(trial) + seconds, second_frame)
+            trials.append(trial.cut_after(last))
         return self.with_trials(trials)
 
     def with_trials(self, trials: Sequence[PreparedTrial]) -> Likelihood:

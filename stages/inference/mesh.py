@@ -20,17 +20,16 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 
 MIN_SEGMENTS = 10  # segments: with fewer the string's second bend is lost
-REFERENCE_REFINEMENT = (
-    4  # times finer stands for the limit: of second order, 1/16 of the error is left
-)
+# times finer stands for the limit: of second order, 1/16 of the error is left
+REFERENCE_REFINEMENT = 4
 
 
 def mesh_ladder(likelihood: Likelihood) -> list[Likelihood]:
     """List the same trials on coarser and coarser meshes, the given one first."""
-    found = [likelihood]
-    while found[-1].model.string.points - 1 >= 2 * MIN_SEGMENTS - 1:
-        found.append(_likelihood_on_mesh(likelihood, 0.5 ** len(found)))
-    return found
+    ladder = [likelihood]
+    while ladder[-1].model.string.points - 1 >= 2 * MIN_SEGMENTS - 1:
+        ladder.append(_likelihood_on_mesh(likelihood, 0.5 ** len(ladder)))
+    return ladder
 
 
 def discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
@@ -39,20 +38,20 @@ def discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
     Returns the root mean square at the measured points [m]; NaN where that diverges.
     """
     values = parameter_values(likelihood.parameters, chi[None])
-    distance = _simulated_points(likelihood, values) - _simulated_points(
-        _likelihood_on_mesh(likelihood, REFERENCE_REFINEMENT), values
-    )
+    reference = _likelihood_on_mesh(likelihood, REFERENCE_REFINEMENT)
+    coarse = _simulated_points(likelihood, values)
+    distance = coarse - _simulated_points(reference, values)
     return float(np.sqrt(np.mean(np.sum(distance**2, axis=-1))))
 
 
 def _simulated_points(likelihood: Likelihood, values: np.ndarray) -> np.ndarray:
-    """Simulate one candidate (1, P) at the measured points of all trials, (N, 2) [m]."""
+    """Simulate one candidate (1, P) at all measured points, (N, 2) [m]."""
     trials = likelihood.data.trials
     strings = simulate_trials(likelihood.model, trials, values)
-    pairs = zip(trials, strings, strict=True)
-    return np.concatenate(
-        [trial.sample_at_points(points)[0] for trial, points in pairs]
-    )
+    sampled = []
+    for trial, points in zip(trials, strings, strict=True):
+        sampled.append(trial.sample_at_points(points)[0])
+    return np.concatenate(sampled)
 
 
 def refine_mesh(
@@ -65,9 +64,8 @@ def refine_mesh(
     string = model.string
     segments = round(times * (string.points - 1) + 1e-9)
     step = string.largest_step / times
-    finer = replace(
-        model, string=replace(string, points=segments + 1, largest_step=step)
-    )
+    finer_string = replace(string, points=segments + 1, largest_step=step)
+    finer = replace(model, string=finer_string)
     return finer, tuple(replace(trial, model=finer) for trial in trials)
 
 

@@ -37,9 +37,8 @@ class MeshCorrection:
     def centred_at(self, known: Mapping[str, float]) -> MeshCorrection:
         """Move the point to other exponents, known by name."""
         pairs = zip(self.parameter_names, self.chi, strict=True)
-        return replace(
-            self, chi=np.array([known.get(name, chi) for name, chi in pairs])
-        )
+        moved = [known.get(name, chi) for name, chi in pairs]
+        return replace(self, chi=np.array(moved))
 
     def subset(self, chosen: Sequence[int]) -> MeshCorrection:
         """Select some of the trials by number."""
@@ -55,9 +54,6 @@ class MeshCorrection:
         """
         known = [i for i, name in enumerate(self.parameter_names) if name in names]
         places = [names.index(self.parameter_names[i]) for i in known]
-        distance = np.clip(
-            chi[:, places] - self.chi[known],
-            -MESH_CORRECTION_RADIUS,
-            MESH_CORRECTION_RADIUS,
-        )
+        radius = MESH_CORRECTION_RADIUS
+        distance = np.clip(chi[:, places] - self.chi[known], -radius, radius)
         return [distance @ slope[known] for slope in self.slopes]

@@ -70,10 +70,9 @@ class Noise:
 
         root = np.linalg.cholesky(self.place_covariance).T
         by_place = filtered.reshape(frames, PLACE_FUNCTIONS, -1)
-        mixed = np.einsum("ki,fij->fkj", root, by_place).reshape(
-            frames * PLACE_FUNCTIONS, -1
-        )
-        return np.asarray(mixed.T @ mixed)
+        mixed = np.einsum("ki,fij->fkj", root, by_place)
+        rows = mixed.reshape(frames * PLACE_FUNCTIONS, -1)
+        return np.asarray(rows.T @ rows)
 
 
 WHITE_NOISE = Noise(np.eye(PLACE_FUNCTIONS), 0.0)
@@ -122,23 +121,24 @@ def fit_noise_model(tracks: Sequence[NoiseTrack]) -> Noise:
 
     Misfit of a model looks like more noise, never like less.
     """
-    quiet = sorted(
-        tracks, key=lambda each: _most_likely_noise([each]).variance_of_means
-    )
-    return _most_likely_noise(quiet[: len(tracks) // 2 + 1])
+    levels = [_most_likely_noise([track]).variance_of_means for track in tracks]
+    order = np.argsort(levels, kind="stable")
+    quiet = [tracks[k] for k in order[: len(tracks) // 2 + 1]]
+    return _most_likely_noise(quiet)
 
 
 def _most_likely_noise(tracks: Sequence[NoiseTrack]) -> Noise:
     """Maximise the restricted likelihood of some trials together.
 
-    Their noise is white before they speak, which counts as much as PLACES frames.
+    The prior is white noise, and counts as much as PLACE_FUNCTIONS frames.
     """
 
     def cost(before: float) -> float:
         return -_restricted_likelihood(tracks, before)[0]
 
-    found = minimize_scalar(cost, bounds=(0.0, MAX_FRAME_CORRELATION), method="bounded")
-    return Noise(_restricted_likelihood(tracks, found.x)[1], float(found.x))
+    bounds = (0.0, MAX_FRAME_CORRELATION)
+    best = minimize_scalar(cost, bounds=bounds, method="bounded").x
+    return Noise(_restricted_likelihood(tracks, best)[1], float(best))
 
 
 def _restricted_likelihood(
@@ -150,9 +150,9 @@ def _restricted_likelihood(
     """
     scatter = PLACE_FUNCTIONS * np.eye(PLACE_FUNCTIONS)
     degrees, log_volume = PLACE_FUNCTIONS, 0.0
-    for each in tracks:
-        smooth = _innovations(each.time_splines, before)
-        noisy = _innovations(each.place_residuals, before)
+    for track in tracks:
+        smooth = _innovations(track.time_splines, before)
+        noisy = _innovations(track.place_residuals, before)
         q, r = np.linalg.qr(smooth)
         diagonal = np.abs(np.diag(r))
         kept = diagonal > np.sqrt(RANK_TOLERANCE) * np.abs(r).max()

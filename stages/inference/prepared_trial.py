@@ -110,7 +110,7 @@ class PreparedTrial:
     def sample_at_points(self, points: np.ndarray) -> np.ndarray:
         """Interpolate strings (C, F, n, 2) at the measured points, (C, N, 2) [m]."""
         position = self.s / self.model.string.segment_length
-        return interpolate_measurements(points, self.frame, position)
+        return np.asarray(interpolate_measurements(points, self.frame, position))
 
     def cut_after(self, last: float) -> PreparedTrial:
         """Cut the trial after a time [s]."""
@@ -122,7 +122,7 @@ class PreparedTrial:
         return replace(kept, times=self.times[:frames])
 
     def select_points(self, kept: np.ndarray) -> PreparedTrial:
-        """Select points (N,). An error model is that of a whole trial, and is dropped."""
+        """Select points by a mask (N,), and drop the error model of the whole trial."""
         return replace(
             self,
             frame=self.frame[kept],

@@ -49,7 +49,7 @@ MIN_SCALE = 1e-9  # of the noise: exact data have a residual, too
 def screen_candidates(
     likelihood: Likelihood, chi: np.ndarray, count: int
 ) -> np.ndarray:
-    """Choose the best candidates (C, P) at the first horizon, best first, (count, P)."""
+    """Choose the best candidates (C, P) at the first horizon, best first."""
     ahead = horizons(likelihood)
     first = _mesh_of_each_horizon(likelihood, len(ahead))[0].cut_after_onset(ahead[0])
     misfit = np.mean(first.residuals(chi) ** 2, axis=1)
@@ -57,7 +57,7 @@ def screen_candidates(
 
 
 def horizons(likelihood: Likelihood) -> list[float]:
-    """List the horizons [s] that are fitted one after the other; the last is infinite."""
+    """List the horizons [s] that are fitted in turn, the last of them infinite."""
     spans, rate = [], 0.0
     for trial in likelihood.data.trials:
         span = max(float(np.ptp(trial.times)), MIN_SCALE)
@@ -65,10 +65,11 @@ def horizons(likelihood: Likelihood) -> list[float]:
         spans.append(span)
     length = likelihood.model.string.length
     swing = FIRST_HORIZON * np.sqrt(length / GRAVITY_M_S2)
-    found = [max(swing, MIN_NUMBERS_PER_PARAMETER * len(likelihood.parameters) / rate)]
-    while found[-1] * HORIZON_GROWTH < WHOLE_TRIAL_SHARE * max(spans):
-        found.append(found[-1] * HORIZON_GROWTH)
-    return [*found, np.inf]
+    enough = MIN_NUMBERS_PER_PARAMETER * len(likelihood.parameters) / rate
+    ahead = [max(swing, enough)]
+    while ahead[-1] * HORIZON_GROWTH < WHOLE_TRIAL_SHARE * max(spans):
+        ahead.append(ahead[-1] * HORIZON_GROWTH)
+    return [*ahead, np.inf]
 
 
 def search_parameters(
@@ -88,15 +89,14 @@ def search_parameters(
     """
     chi, ahead = starts, horizons(likelihood)
     meshes = _mesh_of_each_horizon(likelihood, len(ahead))
-    each = max(most // max(len(ahead) - 1, 1), 1)
+    iterations = max(most // max(len(ahead) - 1, 1), 1)
     for number, (horizon, mesh) in enumerate(zip(ahead, meshes, strict=True)):
         part = with_estimated_noise(mesh.cut_after_onset(horizon), chi[0])
-        fits = fit_least_squares(
-            part, chi, each if np.isfinite(horizon) else MAX_ITERATIONS
-        )
+        limit = iterations if np.isfinite(horizon) else MAX_ITERATIONS
+        fits = fit_least_squares(part, chi, limit)
         chi = fits.chi[_survivors(fits.residual, fits.loss)]
         progress((number + 1) / len(ahead))
-    return chi[0]
+    return np.asarray(chi[0])
 
 
 def _mesh_of_each_horizon(likelihood: Likelihood, count: int) -> list[Likelihood]:
@@ -115,9 +115,8 @@ def _survivors(residual: np.ndarray, loss: np.ndarray) -> list[int]:
     order = np.argsort(loss, kind="stable")
     for run in order[: max(len(loss) // 2, MIN_FINALISTS)]:
         distances = [np.mean((residual[run] - residual[other]) ** 2) for other in kept]
-        if all(
-            distance > SAME_PLACE_TOLERANCE**2 * loss[run] for distance in distances
-        ):
+        nearest = np.min(distances, initial=np.inf)
+        if nearest > SAME_PLACE_TOLERANCE**2 * loss[run]:
             kept.append(int(run))
     return kept
 
@@ -132,9 +131,8 @@ def refine_solution(
     """
     likelihood = with_refined_initial_states(likelihood, chi, INITIAL_SPAN_S)
     for number in range(MAX_REFINEMENT_ROUNDS):
-        best = fit_least_squares(likelihood, chi[None], enough=REFINEMENT_MIN_GAIN).chi[
-            0
-        ]
+        fits = fit_least_squares(likelihood, chi[None], enough=REFINEMENT_MIN_GAIN)
+        best = fits.chi[0]
         updated = with_refined_initial_states(likelihood, best)
         before, after = np.log(likelihood.noise_scales), np.log(updated.noise_scales)
         gain = np.mean(before) - np.mean(after)
@@ -156,18 +154,15 @@ def with_refined_initial_states(
     trials = [
         refine_initial_state(trial, values, span) for trial in likelihood.data.trials
     ]
-    return replace(
-        with_estimated_noise(likelihood.with_trials(trials), chi), limit=HUBER_LIMIT
-    )
+    refined = with_estimated_noise(likelihood.with_trials(trials), chi)
+    return replace(refined, limit=HUBER_LIMIT)
 
 
 def with_estimated_noise(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
     """Estimate each trial's noise from its residual at parameters (P,).
 
-    What other initial states could explain then counts for little. Each trial has a
-    scale of its own, because a model misfits some trials more than others, and these
-    must not pay for it: with one scale for four trials, two of which a hardening bends,
-    a search ended 2.5 to 20 noises off; with four scales 1 to 9.
+    What other initial states could explain then counts for little. Each trial has its
+    own scale: a model misfits some trials more than others.
     """
     trials = [replace(t, error_model=UNIT_ERRORS) for t in likelihood.data.trials]
     plain = likelihood.with_trials(trials)

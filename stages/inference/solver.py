@@ -62,7 +62,7 @@ SMALLEST_FLOAT = float(np.finfo(float).tiny)
 
 
 class Problem(Protocol):
-    """A least-squares problem."""
+    """The interface of a least-squares problem that the solver can minimise."""
 
     @property
     def parameters(self) -> Sequence[Parameter]:
@@ -73,7 +73,10 @@ class Problem(Protocol):
         """The size from which a residual counts less (Huber), or infinite."""
 
     def residuals(self, chi: np.ndarray) -> np.ndarray:
-        """Compute white residuals (C, N) of candidates (C, P); LOST if diverged."""
+        """Compute white residuals (C, N) of candidates (C, P).
+
+        They are DIVERGED_RESIDUAL where a run diverged.
+        """
 
 
 @dataclass
@@ -160,8 +163,7 @@ def forward_differences(
 ) -> np.ndarray:
     """Difference the residuals (K, N) at chi (K, P) over widths (K, P), (K, P, N).
 
-    Differences point away from the nearer bound. Where a residual is LOST they are
-    zero.
+    Differences point away from the nearer bound. Those of diverged runs are zero.
     """
     count, size = chi.shape
     offset = np.where(chi > 0.5, -width, width)
@@ -180,7 +182,7 @@ def difference_widths(slope: np.ndarray, left: np.ndarray) -> np.ndarray:
     size = np.sqrt(np.mean(slope**2, axis=-1))
     wanted = DIFFERENCE_SHARE * np.sqrt(left)[:, None]
     width = wanted / np.maximum(size, wanted / MAX_DIFFERENCE + SMALLEST_FLOAT)
-    return np.clip(width, MIN_DIFFERENCE, MAX_DIFFERENCE)
+    return np.asarray(np.clip(width, MIN_DIFFERENCE, MAX_DIFFERENCE))
 
 
 def _linearise_runs(problem: Problem, fits: SolverRuns, runs: np.ndarray) -> None:
@@ -200,7 +202,7 @@ def _linearise_runs(problem: Problem, fits: SolverRuns, runs: np.ndarray) -> Non
 def _step_runs(
     problem: Problem, fits: SolverRuns, active: np.ndarray, enough: float
 ) -> None:
-    """Move each active run to the best of its trial steps, if that is an improvement."""
+    """Move each active run to the best of its trial steps, if that improves it."""
     points = np.stack([_trial_points(problem.parameters, fits, run) for run in active])
     residuals = problem.residuals(points.reshape(-1, points.shape[-1]))
     residuals = residuals.reshape(*points.shape[:2], -1)
@@ -211,20 +213,16 @@ def _step_runs(
         ratio = fits.loss[run] / max(lowest, SMALLEST_FLOAT)
         gain = 0.5 * residuals.shape[-1] * np.log(ratio)
         improved = gain > 0
+        factor = DAMPING_INCREASE
         if improved:
             fits.chi[run] = points[number, best]
             fits.residual[run] = residuals[number, best]
             fits.loss[run] = lowest
-        factor = (
-            DAMPING_FACTORS[best % len(DAMPING_FACTORS)]
-            if improved
-            else DAMPING_INCREASE
-        )
-        fits.damping[run] = max(fits.damping[run] * factor, MIN_DAMPING)
+            factor = DAMPING_FACTORS[best % len(DAMPING_FACTORS)]
+        damping = max(fits.damping[run] * factor, MIN_DAMPING)
+        fits.damping[run] = damping
         fits.stale[run] = improved
-        fits.active[run] = (
-            gain > enough if improved else fits.damping[run] < MAX_DAMPING
-        )
+        fits.active[run] = gain > enough if improved else damping < MAX_DAMPING
 
 
 def _trial_points(
@@ -255,7 +253,7 @@ def _trial_points(
         in_exponents.append(chi + minimise_in_box(damped, gradient, low, high))
         step = minimise_in_box(damped, gradient, low_in_values, high_in_values)
         in_values.append(parameter_exponents(parameters, value + slope * step))
-    return np.clip([*in_exponents, *in_values], 0.0, 1.0)
+    return np.asarray(np.clip([*in_exponents, *in_values], 0.0, 1.0))
 
 
 def minimise_in_box(

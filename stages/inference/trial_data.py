@@ -91,9 +91,8 @@ class TrialData:
         """
         if name not in self.random_effects:
             return 0.0
-        return float(
-            self.overall_tip_rms([shapes.T for shapes in self.random_effects[name]])[0]
-        )
+        displacements = [shapes.T for shapes in self.random_effects[name]]
+        return float(self.overall_tip_rms(displacements)[0])
 
     def subset(self, chosen: Sequence[int]) -> TrialData:
         """Select some of the trials by number."""
@@ -101,17 +100,16 @@ class TrialData:
         varying = {}
         for name, shapes in self.random_effects.items():
             varying[name] = tuple(shapes[k] for k in chosen)
-        return TrialData(
-            trials,
-            varying,
-            self.mesh_correction and self.mesh_correction.subset(chosen),
-        )
+        correction = self.mesh_correction
+        if correction is not None:
+            correction = correction.subset(chosen)
+        return TrialData(trials, varying, correction)
 
     def residuals(self, model: Model, chi: np.ndarray) -> list[np.ndarray]:
         """Compute simulated less measured over sigma of each trial, (C, 2 n).
 
-        A run that diverged is LOST throughout. A single candidate that was simulated a
-        moment ago is looked up: a fit ends where the next begins.
+        A run that diverged is DIVERGED_RESIDUAL throughout. A single candidate that
+        was simulated a moment ago is looked up: a fit ends where the next begins.
 
         chi: exponents, (C, P).
         """
@@ -119,16 +117,13 @@ class TrialData:
             cached = self._residual_cache.find(model, chi[0])
             if cached is not None:
                 return cached
-        residuals = normalised_residuals(
-            model, self.trials, parameter_values(model.parameters, chi)
-        )
-        residuals = [
-            np.nan_to_num(residual, nan=DIVERGED_RESIDUAL) for residual in residuals
-        ]
+        values = parameter_values(model.parameters, chi)
+        residuals = []
+        for residual in normalised_residuals(model, self.trials, values):
+            residuals.append(np.nan_to_num(residual, nan=DIVERGED_RESIDUAL))
         if self.mesh_correction is not None:
-            for k, change in enumerate(
-                self.mesh_correction.correction_at(model.names, chi)
-            ):
+            changes = self.mesh_correction.correction_at(model.names, chi)
+            for k, change in enumerate(changes):
                 lost = residuals[k] == DIVERGED_RESIDUAL
                 residuals[k] = np.where(lost, DIVERGED_RESIDUAL, residuals[k] + change)
         self._residual_cache.store(model, chi, residuals)
@@ -187,9 +182,8 @@ class TrialData:
         by_trial = []
         for trial, displacement in zip(self.trials, displacements, strict=True):
             points = displacement.reshape(*displacement.shape[:-1], len(trial.s), 2)
-            at_tip = (
-                points.compress(trial.is_tip, axis=-2) * trial.sigma[trial.is_tip, None]
-            )
+            is_tip = trial.is_tip
+            at_tip = points.compress(is_tip, axis=-2) * trial.sigma[is_tip, None]
             squares = np.sum(at_tip**2, axis=-1)
             by_trial.append(np.sqrt(np.mean(squares, axis=-1)))
         return np.array(by_trial)

@@ -35,7 +35,8 @@ class LowRankWhitening:
     def __call__(self, residual: np.ndarray) -> np.ndarray:
         """Whiten the residuals of candidates (C, N)."""
         along = np.einsum("cn,nm->cm", residual, self.basis)
-        return residual - np.einsum("cm,nm->cn", self.removed_share * along, self.basis)
+        removed = np.einsum("cm,nm->cn", self.removed_share * along, self.basis)
+        return np.asarray(residual - removed)
 
 
 @dataclass(frozen=True)
@@ -63,11 +64,9 @@ class IndependentErrors:
 
     @cached_property
     def _low_rank(self) -> LowRankWhitening | None:
-        return (
-            None
-            if self.nuisance is None
-            else LowRankWhitening.from_columns(self.nuisance / self.scale)
-        )
+        if self.nuisance is None:
+            return None
+        return LowRankWhitening.from_columns(self.nuisance / self.scale)
 
 
 UNIT_ERRORS = IndependentErrors()

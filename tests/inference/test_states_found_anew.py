@@ -32,7 +32,8 @@ def trial(arm, camera):
     """A string let go, seen at eleven places."""
     t, seen = released(TURN, PLACES["eleven"], 200, NOISE)
     return prepare_trial(
-        Model(STRING, arm, camera), observed(t, seen, PLACES["eleven"], starts_moving=True)
+        Model(STRING, arm, camera),
+        observed(t, seen, PLACES["eleven"], starts_moving=True),
     )
 
 
@@ -79,5 +80,5 @@ def test_a_state_far_off_is_found_from_how_the_string_moves(trial, hypothesis, t
 
 
 def test_what_begins_at_rest_stays_as_it_is(trial, hypothesis, true):
-    data = attach_discrepancy_model([replace(trial, initial=None)], hypothesis, true)
+    data = attach_discrepancy_model([replace(trial, initial_state=None)], hypothesis, true)
     assert with_initial_states_at(data, evaluate_fit(data, hypothesis, true)) is data

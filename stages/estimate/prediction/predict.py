@@ -127,7 +127,7 @@ def resting_part(trial: PreparedTrial) -> PreparedTrial | None:
 
 @dataclass(frozen=True)
 class _RestProblem:
-    """Some parameters of a string at rest as the solver's problem.
+    """The fit of some parameters to a string at rest, posed to the solver.
 
     Parameters
     ----------
@@ -159,4 +159,4 @@ class _RestProblem:
         """Compute simulated less measured over sigma, (C, 2 N)."""
         values = self.full_values(chi)
         residuals = normalised_residuals(self.trial.model, [self.trial], values)
-        return np.nan_to_num(residuals[0], nan=DIVERGED_RESIDUAL)
+        return np.asarray(np.nan_to_num(residuals[0], nan=DIVERGED_RESIDUAL))
