@@ -293,7 +293,7 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(
                 "source=video",
                 "source.path=film.mp4",
             ],
-            r"Error: source.path = film.mp4 \(.*\): there is no such film. Name one that is there",
+            r"Error: source.path = film.mp4 \(.*\): there is no such film. Give its path",
         ),
         (
             [
@@ -302,7 +302,7 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(
                 "source.folder=data",
                 "plane.folder=flat",
             ],
-            r"plane.folder = flat \(.*\): there is no such folder of images. Name one",
+            r"plane.folder = flat \(.*\): there is no such folder of images. Give its path",
         ),
     ],
 )
