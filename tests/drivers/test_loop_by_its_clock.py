@@ -222,7 +222,8 @@ def test_an_answer_to_nothing_and_one_that_comes_twice_change_nothing(now):
         ),
     )
     loop._record_answer(
-        log, SimpleNamespace(number=77, clock=9.0, hold_reason="no", angles=(9.0, 9.0, 9.0))
+        log,
+        SimpleNamespace(number=77, clock=9.0, hold_reason="no", angles=(9.0, 9.0, 9.0)),
     )
     assert (log.acknowledged == before).all()
     assert (log.last_answered, log.hold_reason) == (4, "")
@@ -235,7 +236,10 @@ def test_an_answer_that_was_overtaken_is_kept_but_is_not_the_latest(now):
         loop._record_answer(
             log,
             SimpleNamespace(
-                number=number, clock=0.1 * number, hold_reason="", angles=(0.1 * number,) * 3
+                number=number,
+                clock=0.1 * number,
+                hold_reason="",
+                angles=(0.1 * number,) * 3,
             ),
         )
     assert log.last_answered == 2
@@ -274,7 +278,9 @@ def test_a_link_is_tried_fifty_times_and_its_median_counts(now):
         if good:
             with link:
                 np.testing.assert_allclose(
-                    np.sort(link.round_trips_s), np.sort(np.resize(trips, 50)), atol=1e-5
+                    np.sort(link.round_trips_s),
+                    np.sort(np.resize(trips, 50)),
+                    atol=1e-5,
                 )
         else:
             said = r"a round trip takes 2\.1 ms \(99 %: 2\.1, longest: 2\.1 ms\), allowed are 2\.0"
@@ -440,13 +446,19 @@ def test_the_speed_may_be_reached_and_not_more(joint, sign):
 
 def test_the_acceleration_may_be_reached_and_not_more():
     change = (
-        np.abs(np.diff(ARM.commanded_velocities(swinging_angles(0.5)), axis=0, prepend=0.0)).max()
+        np.abs(
+            np.diff(ARM.commanded_velocities(swinging_angles(0.5)), axis=0, prepend=0.0)
+        ).max()
         / ARM.tick
     )
     for share, said in ((1.0005, ""), (1.0015, "arm.acceleration")):
-        found = refused({**ROOMY, "acceleration": (change / share,) * 3}, swinging_angles(0.5))
+        found = refused(
+            {**ROOMY, "acceleration": (change / share,) * 3}, swinging_angles(0.5)
+        )
         assert (found[0] if found else "") == said
-    late = np.concatenate([np.repeat(swinging_angles(0.5)[:1], 30, axis=0), swinging_angles(0.5)])
+    late = np.concatenate(
+        [np.repeat(swinging_angles(0.5)[:1], 30, axis=0), swinging_angles(0.5)]
+    )
     assert refused({**ROOMY, "acceleration": (change / 1.0015,) * 3}, late)[1] >= 0.150
 
 

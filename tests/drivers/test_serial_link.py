@@ -238,7 +238,9 @@ def test_killing_the_host_leaves_the_arm_at_rest(log, name):
 
 
 def test_a_host_of_another_version_is_refused(log, monkeypatch):
-    monkeypatch.setattr("stringcast.hardware.serial.wire.PROTOCOL_VERSION", PROTOCOL_VERSION + 1)
+    monkeypatch.setattr(
+        "stringcast.hardware.serial.wire.PROTOCOL_VERSION", PROTOCOL_VERSION + 1
+    )
     with (
         emulator(log) as port,
         pytest.raises(

@@ -131,7 +131,9 @@ def test_an_encoder_that_jumps_while_an_answer_is_lost_is_seen_all_the_same():
 def test_the_emergency_stop_sends_nothing_more_but_the_latch():
     wire = Script()
     arm = driver(wire)
-    wire.spoil = after(20, lambda answer: (arm.press_emergency_stop("button"), answer)[1])
+    wire.spoil = after(
+        20, lambda answer: (arm.press_emergency_stop("button"), answer)[1]
+    )
     with pytest.raises(HardwareError, match=r"emergency stop \(button\)"), arm:
         arm.perform(movement())
     assert len(wire.sent) == 21

@@ -107,7 +107,9 @@ def test_a_wrong_line_is_refused_and_would_be_accepted_without_the_quality_check
     films = [("cluttered wall", 3), ("arm's shadow", 2), ("drifting dust", 2)]
     checked = pd.concat([scored(cast, *one) for one in films])
     monkeypatch.setattr(
-        import_module("stringcast.stages.extract.extract"), "check_line", lambda *_: None
+        import_module("stringcast.stages.extract.extract"),
+        "check_line",
+        lambda *_: None,
     )
     believed = pd.concat([scored(cast, *one) for one in films])
     assert checked["read"].sum() >= 24

@@ -33,7 +33,8 @@ from tests.report.test_sweep_page import record as sweep_record
 from tests.report.test_sweep_page import swept
 
 pytestmark = pytest.mark.skipif(
-    find_chromium() is None, reason="NO CHROMIUM HERE: NO PAGE WAS OPENED. Install chromium."
+    find_chromium() is None,
+    reason="NO CHROMIUM HERE: NO PAGE WAS OPENED. Install chromium.",
 )
 ORIGIN = {"seed": 7, "code": {"commit": "0123456789abcdef"}}
 MEASURED = read_measurements(ROOT / "data" / "sample", [])
@@ -137,7 +138,10 @@ def texts(arm, camera):
     return {
         "cast": cast_page(
             record_of(
-                arm, camera, casts, next_commands=[("Again", "pipeline verify {here} <&>")]
+                arm,
+                camera,
+                casts,
+                next_commands=[("Again", "pipeline verify {here} <&>")],
             )
         ),
         "diagnosis": diagnosis_page(

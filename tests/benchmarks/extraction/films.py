@@ -13,15 +13,14 @@ from stringcast.hardware.virtual import Specimen, VirtualBench
 from stringcast.stages.extract.footage import Footage, footage_from_joints
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
+from tests.benchmarks.extraction.casts import draw_cast
 from tests.benchmarks.extraction.conditions import (
     Condition,
     Shot,
     film_shot,
     prepare_shot,
 )
-from tests.benchmarks.simulators.motions import random_cast
 
-HAND_SPEEDS_M_S = (1.5, 4.0)  # tips reach about three times that
 Extract = Callable[[Footage, Camera], Points]
 
 
@@ -51,11 +50,11 @@ def perform_cast(
     string: str, specimen: Specimen, arm: Arm, camera: Camera, frames: int, seed: int
 ) -> StagedCast:
     """Perform a random cast and choose `frames` moments of it, spread evenly."""
-    rng = np.random.default_rng([seed, 7])
-    speed = float(np.exp(rng.uniform(*np.log(HAND_SPEEDS_M_S))))
-    cast = random_cast(arm, rng, camera.fps, speed)
+    cast = draw_cast(arm, np.random.default_rng([seed, 7]), camera.fps)
+    motion = cast.motion
+    times = motion.start + motion.tick * np.arange(motion.angles.shape[1])
     bench = VirtualBench(
-        arm, camera, specimen, seed, performed_motion=(cast.fine, cast.angles)
+        arm, camera, specimen, seed, performed_motion=(times, motion.angles[0])
     )
     chosen = np.unique(np.linspace(0, len(cast.frames) - 1, frames).astype(int))
     angles = dict(zip(JOINTS, cast.reported.T, strict=True))
