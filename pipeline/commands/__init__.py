@@ -1,6 +1,4 @@
-"""Commands beside a run itself: `python -m pipeline <command> ...`; each has its own
---help.
-"""
+"""Commands beside a run itself: `python -m pipeline <command>`, each with --help."""
 
 from __future__ import annotations
 
@@ -32,69 +30,59 @@ PROVENANCE_COMMANDS = frozenset({"verify", "why", "diff", "lineage"})
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser of a command's arguments whose errors are one line, as everywhere."""
+    """Parser of a command's arguments that reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:
         """Raise UserError with what is wrong and how to see the help."""
-        plain = message.removeprefix("the following ").replace(
-            "arguments are required", "it needs"
-        )
-        raise UserError(f"{self.prog.split()[-1]}: {plain}. Try: {self.prog} --help")
+        plain = message.removeprefix("the following ")
+        plain = plain.replace("arguments are required", "it needs")
+        command = self.prog.split()[-1]
+        raise UserError(f"{command}: {plain}. Try: {self.prog} --help")
 
 
 def parse_paths(
     command: Callable[[list[str]], int], arguments: list[str], **meanings: str
 ) -> list[Path]:
-    """The paths that a command is given, one for each of `meanings`: the help by the
-    name that it shows.
+    """Return the paths that a command is given.
+
+    `meanings` holds the help for each path, by the name that the help shows.
     """
-    parser = CommandParser(
-        f"python -m pipeline {command.__name__}", description=command.__doc__
-    )
+    program = f"python -m pipeline {command.__name__}"
+    parser = CommandParser(program, description=command.__doc__)
     for name, meaning in meanings.items():
         parser.add_argument(name, type=Path, help=meaning)
-    return [*vars(parser.parse_args(arguments)).values()]
+    return list(vars(parser.parse_args(arguments)).values())
 
 
 def load_command(name: str) -> Callable[[list[str]], int]:
-    """A command, from the words behind its name to the exit status. It is loaded now:
-    some draw, which takes a second to load, and neither a run nor the help needs any.
+    """Import a command, which takes the words after its name and returns the status.
+
+    Some commands draw and take a second to import; runs and the help need none.
     """
-    module = import_module(f"stringcast.pipeline.commands.{module_name_of(name)}")
-    main: Callable[[list[str]], int] = getattr(
-        module, name if name in PROVENANCE_COMMANDS else "main"
-    )
-    return main
+    module = import_module(f"{__name__}.{module_name_of(name)}")
+    function = name if name in PROVENANCE_COMMANDS else "main"
+    command: Callable[[list[str]], int] = getattr(module, function)
+    return command
 
 
 def command_list() -> str:
-    """The commands, a line each, for the help: the first of a command's description,
-    without loading the command.
-    """
+    """Return a line of help for each command, without importing any."""
+    folder = Path(__file__).parent
     lines = []
     for name in COMMAND_NAMES:
-        tree = ast.parse(
-            Path(__file__)
-            .with_name(f"{module_name_of(name)}.py")
-            .read_text(encoding="utf-8")
-        )
-        functions = {
-            node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)
-        }
-        described = (
-            ast.get_docstring(functions[name] if name in PROVENANCE_COMMANDS else tree)
-            or ""
-        )
-        lines.append(f"  {name:<8} {described.splitlines()[0]}")
+        source = folder / f"{module_name_of(name)}.py"
+        tree = ast.parse(source.read_text(encoding="utf-8"))
+        described: ast.Module | ast.FunctionDef = tree
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef) and node.name == name:
+                described = node
+        description = ast.get_docstring(described) or ""
+        lines.append(f"  {name:<8} {description.splitlines()[0]}")
     return "\n".join(lines)
 
 
 def module_name_of(name: str) -> str:
-    """A command's module: Python keeps some names for itself."""
-    return (
-        "provenance"
-        if name in PROVENANCE_COMMANDS
-        else f"{name}_"
-        if iskeyword(name)
-        else name
-    )
+    """Return the name of a command's module, which must not be a Python keyword."""
+    if name in PROVENANCE_COMMANDS:
+        return "provenance"
+    return f"{name}_" if iskeyword(name) else name

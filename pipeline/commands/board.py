@@ -14,65 +14,56 @@ from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.calibrate.board import Board
 
-INCH_M = 0.0254  # [m]
-MARGIN_M = 0.008  # [m] white, which the outer markers need, and most printers too
-RULER_M = 0.1  # [m]
-# pixels of a square: a multiple of a marker's cells and its border
-PIXELS_PER_MARKER_CELLS = 7 * 4
+INCH_M = 0.0254
+MARGIN_M = 0.008  # white border, which the outer markers and most printers need
+RULER_M = 0.1
+# pixels of a marker: a multiple of its 7 cells, the border included
+PIXELS_PER_MARKER = 7 * 4 * 4
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Draw the board as configured; the exit status."""
+    """Draw the configured board and return the exit status 0."""
     parser = CommandParser(
         "python -m pipeline board", description=__doc__, allow_abbrev=False
     )
     parser.add_argument("file", type=Path, help="PDF to write")
-    parser.add_argument(
-        "settings",
-        nargs="*",
-        help="as for a run, such as board=a1 or board.square=0.03",
-    )
-    asked = parser.parse_args(arguments)
-    board = build_dataclass(
-        Board, compose_settings(asked.settings)["board"], "board", "conf/board"
-    )
-    asked.file.parent.mkdir(parents=True, exist_ok=True)
-    asked.file.write_bytes(board_page(board))
+    settings_help = "as for a run, such as board=a1 or board.square=0.03"
+    parser.add_argument("settings", nargs="*", help=settings_help)
+    options = parser.parse_args(arguments)
+    settings = compose_settings(options.settings)["board"]
+    board = build_dataclass(Board, settings, "board", "conf/board")
+
+    options.file.parent.mkdir(parents=True, exist_ok=True)
+    options.file.write_bytes(board_page(board))
     width, height = board.size * 1e3
-    Terminal(stderr=True).print(
-        f"{asked.file}: {width:.1f} x {height:.1f} mm. Print it at 100 %, glue it on something flat, measure ten "
-        f"squares and give a tenth of that in metres as board.square if it is not {board.square:g}.",
-        soft_wrap=True,
+    Terminal(stderr=True).print_line(
+        f"{options.file}: {width:.1f} x {height:.1f} mm. Print it at 100 %, glue it on "
+        "something flat, measure ten squares and give a tenth of that in metres as "
+        f"board.square if it is not {board.square:g}."
     )
     return 0
 
 
 def board_page(board: Board) -> bytes:
-    """A PDF of one page: the pattern, and a ruler by which to see whether the printer
-    scaled it.
-    """
-    width, height = (board.size + 2 * MARGIN_M) / INCH_M
-    figure = Figure(figsize=(width, height + 2 * MARGIN_M / INCH_M))
+    """Return a PDF of one page: the pattern, and a ruler that shows the true scale."""
+    width, height = board.size
+    figure_width = (width + 2 * MARGIN_M) / INCH_M
+    figure_height = (height + 2 * MARGIN_M) / INCH_M + 2 * MARGIN_M / INCH_M
+    figure = Figure(figsize=(figure_width, figure_height))
     axes = figure.add_axes((0, 0, 1, 1))
-    axes.set(
-        xlim=(-MARGIN_M, board.size[0] + MARGIN_M),
-        ylim=(-3 * MARGIN_M, board.size[1] + MARGIN_M),
-    )
+    axes.set_xlim(-MARGIN_M, width + MARGIN_M)
+    axes.set_ylim(-3 * MARGIN_M, height + MARGIN_M)
     axes.axis("off")
-    pixels = board.image(
-        round(board.square / board.marker * PIXELS_PER_MARKER_CELLS * 4)
-    )
-    axes.imshow(
-        pixels,
-        cmap="gray",
-        interpolation="none",
-        extent=(0, board.size[0], 0, board.size[1]),
-    )
-    axes.plot(
-        [0, RULER_M], [-1.6 * MARGIN_M] * 2, color="black", lw=0.5, marker="|", ms=8
-    )
-    words = f"100 mm · squares {board.square * 1e3:g} mm, markers {board.marker * 1e3:g} mm, {board.dictionary}"
-    axes.text(0, -2.5 * MARGIN_M, words, fontsize=7)
+
+    pixels = board.image(round(board.square / board.marker * PIXELS_PER_MARKER))
+    extent = (0, width, 0, height)
+    axes.imshow(pixels, cmap="gray", interpolation="none", extent=extent)
+    ruler_y = [-1.6 * MARGIN_M] * 2
+    axes.plot([0, RULER_M], ruler_y, color="black", lw=0.5, marker="|", ms=8)
+    sizes = f"squares {board.square * 1e3:g} mm, markers {board.marker * 1e3:g} mm"
+    caption = f"100 mm · {sizes}, {board.dictionary}"
+    axes.text(0, -2.5 * MARGIN_M, caption, fontsize=7)
+
     page = io.BytesIO()
     figure.savefig(page, format="pdf", metadata={"CreationDate": None})
     return page.getvalue()

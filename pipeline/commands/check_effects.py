@@ -1,5 +1,6 @@
-"""`check --effects`: from which size on each effect would be found in trials. Apart, as
-it takes seconds to load.
+"""`check --effects`: the size from which a diagnosis would find each effect.
+
+A module of its own, as it takes seconds to import.
 """
 
 from __future__ import annotations
@@ -29,75 +30,90 @@ from stringcast.stages.model.library import effects_by_name
 
 
 def detectable_effects(folder: Path, overrides: Sequence[str]) -> list[dict[str, Any]]:
-    """What a diagnosis of a folder's trials with these settings could tell of each
-    effect, JSON-able, with a bar on the terminal meanwhile. Raises DataError or
-    UserError where there could be none.
+    """Return what a diagnosis of a folder's trials could find of each effect.
+
+    A bar on the terminal shows the progress.
+
+    Parameters
+    ----------
+    folder : Path
+        Measured data, or a run.
+    overrides : sequence of str
+        Settings as on the command line.
+
+    Returns
+    -------
+    list of dict
+        JSON-able rows, one for each size of an effect.
+
+    Raises
+    ------
+    DataError, UserError
+        If these trials cannot be diagnosed.
     """
-    config = OmegaConf.create(
-        {
-            **compose_settings(["+experiment=diagnose", *overrides]),
-            "trials": str(folder),
-        }
-    )
-    here = prepare_experiment(
+    settings = compose_settings(["+experiment=diagnose", *overrides])
+    config = OmegaConf.create(settings | {"trials": str(folder)})
+    experiment = prepare_experiment(
         inherit_settings(config, given_names(overrides)), lambda block: f"conf/{block}"
     )
-    data, asked = read_usable_trials(here), here.config["diagnose"]
-    asked_of = (
-        trial
-        for name, trial in data.trials.items()
-        if name not in held_out_trials(data)
-    )
-    seen, _ = usable_trials(
-        here.model, [trim_at_contact(trial, here.obstacles) for trial in asked_of]
-    )
-    if len(seen) < 2:
+    options = experiment.config["diagnose"]
+    data = read_usable_trials(experiment)
+    held_out = held_out_trials(data)
+    search_trials = []
+    for name, trial in data.trials.items():
+        if name not in held_out:
+            search_trials.append(trim_at_contact(trial, experiment.obstacles))
+    trials, _ = usable_trials(experiment.model, search_trials)
+    if len(trials) < 2:
         raise DataError(
             f"{folder}: causes are sought in two trials or more. Record more."
         )
+
     criteria = build_dataclass(
-        Criteria, asked["criteria"], "diagnose.criteria", "conf/diagnose"
+        Criteria, options["criteria"], "diagnose.criteria", "conf/diagnose"
     )
     with progress_bars(Terminal(stderr=True)) as bar, bar("effects") as progress:
-        rng = np.random.default_rng(here.seed)
-        ready = prepare_data(
-            here.model,
-            seen,
+        prepared = prepare_data(
+            experiment.model,
+            trials,
             criteria.tip_tolerance_m,
-            rng,
-            asked["starts"],
+            np.random.default_rng(experiment.seed),
+            options["starts"],
             lambda share: progress(0.7 * share),
         )
-        sought = candidate_effects(
-            ready.base_fit.hypothesis.model,
+        candidates = candidate_effects(
+            prepared.base_fit.hypothesis.model,
             effects_by_name(),
-            ready.data.trials,
-            asked["excluded_effects"],
+            prepared.data.trials,
+            options["excluded_effects"],
         )
-        told = detection_limits(
-            ready,
-            sought,
+        limits = detection_limits(
+            prepared,
+            candidates,
             criteria,
-            here.seed,
+            experiment.seed,
             lambda share: progress(0.7 + 0.3 * share),
         )
-    return [detection_row(each) for each in told]
+    return [detection_row(limit) for limit in limits]
 
 
-def detection_row(told: DetectionLimit) -> dict[str, Any]:
-    """A row as JSON has it; None for what no value of the range does."""
-    parameter = told.parameter
+def detection_row(limit: DetectionLimit) -> dict[str, Any]:
+    """Return a JSON-able row, with None where no value in the range is found."""
+    parameter = limit.parameter
     return {
-        "effect": told.effect.name,
+        "effect": limit.effect.name,
         "parameter": parameter.name,
         "meaning": parameter.meaning,
         "unit": parameter.unit,
-        "absent": told.absent_value,
-        "found_from": None if isnan(told.detectable_value) else told.detectable_value,
-        "tip_m": None
-        if isnan(told.detectable_tip_shift_m)
-        else told.detectable_tip_shift_m,
-        "most_tip_m": told.max_tip_shift_m,
-        "imitated": told.imitated_fraction,
-        "alike": list(told.lookalikes),
+        "absent": limit.absent_value,
+        "found_from": none_if_nan(limit.detectable_value),
+        "tip_m": none_if_nan(limit.detectable_tip_shift_m),
+        "most_tip_m": limit.max_tip_shift_m,
+        "imitated": limit.imitated_fraction,
+        "alike": list(limit.lookalikes),
     }
+
+
+def none_if_nan(value: float) -> float | None:
+    """Return a number, or None for NaN, which JSON lacks."""
+    return None if isnan(value) else value

@@ -1,6 +1,4 @@
-"""Write the string that a run found for other programs: a chain for MuJoCo, or a card
-of its parameters.
-"""
+"""Write the string of a run for other programs: a MuJoCo chain or a parameter table."""
 
 from __future__ import annotations
 
@@ -15,65 +13,72 @@ from stringcast.known import KnownString, experiment_for_call
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.settings.composition import UserError
 
-FILE_HELP = "by its ending, .xml: a chain of links as MJCF (MuJoCo, Playground, Isaac); .csv: parameters with units"
+RUN_HELP = "folder of a diagnosis, an estimation or casts; or an extended.yaml"
+FILE_HELP = (
+    "by its ending, .xml: a chain of links as MJCF (MuJoCo, Playground, Isaac); "
+    ".csv: parameters with units"
+)
+MASS_HELP = "of the string [kg], which its motion does not tell; for .xml"
+DEFAULT_STEP_S = 5e-4
+MAX_MASS_KG, MAX_STEP_S = 100, 0.1
 
 
 def main(arguments: list[str]) -> int:
-    """Write the file; the exit status."""
+    """Write the file and return the exit status 0."""
     parser = CommandParser("python -m pipeline export", description=__doc__)
-    parser.add_argument(
-        "run",
-        type=Path,
-        help="folder of a diagnosis, an estimation or casts; or an extended.yaml",
-    )
+    parser.add_argument("run", type=Path, help=RUN_HELP)
     parser.add_argument("file", type=Path, help=FILE_HELP)
-    parser.add_argument(
-        "--mass",
-        type=float,
-        help="of the string [kg], which its motion does not tell; for .xml",
-    )
-    parser.add_argument(
-        "--step", type=float, default=5e-4, help="of the simulation [s]; for .xml"
-    )
-    asked = parser.parse_args(arguments)
-    string, forms = (
-        KnownString.from_run(asked.run),
-        {".xml": mjcf_text, ".csv": parameter_card},
-    )
-    if asked.file.suffix not in forms:
-        raise UserError(
-            f"{asked.file}: its ending names no form. Give it .xml for MuJoCo, or .csv for a card."
-        )
-    text = forms[asked.file.suffix](string, asked)
-    asked.file.parent.mkdir(parents=True, exist_ok=True)
-    write_text(asked.file, text)
-    print(escape_control_characters(str(asked.file)))
+    parser.add_argument("--mass", type=float, help=MASS_HELP)
+    step_help = "of the simulation [s]; for .xml"
+    parser.add_argument("--step", type=float, default=DEFAULT_STEP_S, help=step_help)
+    options = parser.parse_args(arguments)
+    string = KnownString.from_run(options.run)
+    file: Path = options.file
+    if file.suffix == ".xml":
+        text = mjcf_text(string, options)
+    elif file.suffix == ".csv":
+        text = parameter_table(string)
+    else:
+        remedy = "Give it .xml for MuJoCo, or .csv for a table of parameters."
+        raise UserError(f"{file}: its ending names no format. {remedy}")
+
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_text(file, text)
+    print(escape_control_characters(str(file)))
     return 0
 
 
-def mjcf_text(string: KnownString, asked: argparse.Namespace) -> str:
-    """The chain. Raises UserError where the mass is not given or no mass."""
-    if asked.mass is None or not 0 < asked.mass < 100 or not 0 < asked.step < 0.1:
-        given = (
-            f"--mass {asked.mass}"
-            if asked.step == 5e-4
-            else f"--mass {asked.mass} --step {asked.step}"
-        )
+def mjcf_text(string: KnownString, options: argparse.Namespace) -> str:
+    """Return the string as MJCF; raise UserError unless mass and step are sensible."""
+    mass, step = options.mass, options.step
+    if mass is None or not 0 < mass < MAX_MASS_KG or not 0 < step < MAX_STEP_S:
+        given = f"--mass {mass}"
+        if step != DEFAULT_STEP_S:
+            given += f" --step {step}"
         raise UserError(
-            f"{given}: the string's mass must be given in kg, the step in s. Weigh it: --mass 0.012, say."
+            f"{given}: the string's mass must be given in kg, the step in s. "
+            "Weigh it: --mass 0.012, say."
         )
-    return string.mjcf(asked.mass, asked.step)
+    return string.mjcf(mass, step)
 
 
-def parameter_card(string: KnownString, asked: argparse.Namespace) -> str:
-    """A row for each parameter, with its 95 % interval where that is known: the paper's
-    per mass point at string.reference_points.
+def parameter_table(string: KnownString) -> str:
+    """Return CSV with a row for each parameter and its 95 % interval where known.
+
+    The paper's parameters are per mass point, at `string.reference_points` points.
     """
     model = experiment_for_call((), string).model
-    rows = [
-        {"name": p.name, "symbol": p.symbol, "value": p.start, "low": low, "high": high}
-        | {"unit": p.unit, "meaning": p.meaning}
-        for p in model.parameters
-        for low, high in [model.measured_ranges.get(p.name, (None, None))]
-    ]
+    rows = []
+    for parameter in model.parameters:
+        low, high = model.measured_ranges.get(parameter.name, (None, None))
+        row = {
+            "name": parameter.name,
+            "symbol": parameter.symbol,
+            "value": parameter.start,
+            "low": low,
+            "high": high,
+            "unit": parameter.unit,
+            "meaning": parameter.meaning,
+        }
+        rows.append(row)
     return pd.DataFrame(rows).to_csv(index=False)

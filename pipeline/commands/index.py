@@ -1,6 +1,4 @@
-"""List runs and how they ended, on the terminal, as a page, or as one Parquet or CSV
-file.
-"""
+"""List runs and how they ended; also as a page, or as one Parquet or CSV file."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from rich.progress import track
-from rich.table import Table as Printed
+from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from stringcast.data import store
@@ -38,10 +36,11 @@ RUNS_TABLE = Table(
         Column(
             "outcome",
             "",
-            "hit, missed, dry run, a diagnosis' verdict or estimated; empty before the end",
+            "hit, missed, dry run, estimated, or the verdict of a diagnosis; empty before "
+            "the end",
             "text",
         ),
-        Column("iterations", "1", "casts, or trials looked at", "int"),
+        Column("iterations", "1", "casts, or trials used", "int"),
         Column(
             "best_E", "1", "best matching rate E of its estimates; NaN if there is none"
         ),
@@ -52,14 +51,14 @@ RUNS_TABLE = Table(
         Column("said", "", "how it ended or why it stopped, in words", "text"),
     ),
 )
-# what files of another make raise where they are read
+# raised where files of other programs are read
 READ_ERRORS = (KeyError, TypeError, ValueError, AttributeError)
-# characters of a column, so that a row is one line of 80
+# characters, so that a row fits into 80 columns
 RUN_COLUMN_WIDTH, COLUMN_WIDTH = 38, 10
 
 
 def main(arguments: list[str]) -> int:
-    """List the runs of a folder; the exit status, 0 also where there is none."""
+    """List the runs of a folder and return the exit status 0, also without runs."""
     parser = CommandParser("python -m pipeline index", description=__doc__)
     parser.add_argument(
         "folder",
@@ -68,59 +67,53 @@ def main(arguments: list[str]) -> int:
         default=Path("outputs"),
         help="where runs are; default outputs",
     )
-    parser.add_argument(
-        "--to", type=Path, help="a .html, .parquet or .csv file to write the list to"
-    )
-    asked = parser.parse_args(arguments)
-    runs = list_runs(asked.folder)
-    if asked.to is not None:
-        write_runs(runs, asked.to, asked.folder)
+    to_help = "a .html, .parquet or .csv file to write the list to"
+    parser.add_argument("--to", type=Path, help=to_help)
+    options = parser.parse_args(arguments)
+    runs = list_runs(options.folder)
+    if options.to is not None:
+        write_runs(runs, options.to, options.folder)
     Terminal().print(printable_table(runs))
     return 0
 
 
 def list_runs(folder: Path) -> pd.DataFrame:
-    """Table RUNS of all runs in a folder, however deep. Raises UserError where there is
-    no such folder.
+    """Return table RUNS of all runs in a folder, however deep.
+
+    Raises
+    ------
+    UserError
+        If there is no such folder.
     """
     if not folder.is_dir():
         raise UserError(f"{folder}: there is no such folder. Name one that holds runs.")
-    found: list[Path] = []
+    runs: list[Path] = []
     for path in folder.rglob("config.json"):
-        text = (
-            path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
-        )
-        if '"mode"' in text:
-            found.append(path.parent)
-    shown = track(sorted(found), "index", console=Terminal(stderr=True), transient=True)
-    rows = [{"run": run.relative_to(folder).as_posix()} | run_row(run) for run in shown]
+        if path.is_file() and '"mode"' in path.read_text("utf-8", "replace"):
+            runs.append(path.parent)
+    console = Terminal(stderr=True)
+    rows = []
+    for run in track(sorted(runs), "index", console=console, transient=True):
+        rows.append({"run": run.relative_to(folder).as_posix()} | run_row(run))
     return RUNS_TABLE.check(pd.DataFrame(rows)) if rows else RUNS_TABLE.empty()
 
 
 def write_runs(runs: pd.DataFrame, to: Path, folder: Path) -> None:
-    """Write a table of runs as a page, Parquet or CSV, by the file's ending. folder:
-    that was listed.
-    """
+    """Write the list of a folder's runs as a page, Parquet or CSV, by its ending."""
     if to.suffix == ".csv":
         store.write_text(to, runs.to_csv(index=False))
     elif to.suffix == ".parquet":
         store.write_table(RUNS_TABLE, runs, to, {"step": "index"} | software_versions())
     elif to.suffix == ".html":
-        # which takes a second to load
+        # takes a second to import
         index_page = import_module("stringcast.stages.report.pages.index").index_page
-        own = [folder / run / "report.html" for run in runs["run"]]
-        links = [
-            Path(os.path.relpath(path, to.parent)).as_posix() if path.is_file() else ""
-            for path in own
-        ]
-        store.write_text(
-            to,
-            index_page(
-                runs.assign(page=links),
-                str(folder),
-                {"seed": "of each run"} | software_versions(),
-            ),
-        )
+        links = []
+        for run in runs["run"]:
+            page = folder / run / "report.html"
+            link = Path(os.path.relpath(page, to.parent)).as_posix()
+            links.append(link if page.is_file() else "")
+        origin = {"seed": "of each run"} | software_versions()
+        store.write_text(to, index_page(runs.assign(page=links), str(folder), origin))
     else:
         raise UserError(
             f"--to {to}: it must end in .html, .parquet or .csv. Change it."
@@ -128,24 +121,21 @@ def write_runs(runs: pd.DataFrame, to: Path, folder: Path) -> None:
 
 
 def run_row(run: Path) -> dict[str, Any]:
-    """One run. What is damaged does not stop the list: it says so."""
+    """Return the row of a run, which says what is wrong if the run is damaged."""
     try:
-        settings, end = read_json(run / "config.json"), run / SUMMARY_FILE
-        ended = read_json(end) if end.is_file() else {}
+        settings = read_json(run / "config.json")
         return {
             "experiment": str(settings["name"]),
-            **ending_columns(run, ended, settings),
+            **ending_columns(run, settings),
             **step_columns(run, settings),
         }
     except (DataError, *READ_ERRORS) as error:
-        nothing: dict[str, Any] = {
+        return {
             "experiment": "",
             "outcome": "",
             "date": "",
             "iterations": 0,
             "best_E": float("nan"),
-        }
-        return nothing | {
             "seconds": 0.0,
             "state": "damaged",
             "stale": "",
@@ -153,77 +143,71 @@ def run_row(run: Path) -> dict[str, Any]:
         }
 
 
-def printable_table(runs: pd.DataFrame) -> Printed:
-    """The list for people: how runs ended, or else in which state they are; `why` says
-    more of what is stale.
-    """
-    table = Printed(box=None, pad_edge=False)
-    table.add_column(
-        "run",
-        overflow="fold",
-        min_width=min(RUN_COLUMN_WIDTH, max(runs["run"].str.len(), default=0)),
-    )
-    for heading in ("ended as", "casts", "best E", "time [s]", "stale"):
-        table.add_column(
-            Text(heading),
-            justify="left" if heading == "ended as" else "right",
-            max_width=COLUMN_WIDTH,
-        )
-    for one in runs.itertuples(index=False):
-        best = "" if np.isnan(one.best_E) else f"{one.best_E:.3f}"
+def printable_table(runs: pd.DataFrame) -> TerminalTable:
+    """Return the list for the terminal: how runs ended, or else their states."""
+    table = TerminalTable(box=None, pad_edge=False)
+    run_width = max(runs["run"].str.len(), default=0)
+    table.add_column("run", overflow="fold", min_width=min(RUN_COLUMN_WIDTH, run_width))
+    table.add_column("ended as", max_width=COLUMN_WIDTH)
+    for heading in ("casts", "best E", "time [s]", "stale"):
+        table.add_column(Text(heading), justify="right", max_width=COLUMN_WIDTH)
+    for run in runs.itertuples(index=False):
         cells = (
-            one.run,
-            one.outcome or one.state,
-            str(one.iterations),
-            best,
-            f"{one.seconds:.0f}",
+            run.run,
+            run.outcome or run.state,
+            str(run.iterations),
+            "" if np.isnan(run.best_E) else f"{run.best_E:.3f}",
+            f"{run.seconds:.0f}",
+            "yes" if run.stale else "",
         )
-        table.add_row(*map(Text, (*cells, "yes" if one.stale else "")))
+        table.add_row(*map(Text, cells))
     return table
 
 
-def ending_columns(
-    run: Path, ended: dict[str, Any], settings: Mapping[str, Any]
-) -> dict[str, str]:
-    """State, outcome and words. settings: the run's."""
-    failed = run / FAILURE_FILE
-    if not ended:
-        said = failed.read_text(encoding="utf-8").strip() if failed.is_file() else ""
-        return {
-            "state": "failed" if said else "incomplete",
-            "outcome": "",
-            "said": said,
-        }
-    diagnosis, outcome = run / "diagnosis.json", "estimated"
-    if diagnosis.is_file():
-        outcome = read_json(diagnosis)["verdict"]
-    elif any("hit" in iteration for iteration in ended["iterations"]):
-        # without the arm, or with a slow one, nothing was thrown at the target at all
-        dry = settings["execute"]["_target_"] in DRY_RUNS
-        outcome = "dry run" if dry else "hit" if ended["hit"] else "missed"
-    return {"state": "ended", "outcome": outcome, "said": ended["sentence"]}
+def ending_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, str]:
+    """Return state, outcome and sentence of a run with these settings."""
+    summary_file, failure_file = run / SUMMARY_FILE, run / FAILURE_FILE
+    summary = read_json(summary_file) if summary_file.is_file() else {}
+    if not summary:
+        reason = ""
+        if failure_file.is_file():
+            reason = failure_file.read_text(encoding="utf-8").strip()
+        state = "failed" if reason else "incomplete"
+        return {"state": state, "outcome": "", "said": reason}
+
+    outcome = "estimated"
+    if (run / "diagnosis.json").is_file():
+        outcome = read_json(run / "diagnosis.json")["verdict"]
+    elif any("hit" in iteration for iteration in summary["iterations"]):
+        # without the arm, or with a slow one, nothing was thrown at the target
+        if settings["execute"]["_target_"] in DRY_RUNS:
+            outcome = "dry run"
+        else:
+            outcome = "hit" if summary["hit"] else "missed"
+    return {"state": "ended", "outcome": outcome, "said": summary["sentence"]}
 
 
 def step_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The row's columns from a run's steps: when, how long, how good, and whether they
-    are fresh.
-    """
+    """Return date, time spent, best matching rate and staleness of a run's steps."""
     steps = sorted({file.parent for file in run.glob("iterations/*/*/*.parquet")})
-    made = [store.read_origin(step).get("made", {}) for step in steps]
-    rates = [
-        float(store.read_table(ESTIMATION_SUMMARY, fit)["after"].iloc[0])
-        for fit in run.glob("iterations/*/estimate/fit.parquet")
-    ]
-    reasons = (
-        (step.relative_to(run).as_posix(), stale_reasons(run, step, settings))
-        for step in steps
-    )
+    origins = [store.read_origin(step).get("made", {}) for step in steps]
+    dates = [origin["at"] for origin in origins if origin]
+    seconds = [origin.get("seconds", 0.0) for origin in origins]
+    rates: list[float] = []
+    for file in run.glob("iterations/*/estimate/fit.parquet"):
+        summary = store.read_table(ESTIMATION_SUMMARY, file)
+        rates.append(float(summary["after"].iloc[0]))
+
+    stale = ""
+    for step in steps:
+        reasons = stale_reasons(run, step, settings)
+        if reasons:
+            stale = f"{step.relative_to(run).as_posix()}: {reasons[0]}"
+            break
     return {
-        "date": min((one["at"] for one in made if one), default=""),
+        "date": min(dates, default=""),
         "iterations": len({step.parent for step in steps}),
         "best_E": max(rates, default=float("nan")),
-        "seconds": float(sum(one.get("seconds", 0.0) for one in made)),
-        "stale": next(
-            (f"{place}: {words[0]}" for place, words in reasons if words), ""
-        ),
+        "seconds": float(sum(seconds)),
+        "stale": stale,
     }

@@ -31,12 +31,13 @@ class {Name}(StringEffect):
     """Describe the law, where it holds and what it leaves out."""
 
     name = "{name}"
-    # name, unit, meaning, lower and upper bound, and the start: there the effect is absent
+    # name, unit, meaning, bounds, and the start, where the effect is absent
     parameters = (
-        Parameter("strength", "m/s2", "steady pull to the right, over mass", -2.0, 2.0, 0.0),
+        Parameter("strength", "m/s2", "pull to the right, over mass", -2.0, 2.0, 0.0),
     )
     reference = "Source of the law"
-    invariants = (vanishes_at_zero("acceleration", "strength"),)  # tested; see invariants.py
+    # tested; see invariants.py
+    invariants = (vanishes_at_zero("acceleration", "strength"),)
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -1,4 +1,4 @@
-"""Go on with a run that was interrupted or failed, with its own settings."""
+"""Continue a run that was interrupted or failed, with its own settings."""
 
 from __future__ import annotations
 
@@ -13,17 +13,16 @@ from stringcast.pipeline.settings.settings_from_runs import refuse_inherited_lim
 
 
 def main(arguments: list[str]) -> int:
-    """Go on with a run; 0 when it has ended."""
+    """Continue a run and return the exit status 0 when it has ended."""
     parser = CommandParser("python -m pipeline resume", description=__doc__)
     parser.add_argument("run", type=Path, help="the run's folder")
-    parser.add_argument(
-        "--accept-limits",
-        action="store_true",
-        help="move a real arm by the limits stored there",
+    limits_help = "move a real arm by the limits stored there"
+    parser.add_argument("--accept-limits", action="store_true", help=limits_help)
+    options = parser.parse_args(arguments)
+    experiment = read_stored_experiment(options.run)
+    settings = compose_settings() | {"accept_limits": options.accept_limits}
+    refuse_inherited_limits(
+        experiment.config, settings, str(options.run), "--accept-limits"
     )
-    asked = parser.parse_args(arguments)
-    here = read_stored_experiment(asked.run)
-    own = compose_settings() | {"accept_limits": asked.accept_limits}
-    refuse_inherited_limits(here.config, own, str(asked.run), "--accept-limits")
-    perform_run(here, asked.run, Terminal(stderr=True))
+    perform_run(experiment, options.run, Terminal(stderr=True))
     return 0

@@ -1,6 +1,4 @@
-"""Stored runs, for commands: their experiment, and their steps walked through without
-making any.
-"""
+"""Stored runs: their settings, their experiment, and their steps in order."""
 
 from __future__ import annotations
 
@@ -18,80 +16,82 @@ from stringcast.pipeline.settings.composition import UserError
 
 
 class NotMadeError(Exception):
-    """A step that others need is not there; what comes after it is not there either."""
+    """A missing step, after which no other step can be read."""
 
 
 @dataclass(frozen=True)
 class StepReader:
-    """The executor that makes nothing: every step is handed to `ask`, which returns its
-    stored artifact.
-    """
+    """Executor that reads stored artifacts instead of making them."""
 
-    ask: Callable[[Step], Any]
+    read_step: Callable[[Step], Any]
 
     def obtain(self, step: Step) -> Any:
-        """A stored artifact."""
-        return self.ask(step)
+        """Return the stored artifact of a step."""
+        return self.read_step(step)
 
     def publish(self, iterations: list[Iteration]) -> None:
         """Do nothing: a reader writes no dataset."""
 
 
 def walk_steps(
-    here: Experiment, folder: Path, ask: Callable[[Step], Any]
+    experiment: Experiment, folder: Path, read_step: Callable[[Step], Any]
 ) -> RunResult | None:
-    """Ask for every step of a run in its order; None where `ask` raises NotMadeError
-    before the end.
+    """Read every step of a run in its order.
+
+    Returns
+    -------
+    RunResult or None
+        None where `read_step` raised NotMadeError before the end.
     """
-    if not isinstance(here.mode, Stepwise):
+    if not isinstance(experiment.mode, Stepwise):
         raise UserError(
-            f"{folder}: this run, of a study or a calibration, has no steps of its own. Name that of a cast, an "
-            "estimation or a diagnosis."
+            f"{folder}: this run, of a study or a calibration, has no steps of its "
+            "own. Name that of a cast, an estimation or a diagnosis."
         )
     try:
-        return here.mode.run_steps(here, folder, StepReader(ask))
+        return experiment.mode.run_steps(experiment, folder, StepReader(read_step))
     except NotMadeError:
         return None
 
 
 def read_stored_settings(folder: Path) -> dict[str, Any]:
-    """A run's settings, from its config.json. Raises UserError where there is none."""
+    """Return a run's settings; raise UserError if the folder holds no run."""
     path = folder / "config.json"
     if not path.is_file():
         raise UserError(
-            f"{folder}: there is no run here (it has no config.json). Name a run's folder."
+            f"{folder}: there is no run here (it has no config.json). "
+            "Name a run's folder."
         )
     return read_json(path)
 
 
 def read_stored_experiment(folder: Path) -> Experiment:
-    """The experiment of a stored run, from its config.json. Raises UserError where
-    there is none, or one of another version.
+    """Return the experiment of a stored run.
+
+    Raises
+    ------
+    UserError
+        If there is no run, or one of another version of this code.
     """
     path = folder / "config.json"
     try:
         return prepare_experiment(read_stored_settings(folder), lambda block: str(path))
     except KeyError as error:
         raise UserError(
-            f"{path}: it lacks the setting {error}: another version of this code made the run."
+            f"{path}: it lacks the setting {error}: another version of this code made "
+            "the run."
         ) from error
 
 
-def run_folder_of(place: Path) -> Path:
-    """The run's folder that a path lies in. Raises UserError where there is none."""
-    if not place.exists():
-        raise UserError(f"{place}: there is no such file or folder. Name one of a run.")
-    whole = place.resolve()
-    found = next(
-        (
-            folder
-            for folder in (whole, *whole.parents)
-            if (folder / "config.json").is_file()
-        ),
-        None,
+def run_folder_of(path: Path) -> Path:
+    """Return the run's folder that contains a path; raise UserError if none does."""
+    if not path.exists():
+        raise UserError(f"{path}: there is no such file or folder. Name one of a run.")
+    absolute = path.resolve()
+    for folder in (absolute, *absolute.parents):
+        if (folder / "config.json").is_file():
+            return folder
+    raise UserError(
+        f"{path}: it lies in no run (no config.json above it). "
+        "Name a file or folder of a run."
     )
-    if found is None:
-        raise UserError(
-            f"{place}: it lies in no run (no config.json above it). Name a file or folder of a run."
-        )
-    return found

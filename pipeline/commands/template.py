@@ -1,6 +1,4 @@
-"""Write an empty dataset to be filled in: tables with their columns, and a dataset.yaml
-that says what is what.
-"""
+"""Write an empty dataset to fill in: tables with their columns, and dataset.yaml."""
 
 from __future__ import annotations
 
@@ -18,8 +16,9 @@ from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.settings.composition import UserError
 
 METADATA_TEMPLATE = """\
-# A dataset: one string, several trials. All is in metres, seconds and radians, x to the right, y up, angles
-# counter-clockwise from +x. Only `format` must be there; take out what you do not know.
+# A dataset: one string, several trials. All is in metres, seconds and radians, x to
+# the right, y up, angles counter-clockwise from +x. Only `format` is required; remove
+# what you do not know.
 format: 1
 name: {name}
 string:
@@ -27,11 +26,13 @@ string:
   # mass: 0.012            # of the string [kg], if it was weighed
   # tip_mass: 0.002        # of what hangs at its tip [kg]
 noise:
-  point_sigma: 0.001       # of a measured coordinate, one sigma [m]; take it out, and it is estimated
-{hand}# camera: {{fps: 200}}        # needed with frames or videos: width, height, px_per_m, origin_px
-# initial: moving          # the string swings already when trials begin, as one that is let go does
-# trials:                  # by the names that the tables have; nothing need be said of them
-#   t03: {{role: held_out}}  # used to measure what is gained, and for nothing else
+  point_sigma: 0.001       # standard deviation of a measured coordinate [m]; if this
+                           # line is removed, it is estimated
+{hand}# camera: {{fps: 200}}        # required with frames or videos, with width,
+                           # height, px_per_m and origin_px
+# initial: moving          # if the string moves already when trials begin
+# trials:                  # by their names in the tables; optional
+#   t03: {{role: held_out}}  # used only to measure the gain
 #   t04: {{invalid: "it slipped"}}
 #
 # {motion}
@@ -45,54 +46,44 @@ arm:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write an empty dataset to be filled in; the exit status."""
+    """Write the dataset and return the exit status 0."""
     parser = CommandParser("python -m pipeline template", description=__doc__)
     parser.add_argument("folder", type=Path, help="to be made")
-    parser.add_argument(
-        "--poses",
-        action="store_true",
-        help="with poses of the hand instead of angles of joints",
+    poses_help = "with poses of the hand instead of angles of joints"
+    parser.add_argument("--poses", action="store_true", help=poses_help)
+    options = parser.parse_args(arguments)
+    folder: Path = options.folder
+    if folder.exists():
+        raise UserError(f"{folder}: it is there already. Name another folder.")
+
+    hand_table = GRASP if options.poses else ARM
+    metadata = METADATA_TEMPLATE.format(
+        name=folder.name,
+        hand="" if options.poses else ARM_LINES,
+        motion=describe_columns(hand_table),
+        points=describe_columns(POINTS),
     )
-    asked = parser.parse_args(arguments)
-    if asked.folder.exists():
-        raise UserError(f"{asked.folder}: it is there already. Name another folder.")
-    hand = GRASP if asked.poses else ARM
-    with write_atomically(asked.folder) as aside:
-        disk.make_folder(aside)
-        for table in (hand, POINTS):
-            needed = [
-                column.name
-                for column in with_trial(table).columns
-                if not column.optional
-            ]
-            disk.write(aside / f"{table.name}.csv", (",".join(needed) + "\n").encode())
-        motion, points = (
-            f"{table.name}.csv: {describe_columns(table)}." for table in (hand, POINTS)
-        )
-        lines = "" if hand is GRASP else ARM_LINES
-        about = METADATA_TEMPLATE.format(
-            name=asked.folder.name, hand=lines, motion=motion, points=points
-        )
-        disk.write(aside / DATASET_FILE, about.encode())
+    with write_atomically(folder) as part:
+        disk.make_folder(part)
+        for table in (hand_table, POINTS):
+            columns = with_trial(table).columns
+            required = [column.name for column in columns if not column.optional]
+            line = ",".join(required) + "\n"
+            disk.write(part / f"{table.name}.csv", line.encode())
+        disk.write(part / DATASET_FILE, metadata.encode())
+
+    files = f"{hand_table.name}.csv, {POINTS.name}.csv, {DATASET_FILE}"
     console = Terminal()
-    console.print(
-        f"{asked.folder}: {hand.name}.csv, {POINTS.name}.csv, {DATASET_FILE}. Fill them in.",
-        highlight=False,
-        markup=False,
-    )
-    console.print(
-        f"Then: {program_name()} check {asked.folder}",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
-    )
+    console.print_line(f"{folder}: {files}. Fill them in.")
+    console.print_line(f"Then: {program_name()} check {folder}")
     return 0
 
 
 def describe_columns(table: Table) -> str:
-    """All columns of a table with unit and meaning, a line each."""
-    said = (
-        f"{column.name} ({column.meaning}{f' [{column.unit}]' if column.unit else ''}{', optional' * column.optional})"
-        for column in with_trial(table).columns
-    )
-    return ", ".join(said)
+    """Return a line with all columns of a table, their meanings and units."""
+    descriptions = []
+    for column in with_trial(table).columns:
+        unit = f" [{column.unit}]" if column.unit else ""
+        optional = ", optional" if column.optional else ""
+        descriptions.append(f"{column.name} ({column.meaning}{unit}{optional})")
+    return f"{table.name}.csv: {', '.join(descriptions)}."
