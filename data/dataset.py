@@ -265,8 +265,9 @@ def _build_trial(
     start = float(np.floor(first)) if abs(first) > MAX_FIRST_TIME_S else 0.0
     if start:
         tables = [frame.assign(t=frame["t"] - start) for frame in tables]
-    motion = {hand.name: tables[0]}
-    trial = Observation(name, *tables[1:], **motion, starts_moving=moving)
+    first_table, points, readings, masks = tables
+    motion: Any = {hand.name: first_table}
+    trial = Observation(name, points, readings, masks, **motion, starts_moving=moving)
     if shots is None:
         return trial, None, start
     times, images = shots

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import stat
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -164,7 +164,7 @@ class _StrictLoader(yaml.SafeLoader):
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Compose a node; refuse an alias of a list or a block."""
         if self.check_event(yaml.AliasEvent):
-            event: Any = self.peek_event()
+            event: Any = self.peek_event()  # type: ignore[no-untyped-call]
             if not isinstance(self.anchors.get(event.anchor), yaml.ScalarNode):
                 raise yaml.YAMLError(
                     f"*{event.anchor} stands for a list or a block, which is refused"
@@ -209,7 +209,7 @@ def _interpolated_key(value: Any, place: str = "") -> str:
     if isinstance(value, str):
         return place if "${" in value else ""
     if isinstance(value, dict):
-        items = value.items()
+        items: Iterable[tuple[Any, Any]] = value.items()
     elif isinstance(value, list):
         items = enumerate(value)
     else:

@@ -70,7 +70,7 @@ class ImageFiles(Images):
             )
         # imread opens no name beyond ASCII on Windows
         content = np.frombuffer(path.read_bytes(), np.uint8)
-        image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)
+        image: np.ndarray | None = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)
         if image is None:
             raise DataError(
                 f"{path}: the frame is missing or damaged. "
@@ -131,7 +131,8 @@ class Video(Images):
                 f"{self.path}: frame {index} cannot be read. "
                 "Restore the file or leave its trial out."
             )
-        return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        grey: np.ndarray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        return grey
 
 
 def _image_size(path: Path) -> str:
@@ -209,7 +210,8 @@ def encode_png(image: np.ndarray) -> bytes:
     )
     good, content = cv2.imencode(".png", image, options)
     assert good, f"an image {image.shape} of {image.dtype} cannot be a PNG"
-    return content.tobytes()
+    encoded: bytes = content.tobytes()
+    return encoded
 
 
 TimedImages = tuple[np.ndarray, Images]

@@ -207,7 +207,8 @@ def read_origin(path: Path) -> dict[str, Any]:
     if path.exists():
         file_checks.require_plain_file(path)
     metadata = pq.read_schema(path).metadata or {}
-    return json.loads(metadata.get(b"origin", b"{}"))
+    origin: dict[str, Any] = json.loads(metadata.get(b"origin", b"{}"))
+    return origin
 
 
 def write_text(path: Path, text: str) -> None:

@@ -62,7 +62,8 @@ def limit_blas_threads(module: Any) -> Any:
 def run_command(name: str, arguments: list[str]) -> int:
     """Hand over to a command; its exit status."""
     try:
-        return limit_blas_threads(load_command(name))(arguments)
+        status: int = limit_blas_threads(load_command(name))(arguments)
+        return status
     except ExpectedError as error:
         print_error(error, Terminal(stderr=True))
         return NO_ANSWER_STATUS

@@ -127,7 +127,8 @@ class RecordingReader:
         Raises DataError if it holds no number.
         """
         raw = pd.to_numeric(self.recording.table[column.name], errors="coerce")
-        values = (column.sign * raw.to_numpy(dtype=float) + column.shift) * factor
+        values: np.ndarray = column.sign * raw.to_numpy(dtype=float) + column.shift
+        values = values * factor
         if not np.isfinite(values).any():
             raise DataError(
                 f"{self.recording.file}: column '{column.name}' holds no number. "
@@ -149,7 +150,10 @@ class RecordingReader:
         self.used_columns.append(
             UsedColumn(self.recording.file, column.name, "trial", "", column.how)
         )
-        return self.recording.table[column.name].astype(str).map(trial_name).to_numpy()
+        names: np.ndarray = (
+            self.recording.table[column.name].astype(str).map(trial_name).to_numpy()
+        )
+        return names
 
     def read_times(self, columns: Sequence[SourceColumn]) -> np.ndarray:
         """Read times, (K,) [s], of the best column of times or of the frame numbers."""
@@ -194,7 +198,7 @@ class RecordingReader:
                 f"{str(raw.iloc[0])[:40]!r}. Name another with --map t=<column>."
             )
         elapsed = dates - pd.Timestamp(0, tz="UTC")
-        seconds = elapsed.dt.total_seconds().to_numpy(dtype=float)
+        seconds: np.ndarray = elapsed.dt.total_seconds().to_numpy(dtype=float)
         self._note(column, "t", "dates", "values", seconds)
         return seconds
 

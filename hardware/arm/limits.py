@@ -26,7 +26,10 @@ class Workspace:
 
     def is_left_by(self, points: np.ndarray) -> np.ndarray:
         """Tell whether any of the points (..., P, 2) [m] lies outside, (...)."""
-        return ~np.all((points >= self.low) & (points <= self.high), axis=(-2, -1))
+        is_left: np.ndarray = ~np.all(
+            (points >= self.low) & (points <= self.high), axis=(-2, -1)
+        )
+        return is_left
 
 
 def check_movement(arm: Arm, workspace: Workspace, angles: np.ndarray) -> None:

@@ -144,7 +144,9 @@ class VirtualBench:
     def string_at(self, times: np.ndarray) -> np.ndarray:
         """Simulate the true string at times (F,) [s], (F, n, 2) [m]."""
         motion = self._commanded_motion(0.001)
-        return self.model.simulate_string(motion, self.values, times).points[0]
+        motions = self.model.simulate_string(motion, self.values, times)
+        points: np.ndarray = motions.points[0]
+        return points
 
     def joints_at(self, times: np.ndarray) -> np.ndarray:
         """Compute the true arm at times (F,) [s], (F, J + 1, 2) [m]."""
@@ -182,7 +184,8 @@ class VirtualBench:
         """
         model, values = self.model, self.values
         points = true(model.required_times(values, times).ravel())
-        return model.observed_points(points[None], values, times)[0]
+        observed: np.ndarray = model.observed_points(points[None], values, times)[0]
+        return observed
 
 
 @dataclass

@@ -96,7 +96,10 @@ def add_sensor_noise(
 ) -> np.ndarray:
     """Add the sensor's noise to a frame and round it, uint8."""
     noise = rng.standard_normal(frame.shape, dtype=np.float32)
-    return np.clip(np.rint(frame + look.noise * noise), 0, 255).astype(np.uint8)
+    noisy_frame: np.ndarray = np.clip(
+        np.rint(frame + look.noise * noise), 0, 255
+    ).astype(np.uint8)
+    return noisy_frame
 
 
 def line_coverage(camera: Camera, line: np.ndarray, width: float) -> np.ndarray:

@@ -56,9 +56,9 @@ def __getattr__(name: str) -> Any:
     for module, names in MODULES_OF_NAMES.items():
         if name in names:
             return getattr(import_module(f"stringcast.{module}"), name)
-    names = ", ".join(__all__)
+    public_names = ", ".join(__all__)
     raise AttributeError(
-        f"module 'stringcast' has no attribute '{name}'. There are {names}."
+        f"module 'stringcast' has no attribute '{name}'. There are {public_names}."
     )
 
 

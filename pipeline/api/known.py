@@ -25,13 +25,13 @@ from stringcast.pipeline.settings.composition import (
     given_names,
 )
 from stringcast.pipeline.settings.settings_from_runs import (
-    EXTENDED,
     inherit_settings,
     read_extended_model,
     restore_given_settings,
 )
 from stringcast.stages.export.mjcf import build_mjcf
 from stringcast.stages.model.model import Model
+from stringcast.stages.spec import EXTENDED
 
 
 @dataclass(frozen=True)

@@ -81,4 +81,5 @@ def parameter_table(string: KnownString) -> str:
             "meaning": parameter.meaning,
         }
         rows.append(row)
-    return pd.DataFrame(rows).to_csv(index=False)
+    table: str = pd.DataFrame(rows).to_csv(index=False)
+    return table

@@ -45,6 +45,7 @@ from stringcast.stages.check.mistakes import (
     impossible_views,
     likeliest_mistakes,
 )
+from stringcast.stages.check.overview import dataset_overview
 
 # as many things can be unclear one after another: units of points and hand, degrees,
 # direction, clock
@@ -66,7 +67,7 @@ def main(arguments: Sequence[str]) -> int:
     for note in made.notes:
         console.print(f"[yellow]note[/] {note}.", highlight=False, soft_wrap=True)
     picture = draw_first_trial(measured, folder)
-    found = check.dataset_overview(measured)
+    found = dataset_overview(measured)
     check.print_overview(found | {"folder": str(folder)}, console)
     if picture is not None:
         console.print(

@@ -9,8 +9,8 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from stringcast.data import dataset
 from stringcast.data.file_checks import read_json, read_yaml, refuse_interpolation
+from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
 from stringcast.pipeline.settings.allowed_callables import VIRTUAL_HARDWARE
 from stringcast.pipeline.settings.composition import (
@@ -93,7 +93,7 @@ def inherit_settings(config: DictConfig, given: set[str]) -> dict[str, Any]:
     if config.trials is not None and not (Path(config.trials) / "config.json").exists():
         # what dataset.yaml says was weighed at the string's tip hangs at the model's:
         # it is known, and not fitted
-        string = dataset.read_metadata(Path(config.trials)).get("string", {})
+        string = read_metadata(Path(config.trials)).get("string", {})
         if string.get("tip_mass"):
             ratio = float(string["tip_mass"]) / float(string["mass"])
             whole.effects = [*whole.effects, *({"tip_mass"} - {*whole.effects})]
@@ -221,7 +221,7 @@ def settings_of_trials(folder: Path, given: set[str]) -> dict[str, Any]:
     else:
         about = {
             group: values
-            for group, values in dataset.read_metadata(folder).items()
+            for group, values in read_metadata(folder).items()
             if group in DATASET_SETTINGS
         }
         brought = {

@@ -96,7 +96,8 @@ def build_dataclass(
 ) -> BuiltT:
     """Build a validated dataclass from a block whose names are its fields."""
     check_names(block, expected_fields(kind, block), place, where)
-    return validate_value(kind, block, place, where)
+    built: BuiltT = validate_value(kind, block, place, where)
+    return built
 
 
 def expected_fields(kind: Any, block: Mapping[str, Any]) -> list[str]:

@@ -127,7 +127,8 @@ class AlignmentProblem:
         ends = np.concatenate([middle + np.diag(step), middle - np.diag(step)])
         upper, lower = np.split(self.residuals(names, ends), 2)
         slopes = (upper - lower) / (2 * step[:, None])
-        return slopes.T / self.sigma[:, None]
+        weighted_slopes: np.ndarray = slopes.T / self.sigma[:, None]
+        return weighted_slopes
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,8 @@ class FreeParameters:
         fixed = np.tile(list(self.fixed_values.values()), (len(chi), 1))
         names = (*self.names, *self.fixed_values)
         residuals = self.problem.residuals(names, np.hstack([free, fixed]))
-        return residuals / self.problem.sigma
+        weighted: np.ndarray = residuals / self.problem.sigma
+        return weighted
 
 
 @dataclass(frozen=True)
@@ -215,7 +217,8 @@ class AlignmentFit:
     @property
     def half_widths(self) -> np.ndarray:
         """Half widths of the 95 % intervals (P,)."""
-        return self._relative_covariance.half_width_95 * self.width
+        half_widths: np.ndarray = self._relative_covariance.half_width_95 * self.width
+        return half_widths
 
     @cached_property
     def inflation(self) -> float:

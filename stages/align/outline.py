@@ -161,7 +161,10 @@ def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
     scene = estimate_scene(np.stack(samples))
 
     def difference(number: int) -> np.ndarray:
-        return cv2.absdiff(film.images[int(number)].astype(np.float32), scene)
+        difference: np.ndarray = cv2.absdiff(
+            film.images[int(number)].astype(np.float32), scene
+        )
+        return difference
 
     # contrast of the arm: the upper of two classes of differences (Otsu)
     coarse = chosen[:: max(len(chosen) // COARSE_FRAMES, 1)]

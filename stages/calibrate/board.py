@@ -78,7 +78,8 @@ class Board:
     def corners(self) -> np.ndarray:
         """Inner corners (N, 2) [m], x right and y up from the lower left corner."""
         upper_left = np.array([0.0, self.size[1]])
-        return upper_left + self.points[:, :2] * np.array([1.0, -1.0])
+        corners: np.ndarray = upper_left + self.points[:, :2] * np.array([1.0, -1.0])
+        return corners
 
     @property
     def points(self) -> np.ndarray:

@@ -165,9 +165,11 @@ def project_corners(
     """Project the corners of a view (N, 2) [px]."""
     points, distortion = _board_points(board, view), np.array(lens.distortion)
     pixels, _ = cv2.projectPoints(points, rotation, place, lens.matrix, distortion)
-    return pixels.reshape(-1, 2)
+    corners: np.ndarray = pixels.reshape(-1, 2)
+    return corners
 
 
 def _board_points(board: Board, view: BoardView) -> np.ndarray:
     """Return corners on the board (N, 3) [m] in OpenCV's axes."""
-    return board.points[view.corners].astype(np.float32)
+    points: np.ndarray = board.points[view.corners].astype(np.float32)
+    return points

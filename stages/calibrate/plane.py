@@ -41,7 +41,8 @@ class BoardPlacement:
     def to_world(self, board: np.ndarray) -> np.ndarray:
         """Transform points on the board (N, 2) [m] to the world."""
         c, s = np.cos(self.turn), np.sin(self.turn)
-        return board @ np.array([[c, s], [-s, c]]) + np.array(self.corner)
+        world: np.ndarray = board @ np.array([[c, s], [-s, c]]) + np.array(self.corner)
+        return world
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,8 @@ def _solve_plane(
     """Return PLANE_PARAMETERS (6,) and the Jacobian of the pixels by them (2 N, 6)."""
 
     def residuals(values: np.ndarray) -> np.ndarray:
-        return (_camera(camera, values).pixels(world) - pixels).ravel()
+        residuals: np.ndarray = (_camera(camera, values).pixels(world) - pixels).ravel()
+        return residuals
 
     solution = least_squares(residuals, start, x_scale="jac", xtol=1e-12)
     return solution.x, solution.jac

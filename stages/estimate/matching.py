@@ -9,13 +9,12 @@ from typing import Annotated
 import cv2
 import numpy as np
 import pandas as pd
-from numba import njit
 from pydantic import Field
 
 from stringcast.data.artifacts import Observation
 from stringcast.stages.extract.score import pixel_scores, rasterise
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
-from stringcast.stages.model.engine.threads import parallel_for
+from stringcast.stages.model.engine.threads import compile_kernel, parallel_for
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 
@@ -156,7 +155,7 @@ def frame_matching_rates(
     return result
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compile_kernel
 def _match_candidates(
     pixels: np.ndarray,
     scores: np.ndarray,

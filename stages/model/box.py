@@ -37,7 +37,8 @@ class Box:
         enter_y, leave_y = _slab_crossing(self.y, self.h / 2, a[..., 1], b[..., 1])
         enter = np.maximum(np.maximum(enter_x, enter_y), 0.0)
         leave = np.minimum(np.minimum(leave_x, leave_y), 1.0)
-        return enter <= leave
+        crosses: np.ndarray = enter <= leave
+        return crosses
 
     def distance_to_centre(self, points: np.ndarray) -> np.ndarray:
         """Return the distance of points (..., 2) [m] from the box's centre."""

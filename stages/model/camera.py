@@ -97,12 +97,15 @@ class Camera:
         if self.lens is not None:
             rays = _map_through_plane(self._plane_to_rays, world)
             return self.lens.pixels(rays[..., :2] / rays[..., 2:])
-        flat = np.asarray(self.origin_px) + np.asarray(world) @ self._similarity.T
+        flat: np.ndarray = (
+            np.asarray(self.origin_px) + np.asarray(world) @ self._similarity.T
+        )
         if self.distortion == 0.0:
             return flat
         centre, half = self._image_centre_and_half_width()
         offset = (flat - centre) / half
-        return centre + half * offset * self._radial_factor(offset)
+        pixels: np.ndarray = centre + half * offset * self._radial_factor(offset)
+        return pixels
 
     def world(self, pixels: np.ndarray) -> np.ndarray:
         """Map pixels (u, v) to world points; the inverse of `pixels`.
@@ -121,7 +124,8 @@ class Camera:
         if self.lens is not None:
             rays_to_plane = np.linalg.inv(self._plane_to_rays)
             points = _map_through_plane(rays_to_plane, self.lens.rays(flat))
-            return points[..., :2] / points[..., 2:]
+            in_plane: np.ndarray = points[..., :2] / points[..., 2:]
+            return in_plane
         if self.distortion != 0.0:
             centre, half = self._image_centre_and_half_width()
             bent = (flat - centre) / half
@@ -129,7 +133,9 @@ class Camera:
             for _ in range(UNDISTORTION_ITERATIONS):
                 straight = bent / self._radial_factor(straight)
             flat = centre + half * straight
-        return (flat - np.asarray(self.origin_px)) @ np.linalg.inv(self._similarity).T
+        offset = flat - np.asarray(self.origin_px)
+        world: np.ndarray = offset @ np.linalg.inv(self._similarity).T
+        return world
 
     def _radial_factor(self, offset: np.ndarray) -> np.ndarray:
         r2 = np.sum(offset**2, axis=-1, keepdims=True)
@@ -164,4 +170,5 @@ class Camera:
 
 def _map_through_plane(plane: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Map points (..., 2) to (..., 3) by a (3, 3) map of planes."""
-    return np.asarray(points) @ plane[:, :2].T + plane[:, 2]
+    mapped: np.ndarray = np.asarray(points) @ plane[:, :2].T + plane[:, 2]
+    return mapped

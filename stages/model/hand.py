@@ -48,7 +48,8 @@ class HandMotion:
     @property
     def end(self) -> float:
         """Time of the last pose [s]."""
-        return self.start + (self.pose.shape[1] - 1) * self.tick
+        end: float = self.start + (self.pose.shape[1] - 1) * self.tick
+        return end
 
     def extended_until(self, until: float) -> HandMotion:
         """Append rest until a time [s], or as long as anything lags behind."""

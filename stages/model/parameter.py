@@ -66,12 +66,14 @@ class Parameter:
         else:
             share = (value - self.low) / (self.high - self.low)
             position = np.maximum(share, 0.0) ** (1 / self.root)
-        return np.clip(position, 0.0, 1.0)
+        exponents: np.ndarray = np.clip(position, 0.0, 1.0)
+        return exponents
 
     def slope(self, chi: np.ndarray) -> np.ndarray:
         """Return the slope of values with exponents in [0, 1]. Any shape."""
         if self.low > 0:
-            return np.log(self.high / self.low) * self.value(chi)
+            slope: np.ndarray = np.log(self.high / self.low) * self.value(chi)
+            return slope
         power = np.asarray(chi) ** (self.root - 1)
         return (self.high - self.low) * self.root * power
 

@@ -48,7 +48,8 @@ class StringState:
         """
         if np.ndim(self.t) == 0:
             return times
-        return times - np.asarray(self.t)[:, None]
+        elapsed: np.ndarray = times - np.asarray(self.t)[:, None]
+        return elapsed
 
     def for_candidates(self, chosen: np.ndarray | slice) -> StringState:
         """Return the states of some candidates, by number."""
@@ -110,7 +111,8 @@ def _prepend(first: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
 def _interpolate(x: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Interpolate values at x between nodes, each (M,) or (C, M)."""
     if x.ndim == nodes.ndim == values.ndim == 1:
-        return np.interp(x, nodes, values)
+        interpolated: np.ndarray = np.interp(x, nodes, values)
+        return interpolated
     arrays = (x, nodes, values)
     count = max(len(array) for array in arrays if array.ndim == 2)
     rows = [np.broadcast_to(array, (count, array.shape[-1])) for array in arrays]

@@ -351,7 +351,10 @@ class String(Parametrised):
 
         material: (C, P).
         """
-        return self.arc_lengths() * self.free_length_ratio(material)[:, None]
+        free_lengths: np.ndarray = (
+            self.arc_lengths() * self.free_length_ratio(material)[:, None]
+        )
+        return free_lengths
 
     def point_masses(self, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Find masses of the points and the lengths they stand for.

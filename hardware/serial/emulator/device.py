@@ -40,7 +40,8 @@ def _flip_bit(frame: bytes) -> DelayedPieces:
     return [(0.0, frame[:middle] + flipped + frame[middle + 1 :])]
 
 
-LINE_FAULTS: dict[str, Callable[[bytes], DelayedPieces]] = {
+LineFault = Callable[[bytes], DelayedPieces]
+LINE_FAULTS: dict[str, LineFault] = {
     "drop": lambda frame: [],
     "duplicate": lambda frame: [(0.0, frame), (0.0, frame)],
     "corrupt": _flip_bit,
@@ -109,7 +110,7 @@ class EmulatedArm(EmulatedDevice):
         angles = [joint.encoder for joint in self.joints]
         for _, frame, fault in _pop_due(self.incoming, self.clock):
             answer = self.firmware.answer_frame(frame, self.micros, angles)
-            line = _deliver
+            line: LineFault = _deliver
             if fault.startswith(ANSWER_PREFIX):
                 line = LINE_FAULTS[fault.removeprefix(ANSWER_PREFIX)]
             self.outgoing += self._schedule(answer, fault, line)

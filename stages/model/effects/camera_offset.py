@@ -43,4 +43,5 @@ class CameraOffset(CameraEffect):
         y: Quantity,
     ) -> np.ndarray:
         """Return the shifted points."""
-        return points + np.concatenate([x, y], axis=-1)
+        observed: np.ndarray = points + np.concatenate([x, y], axis=-1)
+        return observed

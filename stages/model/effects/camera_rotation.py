@@ -43,4 +43,7 @@ class CameraRotation(CameraEffect):
         """Return the points rotated about the image's middle."""
         x, y = np.moveaxis(points - camera.centre, -1, 0)
         c, s = np.cos(angle[..., 0]), np.sin(angle[..., 0])
-        return camera.centre + np.stack([c * x - s * y, s * x + c * y], axis=-1)
+        observed: np.ndarray = camera.centre + np.stack(
+            [c * x - s * y, s * x + c * y], axis=-1
+        )
+        return observed

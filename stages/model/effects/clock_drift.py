@@ -42,4 +42,5 @@ class ClockDrift(ClockEffect):
     @staticmethod
     def times(t: np.ndarray, rate: Quantity) -> np.ndarray:
         """Return times on the arm's clock."""
-        return t * (1 + rate)
+        drifted: np.ndarray = t * (1 + rate)
+        return drifted

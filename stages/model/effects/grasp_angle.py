@@ -55,4 +55,5 @@ class GraspAngle(HandEffect):
     @staticmethod
     def grasp(t: np.ndarray, pose: np.ndarray, angle: Quantity) -> np.ndarray:
         """Return the poses with the direction turned."""
-        return pose + angle * np.array([0.0, 0.0, 1.0])
+        grasped: np.ndarray = pose + angle * np.array([0.0, 0.0, 1.0])
+        return grasped

@@ -68,6 +68,7 @@ class GraspSlip(HandEffect):
         )
         distance = speed * rise * (begun - ended)
         theta = pose[..., 2:]
-        return pose + distance * np.concatenate(
+        grasped: np.ndarray = pose + distance * np.concatenate(
             [np.cos(theta), np.sin(theta), 0 * theta], axis=-1
         )
+        return grasped

@@ -43,4 +43,5 @@ class JointGain(HandEffect):
     @staticmethod
     def joints(t: np.ndarray, angles: np.ndarray, gain: Quantity) -> np.ndarray:
         """Return the angles, whose changes since the first are larger by the gain."""
-        return angles + gain * (angles - angles[:, :1])
+        joint_angles: np.ndarray = angles + gain * (angles - angles[:, :1])
+        return joint_angles

@@ -54,6 +54,7 @@ class LensDistortion(CameraEffect):
         """Return the points moved outwards by the cube of their distance."""
         offset = points - camera.centre
         half = camera.width / 2 / camera.px_per_m
-        return points + radial * offset * np.sum(
+        observed: np.ndarray = points + radial * offset * np.sum(
             (offset / half) ** 2, axis=-1, keepdims=True
         )
+        return observed

@@ -43,4 +43,5 @@ class PixelScale(CameraEffect):
         excess: Quantity,
     ) -> np.ndarray:
         """Return the points scaled about the world's origin, whose pixel is known."""
-        return points * (1 + excess)
+        observed: np.ndarray = points * (1 + excess)
+        return observed

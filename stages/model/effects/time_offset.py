@@ -35,4 +35,5 @@ class TimeOffset(ClockEffect):
     @staticmethod
     def times(t: np.ndarray, offset: Quantity) -> np.ndarray:
         """Return times on the arm's clock."""
-        return t + offset
+        shifted: np.ndarray = t + offset
+        return shifted

@@ -128,7 +128,8 @@ def richardson_limit(
 
     The second has twice as many parts and half the step.
     """
-    return fine + (fine - coarse) / (2**order - 1)
+    limit: np.ndarray = fine + (fine - coarse) / (2**order - 1)
+    return limit
 
 
 def _refine_points(
@@ -186,4 +187,5 @@ def _max_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     Infinite where a run was rejected.
     """
     distance = np.linalg.norm(a - b, axis=-1).max(axis=1)
-    return np.nan_to_num(distance, nan=np.inf)
+    largest: np.ndarray = np.nan_to_num(distance, nan=np.inf)
+    return largest

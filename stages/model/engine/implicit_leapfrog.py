@@ -86,7 +86,8 @@ class ImplicitLeapfrog(Integrator):
         self, steepest: np.ndarray, gentlest: np.ndarray
     ) -> np.ndarray:
         """Return the slope beyond the linear part, (C,)."""
-        return steepest - gentlest
+        slope: np.ndarray = steepest - gentlest
+        return slope
 
     def largest_stable_step(
         self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray
@@ -97,7 +98,8 @@ class ImplicitLeapfrog(Integrator):
         """
         c = damping.sum(axis=0) + 2.0 * drag
         root = np.sqrt(c**2 + 4.0 * frequency2.sum(axis=0))
-        return 4.0 / np.maximum(c + root, 1e-300)
+        largest_step: np.ndarray = 4.0 / np.maximum(c + root, 1e-300)
+        return largest_step
 
     def row_values(
         self, masses: np.ndarray, segment: np.ndarray, slopes: Slopes, dt: float

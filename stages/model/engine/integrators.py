@@ -123,7 +123,10 @@ class SemiImplicitEuler(Integrator):
         By Jury's criterion for x'' = -w^2 x - c x': w^2 dt^2 + 2 c dt < 4.
         """
         c = damping.sum(axis=0) + drag
-        return 4.0 / (c + np.sqrt(c**2 + 4.0 * frequency2.sum(axis=0)))
+        largest_step: np.ndarray = 4.0 / (
+            c + np.sqrt(c**2 + 4.0 * frequency2.sum(axis=0))
+        )
+        return largest_step
 
 
 # Rows: position and velocity at the step's start, and weighted sums of the stages.
@@ -183,4 +186,5 @@ class RungeKutta4(Integrator):
         simple.
         """
         c = damping.sum(axis=0) + drag
-        return 2.6 / (c + np.sqrt(frequency2.sum(axis=0)))
+        largest_step: np.ndarray = 2.6 / (c + np.sqrt(frequency2.sum(axis=0)))
+        return largest_step

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from stringcast.stages.model.engine.threads import parallel_for
+from stringcast.stages.model.engine.threads import compile_kernel, parallel_for
 
 TIME_NODES = 6  # ticks that the polynomial goes through
 PLACE_NODES = 4  # mass points that the curve between them goes through
@@ -23,7 +22,10 @@ def last_needed_tick(position: np.ndarray) -> np.ndarray:
     position: (F,) or (C, F) in ticks.
     """
     latest = np.atleast_2d(position).max(axis=1)
-    return np.maximum(np.ceil(latest - 1e-9).astype(int), TIME_NODES - 1)
+    last_tick: np.ndarray = np.maximum(
+        np.ceil(latest - 1e-9).astype(int), TIME_NODES - 1
+    )
+    return last_tick
 
 
 def is_bounded(ticks: np.ndarray, last: np.ndarray) -> np.ndarray:
@@ -103,7 +105,7 @@ def interpolate_along_string(points: np.ndarray, place: np.ndarray) -> np.ndarra
     return result
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compile_kernel
 def _sum_weighted_points(
     points: np.ndarray,
     first: np.ndarray,
@@ -126,7 +128,7 @@ def _sum_weighted_points(
                     result[c, f, m, 1] += weight[c, m, i] * points[c, f, p, 1]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compile_kernel
 def interpolate_measurements(
     points: np.ndarray, frame: np.ndarray, place: np.ndarray
 ) -> np.ndarray:
@@ -163,7 +165,7 @@ def interpolate_measurements(
     return result
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compile_kernel
 def _interpolate_candidates(
     ticks: np.ndarray,
     position: np.ndarray,

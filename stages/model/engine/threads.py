@@ -12,8 +12,15 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from typing import Any, TypeVar
 
 import numba
+
+FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
+# Decorates a kernel for threads: compiled once, it holds no lock of the interpreter.
+compile_kernel: Callable[[FunctionT], FunctionT] = numba.njit(
+    nogil=True, cache=True, error_model="numpy"
+)
 
 # With one piece each, on a busy machine, waiting for the other's costs what it saves.
 MIN_PIECES_PER_THREAD = 2

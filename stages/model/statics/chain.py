@@ -108,7 +108,8 @@ def guess_angles(
     other_is_nearer = np.abs(turn - other) < np.abs(turn - shorter)
     fall = np.where(other_is_nearer, other, shorter)
     middles = string.segment_middles() * string.free_length_ratio(material)[:, None]
-    return theta[:, None] + fall[:, None] * (1 - np.exp(-middles / scale))
+    angles: np.ndarray = theta[:, None] + fall[:, None] * (1 - np.exp(-middles / scale))
+    return angles
 
 
 def rest_lengths(string: String, material: np.ndarray) -> np.ndarray:
@@ -147,7 +148,10 @@ def static_point_forces(
     arguments = {**place, **direction, "s": chain.arc_lengths[:, 1:]}
     loads = load_sum(string, material, arguments)
     fall = vector_slot_sum(string, material, "acceleration", {**place, "t": ZERO})
-    return loads * chain.cells[:, 1:, None] + fall * chain.masses[:, 1:, None]
+    forces: np.ndarray = (
+        loads * chain.cells[:, 1:, None] + fall * chain.masses[:, 1:, None]
+    )
+    return forces
 
 
 def sum_to_tip(values: np.ndarray) -> np.ndarray:
@@ -191,7 +195,8 @@ def hinge_curvatures(chain: Chain, angles: np.ndarray) -> np.ndarray:
     angles: (C, n - 1) of the segments [rad].
     """
     turns = angles[:, 1:] - angles[:, :-1]
-    return turns / chain.segment_length - chain.rest_curvature
+    curvatures: np.ndarray = turns / chain.segment_length - chain.rest_curvature
+    return curvatures
 
 
 def grasp_hinge_angle(
@@ -201,7 +206,8 @@ def grasp_hinge_angle(
 
     theta: (1 or C,) of the hand [rad]. angles: (C, n - 1) of the segments [rad].
     """
-    return angles[:, :1] - theta[:, None] - chain.rest_grasp_angle
+    hinge_angle: np.ndarray = angles[:, :1] - theta[:, None] - chain.rest_grasp_angle
+    return hinge_angle
 
 
 def grasp_rest_angle(string: String, material: np.ndarray) -> np.ndarray:
@@ -210,7 +216,8 @@ def grasp_rest_angle(string: String, material: np.ndarray) -> np.ndarray:
     It comes from the hinge's share of the first segment's curvature.
     """
     share = string.grasp_cell * string.free_segment_lengths(material)[:, None]
-    return share * _rest_curvature(string, material, ZERO)
+    rest_angle: np.ndarray = share * _rest_curvature(string, material, ZERO)
+    return rest_angle
 
 
 def grasp_compliance_length(string: String, material: np.ndarray) -> np.ndarray:
@@ -221,7 +228,9 @@ def grasp_compliance_length(string: String, material: np.ndarray) -> np.ndarray:
     _, grasp = slot_sum_and_slope(
         string, material, "grasp_moment", "angle", ZERO, {"rate": ZERO}
     )
-    return (bending / np.maximum(grasp, MIN_TURN_STIFFNESS))[:, 0]
+    ratio = bending / np.maximum(grasp, MIN_TURN_STIFFNESS)
+    compliance_length: np.ndarray = ratio[:, 0]
+    return compliance_length
 
 
 def _rest_curvature(string: String, material: np.ndarray, s: np.ndarray) -> np.ndarray:

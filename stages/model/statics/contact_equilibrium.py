@@ -91,7 +91,9 @@ def _step_fraction(strings: _RelaxingStrings, step: np.ndarray) -> np.ndarray:
     half as much with every step that it stays.
     """
     largest_turn = np.abs(step[:, : strings.angles.shape[1]]).max(axis=1)
-    fraction = np.minimum(1.0, MAX_TURN_RAD / np.maximum(largest_turn, 1e-300))
+    fraction: np.ndarray = np.minimum(
+        1.0, MAX_TURN_RAD / np.maximum(largest_turn, 1e-300)
+    )
     least = MAX_END_SLOPE_SHARE * np.sum(strings.residual * step, axis=1)
     ends = np.stack([0 * fraction, fraction])
     first_fall = _energy_fall_rate(strings, step, fraction)
@@ -120,7 +122,8 @@ def _energy_fall_rate(
 ) -> np.ndarray:
     """Find how steeply the energy falls where a fraction of a step is taken, (C,)."""
     moved = strings.with_step(np.arange(len(step)), fraction[:, None] * step)
-    return np.sum(moved.residual * step, axis=1)
+    fall_rate: np.ndarray = np.sum(moved.residual * step, axis=1)
+    return fall_rate
 
 
 @dataclass(frozen=True)
@@ -177,12 +180,14 @@ class _RelaxingStrings:
     @property
     def force_along(self) -> np.ndarray:
         """Part of the force along the segment, (C, n - 1)."""
-        return np.sum(self.force * self.tangent, axis=-1)
+        along: np.ndarray = np.sum(self.force * self.tangent, axis=-1)
+        return along
 
     @property
     def force_across(self) -> np.ndarray:
         """Part of the force across the segment, (C, n - 1)."""
-        return np.sum(self.force * self.normal, axis=-1)
+        across: np.ndarray = np.sum(self.force * self.normal, axis=-1)
+        return across
 
     @cached_property
     def moments(self) -> tuple[np.ndarray, np.ndarray]:

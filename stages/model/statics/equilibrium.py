@@ -18,9 +18,9 @@ are straight. Where forces depend on the place, for the string leans on somethin
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from stringcast.stages.model.effect import is_position_dependent
+from stringcast.stages.model.engine.threads import compile_kernel
 from stringcast.stages.model.statics.chain import (
     ANGLE_TOLERANCE_RAD,
     MAX_ITERATIONS,
@@ -149,7 +149,7 @@ def _free_hanging_shape(
     return angles, lengths
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compile_kernel
 def _solve_balance(
     force: np.ndarray,
     angles: np.ndarray,
@@ -198,7 +198,7 @@ def _solve_balance(
                 break
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@compile_kernel
 def _turn_segments(
     stiffness: np.ndarray,
     along: np.ndarray,
