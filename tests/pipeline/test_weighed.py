@@ -43,7 +43,7 @@ def test_where_nothing_hangs_there_nothing_is_said(tmp_path, string):
 @pytest.mark.parametrize(
     ("string", "words"),
     [
-        ("{length: 0.4, tip_mass: 0.03}", "without the string's own mass"),
+        ("{length: 0.4, tip_mass: 0.03}", "needs the string's own mass"),
         (
             "{length: 0.4, mass: 0.4, tip_mass: -1}",
             "string.tip_mass is -1; it must be 0",
