@@ -1,6 +1,4 @@
-"""Settings that a folder brings along: of stored trials, or the model that a diagnosis
-or an alignment made.
-"""
+"""Settings that a folder brings along: of stored trials, a model or a calibration."""
 
 from __future__ import annotations
 
@@ -22,14 +20,15 @@ from stringcast.pipeline.settings.typed_settings import build_chosen, require_al
 from stringcast.stages.calibrate import CAMERA
 from stringcast.stages.spec import EXTENDED
 
-# what an extended model may set, and as what
+# What an extended model may set, and the type of each.
 MODEL_SETTINGS = {"string": dict, "effects": list, "parameter_values": dict}
-# how an arm may move: a person's own word, where it is real
+# How an arm may move. A person must agree to these settings before a real one moves.
 ARM_BLOCKS = ("arm", "hardware", "execute")
-# that of the string that was measured, however it is simulated
+# The length belongs to the measured string, however it is simulated.
 LENGTH_SETTING = "string.length"
-# as a share, of what a balance says: so closely what hangs at the tip is known
+# Relative half width of the interval in which a weighed tip mass is known.
 WEIGHING_UNCERTAINTY = 1e-3
+# Settings that dataset.yaml brings along.
 DATASET_SETTINGS = {
     "string": ("length",),
     "arm": ("links", "base"),
@@ -45,6 +44,7 @@ DATASET_SETTINGS = {
         "lens",
     ),
 }
+# Settings that the stored trials of a run bring along.
 RUN_SETTINGS = (
     "arm",
     "camera",
@@ -60,141 +60,168 @@ RUN_SETTINGS = (
     "obstacles",
     "specimen",
     "hardware",
-)  # settings that stored trials bring along
+)
 
 
 def inherit_settings(config: DictConfig, given: set[str]) -> dict[str, Any]:
-    """All settings. Folders of trials, of a model and of a calibration bring some
-    along, and the later of these stands.
+    """Return all settings, including those that folders bring along.
 
-    given: names on the command line, which stand above all.
+    A camera replaces that of a model or of trials, and a model replaces that of trials.
+
+    Parameters
+    ----------
+    config : DictConfig
+        The composed settings, which name the folders.
+    given : set of str
+        Names on the command line. These settings take precedence over all others.
     """
-    # unresolved: what refers to a setting follows it
-    whole = OmegaConf.create(OmegaConf.to_container(config))
-    brought = (
-        {} if config.trials is None else settings_of_trials(Path(config.trials), given)
-    )
-    for name, value in brought.items():
-        OmegaConf.update(whole, name, value, merge=False)
+    # not resolved yet: a setting that refers to another one follows it
+    merged: Any = OmegaConf.create(OmegaConf.to_container(config))
+    inherited: dict[str, Any] = {}
+    if config.trials is not None:
+        inherited = settings_of_trials(Path(config.trials), given)
+    for name, value in inherited.items():
+        OmegaConf.update(merged, name, value, merge=False)
     if config.model_from is not None:
         for name, value in read_extended_model(Path(config.model_from)).items():
-            OmegaConf.update(whole, name, value, merge=True)
+            OmegaConf.update(merged, name, value, merge=True)
     if config.camera_from is not None:
-        OmegaConf.update(
-            whole, "camera", read_measured_camera(Path(config.camera_from)), merge=False
-        )
-    if any(
-        folder is not None
-        for folder in (config.trials, config.model_from, config.camera_from)
-    ):
-        restore_given_settings(whole, config, given)
-    if LENGTH_SETTING in brought:
-        OmegaConf.update(whole, LENGTH_SETTING, brought[LENGTH_SETTING])
-    if config.trials is not None and not (Path(config.trials) / "config.json").exists():
-        # what dataset.yaml says was weighed at the string's tip hangs at the model's:
-        # it is known, and not fitted
-        string = read_metadata(Path(config.trials)).get("string", {})
-        if string.get("tip_mass"):
-            ratio = float(string["tip_mass"]) / float(string["mass"])
-            whole.effects = [*whole.effects, *({"tip_mass"} - {*whole.effects})]
-            weighed = {
-                "value": ratio,
-                "low": (1 - WEIGHING_UNCERTAINTY) * ratio,
-                "high": (1 + WEIGHING_UNCERTAINTY) * ratio,
-            }
-            # what was said of it elsewhere stands above
-            whole.parameter_values = {
-                "tip_mass.ratio": weighed,
-                **whole.parameter_values,
-            }
-    settings: Any = OmegaConf.to_container(whole, resolve=True)
+        camera = read_measured_camera(Path(config.camera_from))
+        OmegaConf.update(merged, "camera", camera, merge=False)
+
+    restore_given_settings(merged, config, given)
+    if LENGTH_SETTING in inherited:
+        OmegaConf.update(merged, LENGTH_SETTING, inherited[LENGTH_SETTING])
+    if config.trials is not None and not is_run_folder(Path(config.trials)):
+        add_weighed_tip_mass(merged, read_metadata(Path(config.trials)))
+    settings: Any = OmegaConf.to_container(merged, resolve=True)
     return dict(settings)
 
 
-def restore_given_settings(whole: Any, config: DictConfig, given: set[str]) -> None:
-    """Set the settings that a person gave, by their names, to what they are in
-    `config`: they stand above all.
-    """
+def restore_given_settings(merged: Any, config: DictConfig, given: set[str]) -> None:
+    """Set the settings of the command line to their values in `config`."""
     for name in sorted(given & set(setting_names(OmegaConf.to_container(config)))):
-        OmegaConf.update(whole, name, OmegaConf.select(config, name))
+        OmegaConf.update(merged, name, OmegaConf.select(config, name))
+
+
+def add_weighed_tip_mass(merged: Any, metadata: dict[str, Any]) -> None:
+    """Add the tip mass that dataset.yaml states as an effect of known value.
+
+    A value that the settings already hold takes precedence.
+    """
+    string = metadata.get("string", {})
+    if not string.get("tip_mass"):
+        return
+    ratio = float(string["tip_mass"]) / float(string["mass"])
+    weighed = {
+        "value": ratio,
+        "low": (1 - WEIGHING_UNCERTAINTY) * ratio,
+        "high": (1 + WEIGHING_UNCERTAINTY) * ratio,
+    }
+    if "tip_mass" not in merged.effects:
+        merged.effects = [*merged.effects, "tip_mass"]
+    merged.parameter_values = {"tip_mass.ratio": weighed, **merged.parameter_values}
+
+
+def is_run_folder(folder: Path) -> bool:
+    """Tell whether stored trials are those of a run, with its settings."""
+    return (folder / "config.json").exists()
 
 
 def refuse_inherited_limits(
-    settings: Any, own: Any, source: str, word: str = "accept_limits=true"
+    settings: Any, own_settings: Any, source: str, consent: str = "accept_limits=true"
 ) -> None:
-    """Refuse to move a real arm by what a folder says of its limits, unless a person
-    has agreed to it.
+    """Refuse to move a real arm by limits of a folder without a person's consent.
 
-    settings: of the run; own: as they are configured here. word: how to agree. Raises
-    UserError with what differs.
+    Parameters
+    ----------
+    settings : dict
+        Settings of the run.
+    own_settings : dict
+        Settings as they are configured here.
+    source : str
+        What brought the limits along, for the message.
+    consent : str
+        What a person adds to the call to agree, for the message.
+
+    Raises
+    ------
+    UserError
+        If limits differ. The message lists them.
     """
-    virtual = (
-        require_allowed(settings["hardware"].get("_target_"), "hardware", "hardware")
-        in VIRTUAL_HARDWARE
-    )
-    if own["accept_limits"] or virtual or not run_moves_arm(settings):
+    hardware = settings["hardware"].get("_target_")
+    is_virtual = require_allowed(hardware, "hardware", "hardware") in VIRTUAL_HARDWARE
+    if own_settings["accept_limits"] or is_virtual or not run_moves_arm(settings):
         return
-    theirs, ours = (
-        {name: flatten_settings(block[name]) for name in ARM_BLOCKS}
-        for block in (settings, own)
-    )
-    differing = [
-        f"{name}.{key}: {ours[name].get(key, 'absent')} here, {theirs[name].get(key, 'absent')} there"
-        for name in ARM_BLOCKS
-        for key in sorted({*theirs[name], *ours[name]})
-        if ours[name].get(key) != theirs[name].get(key)
-    ]
-    if differing:
-        listed = "\n  ".join(differing)
+    differences = []
+    for block in ARM_BLOCKS:
+        theirs = flatten_settings(settings[block])
+        ours = flatten_settings(own_settings[block])
+        for name in sorted({*theirs, *ours}):
+            if ours.get(name) != theirs.get(name):
+                here, there = ours.get(name, "absent"), theirs.get(name, "absent")
+                differences.append(f"\n  {block}.{name}: {here} here, {there} there")
+    if differences:
         raise UserError(
-            f"{source}: a real arm would move by limits and driving that this folder brings along:\n  {listed}\n"
-            f"Nothing was moved. Look at them; then give {word}, or name your own (arm=..., hardware=..., execute=...)."
+            f"{source}: a real arm would move by the limits of this folder:"
+            f"{''.join(differences)}\n"
+            f"Nothing was moved. Check them; then give {consent}, or choose your own "
+            "(arm=..., hardware=..., execute=...)."
         )
 
 
 def run_moves_arm(settings: Any) -> bool:
-    """Whether a run with these settings moves an arm, real or not."""
+    """Tell whether a run with these settings moves an arm, real or virtual."""
     return bool(build_chosen(settings["mode"], "mode", "conf/mode").moves_arm(settings))
 
 
 def read_extended_model(folder: Path) -> dict[str, Any]:
-    """Settings of the model that a run made: `string`, `effects`, `parameter_values`. folder: of a
-    diagnosis or an alignment.
+    """Read the model that a diagnosis or an alignment made, as settings.
+
+    Parameters
+    ----------
+    folder : Path
+        The run's folder, or the file itself.
+
+    Raises
+    ------
+    UserError
+        If the file is missing or holds anything but settings of a model.
     """
-    made = read_run_settings(
-        folder,
-        EXTENDED,
-        "model_from",
-        "Name the run folder of a diagnosis or an alignment.",
-    )
-    for name, value in made.items():
+    remedy = "Name the run folder of a diagnosis or an alignment."
+    model = read_run_settings(folder, EXTENDED, "model_from", remedy)
+    for name, value in model.items():
         if name not in MODEL_SETTINGS:
+            known_names = ", ".join(MODEL_SETTINGS)
             raise UserError(
-                f"model_from={folder}: {EXTENDED} sets {name!r}; it may set {', '.join(MODEL_SETTINGS)}. Remove it."
+                f"model_from={folder}: {EXTENDED} sets {name!r}; "
+                f"it may set {known_names}. Remove it."
             )
         if not isinstance(value, MODEL_SETTINGS[name]):
             kind = "a list" if MODEL_SETTINGS[name] is list else "names and values"
             raise UserError(
-                f"model_from={folder}: {name} in {EXTENDED} must hold {kind}. Correct or remove it."
+                f"model_from={folder}: {name} in {EXTENDED} must hold {kind}. "
+                "Correct or remove it."
             )
-    return made
+    return model
 
 
 def read_measured_camera(folder: Path) -> dict[str, Any]:
-    """The camera that a calibration measured, as settings. folder: the calibration's
-    run, or the file itself.
+    """Read the camera that a calibration measured, as settings.
+
+    Parameters
+    ----------
+    folder : Path
+        The run's folder, or the file itself.
     """
-    return read_run_settings(
-        folder, CAMERA, "camera_from", "Name the run folder of a good calibration."
-    )
+    remedy = "Name the run folder of a good calibration."
+    return read_run_settings(folder, CAMERA, "camera_from", remedy)
 
 
 def read_run_settings(
     folder: Path, file: str, setting: str, remedy: str
 ) -> dict[str, Any]:
-    """Settings that a run left in a file, given by a setting as its folder or the file
-    itself. Raises UserError.
-    """
+    """Read settings from a file of a run; raise UserError that names the setting."""
     path = folder / file if folder.is_dir() else folder
     try:
         return read_yaml(path)
@@ -203,49 +230,40 @@ def read_run_settings(
 
 
 def settings_of_trials(folder: Path, given: set[str]) -> dict[str, Any]:
-    """Settings of stored trials, by name: those of a run of ours, or what another's
-    dataset.yaml says.
+    """Return the settings of stored trials by name, from config.json or dataset.yaml.
 
-    given: names on the command line; a group that is chosen there is not brought along,
-    but for the string's length.
+    Settings of the command line are left out, and so are those of a group of which it
+    chooses an option. The length is the exception: `string=...` chooses how a string is
+    simulated, not how long it is.
     """
-    if (folder / "config.json").exists():
-        known = read_json(folder / "config.json")
-        brought = refuse_interpolation(
-            {name: known[name] for name in RUN_SETTINGS if name in known},
-            folder / "config.json",
-        )
-        brought |= (
-            {LENGTH_SETTING: known["string"]["length"]} if "string" in known else {}
-        )
+    stored = {}
+    if is_run_folder(folder):
+        config = read_json(folder / "config.json")
+        known = {name: config[name] for name in RUN_SETTINGS if name in config}
+        stored = refuse_interpolation(known, folder / "config.json")
+        if "string" in config:
+            stored[LENGTH_SETTING] = config["string"]["length"]
     else:
-        about = {
-            group: values
-            for group, values in read_metadata(folder).items()
-            if group in DATASET_SETTINGS
-        }
-        brought = {
-            f"{group}.{key}": value
-            for group, values in about.items()
-            for key, value in values.items()
-            if key in DATASET_SETTINGS[group] and value is not None
-        }
-    # what the command line says itself is not taken; string=... says how a string is
-    # simulated, not how long it is
-    said = {
-        name
-        for name in brought
-        if name in given or (name != LENGTH_SETTING and name.partition(".")[0] in given)
-    }
-    return {name: value for name, value in brought.items() if name not in said}
+        metadata = read_metadata(folder)
+        for group, names in DATASET_SETTINGS.items():
+            for name in names:
+                value = metadata.get(group, {}).get(name)
+                if value is not None:
+                    stored[f"{group}.{name}"] = value
+
+    inherited = {}
+    for name, value in stored.items():
+        group_is_given = name.partition(".")[0] in given and name != LENGTH_SETTING
+        if name not in given and not group_is_given:
+            inherited[name] = value
+    return inherited
 
 
 def refuse_unknown_bench(folder: Path, given: set[str]) -> None:
-    """Refuse to move an arm for trials of which nobody says that they were made with
-    it.
-    """
-    if not (folder / "config.json").exists() and "hardware" not in given:
+    """Refuse to move an arm if nobody states that the stored trials were made with it."""
+    if not is_run_folder(folder) and "hardware" not in given:
         raise UserError(
-            f"trials={folder}: these trials do not say on which bench they were made, so the arm will not be moved. "
-            "Give hardware=serial or hardware=virtual if they were made there, or ask +experiment=diagnose alone."
+            f"trials={folder}: the dataset does not state the bench of its trials, so "
+            "the arm will not be moved. Give hardware=serial or hardware=virtual if "
+            "they were made there, or ask +experiment=diagnose alone."
         )
