@@ -1,1 +1,1 @@
-"""Settings."""
+"""Compose, check and describe the settings of a run."""

@@ -3,7 +3,7 @@
 Settings come from other people's folders too (`trials=`, `model_from=`, `camera_from=`,
 `resume`, `index` ...), so a name is looked up here before anything is imported. Names
 are those within the package `stringcast`. An arm, a camera or a mode of your own needs
-its line here; what may fill a stage's role, the stage says itself.
+its line here. A stage states itself what may fill its role.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PICTURE_SOURCES = (
     "hardware.camera.VideoFile",
 )
 DRY_RUNS = ("stages.execute.dry_run.dry_run", "stages.execute.dry_run.slow_run")
-# nothing real moves by these
+# These move nothing real.
 VIRTUAL_HARDWARE = ("hardware.virtual.open_lab", "hardware.serial.rehearsal.open_lab")
 PIPELINE_ROLES: Mapping[str, tuple[str, ...]] = {
     "mode": (
@@ -53,5 +53,5 @@ PIPELINE_ROLES: Mapping[str, tuple[str, ...]] = {
 
 @cache
 def allowed_names_by_role() -> dict[str, tuple[str, ...]]:
-    """The allowed names for each role, by the name of the settings that choose it."""
+    """Return the allowed names of each role, by the name of the settings block."""
     return {**PIPELINE_ROLES, **{stage.name: stage.by for stage in stages().values()}}

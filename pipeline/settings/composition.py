@@ -46,16 +46,16 @@ def given_names(overrides: Iterable[str]) -> set[str]:
 
 
 def refuse_repeated_settings(overrides: Iterable[str]) -> None:
-    """Raise UserError for a setting or group that is given twice; Hydra would silently take the last."""
+    """Raise UserError for a setting given twice, of which Hydra would take the last."""
     seen: dict[tuple[str, str | None], str] = {}
     for override in OverridesParser.create().parse_overrides(list(overrides)):
         if override.is_delete():
             continue
         key = override.key_or_group, override.package
         if key in seen:
-            both = f"{seen[key]} and {override.input_line}"
             raise UserError(
-                f"{both} (command line): the setting is given twice. Remove one."
+                f"{seen[key]} and {override.input_line} (command line): "
+                "the setting is given twice. Remove one."
             )
         seen[key] = str(override.input_line)
 
@@ -74,5 +74,6 @@ def flatten_settings(block: Any, prefix: str = "") -> dict[str, Any]:
         return {prefix: block}
     values: dict[str, Any] = {}
     for name, inner_block in block.items():
-        values |= flatten_settings(inner_block, f"{prefix}.{name}" if prefix else name)
+        full_name = f"{prefix}.{name}" if prefix else name
+        values |= flatten_settings(inner_block, full_name)
     return values

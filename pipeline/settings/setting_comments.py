@@ -1,4 +1,4 @@
-"""Meanings and units of settings: the comments in the files of `conf`, by the settings' full names."""
+"""Meanings and units of settings, from the comments in the files of `conf`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from stringcast.pipeline.settings.composition import CONF_FOLDER
 SETTING_LINE = re.compile(
     r"(?P<indent> *)(?P<name>[\w.]+):(?P<value>[^#]*)(#\s*(?P<comment>.*))?$"
 )
-RENAMED_GROUP = re.compile(
-    r"- (\w+)@(\w+):"
-)  # a group whose settings have another name
+# A group whose settings have another name.
+RENAMED_GROUP = re.compile(r"- (\w+)@(\w+):")
 CONTINUED_COMMENT = re.compile(r" +#\s*(.*)")
 COMMENT_COLUMN = 40  # where comments begin in the help
 
@@ -75,7 +74,7 @@ def annotate_settings(text: str) -> Iterator[str]:
 
 
 def named_lines(text: str, block: str = "") -> Iterator[tuple[str, str, str]]:
-    """Yield the lines of YAML with the full name and comment of the setting that begins there, if any.
+    """Yield each line of YAML with the full name and comment of its setting, if any.
 
     Parameters
     ----------
@@ -84,9 +83,8 @@ def named_lines(text: str, block: str = "") -> Iterator[tuple[str, str, str]]:
     block : str
         Name of the block around them.
     """
-    parents = (
-        [(-1, block)] if block else []
-    )  # indent and name of each block around the line
+    # indent and name of each block around the line
+    parents = [(-1, block)] if block else []
     for line in text.splitlines():
         setting = SETTING_LINE.match(line)
         if setting is None:

@@ -260,7 +260,7 @@ def settings_of_trials(folder: Path, given: set[str]) -> dict[str, Any]:
 
 
 def refuse_unknown_bench(folder: Path, given: set[str]) -> None:
-    """Refuse to move an arm if nobody states that the stored trials were made with it."""
+    """Refuse to move an arm unless its stored trials are known to be from it."""
     if not is_run_folder(folder) and "hardware" not in given:
         raise UserError(
             f"trials={folder}: the dataset does not state the bench of its trials, so "

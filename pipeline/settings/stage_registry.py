@@ -1,5 +1,6 @@
-"""The stages there are: every folder beneath `stages/` whose `__init__` exports a
-STAGE, with nothing to register.
+"""Registry of the stages, which finds them by itself.
+
+A stage is a folder in `stages/` whose `__init__` defines STAGE.
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ STAGES_FOLDER = Path(package.__path__[0])
 
 @cache
 def stages() -> dict[str, StageSpec]:
-    """All stages by name. Raises ValueError for two of one name."""
+    """Return all stages by name; raise ValueError for two of one name."""
     found: dict[str, StageSpec] = {}
     for file in sorted(STAGES_FOLDER.rglob("__init__.py")):
         if "\nSTAGE = " in file.read_text(encoding="utf-8"):
-            name = ".".join(
-                (package.__name__, *file.parent.relative_to(STAGES_FOLDER).parts)
-            )
-            stage: StageSpec = import_module(name).STAGE
+            folders = file.parent.relative_to(STAGES_FOLDER).parts
+            stage: StageSpec = import_module(
+                ".".join((package.__name__, *folders))
+            ).STAGE
             if stage.name in found:
                 raise ValueError(
-                    f"{file}: there is a stage {stage.name!r} already. Rename this one."
+                    f"{file}: there is already a stage {stage.name!r}. Rename this one."
                 )
             found[stage.name] = stage
     return found

@@ -1,4 +1,4 @@
-"""Turn blocks of settings into checked objects and functions, with errors that a person can act on."""
+"""Turn blocks of settings into checked objects and functions."""
 
 from __future__ import annotations
 
@@ -17,22 +17,18 @@ from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.common import SettingsGroup
 
 BuiltT = TypeVar("BuiltT")
-RUN_ARGUMENTS = (
-    "seed",
-    "manipulation",
-    "trial",
-    "progress",
-)  # a run supplies these itself
+# Arguments that a run supplies itself.
+RUN_ARGUMENTS = ("seed", "manipulation", "trial", "progress")
 
 
 def bind_stage(block: Mapping[str, Any], place: str, where: str) -> Callable[..., Any]:
-    """Return the function that a block names, with the block's settings checked and bound.
+    """Return the function that a block names, with its checked settings bound.
 
     Parameters
     ----------
     block : mapping
-        ``_target_``, and exactly the function's keyword-only arguments, or the fields of those
-        that are a `SettingsGroup`, without the arguments that the run supplies.
+        ``_target_``, and exactly the function's keyword-only arguments, or the fields
+        of those that are a `SettingsGroup`, without those that the run supplies.
     place : str
         Name of the block.
     where : str
@@ -74,14 +70,12 @@ def setting_types(kind: Callable[..., Any]) -> dict[str, Any]:
 
 
 def keyword_types(function: Callable[..., Any]) -> dict[str, Any]:
-    """Return the types of a function's keyword-only arguments, except those that the run supplies."""
+    """Return the types of keyword-only arguments, except those that a run supplies."""
     hints = get_type_hints(function, include_extras=True)
     types = {}
     for name, parameter in inspect.signature(function).parameters.items():
-        if (
-            parameter.kind is inspect.Parameter.KEYWORD_ONLY
-            and name not in RUN_ARGUMENTS
-        ):
+        is_keyword = parameter.kind is inspect.Parameter.KEYWORD_ONLY
+        if is_keyword and name not in RUN_ARGUMENTS:
             types[name] = hints[name]
     return types
 
@@ -117,12 +111,9 @@ def check_names(
     expected = list(expected)
     for name in given:
         if name not in expected:
-            near = difflib.get_close_matches(name, expected, 1)
-            hint = (
-                f"Did you mean '{near[0]}'?"
-                if near
-                else f"Known are: {', '.join(expected)}."
-            )
+            hint = f"Known are: {', '.join(expected)}."
+            if near := difflib.get_close_matches(name, expected, 1):
+                hint = f"Did you mean '{near[0]}'?"
             raise UserError(
                 f"{place}.{name} ({where}): there is no such setting. {hint}"
             )
@@ -134,7 +125,7 @@ def check_names(
 
 
 def load_callable(target: Any, place: str, where: str) -> Any:
-    """Return the function or class of a `_target_`; raise UserError if its role does not allow it."""
+    """Return the function or class of a `_target_` that its role allows."""
     return get_object(f"stringcast.{require_allowed(target, place, where)}")
 
 
@@ -146,7 +137,8 @@ def require_allowed(target: Any, place: str, where: str) -> str:
     target : object
         Value of the setting.
     place : str
-        Full name of the setting, such as ``string.integrator``; its last name is the role.
+        Full name of the setting, such as ``string.integrator``. Its last name is the
+        role.
     where : str
         File from which it comes, for messages.
     """
@@ -156,13 +148,14 @@ def require_allowed(target: Any, place: str, where: str) -> str:
         if allowed_names:
             choices = f"Choose {' or '.join(allowed_names)}"
         raise UserError(
-            f"{place}._target_ = {target!r} ({where}): it may not be named here. {choices}."
+            f"{place}._target_ = {target!r} ({where}): "
+            f"it may not be named here. {choices}."
         )
     return str(target)
 
 
 def build_chosen(block: Mapping[str, Any], place: str, where: str) -> Any:
-    """Build the object of the class that a block names, one of several that fill the same role."""
+    """Build the object of the class that a block names by `_target_`."""
     if not isinstance(block, Mapping) or "_target_" not in block:
         remedy = f"it must hold `_target_` and its settings. Choose {place}=..."
         raise UserError(f"{place} = {block!r} ({where}): {remedy}")
@@ -172,22 +165,22 @@ def build_chosen(block: Mapping[str, Any], place: str, where: str) -> Any:
 
 
 def validate_value(kind: Any, value: Any, place: str, where: str) -> Any:
-    """Return a value as this type; raise UserError that names the setting, the file and the remedy."""
+    """Return a value as this type; raise UserError with the setting and the remedy."""
     if isinstance(value, Mapping) and "_target_" in value:
         value = build_chosen(value, place, where)
-    pydantic_config: Any = (
-        None if is_dataclass(kind) else {"arbitrary_types_allowed": True}
-    )
-    if is_dataclass(kind) and isinstance(value, Mapping):
-        check_names(value, expected_fields(kind, value), place, where)
+    pydantic_config: Any = {"arbitrary_types_allowed": True}
+    if is_dataclass(kind):
+        pydantic_config = None
+        if isinstance(value, Mapping):
+            check_names(value, expected_fields(kind, value), place, where)
     try:
         return TypeAdapter(kind, config=pydantic_config).validate_python(value)
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join([place, *map(str, first["loc"])])
-        wrong_value = (
-            "" if isinstance(first["input"], Mapping) else f" = {first['input']!r}"
-        )
+        if not isinstance(first["input"], Mapping):
+            name += f" = {first['input']!r}"
         fault = first["msg"].removeprefix("Value error, ")
-        remedy = "Change it there or on the command line."
-        raise UserError(f"{name}{wrong_value} ({where}): {fault}. {remedy}") from error
+        raise UserError(
+            f"{name} ({where}): {fault}. Change it there or on the command line."
+        ) from error
