@@ -40,243 +40,229 @@ from stringcast.stages.check.overview import (
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
-USABLE, NOT_USABLE = 0, 1  # exit status
+USABLE, NOT_USABLE = 0, 1  # exit statuses
 SEVERITY_COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
+# the field in a message: a setting, a column, or a line of YAML
+FIELD_PATTERN = re.compile(
+    r"([a-z_]+(?:\.[\w]+)+) is |.*column '([^']*)'|not valid YAML \((line \d+)"
+)
+NUMBER_HEADINGS = (
+    "seen [s]",
+    "with arm [s]",
+    "frames",
+    "per s",
+    "arm per s",
+    "points",
+    "noise [mm]",
+    "hand [m]",
+)
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Look at a folder and say what was found; the exit status."""
-    asked = argument_parser().parse_intermixed_args(arguments)
-    console = Terminal()
-    if asked.report is not None and asked.report.suffix != ".html":
-        raise UserError(f"--report {asked.report}: it must end in .html. Change it.")
+    """Print what is in a folder and return whether it is usable."""
+    options = argument_parser().parse_intermixed_args(arguments)
+    report: Path | None = options.report
+    if report is not None and report.suffix != ".html":
+        raise UserError(f"--report {report}: it must end in .html. Change it.")
     try:
-        there = read_measurements(asked.folder, asked.settings)
-        found = dataset_overview(there)
-        if asked.effects and found["usable"]:
-            # which takes seconds to load
-            told = import_module("stringcast.pipeline.commands.check_effects")
-            found["effects"] = told.detectable_effects(asked.folder, asked.settings)
-        if asked.report is not None:
-            write_text(asked.report, check_report(there, found))
-    except (DataError, UserError, HydraException, OmegaConfBaseException) as error:
-        found = overview_of_unreadable(asked.folder, str(error))
-    if asked.json:
-        print(json.dumps(found, indent=2))
-    else:
-        print_overview(found, console)
-        if asked.report is not None and asked.report.exists():
-            console.print(
-                str(asked.report), soft_wrap=True, markup=False, highlight=False
+        checked = read_measurements(options.folder, options.settings)
+        overview = dataset_overview(checked)
+        if options.effects and overview["usable"]:
+            # takes seconds to import
+            effects = import_module("stringcast.pipeline.commands.check_effects")
+            overview["effects"] = effects.detectable_effects(
+                options.folder, options.settings
             )
-    return USABLE if found["usable"] else NOT_USABLE
+        if report is not None:
+            write_text(report, check_report(checked, overview))
+    except (DataError, UserError, HydraException, OmegaConfBaseException) as error:
+        overview = overview_of_unreadable(options.folder, str(error))
+
+    if options.json:
+        print(json.dumps(overview, indent=2))
+    else:
+        console = Terminal()
+        print_overview(overview, console)
+        if report is not None and report.exists():
+            console.print_line(str(report))
+    return USABLE if overview["usable"] else NOT_USABLE
 
 
 def argument_parser() -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
-    made = CommandParser(
+    """Return the parser of the command's arguments."""
+    parser = CommandParser(
         "python -m pipeline check", description=__doc__, allow_abbrev=False
     )
-    made.add_argument("folder", type=Path, help="measured data, or a run's folder")
-    made.add_argument(
-        "settings",
-        nargs="*",
-        default=[],
-        help="as for a run, such as string.length=0.4 or arm=mine",
+    add = parser.add_argument
+    add("folder", type=Path, help="measured data, or a run's folder")
+    settings_help = "as for a run, such as string.length=0.4 or arm=mine"
+    add("settings", nargs="*", default=[], help=settings_help)
+    report_help = "a .html file to write: the same, with arm, string and clocks drawn"
+    add("--report", type=Path, help=report_help)
+    effects_help = (
+        "also say from which size on each effect would be found in these trials, in "
+        "half a minute"
     )
-    made.add_argument(
-        "--report",
-        type=Path,
-        help="a .html file to write: the same, with arm, string and clocks drawn",
-    )
-    made.add_argument(
-        "--effects",
-        action="store_true",
-        help="also say from which size on each effect would be found in these trials, in half a minute",
-    )
-    made.add_argument(
-        "--json", action="store_true", help="print all that was found as JSON"
-    )
-    return made
+    add("--effects", action="store_true", help=effects_help)
+    add("--json", action="store_true", help="print all that was found as JSON")
+    return parser
 
 
 def read_measurements(folder: Path, overrides: Sequence[str]) -> CheckedDataset:
-    """The data in a folder, with the arm, camera and string that a run would have."""
+    """Return the data in a folder, with arm, camera and string as a run would have.
+
+    Parameters
+    ----------
+    folder : Path
+        Measured data, or a run.
+    overrides : sequence of str
+        Settings as on the command line.
+    """
     config = OmegaConf.create({**compose_settings(overrides), "trials": str(folder)})
-    blocks = inherit_settings(config, given_names(overrides))
-    arm = build_dataclass(Arm, blocks["arm"], "arm", "conf/arm")
-    camera = build_dataclass(Camera, blocks["camera"], "camera", "conf/camera")
-    return CheckedDataset(
-        dataset.read_dataset(folder), arm, camera, float(blocks["string"]["length"])
-    )
+    settings = inherit_settings(config, given_names(overrides))
+    arm = build_dataclass(Arm, settings["arm"], "arm", "conf/arm")
+    camera = build_dataclass(Camera, settings["camera"], "camera", "conf/camera")
+    length = float(settings["string"]["length"])
+    return CheckedDataset(dataset.read_dataset(folder), arm, camera, length)
 
 
-def check_report(there: CheckedDataset, found: Mapping[str, Any]) -> str:
-    """The findings as a page with pictures, HTML."""
-    # which takes a second to load
+def check_report(checked: CheckedDataset, overview: Mapping[str, Any]) -> str:
+    """Return the findings as an HTML page with pictures."""
+    # takes a second to import
     check_page = import_module("stringcast.stages.report.pages.check").check_page
-    ahead = [
-        (
-            "What does the simulation get wrong in these trials, and why?",
-            f"+experiment=diagnose trials={there.data.folder}",
-        )
-    ]
-    following = [
-        (why, f"{program_name()} {words}") for why, words in ahead if found["usable"]
-    ]
-    origin = {"code": code_state(), "files": dict(there.data.hashes)}
-    text: str = check_page(there, found, origin, following)
+    next_steps = []
+    if overview["usable"]:
+        question = "What does the simulation get wrong in these trials, and why?"
+        arguments = f"+experiment=diagnose trials={checked.data.folder}"
+        next_steps.append((question, f"{program_name()} {arguments}"))
+    origin = {"code": code_state(), "files": dict(checked.data.hashes)}
+    text: str = check_page(checked, overview, origin, next_steps)
     return text
 
 
-def overview_of_unreadable(folder: Path, reason: str) -> dict[str, Any]:
-    """The overview of data that cannot be read. reason: `file: field is so. Remedy.`,
-    as all errors are written.
+def overview_of_unreadable(folder: Path, message: str) -> dict[str, Any]:
+    """Return the overview of data that cannot be read.
+
+    The message of every error is `file: field is so. Remedy.`
     """
-    file, _, rest = reason.partition(": ")
-    ends = [at.start() for at in re.finditer(r"\. (?=[A-Z])", rest)]
-    end = next(
-        (at for at in ends if rest[:at].count("(") == rest[:at].count(")")), len(rest)
-    )
-    said, remedy = rest[:end].removesuffix("."), rest[end + 2 :].removesuffix(".")
-    field = re.match(
-        r"([a-z_]+(?:\.[\w]+)+) is |.*column '([^']*)'|not valid YAML \((line \d+)",
-        said,
-    )
-    named = next(filter(None, field.groups()), "") if field else ""
-    finding: dict[str, Any] = {
+    file, _, rest = message.partition(": ")
+    end = len(rest)
+    for stop in re.finditer(r"\. (?=[A-Z])", rest):
+        before = rest[: stop.start()]
+        if before.count("(") == before.count(")"):  # not within brackets
+            end = stop.start()
+            break
+    statement = rest[:end].removesuffix(".")
+    match = FIELD_PATTERN.match(statement)
+    finding = {
         "severity": "error",
         "file": file,
-        "field": named,
-        "statement": said,
-        "remedy": remedy,
+        "field": match[match.lastindex or 0] if match else "",
+        "statement": statement,
+        "remedy": rest[end + 2 :].removesuffix("."),
+        "trials": [],
     }
-    found = [{**finding, "trials": []}]
     return {
         "format": 1,
         "folder": str(folder),
         "usable": False,
         "trials": [],
         "rejected": {},
-        "findings": found,
+        "findings": [finding],
     }
 
 
-def print_overview(found: Mapping[str, Any], console: Terminal) -> None:
+def print_overview(overview: Mapping[str, Any], console: Terminal) -> None:
     """Print the findings in plain words."""
-    if found["trials"]:
-        console.print(
-            f"{found['folder']}: a string of {found['string_length_m']:.3f} m",
-            soft_wrap=True,
-            markup=False,
+    trials, findings = overview["trials"], overview["findings"]
+    if trials:
+        length = overview["string_length_m"]
+        heading = f"{overview['folder']}: a string of {length:.3f} m"
+        console.print(heading, soft_wrap=True, markup=False)
+        console.print(trial_table(trials))
+    for finding in findings:
+        severity = finding["severity"]
+        label = f"[{SEVERITY_COLOURS[severity]}]{severity}[/]"
+        sentence = escape(with_program_name(finding_sentence(finding)))
+        console.print(f"{label} {sentence}", highlight=False, soft_wrap=True)
+    if overview.get("effects"):
+        table = effect_table(overview["effects"])
+        console.print(table, DETECTION_NOTE, highlight=False)
+
+    counts = []
+    for severity in SEVERITY_COLOURS:
+        count = sum(finding["severity"] == severity for finding in findings)
+        if count:
+            counts.append(plural(count, severity))
+    counted = ", ".join(counts) or "nothing looks wrong"
+    conclusion = f"[bold red]Not usable[/]: {counted}."
+    if overview["usable"]:
+        conclusion = (
+            f"[bold green]Usable[/]: {plural(len(trials), 'trial')}; {counted}."
         )
-        console.print(trial_table(found["trials"]))
-    for finding in found["findings"]:
-        place = " ".join(filter(None, (finding["file"], finding["field"])))
-        named, more = ", ".join(finding["trials"][:4]), len(finding["trials"]) - 4
-        where = (
-            f" (trial {named}{f' and {more} more' if more > 0 else ''})"
-            if named
-            else ""
-        )
-        remedy = (
-            f" {finding['remedy']}{full_stop(finding['remedy'])}"
-            if finding["remedy"]
-            else ""
-        )
-        words = (
-            f"{place}{where}: {finding['statement']}."
-            if place or where
-            else finding["statement"] + "."
-        )
-        colour, severity = SEVERITY_COLOURS[finding["severity"]], finding["severity"]
-        console.print(
-            f"[{colour}]{severity}[/] {escape(with_program_name(words + remedy))}",
-            highlight=False,
-            soft_wrap=True,
-        )
-    if found.get("effects"):
-        console.print(effect_table(found["effects"]), DETECTION_NOTE, highlight=False)
-    count = {
-        s: sum(f["severity"] == s for f in found["findings"]) for s in SEVERITY_COLOURS
-    }
-    counted = (
-        ", ".join(f"{n} {s}{'s' if n > 1 else ''}" for s, n in count.items() if n)
-        or "nothing looks wrong"
-    )
-    usable = f"{len(found['trials'])} trial{'s' if len(found['trials']) > 1 else ''}; {counted}"
-    said = (
-        f"[bold green]Usable[/]: {usable}."
-        if found["usable"]
-        else f"[bold red]Not usable[/]: {counted}."
-    )
-    console.print(said, soft_wrap=True)
+    console.print(conclusion, soft_wrap=True)
+
+
+def finding_sentence(finding: Mapping[str, Any]) -> str:
+    """Return a finding in one line that names at most four trials."""
+    place = " ".join(filter(None, (finding["file"], finding["field"])))
+    trials, remedy = finding["trials"], finding["remedy"]
+    if trials:
+        place += f" (trial {', '.join(trials[:4])}"
+        place += f" and {len(trials) - 4} more)" if len(trials) > 4 else ")"
+    sentence = f"{place}: " if place else ""
+    sentence += f"{finding['statement']}."
+    if remedy:
+        sentence += f" {remedy}{full_stop(remedy)}"
+    return sentence
+
+
+def plural(count: int, noun: str) -> str:
+    """Return a number with a noun in the singular or plural."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def trial_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """A line for each trial that can be used."""
+    """Return a table with a row for each usable trial."""
     table = Table(box=None, pad_edge=False)
-    headings = (
-        "trial",
-        "seen [s]",
-        "with arm [s]",
-        "frames",
-        "per s",
-        "arm per s",
-        "points",
-        "noise [mm]",
-        "hand [m]",
-    )
-    for heading in headings:
-        table.add_column(
-            escape(heading), justify="left" if heading == "trial" else "right"
-        )
+    table.add_column("trial")
+    for heading in NUMBER_HEADINGS:
+        table.add_column(escape(heading), justify="right")
     table.add_column("begins")
-    for each in rows:
-        rates = (
-            format_number(each[name], "{:.0f}")
-            for name in ("fps", "hand_rate", "points")
-        )
-        noise = format_number(
-            None if each["noise"] is None else each["noise"] * 1e3, "{:.2f}"
-        )
-        times = (
-            f"{each['duration']:.2f}",
-            f"{each['common']:.2f}",
-            str(each["frames"]),
-        )
+    for row in rows:
         table.add_row(
-            Text(each["trial"]),
-            *times,
-            *rates,
-            noise,
-            f"{each['path']:.2f}",
-            each["begins"],
+            Text(row["trial"]),
+            f"{row['duration']:.2f}",
+            f"{row['common']:.2f}",
+            str(row["frames"]),
+            format_number(row["fps"], 1, 0),
+            format_number(row["hand_rate"], 1, 0),
+            format_number(row["points"], 1, 0),
+            format_number(row["noise"], 1e3, 2),
+            f"{row['path']:.2f}",
+            row["begins"],
         )
     return table
 
 
 def effect_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """A line for each parameter that is an effect's size."""
+    """Return a table with a row for each parameter that is an effect's size."""
     table = Table(box=None, pad_edge=False)
-    for heading in ("effect", "found from", "tip [mm]", "like the string", "taken for"):
-        table.add_column(
-            escape(heading),
-            justify="left" if heading in ("effect", "taken for") else "right",
-        )
-    for each in rows:
-        tip = format_number(each["tip_m"] and each["tip_m"] * 1e3, "{:.1f}")
-        name = f"{each['effect']}.{each['parameter']}"
+    table.add_column("effect")
+    for heading in ("found from", "tip [mm]", "like the string"):
+        table.add_column(heading, justify="right")
+    table.add_column("taken for")
+    for row in rows:
         table.add_row(
-            name,
-            detection_limit_text(each),
-            tip,
-            f"{each['imitated']:.0%}",
-            ", ".join(each["alike"]) or "-",
+            f"{row['effect']}.{row['parameter']}",
+            detection_limit_text(row),
+            format_number(row["tip_m"], 1e3, 1),
+            f"{row['imitated']:.0%}",
+            ", ".join(row["alike"]) or "-",
         )
     return table
 
 
-def format_number(value: float | None, form: str) -> str:
-    """A number, or a dash where it is not known."""
-    return "-" if value is None else form.format(value)
+def format_number(value: float | None, factor: float, digits: int) -> str:
+    """Return a number times a factor, or a dash if it is unknown."""
+    return "-" if value is None else f"{value * factor:.{digits}f}"

@@ -1,17 +1,17 @@
-"""Make a dataset of logs and trackers' tables: say what was understood, draw it, write
-the folder.
-"""
+"""Make a dataset from robot logs and tracker tables, and say what was understood."""
 
 from __future__ import annotations
 
 import argparse
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from importlib import import_module
 from math import isnan
 from os.path import commonprefix
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 from rich.table import Table
 from rich.text import Text
@@ -47,259 +47,247 @@ from stringcast.stages.check.mistakes import (
 )
 from stringcast.stages.check.overview import dataset_overview
 
-# as many things can be unclear one after another: units of points and hand, degrees,
-# direction, clock
+# units of points and of the hand, degrees, direction and clock can be wrong in turn
 MAX_CORRECTIONS = 6
+CORRECTABLE_PARTS = {"xy", "s", "hand", "length"}  # by the option --unit
+
+
+class Change(NamedTuple):
+    """Options that would explain why the data contradict themselves."""
+
+    reason: str
+    words: list[str]
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Read, show, write; 0 where a folder that can be used was written."""
-    asked = argument_parser(__doc__).parse_args(arguments)
-    asked.files = expand_patterns(asked.files)
-    folder: Path = asked.to
+    """Read, show and write; return 0 if a usable folder was written."""
+    options = argument_parser(__doc__).parse_args(arguments)
+    options.files = expand_patterns(options.files)
+    folder: Path = options.to
     if folder.exists():
         raise UserError(
-            f"--to {folder}: it is there already. Name another folder, or remove it: rm -r {folder}"
+            f"--to {folder}: it is there already. Name another folder, or remove it: "
+            f"rm -r {folder}"
         )
-    console, read = Terminal(), read_recordings(asked.files)
-    what, made, measured = interpret_recordings(read, asked, console)
-    console.print(column_table(what))
-    for note in made.notes:
+    console = Terminal()
+    recordings = read_recordings(options.files)
+    tables, imported, checked = interpret_recordings(recordings, options, console)
+
+    console.print(column_table(tables))
+    for note in imported.notes:
         console.print(f"[yellow]note[/] {note}.", highlight=False, soft_wrap=True)
-    picture = draw_first_trial(measured, folder)
-    found = dataset_overview(measured)
-    check.print_overview(found | {"folder": str(folder)}, console)
+    picture = draw_first_trial(checked, folder)
+    overview = dataset_overview(checked)
+    check.print_overview(overview | {"folder": str(folder)}, console)
     if picture is not None:
-        console.print(
-            f"What was understood, drawn: {picture}", soft_wrap=True, markup=False
-        )
-    if not found["usable"]:
-        first = next(
-            (f for f in found["findings"] if f["severity"] == Severity.ERROR), None
-        )
-        remedy = f" {first['remedy']}." if first else ""
+        console.print_line(f"What was understood, drawn: {picture}")
+    if not overview["usable"]:
+        findings = overview["findings"]
+        errors = [one for one in findings if one["severity"] == Severity.ERROR]
+        remedy = f" {errors[0]['remedy']}." if errors else ""
         raise DataError(
-            f"{folder}: it was not written, for nothing could be learnt from it as it is.{remedy}"
+            f"{folder}: it was not written, because nothing can be learnt from it as "
+            f"it is.{remedy}"
         )
-    with write_atomically(folder) as aside:
-        write_dataset(made, aside, asked.files, equivalent_command(asked))
-    again = shlex.quote(str(folder))
-    console.print(
-        f"Written: {folder}. The same again: {equivalent_command(asked)}",
-        soft_wrap=True,
-        markup=False,
-    )
-    console.print(
-        f"Next: {program_name()} +experiment=diagnose trials={again}",
-        soft_wrap=True,
-        markup=False,
-    )
+
+    command = equivalent_command(options)
+    with write_atomically(folder) as part:
+        write_dataset(imported, part, options.files, command)
+    diagnosis = f"+experiment=diagnose trials={shlex.quote(str(folder))}"
+    console.print_line(f"Written: {folder}. The same again: {command}")
+    console.print_line(f"Next: {program_name()} {diagnosis}")
     return 0
 
 
 def interpret_recordings(
-    read: Sequence[SourceRecording], asked: argparse.Namespace, console: Terminal
+    recordings: Sequence[SourceRecording],
+    options: argparse.Namespace,
+    console: Terminal,
 ) -> tuple[ImportedTables, ImportedDataset, CheckedDataset]:
-    """The recordings with their interpretation. Where a wrong unit, direction or clock
-    would explain why data cannot be right, that is asked on a terminal, and else
-    assumed where no option says otherwise. `asked` is changed by it.
+    """Convert recordings, and correct units, directions and clocks that cannot be.
+
+    A correction is confirmed on a terminal and assumed elsewhere. It changes `options`.
     """
     with TemporaryDirectory() as place:
         for number in range(MAX_CORRECTIONS):
-            what = gather_tables(read, read_column_hints(asked))
-            made = convert_recordings(what, read_bench_hints(asked))
+            tables = gather_tables(recordings, read_column_hints(options))
+            imported = convert_recordings(tables, read_bench_hints(options))
+            if imported.trials_without_common_time:
+                confirm_change(propose_clock_fit(imported, options), options, console)
+                continue
             folder = Path(place) / str(number)
-            change: Change | None
-            if made.trials_without_common_time:
-                change = propose_clock_fit(made, asked)
-            else:
-                write_dataset(made, folder, asked.files, "")
-                measured = check.read_measurements(folder, [])
-                contradictory = impossible_views(measured)
-                likely = (
-                    likeliest_mistakes(measured, contradictory) if contradictory else []
-                )
-                undoing = (
-                    propose_correction(mistake, what, asked)
-                    for mistake in (likely[0] if likely else ())
-                )
-                change = next(filter(None, undoing), None)
+            write_dataset(imported, folder, options.files, "")
+            checked = check.read_measurements(folder, [])
+            change = propose_change(checked, tables, options)
             if change is None:
-                return what, made, measured
-            confirm_change(*change, asked, console)
+                return tables, imported, checked
+            confirm_change(change, options, console)
     raise DataError(
-        "It stays unclear in which units and directions these files are. Say it: see import --help."
+        "The units and directions of these files stay unclear. State them: see "
+        "import --help."
     )
 
 
-# what seems so, the option that says it, and what it does
-Change = tuple[str, str, Callable[[], object]]
-
-
-def propose_clock_fit(made: ImportedDataset, asked: argparse.Namespace) -> Change:
-    """Clocks that have nothing in common are laid over one another."""
-    if asked.clock is not None:
+def propose_clock_fit(imported: ImportedDataset, options: argparse.Namespace) -> Change:
+    """Propose to fit the clocks of arm and camera, which have no time in common."""
+    name = imported.trials_without_common_time[0]
+    if options.clock is not None:
         raise DataError(
-            f"--clock {asked.clock}: trial {made.trials_without_common_time[0]} of arm and camera are still not of one time."
+            f"--clock {options.clock}: arm and camera still have no time in common in "
+            f"trial {name}."
         )
-    name = made.trials_without_common_time[0]
-    hand, seen = (
+    hand_t, point_t = (
         table.loc[table["trial"] == name, "t"]
-        for table in (made.hand_rows, made.points)
+        for table in (imported.hand_rows, imported.points)
     )
-    why = (
-        f"arm and camera have no time in common: in trial {name} the arm's clock goes from {hand.min():.2f} to "
-        f"{hand.max():.2f} s, the camera's from {seen.min():.2f} to {seen.max():.2f} s"
+    reason = (
+        f"arm and camera have no time in common: in trial {name} the arm's clock goes "
+        f"from {hand_t.min():.2f} to {hand_t.max():.2f} s, the camera's from "
+        f"{point_t.min():.2f} to {point_t.max():.2f} s"
     )
-    return why, "--clock fit", lambda: setattr(asked, "clock", "fit")
+    return Change(reason, ["--clock", "fit"])
+
+
+def propose_change(
+    checked: CheckedDataset, tables: ImportedTables, options: argparse.Namespace
+) -> Change | None:
+    """Return the likeliest change that makes the data possible; None if they are."""
+    contradictory = impossible_views(checked)
+    if not contradictory:
+        return None
+    corrections = likeliest_mistakes(checked, contradictory)
+    for mistake in corrections[0] if corrections else ():
+        change = propose_correction(mistake, tables, options)
+        if change is not None:
+            return change
+    return None
 
 
 def propose_correction(
-    mistake: Mistake, what: ImportedTables, asked: argparse.Namespace
+    mistake: Mistake, tables: ImportedTables, options: argparse.Namespace
 ) -> Change | None:
-    """The option that undoes a mistake, if there is one and the files do not say
-    themselves what is so.
-    """
+    """Return the options that undo a mistake; None if files or user exclude it."""
     if mistake.option == "--deg":
-        changes = asked.deg is None and any(
-            one.unit == "rad" and one.how == "name" for one in what.used_columns
+        is_possible = options.deg is None and any(
+            column.unit == "rad" and column.how == "name"
+            for column in tables.used_columns
         )
-        return (
-            (mistake.statement, "--deg", lambda: setattr(asked, "deg", True))
-            if changes
-            else None
-        )
-    if mistake.option == "--y-down":
-        return (
-            None
-            if asked.y_down or asked.plane
-            else (mistake.statement, "--y-down", lambda: setattr(asked, "y_down", True))
-        )
-    if mistake.option:
-        plane = mistake.option.partition("=")[2]
-        return (
-            None
-            if asked.plane
-            else (
-                mistake.statement,
-                mistake.option,
-                lambda: setattr(asked, "plane", plane),
-            )
-        )
-    if not mistake.parts or not {*mistake.parts} <= {"xy", "s", "hand", "length"}:
+    elif mistake.option == "--y-down":
+        is_possible = not options.y_down and not options.plane
+    elif mistake.option:
+        is_possible = not options.plane
+    else:
+        return propose_length_unit(mistake, tables, options)
+    return Change(mistake.statement, [mistake.option]) if is_possible else None
+
+
+def propose_length_unit(
+    mistake: Mistake, tables: ImportedTables, options: argparse.Namespace
+) -> Change | None:
+    """Return the unit of files whose lengths neither columns nor options state."""
+    parts = set(mistake.parts)
+    if not parts or not parts <= CORRECTABLE_PARTS:
         return None
-    # lengths of some files in another unit, where neither their columns nor a person
-    # say in which
-    unit = next(
-        unit for unit, factor in LENGTH_UNITS.items() if factor == mistake.factor
-    )
-    hand, points = "hand" in mistake.parts, bool({"xy", "s"} & {*mistake.parts})
-    wanted = {"x": hand, "y": hand, "s": points}  # by role; a point's are such as tip.x
-    metres = (one for one in what.used_columns if one.unit == "m")
-    files = {
-        one.file.name
-        for one in metres
-        if wanted.get(one.role, points and one.role.endswith((".x", ".y")))
-    }
-    said = [f"{file}={unit}" for file in sorted(files)]
-    if not files or any(text in asked.unit for text in said):
-        return None
-    return (
-        mistake.statement,
-        " ".join(f"--unit {text}" for text in said),
-        lambda: asked.unit.extend(said),
-    )
+    files = set()
+    for column in tables.used_columns:
+        if column.role in ("x", "y"):
+            is_wrong = "hand" in parts
+        else:  # a point's roles are such as tip.x
+            is_length = column.role == "s" or column.role.endswith((".x", ".y"))
+            is_wrong = is_length and bool(parts & {"xy", "s"})
+        if is_wrong and column.unit == "m":
+            files.add(column.file.name)
+    units = {factor: unit for unit, factor in reversed(LENGTH_UNITS.items())}
+    words = []
+    for file in sorted(files):
+        text = f"{file}={units[mistake.factor]}"
+        if text in options.unit:
+            return None
+        words += ["--unit", text]
+    return Change(mistake.statement, words) if words else None
 
 
 def confirm_change(
-    why: str,
-    option: str,
-    change: Callable[[], object],
-    asked: argparse.Namespace,
-    console: Terminal,
+    change: Change, options: argparse.Namespace, console: Terminal
 ) -> None:
-    """Change what was asked for, after a yes where somebody can be asked."""
-    console.print(f"[yellow]It seems:[/] {why}.", highlight=False, soft_wrap=True)
-    if sys.stdin.isatty() and not asked.yes:
-        if input(f"Take it as {option}? [Y/n] ").strip().lower() not in (
-            "",
-            "y",
-            "yes",
-        ):
-            raise UserError("Nothing was written. Say what is so: see import --help.")
+    """Apply a change to the options, after a yes if somebody can be asked."""
+    option = " ".join(change.words)
+    console.print(
+        f"[yellow]It seems:[/] {change.reason}.", highlight=False, soft_wrap=True
+    )
+    if sys.stdin.isatty() and not options.yes:
+        answer = input(f"Take it as {option}? [Y/n] ").strip().lower()
+        if answer not in ("", "y", "yes"):
+            raise UserError("Nothing was written. State what is so: see import --help.")
     else:
         console.print(f"Taken as {option}.", highlight=False, markup=False)
-    change()
+    files = map(str, options.files)
+    argument_parser().parse_args([*change.words, "--", *files], options)
 
 
-def column_table(what: ImportedTables) -> Table:
-    """A table of the columns as they were read, and of those left out; files of the
-    same columns as one.
+def column_table(tables: ImportedTables) -> Table:
+    """Return a table of the columns that were used and of those left out.
+
+    Files with the same columns share a row.
     """
     table = Table(box=None, pad_edge=False)
-    for heading in ("file", "column", "taken as", "from", "to"):
-        table.add_column(
-            Text(heading),
-            justify="right" if heading in ("from", "to") else "left",
-            overflow="fold",
-        )
-    alike: dict[tuple[str, ...], list[UsedColumn]] = {}
-    for one in what.used_columns:
-        unit = f" [{one.unit}]" if one.unit else ""
-        alike.setdefault((one.column, f"{one.role}{unit}, by {one.how}"), []).append(
-            one
-        )
-    for (column, role), those in alike.items():
-        first = those[0]
-        unit = {"t": " s", "theta": " rad", "trial": ""}.get(
-            first.role, " rad" if first.role.startswith("q") else " m"
-        )
-        ours = "" if first.unit in ("1", "px") or first.role.endswith("valid") else unit
-        ends = (
-            []
-            if isnan(those[0].low)
-            else [min(one.low for one in those), max(one.high for one in those)]
-        )
-        cells = [
-            shared_file_name([one.file for one in those]),
-            column,
-            role,
-            *(f"{end:.4g}{ours}" for end in ends),
-        ]
+    for heading in ("file", "column", "taken as"):
+        table.add_column(heading, overflow="fold")
+    for heading in ("from", "to"):
+        table.add_column(heading, justify="right", overflow="fold")
+
+    used: dict[tuple[str, str], list[UsedColumn]] = {}
+    for column in tables.used_columns:
+        unit = f" [{column.unit}]" if column.unit else ""
+        meaning = f"{column.role}{unit}, by {column.how}"
+        used.setdefault((column.column, meaning), []).append(column)
+    for (name, meaning), columns in used.items():
+        files = shared_file_name([column.file for column in columns])
+        cells = [files, name, meaning]
+        if not isnan(columns[0].low):
+            unit = range_unit(columns[0])
+            low = min(column.low for column in columns)
+            high = max(column.high for column in columns)
+            cells += [f"{low:.4g}{unit}", f"{high:.4g}{unit}"]
         table.add_row(*map(Text, cells))
-    left = {
-        tuple(map(str, names)): [
-            f for f, n in what.unused_columns.items() if n == names
-        ]
-        for names in what.unused_columns.values()
-    }
-    for names, files in left.items():
-        if names:
-            table.add_row(
-                *map(Text, (shared_file_name(files), ", ".join(names), "left out"))
-            )
+
+    unused: dict[str, list[Path]] = {}
+    for file, names in tables.unused_columns.items():
+        unused.setdefault(", ".join(map(str, names)), []).append(file)
+    for listed_names, paths in unused.items():
+        if listed_names:
+            cells = [shared_file_name(paths), listed_names, "left out"]
+            table.add_row(*map(Text, cells))
     return table
 
 
+def range_unit(column: UsedColumn) -> str:
+    """Return the unit of a column's range, after a blank; empty if it has none."""
+    role = column.role
+    if column.unit in ("1", "px") or role == "trial" or role.endswith("valid"):
+        return ""
+    if role == "t":
+        return " s"
+    return " rad" if role == "theta" or role.startswith("q") else " m"
+
+
 def shared_file_name(files: Sequence[Path]) -> str:
-    """Names of files, several by what they have in common."""
+    """Return the name of a file, or what the names of several have in common."""
     names = list(dict.fromkeys(file.name for file in files))
-    begin = commonprefix(names)  # noqa: RUF071 (of characters)
-    return (
-        names[0] if len(names) == 1 else f"{begin.rstrip('0123456789')}* ({len(names)})"
-    )
+    if len(names) == 1:
+        return names[0]
+    beginning = commonprefix(names).rstrip("0123456789")  # noqa: RUF071 (of characters)
+    return f"{beginning}* ({len(names)})"
 
 
-def draw_first_trial(measured: CheckedDataset, folder: Path) -> Path | None:
-    """The path of a picture beside the folder, of the first trial of which points were
-    measured.
-    """
-    from stringcast.stages.report.charts.trial import trial_figure  # noqa: PLC0415
-
-    seen = next(measured.with_points(), None)
-    if seen is None:
+def draw_first_trial(checked: CheckedDataset, folder: Path) -> Path | None:
+    """Draw the first trial with points beside the folder, and return the picture."""
+    # takes a second to import
+    charts = import_module("stringcast.stages.report.charts.trial")
+    trial = next(checked.with_points(), None)
+    if trial is None:
         return None
     path = folder.with_name(f"{folder.name}.png")
-    with write_atomically(path) as aside:
-        trial_figure(seen).savefig(aside, format="png", dpi=110)
+    with write_atomically(path) as part:
+        charts.trial_figure(trial).savefig(part, format="png", dpi=110)
     return path
