@@ -154,7 +154,7 @@ def overview_of_unreadable(folder: Path, message: str) -> dict[str, Any]:
             break
     statement = rest[:end].removesuffix(".")
     match = FIELD_PATTERN.match(statement)
-    finding = {
+    finding: dict[str, Any] = {
         "severity": "error",
         "file": file,
         "field": match[match.lastindex or 0] if match else "",

@@ -36,8 +36,8 @@ RUNS_TABLE = Table(
         Column(
             "outcome",
             "",
-            "hit, missed, dry run, estimated, or the verdict of a diagnosis; empty before "
-            "the end",
+            "hit, missed, dry run, estimated, or the verdict of a diagnosis; empty "
+            "before the end",
             "text",
         ),
         Column("iterations", "1", "casts, or trials used", "int"),
