@@ -13,9 +13,9 @@ from tests.diagnosis.slow_casts import write_slow_casts
 
 @pytest.fixture(scope="module")
 def folder(arm, camera, tmp_path_factory):
-    """Diagnose two slow casts whose joints lag by 3 ms; return data/ and run/."""
+    """Diagnose two slow casts whose joints lag by 1 ms; return data/ and run/."""
     folder = tmp_path_factory.mktemp("lag")
-    write_slow_casts(folder / "data", arm, camera, {"arm_lag.time_constant": 3e-3})
+    write_slow_casts(folder / "data", arm, camera, {"arm_lag.time_constant": 1e-3})
     command = pipeline(
         "+experiment=diagnose",
         f"trials={folder / 'data'}",

@@ -54,7 +54,7 @@ import numpy as np
 
 from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.effect_plots import line
+from stringcast.stages.model.effect_plots import draw_line
 
 
 class Magnet(StringEffect):
@@ -73,7 +73,7 @@ class Magnet(StringEffect):
     def plot(cls, axes, values):
         """Over the height."""
         y = np.linspace(0, 1, 11)
-        line(axes, y, cls.acceleration(y, values["pull"])[1], "height / m", "acceleration / (m/s2)")
+        draw_line(axes, y, cls.acceleration(y, values["pull"])[1], "height / m", "acceleration / (m/s2)")
 
     @staticmethod
     def acceleration(y, pull):
@@ -151,7 +151,7 @@ def test_joints_that_lag_arrive_though_the_log_ends_with_the_motion(arm, camera)
     short = Observation("t01", points, READINGS.empty(), MASKS.empty(), arm=log)
     ready = prepare_trial(Model(STRING, arm, camera), short)
     acts = [(effects_by_name()["arm_lag"], {"time_constant": np.full((1, 1, 1), 0.02)})]
-    there = arm.grasp(braking[-1])[:2]
+    there = arm.grasp_pose(braking[-1])[:2]
     stops = (
         resample_joint_motion(t, braking).actual_hand_motion(arm, acts).pose[0, -1, :2]
     )

@@ -259,7 +259,7 @@ def test_what_is_held_out_is_predicted_and_not_estimated_from(
     ] == estimated
     name, number, trials, estimate = seen[-1]
     assert (name, number, trials) == ("predict", 4, ["b"])
-    assert estimate is result.estimate
+    assert estimate is result.last_estimate
     rows = run_summary(result)["iterations"]
     assert [(row["tip_rms_m"], row.get("held_out")) for row in rows[-2:]] == [
         (0.004, None),
