@@ -18,12 +18,12 @@ ROOT = Path(__file__).resolve().parents[2]
 MEASURED = {"time_offset.offset": {"value": 0.012, "low": 0.0119, "high": 0.0122}}
 
 
-def made(known, effects=("time_offset",)):
+def made(parameter_values, effects=("time_offset",)):
     settings = OmegaConf.to_container(
         OmegaConf.create(compose_settings()), resolve=True
     )
     return prepare_experiment(
-        settings | {"effects": list(effects), "parameter_values": known},
+        settings | {"effects": list(effects), "parameter_values": parameter_values},
         lambda block: f"conf/{block}",
     )
 

@@ -139,7 +139,7 @@ HOLDER = """
 import sys, time; sys.path.insert(0, {root!r})
 from pathlib import Path
 from stringcast.pipeline.run import run_folder
-with run_folder.alone(Path({folder!r})):
+with run_folder.exclusive_access(Path({folder!r})):
     print("held", flush=True)
     time.sleep(60)
 """
@@ -220,7 +220,7 @@ HOLDING = """
 import sys
 from pathlib import Path
 from stringcast.pipeline.run import run_folder
-with run_folder.alone(Path(sys.argv[1])):
+with run_folder.exclusive_access(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
 """

@@ -474,7 +474,7 @@ def test_index_lists_what_is_foreign_as_damaged_or_as_text(tmp_path, capsys):
     for name, ended in made.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / "run.json").write_text(json.dumps(ended))
-        settings = json.dumps({"steps": [], "name": "[/]\x1b[2J"})
+        settings = json.dumps({"mode": [], "name": "[/]\x1b[2J"})
         (tmp_path / name / "config.json").write_text(settings.replace('": [', '":  ['))
     (tmp_path / "piped" / "config.json").unlink()
     os.mkfifo(tmp_path / "piped" / "config.json")

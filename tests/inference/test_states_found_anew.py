@@ -80,5 +80,7 @@ def test_a_state_far_off_is_found_from_how_the_string_moves(trial, hypothesis, t
 
 
 def test_what_begins_at_rest_stays_as_it_is(trial, hypothesis, true):
-    data = attach_discrepancy_model([replace(trial, initial_state=None)], hypothesis, true)
+    data = attach_discrepancy_model(
+        [replace(trial, initial_state=None)], hypothesis, true
+    )
     assert with_initial_states_at(data, evaluate_fit(data, hypothesis, true)) is data

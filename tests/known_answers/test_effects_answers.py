@@ -695,7 +695,7 @@ def test_a_rolling_shutter_shears_a_line_that_moves_sideways():
 
     That is right for points that cross rows, too.
     """
-    law = effects_by_name()["rolling_shutter"].seen
+    law = effects_by_name()["rolling_shutter"].observe
     readout, stamped = np.full((1, 1, 1, 1), 0.01), np.full((1, 1, 1, 1), 0.25)
     line = np.stack([0 * np.linspace(0, 1, 9), np.linspace(-0.2, 0.8, 9)], axis=-1)[
         None, None

@@ -453,7 +453,7 @@ def test_every_experiment_composes_and_is_valid(name):
     points = {"stringD": 25, "long": 30}
     points |= dict.fromkeys(("window", "gap", "several", "estimate"), 20)
     points |= dict.fromkeys(("diagnose", "decide"), 57)
-    own = ("align", "calibrate", "paper")  # simulate none, or say which by part
+    own = ("align", "calibrate")  # simulate none
     points |= dict.fromkeys(own, 57)
     assert composed(f"+experiment={name}", *stored).string.points == points.get(
         name, 10
@@ -475,6 +475,6 @@ def test_help_helps(called):
     assert "+experiment=stringB" in shown.stdout
     assert "trials=" in shown.stdout
     assert re.search(
-        r"\nname: stringB +# names the run",
+        r"\nname: stringB +# name of the run's folder",
         pipeline("+experiment=stringB", "--help").stdout,
     )

@@ -65,7 +65,7 @@ def decide(trials, folder, experiment="decide"):
     here = about(trials, f"+experiment={experiment}")
     SEEN.clear()
     here = replace(here, stages={**here.stages, "diagnose": proposing})
-    result = here.mode.work(
+    result = here.mode.run_steps(
         here, folder, run_folder.RunFolder(here, folder, silent, print)
     )
     run_folder.write_stage_files(result)

@@ -60,7 +60,7 @@ CASTS = ("casts.parquet", "rates.parquet", "needed.parquet", "hits.png")
 LESS_CASTING = "casting.seeds=1 casting.casts=2 ~casting.cases.B ~casting.cases.C ~casting.cases.D ~casting.cases.wall"
 RUN = {
     "tasks.py run": Run(**CAST),
-    "pipeline +experiment=stringA": Run(**CAST),
+    "pipeline +experiment=stringB": Run(**CAST),
     "pipeline +experiment=stringB method=robust": Run(**CAST),
     "pipeline +experiment=window": Run(**CAST),
     "pipeline target.x=0.45 target.y=0.65 seed=3": Run(**CAST),
@@ -75,13 +75,10 @@ RUN = {
     ),
     "pipeline +experiment=diagnose trials=<folder>": Run(**DIAGNOSED, of="mine"),
     "pipeline +experiment=diagnose trials=mine": Run(**DIAGNOSED, of="mine"),
-    "pipeline +experiment=diagnose trials=outputs/...": Run(**DIAGNOSED),
     "pipeline +experiment=decide trials=outputs/...": Run(**DIAGNOSED),
     "pipeline +experiment=estimate trials=outputs/...": Run(
         leaves=("report.html", "run.json")
     ),
-    "pipeline +experiment=estimate estimate=least_squares 'effects=[rest_curvature,maxwell_slip]' "
-    "trials=outputs/...": Run(leaves=("report.html", "run.json")),
     **{
         f"pipeline +experiment=estimate estimate=least_squares {words} trials=<folder>": Run(
             leaves=("report.html", "run.json"), of="mine"
@@ -144,8 +141,6 @@ RUN = {
     "tests.convergence.table": Run(r"\| A \| 3 \| semi_implicit_euler \|"),
     # What is on the disk.
     "pipeline index --to runs.parquet": Run(r"run +ended as +casts"),
-    "pipeline export <run> string.xml --mass 0.012": Run(r"string\.xml"),
-    "pipeline resume <run>": Run(r"report\.html$"),
 }
 TEN_MINUTES = "tests/pipeline/test_readme_commands.py::test_the_first_ten_minutes_go_as_the_page_says"
 SHORT = "tests/pipeline/test_readme_commands.py::test_short_commands_do_what_the_front_page_says"
@@ -165,6 +160,12 @@ ELSEWHERE = {  # which test runs it, or why none can
     "pipeline +experiment=paper hydra.sweep.dir=outputs/sweeps/...": "goes on with a sweep, as does "
     "tests/sweep/test_sweep_command.py::test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request",
     "tasks.py study draw 7 riddle riddle.json": "tests/benchmarks/test_drawing.py",
+    "tasks.py study draw 7 riddle riddle.json --simulator nodal": "as own_kernel",
+    "tasks.py study diagnosis": "takes days; as with a seed",
+    "pipeline new effect side_pull": "tests/pipeline/test_new.py",
+    "stringcast.stages.model.engine.print_loop [EFFECT ...]": "tests/laws/test_generated_loop.py",
+    "pytest tests/laws/test_effects.py": "is one of the tests",
+    "tasks.py test --all": "is what runs this",
     "pipeline +experiment=calibrate source=device source@plane=device": "needs a camera and a person with a board",
     "pipeline +experiment=stringB hardware=serial camera_from=outputs/...": "needs an arm on a serial port; with an "
     "emulated one: tests/drivers/test_run_interrupted.py",
@@ -177,9 +178,7 @@ ELSEWHERE = {  # which test runs it, or why none can
     "tasks.py study diagnosis diagnosis.simulator=nodal seed=100 diagnosis.datasets=10": "as without datasets",
     "tasks.py study diagnosis diagnosis.simulator=nodal diagnosis.kind=none diagnosis.datasets=100": "as with a seed",
     "tasks.py study casting casting.seeds=16": "takes hours; one run of it: tests/benchmarks/casting/test_casting_study.py",
-    "tasks.py study gain": "takes hours; as casting",
     "tasks.py study gain casting.seeds=2": "takes hours; as casting",
-    "tasks.py study learning": "takes hours; as casting",
     "tasks.py study learning casting.seeds=3": "takes hours; as casting",
     "tasks.py study alignment": "rewrites its recorded table: tests/benchmarks/test_main.py",
     "tasks.py study footage ../shared/measured outputs/footage.parquet": "needs films of others, which may not be "
@@ -190,7 +189,7 @@ ELSEWHERE = {  # which test runs it, or why none can
     "tasks.py test": "is what runs this",
     "tasks.py setup": "made the environment that this runs in",
     "tasks.py bench": "installs what it compares with; a small one: "
-    "tests/benchmarks/speed/test_bench.py",
+    "tests/benchmarks/speed/test_speed.py",
     "tasks.py bench diagnosis": "as bench; a diagnosis of the sample runs elsewhere",
     "pip install dynamixel-sdk": "installs",
 }

@@ -59,6 +59,6 @@ def test_the_file_behind_a_name_is_the_one_that_loading_it_finds():
         for name in names:
             package, _, member = name.rpartition(".")
             real = getattr(import_module(package), member)
-            assert Path(inspect.getfile(real)) in imported_files(
+            assert Path(inspect.getfile(real)).resolve() in imported_files(
                 {file_of_target(name)}
             ), (role, name)

@@ -21,17 +21,43 @@ POSE_STYLES: dict[str, dict[str, Any]] = {
 
 
 def trial_figure(seen: CheckedTrial) -> Figure:
-    """Draw arm and string in the plane, and positions and speeds of hand and tip."""
+    """Draw a trial in one wide figure: in the plane, and over time."""
     with style.context(STYLE_SHEET):
         figure = Figure(figsize=(11.0, 4.6))
         panels = figure.subplot_mosaic([["plane", "places"], ["plane", "speeds"]])
-        end = seen.points.groupby("t").tail(1)
-        t, tip = end["t"].to_numpy(), end[["x", "y"]].to_numpy()
-        _draw_plane(panels["plane"], seen, t, tip)
-        _draw_positions(panels["places"], seen, t, tip)
-        _draw_speeds(panels["speeds"], seen, t, tip)
+        _draw_plane(panels["plane"], seen)
+        _draw_over_time(panels["places"], panels["speeds"], seen)
         panels["speeds"].sharex(panels["places"])
     return figure
+
+
+def plane_figure(seen: CheckedTrial) -> Figure:
+    """Draw arm and string in the plane, narrow enough for a phone."""
+    with style.context(STYLE_SHEET):
+        figure = Figure(figsize=(5.3, 4.6))
+        _draw_plane(figure.subplots(), seen)
+    return figure
+
+
+def time_figure(seen: CheckedTrial) -> Figure:
+    """Draw positions and speeds of hand and tip, narrow enough for a phone."""
+    with style.context(STYLE_SHEET):
+        figure = Figure(figsize=(5.3, 4.6))
+        places, speeds = figure.subplots(2, sharex=True)
+        _draw_over_time(places, speeds, seen)
+    return figure
+
+
+def _tip_track(seen: CheckedTrial) -> tuple[np.ndarray, np.ndarray]:
+    """Times (F,) [s] and positions (F, 2) [m] of the outermost point."""
+    end = seen.points.groupby("t").tail(1)
+    return end["t"].to_numpy(), end[["x", "y"]].to_numpy()
+
+
+def _draw_over_time(places: Axes, speeds: Axes, seen: CheckedTrial) -> None:
+    t, tip = _tip_track(seen)
+    _draw_positions(places, seen, t, tip)
+    _draw_speeds(speeds, seen, t, tip)
 
 
 def describe_trial(seen: CheckedTrial) -> str:
@@ -45,8 +71,9 @@ def describe_trial(seen: CheckedTrial) -> str:
     )
 
 
-def _draw_plane(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) -> None:
+def _draw_plane(axes: Axes, seen: CheckedTrial) -> None:
     """Draw arm and string at a few times, the first darkest, and the tip's path."""
+    t, tip = _tip_track(seen)
     axes.plot(
         *(tip * MM_PER_M).T,
         color="measured",

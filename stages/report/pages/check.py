@@ -9,9 +9,14 @@ from matplotlib import style
 
 from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
 from stringcast.stages.check.overview import DETECTION_NOTE, detection_limit_text
-from stringcast.stages.report.charts.trial import describe_trial, trial_figure
+from stringcast.stages.report.charts.trial import (
+    describe_trial,
+    plane_figure,
+    time_figure,
+)
 from stringcast.stages.report.formatting import format_count, format_mm
 from stringcast.stages.report.page import (
+    Block,
     Card,
     Cell,
     Figure,
@@ -98,8 +103,14 @@ def _trial_figures(trials: Sequence[CheckedTrial]) -> list[Part]:
     with style.context(STYLE_SHEET):
         for seen in trials:
             words = describe_trial(seen)
-            picture = svg_picture(trial_figure(seen), words)
-            figures.append(Figure(f"Trial {seen.name}", picture, words))
+            title = f"Trial {seen.name}: hand and tip over time"
+            plane = svg_picture(plane_figure(seen), words)
+            times = svg_picture(time_figure(seen), title)
+            pair = (
+                Figure(f"Trial {seen.name}", plane, words),
+                Figure(title, times, "Each on its own clock; dotted: onset of motion."),
+            )
+            figures.append(Block("grid", pair))
     return figures
 
 
