@@ -5,6 +5,7 @@ The field `TABLES` of each maps its tables' names to their schemas.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -786,6 +787,11 @@ class Diagnosis:
     def sentence(self) -> str:
         """The verdict in words."""
         return str(self.finding["sentence"].iloc[0])
+
+    @property
+    def was_interrupted(self) -> bool:
+        """Whether the search was ended before all candidates were compared."""
+        return bool(json.loads(self.finding["diagnosis"].iloc[0]).get("interrupted"))
 
     @property
     def motion(self) -> Motion | None:
