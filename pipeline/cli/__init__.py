@@ -1,1 +1,1 @@
-"""Cli."""
+"""The command line and the terminal: help, hints on mistakes, messages, summaries."""

@@ -1,4 +1,4 @@
-"""Answer frequent mistakes on the command line with the command that was meant, before Hydra sees them."""
+"""Answer frequent mistakes on the command line with the command that was meant."""
 
 from __future__ import annotations
 
@@ -14,11 +14,8 @@ from typing import NamedTuple
 from stringcast.pipeline.commands import COMMAND_NAMES
 from stringcast.pipeline.settings.composition import CONF_FOLDER, UserError
 
-CALL_WORDS = [
-    "python",
-    "-m",
-    "pipeline",
-]  # replaced where it is printed by how the program was called
+# Replaced, where it is printed, by how the program was called.
+CALL_WORDS = ["python", "-m", "pipeline"]
 FLAGS = ("-m", "--multirun", "-v", "-h", "--help")
 HYDRA_FLAGS = (
     *("--hydra-help", "--version", "--cfg", "-c", "--resolve", "--package", "-p"),
@@ -28,18 +25,13 @@ HYDRA_FLAGS = (
 )
 TASK_NAMES = ("test", "bench", "setup")
 EXAMPLE_RUN = ["+experiment=stringB", "method=robust"]  # what `tasks.py run` runs
-TRIAL_EXPERIMENTS = (
-    "estimate",
-    "diagnose",
-    "decide",
-)  # experiments that need stored trials
+TRIAL_EXPERIMENTS = ("estimate", "diagnose", "decide")  # which need stored trials
 LENGTH_SETTING = re.compile(
     r"(string\.length|(?:target|arm\.base|obstacles)\.[\w.]+)=(-?[\d.]+)(mm|cm|m|)$"
 )
 METRES_PER_UNIT = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-MAX_LENGTH_M = (
-    20.0  # no string, target or arm is larger: such a number is in millimetres
-)
+# No string, target or arm is larger: such a number is in millimetres.
+MAX_LENGTH_M = 20.0
 
 
 class Answer(NamedTuple):
@@ -83,7 +75,7 @@ class Word:
 
 
 def refuse_mistakes(words: Sequence[str]) -> None:
-    """Raise UserError for the first mistaken word, with a corrected command to paste."""
+    """Raise UserError for the first mistaken word, with the corrected command."""
     if any(word.startswith(("--config-", "hydra.searchpath")) for word in words):
         return  # the settings of another folder are not known here
 
@@ -91,7 +83,9 @@ def refuse_mistakes(words: Sequence[str]) -> None:
     faults = [answer.fault for answer in answers if answer.fault]
     suggested: list[str] = []
     for answer in answers:
-        suggested += [word for word in answer.suggested_words if word not in suggested]
+        for word in answer.suggested_words:
+            if word not in suggested:
+                suggested.append(word)
 
     trials_given = any(word.startswith("trials=") for word in suggested)
     for experiment in TRIAL_EXPERIMENTS:
@@ -125,14 +119,16 @@ def answer_words(words: Sequence[str]) -> Iterator[Answer]:
 
 
 def is_second_part(word: Word) -> bool:
-    """Tell whether a word belongs to the one before it: `--experiment stringB`, `seed = 3`, `seed: 3`."""
+    """Tell whether a word is the value of the one before it.
+
+    Such as in `--experiment stringB`, `seed = 3` or `seed: 3`.
+    """
     if "=" in (word.text, word.previous_word):
         return True
     if "=" in word.previous_word:
         return False
-    return word.previous_word.endswith(":") or bool(
-        setting_given_as_option(word.previous_word)
-    )
+    is_option = bool(setting_given_as_option(word.previous_word))
+    return is_option or word.previous_word.endswith(":")
 
 
 def possible_answers(word: Word) -> Iterator[Answer]:
@@ -143,68 +139,59 @@ def possible_answers(word: Word) -> Iterator[Answer]:
 
 
 def check_option(word: Word) -> Iterator[Answer]:
-    """Answer a word that begins with a dash, or with a tilde, which removes a setting."""
+    """Answer a word that begins with a dash, or with the tilde of a removal."""
     if name := setting_given_as_option(word.text):
         kind = "an experiment" if name == "experiment" else "a setting"
-        value = word.value or word.next_word
-        yield Answer(
-            f"{word.text}: {kind} has no dashes before it.",
-            [write_setting(name, value)],
-        )
+        fault = f"{word.text}: {kind} has no dashes before it."
+        yield Answer(fault, [write_setting(name, word.value or word.next_word)])
     if word.text.startswith("-") and word.name not in (*FLAGS, *HYDRA_FLAGS):
-        fault = "there is no such option. A setting is name=value. All settings: python -m pipeline --help"
-        yield Answer(f"{word.text}: {fault}", [word.text])
+        fault = (
+            f"{word.text}: there is no such option. A setting is name=value. "
+            "All settings: python -m pipeline --help"
+        )
+        yield Answer(fault, [word.text])
 
 
 def check_setting(word: Word) -> Iterator[Answer]:
-    """Answer name=value."""
+    """Answer a word of the form name=value."""
     if word.name == "experiment":
         fault = f"{word.text}: an experiment has a plus sign before it."
         yield Answer(fault, [write_setting(word.name, word.value)])
     place = re.fullmatch(r"[\[(]?(-?[\d.]+),(-?[\d.]+)[\])]?", word.value)
     if word.setting == "target" and place:
-        x, y = (to_metres(float(number)) for number in place.groups())
-        yield Answer(
-            f"{word.text}: give each coordinate.",
-            [f"target.x={x:g}", f"target.y={y:g}"],
-        )
+        x, y = to_metres(float(place[1])), to_metres(float(place[2]))
+        fault = f"{word.text}: give each coordinate."
+        yield Answer(fault, [f"target.x={x:g}", f"target.y={y:g}"])
     yield from check_choice(word)
     yield from check_choice_as_setting(word)
     length = LENGTH_SETTING.match(word.text)
     if length and (length[3] or abs(float(length[2])) >= MAX_LENGTH_M):
-        number = float(length[2])
-        metres = number * METRES_PER_UNIT[length[3]] if length[3] else to_metres(number)
+        metres = to_metres(float(length[2]), length[3])
         fault = f"{word.text}: lengths are in metres, without a unit."
         yield Answer(fault, [f"{word.name}={metres:g}"])
     is_list = re.fullmatch(r"[a-z_,\d]+", word.value) and word.value != "null"
     if word.name in ("effects", "effects_per_recording") and is_list:
         yield Answer(f"{word.text}: this is a list.", [f"{word.name}=[{word.value}]"])
     if word.name.partition(".")[0] == "parameter_values":
-        yield Answer(
-            f"{word.text}: a value of a parameter has a plus sign before it.",
-            [f"+{word.text}"],
-        )
+        fault = f"{word.text}: a value of a parameter has a plus sign before it."
+        yield Answer(fault, [f"+{word.text}"])
     yield from check_setting_name(word)
 
 
 def check_bare_word(word: Word) -> Iterator[Answer]:
     """Answer a word without an equals sign: a command, or something else."""
     name = word.text.rstrip(":")
-    has_colon = word.text.endswith(":")
-    if (
-        is_setting(name)
-        and word.following_words
-        and (has_colon or word.next_word == "=")
-    ):
-        value = word.next_word if has_colon else "".join(word.following_words[1:2])
-        yield Answer(
-            f"{name}: write name and value together.", [write_setting(name, value)]
-        )
+    value = None
+    if word.text.endswith(":") and word.following_words:
+        value = word.next_word
+    elif word.next_word == "=":
+        value = "".join(word.following_words[1:2])
+    if is_setting(name) and value is not None:
+        fault = f"{name}: write name and value together."
+        yield Answer(fault, [write_setting(name, value)])
     if Path(word.text).is_dir():
-        yield Answer(
-            f"{word.text}: give a folder of trials as a setting.",
-            [f"trials={word.text}"],
-        )
+        fault = f"{word.text}: give a folder of trials as a setting."
+        yield Answer(fault, [f"trials={word.text}"])
 
     is_first = not word.previous_word
     if is_first and word.text == "run":
@@ -221,9 +208,11 @@ def check_bare_word(word: Word) -> Iterator[Answer]:
     if experiment := nearest_name(word.text, experiments):
         fault = f"{word.text}: an experiment has a plus sign before it."
         yield Answer(fault, [f"+experiment={experiment}"])
-    commands = ", ".join(COMMAND_NAMES)
-    fault = f"this is neither a command ({commands}) nor a setting (name=value). See --help."
-    yield Answer(f"{word.text}: {fault}", [word.text])
+    fault = (
+        f"{word.text}: this is neither a command ({', '.join(COMMAND_NAMES)}) "
+        "nor a setting (name=value). See --help."
+    )
+    yield Answer(fault, [word.text])
 
 
 def check_choice(word: Word) -> Iterator[Answer]:
@@ -232,19 +221,14 @@ def check_choice(word: Word) -> Iterator[Answer]:
     Several options at once, as in a sweep, are left to Hydra.
     """
     options = group_options(word.setting)
-    if (
-        not options
-        or word.value in ("", "null", *options)
-        or re.search(r"[,()\[{$]", word.value)
-    ):
+    is_several = re.search(r"[,()\[{$]", word.value)
+    if not options or word.value in ("", "null", *options) or is_several:
         return
-    if (
-        (CONF_FOLDER / word.setting / word.value).with_suffix(".yaml").exists()
-    ):  # in a folder of the group
+    # an option may lie in a folder of the group
+    if (CONF_FOLDER / word.setting / word.value).with_suffix(".yaml").exists():
         return
     fault = f"{word.text}: there is no such option"
-    near = nearest_name(word.value, options)
-    if near:
+    if near := nearest_name(word.value, options):
         yield Answer(f"{fault}.", [f"{word.name}={near}"])
         return
     verb = "are" if len(options) > 1 else "is"
@@ -255,17 +239,14 @@ def check_choice(word: Word) -> Iterator[Answer]:
 
 
 def check_choice_as_setting(word: Word) -> Iterator[Answer]:
-    """Answer an option that is given as a setting, source.video=film.mp4, with the setting it needs."""
+    """Answer an option given as a setting, such as source.video=film.mp4."""
     group, _, option = word.setting.partition(".")
-    if option in group_options(group):
-        file = (CONF_FOLDER / group / option).with_suffix(".yaml")
-        if needed := re.search(
-            r"^(\w+): null\b", file.read_text(encoding="utf-8"), re.M
-        ):
-            suggested_words = [f"{group}={option}", f"{group}.{needed[1]}={word.value}"]
-            yield Answer(
-                f"{word.text}: {option} is an option of {group}.", suggested_words
-            )
+    if option not in group_options(group):
+        return
+    text = (CONF_FOLDER / group / f"{option}.yaml").read_text(encoding="utf-8")
+    if needed := re.search(r"^(\w+): null\b", text, re.M):
+        suggested_words = [f"{group}={option}", f"{group}.{needed[1]}={word.value}"]
+        yield Answer(f"{word.text}: {option} is an option of {group}.", suggested_words)
 
 
 def check_setting_name(word: Word) -> Iterator[Answer]:
@@ -281,7 +262,7 @@ def check_setting_name(word: Word) -> Iterator[Answer]:
 
 
 def setting_given_as_option(word: str) -> str:
-    """Return the setting that is given like an option, `--seed` or `--experiment=stringB`; else nothing."""
+    """Return the setting that is given like an option, as in `--seed`, or nothing."""
     name = word.removeprefix("--").partition("=")[0]
     is_option = word.startswith("--") and word not in FLAGS
     return name if is_option and is_setting(name) else ""
@@ -293,8 +274,10 @@ def write_setting(name: str, value: str) -> str:
     return f"{plus}{name}={value}"
 
 
-def to_metres(number: float) -> float:
-    """Convert a length that may be in millimetres to metres."""
+def to_metres(number: float, unit: str = "") -> float:
+    """Convert a length to metres; without a unit, a large one is in millimetres."""
+    if unit:
+        return number * METRES_PER_UNIT[unit]
     return number / 1e3 if abs(number) >= MAX_LENGTH_M else number
 
 
@@ -313,15 +296,16 @@ def group_options(group: str) -> tuple[str, ...]:
 @cache
 def group_names() -> tuple[str, ...]:
     """Return the names of all groups of settings."""
-    folders = (path for path in CONF_FOLDER.iterdir() if path.is_dir())
-    return tuple(
-        sorted(folder.name for folder in folders if not folder.name.startswith("_"))
-    )
+    names = []
+    for path in CONF_FOLDER.iterdir():
+        if path.is_dir() and not path.name.startswith("_"):
+            names.append(path.name)
+    return tuple(sorted(names))
 
 
 @cache
 def top_level_settings() -> tuple[str, ...]:
-    """Return the first names of settings outside groups, and of blocks that an experiment brings."""
+    """Return the first names of settings outside groups, also of an experiment."""
     files = (CONF_FOLDER / "config.yaml", *(CONF_FOLDER / "experiment").glob("*.yaml"))
     text = "\n".join(file.read_text(encoding="utf-8") for file in files)
     names = re.findall(r"^(\w+):", text, re.M) + re.findall(r"- \w+@(\w+):", text)
@@ -329,7 +313,7 @@ def top_level_settings() -> tuple[str, ...]:
 
 
 def nearest_name(word: str, names: Sequence[str]) -> str:
-    """Return the name most similar to a word, ignoring case; nothing if none is similar."""
+    """Return the most similar name, ignoring case; empty if none is similar."""
     by_lower_case = {name.lower(): name for name in names}
     near = difflib.get_close_matches(word.lower(), by_lower_case, 1)
     return by_lower_case[near[0]] if near else ""

@@ -38,7 +38,8 @@ CAST_COLUMNS = (
 def progress_bars(console: Terminal) -> Iterator[ProgressBar]:
     """Show a bar for each step, followed by the last line of the log.
 
-    The context's value makes the bar of a step, by its name. The bar pulses until a share is reported.
+    The context's value makes the bar of a step, by its name. The bar pulses until a
+    share is reported.
     """
     name_column = TextColumn("{task.description:<14}", markup=False)
     log_column = TextColumn("{task.fields[log_line]}", markup=False)
@@ -75,13 +76,15 @@ def print_summary(result: RunResult, console: Terminal) -> None:
     for iteration in result.iterations:
         if iteration.refusal_reason:
             console.print_line(
-                f"Cast {iteration.number}: the trial is invalid: {iteration.refusal_reason}."
+                f"Cast {iteration.number}: the trial is invalid: "
+                f"{iteration.refusal_reason}."
             )
     for iteration in result.iterations:
         frames = iteration.verdict.touched if iteration.verdict is not None else 0
         if frames:
             console.print_line(
-                f"Cast {iteration.number}: the string touched an obstacle in {frames} frame(s)."
+                f"Cast {iteration.number}: the string touched an obstacle "
+                f"in {frames} frame(s)."
             )
 
     page = result.folder / "report.html"
@@ -89,7 +92,7 @@ def print_summary(result: RunResult, console: Terminal) -> None:
 
 
 def cast_panel(result: RunResult) -> Panel:
-    """Return a panel with a row for each cast, and the parameters that the casts determine."""
+    """Return a panel with a row for each cast, and the determined parameters."""
     outcome, _, details = result.sentence.partition(". ")
     fits_title = len(outcome) <= MAX_TITLE_CHARACTERS
     colour = "green" if result.has_hit else "yellow"
@@ -111,20 +114,19 @@ def cast_panel(result: RunResult) -> Panel:
 
 def cast_table(rows: list[list[str]]) -> Table:
     """Return a table of casts without its empty columns."""
-    shown = [0]
-    for number in range(1, len(CAST_COLUMNS)):
-        if any(row[number] for row in rows):
-            shown.append(number)
     table = Table(box=None, pad_edge=False)
-    for number in shown:
-        table.add_column(Text(CAST_COLUMNS[number]), justify="right")
+    filled_columns = []
+    for number, heading in enumerate(CAST_COLUMNS):
+        if any(row[number] for row in rows):
+            filled_columns.append(number)
+            table.add_column(Text(heading), justify="right")
     for row in rows:
-        table.add_row(*[row[number] for number in shown])
+        table.add_row(*[row[number] for number in filled_columns])
     return table
 
 
 def cast_row(iteration: Iteration) -> list[str]:
-    """Return the cells of a cast or stored trial; empty where there is nothing to say."""
+    """Return the cells of a cast or stored trial, some of them empty."""
     verdict, estimate = iteration.verdict, iteration.artifacts.get("estimate")
     cells = [str(iteration.number), "", ""]
     if (
@@ -153,12 +155,11 @@ def determined_parameters(estimate: Estimate) -> pd.DataFrame:
     rows = rows[rows["determined"] & rows["low"].notna()]
     if rows.empty:
         return rows
+    numbers = rows[["value", "low", "high"]].map("{:.4g}".format)
     columns = {
         "parameter": rows["name"],
-        "value": rows["value"].map("{:.4g}".format),
-        "95 % interval": rows[["low", "high"]]
-        .map("{:.4g}".format)
-        .agg(" to ".join, axis=1),
+        "value": numbers["value"],
+        "95 % interval": numbers["low"] + " to " + numbers["high"],
         "unit": rows["unit"],
     }
     return pd.DataFrame(columns)

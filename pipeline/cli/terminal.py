@@ -1,6 +1,7 @@
-"""The terminal: how the program was called, what is printed, messages and exit statuses of errors.
+"""The terminal: the program's name in messages, explanations and statuses of errors.
 
-Names given by others are printed as text: an escape sequence in one could steer the terminal.
+Names from others are printed as text: an escape sequence in one could steer the
+terminal.
 """
 
 from __future__ import annotations
@@ -31,20 +32,20 @@ class Terminal(Console):
     """A console that escapes control characters in everything it shows."""
 
     def render(self, *given: Any, **options: Any) -> Iterator[Segment]:
-        """Render as rich does, with control characters in texts escaped; rich's own codes stay."""
+        """Render as rich does, with control characters in texts escaped."""
         for segment in super().render(*given, **options):
-            if segment.is_control:
+            if segment.is_control:  # rich's own codes stay
                 yield segment
             else:
                 yield Segment(escape_control_characters(segment.text), segment.style)
 
     def print_line(self, text: str) -> None:
-        """Print a line of plain text that can be pasted, whatever the terminal's width."""
+        """Print plain text that can be pasted, not wrapped at the terminal's width."""
         self.print(text, soft_wrap=True, markup=False, highlight=False)
 
 
 def program_name() -> str:
-    """Return `stringcast`, or the interpreter with `-m pipeline`, by the shortest path from here."""
+    """Return how the program was called: `stringcast`, or Python with `-m pipeline`."""
     if Path(sys.argv[0]).stem == "stringcast":
         return "stringcast"
     module = "pipeline" if (Path.cwd() / "pipeline").is_dir() else "stringcast"
@@ -58,7 +59,7 @@ def python_path() -> Path:
 
 
 def with_program_name(text: str) -> str:
-    """Return a text whose commands are written as this program was called, with its interpreter's pip."""
+    """Return a text whose commands are written as this program was called."""
     text = re.sub(r"(?<![\w/.])python -m pipeline", lambda _: program_name(), text)
     return re.sub(
         r"(?<!-m )pip install", lambda _: f"{python_path()} -m pip install", text
@@ -72,7 +73,7 @@ def print_error(error: Exception, console: Terminal) -> None:
 
 
 def interrupt_status(error: KeyboardInterrupt) -> int:
-    """Return the exit status after a signal, as shells do: 130 after Ctrl-C, 143 after SIGTERM."""
+    """Return a shell's exit status after a signal: 130 for Ctrl-C, 143 for SIGTERM."""
     number = error.args[0] if error.args else signal.SIGINT
     return 128 + int(number)
 
@@ -83,55 +84,51 @@ def explain_hydra_error(error: BaseException) -> str:
     first_line = text.splitlines()[0]
     arguments = sys.argv[1:]
 
-    if not_ascii := re.match(
-        r"LexerNoViableAltException: (.+=.*)", first_line
-    ):  # such as name=Jörg
+    # such as name=Jörg
+    if not_ascii := re.match(r"LexerNoViableAltException: (.+=.*)", first_line):
         word = not_ascii[1]
         name, _, value = word.partition("=")
-        quoted = [
-            f'{name}="{value}"' if argument == word else argument
-            for argument in arguments
-        ]
-        remedy = f"Try: python -m pipeline {shlex.join(quoted)}"
+        if word in arguments:
+            arguments[arguments.index(word)] = f'{name}="{value}"'
+        remedy = f"Try: python -m pipeline {shlex.join(arguments)}"
         return f"{word}: letters beyond ASCII need quotes. {remedy}"
 
-    if re.match(
-        "no viable|mismatched|missing|extraneous|token recognition", first_line
-    ):
+    unreadable_line = "no viable|mismatched|missing|extraneous|token recognition"
+    if re.match(unreadable_line, first_line):
         place = re.search(r"at input '([^']*)'", text)
-        containing = [
-            argument for argument in arguments if place and place[1] in argument
-        ]
-        unreadable = containing[0] if containing else "The command line"
+        unreadable = "The command line"
+        if place:
+            containing = (word for word in arguments if place[1] in word)
+            unreadable = next(containing, unreadable)
         remedy = "Close brackets and quotes, and quote it: 'effects=[tip_mass]'"
         return f"{unreadable}: it cannot be read. {remedy}"
 
     if several := re.match("Ambiguous value for argument '([^']+)'", first_line):
         sweep = shlex.join(["--multirun", *arguments])
-        remedy = f"Try: python -m pipeline {sweep}"
         return (
-            f"{several[1]}: several values make a sweep, with a run for each. {remedy}"
+            f"{several[1]}: several values make a sweep, with a run for each. "
+            f"Try: python -m pipeline {sweep}"
         )
 
-    unknown = re.match(r"Could not override '([^']+)'", first_line)
-    if unknown is None:
-        lines = [
-            line
-            for line in text.splitlines()
-            if line.strip() and "provider" not in line
-        ]
-        return "\n".join(lines).removesuffix("Config search path:").strip()
-    return f"{unknown[1]} (command line): there is no such setting. {unknown_setting_remedy(unknown[1])}"
+    if unknown := re.match(r"Could not override '([^']+)'", first_line):
+        remedy = unknown_setting_remedy(unknown[1])
+        return f"{unknown[1]} (command line): there is no such setting. {remedy}"
+
+    lines = []
+    for line in text.splitlines():
+        if line.strip() and "provider" not in line:
+            lines.append(line)
+    return "\n".join(lines).removesuffix("Config search path:").strip()
 
 
 def unknown_setting_remedy(name: str) -> str:
-    """Say where an unknown setting exists, or which known setting has the most similar name."""
-    # other options of the group may have it: `estimate=random_search` has `estimate.beta`
+    """Name the options that have an unknown setting, or else a similar setting."""
+    # another option of the group may have it, as `estimate=random_search` has `beta`
     group, _, inner_name = name.partition(".")
     line = re.compile(rf"^{re.escape(inner_name)}:", re.M)
     options = []
-    for file in sorted((CONF_FOLDER / group).glob("*.yaml")) if inner_name else []:
-        if line.search(file.read_text(encoding="utf-8")):
+    for file in sorted((CONF_FOLDER / group).glob("*.yaml")):
+        if inner_name and line.search(file.read_text(encoding="utf-8")):
             options.append(f"{group}={file.stem}")
     if options:
         return f"It belongs to {' and '.join(options)}."
@@ -141,7 +138,6 @@ def unknown_setting_remedy(name: str) -> str:
     for word in sys.argv[1:]:
         if (CONF_FOLDER / word.partition("=")[0].lstrip("+")).is_dir():
             chosen_groups.append(word)
-    near = difflib.get_close_matches(
-        name, list(setting_names(compose_settings(chosen_groups))), 1
-    )
+    names = list(setting_names(compose_settings(chosen_groups)))
+    near = difflib.get_close_matches(name, names, 1)
     return f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."
