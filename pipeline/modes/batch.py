@@ -1,4 +1,4 @@
-"""Run one stage on all trials together."""
+"""Mode that runs one stage on all trials together."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from stringcast.pipeline.settings.stage_registry import stages
 
 @dataclass(frozen=True)
 class Batch(Stepwise):
-    """A stage on all trials.
+    """Run of one stage on all trials together.
 
     Parameters
     ----------
@@ -47,36 +47,36 @@ class Batch(Stepwise):
     first: tuple[str, ...]
 
     def check(self, experiment: Experiment) -> None:
+        """Refuse a stage that takes more than trials, and missing trials."""
         refuse_unknown_stages((self.stage, *self.first))
-        asked = sorted(
-            name for name, stage in stages().items() if [*stage.inputs] == ["trials"]
-        )
-        if self.stage not in asked:
+        choices = []
+        for name, stage in sorted(stages().items()):
+            if [*stage.inputs] == ["trials"]:
+                choices.append(name)
+        if self.stage not in choices:
             raise UserError(
-                f"mode.stage = {self.stage}: it does not look at trials alone. Choose {' or '.join(asked)}."
+                f"mode.stage = {self.stage}: it does not look at trials alone. "
+                f"Choose {' or '.join(choices)}."
             )
         if not self.first:
             require_trials(experiment)
 
     def moves_arm(self, config: Mapping[str, Any]) -> bool:
+        """Tell whether a trial is performed first."""
         return config["trials"] is None and "execute" in self.first
 
     def run_steps(
         self, experiment: Experiment, folder: Path, executor: Executor
     ) -> RunResult:
+        """Run the stage on all trials."""
         history, trials = self.begin_history(experiment, executor)
-        made = history.make_artifact(self.stage, trials=trials)
-        left = (
-            f"Left out: {describe_rejected(trials.rejected)}."
-            if trials.rejected
-            else ""
-        )
-        sentence = " ".join(
-            filter(None, (stages()[self.stage].summary(made).sentence, left))
-        )
-        return RunResult(
-            folder, tuple(history.iterations), sentence, stages()[self.stage]
-        )
+        artifact = history.make_artifact(self.stage, trials=trials)
+        stage = stages()[self.stage]
+        sentences = [stage.summary(artifact).sentence]
+        if trials.rejected:
+            sentences.append(f"Left out: {describe_rejected(trials.rejected)}.")
+        sentence = " ".join(filter(None, sentences))
+        return RunResult(folder, tuple(history.iterations), sentence, stage)
 
     def begin_history(
         self, experiment: Experiment, executor: Executor
@@ -89,39 +89,37 @@ class Batch(Stepwise):
             If they cannot be used.
         """
         if experiment.config["trials"] is None:
-            history = History(executor)
-            current = history.begin_iteration()
-            for name in self.first:
-                history.make_artifact(name)
-            if current.refusal_reason:
-                raise DataError(
-                    f"nothing is measured from this trial: {current.refusal_reason}."
-                )
-            trial = current.artifacts["trial"]
-            one = Observation(
-                current.trial_name,
-                POINTS.empty(),
-                READINGS.empty(),
-                MASKS.empty(),
-                arm=trial.arm,
-            )
-            return history, TrialSet(
-                (one,), {current.trial_name: trial.film}, iteration_numbers=(1,)
-            )
+            return self.perform_trial(executor)
         data = read_usable_trials(experiment)
         history = history_of_dataset(data, executor)
+        observations = []
         if self.read:
-            seen = [
-                read_points(history, data, name, self.again) for name in data.trials
-            ]
+            for name in data.trials:
+                observations.append(read_points(history, data, name, self.again))
         else:
             history.begin_iteration()
-            seen = list(data.trials.values())
-        numbers = tuple(range(1, len(history.iterations) + 1))
-        return history, TrialSet(
-            tuple(seen),
+            observations.extend(data.trials.values())
+        trials = TrialSet(
+            tuple(observations),
             data.films,
             data.rejection_reasons,
             held_out_trials(data),
-            numbers,
+            tuple(range(1, len(history.iterations) + 1)),
         )
+        return history, trials
+
+    def perform_trial(self, executor: Executor) -> tuple[History, TrialSet]:
+        """Perform a trial, of which nothing is read yet."""
+        history = History(executor)
+        iteration = history.begin_iteration()
+        for name in self.first:
+            history.make_artifact(name)
+        if iteration.refusal_reason:
+            raise DataError(
+                f"nothing is measured from this trial: {iteration.refusal_reason}."
+            )
+        trial, name = iteration.artifacts["trial"], iteration.trial_name
+        no_tables = POINTS.empty(), READINGS.empty(), MASKS.empty()
+        observation = Observation(name, *no_tables, arm=trial.arm)
+        films = {name: trial.film}
+        return history, TrialSet((observation,), films, iteration_numbers=(1,))

@@ -1,4 +1,4 @@
-"""Calibrate the camera from pictures of a board; write camera.yaml and the page."""
+"""Mode that calibrates the camera from pictures of a board."""
 
 from __future__ import annotations
 
@@ -36,9 +36,11 @@ class Calibrate(Mode):
     """Calibration from pictures of a tilted board and of one in the plane of motion."""
 
     def check(self, experiment: Experiment) -> None:
+        """Refuse stored trials."""
         refuse_trials(experiment)
 
     def picture_sources(self, config: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the names of the sources of pictures."""
         return ("source", "plane")
 
     def perform(
@@ -52,55 +54,54 @@ class Calibrate(Mode):
             If the calibration cannot be used.
         """
         stage = stages()["calibrate"]
-        board = build_dataclass(
-            Board, experiment.config["board"], "board", "conf/board"
-        )
+        config = experiment.config
+        board = build_dataclass(Board, config["board"], "board", "conf/board")
         tilted = take_pictures(experiment, "source", TILT_REQUEST, console)
         flat = take_pictures(experiment, "plane", HOLD_REQUEST, console)
         with progress_bars(console) as bar, bar("calibrate") as progress:
             step = Step(stage, 1, {"tilted": tilted, "flat": flat, "board": board})
-            made: Calibration = experiment.run_step(step, progress)
+            calibration: Calibration = experiment.run_step(step, progress)
+            summary = stage.summary(calibration)
             # the artifact, the page and, of a good one, camera.yaml
-            sentence = stage.summary(made).sentence
-            store.save(
-                made,
-                folder / stage.folder,
-                step_origin(experiment.config, stage.name, experiment.seed, {}),
+            origin = step_origin(config, stage.name, experiment.seed, {})
+            store.save(calibration, folder / stage.folder, origin)
+            report = import_module("stringcast.pipeline.run.report")
+            report.write_stage_page(
+                experiment, stage, calibration, summary.sentence, folder
             )
-            import_module("stringcast.pipeline.run.report").write_stage_page(
-                experiment, stage, made, sentence, folder
-            )
-            for name, text in stage.files(made, folder).items():
+            for name, text in stage.files(calibration, folder).items():
                 store.write_text(folder / name, text)
-        if made.reason:
+        page = folder / "report.html"
+        if calibration.reason:
             raise UserError(
-                f"the calibration cannot be used: {made.reason} See {folder / 'report.html'}"
+                f"the calibration cannot be used: {calibration.reason} See {page}"
             )
-        ahead = (f"Go on with it: camera_from={folder}", str(folder / "report.html"))
-        lines = (Text(line, overflow="fold") for line in ahead)
-        console.print(
-            Group(Text(sentence), text_table(stage.summary(made).table), *lines),
-            soft_wrap=True,
+        content = Group(
+            Text(summary.sentence),
+            text_table(summary.table),
+            Text(f"Go on with it: camera_from={folder}", overflow="fold"),
+            Text(str(page), overflow="fold"),
         )
-        return RunResult(folder, (), sentence)
+        console.print(content, soft_wrap=True)
+        return RunResult(folder, (), summary.sentence)
 
 
 def take_pictures(
-    experiment: Experiment, name: str, ask: str, console: Terminal
+    experiment: Experiment, name: str, request: str, console: Terminal
 ) -> list[object]:
     """Return the pictures of a source, after a request to the user of a live camera."""
-    source: Source = build_chosen(
-        experiment.config[name], name, f"conf/source, as {name}"
-    )
-    return list(source.stills(experiment.camera, lambda: ask_user(ask, console)))
+    block = experiment.config[name]
+    source: Source = build_chosen(block, name, f"conf/source, as {name}")
+    return list(source.stills(experiment.camera, lambda: ask_user(request, console)))
 
 
-def ask_user(words: str, console: Terminal) -> None:
+def ask_user(request: str, console: Terminal) -> None:
     """Ask the user to prepare the live camera's view, and wait."""
     try:
-        console.input(f"{escape(words)} Press Enter. ")
+        console.input(f"{escape(request)} Press Enter. ")
     except EOFError as error:
         raise UserError(
-            "a calibration from a device needs a person at the terminal. Use images or a video."
+            "a calibration from a device needs a person at the terminal. "
+            "Use images or a video."
         ) from error
     console.print("Filming, for as many seconds as the settings say ...")

@@ -1,4 +1,4 @@
-"""Cast until the measured tip hits the box or the budget is spent (II-A)."""
+"""Mode that casts until the measured tip hits or the budget is spent (II-A)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 from stringcast.data.artifacts import Motion, Points, TrialSet
 from stringcast.pipeline.modes.stepwise import Stepwise, refuse_trials
@@ -18,14 +20,14 @@ from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import require_allowed
 from stringcast.stages.align.correction import transform_to_arm_frame
-from stringcast.stages.hit_test import check_reach, hit_test
+from stringcast.stages.hit_test import HitResult, check_reach, hit_test
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Cast(Stepwise):
-    """Repeated casts.
+    """Casts that are repeated until one hits.
 
     Parameters
     ----------
@@ -36,11 +38,13 @@ class Cast(Stepwise):
     stages: tuple[str, ...]
 
     def check(self, experiment: Experiment) -> None:
+        """Refuse stored trials, unknown stages, and a target out of reach."""
         refuse_trials(experiment)
         refuse_unknown_stages(self.stages)
         check_reach(experiment.target, experiment.arm, experiment.string.length)
 
     def moves_arm(self, config: Mapping[str, Any]) -> bool:
+        """Tell whether casts are performed."""
         return config["trials"] is None and "execute" in self.stages
 
     def run_steps(
@@ -52,48 +56,58 @@ class Cast(Stepwise):
     ) -> RunResult:
         """Cast until a trial hits; earlier casts count."""
         history = History(executor, [*before])
-        by = require_allowed(
-            experiment.config["execute"]["_target_"], "execute", "config.json"
-        )
-        dry = by in DRY_RUNS
-        casts = 1 if dry else experiment.config["max_casts"]
-        while len(history.iterations) < casts and not (
-            history.iterations and history.iterations[-1].has_hit
-        ):
-            current = history.begin_iteration()
-            for name in self.stages:
-                if "trials" not in stages()[name].inputs:
-                    history.make_artifact(name)
-                # nothing is learned from a trial that cannot be trusted
-                elif not current.refusal_reason:
-                    history.make_artifact(
-                        name,
-                        trials=trials_for_estimation(experiment, history.iterations),
-                    )
-            log_fit(current)
-            # whether it hit is asked of the tip as it was measured
-            motion: Motion = current.artifacts["motion"]
-            points: Points = current.artifacts["points"]
-            there = transform_to_arm_frame(points, experiment.model)
-            verdict = hit_test(
-                there, experiment.target, experiment.obstacles, motion.duration
-            )
-            log.info(
-                "cast %d: the tip came within %.1f mm of the target",
-                current.number,
-                1e3 * verdict.distance,
-            )
-            if current.refusal_reason:
-                log.warning(
-                    "cast %d: nothing is estimated from its trial: %s",
-                    current.number,
-                    current.refusal_reason,
-                )
-            history.iterations[-1] = replace(current, verdict=verdict)
+        target = experiment.config["execute"]["_target_"]
+        is_dry_run = require_allowed(target, "execute", "config.json") in DRY_RUNS
+        max_casts = 1 if is_dry_run else experiment.config["max_casts"]
+        has_hit = bool(history.iterations) and history.iterations[-1].has_hit
+        while len(history.iterations) < max_casts and not has_hit:
+            iteration = history.begin_iteration()
+            self.perform_cast(experiment, history)
+            log_fit(iteration)
+            iteration = replace(iteration, verdict=measure_hit(experiment, iteration))
+            log_verdict(iteration)
+            history.iterations[-1] = iteration
+            has_hit = iteration.has_hit
             executor.publish(history.iterations)
-        made = tuple(history.iterations)
-        return RunResult(
-            folder, made, dry_run_outcome(made[-1]) if dry else cast_outcome(made)
+
+        casts = tuple(history.iterations)
+        sentence = dry_run_outcome(casts[-1]) if is_dry_run else cast_outcome(casts)
+        return RunResult(folder, casts, sentence)
+
+    def perform_cast(self, experiment: Experiment, history: History) -> None:
+        """Run the stages of a cast; nothing is learned from an invalid trial."""
+        iteration = history.iterations[-1]
+        for name in self.stages:
+            if "trials" not in stages()[name].inputs:
+                history.make_artifact(name)
+            elif not iteration.refusal_reason:
+                trials = trials_for_estimation(experiment, history.iterations)
+                history.make_artifact(name, trials=trials)
+
+
+def measure_hit(experiment: Experiment, iteration: Iteration) -> HitResult:
+    """Test whether the measured tip hit the target."""
+    motion: Motion = iteration.artifacts["motion"]
+    points: Points = iteration.artifacts["points"]
+    in_arm_frame = transform_to_arm_frame(points, experiment.model)
+    return hit_test(
+        in_arm_frame, experiment.target, experiment.obstacles, motion.duration
+    )
+
+
+def log_verdict(iteration: Iteration) -> None:
+    """Log how close the tip came, and why a trial is not used."""
+    assert iteration.verdict is not None
+    log.info(
+        "cast %d: the tip came within %.1f mm of the target",
+        iteration.number,
+        1e3 * iteration.verdict.distance,
+    )
+    if iteration.refusal_reason:
+        log.warning(
+            "cast %d: nothing is estimated from its trial: %s",
+            iteration.number,
+            iteration.refusal_reason,
         )
 
 
@@ -110,12 +124,15 @@ def trials_for_estimation(
     experiment: Experiment, iterations: Sequence[Iteration]
 ) -> TrialSet:
     """Return the trusted trials that an estimation uses: the last ones, or all."""
-    seen = [i for i in iterations if "points" in i.artifacts and not i.refusal_reason]
-    used = experiment.config["trials_used"]
-    last = seen if used == ALL_TRIALS else seen[-used:]
+    observations, numbers = [], []
+    for iteration in iterations:
+        if "points" in iteration.artifacts and not iteration.refusal_reason:
+            observations.append(iteration.observation)
+            numbers.append(iteration.number)
+    window = experiment.config["trials_used"]
+    first = 0 if window == ALL_TRIALS else -window
     return TrialSet(
-        tuple(i.observation for i in last),
-        iteration_numbers=tuple(i.number for i in last),
+        tuple(observations[first:]), iteration_numbers=tuple(numbers[first:])
     )
 
 
@@ -124,9 +141,9 @@ def log_fit(iteration: Iteration) -> None:
     if "estimate" not in iteration.artifacts:
         return
     fit = iteration.artifacts["estimate"].fit.iloc[0]
-    rate, off = fit[["before", "after"]], 1e3 * fit[["rms_before", "rms_after"]]
-    words = "estimate %d: E %.3f to %.3f, rms %.1f to %.1f mm. %s"
-    log.info(words, iteration.number, *rate, *off, fit["sentence"])
+    rates, rms_mm = fit[["before", "after"]], 1e3 * fit[["rms_before", "rms_after"]]
+    message = "estimate %d: E %.3f to %.3f, rms %.1f to %.1f mm. %s"
+    log.info(message, iteration.number, *rates, *rms_mm, fit["sentence"])
 
 
 def cast_outcome(iterations: Sequence[Iteration]) -> str:
@@ -140,20 +157,26 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
 
 def dry_run_outcome(iteration: Iteration) -> str:
     """Describe a dry run: the delays of the link, and how often the string was read."""
-    link, read = (
-        iteration.artifacts["trial"].link.iloc[0],
-        iteration.artifacts["points"].readings["valid"],
+    link = iteration.artifacts["trial"].link.iloc[0]
+    readings = iteration.artifacts["points"].readings
+    is_read = readings["valid"]
+    reasons = readings.loc[~is_read.astype(bool), "reason"]
+
+    parts = []
+    if "trip_p50" in link:  # a virtual arm has no round trip
+        parts.append(f"a round trip takes {_delay_ms(link, 'trip')}")
+    parts.append(f"commands went out {_delay_ms(link, 'jitter', ' late')}")
+    parts.append(f"{link['missed']} of {link['ticks']} were late or lost")
+    reading = f"the string was read in {int(is_read.sum())} of {len(is_read)} frames"
+    if len(reasons):
+        reading += f" (most often: {reasons.mode().iloc[0]})"
+    parts.append(reading)
+    return (
+        f"Dry run: {', '.join(parts)}. "
+        f"Nothing is learned from it: {iteration.refusal_reason}."
     )
-    unread = iteration.artifacts["points"].readings.loc[~read.astype(bool), "reason"]
-    why = f" (most often: {unread.mode().iloc[0]})" if len(unread) else ""
-    parts = [
-        f"commands went out {link['jitter_p50'] * 1e3:.2f} ms late (99 %: {link['jitter_p99'] * 1e3:.2f})",
-        f"{link['missed']} of {link['ticks']} were late or lost",
-        f"the string was read in {int(read.sum())} of {len(read)} frames{why}",
-    ]
-    if "trip_p50" in link:  # which a virtual arm has none of
-        parts.insert(
-            0,
-            f"a round trip takes {link['trip_p50'] * 1e3:.2f} ms (99 %: {link['trip_p99'] * 1e3:.2f})",
-        )
-    return f"Dry run: {', '.join(parts)}. Nothing is learned from it: {iteration.refusal_reason}."
+
+
+def _delay_ms(link: pd.Series, name: str, kind: str = "") -> str:
+    median, largest = 1e3 * link[f"{name}_p50"], 1e3 * link[f"{name}_p99"]
+    return f"{median:.2f} ms{kind} (99 %: {largest:.2f})"

@@ -1,4 +1,4 @@
-"""Diagnose stored trials, and perform motions that distinguish candidate causes."""
+"""Mode that diagnoses trials and performs motions that distinguish causes."""
 
 from __future__ import annotations
 
@@ -30,51 +30,55 @@ class Diagnose(Batch):
     motions: int
 
     def moves_arm(self, config: Mapping[str, Any]) -> bool:
+        """Tell whether motions may be performed."""
         return self.motions > 0
 
     def run_steps(
         self, experiment: Experiment, folder: Path, executor: Executor
     ) -> RunResult:
+        """Diagnose, and repeat after each performed motion."""
         history, trials = self.begin_history(experiment, executor)
         stored = len(history.iterations)
-        made: Diagnosis = history.make_artifact(self.stage, trials=trials)
-        while made.motion is not None:
-            current = history.begin_iteration(
-                trial=f"performed-{len(history.iterations) + 1:02d}"
-            )
+        diagnosis: Diagnosis = history.make_artifact(self.stage, trials=trials)
+        while diagnosis.motion is not None:
+            trial_name = f"performed-{len(history.iterations) + 1:02d}"
+            iteration = history.begin_iteration(trial=trial_name)
             history.make_artifact("propose")
-            if current.number > stored + self.motions:
+            if iteration.number > stored + self.motions:
                 history.iterations.pop()
                 break
             trials = perform_proposed_motion(history, trials)
-            made = history.make_artifact(self.stage, trials=trials)
+            diagnosis = history.make_artifact(self.stage, trials=trials)
             executor.publish(history.iterations[stored:])
-        # the verdict, what was left out, and what to do next
-        found = json.loads(made.finding["diagnosis"].iloc[0])
-        rejected, following = found["trials"]["rejected"], found["next_experiment"]
-        left = f"Left out: {describe_rejected(rejected)}." if rejected else ""
-        sentence = " ".join(
-            filter(None, (made.sentence, left, following and following["sentence"]))
-        )
-        return RunResult(
-            folder, tuple(history.iterations), sentence, stages()[self.stage]
-        )
+        sentence = diagnosis_outcome(diagnosis)
+        stage = stages()[self.stage]
+        return RunResult(folder, tuple(history.iterations), sentence, stage)
+
+
+def diagnosis_outcome(diagnosis: Diagnosis) -> str:
+    """Describe the verdict, the rejected trials and the next experiment."""
+    details = json.loads(diagnosis.finding["diagnosis"].iloc[0])
+    sentences = [diagnosis.sentence]
+    if rejected := details["trials"]["rejected"]:
+        sentences.append(f"Left out: {describe_rejected(rejected)}.")
+    if next_experiment := details["next_experiment"]:
+        sentences.append(next_experiment["sentence"])
+    return " ".join(filter(None, sentences))
 
 
 def perform_proposed_motion(history: History, trials: TrialSet) -> TrialSet:
     """Perform the proposed motion and add its trial to the others."""
     for name in ("execute", "extract"):
         history.make_artifact(name)
-    current = history.iterations[-1]
-    read = current.artifacts["points"].readings["valid"].any()
-    fault = current.refusal_reason or (
-        "" if read else "the string could not be read in any frame"
-    )
+    iteration = history.iterations[-1]
+    fault = iteration.refusal_reason
+    if not fault and not iteration.artifacts["points"].readings["valid"].any():
+        fault = "the string could not be read in any frame"
     if fault:
-        return replace(trials, rejected={**trials.rejected, current.trial_name: fault})
-    seen = (*trials.observations, current.observation)
+        rejected = {**trials.rejected, iteration.trial_name: fault}
+        return replace(trials, rejected=rejected)
     return replace(
         trials,
-        observations=seen,
-        iteration_numbers=(*trials.iteration_numbers, current.number),
+        observations=(*trials.observations, iteration.observation),
+        iteration_numbers=(*trials.iteration_numbers, iteration.number),
     )

@@ -1,4 +1,4 @@
-"""Estimate the string from stored trials."""
+"""Mode that estimates the string from stored trials."""
 
 from __future__ import annotations
 
@@ -39,65 +39,64 @@ class Estimate(Stepwise):
     again: bool
 
     def check(self, experiment: Experiment) -> None:
+        """Refuse missing trials."""
         require_trials(experiment)
 
     def run_steps(
         self, experiment: Experiment, folder: Path, executor: Executor
     ) -> RunResult:
-        data, used = read_usable_trials(experiment), experiment.config["trials_used"]
-        fitted = [name for name in data.trials if name not in held_out_trials(data)]
+        """Estimate from the trials, then predict those that are held out."""
+        data = read_usable_trials(experiment)
+        held_out = held_out_trials(data)
+        fitted = [name for name in data.trials if name not in held_out]
         if not fitted:
             raise DataError(
-                f"trials={data.folder}: dataset.yaml holds out every trial. Leave some to estimate from."
+                f"trials={data.folder}: dataset.yaml holds out every trial. "
+                "Leave some to estimate from."
             )
         history = history_of_dataset(data, executor)
-        seen: list[Observation] = []
+        window = experiment.config["trials_used"]
+        observations: list[Observation] = []
         for number, name in enumerate(fitted, start=1):
-            seen.append(read_points(history, data, name, self.again))
-            if number == len(fitted) or used != ALL_TRIALS:
-                first = 0 if used == ALL_TRIALS else max(number - used, 0)
-                trials = TrialSet(
-                    tuple(seen[first:]),
-                    iteration_numbers=tuple(range(first + 1, number + 1)),
-                )
-                history.make_artifact("estimate", trials=trials)
-                log_fit(history.iterations[-1])
+            observations.append(read_points(history, data, name, self.again))
+            first = 0
+            if window != ALL_TRIALS:
+                first = max(number - window, 0)
+            elif number < len(fitted):
+                continue
+            numbers = tuple(range(first + 1, number + 1))
+            trials = TrialSet(tuple(observations[first:]), iteration_numbers=numbers)
+            history.make_artifact("estimate", trials=trials)
+            log_fit(history.iterations[-1])
+
         for name in sorted(data.trials.keys() - set(fitted)):
-            trial = read_points(history, data, name, self.again)
-            history.make_artifact(
-                "predict",
-                trials=TrialSet((trial,), iteration_numbers=(len(history.iterations),)),
-            )
-        return RunResult(
-            folder,
-            tuple(history.iterations),
-            estimation_outcome(history.iterations, data),
-        )
+            observation = read_points(history, data, name, self.again)
+            numbers = (len(history.iterations),)
+            trials = TrialSet((observation,), iteration_numbers=numbers)
+            history.make_artifact("predict", trials=trials)
+        sentence = estimation_outcome(history.iterations, data)
+        return RunResult(folder, tuple(history.iterations), sentence)
 
 
 def estimation_outcome(iterations: Sequence[Iteration], data: dataset.Dataset) -> str:
     """Describe the result of an estimation from stored trials."""
-    estimates = [
-        i.artifacts["estimate"] for i in iterations if "estimate" in i.artifacts
-    ]
-    predicted = [
-        i.artifacts["prediction"].score.iloc[0]
-        for i in iterations
-        if "prediction" in i.artifacts
-    ]
-    count, rate = (
-        len(iterations) - len(predicted),
-        float(estimates[-1].fit["after"].iloc[0]),
-    )
+    rate, count = 0.0, len(iterations)
+    prediction_sentences = []
+    for iteration in iterations:
+        if "estimate" in iteration.artifacts:
+            rate = float(iteration.artifacts["estimate"].fit["after"].iloc[0])
+        if "prediction" in iteration.artifacts:
+            count -= 1
+            score = iteration.artifacts["prediction"].score.iloc[0]
+            prediction_sentences.append(
+                f"Held out, the tip of {score['trial']} is {1e3 * score['tip']:.1f} mm "
+                "off (rms)."
+            )
     trials = f"{count} trial{'s' * (count != 1)} of {data.folder.name}"
-    words = [f"Estimated from {trials}; the matching rate E is {rate:.3f}."]
-    words += [
-        f"Held out, the tip of {s['trial']} is {1e3 * s['tip']:.1f} mm off (rms)."
-        for s in predicted
+    sentences = [
+        f"Estimated from {trials}; the matching rate E is {rate:.3f}.",
+        *prediction_sentences,
     ]
-    words += (
-        [f"Left out: {describe_rejected(data.rejection_reasons)}."]
-        if data.rejection_reasons
-        else []
-    )
-    return " ".join(words)
+    if data.rejection_reasons:
+        sentences.append(f"Left out: {describe_rejected(data.rejection_reasons)}.")
+    return " ".join(sentences)

@@ -1,4 +1,4 @@
-"""Perform runs of stored steps, which can be continued, verified and compared."""
+"""Runs of stored steps, which can be continued, verified and compared."""
 
 from __future__ import annotations
 
@@ -38,25 +38,26 @@ class Stepwise(Mode):
         KeyboardInterrupt
             Instead of writing run.json, if a step was interrupted.
         """
+        saved_outputs = experiment.config["saved_outputs"]
         if self.moves_arm(experiment.config) and not (folder / SUMMARY_FILE).exists():
             check_devices(experiment)
         with progress_bars(console) as bar:
-            kept = run_folder.RunFolder(
-                experiment, folder, bar, lambda words: console.print(escape(words))
+            steps = run_folder.RunFolder(
+                experiment, folder, bar, lambda text: console.print(escape(text))
             )
-            result = self.run_steps(experiment, folder, kept)
-            if "report" in experiment.config["saved_outputs"]:
-                with bar("report"):  # which draws: it takes a second and more to load
-                    import_module("stringcast.pipeline.run.report").write_report(
-                        experiment, result
-                    )
+            result = self.run_steps(experiment, folder, steps)
+            if "report" in saved_outputs:
+                with bar("report"):
+                    # loaded here, because drawing takes a second and more to load
+                    report = import_module("stringcast.pipeline.run.report")
+                    report.write_report(experiment, result)
             run_folder.write_stage_files(result)
-            if not kept.interrupted:
+            if not steps.interrupted:
                 run_folder.write_summary(result)
-        if "frames" not in experiment.config["saved_outputs"] and not kept.interrupted:
+        if "frames" not in saved_outputs and not steps.interrupted:
             run_folder.remove_frames(experiment, result)
         print_summary(result, console)
-        if kept.interrupted:
+        if steps.interrupted:
             raise KeyboardInterrupt
         return result
 
@@ -79,15 +80,17 @@ def require_trials(experiment: Experiment) -> None:
     """Raise UserError without the setting `trials`."""
     if experiment.config["trials"] is None:
         raise UserError(
-            "trials = null: this mode looks at stored trials. Give trials=<folder>, or another mode."
+            "trials = null: this mode looks at stored trials. "
+            "Give trials=<folder>, or another mode."
         )
 
 
 def refuse_trials(experiment: Experiment) -> None:
     """Raise UserError if the setting `trials` is given."""
-    if experiment.config["trials"] is not None:
-        trials = experiment.config["trials"]
+    trials = experiment.config["trials"]
+    if trials is not None:
         raise UserError(
-            f"trials={trials}: this mode makes its own trials. Leave it out, or give +experiment=estimate, diagnose, "
-            "decide or align, which look at stored ones."
+            f"trials={trials}: this mode makes its own trials. Leave it out, or give "
+            "+experiment=estimate, diagnose, decide or align, "
+            "which look at stored ones."
         )

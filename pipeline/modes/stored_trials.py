@@ -17,36 +17,33 @@ from stringcast.stages.check.measured import CheckedDataset
 
 def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
     """Read the stored trials that fit the string, or raise DataError without any."""
-    trials = experiment.config["trials"]
-    read = dataset.read_dataset(Path(trials))
-    refuse_errors(
-        CheckedDataset(
-            read, experiment.arm, experiment.camera, experiment.string.length
-        )
-    )
-    data = dataset.exclude_stray_points(read, experiment.string.length)
+    trials, length = experiment.config["trials"], experiment.string.length
+    stored = dataset.read_dataset(Path(trials))
+    refuse_errors(CheckedDataset(stored, experiment.arm, experiment.camera, length))
+    data = dataset.exclude_stray_points(stored, length)
     if not data.trials:
         reasons = describe_rejected(data.rejection_reasons) or "it holds no trial"
         raise DataError(
-            f"trials={trials}: no trial can be used ({reasons}). Look at the files it names."
+            f"trials={trials}: no trial can be used ({reasons}). "
+            "Look at the files it names."
         )
     return data
 
 
 def held_out_trials(data: dataset.Dataset) -> tuple[str, ...]:
     """Return the names of the trials that dataset.yaml holds out."""
-    return tuple(
-        name
-        for name, about in data.metadata.get("trials", {}).items()
-        if about.get("role") == "held_out"
-    )
+    names = []
+    for name, block in data.metadata.get("trials", {}).items():
+        if block.get("role") == "held_out":
+            names.append(name)
+    return tuple(names)
 
 
 def history_of_dataset(data: dataset.Dataset, executor: Executor) -> History:
     """Return the history of a run of stored trials, with the hashes of their files."""
-    hashes = {
-        (data.folder / name).as_posix(): digest for name, digest in data.hashes.items()
-    }
+    hashes = {}
+    for name, digest in data.hashes.items():
+        hashes[(data.folder / name).as_posix()] = digest
     return History(executor, file_hashes=hashes)
 
 
