@@ -30,6 +30,10 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
 BAUD = 1_000_000  # a pseudo-terminal takes any
+# Environment variable with the file in which the device records motion and rest. It is
+# no setting: settings come from other people's runs too, and must not name a file to
+# write.
+LOG_VARIABLE = "STRINGCAST_EMULATOR_LOG"
 
 
 @dataclass
@@ -141,7 +145,6 @@ def open_lab(
     driving: Driving,
     watchdog: Annotated[int, Field(gt=0)],
     faults: list[str],
-    record: str = os.devnull,
 ) -> Lab:
     """Open the emulated arm and the virtual camera of one trial.
 
@@ -155,8 +158,6 @@ def open_lab(
         Watchdog time of the device [ms].
     faults
         KIND:N, as the emulator takes them.
-    record
-        The file in which the device records when the arm moved and when it stood.
 
     Returns
     -------
@@ -164,7 +165,8 @@ def open_lab(
         Arm and camera, not yet started.
     """
     bench = VirtualBench(arm, camera, specimen, seed, servo, look, obstacles, trial)
-    options = ["--watchdog", str(watchdog), "--log", record]
+    log_file = os.environ.get(LOG_VARIABLE, os.devnull)
+    options = ["--watchdog", str(watchdog), "--log", log_file]
     options += [f"--fault={fault}" for fault in faults]
     device = VelocityArm(arm, SerialWire("", BAUD), driving)
     rehearsal = RehearsalArm(device, EmulatorProcess(options), bench)

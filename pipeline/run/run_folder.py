@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -92,9 +93,6 @@ class RunFolder:
         if stored.artifact is not None and not stored.stale_reasons:
             log.info("%s is stored and fresh", step.folder)
             return stored.artifact
-        if not folder.resolve().is_relative_to(self.folder.resolve()):
-            fault = "a link leads out of the run's folder"
-            raise DataError(f"{folder}: {fault}. Put the folder itself there.")
         if not folder.is_dir():
             return self._make_artifact(step, folder)
 
@@ -162,8 +160,9 @@ def exclusive_access(folder: Path) -> Iterator[None]:
     Raises
     ------
     DataError
-        If another process works in the folder, or it cannot be written.
+        If the folder holds a link, is in use, or cannot be written.
     """
+    refuse_links(folder)
     with ExitStack() as stack:
         try:
             disk.make_folder(folder)
@@ -182,6 +181,21 @@ def exclusive_access(folder: Path) -> Iterator[None]:
             if is_new and file_names_in(folder) <= FILES_OF_EMPTY_RUN:
                 disk.remove(folder)
             raise
+
+
+def refuse_links(folder: Path) -> None:
+    """Refuse a run's folder that holds a link.
+
+    Through a link, a run of others could write and remove files anywhere.
+    """
+    for place, folders, files in os.walk(folder):
+        for name in (*folders, *files):
+            path = Path(place, name)
+            if path.is_symlink():
+                raise DataError(
+                    f"{path}: a run's folder holds no links. Put what it leads to in "
+                    "its place if you trust it, or remove it."
+                )
 
 
 def file_names_in(folder: Path) -> set[str]:
@@ -228,11 +242,14 @@ def remove_frames(experiment: Experiment, result: RunResult) -> None:
     if not is_repeatable(experiment.config, "trial"):
         return
     for iteration in result.iterations:
-        if "trial" in iteration.artifacts:
-            trial_folder = result.folder / artifact_folder(iteration.number, "trial")
-            for path in list(trial_folder.iterdir()):
-                if path.is_dir():
-                    disk.remove(path)
+        if "trial" not in iteration.artifacts:
+            continue
+        trial_folder = result.folder / artifact_folder(iteration.number, "trial")
+        frame_files = iteration.artifacts["trial"].frames["file"]
+        frame_folders = {Path(file).parts[0] for file in frame_files}
+        for path in list(trial_folder.iterdir()):
+            if path.is_dir() and path.name in frame_folders:
+                disk.remove(path)
 
 
 @contextmanager

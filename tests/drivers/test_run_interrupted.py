@@ -10,6 +10,8 @@ import time
 from conftest import ROOT, share
 from rig import events
 
+from stringcast.hardware.serial.rehearsal import LOG_VARIABLE
+
 # of the cores: others go by clocks beside it
 SHARED = os.environ | {"NUMBA_NUM_THREADS": str(share())}
 SMALL = (
@@ -28,8 +30,9 @@ def interrupt_command(number, record, *arguments):
     """
     record.unlink(missing_ok=True)
     command = [sys.executable, "-m", "pipeline", *arguments]
+    environment = SHARED | {LOG_VARIABLE: str(record)}
     run = subprocess.Popen(
-        command, cwd=ROOT, env=SHARED, stderr=subprocess.PIPE, text=True
+        command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True
     )
     while "moves" not in {
         noted["event"] for noted in (events(record) if record.exists() else [])
@@ -47,10 +50,13 @@ def interrupt_command(number, record, *arguments):
 
 def test_a_run_told_to_end_while_the_arm_moves_leaves_it_at_rest_and_goes_on(tmp_path):
     record, folder = tmp_path / "record", tmp_path / "run"
-    asked = (*SMALL, f"hardware.record={record}", f"hydra.run.dir={folder}")
+    asked = (*SMALL, f"hydra.run.dir={folder}")
     status, words = interrupt_command(signal.SIGTERM, record, *asked)
     assert status == 143
-    assert f"-m pipeline resume {folder}" in words.partition("begins anew with: ")[2]
+    assert (
+        f"-m pipeline resume {folder}"
+        in words.partition("Continue after the last step: ")[2]
+    )
     assert not (folder / "run.json").exists()
     assert interrupt_command(signal.SIGINT, record, "resume", str(folder))[0] == 130
     command = [sys.executable, "-m", "pipeline", "resume", str(folder)]

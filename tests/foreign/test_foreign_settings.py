@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands import load_command
-from stringcast.pipeline.run import log
+from stringcast.pipeline.run import log, run_folder
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings import allowed_callables
 from stringcast.pipeline.settings.composition import (
@@ -28,7 +28,6 @@ from stringcast.pipeline.settings.settings_from_runs import (
 )
 from stringcast.pipeline.settings.typed_settings import load_callable
 from stringcast.stages.model.engine import module_cache
-from tests.faults.toy import toy_experiment, toy_run
 
 
 class Touch:
@@ -212,14 +211,33 @@ def test_lines_of_the_log_do_not_go_through_a_link(tmp_path):
     assert "a line" in (run / "run.log").read_text()
 
 
-def test_steps_are_not_made_through_a_link(tmp_path):
+@pytest.mark.parametrize("name", ["iterations", "iterations/01/trial", "config.json"])
+def test_a_run_that_holds_a_link_is_refused(tmp_path, name):
+    """Steps could be written through it, and folders be removed."""
     run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
-    run.mkdir()
-    elsewhere.mkdir()
-    (run / "iterations").symlink_to(elsewhere)
-    with pytest.raises(DataError, match=r"a link leads out of the run's folder"):
-        toy_run(run, toy_experiment(1))
-    assert not list(elsewhere.iterdir())
+    (elsewhere / "images").mkdir(parents=True)
+    (run / name).parent.mkdir(parents=True)
+    (run / name).symlink_to(elsewhere)
+    with (
+        pytest.raises(DataError, match=f"{name}: a run's folder holds no links"),
+        run_folder.exclusive_access(run),
+    ):
+        pytest.fail("the run began")
+    assert (elsewhere / "images").is_dir()
+    assert [path.name for path in elsewhere.iterdir()] == ["images"]
+
+
+def test_no_setting_of_a_run_names_a_file_to_write(tmp_path):
+    """The emulator's own record was one, and `resume` wrote over any file of ours."""
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    config = resolved("hardware=emulator")
+    config["hardware"]["record"] = str(precious)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.json").write_text(json.dumps(config))
+    with pytest.raises(UserError, match=r"hardware\.record"):
+        load_command("resume")([str(tmp_path / "run")])
+    assert precious.read_text() == "mine"
 
 
 @pytest.mark.parametrize("read", [read_extended_model, read_measured_camera])

@@ -47,11 +47,16 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
         )
     write_text(tmp_path / "dataset.yaml", "format: 1\nstring: {length: 0.3}\n")
     assert dataset.read_dataset(tmp_path).films
-    ended = RunResult(tmp_path, (Iteration(1, {"trial": SimpleNamespace()}),), "")
+    names = [f"images/{i}.png" for i in range(3)]
+    trial = SimpleNamespace(frames=pd.DataFrame({"file": names}))
+    ended = RunResult(tmp_path, (Iteration(1, {"trial": trial}),), "")
+    other = place.with_name("not_of_the_run")
+    other.mkdir()
     run_folder.remove_frames(on("hardware.serial.lab.open_lab"), ended)
     assert place.exists()  # nobody can film them again
     run_folder.remove_frames(on("hardware.virtual.open_lab"), ended)
     assert not place.exists()
+    assert other.exists()  # the trial's table does not name it
     again = dataset.read_dataset(tmp_path)
     assert not again.films
     assert len(again.trials["t01"].points) == 3
