@@ -1,14 +1,14 @@
-"""Set up and run, with nothing but Python: `python3 tasks.py run`, `python3 tasks.py
-test`.
+"""Set up and run the project with nothing but Python: `python3 tasks.py TASK ...`.
 
-run [OVERRIDES]    the main job: `python -m pipeline +experiment=stringB method=robust OVERRIDES`, or another experiment
+run [OVERRIDES]    the main job, or another experiment or command:
+                   `python -m pipeline +experiment=stringB method=robust OVERRIDES`
 test [ARGUMENTS]   style, types and tests; arguments go to pytest
-test --all         ... with the long ones
-study NAME ...     a study of tests/benchmarks, such as diagnosis; arguments are its settings
+test --all         the same with the long tests
+study NAME ...     a study of tests/benchmarks, such as diagnosis, with its settings
 bench              speed of simulations and of a diagnosis; see tests/benchmarks/speed
 setup              only make the environment
 
-The environment is `.venv`, made from `requirements.lock` and made again when that
+The environment is `.venv`, made from `requirements.lock` and made again when that file
 changes. In it, the package `stringcast` is this clone.
 """
 
@@ -28,55 +28,54 @@ ENVIRONMENT = ROOT / ".venv"
 LOCK = ROOT / "requirements.lock"
 BENCH_LOCK = ROOT / "tests" / "benchmarks" / "speed" / "requirements.lock"
 PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-SIDE_BY_SIDE = ("--numprocesses=auto", "--dist=loadfile", "--no-loadscope-reorder")
-# how the folders of this clone are one package
-PACKAGE = (ROOT / "setup.py", ROOT / "pyproject.toml")
+# what makes the folders of this clone one package
+PACKAGE_FILES = (ROOT / "setup.py", ROOT / "pyproject.toml")
 # the folders of this clone as one package, for Python, editors and mypy
 LINKS = ENVIRONMENT / "package"
-# by real clocks: they run beside one another alone, and wait most of the time
-TIMED = "tests/drivers"
-BY_CLOCKS = ("--numprocesses=3", "--dist=worksteal", TIMED)
-MAIN = ("+experiment=stringB", "method=robust")  # of `run`
-STYLE = (("ruff", "check", "."), ("ruff", "format", "--check", "."))
+PARALLEL_OPTIONS = ("--numprocesses=auto", "--dist=loadfile", "--no-loadscope-reorder")
+# These tests wait for real clocks most of the time, and nothing else may run meanwhile.
+TIMED_TESTS = "tests/drivers"
+TIMED_OPTIONS = ("--numprocesses=3", "--dist=worksteal", TIMED_TESTS)
+STYLE_CHECKS = (("ruff", "check", "."), ("ruff", "format", "--check", "."))
 
 
 def main(arguments: list[str]) -> int:
-    """Run one task; its exit status."""
-    task, rest = (arguments[0], arguments[1:]) if arguments else ("help", [])
+    """Run one task and return its exit status."""
+    task = arguments[0] if arguments else "help"
     if task not in TASKS:
         print(__doc__)
         return 0 if task in ("help", "-h", "--help") else 2
     setup()
-    return TASKS[task](rest)
+    return TASKS[task](arguments[1:])
 
 
 def setup() -> None:
     """Make `.venv` hold exactly what the lock says, and this clone as the package."""
     if sys.version_info < (3, 11):
         sys.exit(
-            f"stringcast needs Python 3.11 or newer; this is {sys.version.split()[0]}. Run tasks.py with a newer one."
+            f"stringcast needs Python 3.11 or newer; this is {sys.version.split()[0]}. "
+            "Run tasks.py with a newer one."
         )
     if ENVIRONMENT.is_symlink():
         sys.exit(
-            f"{ENVIRONMENT} is a link to another clone's environment. Remove it: each clone has its own."
+            f"{ENVIRONMENT} is a link to another clone's environment. "
+            "Remove it: each clone has its own."
         )
-    if not installed(LOCK):
+    if not is_installed(LOCK):
         print("Setting up .venv (once; a minute or two) ...", flush=True)
         venv.create(ENVIRONMENT, with_pip=True, clear=True)
-        install("--require-hashes", "-r", LOCK, made_of=[LOCK])
-    if not installed(*PACKAGE):
-        install(
-            "--no-deps", "--no-build-isolation", "--editable", ROOT, made_of=PACKAGE
-        )
-        # machine code names modules as they were called
-        for stale in ROOT.rglob("__pycache__/*.nb[ci]"):
-            stale.unlink()
+        install_lock(LOCK)
+    if not is_installed(*PACKAGE_FILES):
+        options = ("--no-deps", "--no-build-isolation", "--editable", ROOT)
+        install_packages(*options, sources=PACKAGE_FILES)
+        # Compiled kernels hold the names that modules had when they were compiled.
+        for kernel in ROOT.rglob("__pycache__/*.nb[ci]"):
+            kernel.unlink()
     link_package()
 
 
 def link_package() -> None:
-    """Lay this clone out as the package `stringcast`, made of links, and put it on the
-    environment's path.
+    """Put the package `stringcast`, made of links, on the environment's path.
 
     Editors, call graphs and mypy follow links, but not the import hook of an editable
     install. The hook stays for Windows without links, where only these tools miss the
@@ -85,9 +84,8 @@ def link_package() -> None:
     folder = LINKS / "stringcast"
     folder.mkdir(parents=True, exist_ok=True)
     rooms = [ROOT / room for room in ("conf", "data", "hardware", "pipeline", "stages")]
-    targets = {
-        path.name: path for path in (*rooms, *(ROOT / "pipeline" / "api").glob("*.py*"))
-    }
+    modules = (ROOT / "pipeline" / "api").glob("*.py*")
+    targets = {path.name: path for path in (*rooms, *modules)}
     for link in folder.iterdir():
         if link.name not in targets:
             link.unlink()
@@ -102,115 +100,106 @@ def link_package() -> None:
         (packages / "stringcast.pth").write_text(f"{LINKS}\n", encoding="utf-8")
 
 
-def mark(*files: Path) -> Path:
-    """A file in the environment that says what of it was made of these files."""
-    return (
-        ENVIRONMENT
-        / f"made-of-{files[0].relative_to(ROOT).as_posix().replace('/', '-')}"
-    )
+def digest_file(sources: Sequence[Path]) -> Path:
+    """Return the file in the environment that holds the digest of installed sources."""
+    name = sources[0].relative_to(ROOT).as_posix().replace("/", "-")
+    return ENVIRONMENT / f"made-of-{name}"
 
 
-def digest(*files: Path) -> str:
-    """A hash of files, this Python's version and this clone's place."""
-    return hashlib.sha256(
-        b"".join([sys.version.encode(), bytes(ROOT), *(f.read_bytes() for f in files)])
-    ).hexdigest()
+def compute_digest(sources: Sequence[Path]) -> str:
+    """Return a hash of files, of this Python's version and of this clone's place."""
+    digest = hashlib.sha256(sys.version.encode() + bytes(ROOT))
+    for file in sources:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
-def installed(*files: Path) -> bool:
-    """Whether the environment holds what is made of these files as they are now."""
-    return mark(*files).exists() and mark(*files).read_text() == digest(*files)
+def is_installed(*sources: Path) -> bool:
+    """Return whether the environment was made from the present content of files."""
+    file = digest_file(sources)
+    return file.exists() and file.read_text() == compute_digest(sources)
 
 
-def install(*what: str | Path, made_of: Sequence[Path]) -> None:
-    """Install what pip is told, and note of which files it was made."""
-    pip = [
-        PYTHON,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--disable-pip-version-check",
-        *what,
-    ]
-    if subprocess.run(pip, check=False).returncode:
+def install_packages(*options: str | Path, sources: Sequence[Path]) -> None:
+    """Run pip, and store the digest of the files that name the packages."""
+    pip = (PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+    if subprocess.run([*pip, *options], check=False).returncode:
         sys.exit(
-            f"What {made_of[0].name} asks for could not be installed; see above. Is a package registry in reach?"
+            f"The packages of {sources[0].name} could not be installed; see above. "
+            "Can a package registry be reached from here?"
         )
-    mark(*made_of).write_text(digest(*made_of))
+    digest_file(sources).write_text(compute_digest(sources))
 
 
-def call(*command: str) -> int:
-    """Run a module of the environment in the project's folder."""
+def install_lock(lock: Path) -> None:
+    """Install exactly the packages of a lock file."""
+    install_packages("--require-hashes", "-r", lock, sources=[lock])
+
+
+def run_module(*command: str) -> int:
+    """Run a module of the environment in the project's folder; return its status."""
     return subprocess.run([PYTHON, "-m", *command], cwd=ROOT, check=False).returncode
 
 
-def run(rest: list[str]) -> int:
-    """The pipeline: the main job with other settings, unless an experiment or a command
-    is named.
+def run_pipeline(arguments: list[str]) -> int:
+    """Run the main job with other settings, or the experiment or command given."""
+    is_command = bool(arguments) and "=" not in arguments[0]
+    given = {word.partition("=")[0] for word in arguments}
+    defaults = []
+    if not is_command and "+experiment" not in given:
+        defaults.append("+experiment=stringB")
+        if "method" not in given:
+            defaults.append("method=robust")
+    return run_module("pipeline", *defaults, *arguments)
+
+
+def run_tests(arguments: list[str]) -> int:
+    """Check style, types and tests; return 0 only if each of them is clean.
+
+    Files of tests run in parallel on all cores, and types are checked meanwhile. Tests
+    that wait for real clocks run afterwards. A signal gives a negative status, and
+    pytest ends with 5 if it found no test.
     """
-    named = rest and (
-        "=" not in rest[0] or any(word.startswith("+experiment=") for word in rest)
-    )
-    default = [
-        word
-        for word in MAIN
-        if not any(other.startswith(word.partition("=")[0] + "=") for other in rest)
-    ]
-    return call("pipeline", *([] if named else default), *rest)
+    statuses = [run_module(*check) for check in STYLE_CHECKS]
+    if arguments not in ([], ["--all"]):
+        statuses += [run_module("mypy"), run_module("pytest", *arguments)]
+        return int(any(statuses))
+
+    selection = ["-m", ""] if arguments else []
+    untimed = (*PARALLEL_OPTIONS, f"--ignore={TIMED_TESTS}", *selection)
+    with ThreadPoolExecutor(1) as executor:
+        types = executor.submit(run_module, "mypy")
+        statuses += [run_module("pytest", *untimed), types.result()]
+    statuses.append(run_module("pytest", *TIMED_OPTIONS, *selection))
+    return int(any(statuses))
 
 
-def test(rest: list[str]) -> int:
-    """Style, types, tests: all of them, and 0 only if each is clean. Files of tests run
-    side by side, on all cores, and types are checked meanwhile: what goes by clocks
-    must not have them beside it.
-    """
-    results = [call(*check) for check in STYLE]
-    if rest not in ([], ["--all"]):
-        return worst(*results, call("mypy"), call("pytest", *rest))
-    which = ["-m", ""] if rest else []
-    with ThreadPoolExecutor(1) as beside:
-        types = beside.submit(call, "mypy")
-        results.append(call("pytest", *SIDE_BY_SIDE, f"--ignore={TIMED}", *which))
-        results.append(types.result())
-    return worst(*results, call("pytest", *BY_CLOCKS, *which))
-
-
-def worst(*codes: int) -> int:
-    """0 if every command ended with 0, else 1: what a signal ended has a negative code,
-    and pytest ends with 5 where it found no test.
-    """
-    return int(any(codes))
-
-
-def study(rest: list[str]) -> int:
-    """Run a study of tests/benchmarks, with PyElastica if that is the reference
-    simulator.
-    """
-    if "diagnosis.simulator=pyelastica" in rest:
+def run_study(arguments: list[str]) -> int:
+    """Run a study of tests/benchmarks, with PyElastica if the study simulates by it."""
+    if "diagnosis.simulator=pyelastica" in arguments:
         install_peers()
-    return call("tests.benchmarks", *rest)
+    return run_module("tests.benchmarks", *arguments)
 
 
-def bench(rest: list[str]) -> int:
-    """Run the speed benchmark, with the packages it compares with."""
-    if rest != ["diagnosis"]:
+def run_benchmark(arguments: list[str]) -> int:
+    """Run the speed benchmark; install the packages with which it compares."""
+    if arguments != ["diagnosis"]:
         install_peers()
-    return call("tests.benchmarks.speed.bench", *rest)
+    return run_module("tests.benchmarks.speed.bench", *arguments)
 
 
 def install_peers() -> None:
     """Install MuJoCo and PyElastica."""
-    if not installed(BENCH_LOCK):
-        install("--require-hashes", "-r", BENCH_LOCK, made_of=[BENCH_LOCK])
+    if not is_installed(BENCH_LOCK):
+        install_lock(BENCH_LOCK)
 
 
 TASKS = {
-    "run": run,
-    "test": test,
-    "study": study,
-    "bench": bench,
-    "setup": lambda rest: 0,
+    "run": run_pipeline,
+    "test": run_tests,
+    "study": run_study,
+    "bench": run_benchmark,
+    "setup": lambda arguments: 0,
 }
 
 if __name__ == "__main__":

@@ -7,26 +7,28 @@ import tasks
 
 @pytest.mark.parametrize("code", [-9, -15, 1, 2, 3, 5, 127])
 @pytest.mark.parametrize("command", ["ruff", "mypy", "pytest"])
-@pytest.mark.parametrize("rest", [[], ["--all"], ["tests/laws"]])
-def test_any_command_that_does_not_end_with_0_fails(monkeypatch, code, command, rest):
+@pytest.mark.parametrize("arguments", [[], ["--all"], ["tests/laws"]])
+def test_any_command_that_does_not_end_with_0_fails(
+    monkeypatch, code, command, arguments
+):
     """A negative code is a signal's; pytest ends with 5 where it ran no test."""
     monkeypatch.setattr(
-        tasks, "call", lambda name, *_, **__: code if name == command else 0
+        tasks, "run_module", lambda name, *_, **__: code if name == command else 0
     )
-    assert tasks.test(rest) == 1
-    monkeypatch.setattr(tasks, "call", lambda *_, **__: 0)
-    assert tasks.test(rest) == 0
+    assert tasks.run_tests(arguments) == 1
+    monkeypatch.setattr(tasks, "run_module", lambda *_, **__: 0)
+    assert tasks.run_tests(arguments) == 0
 
 
 def test_all_selects_the_long_ones_too(monkeypatch):
     called = []
     monkeypatch.setattr(
-        tasks, "call", lambda *command, **_: called.append(command) or 0
+        tasks, "run_module", lambda *command, **_: called.append(command) or 0
     )
-    tasks.test([])
+    tasks.run_tests([])
     short = [command for command in called if command[0] == "pytest"]
     called.clear()
-    tasks.test(["--all"])
+    tasks.run_tests(["--all"])
     whole = [command for command in called if command[0] == "pytest"]
     assert [(*command, "-m", "") for command in short] == whole
 
@@ -53,5 +55,5 @@ def test_a_run_of_which_every_test_was_skipped_fails():
 def test_run_is_the_main_job_with_other_settings_unless_another_is_named(
     monkeypatch, given, called
 ):
-    monkeypatch.setattr(tasks, "call", lambda *words: " ".join(words))
-    assert tasks.run(given.split()) == f"pipeline {called}"
+    monkeypatch.setattr(tasks, "run_module", lambda *words: " ".join(words))
+    assert tasks.run_pipeline(given.split()) == f"pipeline {called}"
