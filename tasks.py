@@ -45,11 +45,11 @@ def main(arguments: list[str]) -> int:
     if task not in TASKS:
         print(__doc__)
         return 0 if task in ("help", "-h", "--help") else 2
-    setup()
+    prepare_environment()
     return TASKS[task](arguments[1:])
 
 
-def setup() -> None:
+def prepare_environment() -> None:
     """Make `.venv` hold exactly what the lock says, and this clone as the package."""
     if sys.version_info < (3, 11):
         sys.exit(

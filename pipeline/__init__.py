@@ -1,5 +1,6 @@
-"""The shell: configuration, folders, seeds, progress, resuming. The only place that
-knows Hydra.
+"""The shell: configuration, folders, seeds, progress and resuming of runs.
+
+Nothing outside it knows Hydra.
 """
 
 import os
@@ -7,12 +8,17 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-# `python -m pipeline` in a clone, which is `python -m stringcast` of that clone
+# `python -m pipeline` in a clone is `python -m stringcast` of that clone.
 if __name__ == "pipeline":
-    found = find_spec("stringcast")
-    there = Path(found.origin).resolve().parents[2] if found and found.origin else None
-    if there != Path(__file__).resolve().parents[1]:
-        wrong = f"its stringcast is that of {there}" if there else "it lacks stringcast"
+    package = find_spec("stringcast")
+    clone = None
+    if package and package.origin:
+        clone = Path(package.origin).resolve().parents[2]
+    if clone != Path(__file__).resolve().parents[1]:
+        fault = (
+            f"its stringcast is that of {clone}" if clone else "it has no stringcast"
+        )
         python, scripts = ("py", "Scripts") if os.name == "nt" else ("python3", "bin")
-        remedy = f"Run {python} tasks.py setup here, then {Path('.venv', scripts, 'python')} -m pipeline"
-        sys.exit(f"Error: {sys.executable}: {wrong}. {remedy}.")
+        command = f"{Path('.venv', scripts, 'python')} -m pipeline"
+        remedy = f"Run {python} tasks.py setup here, then {command}"
+        sys.exit(f"Error: {sys.executable}: {fault}. {remedy}.")

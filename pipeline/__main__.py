@@ -1,8 +1,7 @@
-"""`python -m pipeline`: hand over to a command, to the help or to a run; errors without
-tracebacks.
+"""`python -m pipeline`: start a run, a command or the help.
 
-Each of these is loaded when it is asked for: a run needs what takes seconds to load, a
-question little of it.
+Errors are printed without tracebacks. Modules that take seconds to import are imported
+only where a run or a command needs them.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import os
 import sys
 import uuid
 from importlib import import_module
-from typing import Any
+from typing import NoReturn
 
 import hydra
 from hydra.errors import HydraException
@@ -31,8 +30,7 @@ from stringcast.pipeline.cli.terminal import (
 from stringcast.pipeline.commands import COMMAND_NAMES, load_command
 from stringcast.pipeline.run import log
 from stringcast.pipeline.settings.composition import refuse_repeated_settings
-from stringcast.pipeline.sweep.lazy_launcher import finish_sweep as sweep_ended
-from stringcast.pipeline.sweep.lazy_launcher import sweep_folder as sweep_folder
+from stringcast.pipeline.sweep.lazy_launcher import finish_sweep, sweep_folder
 
 OmegaConf.register_new_resolver(
     "unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True
@@ -44,26 +42,27 @@ NO_ANSWER_STATUS = 2  # exit status of a command that found no answer
     version_base="1.3", config_path="pkg://stringcast.conf", config_name="config"
 )
 def main(config: DictConfig) -> float | None:
-    """One run, or one job of a sweep. Returns E after the last estimation."""
-    rate: float | None = limit_blas_threads(
-        import_module("stringcast.pipeline.run.single_run")
-    ).main(config)
-    return rate
+    """Perform one run, or one job of a sweep; return E after the last estimation."""
+    single_run = import_module("stringcast.pipeline.run.single_run")
+    limit_blas_threads()
+    matching_rate: float | None = single_run.main(config)
+    return matching_rate
 
 
-def limit_blas_threads(module: Any) -> Any:
-    """The module, with the BLAS that was loaded with it kept to one thread: its sums
-    depend on how many share them, and all that takes long is ours.
+def limit_blas_threads() -> None:
+    """Keep the BLAS libraries that are loaded to one thread.
+
+    Their sums depend on the number of threads. It costs no time: slow code is our own.
     """
     threadpool_limits(1, "blas")
-    return module
 
 
 def run_command(name: str, arguments: list[str]) -> int:
-    """Hand over to a command; its exit status."""
+    """Run a command and return its exit status."""
     try:
-        status: int = limit_blas_threads(load_command(name))(arguments)
-        return status
+        command = load_command(name)
+        limit_blas_threads()
+        return command(arguments)
     except ExpectedError as error:
         print_error(error, Terminal(stderr=True))
         return NO_ANSWER_STATUS
@@ -71,11 +70,16 @@ def run_command(name: str, arguments: list[str]) -> int:
         return interrupt_status(error)
 
 
+def exit_with_error(message: str) -> NoReturn:
+    """Exit with a message in which commands are written as this program was called."""
+    sys.exit(f"Error: {with_program_name(escape_control_characters(message))}")
+
+
 def cli() -> None:
-    """Hand over, and turn what Hydra refuses into one clear message too."""
-    # what it warns of is said in one line of ours
+    """Start what the command line asks for, and explain errors in one message."""
+    # OpenCV's warnings are replaced by a message of ours.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
-    # errors come here instead of being printed with a traceback
+    # Hydra raises its errors instead of printing them with a traceback.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     if "-v" in sys.argv:
         sys.argv.remove("-v")
@@ -87,31 +91,29 @@ def cli() -> None:
         refuse_mistakes(words)
         overrides = [word for word in words if "=" in word and not word.startswith("-")]
         refuse_repeated_settings(overrides)
-        if {"-h", "--help"} & {*words}:
-            print(
-                import_module("stringcast.pipeline.cli.help_page").help_text(overrides)
-            )
+        if "-h" in words or "--help" in words:
+            help_page = import_module("stringcast.pipeline.cli.help_page")
+            print(help_page.help_text(overrides))
             return
         main()
-        sys.exit(sweep_ended())
+        sys.exit(finish_sweep())
     except ExpectedError as error:
-        sys.exit(f"Error: {with_program_name(escape_control_characters(str(error)))}")
+        exit_with_error(str(error))
     except KeyboardInterrupt as error:
-        sweep_ended()
+        finish_sweep()
         sys.exit(interrupt_status(error))
     except (HydraException, OmegaConfBaseException) as error:
-        sys.exit(
-            f"Error: {with_program_name(escape_control_characters(explain_hydra_error(error)))}"
-        )
+        exit_with_error(explain_hydra_error(error))
     except OSError as error:
-        what = escape_control_characters(str(error.filename or sweep_folder()))
+        path = escape_control_characters(str(error.filename or sweep_folder()))
         remedy = f"{remedy_for(error)} with hydra.run.dir or hydra.sweep.dir."
         sys.exit(
-            f"Error: {what}: cannot be written ({error.strerror or error}). {remedy}"
+            f"Error: {path}: cannot be written ({error.strerror or error}). {remedy}"
         )
     except MemoryError as error:
         sys.exit(
-            f"Error: more memory is needed than there is ({error}). Ask for fewer points, frames or candidates."
+            f"Error: more memory is needed than there is ({error}). "
+            "Ask for fewer points, frames or candidates."
         )
 
 

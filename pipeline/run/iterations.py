@@ -54,7 +54,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Iteration:
-    """One cast, or one stored trial, of a run.
+    """A cast of a run, or a stored trial that a run uses.
 
     Parameters
     ----------
@@ -83,12 +83,10 @@ class Iteration:
 
     @property
     def refusal_reason(self) -> str:
-        """The reason why nothing is learned from its trial; empty if it can be trusted."""
-        link = (
-            self.artifacts["trial"].link.iloc[0]
-            if "trial" in self.artifacts
-            else {"valid": True}
-        )
+        """Reason why its trial cannot be trusted; empty if it can."""
+        if "trial" not in self.artifacts:
+            return ""
+        link = self.artifacts["trial"].link.iloc[0]
         return "" if link["valid"] else str(link["reason"])
 
     @property
@@ -129,18 +127,23 @@ class History:
     def begin_iteration(
         self, trial: str = "", given: Mapping[str, Any] | None = None
     ) -> Iteration:
-        """A new iteration. trial: name of its trial, if it has one. given: artifacts
-        that it begins with.
+        """Begin a new iteration and return it.
+
+        Parameters
+        ----------
+        trial : str
+            Name of its trial, if it is not derived from the number.
+        given : mapping, optional
+            Artifacts with which it begins, by name.
         """
-        self.iterations.append(
-            Iteration(
-                len(self.iterations) + 1,
-                {},
-                custom_trial_name=trial,
-                given_artifacts=dict(given or {}),
-            )
+        iteration = Iteration(
+            len(self.iterations) + 1,
+            {},
+            custom_trial_name=trial,
+            given_artifacts=dict(given or {}),
         )
-        return self.iterations[-1]
+        self.iterations.append(iteration)
+        return iteration
 
     def make_artifact(self, name: str, **given: Any) -> Any:
         """Run a stage in the last iteration and return its artifact.
@@ -159,27 +162,25 @@ class History:
         """
         current, stage = self.iterations[-1], stages()[name]
         current.given_artifacts.update(given)
-        # the stage's inputs as they are now, and where those lie that this run made
-        there = [{**one.given_artifacts, **one.artifacts} for one in self.iterations]
+        available = []
+        for iteration in self.iterations:
+            available.append(iteration.given_artifacts | iteration.artifacts)
+
         inputs: dict[str, Any] = {}
-        places: list[Path] = []
-        for key, asked in stage.inputs.items():
-            number, found = asked.find(key, there) or (0, None)
-            if number and not isinstance(found, asked.kind):
-                raise TypeError(
-                    f"stage {stage.name}: {key} is a {type(found).__name__}, not {asked.kind}"
-                )
-            inputs[key] = found
-            if isinstance(found, TrialSet):
-                places += [
-                    artifact_folder(one, made)
-                    for one in found.iteration_numbers
-                    for made in ("trial", "points")
-                ]
+        folders: list[Path] = []
+        for key, wanted in stage.inputs.items():
+            number, artifact = wanted.find(key, available) or (0, None)
+            inputs[key] = artifact
+            if number and not isinstance(artifact, wanted.kind):
+                kind = type(artifact).__name__
+                raise TypeError(f"stage {name}: {key} is a {kind}, not {wanted.kind}")
+            if isinstance(artifact, TrialSet):
+                for trial_number in artifact.iteration_numbers:
+                    folders.append(artifact_folder(trial_number, "trial"))
+                    folders.append(artifact_folder(trial_number, "points"))
             elif number and key in self.iterations[number - 1].artifacts:
-                places.append(artifact_folder(number, key))
-        step = Step(
-            stage, len(self.iterations), inputs, tuple(places), self.file_hashes
-        )
-        current.artifacts[stage.folder] = self.executor.obtain(step)
-        return current.artifacts[stage.folder]
+                folders.append(artifact_folder(number, key))
+        step = Step(stage, current.number, inputs, tuple(folders), self.file_hashes)
+        artifact = self.executor.obtain(step)
+        current.artifacts[stage.folder] = artifact
+        return artifact

@@ -1,14 +1,16 @@
-"""The log of a run: decisions and their reasons with times, in run.log and with -v on the terminal."""
+"""The log of a run: its decisions with times and reasons.
+
+It goes into run.log, and with -v to the terminal.
+"""
 
 from __future__ import annotations
 
 import logging
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from io import TextIOWrapper
 from pathlib import Path
-from typing import cast
 
 from stringcast.data.errors import escape_control_characters
 from stringcast.pipeline.run.file_names import LOG_FILE
@@ -22,6 +24,7 @@ class PrintableFormatter(logging.Formatter):
     """A formatter that escapes control characters, which could steer the terminal."""
 
     def format(self, record: logging.LogRecord) -> str:
+        """Return the line of a record with control characters escaped."""
         return escape_control_characters(super().format(record))
 
 
@@ -36,6 +39,7 @@ class ForwardingHandler(logging.Handler):
         self.receive = receive
 
     def emit(self, record: logging.LogRecord) -> None:
+        """Pass on the message of a record."""
         self.receive(escape_control_characters(record.getMessage()))
 
 
@@ -43,25 +47,24 @@ class LossyFileHandler(logging.FileHandler):
     """A log file on a disk that may be full: it loses lines rather than stop a run."""
 
     def _open(self) -> TextIOWrapper:
-        # A link in the folder of somebody else could lead lines into any file of the user.
+        # A link in the folder of somebody else could lead into any file of the user.
         no_link = getattr(os, "O_NOFOLLOW", 0)
 
         def open_file(path: str, flags: int) -> int:
             return os.open(path, flags | no_link, 0o666)
 
-        file = open(
-            self.baseFilename, self.mode, encoding=self.encoding, opener=open_file
-        )
-        return cast(TextIOWrapper, file)
+        return open(self.baseFilename, "a", encoding="utf-8", opener=open_file)
 
     def emit(self, record: logging.LogRecord) -> None:
+        """Write the line of a record if the disk takes it."""
         with suppress(OSError):
             super().emit(record)
 
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 (its name in logging)
-        pass
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 (of logging)
+        """Do nothing: the line is lost."""
 
     def close(self) -> None:
+        """Close the file, even if its last lines are lost."""
         with suppress(OSError):
             super().close()
 
@@ -79,28 +82,29 @@ def show_log_on_terminal() -> None:
 
 
 @contextmanager
-def log_to_folder(folder: Path) -> Iterator[None]:
-    """Append the lines of the log to run.log in a run's folder for the duration of the context."""
-    handler = LossyFileHandler(folder / LOG_FILE, encoding="utf-8", delay=True)
+def attach_handler(handler: logging.Handler) -> Iterator[None]:
+    """Add a handler to the log of this package for the duration of the context."""
     add_handler(handler)
     try:
         yield
-    except BaseException as error:
-        logging.getLogger(__name__).error(
-            "stopped early: %s: %s", type(error).__name__, error
-        )
-        raise
     finally:
         LOGGER.removeHandler(handler)
         handler.close()
 
 
 @contextmanager
-def forward_log(receive: Callable[[str], object]) -> Iterator[None]:
-    """Pass every line of the log to a function for the duration of the context."""
-    handler = ForwardingHandler(receive)
-    add_handler(handler)
-    try:
-        yield
-    finally:
-        LOGGER.removeHandler(handler)
+def log_to_folder(folder: Path) -> Iterator[None]:
+    """Append the lines of the log to run.log in a folder while the context lasts."""
+    file = LossyFileHandler(folder / LOG_FILE, delay=True)
+    with attach_handler(file):
+        try:
+            yield
+        except BaseException as error:
+            kind = type(error).__name__
+            logging.getLogger(__name__).error("stopped early: %s: %s", kind, error)
+            raise
+
+
+def forward_log(receive: Callable[[str], object]) -> AbstractContextManager[None]:
+    """Pass every message of the log to a function while the context lasts."""
+    return attach_handler(ForwardingHandler(receive))
