@@ -27,8 +27,11 @@ def main(arguments: Sequence[str]) -> int:
         "python -m pipeline board", description=__doc__, allow_abbrev=False
     )
     parser.add_argument("file", type=Path, help="PDF to write")
-    settings_help = "as for a run, such as board=a1 or board.square=0.03"
-    parser.add_argument("settings", nargs="*", help=settings_help)
+    parser.add_argument(
+        "settings",
+        nargs="*",
+        help="as for a run, such as board=a1 or board.square=0.03",
+    )
     options = parser.parse_args(arguments)
     settings = compose_settings(options.settings)["board"]
     board = build_dataclass(Board, settings, "board", "conf/board")

@@ -95,15 +95,22 @@ def argument_parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("folder", type=Path, help="measured data, or a run's folder")
-    settings_help = "as for a run, such as string.length=0.4 or arm=mine"
-    add("settings", nargs="*", default=[], help=settings_help)
-    report_help = "a .html file to write: the same, with arm, string and clocks drawn"
-    add("--report", type=Path, help=report_help)
-    effects_help = (
-        "also say from which size on each effect would be found in these trials, in "
-        "half a minute"
+    add(
+        "settings",
+        nargs="*",
+        default=[],
+        help="as for a run, such as string.length=0.4 or arm=mine",
     )
-    add("--effects", action="store_true", help=effects_help)
+    add(
+        "--report",
+        type=Path,
+        help="a .html file to write: the same, with arm, string and clocks drawn",
+    )
+    add(
+        "--effects",
+        action="store_true",
+        help="also say from which size on each effect would be found, in half a minute",
+    )
     add("--json", action="store_true", help="print all that was found as JSON")
     return parser
 

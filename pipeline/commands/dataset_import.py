@@ -146,20 +146,18 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
 def camera_metadata(tables: ImportedTables, bench: BenchHints) -> dict[str, Any]:
     """Return the block `camera` of films; raise DataError if an option is missing."""
     fps = bench.fps or tables.fps
-    missing = []
-    if not fps:
-        missing.append("--fps 240")
-    if not bench.px_per_m:
-        missing.append("--px-per-m 340")
-    if not bench.origin_px:
-        missing.append("--origin-px 251.5,387.5")
+    facts = {
+        "--fps 240": fps,
+        "--px-per-m 340": bench.px_per_m,
+        "--origin-px 251.5,387.5": bench.origin_px,
+    }
+    missing = [option for option, value in facts.items() if not value]
     if missing or bench.origin_px is None:
         raise DataError(
-            "of a film it must be known from where it was taken. "
-            f"Say {' '.join(missing)}, as it was."
+            "a film is of no use without its frame rate, scale and origin. "
+            f"Give those of your camera, as in {' '.join(missing)}."
         )
-    film = next(iter(tables.films.values()))
-    height, width = Video(film)[0].shape
+    height, width = Video(next(iter(tables.films.values())))[0].shape
     return {
         "fps": fps,
         "px_per_m": bench.px_per_m,
@@ -178,15 +176,12 @@ def imported_grasp_poses(tables: ImportedTables, bench: BenchHints) -> pd.DataFr
         return times.assign(x=motion["x"], y=motion["y"], theta=theta)
     count = len(tables.joints)
     if len(bench.links) != count:
-        given = "no lengths of links"
-        if bench.links:
-            given = f"{len(bench.links)} links are named"
         example = ",".join((EXAMPLE_LINKS_M * count)[:count])
         raise DataError(
-            f"there are the angles of {count} joint{'s' * (count > 1)}, and {given}. "
-            f"Say how long the links are, base first: --links {example} --base 0,0. "
-            "Where some do not turn in the plane, name those that do: "
-            "--map q1=<column> --map q2=<column>."
+            f"the log holds angles of joints: {count}. Lengths of links are given: "
+            f"{len(bench.links)}. Give one for each joint, base first: "
+            f"--links {example} --base 0,0. If some joints do not turn in the plane, "
+            "name those that do: --map q1=<column> --map q2=<column>."
         )
     poses = grasp_poses(motion, np.array(bench.links), np.array(bench.base))
     return pd.concat([times, poses], axis=1)
@@ -207,7 +202,7 @@ def locate_points(
     if unknown:
         known = ", ".join(map(repr, names))
         raise DataError(
-            f"--at {unknown[0]}=...: there is no such point. There are {known}."
+            f"--at {unknown[0]}=...: there is no such point. The points are {known}."
         )
     if "s" in points:
         largest_s = float(points["s"].max())
@@ -224,8 +219,8 @@ def locate_points(
     if not arc_lengths:
         require_length(bench)
         raise DataError(
-            "it is not said how far along the string points are. "
-            "Say it, in metres: --at tip=0.30."
+            "it is unknown how far along the string each point is. "
+            "Give it in metres: --at tip=0.30."
         )
     largest_s = max(arc_lengths.values())
     if bench.length:
@@ -240,8 +235,8 @@ def locate_points(
             arc_lengths[name] = s * length / largest_s
             places.append(f"{name or 'point'} {arc_lengths[name]:.3f} m")
         notes.append(
-            "points are taken to lie along the string as it hangs at rest: "
-            f"{', '.join(places)}. Say it with --at"
+            "the points are placed along the string as it hangs at rest: "
+            f"{', '.join(places)}. Give their places with --at"
         )
     return select_columns(attach_arc_lengths(points, arc_lengths)), length
 
@@ -250,8 +245,8 @@ def require_length(bench: BenchHints) -> float:
     """Return the string's length [m]; raise DataError if it is not stated."""
     if bench.length is None:
         raise DataError(
-            "the string's length is not said. "
-            "Measure it from the grasp to the tip: --length 0.30."
+            "the string's length is unknown. "
+            "Measure it from the grasp to the tip, and give it: --length 0.30."
         )
     return bench.length
 
@@ -275,17 +270,17 @@ def describe_hanging_length(arc_lengths: Mapping[str, np.ndarray]) -> str:
 def note_length(length: float, source: str, notes: list[str]) -> float:
     """Note that a length was inferred, and return it to a tenth of a millimetre."""
     notes.append(
-        f"the string is taken to be {length:.3f} m long ({source}). "
-        "Measure it, and say --length"
+        f"the string seems to be {length:.3f} m long ({source}). "
+        "Measure it, and give it with --length"
     )
     return round(length, 4)
 
 
 def select_columns(points: pd.DataFrame) -> pd.DataFrame:
     """Return the columns of our format."""
-    optional = [name for name in ("sigma", "valid") if name in points]
-    selected = points[["trial", "t", "s", "x", "y", *optional]]
-    if "valid" in optional:
+    names = ("trial", "t", "s", "x", "y", "sigma", "valid")
+    selected = points[[name for name in names if name in points]]
+    if "valid" in points:
         selected = selected.assign(valid=selected["valid"].fillna(True).astype(bool))
     return selected
 
@@ -294,18 +289,16 @@ def align_clocks(
     points: pd.DataFrame, grasp: pd.DataFrame, length: float, notes: list[str]
 ) -> pd.DataFrame:
     """Return points with times by the arm's clock, as the motion shows them."""
-    hands = {}
-    for name, rows in grasp.groupby("trial"):
-        hands[str(name)] = rows.drop(columns="trial").sort_values("t")
+    hands = dict(list(grasp.groupby("trial")))
     trials = []
     for name, rows in points.groupby("trial"):
-        if str(name) in hands:
+        if name in hands:
             observation = Observation(
                 str(name),
                 rows.dropna(),
                 READINGS.empty(),
                 MASKS.empty(),
-                grasp=hands[str(name)],
+                grasp=hands[name].drop(columns="trial").sort_values("t"),
             )
             trials.append(CheckedTrial(observation, UNUSED_ARM, length))
     shifts = estimate_time_shifts(trials)
@@ -313,14 +306,14 @@ def align_clocks(
         if trial.name not in shifts:
             raise DataError(
                 f"trial {trial.name}: hand or string never begins to move. "
-                "Say what to add: --clock=-0.35"
+                "Give the seconds to add: --clock=-0.35"
             )
 
     added = "s are added to the camera's clock"
     source = "by the motion of hand and string"
     accuracy = "clocks aligned in this way are good to about a frame"
-    if len({*shifts.values()}) == 1:
-        shift = next(iter(shifts.values()))
+    if len(set(shifts.values())) == 1:
+        shift = shifts[trials[0].name]
         notes.append(f"{shift:+.3f} {added} in all trials, {source}")
     else:
         for name, shift in shifts.items():

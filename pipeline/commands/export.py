@@ -18,7 +18,7 @@ FILE_HELP = (
     "by its ending, .xml: a chain of links as MJCF (MuJoCo, Playground, Isaac); "
     ".csv: parameters with units"
 )
-MASS_HELP = "of the string [kg], which its motion does not tell; for .xml"
+MASS_HELP = "of the string [kg], which its motion does not show; for .xml"
 DEFAULT_STEP_S = 5e-4
 MAX_MASS_KG, MAX_STEP_S = 100, 0.1
 
@@ -29,8 +29,12 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("run", type=Path, help=RUN_HELP)
     parser.add_argument("file", type=Path, help=FILE_HELP)
     parser.add_argument("--mass", type=float, help=MASS_HELP)
-    step_help = "of the simulation [s]; for .xml"
-    parser.add_argument("--step", type=float, default=DEFAULT_STEP_S, help=step_help)
+    parser.add_argument(
+        "--step",
+        type=float,
+        default=DEFAULT_STEP_S,
+        help="of the simulation [s]; for .xml",
+    )
     options = parser.parse_args(arguments)
     string = KnownString.from_run(options.run)
     file: Path = options.file

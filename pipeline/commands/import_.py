@@ -66,8 +66,8 @@ def main(arguments: Sequence[str]) -> int:
     folder: Path = options.to
     if folder.exists():
         raise UserError(
-            f"--to {folder}: it is there already. Name another folder, or remove it: "
-            f"rm -r {folder}"
+            f"--to {folder}: the folder exists already. Name another one, or remove "
+            f"it: rm -r {folder}"
         )
     console = Terminal()
     recordings = read_recordings(options.files)
@@ -82,13 +82,12 @@ def main(arguments: Sequence[str]) -> int:
     if picture is not None:
         console.print_line(f"What was understood, drawn: {picture}")
     if not overview["usable"]:
-        findings = overview["findings"]
-        errors = [one for one in findings if one["severity"] == Severity.ERROR]
-        remedy = f" {errors[0]['remedy']}." if errors else ""
-        raise DataError(
-            f"{folder}: it was not written, because nothing can be learnt from it as "
-            f"it is.{remedy}"
-        )
+        message = f"{folder}: it was not written, because its data are not usable."
+        for finding in overview["findings"]:
+            if finding["severity"] == Severity.ERROR:
+                message += f" {finding['remedy']}."
+                break
+        raise DataError(message)
 
     command = equivalent_command(options)
     with write_atomically(folder) as part:
@@ -123,8 +122,8 @@ def interpret_recordings(
                 return tables, imported, checked
             confirm_change(change, options, console)
     raise DataError(
-        "The units and directions of these files stay unclear. State them: see "
-        "import --help."
+        "The units and directions of these files stay unclear. State them by the "
+        "options that import --help lists."
     )
 
 
@@ -218,7 +217,9 @@ def confirm_change(
     if sys.stdin.isatty() and not options.yes:
         answer = input(f"Take it as {option}? [Y/n] ").strip().lower()
         if answer not in ("", "y", "yes"):
-            raise UserError("Nothing was written. State what is so: see import --help.")
+            raise UserError(
+                "Nothing was written. State units and directions: see import --help."
+            )
     else:
         console.print(f"Taken as {option}.", highlight=False, markup=False)
     files = map(str, options.files)

@@ -37,48 +37,103 @@ def argument_parser(description: str | None = None) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    files_help = "logs of the arm, tables of a tracker, films"
-    add("files", type=Path, nargs="+", help=files_help)
-    to_help = "the folder to write; default imported"
-    add("--to", type=Path, default=Path("imported"), help=to_help)
-    length_help = "of the string, grasp to tip [m]; 300mm is understood too"
-    add("--length", type=parse_length, help=length_help)
-    links_help = "of the arm, base first [m]: 0.25,0.20,0.135"
-    add("--links", type=parse_lengths, default=(), help=links_help)
-    base_help = "where joint 1 sits [m]; default 0,0"
-    add("--base", type=parse_length_pair, default=(0.0, 0.0), help=base_help)
-    map_help = "ours=theirs, such as q1=A1, q2=-A2+90, tip.x=X"
-    add("--map", action="append", default=[], help=map_help)
-    unit_help = "of lengths: mm; or of one file: tracker.csv=mm"
-    add("--unit", action="append", default=[], help=unit_help)
-    angle_units = parser.add_mutually_exclusive_group()
-    degrees_help = "angles without a unit are in degrees"
-    angle_units.add_argument(
-        "--deg", action="store_true", default=None, help=degrees_help
+    add(
+        "files",
+        type=Path,
+        nargs="+",
+        help="logs of the arm, tables of a tracker, films",
     )
-    radians_help = "angles without a unit are in radians"
+    add(
+        "--to",
+        type=Path,
+        default=Path("imported"),
+        help="the folder to write; default imported",
+    )
+    add(
+        "--length",
+        type=parse_length,
+        help="of the string, grasp to tip [m]; 300mm is understood too",
+    )
+    add(
+        "--links",
+        type=parse_lengths,
+        default=(),
+        help="of the arm, base first [m]: 0.25,0.20,0.135",
+    )
+    add(
+        "--base",
+        type=parse_length_pair,
+        default=(0.0, 0.0),
+        help="where joint 1 sits [m]; default 0,0",
+    )
+    add(
+        "--map",
+        action="append",
+        default=[],
+        help="ours=theirs, such as q1=A1, q2=-A2+90, tip.x=X",
+    )
+    add(
+        "--unit",
+        action="append",
+        default=[],
+        help="of lengths: mm; or of one file: tracker.csv=mm",
+    )
+    angle_units = parser.add_mutually_exclusive_group()
     angle_units.add_argument(
-        "--rad", dest="deg", action="store_false", help=radians_help
+        "--deg",
+        action="store_true",
+        default=None,
+        help="angles without a unit are in degrees",
+    )
+    angle_units.add_argument(
+        "--rad",
+        dest="deg",
+        action="store_false",
+        help="angles without a unit are in radians",
     )
     add("--y-down", action="store_true", help="y of the string's points counts down")
-    plane_help = "which are x and y: x,z; or -z,y where z points to the left"
-    add("--plane", default="", help=plane_help)
-    clock_help = "to be added to the times of points [s], or fit: by the motion of both"
-    add("--clock", help=clock_help)
-    fps_help = "frames a second, where times are not in the file [1/s]"
-    add("--fps", type=float, help=fps_help)
-    at_help = "how far along the string a point is [m]: tip=0.30"
-    add("--at", action="append", default=[], help=at_help)
-    turn_help = "to be added to the hand's direction [degrees]"
-    add("--turn", type=float, default=0.0, help=turn_help)
-    moving_help = "the string moves already when trials begin"
-    add("--moving", action="store_true", help=moving_help)
-    scale_help = "pixels of a metre, where places are in pixels"
-    add("--px-per-m", type=float, help=scale_help)
-    origin_help = "the world's origin in the picture [px]: 251.5,387.5"
-    add("--origin-px", type=parse_pixels, help=origin_help)
-    yes_help = "ask nothing: take what seems most likely, and say so"
-    add("--yes", action="store_true", help=yes_help)
+    add(
+        "--plane",
+        default="",
+        help="which are x and y: x,z; or -z,y where z points to the left",
+    )
+    add(
+        "--clock",
+        help="to be added to the times of points [s], or fit: by the motion of both",
+    )
+    add(
+        "--fps",
+        type=float,
+        help="frames a second, where times are not in the file [1/s]",
+    )
+    add(
+        "--at",
+        action="append",
+        default=[],
+        help="how far along the string a point is [m]: tip=0.30",
+    )
+    add(
+        "--turn",
+        type=float,
+        default=0.0,
+        help="to be added to the hand's direction [degrees]",
+    )
+    add(
+        "--moving",
+        action="store_true",
+        help="the string moves already when trials begin",
+    )
+    add("--px-per-m", type=float, help="pixels of a metre, where places are in pixels")
+    add(
+        "--origin-px",
+        type=parse_pixels,
+        help="the world's origin in the picture [px]: 251.5,387.5",
+    )
+    add(
+        "--yes",
+        action="store_true",
+        help="ask nothing: take what seems most likely, and say so",
+    )
     return parser
 
 

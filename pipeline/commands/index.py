@@ -27,7 +27,7 @@ from stringcast.pipeline.settings.composition import UserError
 
 RUNS_TABLE = Table(
     "runs",
-    "a row a run",
+    "a row for each run",
     (
         Column("run", "", "its folder, relative to the one that was listed", "text"),
         Column("experiment", "", "its name", "text"),
@@ -67,8 +67,9 @@ def main(arguments: list[str]) -> int:
         default=Path("outputs"),
         help="where runs are; default outputs",
     )
-    to_help = "a .html, .parquet or .csv file to write the list to"
-    parser.add_argument("--to", type=Path, help=to_help)
+    parser.add_argument(
+        "--to", type=Path, help="a .html, .parquet or .csv file to write the list to"
+    )
     options = parser.parse_args(arguments)
     runs = list_runs(options.folder)
     if options.to is not None:

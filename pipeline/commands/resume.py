@@ -16,8 +16,11 @@ def main(arguments: list[str]) -> int:
     """Continue a run and return the exit status 0 when it has ended."""
     parser = CommandParser("python -m pipeline resume", description=__doc__)
     parser.add_argument("run", type=Path, help="the run's folder")
-    limits_help = "move a real arm by the limits stored there"
-    parser.add_argument("--accept-limits", action="store_true", help=limits_help)
+    parser.add_argument(
+        "--accept-limits",
+        action="store_true",
+        help="move a real arm by the limits stored there",
+    )
     options = parser.parse_args(arguments)
     experiment = read_stored_experiment(options.run)
     settings = compose_settings() | {"accept_limits": options.accept_limits}

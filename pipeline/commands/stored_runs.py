@@ -87,11 +87,18 @@ def run_folder_of(path: Path) -> Path:
     """Return the run's folder that contains a path; raise UserError if none does."""
     if not path.exists():
         raise UserError(f"{path}: there is no such file or folder. Name one of a run.")
-    absolute = path.resolve()
-    for folder in (absolute, *absolute.parents):
+    folder = enclosing_run(path.resolve())
+    if folder is None:
+        raise UserError(
+            f"{path}: it lies in no run (no config.json above it). "
+            "Name a file or folder of a run."
+        )
+    return folder
+
+
+def enclosing_run(path: Path) -> Path | None:
+    """Return the nearest run's folder that is, or contains, an absolute path."""
+    for folder in (path, *path.parents):
         if (folder / "config.json").is_file():
             return folder
-    raise UserError(
-        f"{path}: it lies in no run (no config.json above it). "
-        "Name a file or folder of a run."
-    )
+    return None

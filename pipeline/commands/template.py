@@ -49,8 +49,11 @@ def main(arguments: Sequence[str]) -> int:
     """Write the dataset and return the exit status 0."""
     parser = CommandParser("python -m pipeline template", description=__doc__)
     parser.add_argument("folder", type=Path, help="to be made")
-    poses_help = "with poses of the hand instead of angles of joints"
-    parser.add_argument("--poses", action="store_true", help=poses_help)
+    parser.add_argument(
+        "--poses",
+        action="store_true",
+        help="with poses of the hand instead of angles of joints",
+    )
     options = parser.parse_args(arguments)
     folder: Path = options.folder
     if folder.exists():

@@ -237,7 +237,7 @@ def test_a_film_lies_in_the_dataset_with_what_is_known_of_its_camera(sample, tmp
     ).read_bytes()
     camera = yaml.safe_load((tmp_path / "mine" / "dataset.yaml").read_text())["camera"]
     assert (camera["width"], camera["height"], camera["fps"]) == (64, 48, 200.0)
-    with pytest.raises(DataError, match=r"Say --fps 240 --px-per-m 340 --origin-px"):
+    with pytest.raises(DataError, match=r"--fps 240 --px-per-m 340 --origin-px"):
         convert_recordings(what, BenchHints(length=0.3, links=(0.25, 0.2, 0.135)))
 
 
@@ -374,10 +374,10 @@ def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_pat
     )
     assert sorted(made.points["s"].unique().round(9)) == [0.1, 0.2, 0.3]
     assert made.metadata["string"]["length"] == 0.3
-    assert any("say --length" in note for note in made.notes)
+    assert any("give it with --length" in note for note in made.notes)
     with pytest.raises(
         DataError,
-        match=r"angles of 2 joints, and 3 links are named.*--links 0.25,0.20 ",
+        match=r"angles of joints: 2. Lengths of links are given: 3.*--links 0.25,0.20 ",
     ):
         convert_recordings(
             of(arm, tmp_path / "track.csv"), BenchHints(links=(0.3, 0.3, 0.1))

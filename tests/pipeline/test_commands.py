@@ -20,7 +20,7 @@ from stringcast.data.artifacts import Points
 from stringcast.data.compare import file_differences
 from stringcast.pipeline import __main__ as shell
 from stringcast.pipeline import commands
-from stringcast.pipeline.commands.provenance import verify_run as computed_again
+from stringcast.pipeline.commands.verify import verify_run as computed_again
 from stringcast.pipeline.commands.stored_runs import walk_steps
 from stringcast.pipeline.modes import Batch, Calibrate
 from stringcast.pipeline.run import provenance
@@ -115,7 +115,7 @@ def test_verify_notices_images_run_json_and_what_is_missing(run, tmp_path):
     )
     lines = "\n".join(verified(run, tmp_path, toy_experiment()).lines)
     assert "images/0.png: 256 pixels differ, at most by 1 grey levels" in lines
-    assert "it says something else than the steps" in lines
+    assert "it differs from the summary of the steps" in lines
     shutil.rmtree(run / "iterations/02/points")
     shutil.rmtree(tmp_path / "aside")
     outcome = verified(run, tmp_path, toy_experiment())

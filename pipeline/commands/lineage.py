@@ -1,0 +1,119 @@
+"""Show what made a file: inputs, settings, seed, code and packages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.text import Text
+from rich.tree import Tree
+
+from stringcast.data import store
+from stringcast.pipeline.cli.terminal import Terminal
+from stringcast.pipeline.commands import CommandParser
+from stringcast.pipeline.commands.stored_runs import enclosing_run, run_folder_of
+from stringcast.pipeline.settings.composition import flatten_settings
+from stringcast.pipeline.settings.stage_registry import stages
+
+
+def main(arguments: list[str]) -> int:
+    """Print a tree of origins; return 0 if no input has changed."""
+    parser = CommandParser("python -m pipeline lineage", description=__doc__)
+    parser.add_argument("file", type=Path, help="a file of a run, or a step's folder")
+    file: Path = parser.parse_args(arguments).file
+    tree = Tree(Text(str(file)))
+    has_changed = add_origin(tree, file.resolve(), run_folder_of(file), set())
+    Terminal(highlight=False).print(tree)
+    return 1 if has_changed else 0
+
+
+def add_origin(tree: Tree, place: Path, run: Path, shown: set[Path | str]) -> bool:
+    """Add the origin of a file and of all its inputs to a tree.
+
+    Parameters
+    ----------
+    tree : Tree
+        The tree or branch to add to.
+    place : Path
+        The file or folder.
+    run : Path
+        Folder of its run.
+    shown : set
+        Places and lines that are shown already; changed by it.
+
+    Returns
+    -------
+    bool
+        Whether an input is not as it was.
+    """
+    origin = {} if place in shown else origin_of_file(place, run)
+    shown.add(place)
+    for line in describe_origin(origin) if origin else []:
+        if line not in shown:
+            tree.add(Text(line))
+            shown.add(line)
+
+    has_changed = False
+    for name, digest in origin.get("inputs", {}).items():
+        paths = [path.resolve() for path in (run / name, Path(name)) if path.exists()]
+        if not paths:
+            tree.add(Text(f"{name} IS GONE"))
+            has_changed = True
+            continue
+        path = paths[0]
+        state = change_of(path, digest)
+        seen = " (see above)" if path in shown else ""
+        branch = tree.add(Text(f"{name}{state}{seen}"))
+        input_run = enclosing_run(path) or run
+        has_changed |= bool(state)
+        has_changed |= add_origin(branch, path, input_run, shown)
+    return has_changed
+
+
+def change_of(path: Path, digest: str) -> str:
+    """Say how a path differs from its hash; return an empty text if it does not."""
+    try:
+        return "" if store.content_hash(path) == digest else " HAS CHANGED SINCE"
+    except store.READ_ERRORS:
+        return " IS DAMAGED"
+
+
+def origin_of_file(place: Path, run: Path) -> dict[str, Any]:
+    """Return the origin of a file or a step's folder; empty if it is not ours.
+
+    A file without a footer was drawn from the steps of its folder: a frame from its
+    trial, a report from the last step.
+    """
+    files: list[Path] = []
+    if place.suffix == ".parquet":
+        files = [place]
+    elif run in (place.parent, place):
+        files = sorted(run.glob("iterations/*/*/*.parquet"))[-1:]
+    else:
+        for folder in (place, *place.parents):
+            files = sorted(folder.glob("*.parquet"))
+            if files:
+                break
+    origin = store.read_origin(files[0]) if files else {}
+    return origin if "inputs" in origin else {}
+
+
+def describe_origin(origin: Mapping[str, Any]) -> list[str]:
+    """Return lines with step, seed, the step's settings, code and packages."""
+    step, config, code = origin["step"], origin["config"], origin["code"]
+    made_by = f"made by {step}, seed {origin['seed']}"
+    if "made" in origin:
+        made_by += f", {origin['made']['at']}, {origin['made']['seconds']:.1f} s"
+    own_names = [name for name in (step, "seed") if name in config]
+    own_settings = flatten_settings({name: config[name] for name in own_names})
+    used = stages()[step].uses if step in stages() else ()
+    other_names = [name for name in used if name not in (step, "seed")]
+    settings = ", ".join(f"{name}={value}" for name, value in own_settings.items())
+    packages = [f"{name} {version}" for name, version in origin["packages"].items()]
+    return [
+        made_by,
+        f"settings {settings}; and {', '.join(other_names)} of config.json",
+        f"code: commit {code['commit'][:12]}, source {code['source'][:12]}",
+        f"packages: {', '.join(packages)}, Python {origin['python']}",
+    ]

@@ -1,0 +1,152 @@
+"""Compute every step of a run again from what is stored, and compare to the bit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from stringcast.data import store
+from stringcast.data.compare import file_differences, folder_differences
+from stringcast.data.errors import escape_control_characters
+from stringcast.pipeline.cli.console import ProgressBar, progress_bars
+from stringcast.pipeline.cli.terminal import Terminal
+from stringcast.pipeline.commands import CommandParser
+from stringcast.pipeline.commands.stored_runs import (
+    NotMadeError,
+    read_stored_experiment,
+    walk_steps,
+)
+from stringcast.pipeline.run import run_folder
+from stringcast.pipeline.run.experiment import Experiment
+from stringcast.pipeline.run.file_names import SUMMARY_FILE
+from stringcast.pipeline.run.iterations import Step
+from stringcast.pipeline.run.provenance import (
+    is_repeatable,
+    load_step_with_staleness,
+)
+from stringcast.pipeline.run.result import RunResult, run_summary
+
+UNREPEATABLE_NOTE = "measured with a real arm and camera, cannot be computed again"
+
+
+def main(arguments: list[str]) -> int:
+    """Print the outcome for each step; return 0 if all came out the same."""
+    parser = CommandParser("python -m pipeline verify", description=__doc__)
+    parser.add_argument(
+        "run", type=Path, help="the run's folder; nothing is written into it"
+    )
+    folder: Path = parser.parse_args(arguments).run
+    experiment = read_stored_experiment(folder)
+    console = Terminal(stderr=True)
+    with progress_bars(console) as bar, TemporaryDirectory() as scratch:
+        comparison = verify_run(experiment, folder, Path(scratch), bar)
+    for line in comparison.lines:
+        print(escape_control_characters(line))
+    return 0 if comparison.is_same else 1
+
+
+@dataclass
+class Comparison:
+    """Outcome of a verification.
+
+    Attributes
+    ----------
+    is_same
+        Whether every step is there and came out the same.
+    lines
+        The outcome of each step in words.
+    """
+
+    is_same: bool = True
+    lines: list[str] = field(default_factory=list)
+
+    def note(self, name: str, faults: Sequence[str]) -> None:
+        """Note the outcome of one comparison."""
+        self.lines.append(f"{name}: {'DIFFERS' if faults else 'the same to the bit'}")
+        for fault in faults:
+            self.lines.append(f"    {fault}")
+            self.is_same = False
+
+
+def verify_run(
+    experiment: Experiment, folder: Path, scratch: Path, bar: ProgressBar
+) -> Comparison:
+    """Compute every step of a run again, and then what the run wrote from them.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The run's experiment.
+    folder : Path
+        Folder of the run.
+    scratch : Path
+        An empty folder to compute in.
+    bar : callable
+        Makes the progress bar of a step by its name.
+    """
+    comparison = Comparison()
+
+    def compare_step(step: Step) -> Any:
+        stored = load_step_with_staleness(experiment.config, folder, step)
+        name = step.folder.as_posix()
+        if stored.artifact is None:
+            comparison.note(name, stored.stale_reasons)
+            raise NotMadeError
+        if not is_repeatable(experiment.config, step.stage.folder):
+            comparison.lines.append(f"{name}: {UNREPEATABLE_NOTE}")
+            return stored.artifact
+        with bar(f"{step.number}. {step.stage.name}") as progress:
+            artifact = experiment.run_step(step, progress)
+            store.save(artifact, scratch / step.folder, {})
+        faults = folder_differences(folder / step.folder, scratch / step.folder)
+        if faults:
+            for reason in stored.stale_reasons:
+                faults.append(f"since it was made: {reason}")
+        comparison.note(name, faults)
+        return stored.artifact
+
+    result = walk_steps(experiment, folder, compare_step)
+    if result is not None:
+        compare_dataset(experiment, folder, scratch, result, comparison)
+        compare_summary(folder, result, comparison)
+    return comparison
+
+
+def compare_dataset(
+    experiment: Experiment,
+    folder: Path,
+    scratch: Path,
+    result: RunResult,
+    comparison: Comparison,
+) -> None:
+    """Compare the dataset that a run wrote with the one that its steps make."""
+    measured = []
+    for iteration in result.iterations:
+        if {"trial", "points"} <= iteration.artifacts.keys():
+            measured.append(iteration)
+    if experiment.config["trials"] is not None or not measured:
+        return
+    hashes = run_folder.trial_hashes(folder, measured)
+    run_folder.publish_dataset(experiment, hashes, scratch, measured)
+    faults = []
+    for path in (*sorted(scratch.glob("*.parquet")), scratch / "dataset.yaml"):
+        for difference in file_differences(folder / path.name, path):
+            faults.append(f"{path.name}: {difference}")
+    comparison.note("the run as a dataset", faults)
+
+
+def compare_summary(folder: Path, result: RunResult, comparison: Comparison) -> None:
+    """Compare run.json with the summary that the steps give."""
+    path = folder / SUMMARY_FILE
+    faults = []
+    if not path.is_file():
+        faults.append("it is missing: the run has not ended; `resume` continues it")
+    else:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        if stored != json.loads(json.dumps(run_summary(result))):
+            faults.append("it differs from the summary of the steps")
+    comparison.note(SUMMARY_FILE, faults)

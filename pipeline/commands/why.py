@@ -1,0 +1,122 @@
+"""Say of each step of a run whether it is fresh or stale, and why.
+
+Files and settings are compared; no model is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from graphlib import TopologicalSorter
+from pathlib import Path
+from typing import Any
+
+from stringcast.data import store
+from stringcast.data.schema import DataError
+from stringcast.pipeline.commands import CommandParser, print_block
+from stringcast.pipeline.commands.stored_runs import (
+    read_stored_settings,
+    run_folder_of,
+)
+from stringcast.pipeline.run.file_names import SUMMARY_FILE, artifact_folder
+from stringcast.pipeline.run.provenance import arm_has_executed, stale_reasons
+from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.stage_registry import stages
+
+# states of a step
+FRESH_STATE = "fresh"
+STALE_STATE = "stale"
+KEPT_STATE = "stale, but stays: the arm has moved by it"
+MISSING_STATE = "missing"
+StepState = tuple[str, tuple[str, ...]]  # state, and reasons why it is not fresh
+
+
+def main(arguments: list[str]) -> int:
+    """Print the state of each step; return 0 if all are fresh."""
+    parser = CommandParser("python -m pipeline why", description=__doc__)
+    parser.add_argument(
+        "place",
+        type=Path,
+        help="a run's folder, or that of one step: <run>/iterations/01/estimate",
+    )
+    place: Path = parser.parse_args(arguments).place
+    folder = run_folder_of(place)
+    chosen = place.resolve().relative_to(folder.resolve()).as_posix()
+    states = step_states(read_stored_settings(folder), folder)
+    names = [name for name in states if chosen in (".", name)]
+    if not names:
+        known = ", ".join(sorted({stage.folder for stage in stages().values()}))
+        raise UserError(
+            f"{place}: there is no such step; a study and a calibration have none. "
+            "Name the folder of another run, or of a step: "
+            f"iterations/<number>/<one of {known}>."
+        )
+    status = 0
+    for name in sorted(names, key=lambda name: Path(name).parent):
+        state, reasons = states[name]
+        print_block(f"{name}: {state}", reasons)
+        if reasons:
+            status = 1
+    return status
+
+
+def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepState]:
+    """Return the state of each step of a run, after the states of its inputs.
+
+    The next step of an unfinished cast is included as missing.
+
+    Parameters
+    ----------
+    settings : mapping
+        All settings of the run.
+    folder : Path
+        Folder of the run.
+
+    Returns
+    -------
+    dict
+        States and reasons by the step's folder within the run.
+    """
+    known = {stage.folder for stage in stages().values()}
+    places: dict[str, Path] = {}
+    for place in sorted(folder.glob("iterations/*/*")):
+        if place.is_dir() and place.name in known:
+            places[place.relative_to(folder).as_posix()] = place
+    inputs: dict[str, list[str]] = {}  # by the footers of the steps
+    for name, place in places.items():
+        try:
+            stored_inputs = store.read_origin(place).get("inputs", {})
+        except (DataError, *store.READ_ERRORS):
+            stored_inputs = {}
+        inputs[name] = [input_ for input_ in stored_inputs if input_ in places]
+
+    states: dict[str, StepState] = {}
+    for name in TopologicalSorter(inputs).static_order():
+        place = places[name]
+        number = int(place.parent.name)
+        reasons = list(stale_reasons(folder, place, settings))
+        for input_ in inputs[name]:
+            if states[input_][0] == STALE_STATE:
+                reasons.append(f"{input_}, an input, is stale")
+        state = FRESH_STATE
+        if reasons:
+            has_moved = arm_has_executed(settings, folder, number, place.name)
+            state = KEPT_STATE if has_moved else STALE_STATE
+        states[name] = state, tuple(reasons)
+
+    last = max(len({place.parent for place in places.values()}), 1)
+    missing = missing_step(settings, folder, last)
+    if missing is not None:
+        states[missing.as_posix()] = MISSING_STATE, ("it has not been made yet",)
+    return states
+
+
+def missing_step(settings: Mapping[str, Any], folder: Path, number: int) -> Path | None:
+    """Return the first step that an iteration of an unfinished run lacks."""
+    if (folder / SUMMARY_FILE).exists():
+        return None
+    for name in settings["mode"].get("stages", ()):
+        if name in stages():
+            step_folder = artifact_folder(number, stages()[name].folder)
+            if not (folder / step_folder).is_dir():
+                return step_folder
+    return None
