@@ -69,7 +69,6 @@ def run_facts(run: Path) -> dict[str, dict[str, Any]]:
         "all sources": first["code"]["source"][:8],
     }
     for origin in origins:
-        code |= origin.get("sources", {})
         for name, digest in origin["inputs"].items():
             if not name.startswith("iterations/"):
                 data[Path(name).name] = f"content {digest[:8]}"

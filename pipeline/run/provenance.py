@@ -1,13 +1,14 @@
 """The origin of a stored step, and whether it would be made the same now.
 
 The footer of a stored table holds settings, seed, inputs, code and packages. A step is
-stale if the content of an input, a setting, a source file or a package differs from its
-footer. Dates do not count.
+stale if the content of an input, a setting, the code or a package differs from its
+footer. The code counts as a whole, by one digest: which of its files a step uses is not
+known for certain, and a step that is needlessly stale costs time, while one that is
+wrongly fresh costs trust. Dates do not count.
 """
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import json
 import platform
@@ -25,9 +26,7 @@ from stringcast.pipeline.run.file_names import artifact_folder
 from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.settings.composition import UserError, flatten_settings
 from stringcast.pipeline.settings.stage_registry import stages
-from stringcast.pipeline.settings.typed_settings import require_allowed
-from stringcast.stages.model.library import effect_files, split_effect_name
-from stringcast.stages.spec import StageSpec
+from stringcast.stages.model.library import effect_files
 
 PROJECT_FOLDER = Path(__file__).resolve().parents[2]
 RECORDED_PACKAGES = (
@@ -42,17 +41,10 @@ RECORDED_PACKAGES = (
     "pydantic",
 )
 CODE_FOLDERS = ("data", "hardware", "pipeline", "stages")
-SHARED_SOURCES = (  # used by every stage; their imports do not count
-    "pipeline/run/iterations.py",
-    "pipeline/run/experiment.py",
-    "stages/spec.py",
-)
-# imports every effect without naming any
-EFFECT_LIBRARY_FILE = PROJECT_FOLDER / "stages" / "model" / "library.py"
-MODEL_FILE = PROJECT_FOLDER / "stages" / "model" / "model.py"
 VIRTUAL_LAB_PREFIX = "hardware.virtual."  # its trials can be repeated bit by bit
 ABSENT_VALUE = "absent"
-HASHED_KINDS = ("input ", "source ")  # their values are hashes, which are not shown
+CODE_NAME = "the code"
+HASHED_KINDS = ("input ", CODE_NAME)  # their values are hashes, which are not shown
 
 
 # --- origin of a step
@@ -95,12 +87,20 @@ package_version = cache(version)  # reads a file each time
 
 @cache
 def code_state() -> dict[str, str]:
-    """Return the commit, followed by + if sources have changed, and a source hash."""
+    """Return the commit, followed by + if sources have changed, and a source hash.
+
+    The hash covers the sources of the package and the user's own effects.
+    """
+    sources = {}
+    for folder in CODE_FOLDERS:
+        for file in (PROJECT_FOLDER / folder).rglob("*.py"):
+            sources[file.relative_to(PROJECT_FOLDER).as_posix()] = file
+    for name, file in effect_files().items():
+        if not file.is_relative_to(PROJECT_FOLDER):
+            sources[f"effect {name}"] = file
     digest = hashlib.sha256()
-    files = [p for name in CODE_FOLDERS for p in (PROJECT_FOLDER / name).rglob("*.py")]
-    for file in sorted(files):
-        name = str(file.relative_to(PROJECT_FOLDER))
-        digest.update(name.encode() + b"\0" + file.read_bytes())
+    for name in sorted(sources):
+        digest.update(name.encode() + b"\0" + sources[name].read_bytes())
     commit = git_output("rev-parse", "HEAD").strip() or "unknown"
     changes = git_output("status", "--porcelain", "--", *CODE_FOLDERS)
     if any(line.endswith(".py") for line in changes.splitlines()):
@@ -118,112 +118,6 @@ def git_output(*arguments: str) -> str:
         check=False,
     )
     return process.stdout
-
-
-# --- sources of a step
-
-
-def source_digests(settings: Mapping[str, Any], stage: StageSpec) -> dict[str, str]:
-    """Return digests of a stage's sources and of all that they import.
-
-    Parameters
-    ----------
-    settings : mapping
-        Settings that the stage uses.
-    stage : StageSpec
-        The stage.
-
-    Returns
-    -------
-    dict
-        Digests by path from the project's folder.
-    """
-    roots = {file_of_target(stage.run)}
-    for name, target in flatten_settings(settings).items():
-        if name.endswith("._target_"):
-            place = name.removesuffix("._target_")
-            roots.add(file_of_target(require_allowed(target, place, "config.json")))
-    if "string" in settings:
-        roots.add(MODEL_FILE)
-    for name in settings.get("effects", []):
-        roots.add(effect_files()[split_effect_name(name)[0]])
-    files = imported_files(roots) | {PROJECT_FOLDER / name for name in SHARED_SOURCES}
-    return {relative_name(file): parse_source(file)[1] for file in sorted(files)}
-
-
-def file_of_target(target: str) -> Path:
-    """Return the file that defines a `_target_` of this package, without loading it.
-
-    It is the file of the module of this name, or of the module around it.
-    """
-    module = target.rpartition(".")[0]
-    file = module_file(f"stringcast.{target}") or module_file(f"stringcast.{module}")
-    assert file is not None, f"{target} is in no file of this package"
-    return file
-
-
-def imported_files(roots: Iterable[Path]) -> set[Path]:
-    """Return these files and all files of this package that they import."""
-    files: set[Path] = set()
-    waiting = list(roots)
-    while waiting:
-        file = waiting.pop()
-        if file in files:
-            continue
-        files.add(file)
-        if relative_name(file) not in SHARED_SOURCES:
-            waiting += parse_source(file)[0]
-        if file == EFFECT_LIBRARY_FILE:
-            waiting += effect_files().values()
-    return files
-
-
-@cache
-def parse_source(file: Path) -> tuple[tuple[Path, ...], str]:
-    """Return the files of this package that a file imports, and a digest of its code.
-
-    Comments, line breaks and docstrings do not change the digest; names do. A step that
-    is needlessly stale costs time; one that is wrongly fresh, as after two functions
-    swapped names, costs trust.
-    """
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    names: set[str] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names.add(node.module)
-            names |= {f"{node.module}.{alias.name}" for alias in node.names}
-        elif isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
-            if ast.get_docstring(node, clean=False):
-                del node.body[0]
-
-    modules = set()  # with the packages around each
-    for name in names:
-        parts = name.split(".")
-        modules |= {".".join(parts[:end]) for end in range(1, len(parts) + 1)}
-    files = [module_file(module) for module in sorted(modules)]
-    digest = hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:16]
-    return tuple(file for file in files if file is not None), digest
-
-
-def module_file(module: str) -> Path | None:
-    """Return the file of a module of this package; None for other modules."""
-    package, *parts = module.split(".")
-    if package != "stringcast" or not parts or parts[0] not in CODE_FOLDERS:
-        return None
-    path = PROJECT_FOLDER.joinpath(*parts)
-    for file in (path.with_suffix(".py"), path / "__init__.py"):
-        if file.is_file():
-            return file
-    return None
-
-
-def relative_name(file: Path) -> str:
-    """Return the path from the project's folder; whole for an effect elsewhere."""
-    if file.is_relative_to(PROJECT_FOLDER):
-        return file.relative_to(PROJECT_FOLDER).as_posix()
-    return str(file)
 
 
 # --- fresh or stale
@@ -287,10 +181,7 @@ def current_origin(
             inputs[path.as_posix()] = store.content_hash(folder / path)
     inputs |= step.file_hashes
     seed = step.derive_seed(int(config["seed"]))
-    origin = step_origin(config, step.stage.name, seed, inputs)
-    used_settings = {name: config[name] for name in step.stage.uses}
-    origin["sources"] = source_digests(used_settings, step.stage)
-    return origin
+    return step_origin(config, step.stage.name, seed, inputs)
 
 
 def stale_reasons(
@@ -373,7 +264,7 @@ def decisive_values(origin: Mapping[str, Any], uses: Sequence[str]) -> dict[str,
     """Return all parts of an origin that decide about the artifact, by name."""
     values = {f"input {name}": digest for name, digest in origin["inputs"].items()}
     values |= flatten_settings({name: origin["config"].get(name) for name in uses})
-    values |= {f"source {name}": digest for name, digest in origin["sources"].items()}
+    values[CODE_NAME] = origin["code"]["source"]
     values |= {f"package {name}": v for name, v in origin["packages"].items()}
     return values | {"Python": origin["python"]}
 

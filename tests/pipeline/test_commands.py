@@ -24,7 +24,9 @@ from stringcast.pipeline.commands.verify import verify_run as computed_again
 from stringcast.pipeline.commands.stored_runs import walk_steps
 from stringcast.pipeline.modes import Batch, Calibrate
 from stringcast.pipeline.run import provenance
+from stringcast.pipeline.run.provenance import code_state
 from stringcast.pipeline.settings.composition import UserError
+from stringcast.stages.model.library import EFFECTS_VARIABLE
 from tests.faults.toy import contents, rows, toy_experiment, toy_run
 
 PAGE = Path(commands.__file__).with_name("README.md")
@@ -166,11 +168,7 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(
     )
     before = contents(tmp_path / "run")
     with monkeypatch.context() as patch:
-        patch.setattr(
-            provenance,
-            "source_digests",
-            lambda *given: {"stages/generate/generate.py": "changed"},
-        )
+        patch.setattr(provenance, "code_state", changed_code)
         made, said = toy_run(tmp_path / "run", real_arm())
     assert made == ["extract", "estimate"]  # the last, after which no arm has moved
     assert "keeping iterations/01/motion, by which the arm has moved: " in said
@@ -181,46 +179,30 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(
         toy_run(tmp_path / "run", real_arm())
 
 
-@pytest.mark.parametrize(
-    ("what", "steps"),
-    [
-        ("stages/estimate/random_search.py", {"estimate"}),
-        ("stages/estimate/cma_es.py", set()),
-        # through what was measured
-        ("stages/model/string.py", {"generate", "execute", "extract", "estimate"}),
-        ("hardware/virtual/render.py", {"execute"}),
-        ("stages/spec.py", {"generate", "execute", "extract", "estimate"}),
-        ("pipeline/run/report.py", set()),
-    ],
-)
-def test_only_steps_that_use_a_source_are_made_again(run, monkeypatch, what, steps):
-    """And what comes out the same makes nothing after it stale."""
-    real = provenance.source_digests
-    changed = {what: "changed"}
-    monkeypatch.setattr(
-        provenance,
-        "source_digests",
-        lambda *given: {k: changed.get(k, v) for k, v in real(*given).items()},
-    )
+def changed_code():
+    """Return the state of a code with other sources."""
+    return {"commit": "0" * 40, "source": "0" * 64}
+
+
+def test_after_a_change_of_the_code_every_step_is_made_again(run, monkeypatch):
+    assert toy_run(run, toy_experiment())[0] == []
+    monkeypatch.setattr(provenance, "code_state", changed_code)
     made, said = toy_run(run, toy_experiment())
-    assert set(made) == steps
-    assert (f"source {what} has changed" in said) == bool(steps)
+    assert made == ["generate", "execute", "extract", "estimate"] * 2
+    assert "the code has changed" in said
     assert toy_run(run, toy_experiment())[0] == []
 
 
-def test_comments_and_docstrings_make_nothing_stale(tmp_path):
-    codes = {
-        "plain": "def f(x):\n    return x + 1\n",
-        "told": '"""What it is."""\n\n\ndef f(x):  # why\n    """More by one."""\n    return (x +\n            1)\n',
-        "other": "def f(x):\n    return x + 2\n",
-        "text": "def f(x):\n    'a law'\n    return x + 1\n",
-    }
-    for name, code in codes.items():
-        (tmp_path / f"{name}.py").write_text(code)
-    plain, told, other, text = (
-        provenance.parse_source(tmp_path / f"{name}.py")[1] for name in codes
-    )
-    assert plain == told == text != other
+def test_effects_of_the_user_are_part_of_the_code(tmp_path, monkeypatch):
+    digests = set()
+    for text in ("", "a = 1\n", "a = 2\n"):
+        if text:
+            (tmp_path / "pull.py").write_text(text)
+            monkeypatch.setenv(EFFECTS_VARIABLE, str(tmp_path))
+        code_state.cache_clear()
+        digests.add(code_state()["source"])
+    code_state.cache_clear()
+    assert len(digests) == 3
 
 
 def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatch):
@@ -367,7 +349,7 @@ def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
         == "iterations/01/points: extract.points 31 -> 30"
     )
     # a setting of another name
-    assert "method._target_" in runs.loc["day/old", "stale"]
+    assert "string.integrator._target_" in runs.loc["day/old", "stale"]
     assert (runs.drop(["day/stale", "day/old"])["stale"] == "").all()
     fits = [
         pd.read_parquet(many / f"day/a/iterations/{n}/estimate/fit.parquet")["after"][0]

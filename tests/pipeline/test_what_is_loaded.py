@@ -2,16 +2,12 @@
 differ from machine to machine.
 """
 
-import inspect
 import subprocess
 import sys
-from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-from stringcast.pipeline.run.provenance import file_of_target, imported_files
-from stringcast.pipeline.settings.allowed_callables import allowed_names_by_role
 from tests.faults.toy import toy_experiment, toy_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,16 +45,3 @@ def test_a_question_loads_little(words, light):
 def test_what_a_run_was_made_of_is_found_without_loading_it(tmp_path):
     toy_run(tmp_path / "run", toy_experiment(1))
     assert not HEAVY & loaded("index", tmp_path)
-
-
-def test_the_file_behind_a_name_is_the_one_that_loading_it_finds():
-    """A package that only passes a name on is taken for its home: it imports the file
-    in which it is.
-    """
-    for role, names in allowed_names_by_role().items():
-        for name in names:
-            package, _, member = name.rpartition(".")
-            real = getattr(import_module(package), member)
-            assert Path(inspect.getfile(real)).resolve() in imported_files(
-                {file_of_target(name)}
-            ), (role, name)
