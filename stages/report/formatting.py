@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from markupsafe import Markup, escape
 
 NOT_KNOWN = "not known"
@@ -158,23 +156,6 @@ def unit_markup(text: str) -> Markup:
 
 
 # --- what a run says
-def unread_frames(readings: pd.DataFrame) -> list[dict[str, Any]]:
-    """Count the frames that could not be read by reason, with their times [ms]."""
-    unread = readings[~readings["valid"].astype(bool)]
-    summary = []
-    for reason, rows in unread.groupby("reason", sort=False):
-        times = [f"{t * 1e3:.0f}" for t in rows["t"]]
-        breaks = np.flatnonzero(np.diff(rows["frame"]) != 1) + 1
-        stretches = []  # of consecutive frames
-        for first, end in pairwise([0, *breaks, len(rows)]):
-            is_single = end - first == 1
-            last = "" if is_single else f" to {times[end - 1]}"
-            stretches.append(times[first] + last)
-        when = ", ".join(stretches)
-        summary.append({"reason": reason, "count": len(rows), "when": when})
-    return summary
-
-
 def flatten_settings(
     block: Mapping[str, Any], prefix: str = ""
 ) -> Iterator[tuple[str, str]]:

@@ -192,8 +192,6 @@ class Chart(Part):
         Ascending times [s].
     axis : str
         What is drawn, with its unit.
-    words : str
-        What the curves show, for readers who cannot see them.
     moving : tuple of float, optional
         Interval [s] in which the arm moves.
     mark : float, optional
@@ -206,11 +204,20 @@ class Chart(Part):
     t: np.ndarray = field(repr=False)
     lines: Sequence[Line]
     axis: str
-    words: str
     caption: str = ""
     moving: tuple[float, float] | None = None
     mark: float | None = None
     low: float | None = 0.0
+
+    @property
+    def words(self) -> str:
+        """The largest value of each curve, for readers who cannot see them."""
+        largest = []
+        for line in self.lines:
+            known = line.values[np.isfinite(line.values)]
+            size = np.abs(known).max(initial=0.0)
+            largest.append(f"{line.label} {size:.3g}")
+        return f"{self.title} over time, {self.axis}: at most {', '.join(largest)}."
 
     @property
     def data(self) -> dict[str, Any]:
@@ -429,11 +436,6 @@ def bold_text(text: str) -> Markup:
 def join_sentences(sentences: Iterable[Any]) -> Markup:
     """Join sentences, each escaped unless it is Markup; skip empty ones."""
     return Markup(" ").join(sentence for sentence in sentences if sentence)
-
-
-def part_or_reason(title: str, part: Part | None, reason: str) -> Part:
-    """Return the part, or a card with the reason why there is none."""
-    return part or Card(title, [Text(reason, "missing")])
 
 
 @cache

@@ -316,7 +316,7 @@ def test_the_arm_is_read_in_frames(model, arm_is):
             {"seed": 0, "code": {"commit": "0" * 10}},
         )
     )
-    assert page.count("<figure") == 3
+    assert page.count("<figure") == 2
     assert "no: not significant" in page
 
 

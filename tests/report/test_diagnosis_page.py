@@ -487,12 +487,10 @@ def test_every_picture_has_words_and_follows_the_theme(pages, verdict):
 
 
 @pytest.mark.parametrize(
-    ("verdict", "count"), [("none", 3), ("effect", 7), ("pair", 9), ("unknown", 6)]
+    ("verdict", "count"), [("none", 2), ("effect", 5), ("pair", 7), ("unknown", 4)]
 )
 def test_what_is_drawn(pages, verdict, count):
-    """Maps, sizes, predictions; and with causes more maps, laws, likelihoods and
-    promises.
-    """
+    """Maps and sizes; and with causes more maps, laws and promises."""
     assert len(pages[verdict].pictures()) == count, [
         p["alt"] for p in pages[verdict].pictures()
     ]

@@ -25,13 +25,6 @@ def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
     return figure, figure.subplots()
 
 
-def rows_figure(count: int, columns: int = 1) -> tuple[Figure, list[Axes]]:
-    """Create axes side by side with room for a horizontal row for each trial."""
-    figure = Figure(figsize=(5.4, 1.2 + 0.3 * count))
-    panels = figure.subplots(1, columns, sharey=True, squeeze=False)
-    return figure, list(panels[0])
-
-
 def add_legend_above(figure: Figure, columns: int) -> None:
     """Add a legend of the first axes above all axes."""
     handles, labels = figure.axes[0].get_legend_handles_labels()

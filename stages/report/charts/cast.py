@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -24,7 +25,6 @@ from stringcast.stages.report.charts.axes import (
 from stringcast.stages.report.formatting import (
     format_count,
     format_mm,
-    format_rate,
     format_value,
 )
 from stringcast.stages.report.page import Chart, Line
@@ -118,55 +118,28 @@ def joint_charts(cast: CastRecord) -> list[Chart]:
     """Chart the joint angles, commanded and measured, and their difference."""
     commanded, measured = cast.motion.commands, cast.trial.arm
     t = measured["t"].to_numpy()
-    angles, differences, largest = [], [], []
+    angles, differences = [], []
     for joint, colour in zip(JOINTS, JOINT_COLOURS, strict=True):
         command = np.interp(t, commanded["t"], commanded[joint])
         angle = measured[joint].to_numpy()
-        difference = np.degrees(angle - command)
         angles += [
             Line(joint, np.degrees(angle), colour),
             Line(f"{joint} commanded", np.degrees(command), "ink", dashed=True),
         ]
-        differences.append(Line(joint, difference, colour))
-        largest.append(f"{joint} {np.abs(difference).max():.1f}°")
-    summary = ", ".join(largest)
-    return [
-        _cast_chart(
-            cast,
-            "Joint angles",
-            t,
-            angles,
-            "angle [°]",
-            f"Joint angles, commanded and measured; largest differences {summary}.",
-            "Joint 1 is at the base. Dashed: commanded.",
-            low=None,
-        ),
-        _cast_chart(
-            cast,
-            "Tracking error of the joints",
-            t,
-            differences,
-            "difference [°]",
-            f"Joint angles, measured minus commanded; at most {summary}.",
-            "",
-            low=None,
+        differences.append(Line(joint, np.degrees(angle - command), colour))
+    caption = "Joint 1 is at the base. Dashed: commanded."
+    charts = [
+        Chart("Joint angles", t, angles, "angle [°]", caption, low=None),
+        Chart(
+            "Tracking error of the joints", t, differences, "difference [°]", low=None
         ),
     ]
+    return [mark_movement(chart, cast) for chart in charts]
 
 
-def _cast_chart(
-    cast: CastRecord,
-    title: str,
-    t: np.ndarray,
-    lines: Sequence[Line],
-    axis: str,
-    words: str,
-    caption: str,
-    low: float | None = 0.0,
-) -> Chart:
-    """Create a chart with the arm's movement and the closest approach marked."""
-    moving = (0.0, float(cast.motion.duration))
-    return Chart(title, t, lines, axis, words, caption, moving, cast.verdict.t, low)
+def mark_movement(chart: Chart, cast: CastRecord) -> Chart:
+    """Mark the arm's movement and the closest approach in a chart."""
+    return replace(chart, moving=(0.0, cast.motion.duration), mark=cast.verdict.t)
 
 
 def break_at_gaps(t: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -174,29 +147,19 @@ def break_at_gaps(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.where(np.diff(t, prepend=t[:1]) > MAX_GAP_S, np.nan, values)
 
 
-def matching_chart(
-    estimate: Estimate | None, title: str, cast: CastRecord | None = None
-) -> Chart | None:
+def matching_chart(estimate: Estimate | None, title: str) -> Chart | None:
     """Chart E_f before and after an estimation in the newest of its trials."""
     if estimate is None or estimate.matching.empty:
         return None
     table = estimate.matching
     table = table[table["trial"] == table["trial"].iloc[-1]].sort_values("t")
     t = table["t"].to_numpy()
-    lines, means = [], []
+    lines = []
     for state in STATES:
-        rates = table[state].to_numpy()
-        lines.append(Line(f"{state} estimation", break_at_gaps(t, rates), state))
-        means.append(format_rate(float(np.nanmean(rates))))
-    words = (
-        f"Matching rate over time: on average {means[0]} before estimation, "
-        f"{means[1]} after."
-    )
+        rates = break_at_gaps(t, table[state].to_numpy())
+        lines.append(Line(f"{state} estimation", rates, state))
     caption = "How well simulation and camera agree, frame by frame; 1 is perfect."
-    if cast is None:
-        return Chart(title, t, lines, "E_f [1]", words, caption)
-    caption += " Shaded: the arm moves."
-    return _cast_chart(cast, title, t, lines, "E_f [1]", words, caption)
+    return Chart(title, t, lines, "E_f [1]", caption)
 
 
 # --- distance of simulated and measured string
@@ -305,67 +268,22 @@ def distance_chart(record: RunRecord, cast: CastRecord) -> Chart | None:
     """Chart the rms distance over the string before and after estimation."""
     if not cast.centre_lines:
         return None
-    lines, sizes = [], []
+    lines = []
     for state, simulated in zip(STATES, (cast.before, cast.after), strict=True):
         table = distances(record, cast, simulated)
         squares = (table["distance"] ** 2).groupby(table["frame"]).mean()
         squares = squares.reindex(range(len(cast.frame_times)))
         by_frame = np.sqrt(squares.to_numpy()) * MM_PER_M
         lines.append(Line(f"{state} estimation", by_frame, state))
-        sizes.append(format_mm(rms(table["distance"]), 1))
-    words = (
-        f"Distance of the simulated from the measured string: RMS {sizes[0]} before, "
-        f"{sizes[1]} after."
-    )
     caption = (
-        "Root mean square over the string. Gaps are frames that could not be read."
+        "Root mean square over the string. Gaps are frames that could not be read. "
+        "Shaded: the arm moves."
     )
-    title, axis = "Distance over time", "RMS [mm]"
-    return _cast_chart(cast, title, cast.frame_times, lines, axis, words, caption)
+    chart = Chart("Distance over time", cast.frame_times, lines, "RMS [mm]", caption)
+    return mark_movement(chart, cast)
 
 
 # --- from cast to cast
-def progress_picture(record: RunRecord) -> Picture:
-    """Draw the closest approach of each cast, and E before and after its estimation."""
-    figure = figure_with_margins(5.4, 4.9)
-    top, bottom = figure.subplots(2, 1, sharex=True)
-    distance = np.array([cast.verdict.distance for cast in record.casts]) * MM_PER_M
-    is_hit = np.array([cast.verdict.hit for cast in record.casts])
-    numbers = np.arange(1, len(distance) + 1)
-    top.plot(numbers, distance, color="target")
-    for chosen, label, fill in (
-        (~is_hit, "missed", "none"),
-        (is_hit, "hit", "target"),
-    ):
-        if chosen.any():
-            top.plot(
-                numbers[chosen],
-                distance[chosen],
-                "o",
-                color="target",
-                mfc=fill,
-                label=label,
-            )
-    top.set(ylabel="closest to centre [mm]", ylim=(0, None))
-
-    for number, cast in zip(numbers, record.casts, strict=True):
-        if cast.estimate is None:
-            continue
-        rates = cast.estimate.fit.iloc[0][list(STATES)].astype(float)
-        bottom.plot([number, number], rates, color="axis", lw=1.2, zorder=1)
-        for state in STATES:
-            label = f"{state} estimation" if number == 1 else ""
-            bottom.plot(number, rates[state], "o", color=state, label=label)
-    bottom.set(xlabel="cast", ylabel="matching rate E [1]", ylim=(0, 1.02))
-    bottom.set(xticks=numbers, xlim=(0.6, len(numbers) + 0.4))
-    figure.legend(loc="upper left", ncols=4)
-    closest = ", ".join(format_mm(cast.verdict.distance) for cast in record.casts)
-    words = (
-        f"Closest approach of the tip to the target's centre, cast by cast: {closest}."
-    )
-    return svg_picture(figure, words)
-
-
 def history_picture(parameter: Parameter, estimates: Sequence[Estimate]) -> Picture:
     """Draw the estimates of a parameter, from the start value (0) on.
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.report.charts.axes import add_legend_above, new_axes
@@ -16,7 +15,6 @@ from stringcast.stages.report.formatting import (
     format_mm,
     format_ms,
 )
-from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import MAX_DRAWN_TRIALS, DiagnosisRecord
 from stringcast.stages.report.theme import MM_PER_M, Picture, svg_picture
 
@@ -75,44 +73,6 @@ def screening_pictures(record: DiagnosisRecord) -> list[tuple[str, Picture]]:
     return pictures
 
 
-def similarity_matrix(record: DiagnosisRecord) -> Picture | None:
-    """Draw a cell for each pair of effects, the darker the more similar they are."""
-    table = record.diagnosis.likeness
-    if table.empty:
-        return None
-    names = list(dict.fromkeys([*table["other"], *table["effect"]]))
-    labels = [effect_title(name) for name in names]
-    figure, axes = new_axes(5.4, 1.6 + 0.34 * len(names))
-    for row in table.itertuples():
-        x, y = sorted((names.index(row.effect), names.index(row.other)))
-        axes.add_patch(
-            Rectangle(
-                (x - 0.48, y - 0.46),
-                0.96,
-                0.92,
-                lw=0,
-                facecolor="after",
-                alpha=0.75 * row.cosine**2,
-            )
-        )
-        axes.text(x, y, f"{row.cosine:.2f}", ha="center", va="center", fontsize=8)
-    count = len(names)
-    axes.set(xlim=(-0.5, count - 1.5), ylim=(count - 0.5, 0.5))
-    axes.set_xticks(
-        np.arange(count - 1),
-        labels[:-1],
-        rotation=40,
-        ha="right",
-        rotation_mode="anchor",
-    )
-    axes.set_yticks(np.arange(1, count), labels[1:])
-    axes.grid(visible=False)
-    top = table.loc[table["cosine"].idxmax()]
-    pair = f"{effect_title(top['effect'])} and {effect_title(top['other'])}"
-    words = f"Similarity of {count} effects; largest for {pair}: {top['cosine']:.2f}."
-    return svg_picture(figure, words)
-
-
 # --- the unexplained displacement
 def unexplained_picture(record: DiagnosisRecord) -> Picture | None:
     """Draw the unexplained displacement over time and arc length in each trial."""
@@ -157,18 +117,6 @@ def unexplained_picture(record: DiagnosisRecord) -> Picture | None:
         f"{format_ms(top['t'])}."
     )
     return svg_picture(figure, words)
-
-
-def unexplained_chart(record: DiagnosisRecord, trial: str) -> Chart | None:
-    """Chart the largest unexplained displacement along the string over time."""
-    table = record.diagnosis.missing
-    points = table[table["trial"] == trial]
-    if points.empty:
-        return None
-    largest = np.hypot(points["x"], points["y"]).groupby(points["t"]).max() * MM_PER_M
-    lines = [Line("largest along the string", largest.to_numpy(), "target")]
-    words = f"Unexplained displacement in trial {trial}."
-    return Chart("Unexplained", largest.index.to_numpy(), lines, "[mm]", words)
 
 
 # --- the proposed motion

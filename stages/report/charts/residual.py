@@ -13,8 +13,9 @@ from stringcast.stages.common import rms
 from stringcast.stages.report.charts.axes import (
     add_legend_above,
     mean_in_cells,
-    rows_figure,
+    new_axes,
 )
+from stringcast.stages.report.charts.string_film import tip_points
 from stringcast.stages.report.formatting import format_count, format_mm, join_names
 from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import DiagnosisRecord, model_distances, trial_rms
@@ -148,34 +149,21 @@ def _time_edges(t: np.ndarray) -> np.ndarray:
 
 
 # --- over time
-def residual_chart(record: DiagnosisRecord, trial: str) -> Chart:
-    """Chart the residual of each model over the string, and the noise floor."""
-    frames = record.drawn_trials[trial].groupby("t")
-    lines, largest = [], []
+def residual_charts(record: DiagnosisRecord, table: pd.DataFrame) -> list[Chart]:
+    """Chart the residual of each model in a trial, over the string and at the tip."""
+    frames, ends = table.groupby("t"), tip_points(table)
+    whole, tip = [], []
     for model in record.models:
+        label, colour = MODEL_LABELS[model], MODEL_COLOURS[model]
         sizes = np.array([rms(model_distances(frame, model)) for _, frame in frames])
-        label = MODEL_LABELS[model]
-        lines.append(Line(label, sizes * MM_PER_M, MODEL_COLOURS[model]))
-        largest.append(f"{format_mm(float(np.nanmax(sizes)), 1)} for the {label}")
+        whole.append(Line(label, sizes * MM_PER_M, colour))
+        tip.append(Line(label, model_distances(ends, model) * MM_PER_M, colour))
     floor = np.sqrt(2) * frames["sigma"].apply(rms)
-    lines.append(Line("noise floor", floor.to_numpy() * MM_PER_M, "soft", dashed=True))
-    words = f"Residual in trial {trial} over time: at most {', '.join(largest)}."
-    return Chart("Residual", floor.index.to_numpy(), lines, "RMS [mm]", words)
-
-
-def tip_residual_chart(
-    record: DiagnosisRecord, trial: str, ends: pd.DataFrame
-) -> Chart:
-    """Chart the residual of each model at the tip; `ends` is of `tip_points`."""
-    lines, largest = [], []
-    for model in record.models:
-        sizes = model_distances(ends, model)
-        lines.append(Line(MODEL_LABELS[model], sizes * MM_PER_M, MODEL_COLOURS[model]))
-        largest.append(f"{model} {format_mm(float(sizes.max()), 1)}")
-    words = (
-        f"Residual at the tip in trial {trial} over time: at most {', '.join(largest)}."
-    )
-    return Chart("Tip", ends["t"].to_numpy(), lines, "residual [mm]", words)
+    whole.append(Line("noise floor", floor.to_numpy() * MM_PER_M, "soft", dashed=True))
+    return [
+        Chart("Residual", floor.index.to_numpy(), whole, "RMS [mm]"),
+        Chart("Tip", ends["t"].to_numpy(), tip, "residual [mm]"),
+    ]
 
 
 # --- trial by trial
@@ -189,81 +177,21 @@ def trial_rms_picture(record: DiagnosisRecord) -> Picture | None:
     rows = np.arange(len(names))
     variances = (table[["sigma", "doubt"]] ** 2).groupby(table["trial"]).mean()
     expected = np.sqrt(2 * variances) * MM_PER_M
-    figure, (axes,) = rows_figure(len(names))
+    figure, axes = new_axes(5.4, 1.2 + 0.3 * len(names))
     label = "noise and numerical error"
     axes.barh(rows, expected["doubt"], height=0.7, color="grid", label=label)
-    _draw_noise_floor(axes, expected["sigma"])
-    for model, residual in residuals.items():
-        _draw_model(axes, residual * MM_PER_M, model)
-    axes.set(
-        xlabel="residual, RMS [mm]", xlim=(0, None), yticks=rows, yticklabels=names
+    axes.plot(
+        expected["sigma"], rows, "|", label="noise floor", ms=14, mew=1.6, color="ink"
     )
+    for model, residual in residuals.items():
+        label, colour = MODEL_LABELS[model], MODEL_COLOURS[model]
+        axes.plot(residual * MM_PER_M, rows, "o", ms=6, color=colour, label=label)
+    axes.set(xlabel="residual, RMS [mm]", xlim=(0, None))
+    axes.set_yticks(rows, names)
     axes.invert_yaxis()
     add_legend_above(figure, 2)
     largest = join_names(
         [f"{format_mm(r.max(), 1)} ({m})" for m, r in residuals.items()]
     )
     words = f"Residual in each trial against the noise floor: at most {largest}."
-    return svg_picture(figure, words)
-
-
-def _draw_noise_floor(axes: Axes, values: pd.Series) -> None:
-    axes.plot(
-        values,
-        np.arange(len(values)),
-        "|",
-        label="noise floor",
-        ms=14,
-        mew=1.6,
-        color="ink",
-    )
-
-
-def _draw_model(axes: Axes, values: pd.Series, model: str) -> None:
-    axes.plot(
-        values,
-        np.arange(len(values)),
-        "o",
-        ms=6,
-        color=MODEL_COLOURS[model],
-        label=MODEL_LABELS[model],
-    )
-
-
-def held_out_picture(record: DiagnosisRecord) -> Picture:
-    """Draw the residual on held-out trials, over the string and at the tip."""
-    table = record.diagnosis.held_out
-    rows = range(len(table))
-    figure, panels = rows_figure(len(table), columns=2)
-    for axes, column, title in zip(
-        panels, ("rms", "tip_rms"), ("whole string", "tip"), strict=True
-    ):
-        sides = table[[f"{column}_{model}" for model in record.models]] * MM_PER_M
-        axes.hlines(
-            rows,
-            sides.min(axis=1),
-            sides.max(axis=1),
-            color="axis",
-            lw=1.2,
-        )
-        _draw_noise_floor(axes, table["noise_floor"] * MM_PER_M)
-        for model in record.models:
-            _draw_model(axes, sides[f"{column}_{model}"], model)
-        axes.set(title=title, xlabel="RMS [mm]", xlim=(0, None))
-    left = panels[0]
-    if record.is_extended and not record.has_excluded_trials:
-        left.plot(
-            table["rms_known"] * MM_PER_M,
-            rows,
-            "o",
-            label="fitted to all",
-            ms=10,
-            mfc="none",
-            color=MODEL_COLOURS["extended"],
-        )
-    left.set_yticks(rows, table["trial"])
-    left.invert_yaxis()
-    add_legend_above(figure, 4)
-    sizes = [f"{format_mm(rms(table[f'rms_{m}']), 1)} ({m})" for m in record.models]
-    words = f"Residual on trials left out of the fit: {join_names(sizes)}."
     return svg_picture(figure, words)

@@ -14,9 +14,8 @@ FRAME_QUANTILE = 0.75  # along the string, of the misfit of a frame: ignores out
 FILM_SIZE_PX = 420  # of the longer side
 FILM_EDGE_PX = 24  # free around the strings, and for the line that shows the scale
 MAX_COORDINATES = 60_000  # in all films of a page: 0.3 MB
-TIP_LENGTH_TOLERANCE = (
-    0.05  # share of the length within which a point stands for the tip
-)
+# share of the length within which a point stands for the tip
+TIP_LENGTH_TOLERANCE = 0.05
 
 
 def worst_frame(table: pd.DataFrame) -> pd.DataFrame:
@@ -37,7 +36,7 @@ def tip_points(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def string_film_data(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, Any]:
-    """Return the measured and simulated strings of a trial, and the paths of their tips.
+    """Return measured and simulated strings of a trial, and the paths of their tips.
 
     The film begins at the largest misfit of the base model. The data are JSON-able;
     coordinates are pixels of the film, times are in ms.

@@ -9,11 +9,9 @@ from matplotlib import style
 from matplotlib.figure import Figure as Drawing
 
 from stringcast.data.alignment import Alignment
-from stringcast.stages.common import rms
 from stringcast.stages.report.charts.axes import new_axes
 from stringcast.stages.report.formatting import format_mm
 from stringcast.stages.report.page import (
-    Block,
     Card,
     Cell,
     Figure,
@@ -71,8 +69,8 @@ def _tiles(alignment: Alignment) -> Tiles:
 def _parameters_section(alignment: Alignment) -> Section:
     lead = Markup(
         "Intervals are 95 %, from leaving out blocks of time in turn. "
-        "<code>model_from=&lt;this folder&gt;</code> applies the alignment in any other "
-        "experiment."
+        "<code>model_from=&lt;this folder&gt;</code> applies the alignment in any "
+        "other experiment."
     )
     columns = ("parameter", "meaning", "value", "from", "to", "part of the alignment")
     rows = []
@@ -89,64 +87,23 @@ def _parameters_section(alignment: Alignment) -> Section:
 
 
 def _fit_section(alignment: Alignment) -> Section:
-    grid = [
-        Figure(
-            "Filmed and reported",
-            _positions_picture(alignment.seen),
-            "Middle of the last link where it is furthest out. After alignment, the "
-            "reported positions must lie on the filmed ones.",
-        ),
+    figures = [
         Figure(
             "Certainty of the clock offset",
             _likelihood_picture(alignment.likelihood),
             "Without a lag of the arm, and with a fitted one. Where both are low, "
             "offset and lag cannot be distinguished.",
         ),
+        Figure(
+            "Reported minus filmed over time",
+            _residuals_picture(alignment.seen),
+            "Before and after. What remains must be noise without a pattern.",
+        ),
     ]
-    remainder = Figure(
-        "Reported minus filmed over time",
-        _residuals_picture(alignment.seen),
-        "Before and after. What remains must be noise without a pattern.",
-    )
-    return Section("Fit", [Block("grid", grid), remainder])
+    return Section("Fit", figures)
 
 
 # --- pictures
-def _positions_picture(seen: pd.DataFrame) -> Picture:
-    """Draw the outermost visible piece in each frame, as filmed and as reported."""
-    last_link = seen[seen["link"] == seen["link"].max()].sort_values("share")
-    outer = last_link.groupby(["trial", "t"]).tail(2)
-    figure, axes = new_axes(4.4, 4.0)
-    sizes = []
-    for state in STATES:
-        x = outer["x"] + outer[state] * outer["along_x"]
-        y = outer["y"] + outer[state] * outer["along_y"]
-        axes.plot(
-            x * MM_PER_M,
-            y * MM_PER_M,
-            ".",
-            ms=2.5,
-            color=state,
-            label=f"reported, {state}",
-        )
-        sizes.append(format_mm(rms(outer[state]), 2))
-    axes.plot(
-        outer["x"] * MM_PER_M,
-        outer["y"] * MM_PER_M,
-        ".",
-        ms=1.2,
-        color="measured",
-        label="filmed",
-    )
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
-    axes.legend(loc="best", markerscale=3)
-    words = (
-        f"The hand as filmed and as reported: {sizes[0]} apart before, {sizes[1]} "
-        "after."
-    )
-    return svg_picture(figure, words)
-
-
 def _residuals_picture(seen: pd.DataFrame) -> Picture:
     """Draw reported minus filmed over time, all trials on one clock."""
     figure = Drawing(figsize=(7.2, 3.4))

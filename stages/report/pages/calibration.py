@@ -17,7 +17,6 @@ from stringcast.stages.common import rms
 from stringcast.stages.report.charts.axes import new_axes
 from stringcast.stages.report.formatting import unit_markup
 from stringcast.stages.report.page import (
-    Block,
     Card,
     Cell,
     Figure,
@@ -104,31 +103,23 @@ def _camera_section(
         name = Cell(f"camera.{row['name']}", "code")
         value = number_cell(f"{value:.{decimals}f} ± {sigma:.{decimals}f}")
         rows.append((name, value, unit_markup(row["unit"]), row["meaning"]))
-    views = calibration.views
-    used = views[~views["plane"] & (views["reason"] == "")]
-    grid = [
-        Figure(
-            "Errors over the picture",
-            _coverage_picture(tilted, calibration.outcome.iloc[0], magnification),
-            f"Each corner of each view, with its error enlarged {magnification:g} "
-            "times. If neighbouring arrows point the same way, the errors are not "
-            "noise: the model of the lens or the board is wrong.",
-        ),
-        Figure(
-            "Errors view by view",
-            _view_errors_picture(used),
-            "A view with a large error was blurred or the board was bent. If orange "
-            "is far above blue, there are too few views.",
-        ),
-    ]
-    return Section("Camera", [Card("", [Table(columns, rows)]), Block("grid", grid)])
+    figure = Figure(
+        "Errors over the picture",
+        _coverage_picture(tilted, calibration.outcome.iloc[0], magnification),
+        f"Each corner of each view, with its error enlarged {magnification:g} "
+        "times. If neighbouring arrows point the same way, the errors are not "
+        "noise: the model of the lens or the board is wrong.",
+    )
+    return Section("Camera", [Card("", [Table(columns, rows)]), figure])
 
 
 def _views_section(calibration: Calibration, magnification: float) -> Section:
     """Show every picture of the board, that in the plane of motion first."""
     lead = (
         "Circles: corners as detected. Crosses: as the camera model projects them. "
-        f"Arrows: the errors, enlarged {magnification:g} times."
+        f"Arrows: the errors, enlarged {magnification:g} times. A view with a large "
+        "error was blurred or the board was bent. If errors of views left out of the "
+        "fit are far larger, there are too few views."
     )
     views = calibration.views.sort_values("plane", ascending=False, kind="stable")
     corners = calibration.corners
@@ -137,9 +128,11 @@ def _views_section(calibration: Calibration, magnification: float) -> Section:
         name = "in the plane of motion" if row.plane else f"view {row.view}"
         is_view = (corners["view"] == row.view) & (corners["plane"] == row.plane)
         picture = _view_picture(row.picture, corners[is_view], magnification, name)
-        result = (
-            row.reason or f"{row.rms:.2f} px, tilted by {np.degrees(row.tilt):.0f}°"
-        )
+        result = row.reason
+        if not result:
+            result = f"{row.rms:.2f} px, tilted by {np.degrees(row.tilt):.0f}°"
+            if not row.plane:
+                result += f"; {row.held_out_rms:.2f} px if left out of the fit"
         pictures.append((join_sentences([bold_text(name), "·", result]), picture))
     return Section("Views", [Text(lead), Card("", [Small(pictures)])])
 
@@ -176,32 +169,6 @@ def _coverage_picture(
     words = (
         f"{len(corners)} corners over the picture; errors enlarged {magnification:g} "
         "times."
-    )
-    return svg_picture(figure, words)
-
-
-def _view_errors_picture(views: pd.DataFrame) -> Picture:
-    figure, axes = new_axes(6.0, 2.8)
-    places = np.arange(len(views))
-    axes.bar(
-        places - 0.2,
-        views["rms"],
-        0.38,
-        color="after",
-        label="with the lens of all views",
-    )
-    axes.bar(
-        places + 0.2,
-        views["held_out_rms"],
-        0.38,
-        color="before",
-        label="with the lens of the other views",
-    )
-    axes.set_xticks(places, views["view"].astype(str))
-    axes.set(xlabel="view", ylabel="error / px, rms")
-    axes.legend()
-    words = (
-        "Reprojection error of each view, with the lens of all views and of the others."
     )
     return svg_picture(figure, words)
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from markupsafe import Markup
 from matplotlib import style
 
+from stringcast.data.artifacts import Estimate
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.report.charts.camera import (
     ImageRegion,
@@ -23,12 +25,11 @@ from stringcast.stages.report.charts.cast import (
     hand_paths_picture,
     history_picture,
     joint_charts,
+    mark_movement,
     matching_chart,
-    progress_picture,
 )
 from stringcast.stages.report.formatting import (
     NOT_KNOWN,
-    format_count,
     format_interval,
     format_mm,
     format_ms,
@@ -37,13 +38,11 @@ from stringcast.stages.report.formatting import (
     sentence_markup,
     symbol_markup,
     unit_markup,
-    unread_frames,
 )
 from stringcast.stages.report.page import (
     Block,
     Card,
     Cell,
-    Details,
     Explore,
     Figure,
     Film,
@@ -62,21 +61,19 @@ from stringcast.stages.report.page import (
     link,
     number_cell,
     number_cells,
-    part_or_reason,
 )
 from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import FRAME_COLOURS, MM_PER_M, STYLE_SHEET
 
 NOTHING_READ = "No frame of this cast could be read, so there is no comparison."
 NO_JOINT_ANGLES = "The arm reported no joint angles."
-NO_FRAMES = Text("This cast has no camera frames.", "missing")
+NO_FRAMES = "This cast has no camera frames."
 OVERLAY_LABELS = {
     "before": "simulated, before estimation",
     "after": "simulated, after",
     "measured": "measured",
     "target": "target",
 }
-Estimated = list[tuple[Parameter, Any]]  # parameters, each with its row of the estimate
 
 
 def cast_page(record: RunRecord) -> str:
@@ -85,7 +82,7 @@ def cast_page(record: RunRecord) -> str:
     with style.context(STYLE_SHEET):
         sections: list[Part] = [*_summary(record, casts), _parameters_section(record)]
         if len(casts) > 1:
-            sections.append(_progress_section(record))
+            sections.append(_hand_paths_figure(record))
         if casts:
             region, scale_end = region_of_run(record), distance_scale_end(record)
             for number, cast in casts:
@@ -189,26 +186,13 @@ def _tiles(record: RunRecord) -> Tiles:
     )
 
 
-def _progress_section(record: RunRecord) -> Section:
-    figures = [
-        Figure(
-            "Hand path",
-            hand_paths_picture(record),
-            (
-                "As the arm measured it; the last cast is the darkest. The square is "
-                "the arm's base."
-            ),
-            NO_JOINT_ANGLES,
-        ),
-        Figure(
-            "Progress",
-            progress_picture(record),
-            "Above: closest distance of the tip to the target's centre. Below: "
-            "matching rate E; before estimation it measures how well the simulation "
-            "predicted the cast.",
-        ),
-    ]
-    return Section("From cast to cast", [Block("grid", figures)])
+def _hand_paths_figure(record: RunRecord) -> Figure:
+    caption = (
+        "As the arm measured it; the last cast is the darkest. The square is the arm's "
+        "base."
+    )
+    picture = hand_paths_picture(record)
+    return Figure("Hand path, cast by cast", picture, caption, NO_JOINT_ANGLES)
 
 
 # --- parameters of the string
@@ -226,79 +210,48 @@ def _parameters_section(record: RunRecord) -> Section:
     title = "Parameters of the string"
     if not record.estimates:
         return Section(title, [Text("Nothing was estimated in this run.", "missing")])
-    rows = record.estimates[-1].parameters.set_index("name", drop=False)
+    estimate = record.estimates[-1]
+    rows = estimate.parameters.set_index("name")
     parameters = [p for p in record.model.parameters if p.name in rows.index]
-    estimated = [(parameter, rows.loc[parameter.name]) for parameter in parameters]
-    determined = [item for item in estimated if item[1]["determined"]]
-    others = [item for item in estimated if not item[1]["determined"]]
-
-    parts: list[Part] = [
-        Text(sentence_markup(record.estimates[-1].fit["sentence"].iloc[0]))
-    ]
-    if determined:
-        parts.append(Card("", _parameter_parts(record, determined)))
-    if others:
-        noun = "other parameter" if determined else "parameter"
-        summary = (
-            f"{format_count(len(others), noun)} that the data do not determine, or "
-            "whose uncertainty this method does not give"
-        )
-        parts.append(Details(summary, _parameter_parts(record, others)))
+    parts: list[Part] = [Text(sentence_markup(estimate.fit["sentence"].iloc[0]))]
+    if len(record.estimates) > 1:
+        pictures = []
+        for parameter in parameters:
+            name = bold_text(parameter.name.replace("_", " "))
+            caption = Markup("{} {} <span>[{}]</span>").format(
+                symbol_markup(parameter.symbol), name, unit_markup(parameter.unit)
+            )
+            pictures.append((caption, history_picture(parameter, record.estimates)))
+        parts.append(Card("", [Key(HISTORY_KEY), Small(pictures)]))
+    columns = ("parameter", "", "value", "95 % interval", "range searched", "unit")
+    table = [_parameter_row(p, rows.loc[p.name]) for p in parameters]
+    parts.append(Card("", [Table([*columns, "determined by the data"], table)]))
     if not record.casts:
-        reason = "This estimation compared no masks, so there is no matching rate."
         charts = []
         for number, estimate in enumerate(record.estimates, start=1):
             chart = f"Matching rate over time, estimation {number}"
-            charts.append(
-                part_or_reason(chart, matching_chart(estimate, chart), reason)
-            )
+            charts.append(_matching_part(estimate, chart))
         parts.append(Explore([Block("grid", charts)]))
     return Section(title, parts)
 
 
-def _parameter_parts(record: RunRecord, estimated: Estimated) -> list[Part]:
-    """Show the history of parameters over several estimations, and a table."""
-    pictures = []
-    for parameter, row in estimated:
-        symbol = symbol_markup(row["symbol"]) if row["symbol"] else ""
-        name = join_sentences([symbol, bold_text(row["name"].replace("_", " "))])
-        caption = Markup("{} <span>[{}]</span>").format(name, unit_markup(row["unit"]))
-        pictures.append((caption, history_picture(parameter, record.estimates)))
-    history = [Key(HISTORY_KEY), Small(pictures)] if len(record.estimates) > 1 else []
-    return [*history, _parameters_table(estimated)]
-
-
-def _parameters_table(estimated: Estimated) -> Table:
-    columns = ("parameter", "", "value", "95 % interval", "range searched", "unit")
-    rows = []
-    for parameter, row in estimated:
-        has_interval = np.isfinite(row["low"]) and np.isfinite(row["high"])
-        value, low, high = format_interval(row["value"], row["low"], row["high"])
-        interval = (
-            number_cell(f"{low} to {high}")
-            if has_interval
-            else Cell("none", "n missing")
-        )
-        is_determined = NOT_KNOWN
-        if row["determined"]:
-            is_determined = "yes"
-        elif np.isfinite(row["low"]):
-            is_determined = "no"
-        if row["at_bound"]:
-            is_determined += ", at the end of its range"
-        searched = f"{format_value(row['minimum'])} to {format_value(row['maximum'])}"
-        rows.append(
-            [
-                Cell(row["name"].replace("_", " "), title=parameter.meaning),
-                symbol_markup(row["symbol"]),
-                number_cell(value),
-                interval,
-                number_cell(searched),
-                unit_markup(row["unit"]),
-                is_determined,
-            ]
-        )
-    return Table([*columns, "determined by the data"], rows)
+def _parameter_row(parameter: Parameter, row: pd.Series) -> list[Any]:
+    """Format the estimate of a parameter, and whether the data determine it."""
+    value, low, high = format_interval(row["value"], row["low"], row["high"])
+    interval = "none" if NOT_KNOWN in (low, high) else f"{low} to {high}"
+    determined = "no" if np.isfinite(row["low"]) else NOT_KNOWN
+    if row["determined"]:
+        determined = "yes"
+    if row["at_bound"]:
+        determined += ", at the end of its range"
+    searched = f"{format_value(row['minimum'])} to {format_value(row['maximum'])}"
+    return [
+        Cell(parameter.name.replace("_", " "), title=parameter.meaning),
+        symbol_markup(parameter.symbol),
+        *number_cells([value, interval, searched]),
+        unit_markup(parameter.unit),
+        determined,
+    ]
 
 
 # --- one cast
@@ -334,7 +287,7 @@ def _comparison(
     record: RunRecord, cast: CastRecord, region: ImageRegion, scale_end: float
 ) -> list[Part]:
     """Compare simulation and film: closest approach, animation, time and paths."""
-    near: Part = Card("Closest approach", [NO_FRAMES])
+    near: Part = _reason("Closest approach", NO_FRAMES)
     if picture := closest_approach_picture(record, cast):
         caption = (
             "The camera frame nearest in time. Dashed: the path of the tip 30 ms "
@@ -344,7 +297,7 @@ def _comparison(
             [(words, FRAME_COLOURS[name]) for name, words in OVERLAY_LABELS.items()]
         )
         near = Figure("Closest approach", picture, caption, beside=key)
-    animation: Part = NO_FRAMES
+    animation: Part = Text(NO_FRAMES, "missing")
     if film := cast_film_data(record, cast, region):
         span = (
             f"{len(film['t'])} camera frames from {film['t'][0]} to {film['t'][-1]} ms"
@@ -359,15 +312,9 @@ def _comparison(
         NOTHING_READ,
     )
 
-    reason = "Nothing was estimated from this cast, so there is no matching rate."
-    if cast.estimate:
-        reason = "This estimation compared no masks, so there is no matching rate."
-    title = "Matching rate over time"
     over_time = [
-        part_or_reason(title, matching_chart(cast.estimate, title, cast), reason),
-        part_or_reason(
-            "Distance over time", distance_chart(record, cast), NOTHING_READ
-        ),
+        _matching_part(cast.estimate, "Matching rate over time", cast),
+        distance_chart(record, cast) or _reason("Distance over time", NOTHING_READ),
     ]
 
     # the joints together are as high as the hand's path beside them
@@ -377,7 +324,7 @@ def _comparison(
         "As measured. Grey: the arm at the start (faint) and at the closest approach.",
         NO_JOINT_ANGLES,
     )
-    joints: Part = Card("Joint angles", [Text(NO_JOINT_ANGLES, "missing")])
+    joints: Part = _reason("Joint angles", NO_JOINT_ANGLES)
     if len(cast.trial.arm):
         joints = Block("column", joint_charts(cast))
     left = Block("column", [near, distance])
@@ -386,6 +333,21 @@ def _comparison(
         Block("grid", over_time),
         Block("grid", [paths, joints]),
     ]
+
+
+def _matching_part(
+    estimate: Estimate | None, title: str, cast: CastRecord | None = None
+) -> Part:
+    """Chart E over time, with the movement of a cast, or state why there is no E."""
+    if chart := matching_chart(estimate, title):
+        return mark_movement(chart, cast) if cast else chart
+    cause = "This estimation compared no masks" if estimate else "Nothing was estimated"
+    return _reason(title, f"{cause}, so there is no matching rate.")
+
+
+def _reason(title: str, reason: str) -> Card:
+    """State why a part of the page is missing."""
+    return Card(title, [Text(reason, "missing")])
 
 
 def _describe_cast(cast: CastRecord) -> Markup:
@@ -430,7 +392,8 @@ def _motions_card(cast: CastRecord) -> Card:
 
 def _link_card(cast: CastRecord) -> Card:
     """Report commands and frames that were late, lost or not read."""
-    report, unread = cast.trial.link.iloc[0], unread_frames(cast.points.readings)
+    report, readings = cast.trial.link.iloc[0], cast.points.readings
+    unread = readings[~readings["valid"].astype(bool)]
     result = "Arm and camera kept their time limits."
     if not report["valid"]:
         result = Markup('<b class="bad">This trial is not valid:</b> {}.')
@@ -439,7 +402,7 @@ def _link_card(cast: CastRecord) -> Card:
         "commands sent": report["ticks"],
         "late or lost": report["missed"],
         "lateness: median, 99 %, largest": _lateness(report, "jitter"),
-        "frames filmed": len(cast.points.readings),
+        "frames filmed": len(readings),
     }
     if "frames_due" in report:  # only cameras that report when each frame was due
         rows |= {
@@ -452,16 +415,12 @@ def _link_card(cast: CastRecord) -> Card:
                 report, "frame_jitter"
             ),
         }
-    rows["frames not read"] = sum(row["count"] for row in unread)
+    for reason, count in unread["reason"].value_counts(sort=False).items():
+        rows[f"frames not read: {reason}"] = count
     cells = [(name, number_cell(value)) for name, value in rows.items()]
     parts: list[Part] = [Text(result, ""), Table((), cells, named=True)]
     if report.get("remarks"):
         parts.append(Text(f"Not verified: {report['remarks']}.", ""))
-    if unread:
-        reasons = [
-            (row["reason"], number_cell(row["count"]), row["when"]) for row in unread
-        ]
-        parts.append(Table(("reason", "frames", "when [ms]"), reasons))
     return Card("Timing and frames", parts)
 
 

@@ -158,7 +158,9 @@ def _failures_section(record: SweepRecord) -> Section | None:
 
 def _job_cell(record: SweepRecord, job: Mapping[str, Any]) -> Cell:
     """Name a job by the settings in which it differs from others."""
-    return Cell(" ".join(f"{name}={job[name]}" for name in record.varied_settings), "code")
+    return Cell(
+        " ".join(f"{name}={job[name]}" for name in record.varied_settings), "code"
+    )
 
 
 def _small_pictures(

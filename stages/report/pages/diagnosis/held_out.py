@@ -6,13 +6,9 @@ from typing import Any
 
 from markupsafe import Markup
 
-from stringcast.stages.report.charts.residual import (
-    held_out_picture,
-)
 from stringcast.stages.report.formatting import format_gain, format_mm, format_rate
 from stringcast.stages.report.page import (
     Card,
-    Figure,
     Section,
     Table,
     Text,
@@ -31,16 +27,9 @@ def held_out_section(record: DiagnosisRecord) -> Section:
     if record.diagnosis.held_out.empty:
         reason = "No trial was left out of the fit, so the predictions were not tested."
         return Section(title, [Text(reason, "missing")])
-    caption = (
-        "Each trial as predicted from the others. Left is better; the mark is noise "
-        "alone."
-    )
-    if record.is_extended and not record.has_excluded_trials:
-        caption += " The ring is the extended model fitted to all of them."
-    figure = Figure("Residual", held_out_picture(record), caption)
     table = Card("", [_held_out_table(record)])
     texts = [Text(words) for words in _describe_prediction(record)]
-    return Section(title, [*texts, figure, table])
+    return Section(title, [*texts, table])
 
 
 def _describe_prediction(record: DiagnosisRecord) -> list[Markup | str]:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from stringcast.stages.common import rms
-from stringcast.stages.report.charts.diagnosis import unexplained_chart
 from stringcast.stages.report.charts.residual import (
-    residual_chart,
+    residual_charts,
     residual_maps,
-    tip_residual_chart,
     trial_rms_picture,
 )
 from stringcast.stages.report.charts.string_film import (
     string_film_data,
-    tip_points,
     worst_frame,
 )
 from stringcast.stages.report.formatting import format_mm, format_ms, join_effects
@@ -101,11 +98,8 @@ def trials_section(record: DiagnosisRecord) -> Section | None:
         parts: list[Part] = [
             Film(string_film_data(record, table), words),
             Jump(t * MM_PER_M, f"Largest misfit at {format_ms(t)}: {', '.join(sizes)}"),
-            residual_chart(record, trial),
-            tip_residual_chart(record, trial, tip_points(table)),
+            *residual_charts(record, table),
         ]
-        if chart := unexplained_chart(record, trial):
-            parts.append(chart)
         cards.append(Card(trial, parts))
     explore = Explore([Block("trials", cards)], layers, times=True)
     return Section("Trials side by side", [Text(TRIALS_LEAD), explore], "trials")

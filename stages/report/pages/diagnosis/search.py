@@ -8,10 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.stages.report.charts.diagnosis import (
-    screening_pictures,
-    similarity_matrix,
-)
+from stringcast.stages.report.charts.diagnosis import screening_pictures
 from stringcast.stages.report.formatting import (
     effect_title,
     format_gain,
@@ -48,7 +45,10 @@ ENTRIES_CAPTION = (
     "simulated from the measured string without and with the cause. Table `entries` "
     "has all moments and places."
 )
-SCREENING_CAPTION = "First-order gain of the log-likelihood, with refitted string parameters. Blue: found."
+SCREENING_CAPTION = (
+    "First-order gain of the log-likelihood, with refitted string parameters. Blue: "
+    "found."
+)
 HYPOTHESES_CAPTION = (
     "Log evidence: logarithm of the Bayes factor over the base model, averaged over "
     "the sizes of unmodelled error. Without the strongest trial: the same without the "
@@ -73,10 +73,11 @@ def search_section(record: DiagnosisRecord) -> Section:
     for context, picture in screening_pictures(record):
         title = f"Predicted gains given {context or 'the base model'}"
         figures.append(Figure(title, picture, SCREENING_CAPTION))
-    if matrix := similarity_matrix(record):
-        caption = "1: indistinguishable in these data; 0: nothing in common."
-        figures.append(Figure("Similar effects", matrix, caption))
     parts.append(Block("grid", figures))
+    if len(diagnosis.likeness):
+        table = _similarity_table(diagnosis.likeness)
+        caption = "1: indistinguishable in these data; 0: nothing in common."
+        parts.append(Card("Similar effects", [table, Text(caption, "caption")]))
 
     # the base model first, then by evidence
     is_base = diagnosis.hypotheses["causes"] == ""
@@ -119,6 +120,17 @@ def _entries_table(entries: pd.DataFrame) -> Table:
         "residual there",
     )
     return Table(columns, rows)
+
+
+def _similarity_table(likeness: pd.DataFrame) -> Table:
+    """Tabulate the similarity of each pair of effects."""
+    names = list(dict.fromkeys([*likeness["other"], *likeness["effect"]]))
+    matrix = likeness.pivot(index="effect", columns="other", values="cosine")
+    rows = []
+    for name, cosines in matrix.loc[names[1:], names[:-1]].iterrows():
+        texts = cosines.map("{:.2f}".format, na_action="ignore").fillna("")
+        rows.append([effect_title(str(name)), *number_cells(texts)])
+    return Table(["", *map(effect_title, names[:-1])], rows, named=True)
 
 
 def _hypotheses_table(hypotheses: Sequence[Mapping[str, Any]]) -> Table:

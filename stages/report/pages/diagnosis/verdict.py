@@ -138,8 +138,8 @@ VERDICT_TEXTS: dict[str, list[Markup | str]] = {
     "none": ["The misfit is noise and less than the tolerance. No effect is evident."],
     "unknown": [
         Markup(
-            "The misfit at the tip exceeds the tolerance, and no effects of the library "
-            "remove enough of it. See {}."
+            "The misfit at the tip exceeds the tolerance, and no effects of the "
+            "library remove enough of it. See {}."
         ).format(link("#left", "Unexplained misfit"))
     ],
     "insufficient": ["Naming a cause requires more data. Partial results follow."],
