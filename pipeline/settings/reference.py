@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,27 +30,25 @@ from stringcast.stages.model.library import effects_by_name
 PAGE_FILE = CONF_FOLDER / "README.md"
 PAGE_HEAD = """\
 # All settings
-Which settings exist, and what are their defaults? \
-`python -m pipeline.settings.reference` generates this page from the files in this \
-folder and the library of effects. Settings are those of the default options; \
-the files of the other options show what they add. \
-`python -m pipeline --help` shows the settings of one call.
+Which settings exist, and what are their defaults? Each group lists its options, then \
+the settings of its default option. `python -m pipeline.settings.reference` writes \
+this page; `python -m pipeline --help` shows one call.
 
-- A setting: `target.x=0.45`.
-- An option of a group, which is a file here: `estimate=cma_es`.
-- An experiment: `+experiment=stringA`.
-- A list, quoted: `'effects=[tip_mass,wind]'`.
-- Several values, as a sweep: `--multirun seed=0,1,2`.
+    target.x=0.45                   a setting
+    estimate=cma_es                 an option of a group
+    +experiment=stringA             an experiment
+    'effects=[tip_mass,wind]'       a list
+    --multirun seed=0,1,2           a sweep
 """
 EFFECTS_HEADING = """\
 ## Effects
-Effects of the paper come first and are always active; `effects=` adds the others. \
-The range of each parameter follows its name. \
-Give a value by `'+parameter_values.tip_mass.ratio=0.05'`, \
-with an interval by \
-`'+parameter_values.wind.along_x={value: 1, low: 0.8, high: 1.2}'`. \
-[How they are simulated](../stages/model/README.md).
+The first seven, the paper's, are always active; `effects=` adds others. \
+[How effects are simulated](../stages/model/README.md).
+
+    '+parameter_values.tip_mass.ratio=0.05'                             a value
+    '+parameter_values.wind.along_x={value: 1, low: 0.8, high: 1.2}'    an interval
 """
+MEANING_COLUMN = 36  # where meanings begin
 
 
 def reference_page() -> str:
@@ -66,24 +64,30 @@ def reference_page() -> str:
         if name not in groups and name in setting_comments():
             run_lines.append(setting_line(name, value, setting_comments()[name]))
 
-    sections = [PAGE_HEAD, section("## Run", run_lines)]
-    sections += [
-        options_section("experiment", ""),
-        options_section("method", default_options["method"]),
-    ]
+    sections = [PAGE_HEAD, section("Run", run_lines)]
+    sections.append(section("`+experiment=`", option_lines("experiment", "")))
+    method_lines = option_lines("method", default_options["method"])
+    sections.append(section("`method=`", method_lines))
     for group in groups:
-        default_file = CONF_FOLDER / group / f"{default_options[group]}.yaml"
-        sections.append(options_section(group, default_options[group]))
-        sections.append(
-            markdown_list(setting_lines(default_file, group, settings[group]))
-        )
-    sections.append(options_section("hydra/launcher", "serial"))
+        default = default_options[group]
+        default_file = CONF_FOLDER / group / f"{default}.yaml"
+        lines = option_lines(group, default)
+        own_lines = setting_lines(default_file, group, settings[group])
+        if own_lines:
+            lines += ["", *own_lines]
+        sections.append(section(f"`{group}=`", lines))
+    launcher_lines = option_lines("hydra/launcher", "serial")
+    sections.append(section("`hydra/launcher=`", launcher_lines))
+
+    effect_listing: list[str] = []
+    for effect in sorted_effects():
+        effect_listing += effect_lines(effect)
     sections.append(EFFECTS_HEADING)
-    sections.append(markdown_list(effect_line(effect) for effect in sorted_effects()))
-    return "\n".join(filter(None, sections))
+    sections.append(listing(effect_listing))
+    return "\n".join(sections)
 
 
-def options_section(group: str, default_option: str) -> str:
+def option_lines(group: str, default_option: str) -> list[str]:
     """List the options of a group, each with the first sentence of its file."""
     files = sorted(
         (CONF_FOLDER / group).glob("*.yaml"),
@@ -92,9 +96,8 @@ def options_section(group: str, default_option: str) -> str:
     lines = []
     for file in files:
         default = " (default)" if file.stem == default_option else ""
-        lines.append(f"`{file.stem}`{default}: {first_sentence(file)}")
-    plus = "+" if group == "experiment" else ""
-    return section(f"## `{plus}{group}=`", lines)
+        lines.append(meaning_line(f"{file.stem}{default}", first_sentence(file)))
+    return lines
 
 
 def first_sentence(file: Path) -> str:
@@ -157,39 +160,49 @@ def sorted_effects() -> list[type[Effect]]:
     return sorted(effects_by_name().values(), key=order)
 
 
-def effect_line(effect: type[Effect]) -> str:
-    """Describe an effect in a line, with the range and unit of each parameter."""
+def effect_lines(effect: type[Effect]) -> list[str]:
+    """Describe an effect, with the ranges and units of its parameters below."""
     first_line = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())
     sentence = re.split(r"\. (?=[A-Z])", first_line)[0].removesuffix(".")
-    parameters = []
+    excluded = " Not a candidate of a diagnosis." if effect.excluded_from_search else ""
+    lines = [f"{effect.name}: {sentence}.{excluded}"]
+
+    names_by_range: dict[str, list[str]] = {}
     for parameter in effect.parameters:
         unit = "" if parameter.unit == "1" else f" {parameter.unit}"
-        parameters.append(
-            f"`{parameter.name}` {parameter.low:g}…{parameter.high:g}{unit}"
-        )
-    excluded = " Not a candidate of a diagnosis." if effect.excluded_from_search else ""
-    listed = f" {', '.join(parameters)}." if parameters else ""
-    return f"`{effect.name}`: {sentence}.{listed}{excluded}"
+        range_text = f"{parameter.low:g}…{parameter.high:g}{unit}"
+        names_by_range.setdefault(range_text, []).append(parameter.name)
+    ranges = []
+    for range_text, names in names_by_range.items():
+        ranges.append(f"{', '.join(names)} {range_text}")
+    if ranges:
+        lines.append(f"    {'; '.join(ranges)}")
+    return lines
 
 
 def setting_line(name: str, value: Any, comment: str) -> str:
     """Describe a setting in a line, with its value as on the command line."""
     if value is None:
-        return f"`{name}`: {comment}"
+        return meaning_line(name, comment)
     text = value
     if not isinstance(value, str):
         text = yaml.safe_dump([value], default_flow_style=True, width=1000)[1:-2]
-    return f"`{name}={text}`: {comment}"
+    return meaning_line(f"{name}={text}", comment)
+
+
+def meaning_line(item: str, meaning: str) -> str:
+    """Return an item of a listing with its meaning in a column."""
+    return f"{item:<{MEANING_COLUMN}}  {meaning}"
 
 
 def section(heading: str, lines: Sequence[str]) -> str:
-    """Return a heading with a list."""
-    return f"{heading}\n{markdown_list(lines)}"
+    """Return a heading with a listing."""
+    return f"## {heading}\n{listing(lines)}"
 
 
-def markdown_list(lines: Iterable[str]) -> str:
-    """Return a Markdown list, in which what looks like a tag is shown as text."""
-    return "".join(f"- {re.sub('<', '&lt;', line)}\n" for line in lines)
+def listing(lines: Sequence[str]) -> str:
+    """Return lines as a block of code."""
+    return "".join(f"    {line}".rstrip() + "\n" for line in lines)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from stringcast.stages.model.effect import (
 
 
 class Clamp(StringEffect):
-    """A free string that begins `hidden` before the stated grasp, and beside it.
+    """A free string that begins `hidden` before the stated grasp, shifted sideways.
 
     With no offset it passes straight through the stated grasp. Measured points keep
     their arc length from there. A negative length is held: that part lies straight on
