@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, NullLocator
@@ -15,6 +16,7 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.report.formatting import superscript
 from stringcast.stages.report.theme import MM_PER_M
 
+MAX_STRING_CELLS, MAX_TIME_CELLS = 30, 100
 TARGET_STYLE: dict[str, Any] = {"fill": False, "edgecolor": "target", "lw": 1.8}
 OBSTACLE_STYLE: dict[str, Any] = {"facecolor": "wall", "alpha": 0.5, "lw": 0}
 
@@ -41,30 +43,48 @@ def label_decades(axis: Axis) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def mean_in_cells(
-    positions: tuple[np.ndarray, np.ndarray],
-    values: np.ndarray,
-    edges: tuple[np.ndarray, np.ndarray],
-) -> np.ndarray:
-    """Average values in the cells of a grid.
+def draw_map(
+    axes: Axes, s: np.ndarray, t: np.ndarray, values: np.ndarray, **style: Any
+) -> ScalarMappable:
+    """Draw the means of values in cells of arc length and time.
 
     Parameters
     ----------
-    positions : two ndarrays, shape (N,)
-        Coordinates of the values, such as arc length and time.
-    values : ndarray, shape (N,)
-    edges : two ndarrays, shape (R + 1,) and (C + 1,)
-        Edges of the cells along each coordinate.
-
-    Returns
-    -------
-    ndarray, shape (R, C)
-        NaN in empty cells.
+    axes : Axes
+    s, t, values : ndarray, shape (N,)
+        Arc length [m], time [s] and value of each point. Cells without a point are
+        empty.
+    style : keywords
+        Colours of `Axes.pcolorfast`.
     """
-    total, *_ = np.histogram2d(*positions, edges, weights=values)
-    count, *_ = np.histogram2d(*positions, edges)
+    edges = (_string_edges(s), _time_edges(t))
+    total, *_ = np.histogram2d(s, t, edges, weights=values)
+    count, *_ = np.histogram2d(s, t, edges)
     empty = np.full(total.shape, np.nan)
-    return np.divide(total, count, out=empty, where=count > 0)
+    means = np.divide(total, count, out=empty, where=count > 0)
+    axes.grid(visible=False)
+    return axes.pcolorfast(edges[1] * MM_PER_M, edges[0] * MM_PER_M, means, **style)
+
+
+def _string_edges(s: np.ndarray) -> np.ndarray:
+    """Return edges [m] around the places measured, or even ones if there are many."""
+    places = np.unique(np.round(s, 4))
+    if len(places) > MAX_STRING_CELLS:
+        return np.linspace(0, s.max() * (1 + 1e-9), MAX_STRING_CELLS + 1)
+    if len(places) == 1:
+        return np.array([0.0, max(2 * places[0], 1e-3)])
+    first, last = 2 * places[0] - places[1], 2 * places[-1] - places[-2]
+    neighbours = np.concatenate([[first], places, [last]])
+    edges: np.ndarray = (neighbours[1:] + neighbours[:-1]) / 2
+    return edges.clip(min=0.0)
+
+
+def _time_edges(t: np.ndarray) -> np.ndarray:
+    """Return even edges [s] as wide as a frame or more, so that gaps stay empty."""
+    times = np.unique(t)
+    frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.01
+    width = max(frame, float(np.ptp(times)) / MAX_TIME_CELLS)
+    return np.arange(times[0] - width / 2, times[-1] + width, width)
 
 
 def draw_box(axes: Axes, box: Box, **style: Any) -> None:

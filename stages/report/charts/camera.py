@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.camera import Camera
 from stringcast.stages.report.formatting import format_mm, format_ms
 from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import (
@@ -239,7 +238,12 @@ def cast_film_data(
     )
 
     def pixels(world: np.ndarray) -> list[list[float]]:
-        return _film_pixels(camera, world, region, scale)
+        """Return pixels of the film; none of a string that diverged."""
+        if not np.isfinite(world).all():
+            return []
+        on_film = (camera.pixels(world) - (region.left, region.top) + 0.5) * scale
+        rounded: list[list[float]] = np.round(on_film, 1).tolist()
+        return rounded
 
     unread = np.zeros((0, 3))
     strings = {
@@ -298,15 +302,3 @@ def _encode_frame(
         if len(content) <= MAX_FRAME_BYTES:
             break
     return data_uri("webp", content)
-
-
-def _film_pixels(
-    camera: Camera, world: np.ndarray, region: ImageRegion, scale: float
-) -> list[list[float]]:
-    """Return pixels of the film, with its corner at 0; none if the string diverged."""
-    if not np.isfinite(world).all():
-        return []
-    corner = (region.left, region.top)
-    pixels = (camera.pixels(world) - corner + 0.5) * scale
-    rounded: list[list[float]] = np.round(pixels, 1).tolist()
-    return rounded

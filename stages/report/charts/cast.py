@@ -19,8 +19,8 @@ from stringcast.stages.report.charts.axes import (
     OBSTACLE_STYLE,
     TARGET_STYLE,
     draw_box,
+    draw_map,
     label_decades,
-    mean_in_cells,
 )
 from stringcast.stages.report.formatting import (
     format_count,
@@ -164,7 +164,6 @@ def matching_chart(estimate: Estimate | None, title: str) -> Chart | None:
 
 # --- distance of simulated and measured string
 DISTANCE_COLOURS = colormaps["viridis"].resampled(24)  # more would double the picture
-STRING_CELLS, MAX_TIME_CELLS = 30, 140  # a time cell is two pixels of the page
 
 
 def distances(
@@ -222,38 +221,23 @@ def distance_map(
     if not cast.centre_lines:
         return None
     table = distances(record, cast, cast.after)
-    t = cast.frame_times
-    half = np.median(np.diff(t)) / 2 if len(t) > 1 else cast.motion.duration
-    time_edges = np.append(t - half, t[-1] + half)
-    if len(t) > MAX_TIME_CELLS:
-        time_edges = np.linspace(time_edges[0], time_edges[-1], MAX_TIME_CELLS + 1)
-    length = max(record.model.string.length, table["s"].max())
-    string_edges = np.linspace(0, length, STRING_CELLS + 1)
-    positions = (table["s"].to_numpy(), t[table["frame"]])
-    cells = mean_in_cells(positions, table["distance"], (string_edges, time_edges))
-
     figure = figure_with_margins(5.4, 2.6)
     axes = figure.subplots()
-    drawn = axes.pcolorfast(
-        time_edges * MM_PER_M,
-        string_edges * MM_PER_M,
-        cells * MM_PER_M,
+    drawn = draw_map(
+        axes,
+        table["s"].to_numpy(),
+        cast.frame_times[table["frame"]],
+        table["distance"].to_numpy() * MM_PER_M,
         cmap=DISTANCE_COLOURS,
         vmin=0,
         vmax=scale_end * MM_PER_M,
     )
-    axes.grid(visible=False)
     axes.set(xlabel="time [ms]", ylabel="arc length [mm]")
     bar = figure.colorbar(drawn, ax=axes, aspect=20, label="distance [mm]", pad=0.02)
     assert bar.solids is not None
     bar.solids.set_rasterized(True)  # each step would be a path
-    axes.axvspan(
-        0,
-        cast.motion.duration * MM_PER_M,
-        color="axis",
-        alpha=0.16,
-        lw=0,
-    )
+    end = cast.motion.duration * MM_PER_M
+    axes.axvspan(0, end, color="axis", alpha=0.16, lw=0)
     if np.isfinite(cast.verdict.t):
         axes.axvline(cast.verdict.t * MM_PER_M, color="target", lw=1.2, ls="--")
     size = format_mm(rms(table["distance"]), 1)
@@ -291,23 +275,22 @@ def history_picture(parameter: Parameter, estimates: Sequence[Estimate]) -> Pict
     """
     tables = [estimate.parameters.set_index("name") for estimate in estimates]
     rows = pd.DataFrame([table.loc[parameter.name] for table in tables])
-    rows.index = range(1, len(rows) + 1)
-    blue = "after"
+    numbers = np.arange(1, len(rows) + 1)
     figure = figure_with_margins(2.5, 1.55, left=0.5, top=0.16)
     axes = figure.subplots()
     lowest, highest = rows["minimum"].min(), rows["maximum"].max()
     axes.axhspan(lowest, highest, color="axis", alpha=0.16, lw=0)
-    axes.plot([0, *rows.index], [parameter.start, *rows["value"]], color=blue, lw=1.2)
-    axes.vlines(rows.index, rows["low"], rows["high"], color=blue, lw=4, alpha=0.35)
-    for number, row in rows.iterrows():
-        fill = blue if row["determined"] else "none"
-        axes.plot(number, row["value"], "o", ms=5, mec=blue, mfc=fill)
+    values = [parameter.start, *rows["value"]]
+    axes.plot(range(len(values)), values, color="after", lw=1.2)
+    axes.vlines(numbers, rows["low"], rows["high"], color="after", lw=4, alpha=0.35)
+    fills = np.where(rows["determined"], "after", "none").tolist()
+    axes.scatter(numbers, rows["value"], 25, fills, edgecolors="after", zorder=3)
     if lowest > 0:
         axes.set_yscale("log")
         label_decades(axes.yaxis)
     else:
         axes.ticklabel_format(axis="y", scilimits=(-2, 4))
-    axes.set(xticks=range(len(rows) + 1), xlim=(-0.3, len(rows) + 0.3))
+    axes.set(xticks=range(len(values)), xlim=(-0.3, len(rows) + 0.3))
     axes.set_xlabel("estimation", fontsize=8)
     last = rows.iloc[-1]
     suffix = "" if last["determined"] else ", not determined by the data"

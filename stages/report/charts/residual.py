@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import AsinhNorm, LinearSegmentedColormap
 from matplotlib.figure import Figure
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 from stringcast.stages.common import rms
 from stringcast.stages.report.charts.axes import (
     add_legend_above,
-    mean_in_cells,
+    draw_map,
     new_axes,
 )
 from stringcast.stages.report.charts.string_film import tip_points
@@ -39,7 +38,6 @@ DIVERGING_COLOURS = LinearSegmentedColormap.from_list(
         (1, (*POSITIVE_COLOUR, 1)),
     ],
 ).with_extremes(bad=(0.55, 0.58, 0.62, 0.35))  # where nothing was measured
-MAX_STRING_CELLS, MAX_TIME_CELLS = 30, 80
 MIN_SCALE_SIGMAS = 5.0  # smallest end of the colour scale
 COMPONENTS = {"normal": "across the string", "tangential": "along the string"}
 SCALE_TICKS = (1, 3, 10, 30, 100, 300, 1000)
@@ -66,7 +64,9 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
     for row, (trial, table) in zip(panels, trials.items(), strict=True):
         components = residual_components(table, model)
         for axes, name in zip(row, COMPONENTS, strict=True):
-            drawn = _draw_map(axes, table, components[name], scale)
+            s, t = table["s"].to_numpy(), table["t"].to_numpy()
+            values = components[name]
+            drawn = draw_map(axes, s, t, values, cmap=DIVERGING_COLOURS, norm=scale)
         row[0].set_ylabel("s [mm]")
         # above the row, for names may be longer than it is high
         row[0].text(0.0, 1.05, trial, fontsize=8, transform=row[0].transAxes)
@@ -110,42 +110,6 @@ def residual_components(table: pd.DataFrame, model: str) -> dict[str, np.ndarray
     x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
     components = ((x + 1j * y) / direction / table["sigma"]).to_numpy()
     return {"normal": components.imag, "tangential": components.real}
-
-
-def _draw_map(
-    axes: Axes, table: pd.DataFrame, values: np.ndarray, scale: AsinhNorm
-) -> ScalarMappable:
-    """Draw the means of values in cells of arc length and time."""
-    positions = (table["s"].to_numpy(), table["t"].to_numpy())
-    edges = (_string_edges(positions[0]), _time_edges(positions[1]))
-    cells = mean_in_cells(positions, values, edges)
-    axes.grid(visible=False)
-    string_edges, time_edges = edges[0] * MM_PER_M, edges[1] * MM_PER_M
-    return axes.pcolorfast(
-        time_edges, string_edges, cells, cmap=DIVERGING_COLOURS, norm=scale
-    )
-
-
-def _string_edges(s: np.ndarray) -> np.ndarray:
-    """Return edges [m] around the places measured, or even ones if there are many."""
-    places = np.unique(np.round(s, 4))
-    if len(places) > MAX_STRING_CELLS:
-        return np.linspace(0, s.max() * (1 + 1e-9), MAX_STRING_CELLS + 1)
-    if len(places) == 1:
-        half = max(places[0] / 4, 1e-3)
-        return np.array([max(places[0] - half, 0), places[0] + half])
-    middle = (places[1:] + places[:-1]) / 2
-    first = places[0] - (middle[0] - places[0])
-    last = places[-1] + (places[-1] - middle[-1])
-    return np.concatenate([[max(first, 0)], middle, [last]])
-
-
-def _time_edges(t: np.ndarray) -> np.ndarray:
-    """Return even edges [s] as wide as a frame or more, so that gaps stay empty."""
-    times = np.unique(t)
-    frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.01
-    width = max(frame, float(np.ptp(times)) / MAX_TIME_CELLS)
-    return np.arange(times[0] - width / 2, times[-1] + width, width)
 
 
 # --- over time

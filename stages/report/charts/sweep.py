@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
@@ -20,41 +19,6 @@ EQUAL_VALUES_TOLERANCE = 1e-9  # relative: a geometric mean is off by 1e-15
 MAX_LABEL_LENGTH = 28  # characters of an axis label in the usual size
 MIN_OPACITY = 0.15
 TARGET_COLUMNS = ["target.x", "target.y"]
-
-
-def level_labels(values: pd.Series) -> dict[Any, str]:
-    """Return the levels of a setting in order, each with its label."""
-    labels = {}
-    for level in sorted(values.unique()):
-        labels[level] = f"{level:g}" if pd.api.types.is_number(level) else str(level)
-    return labels
-
-
-def label_levels(axes: Axes, values: pd.Series) -> Callable[[pd.Series], np.ndarray]:
-    """Label the levels on the x axis: numbers to scale, words side by side.
-
-    Returns
-    -------
-    callable
-        Positions of values on the axis.
-    """
-    labels = level_labels(values)
-    levels = list(labels)
-    if not pd.api.types.is_numeric_dtype(values):
-        axes.set_xticks(
-            range(len(levels)),
-            list(labels.values()),
-            rotation=20,
-            ha="right",
-            rotation_mode="anchor",
-        )
-        axes.set_xlim(-0.5, len(levels) - 0.5)
-        return lambda chosen: chosen.map(levels.index).to_numpy(float)
-    if min(levels) > 0 and max(levels) / min(levels) > MIN_LOG_AXIS_RATIO:
-        axes.set_xscale("log")
-    axes.set_xticks(levels, list(labels.values()))
-    axes.xaxis.set_minor_locator(NullLocator())
-    return lambda chosen: chosen.to_numpy(float)
 
 
 def setting_label(factor: str, units: Mapping[str, str]) -> str:
@@ -81,23 +45,21 @@ def outcome_curve(
     if means.empty:
         return None
     figure, axes = new_axes(2.9, 2.2)
-    position = label_levels(axes, jobs[factor])
-    known = jobs[jobs[outcome.name].notna()]
+    known = jobs[jobs[outcome.name].notna()].sort_values(factor, kind="stable")
+    is_number = pd.api.types.is_numeric_dtype(known[factor])
+    if is_number:
+        levels = np.sort(known[factor].unique())
+        if 0 < levels[0] * MIN_LOG_AXIS_RATIO < levels[-1]:
+            axes.set_xscale("log")
+        axes.set_xticks(levels, [f"{level:g}" for level in levels])
+        axes.xaxis.set_minor_locator(NullLocator())
+    else:
+        axes.tick_params(axis="x", labelrotation=20)
     values = known[outcome.name] * outcome.scale
-    axes.plot(
-        position(known[factor]),
-        values,
-        "o",
-        ms=3,
-        mew=0,
-        color="wall",
-        alpha=0.5,
-    )
-    x, blue = position(means[factor]), "after"
-    is_number = pd.api.types.is_numeric_dtype(jobs[factor])
-    axes.plot(
-        x, means["mean"], "o", ls="-" if is_number else "none", ms=4.5, color=blue
-    )
+    axes.plot(known[factor], values, "o", ms=3, mew=0, color="wall", alpha=0.5)
+    x, blue = means[factor], "after"
+    dashes = "-" if is_number else "none"
+    axes.plot(x, means["mean"], "o", ls=dashes, ms=4.5, color=blue)
     axes.vlines(x, means["low"], means["high"], color=blue, lw=4, alpha=0.35)
     if outcome.axis == "log":
         _use_log_scale(axes)
@@ -149,14 +111,8 @@ def target_map(jobs: pd.DataFrame, most: int) -> Picture:
         else:
             shade = 1 - (1 - MIN_OPACITY) * (casts - 1) / max(most - 1, 1)
             axes.plot(x, y, "s", color="after", alpha=shade, mew=0, ms=18)
-            axes.annotate(
-                f"{casts:.0f}",
-                (x, y),
-                color="ink",
-                ha="center",
-                va="center",
-                fontsize=8,
-            )
+            number = f"{casts:.0f}"
+            axes.text(x, y, number, color="ink", ha="center", va="center", fontsize=8)
     axes.set(xlabel="x of the target [mm]", ylabel="y of the target [mm]")
     axes.set(aspect="equal", adjustable="datalim")
     axes.margins(0.12)

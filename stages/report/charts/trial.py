@@ -21,43 +21,17 @@ POSE_STYLES: dict[str, dict[str, Any]] = {
 
 
 def trial_figure(seen: CheckedTrial) -> Figure:
-    """Draw a trial in one wide figure: in the plane, and over time."""
-    with style.context(STYLE_SHEET):
-        figure = Figure(figsize=(11.0, 4.6))
-        panels = figure.subplot_mosaic([["plane", "places"], ["plane", "speeds"]])
-        _draw_plane(panels["plane"], seen)
-        _draw_over_time(panels["places"], panels["speeds"], seen)
-        panels["speeds"].sharex(panels["places"])
-    return figure
-
-
-def plane_figure(seen: CheckedTrial) -> Figure:
-    """Draw arm and string in the plane, narrow enough for a phone."""
-    with style.context(STYLE_SHEET):
-        figure = Figure(figsize=(5.3, 4.6))
-        _draw_plane(figure.subplots(), seen)
-    return figure
-
-
-def time_figure(seen: CheckedTrial) -> Figure:
-    """Draw positions and speeds of hand and tip, narrow enough for a phone."""
-    with style.context(STYLE_SHEET):
-        figure = Figure(figsize=(5.3, 4.6))
-        places, speeds = figure.subplots(2, sharex=True)
-        _draw_over_time(places, speeds, seen)
-    return figure
-
-
-def _tip_track(seen: CheckedTrial) -> tuple[np.ndarray, np.ndarray]:
-    """Times (F,) [s] and positions (F, 2) [m] of the outermost point."""
+    """Draw arm and string in the plane, and positions and speeds over time."""
     end = seen.points.groupby("t").tail(1)
-    return end["t"].to_numpy(), end[["x", "y"]].to_numpy()
-
-
-def _draw_over_time(places: Axes, speeds: Axes, seen: CheckedTrial) -> None:
-    t, tip = _tip_track(seen)
-    _draw_positions(places, seen, t, tip)
-    _draw_speeds(speeds, seen, t, tip)
+    t, tip = end["t"].to_numpy(), end[["x", "y"]].to_numpy()
+    with style.context(STYLE_SHEET):
+        figure = Figure(figsize=(5.3, 8.0))  # narrow enough for a phone
+        plane, places, speeds = figure.subplots(3, height_ratios=(2, 1, 1))
+        speeds.sharex(places)
+        _draw_plane(plane, seen, t, tip)
+        _draw_positions(places, seen, t, tip)
+        _draw_speeds(speeds, seen, t, tip)
+    return figure
 
 
 def describe_trial(seen: CheckedTrial) -> str:
@@ -71,16 +45,10 @@ def describe_trial(seen: CheckedTrial) -> str:
     )
 
 
-def _draw_plane(axes: Axes, seen: CheckedTrial) -> None:
+def _draw_plane(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) -> None:
     """Draw arm and string at a few times, the first darkest, and the tip's path."""
-    t, tip = _tip_track(seen)
-    axes.plot(
-        *(tip * MM_PER_M).T,
-        color="measured",
-        lw=0.8,
-        alpha=0.5,
-        label="path of the tip",
-    )
+    path = tip * MM_PER_M
+    axes.plot(*path.T, color="measured", lw=0.8, alpha=0.5, label="path of the tip")
     low, high = max(t[0], seen.hand_t[0]), min(t[-1], seen.hand_t[-1])
     for number, moment in enumerate(np.linspace(low, max(high, low), POSE_COUNT)):
         frame_time = seen.frame_t[np.argmin(np.abs(seen.frame_t - moment))]
@@ -108,18 +76,11 @@ def _arm_at(seen: CheckedTrial, t: float) -> np.ndarray:
 def _draw_positions(
     axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray
 ) -> None:
-    hand, grey, green = seen.pose, "axis", "measured"
-    for number, (name, dashes) in enumerate((("x", "-"), ("y", "--"))):
-        axes.plot(
-            seen.hand_t,
-            hand[:, number] * MM_PER_M,
-            dashes,
-            color=grey,
-            label=f"hand {name}",
-        )
-        axes.plot(
-            t, tip[:, number] * MM_PER_M, dashes, color=green, label=f"tip {name}"
-        )
+    hand = ("hand", "axis", seen.hand_t, seen.pose)
+    for name, colour, times, positions in (hand, ("tip", "measured", t, tip)):
+        x, y = positions[:, 0] * MM_PER_M, positions[:, 1] * MM_PER_M
+        axes.plot(times, x, color=colour, label=f"{name} x")
+        axes.plot(times, y, "--", color=colour, label=f"{name} y")
     axes.set_ylabel("position [mm]")
     _add_legend(axes, 4)
 
@@ -135,14 +96,12 @@ def _draw_speeds(
         speed = steps / np.maximum(np.diff(times), 1e-9)
         fastest = float(np.quantile(speed, 0.99)) if len(speed) else 0.0
         if fastest > 0:
-            share = np.minimum(speed / fastest, 1.2)
-            axes.plot(
+            middle, share = (
                 (times[1:] + times[:-1]) / 2,
-                share,
-                color=colour,
-                lw=1,
-                label=f"{label}: {fastest:.1f} m/s",
+                np.minimum(speed / fastest, 1.2),
             )
+            words = f"{label}: {fastest:.1f} m/s"
+            axes.plot(middle, share, color=colour, lw=1, label=words)
         if onset is not None:
             axes.axvline(onset, color=colour, ls=":", lw=1)
     axes.set(xlabel="time [s]", ylabel="speed [of fastest]")

@@ -5,15 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from matplotlib import style
-
-from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
+from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.check.overview import DETECTION_NOTE, detection_limit_text
-from stringcast.stages.report.charts.trial import (
-    describe_trial,
-    plane_figure,
-    time_figure,
-)
+from stringcast.stages.report.charts.trial import describe_trial, trial_figure
 from stringcast.stages.report.formatting import format_count, format_mm
 from stringcast.stages.report.page import (
     Block,
@@ -29,12 +23,12 @@ from stringcast.stages.report.page import (
     number_cell,
     number_cells,
 )
-from stringcast.stages.report.theme import STYLE_SHEET, svg_picture
+from stringcast.stages.report.theme import svg_picture
 
 MAX_DRAWN_TRIALS = 10  # of 130 kB each, so that a page stays below 1.5 MB
 TRIALS_LEAD = (
-    "Left: arm and string at the start, and fainter later; the string must begin in "
-    "the hand and hang from it. Right: positions and speeds of hand and tip, each on "
+    "Top: arm and string at the start, and fainter later; the string must begin in "
+    "the hand and hang from it. Below: positions and speeds of hand and tip, each on "
     "its own clock; both must begin to move at the same time (dotted)."
 )
 
@@ -76,8 +70,13 @@ def check_page(
     if effects := found.get("effects"):
         table = Card("", [_effects_table(effects)])
         sections.append(Section("Detectable effects", [Text(DETECTION_NOTE), table]))
-    figures = _trial_figures(trials[:MAX_DRAWN_TRIALS])
-    sections.append(Section("Measurements", [Text(TRIALS_LEAD), *figures]))
+    figures = []
+    for trial in trials[:MAX_DRAWN_TRIALS]:
+        words = describe_trial(trial)
+        picture = svg_picture(trial_figure(trial), words)
+        figures.append(Figure(f"Trial {trial.name}", picture, words))
+    grid = Block("grid", figures)
+    sections.append(Section("Measurements", [Text(TRIALS_LEAD), grid]))
     if len(trials) > MAX_DRAWN_TRIALS:
         sections.append(
             Text(f"{len(trials) - MAX_DRAWN_TRIALS} more trials are not drawn.")
@@ -96,22 +95,6 @@ def check_page(
         following=following,
     )
     return str(page)
-
-
-def _trial_figures(trials: Sequence[CheckedTrial]) -> list[Part]:
-    figures: list[Part] = []
-    with style.context(STYLE_SHEET):
-        for seen in trials:
-            words = describe_trial(seen)
-            title = f"Trial {seen.name}: hand and tip over time"
-            plane = svg_picture(plane_figure(seen), words)
-            times = svg_picture(time_figure(seen), title)
-            pair = (
-                Figure(f"Trial {seen.name}", plane, words),
-                Figure(title, times, "Each on its own clock; dotted: onset of motion."),
-            )
-            figures.append(Block("grid", pair))
-    return figures
 
 
 def _findings_card(findings: Sequence[Mapping[str, Any]]) -> Part:
