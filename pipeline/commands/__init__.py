@@ -1,4 +1,4 @@
-"""Commands beside a run itself: `python -m pipeline <command>`, each with --help."""
+"""Commands of `python -m pipeline`, in addition to runs; each explains its options."""
 
 from __future__ import annotations
 

@@ -125,12 +125,19 @@ def read_measurements(folder: Path, overrides: Sequence[str]) -> CheckedDataset:
     overrides : sequence of str
         Settings as on the command line.
     """
-    config = OmegaConf.create({**compose_settings(overrides), "trials": str(folder)})
-    settings = inherit_settings(config, given_names(overrides))
+    settings = settings_for_data(folder, overrides)
     arm = build_dataclass(Arm, settings["arm"], "arm", "conf/arm")
     camera = build_dataclass(Camera, settings["camera"], "camera", "conf/camera")
     length = float(settings["string"]["length"])
     return CheckedDataset(dataset.read_dataset(folder), arm, camera, length)
+
+
+def settings_for_data(
+    folder: Path, overrides: Sequence[str], *defaults: str
+) -> dict[str, Any]:
+    """Return the settings of a run with these overrides on the data in a folder."""
+    settings = compose_settings([*defaults, *overrides]) | {"trials": str(folder)}
+    return inherit_settings(OmegaConf.create(settings), given_names(overrides))
 
 
 def check_report(checked: CheckedDataset, overview: Mapping[str, Any]) -> str:

@@ -11,15 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from omegaconf import OmegaConf
 
 from stringcast.data.schema import DataError
 from stringcast.pipeline.cli.console import progress_bars
 from stringcast.pipeline.cli.terminal import Terminal
+from stringcast.pipeline.commands.check import settings_for_data
 from stringcast.pipeline.modes.stored_trials import held_out_trials, read_usable_trials
 from stringcast.pipeline.run.experiment import prepare_experiment
-from stringcast.pipeline.settings.composition import compose_settings, given_names
-from stringcast.pipeline.settings.settings_from_runs import inherit_settings
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.diagnose.identifiability import DetectionLimit, detection_limits
 from stringcast.stages.diagnose.preparation import prepare_data, usable_trials
@@ -51,11 +49,8 @@ def detectable_effects(folder: Path, overrides: Sequence[str]) -> list[dict[str,
     DataError, UserError
         If these trials cannot be diagnosed.
     """
-    settings = compose_settings(["+experiment=diagnose", *overrides])
-    config = OmegaConf.create(settings | {"trials": str(folder)})
-    experiment = prepare_experiment(
-        inherit_settings(config, given_names(overrides)), lambda block: f"conf/{block}"
-    )
+    settings = settings_for_data(folder, overrides, "+experiment=diagnose")
+    experiment = prepare_experiment(settings, lambda block: f"conf/{block}")
     options = experiment.config["diagnose"]
     data = read_usable_trials(experiment)
     held_out = held_out_trials(data)
@@ -115,5 +110,5 @@ def detection_row(limit: DetectionLimit) -> dict[str, Any]:
 
 
 def none_if_nan(value: float) -> float | None:
-    """Return a number, or None for NaN, which JSON lacks."""
+    """Return a number, or None for NaN, which JSON does not have."""
     return None if isnan(value) else value

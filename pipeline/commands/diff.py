@@ -25,10 +25,10 @@ def main(arguments: list[str]) -> int:
     """Print the differences under five headings; return 0 if there are none."""
     parser = CommandParser("python -m pipeline diff", description=__doc__)
     parser.add_argument("a", type=Path, help="a run's folder")
-    parser.add_argument("b", type=Path, help="another's")
+    parser.add_argument("b", type=Path, help="the folder of another run")
     runs = parser.parse_args(arguments)
     first, second = run_facts(runs.a), run_facts(runs.b)
-    status = 0
+    has_difference = False
     for heading, facts in first.items():
         lines = []
         for name, a, b in differing_values(facts, second[heading]):
@@ -36,9 +36,8 @@ def main(arguments: list[str]) -> int:
         if heading == "results":
             lines += folder_differences(runs.a, runs.b, UNCOMPARED_FILES)
         print_block(f"{heading}: {'differ' if lines else 'the same'}", lines)
-        if lines:
-            status = 1
-    return status
+        has_difference |= bool(lines)
+    return int(has_difference)
 
 
 def run_facts(run: Path) -> dict[str, dict[str, Any]]:
@@ -63,20 +62,16 @@ def run_facts(run: Path) -> dict[str, dict[str, Any]]:
             f"`python -m pipeline resume {run}` continues it."
         )
     first = origins[0]
+    code = first["code"]
     data: dict[str, str] = {}
-    code = {
-        "commit": first["code"]["commit"],
-        "all sources": first["code"]["source"][:8],
-    }
     for origin in origins:
         for name, digest in origin["inputs"].items():
             if not name.startswith("iterations/"):
                 data[Path(name).name] = f"content {digest[:8]}"
 
-    summary_file = run / SUMMARY_FILE
     summary: dict[str, Any] = {"ended": False, "iterations": []}
-    if summary_file.exists():
-        summary = read_json(summary_file)
+    if (run / SUMMARY_FILE).exists():
+        summary = read_json(run / SUMMARY_FILE)
     summary["iterations"] = {str(row["number"]): row for row in summary["iterations"]}
     results = {}
     for name, value in flatten_settings(summary).items():
@@ -84,7 +79,7 @@ def run_facts(run: Path) -> dict[str, dict[str, Any]]:
     return {
         "settings": flatten_settings(settings),
         "data": data,
-        "code": code,
+        "code": {"commit": code["commit"], "all sources": code["source"][:8]},
         "packages": first["packages"] | {"Python": first["python"]},
         "results": results,
     }

@@ -61,7 +61,7 @@ def mjcf_text(string: KnownString, options: argparse.Namespace) -> str:
             given += f" --step {step}"
         raise UserError(
             f"{given}: the string's mass must be given in kg, the step in s. "
-            "Weigh it: --mass 0.012, say."
+            "Weigh it, and give --mass 0.012."
         )
     return string.mjcf(mass, step)
 

@@ -78,8 +78,8 @@ def read_stored_experiment(folder: Path) -> Experiment:
         return prepare_experiment(read_stored_settings(folder), lambda block: str(path))
     except KeyError as error:
         raise UserError(
-            f"{path}: it lacks the setting {error}: another version of this code made "
-            "the run."
+            f"{path}: the setting {error} is missing. Another version of this code "
+            "made the run."
         ) from error
 
 

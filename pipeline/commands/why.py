@@ -22,12 +22,11 @@ from stringcast.pipeline.run.provenance import arm_has_executed, stale_reasons
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.stage_registry import stages
 
-# states of a step
-FRESH_STATE = "fresh"
+StepState = tuple[str, tuple[str, ...]]  # state, and reasons why it is not fresh
+FRESH: StepState = ("fresh", ())
+MISSING: StepState = ("missing", ("it has not been made yet",))
 STALE_STATE = "stale"
 KEPT_STATE = "stale, but stays: the arm has moved by it"
-MISSING_STATE = "missing"
-StepState = tuple[str, tuple[str, ...]]  # state, and reasons why it is not fresh
 
 
 def main(arguments: list[str]) -> int:
@@ -44,19 +43,16 @@ def main(arguments: list[str]) -> int:
     states = step_states(read_stored_settings(folder), folder)
     names = [name for name in states if chosen in (".", name)]
     if not names:
-        known = ", ".join(sorted({stage.folder for stage in stages().values()}))
+        folders = ", ".join(sorted({stage.folder for stage in stages().values()}))
         raise UserError(
             f"{place}: there is no such step; a study and a calibration have none. "
             "Name the folder of another run, or of a step: "
-            f"iterations/<number>/<one of {known}>."
+            f"iterations/<number>/<one of {folders}>."
         )
-    status = 0
     for name in sorted(names, key=lambda name: Path(name).parent):
         state, reasons = states[name]
         print_block(f"{name}: {state}", reasons)
-        if reasons:
-            status = 1
-    return status
+    return int(any(states[name] != FRESH for name in names))
 
 
 def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepState]:
@@ -76,37 +72,36 @@ def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepStat
     dict
         States and reasons by the step's folder within the run.
     """
-    known = {stage.folder for stage in stages().values()}
+    folder_names = {stage.folder for stage in stages().values()}
     places: dict[str, Path] = {}
     for place in sorted(folder.glob("iterations/*/*")):
-        if place.is_dir() and place.name in known:
+        if place.is_dir() and place.name in folder_names:
             places[place.relative_to(folder).as_posix()] = place
     inputs: dict[str, list[str]] = {}  # by the footers of the steps
     for name, place in places.items():
         try:
-            stored_inputs = store.read_origin(place).get("inputs", {})
+            paths = store.read_origin(place).get("inputs", {})
         except (DataError, *store.READ_ERRORS):
-            stored_inputs = {}
-        inputs[name] = [input_ for input_ in stored_inputs if input_ in places]
+            paths = {}
+        inputs[name] = [path for path in paths if path in places]
 
     states: dict[str, StepState] = {}
     for name in TopologicalSorter(inputs).static_order():
         place = places[name]
-        number = int(place.parent.name)
-        reasons = list(stale_reasons(folder, place, settings))
-        for input_ in inputs[name]:
-            if states[input_][0] == STALE_STATE:
-                reasons.append(f"{input_}, an input, is stale")
-        state = FRESH_STATE
+        reasons = stale_reasons(folder, place, settings)
+        for path in inputs[name]:
+            if states[path][0] == STALE_STATE:
+                reasons += (f"{path}, an input, is stale",)
+        states[name] = FRESH
         if reasons:
+            number = int(place.parent.name)
             has_moved = arm_has_executed(settings, folder, number, place.name)
-            state = KEPT_STATE if has_moved else STALE_STATE
-        states[name] = state, tuple(reasons)
+            states[name] = KEPT_STATE if has_moved else STALE_STATE, reasons
 
     last = max(len({place.parent for place in places.values()}), 1)
     missing = missing_step(settings, folder, last)
     if missing is not None:
-        states[missing.as_posix()] = MISSING_STATE, ("it has not been made yet",)
+        states[missing.as_posix()] = MISSING
     return states
 
 
