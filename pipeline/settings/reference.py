@@ -20,10 +20,7 @@ from stringcast.pipeline.settings.composition import (
     compose_settings,
     flatten_settings,
 )
-from stringcast.pipeline.settings.setting_comments import (
-    comments_in_file,
-    setting_comments,
-)
+from stringcast.pipeline.settings.setting_comments import setting_comments
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import effects_by_name
 
@@ -62,17 +59,13 @@ def reference_page() -> str:
     run_lines = []
     for name, value in settings.items():
         if name not in groups and name in setting_comments():
-            run_lines.append(setting_line(name, value, setting_comments()[name]))
+            run_lines.append(setting_line(name, value))
 
     sections = [PAGE_HEAD, section("Run", run_lines)]
     sections.append(section("`+experiment=`", option_lines("experiment", "")))
-    method_lines = option_lines("method", default_options["method"])
-    sections.append(section("`method=`", method_lines))
-    for group in groups:
-        default = default_options[group]
-        default_file = CONF_FOLDER / group / f"{default}.yaml"
-        lines = option_lines(group, default)
-        own_lines = setting_lines(default_file, group, settings[group])
+    for group in ("method", *groups):
+        lines = option_lines(group, default_options[group])
+        own_lines = setting_lines(group, settings.get(group, {}))
         if own_lines:
             lines += ["", *own_lines]
         sections.append(section(f"`{group}=`", lines))
@@ -82,9 +75,7 @@ def reference_page() -> str:
     effect_listing: list[str] = []
     for effect in sorted_effects():
         effect_listing += effect_lines(effect)
-    sections.append(EFFECTS_HEADING)
-    sections.append(listing(effect_listing))
-    return "\n".join(sections)
+    return "\n".join([*sections, EFFECTS_HEADING, listing(effect_listing)])
 
 
 def option_lines(group: str, default_option: str) -> list[str]:
@@ -108,46 +99,23 @@ def first_sentence(file: Path) -> str:
     return ""
 
 
-def setting_lines(file: Path, group: str, settings: Mapping[str, Any]) -> list[str]:
-    """Describe each setting of an option, or the block around it that has a comment."""
-    comments = option_comments(file)
+def setting_lines(group: str, settings: Mapping[str, Any]) -> list[str]:
+    """Describe each setting of a group, or the block around it that has a comment."""
     lines: dict[str, str] = {}
     for name, value in flatten_settings(settings, group).items():
-        commented = nearest_comment(name, comments)
+        commented = nearest_comment(name)
         refers_to_setting = isinstance(value, str) and value.startswith("${")
-        if commented is None or refers_to_setting:
-            continue
-        shown_value = value if commented == name else None
-        line = setting_line(commented, shown_value, comments[commented])
-        lines.setdefault(commented, line)
+        if commented and not refers_to_setting:
+            shown_value = value if commented == name else None
+            lines.setdefault(commented, setting_line(commented, shown_value))
     return list(lines.values())
 
 
-def nearest_comment(name: str, comments: Mapping[str, str]) -> str | None:
+def nearest_comment(name: str) -> str:
     """Return the setting, or else the closest block around it, that has a comment."""
-    while name:
-        if name in comments:
-            return name
+    while name and name not in setting_comments():
         name = name.rpartition(".")[0]
-    return None
-
-
-def inherited_options(file: Path) -> list[Path]:
-    """Return the files of the options from which an option begins."""
-    settings = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
-    files = []
-    for name in settings.get("defaults", []):
-        if isinstance(name, str) and name != "_self_":
-            files.append(file.with_name(f"{name}.yaml"))
-    return files
-
-
-def option_comments(file: Path) -> dict[str, str]:
-    """Return the comments on an option's settings, inherited ones included."""
-    comments: dict[str, str] = {}
-    for inherited in inherited_options(file):
-        comments |= option_comments(inherited)
-    return comments | dict(comments_in_file(file))
+    return name
 
 
 def sorted_effects() -> list[type[Effect]]:
@@ -164,7 +132,7 @@ def effect_lines(effect: type[Effect]) -> list[str]:
     """Describe an effect, with the ranges and units of its parameters below."""
     first_line = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())
     sentence = re.split(r"\. (?=[A-Z])", first_line)[0].removesuffix(".")
-    excluded = " Not a candidate of a diagnosis." if effect.excluded_from_search else ""
+    excluded = " Not a candidate." if effect.excluded_from_search else ""
     lines = [f"{effect.name}: {sentence}.{excluded}"]
 
     names_by_range: dict[str, list[str]] = {}
@@ -180,14 +148,15 @@ def effect_lines(effect: type[Effect]) -> list[str]:
     return lines
 
 
-def setting_line(name: str, value: Any, comment: str) -> str:
+def setting_line(name: str, value: Any) -> str:
     """Describe a setting in a line, with its value as on the command line."""
-    if value is None:
-        return meaning_line(name, comment)
-    text = value
-    if not isinstance(value, str):
-        text = yaml.safe_dump([value], default_flow_style=True, width=1000)[1:-2]
-    return meaning_line(f"{name}={text}", comment)
+    item = name
+    if isinstance(value, str):
+        item += f"={value}"
+    elif value is not None:
+        text = yaml.safe_dump([value], default_flow_style=True, width=1000)
+        item += f"={text[1:-2]}"
+    return meaning_line(item, setting_comments()[name])
 
 
 def meaning_line(item: str, meaning: str) -> str:
