@@ -264,7 +264,7 @@ def fit_alignment(
         scale = limit or HUBER_LIMIT * robust_sigma(free.residuals(chi[None]))
         free = replace(free, limit=scale)
         chi = solver.fit_least_squares(
-            free, chi[None], enough=CONVERGENCE_TOLERANCE
+            free, chi[None], min_gain=CONVERGENCE_TOLERANCE
         ).chi[0]
     residual = free.residuals(chi[None])[0]
     scale = limit or HUBER_LIMIT * robust_sigma(residual)

@@ -22,14 +22,12 @@ from stringcast.stages.inference.discrepancy import (
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
-from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.model.effect import (
-    Effect,
-    amplitude_parameters,
-    is_position_dependent,
-)
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
+from stringcast.stages.model.effect import Effect, is_position_dependent
 
+# The smaller scales of the discrepancy, with the same prior
 BACKGROUND_SCALES_M = DISCREPANCY_SCALES_M[DISCREPANCY_SCALES_M < 2e-3]
+LOG_SCALE_PRIOR = log_scale_prior()[: len(BACKGROUND_SCALES_M)]
 PROBE_FRACTION = 0.01  # of the way from absent to the end of a range: about linear
 
 
@@ -76,65 +74,64 @@ def background_responses(
             continue
         hypothesis = fit.hypothesis.with_cause(effect)
         start = hypothesis.exponents_from(fit.exponents)
-        amplitudes = hypothesis.parameter_indices(effect, amplitude_parameters(effect))
+        amplitudes = hypothesis.amplitude_indices(effect)
+        count = len(amplitudes)
         absent = start[amplitudes]
         end = np.where(absent > 0.5, 0.0, 1.0)
-        chi = np.repeat(start[None], len(amplitudes), axis=0)
-        chi[range(len(amplitudes)), amplitudes] += PROBE_FRACTION * (end - absent)
+        chi = np.repeat(start[None], count, axis=0)
+        chi[range(count), amplitudes] += PROBE_FRACTION * (end - absent)
         residuals = data.residuals(hypothesis.model, chi)
         pairs = zip(residuals, fit.residuals, strict=True)
         changes = [residual - before for residual, before in pairs]
         _append_scaled(responses, data, changes)
     for cause in fit.hypothesis.causes:
-        parameters = amplitude_parameters(cause)
-        amplitudes = fit.hypothesis.parameter_indices(cause, parameters)
+        amplitudes = fit.hypothesis.amplitude_indices(cause)
         _append_scaled(responses, data, [slope[amplitudes] for slope in fit.slopes])
     return [np.concatenate(each) for each in responses]
 
 
 def _append_scaled(
-    responses: Sequence[list[np.ndarray]],
-    data: TrialData,
-    changes: Sequence[np.ndarray],
+    responses: Sequence[list[np.ndarray]], data: TrialData, changes: ByTrial
 ) -> None:
     """Append displacements (C, 2 n) per metre at the tip, if they can be simulated."""
     shift_m = data.overall_tip_rms(changes)
-    largest = [np.abs(change).max(axis=1) for change in changes]
-    diverged = np.any(np.array(largest) > DIVERGED_RESIDUAL / 2, axis=0)
-    kept = ~diverged & (shift_m > 0)
+    largest = np.max([np.abs(change).max(axis=1) for change in changes], axis=0)
+    kept = (largest <= DIVERGED_RESIDUAL / 2) & (shift_m > 0)
     for trial_responses, change in zip(responses, changes, strict=True):
         trial_responses.append(change[kept] / shift_m[kept, None])
 
 
 def posterior_with_background(
-    data: TrialData, fit: Fit, background: Sequence[np.ndarray]
+    data: TrialData, fit: Fit, background: ByTrial
 ) -> BackgroundPosterior:
     """Compute the posterior of a fit's exponents, averaged over background scales."""
-    by_trial = _normal_equations_by_trial(data, fit, background)
-    products, gradient = (np.sum(each, axis=0) for each in by_trial)
+    by_trial, gradient_by_trial = _normal_equations_by_trial(data, fit, background)
+    products = np.sum(by_trial, axis=0)
+    gradient = np.sum(gradient_by_trial, axis=0)
     count = len(fit.chi)
     log_evidence = []
-    shifts = []
+    steps = []
     covariances = []
     for scale_m in BACKGROUND_SCALES_M:
         value, step, normal = _solve_at_scale(products, gradient, count, scale_m)
         log_evidence.append(value)
-        shifts.append(step[:count])
+        steps.append(step[:count])
         covariances.append(np.linalg.inv(normal)[:count, :count])
-    log_weight = np.array(log_evidence) + log_scale_prior()[: len(shifts)]
+
+    # Moments of the mixture over scales
+    log_weight = np.array(log_evidence) + LOG_SCALE_PRIOR
     weight = np.exp(log_weight - logsumexp(log_weight))
-    shift = np.array(shifts)
-    mean = weight @ shift
-    spread = shift - mean
+    mean_step = weight @ np.array(steps)
+    spread = np.array(steps) - mean_step
     within = np.tensordot(weight, np.array(covariances), 1)
-    covariance = within + (weight * spread.T) @ spread
-    return BackgroundPosterior(fit.chi + mean, covariance)
+    between = (weight * spread.T) @ spread
+    return BackgroundPosterior(fit.chi + mean_step, within + between)
 
 
 def background_log_evidence_gains(
-    data: TrialData, fit: Fit, background: Sequence[np.ndarray], weights: np.ndarray
+    data: TrialData, fit: Fit, background: ByTrial, weights: np.ndarray
 ) -> np.ndarray:
-    """Gain of a fit's log evidence by the background, (D,).
+    """Gain of a fit's log evidence by the background, (D,), over none of it.
 
     Parameters
     ----------
@@ -144,39 +141,39 @@ def background_log_evidence_gains(
     by_trial, gradient_by_trial = _normal_equations_by_trial(data, fit, background)
     products = np.tensordot(weights, by_trial, 1)
     gradient = weights @ gradient_by_trial
-    log_evidence = np.array(
-        [
-            _solve_at_scale(products, gradient, len(fit.chi), scale_m)[0]
-            for scale_m in BACKGROUND_SCALES_M
-        ]
-    )
-    prior = log_scale_prior()[: len(BACKGROUND_SCALES_M), None]
-    return np.asarray(logsumexp(log_evidence + prior, axis=0) - log_evidence[0])
+    by_scale = []
+    for scale_m in BACKGROUND_SCALES_M:
+        value, _, _ = _solve_at_scale(products, gradient, len(fit.chi), scale_m)
+        by_scale.append(value)
+    log_evidence = np.array(by_scale)
+    total = logsumexp(log_evidence + LOG_SCALE_PRIOR[:, None], axis=0)
+    return np.asarray(total - log_evidence[0])
 
 
 def _normal_equations_by_trial(
-    data: TrialData, fit: Fit, background: Sequence[np.ndarray]
+    data: TrialData, fit: Fit, background: ByTrial
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Multiply white slopes of parameters and background, the parameters first.
+    """Multiply white slopes of parameters and background, M in all.
 
     Returns
     -------
     products : numpy.ndarray, shape (K, M, M)
+        Those of parameters first.
     gradients : numpy.ndarray, shape (K, M)
         Slopes times the white residual.
     """
     data = data.for_hypothesis(fit.hypothesis)
-    scales = fit.scale_indices
-    residuals = data.whiten_by_trial([r[None] for r in fit.residuals], scales)
+    scale_indices = fit.scale_indices
     pairs = zip(fit.slopes, background, strict=True)
     slopes = [np.concatenate(pair) for pair in pairs]
+    residuals = [residual[None] for residual in fit.residuals]
+    white_slopes = data.whiten_by_trial(slopes, scale_indices)
+    white_residuals = data.whiten_by_trial(residuals, scale_indices)
     products = []
     gradients = []
-    for white, residual in zip(
-        data.whiten_by_trial(slopes, scales), residuals, strict=True
-    ):
-        products.append(white @ white.T)
-        gradients.append(white @ residual[0])
+    for slope, residual in zip(white_slopes, white_residuals, strict=True):
+        products.append(slope @ slope.T)
+        gradients.append(slope @ residual[0])
     return np.array(products), np.array(gradients)
 
 
@@ -184,6 +181,9 @@ def _solve_at_scale(
     products: np.ndarray, gradient: np.ndarray, parameters: int, scale_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Solve the normal equations (..., M, M) with a background of one scale.
+
+    All exponents have the normal prior of a uniform one, amplitudes of causes as well:
+    it only keeps the equations solvable.
 
     Returns
     -------
@@ -197,5 +197,6 @@ def _solve_at_scale(
     normal = products * np.outer(scale, scale) + np.diag(prior)
     scaled = scale * gradient
     step = -np.linalg.solve(normal, scaled[..., None])[..., 0]
-    occam = 0.5 * np.linalg.slogdet(normal)[1]
-    return -0.5 * np.sum(step * scaled, axis=-1) - occam, step, normal
+    gain = -0.5 * np.sum(step * scaled, axis=-1)
+    log_volume = -0.5 * np.linalg.slogdet(normal)[1]
+    return gain + log_volume, step, normal

@@ -9,7 +9,7 @@ import numpy as np
 from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.measures import (
     refit,
-    residuals_without_initial_state_error,
+    residuals_without_nuisance,
 )
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.inference.hypothesis import Hypothesis
@@ -65,7 +65,7 @@ def error_budget(
     fits = nested_fits(state, base)
     mean_squares = []  # [m2], over trials
     for fit in fits:
-        residuals = residuals_without_initial_state_error(data, fit)
+        residuals = residuals_without_nuisance(data, fit)
         mean_squares.append(np.mean(data.tip_rms_by_trial(residuals) ** 2))
     squares = np.minimum.accumulate(mean_squares)
     shares = squares[:-1] - squares[1:]  # 0, not -0, of a cause that explains nothing

@@ -49,9 +49,9 @@ from stringcast.stages.diagnose.measures import (
 from stringcast.stages.diagnose.posteriors import swap_lookalikes_until_stable
 from stringcast.stages.diagnose.predictions import (
     held_out_table,
+    improves_predictions,
     predict_left_out_trials,
     predict_trials,
-    predicts_better,
 )
 from stringcast.stages.diagnose.preparation import (
     prepare_data,
@@ -62,7 +62,6 @@ from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.diagnose.rules import Criteria, VerdictNumbers, has_evidence
 from stringcast.stages.diagnose.verdict import (
-    RESOLUTION,
     Judgement,
     decide_verdict,
     fit_base_to,
@@ -169,17 +168,114 @@ def diagnose(
         If interrupted before there is a base model. An interruption after that ends
         the search with what is known.
     """
-    data = _separate_trials(model, observations, rejected, held_out, criteria, matching)
+    usable, faults = usable_trials(model, observations)
+    rejected = {**rejected, **faults}
+    if not usable:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
+        raise DataError(f"No trial can be used ({reasons}). Check the files it names.")
+    settings = DiagnosisSettings(
+        model,
+        obstacles,
+        seed,
+        starts,
+        criteria,
+        matching,
+        design,
+        excluded_effects,
+        progress,
+    )
+    trials = TrialsByUse(usable, held_out, rejected)
+    if not trials.searched:
+        trials = replace(trials, held_out_names=())
+    return _diagnose_trials(trials, settings)
+
+
+@dataclass(frozen=True)
+class DiagnosisSettings:
+    """The model and the settings of a diagnosis, as of `diagnose`."""
+
+    model: Model
+    obstacles: Sequence[Box]
+    seed: int
+    starts: int
+    criteria: Criteria
+    matching: Matching
+    design: DesignSettings
+    excluded_effects: Sequence[str]
+    progress: Progress
+
+    @property
+    def interval_half_width(self) -> float:
+        """Half width of an interval in standard deviations of the likelihood."""
+        normal = float(norm.ppf(0.5 + self.criteria.coverage / 2))
+        return INTERVAL_WIDENING * normal
+
+
+@dataclass(frozen=True)
+class TrialsByUse:
+    """Trials by their use.
+
+    Attributes
+    ----------
+    observations : sequence of Observation
+        All trials that can be used.
+    held_out_names : sequence of str
+        Names of trials in which only the gain is measured.
+    rejected : dict
+        Names of trials that cannot be used or are chaotic, with the reason.
+    """
+
+    observations: Sequence[Observation]
+    held_out_names: Sequence[str]
+    rejected: Mapping[str, str]
+
+    @property
+    def searched(self) -> list[Observation]:
+        """The trials in which causes are searched."""
+        others = {*self.held_out_names, *self.rejected}
+        return [o for o in self.observations if o.trial not in others]
+
+    @property
+    def held_out(self) -> list[Observation]:
+        """The trials in which only the gain is measured."""
+        return [o for o in self.observations if o.trial in self.held_out_names]
+
+    def without_chaotic(self, names: Sequence[str]) -> TrialsByUse:
+        """Exclude chaotic trials from the search."""
+        chaotic = dict.fromkeys(names, CHAOTIC_REASON)
+        return replace(self, rejected={**self.rejected, **chaotic})
+
+
+class SearchProgress(NamedTuple):
+    """How far a search has come.
+
+    Attributes
+    ----------
+    trials : TrialsByUse
+    prepared : PreparedData
+        Corrected at the base model, before any cause.
+    effects : list of type of Effect
+        The candidates.
+    state : SelectionState
+    """
+
+    trials: TrialsByUse
+    prepared: PreparedData
+    effects: list[type[Effect]]
+    state: SelectionState
+
+
+def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagnosis:
+    criteria = settings.criteria
+    seed = settings.seed
     reached = None
     try:
-        # Base model, corrected data, and causes by forward selection
-        search = _search_until_trials_settle(
-            data, excluded_effects, seed, starts, progress
-        )
-        for reached in search:  # noqa: B007, an interruption needs the last one
+        # Base model, corrected data, and causes by forward selection. The search is a
+        # generator, so that an interruption leaves what it has reached.
+        for reached in _search_until_trials_settle(trials, settings):  # noqa: B007
             pass
         assert reached is not None
-        searched, prepared, effects, state = reached
+        used, prepared, effects, state = reached
 
         # Look-alikes of the accepted causes, and all probabilities
         posteriors = swap_lookalikes_until_stable(state, effects, criteria, seed)
@@ -192,29 +288,13 @@ def diagnose(
             numbers, mesh_too_coarse=_mesh_is_too_coarse(prepared, criteria)
         )
         is_named = bool(name_causes(numbers, criteria).causes)
-        if (
-            searched.held_out
-            and not is_named
-            and _heldout_trials_misfit(state, searched)
-        ):
+        held_out = trials.held_out
+        if not is_named and _held_out_trials_misfit(state, held_out, criteria):
             log.info("held-out trials misfit: the search is repeated on all trials")
-            return diagnose(
-                model,
-                data.observations,
-                data.rejected,
-                (),
-                obstacles,
-                seed=seed,
-                starts=starts,
-                criteria=criteria,
-                matching=matching,
-                design=design,
-                excluded_effects=excluded_effects,
-                progress=progress,
-            )
+            return _diagnose_trials(replace(trials, held_out_names=()), settings)
 
         # The gain on trials that were not fitted, and the verdict
-        gain = _measure_gain(searched, state, base_fit)
+        gain = _measure_gain(used, settings.matching, state, base_fit)
         numbers = gain.added_to(numbers, criteria)
         judgement = Judgement(
             decide_verdict(numbers, criteria),
@@ -223,158 +303,80 @@ def diagnose(
             base_fit,
             posteriors.background,
         )
-        experiment = _propose_experiment(
-            state, judgement, criteria, obstacles, design, seed
-        )
+        experiment = _propose_experiment(state, judgement, settings)
     except InterruptRequest:
         if reached is None:
             raise
-        return _interrupted_diagnosis(reached, seed)
+        log.warning("interrupted: ending with what is known")
+        used, _, effects, state = reached
+        judgement = judge_interrupted_search(state, effects, criteria, seed)
+        gain = HeldOutGain(HELD_OUT.empty(), False)
+        experiment = ProposedExperiment()
     log.info("verdict: %s", judgement.verdict.kind)
-    return build_diagnosis(searched, state, judgement, gain, experiment, seed)
-
-
-@dataclass(frozen=True)
-class DiagnosisInput:
-    """Trials by their use.
-
-    Attributes
-    ----------
-    model : Model
-    observations : sequence of Observation
-        All trials that can be used.
-    rejected : dict
-        Names of other trials, with the reason.
-    searched, held_out : sequence of int
-        Indices of the trials in which causes are searched, and of those in which only
-        the gain is measured.
-    """
-
-    model: Model
-    observations: Sequence[Observation]
-    rejected: Mapping[str, str]
-    searched: Sequence[int]
-    held_out: Sequence[int]
-    criteria: Criteria
-    matching: Matching
-
-    @property
-    def searched_trials(self) -> list[Observation]:
-        """The trials in which causes are searched."""
-        return [self.observations[index] for index in self.searched]
-
-    @property
-    def heldout_trials(self) -> list[Observation]:
-        """The trials in which only the gain is measured."""
-        return [self.observations[index] for index in self.held_out]
-
-    @property
-    def interval_half_width(self) -> float:
-        """Half width of an interval in standard deviations of the likelihood."""
-        normal = float(norm.ppf(0.5 + self.criteria.coverage / 2))
-        return INTERVAL_WIDENING * normal
-
-    def without_chaotic(self, names: Sequence[str]) -> DiagnosisInput:
-        """Exclude chaotic trials from the search."""
-        searched = [k for k in self.searched if self.observations[k].trial not in names]
-        rejected = {**self.rejected, **dict.fromkeys(names, CHAOTIC_REASON)}
-        return replace(self, searched=searched, rejected=rejected)
-
-
-class SearchProgress(NamedTuple):
-    """How far a search has come; `prepared` is the base model, before any cause."""
-
-    data: DiagnosisInput
-    prepared: PreparedData
-    effects: list[type[Effect]]
-    state: SelectionState
-
-
-def _separate_trials(
-    model: Model,
-    observations: Sequence[Observation],
-    rejected: Mapping[str, str],
-    held_out_names: Sequence[str],
-    criteria: Criteria,
-    matching: Matching,
-) -> DiagnosisInput:
-    """Separate usable trials into searched and held-out ones.
-
-    All are searched where all are held out.
-    """
-    usable, faults = usable_trials(model, observations)
-    rejected = {**rejected, **faults}
-    if not usable:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
-        raise DataError(f"No trial can be used ({reasons}). Check the files it names.")
-    held_out = [k for k, o in enumerate(usable) if o.trial in held_out_names]
-    if len(held_out) == len(usable):
-        held_out = []
-    searched = [k for k in range(len(usable)) if k not in held_out]
-    return DiagnosisInput(
-        model, usable, rejected, searched, held_out, criteria, matching
-    )
+    return build_diagnosis(used, settings, state, judgement, gain, experiment)
 
 
 def _search_until_trials_settle(
-    data: DiagnosisInput,
-    excluded_effects: Sequence[str],
-    seed: int,
-    starts: int,
-    progress: Progress,
+    trials: TrialsByUse, settings: DiagnosisSettings
 ) -> Iterator[SearchProgress]:
     """Search causes, and again while the causes change which trials are resolved.
 
     A trial that is chaotic without causes is used from then on if a simulation with
     causes resolves it; one that is chaotic with causes is excluded.
     """
-    criteria = data.criteria
-    keep_if_chaotic = list[str]()
+    criteria = settings.criteria
+    tolerance_m = criteria.tip_tolerance_m
+    seed = settings.seed
+    starts = settings.starts
+    progress = settings.progress
+    resolved_with_causes = list[str]()
     while True:
         log.info("fitting the base model")
-        rng = np.random.default_rng(seed)
         prepared = prepare_data(
-            data.model,
-            data.searched_trials,
-            criteria.tip_tolerance_m,
-            rng,
+            settings.model,
+            trials.searched,
+            tolerance_m,
+            np.random.default_rng(seed),
             starts,
             lambda share: progress(0.3 * share),
-            keep_if_chaotic,
+            resolved_with_causes,
         )
-        base_model = prepared.base_fit.hypothesis.model
-        trials = prepared.data.trials
         effects = candidate_effects(
-            base_model, effects_by_name(), trials, excluded_effects
+            prepared.base_fit.hypothesis.model,
+            effects_by_name(),
+            prepared.data.trials,
+            settings.excluded_effects,
         )
-        resolved = data.without_chaotic(prepared.chaotic_trials)
+        used = trials.without_chaotic(prepared.chaotic_trials)
         state = SelectionState(prepared, prepared.base_fit)
-        yield SearchProgress(resolved, prepared, effects, state)
+        yield SearchProgress(used, prepared, effects, state)
 
         newly_resolved = list[str]()
         states = select_causes(prepared, effects, criteria, seed, starts)
         for number, state in enumerate(states, 1):
             progress(0.3 + 0.5 * number / (criteria.max_causes + 1))
-            newly_resolved = _trials_resolved_with_causes(state, data)
+            newly_resolved = _trials_resolved_with_causes(
+                state, trials.searched, tolerance_m
+            )
             if newly_resolved:
                 break
-            yield SearchProgress(resolved, prepared, effects, state)
+            yield SearchProgress(used, prepared, effects, state)
 
-        chaotic = list[str]()
-        if state.fit.hypothesis.causes:
-            chaotic = unresolvable_trials(state.prepared, criteria.tip_tolerance_m)
         if newly_resolved:
             log.info("resolved with the causes: %s", ", ".join(newly_resolved))
-            keep_if_chaotic += newly_resolved
-        elif chaotic:
-            log.info("chaotic with the causes: %s", ", ".join(chaotic))
-            data = data.without_chaotic((*prepared.chaotic_trials, *chaotic))
-        else:
+            resolved_with_causes += newly_resolved
+            continue
+        chaotic = list[str]()
+        if state.fit.hypothesis.causes:
+            chaotic = unresolvable_trials(state.prepared, tolerance_m)
+        if not chaotic:
             return
+        log.info("chaotic with the causes: %s", ", ".join(chaotic))
+        trials = trials.without_chaotic((*prepared.chaotic_trials, *chaotic))
 
 
 def _trials_resolved_with_causes(
-    state: SelectionState, data: DiagnosisInput
+    state: SelectionState, searched: Sequence[Observation], tolerance_m: float
 ) -> list[str]:
     """Name trials that are chaotic without the causes and resolved with them.
 
@@ -382,14 +384,12 @@ def _trials_resolved_with_causes(
     they do.
     """
     chaotic_names = state.prepared.chaotic_trials
-    chaotic = [o for o in data.searched_trials if o.trial in chaotic_names]
+    chaotic = [o for o in searched if o.trial in chaotic_names]
     if not chaotic or not state.fit.hypothesis.causes:
         return []
     _, uncertainty_m = prepare_further_trials(state.prepared, chaotic, state.fit)
-    is_resolved = uncertainty_m < data.criteria.tip_tolerance_m
-    return [
-        o.trial for o, resolved in zip(chaotic, is_resolved, strict=True) if resolved
-    ]
+    resolved = np.flatnonzero(uncertainty_m < tolerance_m)
+    return [chaotic[k].trial for k in resolved]
 
 
 def _mesh_is_too_coarse(prepared: PreparedData, criteria: Criteria) -> bool:
@@ -402,26 +402,29 @@ def _mesh_is_too_coarse(prepared: PreparedData, criteria: Criteria) -> bool:
     return bool(shift.max() > criteria.tip_tolerance_m)
 
 
-def _heldout_trials_misfit(state: SelectionState, data: DiagnosisInput) -> bool:
+def _held_out_trials_misfit(
+    state: SelectionState, held_out: Sequence[Observation], criteria: Criteria
+) -> bool:
     """Whether held-out trials misfit by more than the tolerance.
 
     The model is fitted to them as well: what the searched trials leave open of its
     parameters is no cause.
     """
-    known = state.prepared.data
+    if not held_out:
+        return False
+    searched = state.prepared.data
     fit = state.fit
-    further, _ = prepare_further_trials(state.prepared, data.heldout_trials, fit)
-    varying = {
-        name: known.random_effects[name] + further.random_effects[name]
-        for name in known.random_effects.keys() & further.random_effects.keys()
-    }
-    together = TrialData(known.trials + further.trials, varying)
-    sizes = np.concatenate(
-        [fit.scale_indices, np.zeros(len(further.trials), dtype=int)]
-    )
-    refit = fit_hypothesis(together, fit.hypothesis, fit.chi[None], sizes)
-    misfit_m = unexplained_tip_rms(together, refit)[len(known.trials) :]
-    return bool(misfit_m.max() > data.criteria.tip_tolerance_m)
+    further, _ = prepare_further_trials(state.prepared, held_out, fit)
+    random_effects = {}
+    for name, shapes in searched.random_effects.items():
+        if name in further.random_effects:
+            random_effects[name] = shapes + further.random_effects[name]
+    together = TrialData(searched.trials + further.trials, random_effects)
+    no_discrepancy = np.zeros(len(further.trials), dtype=int)  # to start with
+    scale_indices = np.concatenate([fit.scale_indices, no_discrepancy])
+    refit = fit_hypothesis(together, fit.hypothesis, fit.chi[None], scale_indices)
+    misfit_m = unexplained_tip_rms(together, refit)[len(searched.trials) :]
+    return bool(misfit_m.max() > criteria.tip_tolerance_m)
 
 
 @dataclass(frozen=True)
@@ -456,92 +459,77 @@ class HeldOutGain:
 
 
 def _measure_gain(
-    data: DiagnosisInput, state: SelectionState, base_fit: Fit
+    trials: TrialsByUse, matching: Matching, state: SelectionState, base_fit: Fit
 ) -> HeldOutGain:
     """Predict held-out trials, or else each trial by the fit to the others."""
-    if len(data.observations) == 1:
+    if len(trials.observations) == 1:
         return HeldOutGain(HELD_OUT.empty(), False)
+    observations = trials.held_out or trials.searched
     fit = state.fit
-    trials = state.prepared.data
-    if data.held_out:
-        observations = data.heldout_trials
-        trials, _ = prepare_further_trials(state.prepared, observations, fit)
+    data = state.prepared.data
+    if trials.held_out:
         predict = predict_trials
-        extended = predict(trials, fit)
+        data, _ = prepare_further_trials(state.prepared, observations, fit)
+        extended = predict_trials(data, fit)
     else:
-        observations = data.searched_trials
         predict = predict_left_out_trials
         extended = state.predictions
     base = extended
     if base_fit is not fit:
-        base = predict(trials, base_fit)
-    table = held_out_table(trials, base, extended, fit, observations, data.matching)
-    return HeldOutGain(table, predicts_better(base, extended))
+        base = predict(data, base_fit)
+    table = held_out_table(data, base, extended, fit, observations, matching)
+    return HeldOutGain(table, improves_predictions(base, extended))
 
 
 def _propose_experiment(
-    state: SelectionState,
-    judgement: Judgement,
-    criteria: Criteria,
-    obstacles: Sequence[Box],
-    design: DesignSettings,
-    seed: int,
+    state: SelectionState, judgement: Judgement, settings: DiagnosisSettings
 ) -> ProposedExperiment:
     """Propose the motion that distinguishes the first group of look-alikes."""
-    groups = judgement.verdict.lookalike_groups
-    names = groups[0] if groups else ()
-    fits = {
-        name: tables.fit_containing(state, judgement, name)
-        for name in names
-        if name != RESOLUTION
-    }
-    rivals = Rivals(fits, state.prepared.data, criteria.deciding_log_odds)
-    rng = np.random.default_rng([seed, DESIGN_RANDOM_STREAM])
-    return design_experiment(rivals, obstacles, design, rng)
-
-
-def _interrupted_diagnosis(reached: SearchProgress, seed: int) -> Diagnosis:
-    """Build the diagnosis of a search that was interrupted."""
-    log.warning("interrupted: ending with what is known")
-    data, _, effects, state = reached
-    judgement = judge_interrupted_search(state, effects, data.criteria, seed)
-    gain = HeldOutGain(HELD_OUT.empty(), False)
-    return build_diagnosis(data, state, judgement, gain, ProposedExperiment(), seed)
+    names = list[str]()
+    for group in judgement.verdict.lookalike_groups[:1]:
+        names += group
+    fits = {name: tables.fit_containing(state, judgement, name) for name in names}
+    log_odds = settings.criteria.deciding_log_odds
+    rivals = Rivals(fits, state.prepared.data, log_odds)
+    rng = np.random.default_rng([settings.seed, DESIGN_RANDOM_STREAM])
+    return design_experiment(rivals, settings.obstacles, settings.design, rng)
 
 
 def build_diagnosis(
-    data: DiagnosisInput,
+    trials: TrialsByUse,
+    settings: DiagnosisSettings,
     state: SelectionState,
     judgement: Judgement,
     gain: HeldOutGain,
     experiment: ProposedExperiment,
-    seed: int,
 ) -> Diagnosis:
     """Assemble the artifact; it shows the base model where no found cause is named."""
-    trials = state.prepared.data
+    data = state.prepared.data
     base_fit = judgement.base_fit
-    is_named = bool(
-        set(judgement.verdict.causes) & set(state.fit.hypothesis.cause_names)
-    )
+    found = set(state.fit.hypothesis.cause_names)
+    is_named = not found.isdisjoint(judgement.verdict.causes)
     shown = state if is_named else replace(state, fit=base_fit)
-    rng = np.random.default_rng([seed, len(trials.trials)])
+    rng = np.random.default_rng([settings.seed, len(data.trials)])
     budget = error_budget(shown, base_fit, rng)
-    nested = budget.nested_fits if is_named else nested_fits(state, base_fit)
-    causes = tables.causes_table(shown, judgement, data.interval_half_width)
-    finding = _finding_table(data, shown, judgement, gain, experiment, budget, causes)
-    tolerance_m = data.criteria.tip_tolerance_m
+    # Causes that were found and not named have entries as well
+    entered_fits = budget.nested_fits if is_named else nested_fits(state, base_fit)
+    causes = tables.causes_table(shown, judgement, settings.interval_half_width)
+    finding = _finding_table(
+        trials, settings, shown, judgement, gain, experiment, budget, causes
+    )
+    criteria = settings.criteria
     return Diagnosis(
         finding=finding,
         causes=causes,
         held_out=gain.table,
         residuals=tables.residuals_table(state.prepared, base_fit, shown.fit),
         hypotheses=tables.hypotheses_table(
-            state, budget.nested_fits, judgement, tolerance_m
+            state, budget.nested_fits, judgement, criteria.tip_tolerance_m
         ),
-        entries=tables.entries_table(trials, nested),
+        entries=tables.entries_table(data, entered_fits),
         screening=tables.screening_table(state),
         likeness=tables.likeness_table(state),
-        missing=tables.missing_table(trials, shown.fit, data.criteria),
+        missing=tables.missing_table(data, shown.fit, criteria),
         commands=experiment.commands,
         control_points=experiment.control_points,
         predicted=experiment.predicted,
@@ -549,7 +537,8 @@ def build_diagnosis(
 
 
 def _finding_table(
-    data: DiagnosisInput,
+    trials: TrialsByUse,
+    settings: DiagnosisSettings,
     shown: SelectionState,
     judgement: Judgement,
     gain: HeldOutGain,
@@ -558,46 +547,49 @@ def _finding_table(
     causes: pd.DataFrame,
 ) -> pd.DataFrame:
     """Build the table FINDING: the verdict, diagnosis.json and extended.yaml."""
-    trials = shown.prepared.data
-    fit = shown.fit
+    data = shown.prepared.data
     base_fit = judgement.base_fit
-    certainty = {}
-    for name, one in (("base", base_fit), ("extended", fit)):
-        tempered_fit = posterior_with_background(trials, one, judgement.background)
-        half_width = data.interval_half_width
-        certainty[name] = tables.parameter_uncertainty(one, tempered_fit, half_width)
-    left = unexplained_document(trials, fit, base_fit, judgement, budget, data.criteria)
-    text = diagnosis_document(
+    uncertainty = {}
+    for name, fit in (("base", base_fit), ("extended", shown.fit)):
+        posterior = posterior_with_background(data, fit, judgement.background)
+        uncertainty[name] = tables.parameter_uncertainty(
+            fit, posterior, settings.interval_half_width
+        )
+    unexplained = unexplained_document(
+        data, shown.fit, base_fit, judgement, budget, settings.criteria
+    )
+    document = diagnosis_document(
         shown.prepared,
         base_fit,
         judgement,
         budget,
         causes,
         gain.table,
-        data.rejected,
-        left,
+        trials.rejected,
+        unexplained,
         experiment.next_experiment,
-        certainty,
+        uncertainty,
     )
-    sentences = (verdict_sentence(judgement, causes), str(left["sentence"]))
+    sentences = (verdict_sentence(judgement, causes), unexplained["sentence"])
+    intervals = uncertainty["extended"]["intervals"]
     row = {
         "verdict": judgement.verdict.kind,
         "sentence": " ".join(filter(None, sentences)),
-        "diagnosis": json.dumps(replace_non_finite(text), indent=2),
-        "extended": _extended_model_yaml(data, fit, certainty["extended"]["intervals"]),
+        "diagnosis": json.dumps(replace_non_finite(document), indent=2),
+        "extended": _extended_model_yaml(settings.model, shown.fit, intervals),
     }
     return DIAGNOSIS_SUMMARY.check(pd.DataFrame([row]))
 
 
 def _extended_model_yaml(
-    data: DiagnosisInput, fit: Fit, intervals: Mapping[str, Sequence[float]]
+    model: Model, fit: Fit, intervals: Mapping[str, Sequence[float]]
 ) -> str:
     """Write the model with its causes as settings; a header marks a base model."""
-    parameters = [
-        c.qualified_name(p) for c in fit.hypothesis.causes for p in c.parameters
-    ]
-    known = {name: intervals[name] for name in parameters}
-    text = yaml.safe_dump(
-        extended_model_settings(data.model, fit, known), sort_keys=False
-    )
-    return text if parameters else BASE_MODEL_HEADER + text
+    cause_intervals = {}
+    for cause in fit.hypothesis.causes:
+        for parameter in cause.parameters:
+            name = cause.qualified_name(parameter)
+            cause_intervals[name] = intervals[name]
+    extended = extended_model_settings(model, fit, cause_intervals)
+    text = yaml.safe_dump(extended, sort_keys=False)
+    return text if cause_intervals else BASE_MODEL_HEADER + text

@@ -315,9 +315,7 @@ def _log_prior_cost(response: _EffectResponse) -> np.ndarray:
     """Log evidence of an effect before the data count, as of `laplace`, (C,)."""
     norm = np.maximum(np.linalg.norm(response.whitened, axis=1), NEGLIGIBLE_RESPONSE)
     sigmas_per_metre = norm / response.tip_shifts_m
-    parameter = response.parameter
-    is_two_sided = parameter.low < parameter.start < parameter.high
-    density = tip_shift_density(response.tip_shifts_m, is_two_sided)
+    density = tip_shift_density(response.tip_shifts_m, response.parameter)
     density = np.maximum(density, np.finfo(float).tiny)
     return np.asarray(np.log(density * np.sqrt(2 * np.pi) / sigmas_per_metre))
 

@@ -28,12 +28,10 @@ def refit(data: TrialData, fit: Fit, hypothesis: Hypothesis) -> Fit:
     )
 
 
-def residuals_without_initial_state_error(
-    data: TrialData, fit: Fit
-) -> list[np.ndarray]:
+def residuals_without_nuisance(data: TrialData, fit: Fit) -> list[np.ndarray]:
     """Subtract the most likely initial-state error from a fit's residuals, (2 n,)."""
     extended = data.for_hypothesis(fit.hypothesis)
-    return extended.without_initial_state_error(fit.residuals, fit.scale_indices)
+    return extended.without_nuisance(fit.residuals, fit.scale_indices)
 
 
 def unexplained_tip_rms(data: TrialData, fit: Fit) -> np.ndarray:

@@ -8,7 +8,7 @@ Yao, Vehtari, Simpson, Gelman, Bayesian Analysis 13, 917, 2018).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +28,7 @@ from stringcast.stages.diagnose.measures import refit, tip_shift_rms
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
-from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import Effect
 
 PRIOR_NO_EFFECT = 0.5  # probability that no effect of the library is active
@@ -53,9 +53,14 @@ class SingleEffectPosterior:
     fits: Mapping[str, Fit]
     fit_without: Fit
 
+    @property
+    def ranked(self) -> list[str]:
+        """The candidates, and none (""), the most probable first."""
+        return sorted(self.probabilities, key=lambda name: -self.probabilities[name])
+
     def credible_set(self, coverage: float) -> tuple[str, ...]:
-        """Take the fewest candidates with so much probability, the likeliest first."""
-        ranked = sorted(self.probabilities, key=lambda name: -self.probabilities[name])
+        """Take the fewest candidates with so much probability, as they are ranked."""
+        ranked = self.ranked
         total = np.cumsum([self.probabilities[name] for name in ranked])
         last = int(np.searchsorted(total, coverage * total[-1]))
         return tuple(ranked[: last + 1])
@@ -75,7 +80,7 @@ class Posteriors:
     """
 
     state: SelectionState
-    background: Sequence[np.ndarray]
+    background: ByTrial
     by_cause: tuple[SingleEffectPosterior, ...]
 
 
@@ -87,62 +92,80 @@ def swap_lookalikes_until_stable(
 ) -> Posteriors:
     """Replace causes by more probable look-alikes until none is left.
 
-    A cause is replaced where its credible set holds another effect, or none, instead.
-    There are at most as many changes as causes.
+    Each change starts anew, and the last posteriors are those of all places: after as
+    many changes as causes, one more is made without new posteriors.
     """
-    for changes_left in range(len(state.fit.hypothesis.causes), -1, -1):
+    changes_left = len(state.fit.hypothesis.causes)
+    is_settled = False
+    while not is_settled:
         background = background_responses(state.prepared.data, state.fit, effects)
-        names = state.fit.hypothesis.cause_names
-        posteriors = list[SingleEffectPosterior]()
+        by_cause = list[SingleEffectPosterior]()
         replacement = None
         for posterior in _single_effect_posteriors(
             state, effects, background, criteria, seed
         ):
-            posteriors.append(posterior)
-            credible = posterior.credible_set(criteria.coverage)
-            is_stable = credible[0] and {*names} & {*credible}
-            if names and not is_stable and replacement is None:
-                replacement = posterior.fits.get(credible[0], posterior.fit_without)
-            if changes_left and replacement is not None:
+            by_cause.append(posterior)
+            if replacement is None:
+                replacement = _more_probable_fit(posterior, state, criteria)
+            if replacement is not None and changes_left:
                 break
-        if replacement is None:
-            break
-        state = with_fit(state, replacement)
+        is_settled = replacement is None or not changes_left
+        changes_left -= 1
+        if replacement is not None:
+            state = with_fit(state, replacement)
 
-    posteriors = posteriors[::-1]
-    likeliest = with_most_probable_causes(state, posteriors)
+    by_cause.reverse()
+    likeliest = with_most_probable_causes(state, by_cause)
     if replacement is not None or likeliest is not state:
         background = background_responses(
             likeliest.prepared.data, likeliest.fit, effects
         )
-    return Posteriors(likeliest, background, tuple(posteriors))
+    return Posteriors(likeliest, background, tuple(by_cause))
+
+
+def _more_probable_fit(
+    posterior: SingleEffectPosterior, state: SelectionState, criteria: Criteria
+) -> Fit | None:
+    """Find the fit with what is more probable in a place, or None.
+
+    A credible set that holds a cause of the model, in whichever place, is no reason to
+    change, unless most probable is that the place is empty.
+    """
+    names = state.fit.hypothesis.cause_names
+    credible = posterior.credible_set(criteria.coverage)
+    likeliest = credible[0]
+    holds_a_cause = likeliest and not set(names).isdisjoint(credible)
+    if not names or holds_a_cause:
+        return None
+    return posterior.fits.get(likeliest, posterior.fit_without)
 
 
 def with_most_probable_causes(
     state: SelectionState, posteriors: Sequence[SingleEffectPosterior]
 ) -> SelectionState:
     """Put the likeliest effect into each place if the evidence is then higher."""
-    fits = [each.fits.get(each.credible_set(0.0)[0]) for each in posteriors]
-    likeliest = {fit.hypothesis.causes[-1]: fit for fit in fits if fit is not None}
+    exponents = dict(state.fit.exponents)
+    likeliest = dict[type[Effect], None]()  # in the order of the places
+    for posterior in posteriors:
+        fit = posterior.fits.get(posterior.ranked[0])
+        if fit is not None:
+            likeliest[fit.hypothesis.causes[-1]] = None
+            exponents |= fit.exponents
     causes = state.fit.hypothesis.causes
-    data = state.prepared.data
     if len(likeliest) != len(causes) or likeliest.keys() == {*causes}:
         return state
-    exponents = dict(state.fit.exponents)
-    for fit in likeliest.values():
-        exponents |= fit.exponents
     together = Hypothesis(state.fit.hypothesis.base, tuple(likeliest))
     start = together.exponents_from(exponents)
-    other = with_fit(
-        state, fit_hypothesis(data, together, start[None], state.fit.scale_indices)
-    )
+    scale_indices = state.fit.scale_indices
+    fit = fit_hypothesis(state.prepared.data, together, start[None], scale_indices)
+    other = with_fit(state, fit)
     return other if other.fit.log_evidence > state.fit.log_evidence else state
 
 
 def _single_effect_posteriors(
     state: SelectionState,
     effects: Sequence[type[Effect]],
-    background: Sequence[np.ndarray],
+    background: ByTrial,
     criteria: Criteria,
     seed: int,
 ) -> Iterator[SingleEffectPosterior]:
@@ -154,7 +177,7 @@ def _single_effect_posteriors(
     data = state.prepared.data
     causes = state.fit.hypothesis.causes
     weights = bootstrap_weights(len(data.trials), seed)
-    steps = iter(state.steps[-1:])
+    steps: Iterable[SelectionStep] = state.steps[-1:]
     if causes:
         steps = (
             _compare_alternatives(state, cause, effects, criteria, seed)
@@ -174,12 +197,11 @@ def _compare_alternatives(
     seed: int,
 ) -> SelectionStep:
     """Compare what else may be in the place of a cause, the others staying."""
+    # The only cause was compared with all others when it was accepted
     first = state.steps[0]
     hypothesis = state.fit.hypothesis
-    if (
-        first.best is not None
-        and first.best.hypothesis.cause_names == hypothesis.cause_names
-    ):
+    best = first.best
+    if best is not None and best.hypothesis.cause_names == hypothesis.cause_names:
         return first
     data = state.prepared.data
     others = hypothesis.without_cause(cause)
@@ -200,7 +222,7 @@ def bootstrap_weights(trials: int, seed: int) -> np.ndarray:
 def single_effect_posterior(
     data: TrialData,
     step: SelectionStep,
-    background: Sequence[np.ndarray],
+    background: ByTrial,
     weights: np.ndarray,
     candidates: int,
     min_tip_shift_m: float,
@@ -218,21 +240,22 @@ def single_effect_posterior(
         Number of effects that share the prior probability of one being active.
     """
     competing = step.refined or step.fits
-    fits = {
-        fit.hypothesis.cause_names[-1]: fit for fit in competing if not fit.diverged
-    }
-    log_prior = np.log((1 - PRIOR_NO_EFFECT) / candidates)
-    log_odds = {}
+    fits = {}
+    for fit in competing:
+        if not fit.diverged:
+            fits[fit.hypothesis.cause_names[-1]] = fit
+
+    log_posterior = {}  # (samples,) each, not normalised
+    prior_of_each = (1 - PRIOR_NO_EFFECT) / candidates
     for name, fit in {"": step.parent, **fits}.items():
+        log_prior = np.log(prior_of_each if name else PRIOR_NO_EFFECT)
         resampled = fit.log_evidence + (weights - 1) @ fit.log_likelihood_by_trial
-        tempered = resampled + background_log_evidence_gains(
-            data, fit, background, weights
-        )
-        log_odds[name] = tempered + (log_prior if name else np.log(PRIOR_NO_EFFECT))
-    total = logsumexp(list(log_odds.values()), axis=0)
-    probabilities = {
-        name: float(np.mean(np.exp(value - total))) for name, value in log_odds.items()
-    }
+        gains = background_log_evidence_gains(data, fit, background, weights)
+        log_posterior[name] = resampled + gains + log_prior
+    total = logsumexp(list(log_posterior.values()), axis=0)
+    probabilities = {}
+    for name, value in log_posterior.items():
+        probabilities[name] = float(np.mean(np.exp(value - total)))
     for name, fit in fits.items():
         if tip_shift_rms(data, step.parent, fit).max() < min_tip_shift_m:
             probabilities[""] += probabilities.pop(name)

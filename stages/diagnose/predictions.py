@@ -68,7 +68,7 @@ def _predict_trial(data: TrialData, fit: Fit, number: int) -> Prediction:
     )
     residuals = trial.residuals(fit.hypothesis.model, fit.chi[None])
     log_likelihoods = trial.log_likelihood_by_scale(residuals)[:, 0]
-    (residual,) = trial.without_initial_state_error(
+    (residual,) = trial.without_nuisance(
         [residuals[0][0]], best_scale_index(log_likelihoods)
     )
     return Prediction(fit, residual, float(marginal_log_likelihood(log_likelihoods)[0]))
@@ -119,7 +119,9 @@ def log_likelihood_gains(
     return np.array([more.log_likelihood - less.log_likelihood for less, more in pairs])
 
 
-def predicts_better(base: Sequence[Prediction], extended: Sequence[Prediction]) -> bool:
+def improves_predictions(
+    base: Sequence[Prediction], extended: Sequence[Prediction]
+) -> bool:
     """Whether the extended model is closer to the trials, and makes them likelier."""
     squares = []
     log_likelihoods = []

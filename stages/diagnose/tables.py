@@ -27,7 +27,7 @@ from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.measures import (
     fixed_leave_one_out_gain,
     mean_explained_fraction,
-    residuals_without_initial_state_error,
+    residuals_without_nuisance,
     tip_shift_rms,
     unexplained_tip_rms,
 )
@@ -55,8 +55,8 @@ def residuals_table(prepared: PreparedData, base: Fit, extended: Fit) -> pd.Data
     """Build the table RESIDUALS: measured points and strings on an infinite mesh."""
     data = prepared.data
     frames = []
-    base_residuals = residuals_without_initial_state_error(data, base)
-    extended_residuals = residuals_without_initial_state_error(data, extended)
+    base_residuals = residuals_without_nuisance(data, base)
+    extended_residuals = residuals_without_nuisance(data, extended)
     for k, (measured, trial) in enumerate(
         zip(prepared.trials, data.trials, strict=True)
     ):
@@ -150,8 +150,8 @@ def entries_table(data: TrialData, nested: Sequence[Fit]) -> pd.DataFrame:
     for number, (less, more) in enumerate(pairwise(nested), 1):
         gains = more.log_likelihood_by_trial - less.log_likelihood_by_trial
         residuals = {
-            "before": residuals_without_initial_state_error(data, less),
-            "after": residuals_without_initial_state_error(data, more),
+            "before": residuals_without_nuisance(data, less),
+            "after": residuals_without_nuisance(data, more),
         }
         for k, trial in enumerate(data.trials):
             squares = {}

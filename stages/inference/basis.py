@@ -21,6 +21,7 @@ KNOT_SPACING_S = 0.015  # [s] from spline to spline: motion up to 30 Hz
 MAX_SPLINES = 64  # longer trials have coarser splines
 MIN_FRAMES_PER_SPLINE = 2  # frames from spline to spline where the noise is estimated
 RANK_TOLERANCE = 1e-8  # of the largest eigenvalue: less is no direction of its own
+NODE_JITTER = 1e-9  # of the variance: keeps the covariance of nodes positive
 
 
 def knot_spacing(times: np.ndarray) -> float:
@@ -29,17 +30,16 @@ def knot_spacing(times: np.ndarray) -> float:
     return max(KNOT_SPACING_S, MIN_FRAMES_PER_SPLINE * frame)
 
 
-def time_nodes(times: np.ndarray, every: float) -> np.ndarray:
-    """Place nodes [s] over times (F,), one every so many seconds."""
-    span = float(np.ptp(times))
-    count = min(int(np.ceil(span / every)) + 1, MAX_SPLINES)
+def time_nodes(times: np.ndarray, spacing: float) -> np.ndarray:
+    """Place nodes [s] over times (F,), about `spacing` seconds apart."""
+    intervals = int(np.ceil(float(np.ptp(times)) / spacing))
+    count = min(intervals + 1, MAX_SPLINES)
     return np.linspace(times[0], times[-1], count)
 
 
-def time_splines(times: np.ndarray, every: float = KNOT_SPACING_S) -> csr_array:
-    """Evaluate cubic B-splines at times (F,), one every so many seconds, (F, B)."""
-    inner = time_nodes(times, every)
-    knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
+def time_splines(times: np.ndarray, spacing: float = KNOT_SPACING_S) -> csr_array:
+    """Evaluate cubic B-splines at times (F,), `spacing` seconds apart, (F, B)."""
+    knots = np.pad(time_nodes(times, spacing), 3, mode="edge")
     return BSpline.design_matrix(times, knots, 3)
 
 
@@ -48,13 +48,15 @@ def place_functions(s: np.ndarray, length: float) -> np.ndarray:
 
     length: of the string [m]. K: PLACE_FUNCTIONS.
     """
-    places = length * np.arange(1, PLACE_FUNCTIONS + 1) / PLACE_FUNCTIONS
+    nodes = length * np.arange(1, PLACE_FUNCTIONS + 1) / PLACE_FUNCTIONS
+    correlation_length = PLACE_CORRELATION_SHARE * length
 
     def squared_exponential(gap: np.ndarray) -> np.ndarray:
-        scaled = gap / (PLACE_CORRELATION_SHARE * length)
+        scaled = gap / correlation_length
         return np.asarray(np.exp(-0.5 * scaled**2))
 
-    return nystrom_root(s, places, squared_exponential) * (s / length)[:, None]
+    root = nystrom_root(s, nodes, squared_exponential)
+    return root * (s / length)[:, None]
 
 
 def tensor_products(time: csr_array, place: np.ndarray) -> csr_array:
@@ -64,13 +66,15 @@ def tensor_products(time: csr_array, place: np.ndarray) -> csr_array:
 
 
 def nystrom_root(
-    where: np.ndarray, at: np.ndarray, kernel: Callable[[np.ndarray], np.ndarray]
+    points: np.ndarray, nodes: np.ndarray, kernel: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
     """Compute a root (n, M) of a kernel's covariance of points (n,) from nodes (M,).
 
-    It is the Nystrom approximation: root @ root.T is about kernel(|where - where'|).
+    It is the Nystrom approximation: root @ root.T is about kernel(|point - point'|).
     """
-    among_nodes = kernel(np.abs(at[:, None] - at)) + 1e-9 * np.eye(len(at))
-    to_nodes = kernel(np.abs(where[:, None] - at))
-    root = cholesky(among_nodes, lower=True)
-    return np.asarray(solve_triangular(root, to_nodes.T, lower=True).T)
+    among_nodes = kernel(np.abs(nodes[:, None] - nodes))
+    among_nodes = among_nodes + NODE_JITTER * np.eye(len(nodes))
+    to_nodes = kernel(np.abs(points[:, None] - nodes))
+    node_root = cholesky(among_nodes, lower=True)
+    root = solve_triangular(node_root, to_nodes.T, lower=True)
+    return np.asarray(root.T)

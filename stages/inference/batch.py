@@ -30,26 +30,26 @@ SEPARATE_HANDS_COST = 1.15
 
 
 def normalised_residuals(
-    model: Model, cases: Sequence[PreparedTrial], values: np.ndarray
+    model: Model, trials: Sequence[PreparedTrial], values: np.ndarray
 ) -> list[np.ndarray]:
     """Compute simulated less measured points over sigma of candidates (C, P).
 
     Returns both coordinates of each point of each trial, (C, 2 n); NaN where a run was
     rejected.
     """
-    parts: list[list[np.ndarray]] = [[] for _ in cases]
+    chunks: list[list[np.ndarray]] = [[] for _ in trials]
     for first in range(0, len(values), MAX_BATCH_CANDIDATES):
         chunk = values[first : first + MAX_BATCH_CANDIDATES]
-        simulated = simulate_trials(model, cases, chunk)
-        for part, trial, strings in zip(parts, cases, simulated, strict=True):
-            distance = trial.sample_at_points(strings) - trial.points
+        simulated = simulate_trials(model, trials, chunk)
+        for k, trial in enumerate(trials):
+            distance = trial.sample_at_points(simulated[k]) - trial.points
             normalised = distance / trial.sigma[:, None]
-            part.append(normalised.reshape(len(chunk), -1))
-    return [np.concatenate(part) for part in parts]
+            chunks[k].append(normalised.reshape(len(chunk), -1))
+    return [np.concatenate(residuals) for residuals in chunks]
 
 
 def simulate_trials(
-    model: Model, cases: Sequence[PreparedTrial], values: np.ndarray
+    model: Model, trials: Sequence[PreparedTrial], values: np.ndarray
 ) -> list[np.ndarray]:
     """Simulate candidates (C, P) in each trial.
 
@@ -58,68 +58,71 @@ def simulate_trials(
     their clocks.
     """
     groups: defaultdict[object, list[int]] = defaultdict(list)
-    starts = []
-    for i, trial in enumerate(cases):
-        at_rest = trial.initial_state is None
-        starts.append(
-            trial.motion.start if trial.initial_state is None else trial.initial_state.t
-        )
-        groups[at_rest, starts[i], trial.motion.tick].append(i)
+    durations = []
+    for k, trial in enumerate(trials):
+        state = trial.initial_state
+        start = trial.motion.start if state is None else state.t
+        durations.append(float(trial.times[-1] - start))
+        groups[state is None, start, trial.motion.tick].append(k)
 
-    rounds = len(values) / kernel_codegen.LANES / get_num_threads()
-    result: dict[int, np.ndarray] = {}
-    for numbers in groups.values():
-        seconds = [float(cases[i].times[-1] - starts[i]) for i in numbers]
-        for batch in _plan_batches(seconds, rounds):
-            members = [numbers[i] for i in batch]
-            points = _simulate_batch(model, [cases[i] for i in members], values)
-            result |= zip(members, points, strict=True)
-    return [result[i] for i in range(len(cases))]
+    loads = len(values) / kernel_codegen.LANES / get_num_threads()
+    simulated: dict[int, np.ndarray] = {}
+    for group in groups.values():
+        seconds = [durations[k] for k in group]
+        for batch in _plan_batches(seconds, loads):
+            members = [group[i] for i in batch]
+            points = _simulate_batch(model, [trials[k] for k in members], values)
+            simulated |= zip(members, points, strict=True)
+    return [simulated[k] for k in range(len(trials))]
 
 
-def _plan_batches(seconds: Sequence[float], rounds: float) -> list[list[int]]:
+def _plan_batches(seconds: Sequence[float], loads: float) -> list[list[int]]:
     """Split trials into batches of the least total time (dynamic programming).
 
-    A batch lasts as long as its longest trial.
+    A batch lasts as long as its longest trial, as often as its candidates fill the
+    vector units of all cores.
 
-    seconds: the length of each trial. rounds: how often the candidates of one would
-    fill the vector units of all cores.
+    seconds: the length of each trial. loads: how often the candidates of one trial fill
+    the vector units.
     """
-    order = [int(i) for i in np.argsort(seconds, kind="stable")]
-    best: list[tuple[float, list[list[int]]]] = [(0.0, [])]  # of the shortest trials
+    order = np.argsort(seconds, kind="stable").tolist()
+    plans: list[tuple[float, list[list[int]]]] = [(0.0, [])]  # of the shortest trials
     for last in range(1, len(order) + 1):
         options = []
         for first in range(last):
             batch = order[first:last]
             cost = SEPARATE_HANDS_COST if len(batch) > 1 else 1.0
-            steps = cost * np.ceil(len(batch) * rounds) * seconds[batch[-1]]
-            price, batches = best[first]
-            options.append((price + (BATCH_OVERHEAD_S + steps), [*batches, batch]))
-        best.append(min(options, key=lambda option: option[0]))
-    return best[-1][1]
+            steps_s = cost * np.ceil(len(batch) * loads) * seconds[batch[-1]]
+            total_s, batches = plans[first]
+            total_s = total_s + (BATCH_OVERHEAD_S + steps_s)
+            options.append((total_s, [*batches, batch]))
+        plans.append(min(options, key=lambda plan: plan[0]))
+    return plans[-1][1]
 
 
 def _simulate_batch(
-    model: Model, cases: Sequence[PreparedTrial], values: np.ndarray
+    model: Model, trials: Sequence[PreparedTrial], values: np.ndarray
 ) -> list[np.ndarray]:
     """Simulate candidates in trials that share a batch.
 
     Clocks of strings that move count from their first moment, shorter trials stay at
     their last moment, and hands that end earlier rest.
     """
-    if len(cases) == 1:
-        (trial,) = cases
+    if len(trials) == 1:
+        (trial,) = trials
         motion = model.simulate_observation(
             trial.motion, values, trial.times, trial.initial_state, trial.turn
         )
         return [motion.points]
 
-    lanes = [_lane(model, trial, values) for trial in cases]
+    lanes = [_lane(model, trial, values) for trial in trials]
     frames = max(lane.times.shape[1] for lane in lanes)
     ticks = max(lane.hand.pose.shape[1] for lane in lanes)
     count = len(values)
 
-    times, poses, rates = [], [], []
+    times = []
+    poses = []
+    rates = []
     for lane in lanes:
         missing = frames - lane.times.shape[1]
         times.append(np.pad(lane.times, ((0, 0), (0, missing)), mode="edge"))
@@ -129,23 +132,25 @@ def _simulate_batch(
         rates.append(rate)
 
     first = lanes[0].hand
-    hand = HandMotion(
-        first.start, first.tick, _stack_rows(poses, count), _stack_rows(rates, count)
-    )
-    string = np.tile(values[:, : len(model.string.parameters)], (len(cases), 1))
-    states = _stack_states(
-        [lane.start for lane in lanes if lane.start is not None], count
-    )
-    turn = np.repeat([trial.turn for trial in cases], count)
     motion = simulate(
-        model.string, hand, string, _stack_rows(times, count), states, turn
+        model.string,
+        HandMotion(
+            first.start,
+            first.tick,
+            _stack_rows(poses, count),
+            _stack_rows(rates, count),
+        ),
+        np.tile(values[:, : len(model.string.parameters)], (len(trials), 1)),
+        _stack_rows(times, count),
+        _stack_states([lane.start for lane in lanes], count),
+        np.repeat([trial.turn for trial in trials], count),
     )
 
     reported = []
-    strings = np.split(motion.points, len(cases))
-    for trial, lane, points in zip(cases, lanes, strings, strict=True):
-        kept = points[:, : lane.times.shape[-1]]
-        reported.append(model.observed_points(kept, values, trial.times))
+    strings = np.split(motion.points, len(trials))
+    for trial, lane, points in zip(trials, lanes, strings, strict=True):
+        own_frames = points[:, : lane.times.shape[1]]
+        reported.append(model.observed_points(own_frames, values, trial.times))
     return reported
 
 
@@ -167,20 +172,22 @@ def _lane(model: Model, trial: PreparedTrial, values: np.ndarray) -> _Lane:
     return _Lane(hand.starting_at(start.t), start.times_since_start(moments), start)
 
 
-def _stack_states(states: Sequence[StringState], count: int) -> StringState | None:
+def _stack_states(
+    starts: Sequence[StringState | None], count: int
+) -> StringState | None:
     """Stack the states of several trials for so many candidates of each.
 
     Time counts from their first moment. None of trials at rest.
     """
+    states = [state for state in starts if state is not None]
     if not states:
         return None
-    s = _stack_rows([np.atleast_2d(state.s) for state in states], count)
-    angle = _stack_rows([np.atleast_2d(state.angle) for state in states], count)
-    rate = _stack_rows([np.atleast_2d(state.rate) for state in states], count)
-    let_back = _stack_rows(
-        [np.atleast_1d(state.memory_reversal) for state in states], count
-    )
-    return StringState(0.0, s, angle, rate, let_back)
+    s = [np.atleast_2d(state.s) for state in states]
+    angle = [np.atleast_2d(state.angle) for state in states]
+    rate = [np.atleast_2d(state.rate) for state in states]
+    reversal = [np.atleast_1d(state.memory_reversal) for state in states]
+    stacked = [_stack_rows(rows, count) for rows in (s, angle, rate, reversal)]
+    return StringState(0.0, *stacked)
 
 
 def _stack_rows(parts: Sequence[np.ndarray], count: int) -> np.ndarray:

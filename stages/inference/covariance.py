@@ -1,5 +1,8 @@
 """How sure fitted parameters are: a jackknife over blocks of time.
 
+This is the uncertainty of an estimation, whose residuals are not modelled. A diagnosis
+models them, and has the curvature of `laplace`.
+
 Residuals of neighbouring points and frames are not independent, and a model that misses
 something leaves residuals that change slowly. So a whole block of time is left out in
 turn; how parameters move then gives their covariance, whatever the correlation within a
@@ -95,18 +98,22 @@ def jackknife_covariance(
     """
     order = np.argsort(block, kind="stable")
     ends = np.flatnonzero(np.diff(block[order])) + 1
-    normals, gradients = [], []
+    normals = []  # H_b, (P, P)
+    gradients = []  # g_b, (P,)
     for members in np.split(order, ends):
-        weighted = weight[members] * slope[:, members]
-        normals.append(weighted @ slope[:, members].T)
+        block_slope = slope[:, members]
+        weighted = weight[members] * block_slope
+        normals.append(weighted @ block_slope.T)
         gradients.append(weighted @ residual[members])
 
     prior = PRIOR_PRECISION * np.eye(len(slope))
-    normal = np.sum(normals, axis=0) + prior
-    steps = np.linalg.solve(normal - np.stack(normals), np.stack(gradients)[..., None])
-    moves = steps[..., 0]
-    moves -= moves.mean(axis=0)
+    normal = np.sum(normals, axis=0) + prior  # H
+    without_block = normal - np.stack(normals)
+    gradient = np.stack(gradients)[..., None]
+    steps = np.linalg.solve(without_block, gradient)[..., 0]
+    steps -= steps.mean(axis=0)
 
-    count, inverse = len(normals), np.linalg.inv(normal)
-    spread = (count - 1) / count * moves.T @ moves
+    count = len(normals)
+    inverse = np.linalg.inv(normal)
+    spread = (count - 1) / count * steps.T @ steps
     return Covariance(spread + inverse @ prior @ inverse, count)

@@ -11,6 +11,9 @@ A trial is expanded in a basis of smooth functions of time and place, turned suc
 noise (`noise`) is white and the discrepancy diagonal. Trying a scale then costs
 nothing. What the basis does not reach is noise, and gives its size.
 
+U has three kinds of columns, in this order: modes of the initial state, the uncertain
+part of the discretisation error, and random effects of causes.
+
 References
 ----------
 Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425. Higdon et al. 2008, JASA 103, 570.
@@ -20,7 +23,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy.linalg import eigh
@@ -38,9 +41,11 @@ from stringcast.stages.inference.basis import (
     time_nodes,
     time_splines,
 )
-from stringcast.stages.inference.noise import Noise, NoiseTrack, gram_roots, noise_track
+from stringcast.stages.inference.noise import NoiseTrack, gram_roots, noise_track
 from stringcast.stages.inference.whitening import LowRankWhitening
-from stringcast.stages.model.model import Model
+
+if TYPE_CHECKING:
+    from stringcast.stages.inference.prepared_trial import PreparedTrial
 
 MATERN_TIME_S = 0.08  # [s]: 0.05 to 0.12 suited nine fits of strings of 0.3 m
 # Scales s [m], each 1.56 times the last; no string is farther off.
@@ -48,34 +53,6 @@ DISCREPANCY_SCALES_M = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])
 MEDIAN_SCALE_M = 5e-4  # [m] of s: half of all trials have less (half-Cauchy)
 # of all numbers: fewer beyond what splines reach do not give the noise
 MIN_FREE_SHARE = 0.2
-
-
-class MeasuredTrial(Protocol):
-    """The part of a prepared trial that the discrepancy depends on."""
-
-    @property
-    def model(self) -> Model:
-        """The model, whose string's length counts."""
-
-    @property
-    def times(self) -> np.ndarray:
-        """The frame times, (F,) [s]."""
-
-    @property
-    def frame(self) -> np.ndarray:
-        """The frame index of each measured point, (n,)."""
-
-    @property
-    def s(self) -> np.ndarray:
-        """The arc length of each measured point, (n,) [m]."""
-
-    @property
-    def sigma(self) -> np.ndarray:
-        """The standard deviation of each measured point, (n,) [m]."""
-
-    @property
-    def noise(self) -> Noise:
-        """The correlation of the points' noise."""
 
 
 @dataclass(frozen=True)
@@ -109,33 +86,38 @@ class Discrepancy:
 
     @classmethod
     def for_trial(
-        cls, trial: MeasuredTrial, growth: np.ndarray, nuisance: np.ndarray
+        cls, trial: PreparedTrial, growth: np.ndarray, nuisance: np.ndarray
     ) -> Discrepancy:
         """Build the basis of a trial in which noise and discrepancy are diagonal.
 
         Parameters
         ----------
         trial
-            Times, places and noise matter.
+            Only its points' times, places and noise count, not where they are.
         growth
-            Of d at each frame, (F,).
+            Relative size of d at each frame, (F,).
         nuisance
             U over sigma, (2 n, m).
         """
         time = time_splines(trial.times)
         place = place_functions(trial.s, trial.model.string.length)
         splines = tensor_products(time[trial.frame], place)
+
+        # From sums over points to coefficients in which noise is white
         roots = gram_roots(place, trial.frame, len(trial.times))
         values, vectors = eigh(trial.noise.covariance(time, roots))
         kept = values > RANK_TOLERANCE * values[-1]
         vectors = vectors[:, kept]
-
-        # From sums over points to coefficients in which noise is white
         whiten = (vectors / np.sqrt(values[kept])).T
+
+        # Rotated such that the discrepancy is diagonal
         smooth_root = whiten @ (splines.T @ _kernel_root(trial, growth))
         variance, rotation = eigh(smooth_root @ smooth_root.T)
-        of_splines = whiten @ (splines.T @ splines).toarray() @ vectors
-        to_splines = vectors @ np.linalg.solve(of_splines, rotation)
+
+        # Back to splines, by the coefficients of the splines themselves
+        gram = (splines.T @ splines).toarray()
+        spline_coefficients = whiten @ gram @ vectors
+        to_splines = vectors @ np.linalg.solve(spline_coefficients, rotation)
 
         without_nuisance = cls(
             splines,
@@ -149,40 +131,43 @@ class Discrepancy:
 
     def coefficients(self, residual: np.ndarray) -> np.ndarray:
         """Expand residuals over sigma (C, 2 n) in the basis, (C, 2 M)."""
-        count, points = len(residual), self.splines.shape[0]
+        count = len(residual)
+        points = self.splines.shape[0]
         number = len(self.to_coefficients)
         by_point = residual.reshape(count, points, 2).transpose(1, 0, 2)
         sums = self.splines.T @ by_point.reshape(points, 2 * count)
         by_basis = (self.to_coefficients @ sums).reshape(number, count, 2)
         return np.asarray(by_basis.transpose(1, 0, 2).reshape(count, 2 * number))
 
-    def with_nuisance(self, modes: np.ndarray) -> Discrepancy:
-        """Add nuisance shapes: U over sigma, (2 n, m)."""
-        added = self.coefficients(modes.T).T
+    def with_nuisance(self, shapes: np.ndarray) -> Discrepancy:
+        """Add nuisance shapes (2 n, m) over sigma after the present ones."""
+        added = self.coefficients(shapes.T).T
         return replace(
             self,
             nuisance_coefficients=np.hstack([self.nuisance_coefficients, added]),
-            nuisance_shapes=np.hstack([self.nuisance_shapes, modes]),
+            nuisance_shapes=np.hstack([self.nuisance_shapes, shapes]),
         )
 
-    def replace_leading_nuisance(self, modes: np.ndarray, count: int) -> Discrepancy:
-        """Replace the first `count` nuisance shapes by U over sigma, (2 n, m)."""
-        first = self.coefficients(modes.T).T
+    def replace_leading_nuisance(self, shapes: np.ndarray, count: int) -> Discrepancy:
+        """Replace the first `count` nuisance shapes by others (2 n, m) over sigma."""
+        first = self.coefficients(shapes.T).T
         later = self.nuisance_coefficients[:, count:]
-        shapes = [modes, self.nuisance_shapes[:, count:]]
+        later_shapes = self.nuisance_shapes[:, count:]
         return replace(
             self,
             nuisance_coefficients=np.hstack([first, later]),
-            nuisance_shapes=np.hstack(shapes),
+            nuisance_shapes=np.hstack([shapes, later_shapes]),
         )
 
-    def whiten(self, residual: np.ndarray, size: int) -> np.ndarray:
-        """Whiten residuals over sigma (C, 2 n) at the scale of this index, (C, 2 M)."""
-        return self.whiten_coefficients(self.coefficients(residual), size)
+    def whiten(self, residual: np.ndarray, scale_index: int) -> np.ndarray:
+        """Compute V(s)^(-1/2) of residuals over sigma (C, 2 n), (C, 2 M)."""
+        return self.whiten_coefficients(self.coefficients(residual), scale_index)
 
-    def whiten_coefficients(self, coefficients: np.ndarray, size: int) -> np.ndarray:
-        """Compute V(s)^(-1/2) of coefficients (C, 2 M), at the scale of this index."""
-        deviation, whitening = self._whitening_by_scale[size]
+    def whiten_coefficients(
+        self, coefficients: np.ndarray, scale_index: int
+    ) -> np.ndarray:
+        """Compute V(s)^(-1/2) of coefficients (C, 2 M)."""
+        deviation, whitening = self._whitening_by_scale[scale_index]
         return whitening(coefficients / deviation)
 
     def log_likelihood_by_scale(self, coefficients: np.ndarray) -> np.ndarray:
@@ -195,52 +180,65 @@ class Discrepancy:
             by_scale.append(-0.5 * square - log_deviation + log_removed)
         return np.stack(by_scale, axis=1)
 
-    def posterior_mean(self, coefficients: np.ndarray, size: int) -> np.ndarray:
+    def posterior_mean(self, coefficients: np.ndarray, scale_index: int) -> np.ndarray:
         """Compute the most likely discrepancy over sigma (2 n,), given coefficients."""
-        variance = np.repeat(DISCREPANCY_SCALES_M[size] ** 2 * self.variance, 2)
-        amplitudes = self._nuisance_amplitudes(coefficients, size)
+        variance = self._variance_at(scale_index)
+        amplitudes = self._nuisance_amplitudes(coefficients, scale_index)
         explained = self.nuisance_coefficients @ amplitudes
         smooth = (coefficients - explained) * variance / (1.0 + variance)
         by_spline = self.to_splines @ smooth.reshape(-1, 2)
         return np.asarray((self.splines @ by_spline).ravel())
 
-    def nuisance_mean(self, coefficients: np.ndarray, size: int) -> np.ndarray:
+    def sample_posterior(
+        self,
+        coefficients: np.ndarray,
+        scale_index: int,
+        count: int,
+        rng: np.random.Generator,
+    ) -> np.ndarray:
+        """Draw discrepancies over sigma (count, 2 n) given coefficients (2 M,)."""
+        variance = self._variance_at(scale_index)
+        normal = rng.standard_normal((count, len(variance)))
+        scatter = normal * np.sqrt(variance / (1.0 + variance))
+        by_basis = scatter.reshape(count, -1, 2).transpose(1, 0, 2)
+        by_spline = self.to_splines @ by_basis.reshape(-1, 2 * count)
+        by_point = (self.splines @ by_spline).reshape(-1, count, 2)
+        offset = by_point.transpose(1, 0, 2).reshape(count, -1)
+        mean = self.posterior_mean(coefficients, scale_index)
+        return np.asarray(mean + offset)
+
+    def nuisance_mean(self, coefficients: np.ndarray, scale_index: int) -> np.ndarray:
         """Compute what the nuisance most likely explains of coefficients, (2 n,)."""
-        amplitudes = self._nuisance_amplitudes(coefficients, size)
+        amplitudes = self._nuisance_amplitudes(coefficients, scale_index)
         return np.asarray(self.nuisance_shapes @ amplitudes)
 
-    def _nuisance_amplitudes(self, coefficients: np.ndarray, size: int) -> np.ndarray:
-        deviation, _ = self._whitening_by_scale[size]
+    def _nuisance_amplitudes(
+        self, coefficients: np.ndarray, scale_index: int
+    ) -> np.ndarray:
+        deviation, _ = self._whitening_by_scale[scale_index]
         root = self.nuisance_coefficients / deviation[:, None]
         normal = np.eye(root.shape[1]) + root.T @ root
         projected = root.T @ (coefficients / deviation)
         return np.asarray(np.linalg.solve(normal, projected))
 
-    def sample_posterior(
-        self, coefficients: np.ndarray, size: int, count: int, rng: np.random.Generator
-    ) -> np.ndarray:
-        """Draw discrepancies over sigma (count, 2 n) given coefficients (2 M,)."""
-        variance = np.repeat(DISCREPANCY_SCALES_M[size] ** 2 * self.variance, 2)
-        normal = rng.standard_normal((count, len(variance)))
-        scatter = normal * np.sqrt(variance / (1.0 + variance))
-        by_basis = scatter.reshape(count, -1, 2).transpose(1, 0, 2)
-        by_point = self.splines @ (self.to_splines @ by_basis.reshape(-1, 2 * count))
-        offset = by_point.reshape(-1, count, 2).transpose(1, 0, 2).reshape(count, -1)
-        return np.asarray(self.posterior_mean(coefficients, size) + offset)
+    def _variance_at(self, scale_index: int) -> np.ndarray:
+        """Variance of the discrepancy's coefficients at a scale, (2 M,)."""
+        scale_m = DISCREPANCY_SCALES_M[scale_index]
+        return np.repeat(scale_m**2 * self.variance, 2)
 
     @cached_property
     def _whitening_by_scale(self) -> list[tuple[np.ndarray, LowRankWhitening]]:
         """Deviations (2 M,) without nuisance at each scale, and the rest of V there."""
         by_scale = []
-        for scale in DISCREPANCY_SCALES_M:
-            deviation = np.repeat(np.sqrt(1.0 + scale**2 * self.variance), 2)
+        for scale_index in range(len(DISCREPANCY_SCALES_M)):
+            deviation = np.sqrt(1.0 + self._variance_at(scale_index))
             columns = self.nuisance_coefficients / deviation[:, None]
             by_scale.append((deviation, LowRankWhitening.from_columns(columns)))
         return by_scale
 
 
 def remove_smooth_motion(
-    trial: MeasuredTrial, residual: np.ndarray
+    trial: PreparedTrial, residual: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Remove smooth motion from residuals (n, 2) over sigma.
 
@@ -251,15 +249,16 @@ def remove_smooth_motion(
     place = place_functions(trial.s, trial.model.string.length)
     splines = tensor_products(time[trial.frame], place)
     gram = (splines.T @ splines).toarray()
-    free = 1 - np.linalg.matrix_rank(gram) / len(residual)
-    if free < MIN_FREE_SHARE:
+    free_share = 1 - np.linalg.matrix_rank(gram) / len(residual)
+    if free_share < MIN_FREE_SHARE:
         return residual, float(mad_sigma(residual))
-    smooth = np.linalg.lstsq(gram, splines.T @ residual, rcond=RANK_TOLERANCE)[0]
-    rest = residual - splines @ smooth
-    return rest, float(mad_sigma(rest) / np.sqrt(free))
+    sums = splines.T @ residual
+    by_spline = np.linalg.lstsq(gram, sums, rcond=RANK_TOLERANCE)[0]
+    rest = residual - splines @ by_spline
+    return rest, float(mad_sigma(rest) / np.sqrt(free_share))
 
 
-def noise_track_of_trial(trial: MeasuredTrial, residual: np.ndarray) -> NoiseTrack:
+def noise_track_of_trial(trial: PreparedTrial, residual: np.ndarray) -> NoiseTrack:
     """Project residuals (n, 2) over their noise on what the noise is estimated from."""
     time = time_splines(trial.times, knot_spacing(trial.times))
     place = place_functions(trial.s, trial.model.string.length)
@@ -281,22 +280,24 @@ def marginal_log_likelihood(log_likelihoods: np.ndarray) -> np.ndarray:
 
 
 def best_scale_index(log_likelihoods: np.ndarray) -> np.ndarray:
-    """Find the index of the most likely scale, given log-likelihoods (..., S)."""
+    """Find the index of the most probable scale, given log-likelihoods (..., S)."""
     return np.asarray(np.argmax(log_likelihoods + log_scale_prior(), axis=-1))
 
 
-def _kernel_root(trial: MeasuredTrial, growth: np.ndarray) -> np.ndarray:
-    """Compute a root (n, K) of the discrepancy's covariance, of unit rms at the tip."""
+def _kernel_root(trial: PreparedTrial, growth: np.ndarray) -> np.ndarray:
+    """Compute a root (n, R) of the discrepancy's covariance, of unit rms at the tip."""
     knots = time_nodes(trial.times, KNOT_SPACING_S)
-    rate = np.sqrt(3) / max(MATERN_TIME_S, 2 * (knots[1] - knots[0]))
+    correlation_time = max(MATERN_TIME_S, 2 * (knots[1] - knots[0]))
+    rate = np.sqrt(3) / correlation_time
 
     def matern(gap: np.ndarray) -> np.ndarray:
         return np.asarray((1 + rate * gap) * np.exp(-rate * gap))
 
     time = nystrom_root(trial.times, knots, matern)[trial.frame]
     place = place_functions(trial.s, trial.model.string.length)
-    # a trial that cannot be simulated has no growth
-    typical = max(rms(growth), np.finfo(float).tiny)
-    grown = (growth / typical)[trial.frame] / trial.sigma
-    both = (grown[:, None] * time)[:, :, None] * place[:, None, :]
-    return np.asarray(both.reshape(len(trial.s), -1))
+    # A trial that cannot be simulated has no growth
+    mean_growth = max(rms(growth), np.finfo(float).tiny)
+    grown = (growth / mean_growth)[trial.frame] / trial.sigma
+    in_time = grown[:, None] * time
+    products = in_time[:, :, None] * place[:, None, :]
+    return np.asarray(products.reshape(len(trial.s), -1))

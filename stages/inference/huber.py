@@ -17,7 +17,8 @@ def huber_loss(residual: np.ndarray, limit: float) -> np.ndarray:
     """
     size = np.abs(residual)
     within = np.minimum(size, limit)
-    return np.asarray(np.mean(within * (2 * size - within), axis=-1))
+    loss = within * (2 * size - within)
+    return np.asarray(np.mean(loss, axis=-1))
 
 
 def huber_weights(residual: np.ndarray, limit: float) -> np.ndarray:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.effect import Effect, amplitude_parameters
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
 
@@ -48,7 +48,12 @@ class Hypothesis:
         self, cause: type[Effect], parameters: Sequence[Parameter]
     ) -> list[int]:
         """Find the indices of some parameters of a cause among all parameters."""
-        return [self.model.names.index(cause.qualified_name(p)) for p in parameters]
+        names = self.model.names
+        return [names.index(cause.qualified_name(p)) for p in parameters]
+
+    def amplitude_indices(self, cause: type[Effect]) -> list[int]:
+        """Find the indices of a cause's amplitudes among all parameters."""
+        return self.parameter_indices(cause, amplitude_parameters(cause))
 
     @cached_property
     def base_indices(self) -> list[int]:
@@ -57,5 +62,8 @@ class Hypothesis:
 
     def exponents_from(self, known: Mapping[str, float]) -> np.ndarray:
         """Collect exponents (P,) known by name; others are where a cause is absent."""
-        starts = {p.name: float(p.chi(np.asarray(p.start))) for p in self.parameters}
-        return np.array([known.get(name, start) for name, start in starts.items()])
+        exponents = []
+        for parameter in self.parameters:
+            start = float(parameter.chi(np.asarray(parameter.start)))
+            exponents.append(known.get(parameter.name, start))
+        return np.array(exponents)

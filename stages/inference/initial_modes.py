@@ -33,9 +33,10 @@ from stringcast.stages.model.string import String
 INITIAL_SPAN_S = 0.5  # [s] of the trial's beginning that the state is fitted to
 SHAPE_MODE_SIGMA_RAD = 0.1  # [rad]: standard deviation of a mode of the shape
 RATE_MODE_SIGMA_RAD_S = 3.0  # [rad/s]: standard deviation of a mode of the rates
-DIFFERENCE_STEP = 1e-3  # of those, for the differences
-MAX_AMPLITUDE = 20.0  # of those, that a mode may be off
-LET_BACK_SIGMA = 0.5  # standard deviation of `State.let_back`, a share of all the way
+# In standard deviations:
+DIFFERENCE_STEP = 1e-3
+MAX_AMPLITUDE = 20.0  # of a mode
+LET_BACK_SIGMA = 0.5  # standard deviation of `StringState.memory_reversal`
 MODE_PARAMETERS = tuple(
     Parameter(f"mode_{k}", "1", "", -MAX_AMPLITUDE, MAX_AMPLITUDE, 0.0)
     for k in range(2 * INITIAL_MODES)
@@ -50,50 +51,50 @@ def initial_state_parameters(string: String) -> tuple[Parameter, ...]:
 
 
 def refine_initial_state(
-    ready: PreparedTrial, values: np.ndarray, span: float = INITIAL_SPAN_S
+    trial: PreparedTrial, values: np.ndarray, span: float = INITIAL_SPAN_S
 ) -> PreparedTrial:
     """Fit the initial state to a trial's first part, with parameters (P,) held.
 
     The trial stays as it is where it begins at rest or cannot be simulated.
     """
-    if ready.initial_state is None:
-        return ready
-    early = ready.cut_after(ready.times[0] + span)
-    amplitudes = initial_amplitudes(ready)[None]
+    if trial.initial_state is None:
+        return trial
+    early = trial.cut_after(trial.times[0] + span)
+    amplitudes = initial_amplitudes(trial)[None]
     residual = _residuals_at_amplitudes(early, values, amplitudes)[0]
     noise = float(mad_sigma(residual)) + 1e-12
     if not np.isfinite(noise):
-        return ready
+        return trial
     return fit_initial_state(
-        ready, early, values, lambda residual: residual / noise, HUBER_LIMIT
+        trial, early, values, lambda residual: residual / noise, HUBER_LIMIT
     )
 
 
 def fit_initial_state(
-    ready: PreparedTrial,
-    seen: PreparedTrial,
+    trial: PreparedTrial,
+    fitted_part: PreparedTrial,
     values: np.ndarray,
-    white: Callable[[np.ndarray], np.ndarray],
+    whiten: Callable[[np.ndarray], np.ndarray],
     limit: float = np.inf,
 ) -> PreparedTrial:
     """Fit the initial state of a trial by least squares.
 
     Parameters
     ----------
-    seen
+    fitted_part
         The part of the trial that is fitted.
     values
         Of the model's parameters, (P,).
-    white
+    whiten
         Whitens residuals over sigma (C, 2 N).
     limit
         Standard deviations from which a residual counts less.
     """
-    parameters = initial_state_parameters(ready.model.string)
-    problem = _InitialStateProblem(seen, values, parameters, white, limit)
-    start = parameter_exponents(problem.parameters, initial_amplitudes(ready))
+    parameters = initial_state_parameters(trial.model.string)
+    problem = _InitialStateProblem(fitted_part, values, parameters, whiten, limit)
+    start = parameter_exponents(parameters, initial_amplitudes(trial))
     best = fit_least_squares(problem, start[None]).chi[0]
-    return with_initial_amplitudes(ready, parameter_values(problem.parameters, best))
+    return with_initial_amplitudes(trial, parameter_values(parameters, best))
 
 
 @dataclass(frozen=True)
@@ -109,9 +110,10 @@ class _InitialStateProblem:
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Compute white residuals and the amplitudes themselves, (C, 2 N + M)."""
         amplitudes = parameter_values(self.parameters, chi)
-        raw = _residuals_at_amplitudes(self.trial, self.values, amplitudes)
-        lost = np.isnan(raw).any(axis=1, keepdims=True)
-        white = np.where(lost, DIVERGED_RESIDUAL, self.whiten(np.nan_to_num(raw)))
+        residuals = _residuals_at_amplitudes(self.trial, self.values, amplitudes)
+        diverged = np.isnan(residuals).any(axis=1, keepdims=True)
+        white = self.whiten(np.nan_to_num(residuals))
+        white = np.where(diverged, DIVERGED_RESIDUAL, white)
         return np.hstack([white, amplitudes])
 
 
@@ -131,77 +133,85 @@ def initial_mode_columns(
     return tuple(columns)
 
 
-def initial_mode_slopes(ready: PreparedTrial, values: np.ndarray) -> np.ndarray:
+def initial_mode_slopes(trial: PreparedTrial, values: np.ndarray) -> np.ndarray:
     """Difference the measured points by the amplitudes of the initial state.
 
     Returns a column for each amplitude, (2 N, M) [m]: none where the trial begins at
     rest, zeros for what cannot be simulated. values: (P,).
     """
-    if ready.initial_state is None:
-        return np.empty((2 * len(ready.points), 0))
-    start = initial_amplitudes(ready)
-    # from the end of its range inwards
+    if trial.initial_state is None:
+        return np.empty((2 * len(trial.points), 0))
+    start = initial_amplitudes(trial)
+    # Inwards from an end of the range
     step = np.where(start > 0, -DIFFERENCE_STEP, DIFFERENCE_STEP)
     offsets = np.concatenate([np.zeros((1, len(start))), np.diag(step)])
-    in_metres = replace(ready, sigma=np.ones(len(ready.points)))
-    rows = _residuals_at_amplitudes(in_metres, values, start + offsets)
-    moved = np.ascontiguousarray(rows[1:].T)
-    columns = (moved - rows[0][:, None]) / step
+    in_metres = replace(trial, sigma=np.ones(len(trial.points)))
+    residuals = _residuals_at_amplitudes(in_metres, values, start + offsets)
+    moved = np.ascontiguousarray(residuals[1:].T)
+    columns = (moved - residuals[0][:, None]) / step
     return np.where(np.isfinite(columns).all(axis=0), columns, 0.0)
 
 
 def reset_initial_state_linear(
-    ready: PreparedTrial, modes: np.ndarray
+    trial: PreparedTrial, nuisance: np.ndarray
 ) -> PreparedTrial:
     """Displace points as if the trial began in the state of its first frames.
 
     This is first order. The prior of the initial state is centred on that state.
-    modes: over sigma, (2 N, M), and maybe other columns after them.
+    nuisance: shapes over sigma, (2 N, m), of which those of the initial state are the
+    first M.
     """
-    amplitudes = initial_amplitudes(ready)
-    moved = modes[:, : len(amplitudes)] @ amplitudes
-    displacement = ready.sigma[:, None] * moved.reshape(-1, 2)
-    return replace(ready, points=ready.points + displacement)
+    amplitudes = initial_amplitudes(trial)
+    moved = nuisance[:, : len(amplitudes)] @ amplitudes
+    displacement = trial.sigma[:, None] * moved.reshape(-1, 2)
+    return replace(trial, points=trial.points + displacement)
 
 
-def initial_amplitudes(ready: PreparedTrial) -> np.ndarray:
+def initial_amplitudes(trial: PreparedTrial) -> np.ndarray:
     """Collect the amplitudes of a trial's initial state, (M,); none if at rest."""
-    if ready.initial_state is None:
+    if trial.initial_state is None:
         return np.zeros(0)
-    held = len(initial_state_parameters(ready.model.string)) - 2 * INITIAL_MODES
-    let_back = np.full(held, ready.initial_state.memory_reversal / LET_BACK_SIGMA)
-    return np.concatenate([ready.mode_amplitudes, let_back])
+    parameters = initial_state_parameters(trial.model.string)
+    let_back = trial.initial_state.memory_reversal / LET_BACK_SIGMA
+    let_back_count = len(parameters) - 2 * INITIAL_MODES  # 1 with a memory, else 0
+    return np.concatenate([trial.mode_amplitudes, np.full(let_back_count, let_back)])
 
 
-def with_initial_amplitudes(ready: PreparedTrial, to: np.ndarray) -> PreparedTrial:
+def with_initial_amplitudes(
+    trial: PreparedTrial, amplitudes: np.ndarray
+) -> PreparedTrial:
     """Set the amplitudes of a trial's initial state.
 
     Modes are sin((k - 1/2) pi s / L) of the angles and of the rates; hinges with a
     memory are let back.
 
-    to: amplitudes (M,), or one for each candidate, (C, M).
+    amplitudes: (M,), or those of each candidate, (C, M).
     """
-    state, length = ready.initial_state, ready.model.string.length
+    state = trial.initial_state
     assert state is not None
-    amplitudes = to[..., : 2 * INITIAL_MODES]
-    more = amplitudes - ready.mode_amplitudes
-    wave = (np.arange(INITIAL_MODES)[:, None] + 0.5) * np.pi * state.s / length
-    shapes = np.sin(wave)
+    modes = amplitudes[..., : 2 * INITIAL_MODES]
+    let_back = amplitudes[..., 2 * INITIAL_MODES :]
+    change = modes - trial.mode_amplitudes
+    shape_change = SHAPE_MODE_SIGMA_RAD * change[..., :INITIAL_MODES]
+    rate_change = RATE_MODE_SIGMA_RAD_S * change[..., INITIAL_MODES:]
+
+    number = np.arange(INITIAL_MODES)[:, None] + 0.5
+    waves = np.sin(number * np.pi * state.s / trial.model.string.length)
     moved_state = replace(
         state,
-        angle=state.angle + SHAPE_MODE_SIGMA_RAD * more[..., :INITIAL_MODES] @ shapes,
-        rate=state.rate + RATE_MODE_SIGMA_RAD_S * more[..., INITIAL_MODES:] @ shapes,
-        memory_reversal=LET_BACK_SIGMA * to[..., 2 * INITIAL_MODES :].sum(axis=-1),
+        angle=state.angle + shape_change @ waves,
+        rate=state.rate + rate_change @ waves,
+        memory_reversal=LET_BACK_SIGMA * let_back.sum(axis=-1),
     )
-    return replace(ready, initial_state=moved_state, mode_amplitudes=amplitudes)
+    return replace(trial, initial_state=moved_state, mode_amplitudes=modes)
 
 
 def _residuals_at_amplitudes(
-    ready: PreparedTrial, values: np.ndarray, changes: np.ndarray
+    trial: PreparedTrial, values: np.ndarray, amplitudes: np.ndarray
 ) -> np.ndarray:
     """Compute residuals over sigma (C, 2 N) with amplitudes (C, M)."""
-    moved = with_initial_amplitudes(ready, changes)
-    candidates = np.repeat(values[None], len(changes), axis=0)
+    moved = with_initial_amplitudes(trial, amplitudes)
+    candidates = np.repeat(values[None], len(amplitudes), axis=0)
     return normalised_residuals(moved.model, [moved], candidates)[0]
 
 
@@ -215,12 +225,13 @@ def trials_with_reestimated_start(
     data = data.for_hypothesis(hypothesis)
     values = parameter_values(hypothesis.parameters, fit.chi[None])[0]
     residuals = data.residuals(hypothesis.model, fit.chi[None])
-    sizes = best_scale_index(data.log_likelihood_by_scale(residuals)[:, 0])
+    by_scale = data.log_likelihood_by_scale(residuals)[:, 0]
+    scale_indices = best_scale_index(by_scale).tolist()
     trials = []
-    for trial, size in zip(data.trials, sizes, strict=True):
+    for trial, scale_index in zip(data.trials, scale_indices, strict=True):
         extended = replace(trial, model=hypothesis.model)
         if trial.initial_state is not None:
-            extended = _most_likely_initial_state(trial, extended, int(size), values)
+            extended = _most_likely_initial_state(trial, extended, scale_index, values)
         trials.append(extended)
     return tuple(trials)
 
@@ -230,36 +241,38 @@ def with_initial_states_at(data: TrialData, fit: Fit) -> TrialData:
     if all(trial.initial_state is None for trial in data.trials):
         return data
     values = parameter_values(fit.hypothesis.parameters, fit.chi[None])[0]
-    started = trials_with_reestimated_start(data, fit)
-    columns = initial_mode_columns(started, values)
+    restarted = trials_with_reestimated_start(data, fit)
+    columns = initial_mode_columns(restarted, values)
     trials = []
-    for trial, start, shapes in zip(data.trials, started, columns, strict=True):
+    for trial, restarted_trial, shapes in zip(
+        data.trials, restarted, columns, strict=True
+    ):
+        # Points as measured, and then displaced by the new modes
         discrepancy = trial.discrepancy
-        plain = reset_initial_state_linear(trial, -discrepancy.nuisance_shapes)
-        centred = replace(start, points=plain.points)
-        restarted = reset_initial_state_linear(centred, shapes)
+        measured = reset_initial_state_linear(trial, -discrepancy.nuisance_shapes)
+        moved = replace(restarted_trial, points=measured.points)
+        centred = reset_initial_state_linear(moved, shapes)
         count = len(initial_amplitudes(trial))
         updated = discrepancy.replace_leading_nuisance(shapes, count)
-        trials.append(replace(restarted, error_model=updated))
+        trials.append(replace(centred, error_model=updated))
     return replace(data, trials=tuple(trials))
 
 
 def _most_likely_initial_state(
-    trial: PreparedTrial, extended: PreparedTrial, size: int, values: np.ndarray
+    trial: PreparedTrial, extended: PreparedTrial, scale_index: int, values: np.ndarray
 ) -> PreparedTrial:
-    """Find the most likely initial state with values (P,) and a discrepancy's size.
+    """Find the most likely initial state with values (P,) of the extended model.
 
-    extended: the trial with the model that the values are of.
+    The state is fitted instead of its modes, which leave the nuisance. These are modes
+    of the trial's own model, which may be another one than that of the extended trial.
     """
     amplitudes = initial_amplitudes(trial)
-    count, discrepancy = len(amplitudes), trial.discrepancy
-    # by which the points were displaced to first order
-    displaced = discrepancy.nuisance_shapes[:, :count] @ amplitudes
-    rest = discrepancy.replace_leading_nuisance(
-        discrepancy.nuisance_shapes[:, :0], count
-    )
+    count = len(amplitudes)
+    shapes = trial.discrepancy.nuisance_shapes
+    displaced = shapes[:, :count] @ amplitudes  # as `reset_initial_state_linear` did
+    rest = trial.discrepancy.replace_leading_nuisance(shapes[:, :0], count)
 
     def whiten(residual: np.ndarray) -> np.ndarray:
-        return rest.whiten(residual + displaced, size)
+        return rest.whiten(residual + displaced, scale_index)
 
     return fit_initial_state(extended, extended, values, whiten)

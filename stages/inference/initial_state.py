@@ -29,10 +29,10 @@ MAX_GAP_SHARE = 0.05  # of the length: a place farther from a frame's points is 
 OUTLIER_RATIO = 5.0  # times the median residual of places: beyond it is an outlier
 MIN_NOISE_SHARE = 3e-4  # of the length: no place is known better
 
-# Sizes of the random walks over the whole length, of direction and of turning rate
+# Standard deviation of the random walks over the whole length, as they are tried
 DIRECTION_WANDERS_RAD = np.geomspace(0.03, 10.0, 12)
 RATE_WANDERS_RAD_S = np.geomspace(0.1, 100.0, 12)
-HINGE_SHARES = (0.0, 1.0)  # of the size, at the grasp alone: clamped or loose
+HINGE_SHARES = (0.0, 1.0)  # of a wander, at the grasp alone: clamped or loose
 
 MIN_GAIN_LOG_EVIDENCE = 3.0  # from which the string moves: 20 to 1
 GAUSS_NEWTON_STEPS = 12  # to the shape
@@ -46,24 +46,24 @@ class Kinematics:
     Parameters
     ----------
     s
-        Arc lengths, (M,) [m].
-    place
+        Arc lengths of the places, (M,) [m].
+    position
         Positions, (M, 2) [m].
     velocity
         Velocities, (M, 2) [m/s].
-    place_sigma, velocity_sigma
+    position_sigma, velocity_sigma
         Their standard deviations, (M,).
     """
 
     s: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
     velocity: np.ndarray
-    place_sigma: np.ndarray
+    position_sigma: np.ndarray
     velocity_sigma: np.ndarray
 
 
 def estimate_initial_state(
-    hand: HandMotion, length: float, times: np.ndarray, seen: Kinematics
+    hand: HandMotion, length: float, times: np.ndarray, measured: Kinematics
 ) -> StringState:
     """Fit shape and turning rates of the string at the first frame.
 
@@ -75,14 +75,13 @@ def estimate_initial_state(
         Of the string [m].
     times
         Of the frames, (F,) [s].
-    seen
-        Measured places at the first frame.
+    measured
+        Places and their velocities at the first frame.
     """
     start = float(times[0])
     moved = hand.starting_at(start)
-    pose, rate = moved.pose[0, 0], moved.rate[0, 0]
-    angle = _fit_shape(seen, pose, length)
-    rates = _fit_turning_rates(seen, angle, rate, length)
+    angle = _fit_shape(measured, moved.pose[0, 0], length)
+    rates = _fit_turning_rates(measured, angle, moved.rate[0, 0], length)
     return StringState(start, _piece_middles(length), angle, rates)
 
 
@@ -124,14 +123,16 @@ def first_frame_kinematics(
         )
     early_times = times[: len(tracks)] - times[0]
     parabolas, spread, residual = _fit_parabolas(early_times, tracks[:, usable])
-    floor = max(sigma or 0.0, MIN_NOISE_SHARE * length)
-    sound = residual <= OUTLIER_RATIO * max(float(np.median(residual)), floor)
-    noise = max(float(np.sqrt(np.mean(residual[sound] ** 2))), floor)
-    place, velocity, _ = parabolas[sound].transpose(1, 0, 2)
-    place_sigma, velocity_sigma = noise * spread[sound, :2].T
-    return Kinematics(
-        places[usable][sound], place, velocity, place_sigma, velocity_sigma
-    )
+
+    least_noise = max(sigma or 0.0, MIN_NOISE_SHARE * length)
+    typical = max(float(np.median(residual)), least_noise)
+    sound = residual <= OUTLIER_RATIO * typical
+    noise = max(float(np.sqrt(np.mean(residual[sound] ** 2))), least_noise)
+
+    position, velocity, _ = parabolas[sound].transpose(1, 0, 2)
+    position_sigma, velocity_sigma = noise * spread[sound, :2].T
+    s = places[usable][sound]
+    return Kinematics(s, position, velocity, position_sigma, velocity_sigma)
 
 
 def _early_tracks(
@@ -143,12 +144,14 @@ def _early_tracks(
     frames are interpolated between their points.
     """
     early = frame < PARABOLA_FRAMES
-    frame, s = frame[early], s[early]
-    places = s[frame == np.argmax(np.bincount(frame))]
+    frame = frame[early]
+    s = s[early]
+    fullest = np.argmax(np.bincount(frame))
+    places = s[frame == fullest]
     tracks = points_at_arc_lengths(frame, s, points[early], places)
     for number, track in enumerate(tracks):
-        gap = np.abs(places[:, None] - s[frame == number]).min(axis=1)
-        track[gap >= MAX_GAP_SHARE * length] = np.nan
+        gaps = np.abs(places[:, None] - s[frame == number])
+        track[gaps.min(axis=1) >= MAX_GAP_SHARE * length] = np.nan
     return tracks, places
 
 
@@ -160,86 +163,100 @@ def _fit_parabolas(
     Returns coefficients (M, 3, 2), their standard deviations per noise (M, 3), and the
     root mean square residual (M,) [m].
     """
-    powers = np.vander(t / t[-1], 3, increasing=True)
-    count = tracks.shape[1]
-    coefficients, spread = np.empty((count, 3, 2)), np.empty((count, 3))
-    size = np.empty(count)
-    for place, track in enumerate(tracks.transpose(1, 0, 2)):
+    powers = np.vander(t / t[-1], 3, increasing=True)  # (F, 3)
+    coefficients = []
+    spread = []
+    residual_rms = []
+    for track in tracks.transpose(1, 0, 2):
         seen = np.isfinite(track[:, 0])
         inverse = np.linalg.pinv(powers[seen])
-        coefficients[place] = inverse @ track[seen]
-        spread[place] = np.linalg.norm(inverse, axis=1)
-        residual = track[seen] - powers[seen] @ coefficients[place]
+        parabola = inverse @ track[seen]
+        residual = track[seen] - powers[seen] @ parabola
         degrees = 2 * max(seen.sum() - 3, 1)
-        size[place] = np.linalg.norm(residual) / np.sqrt(degrees)
+        coefficients.append(parabola)
+        spread.append(np.linalg.norm(inverse, axis=1))
+        residual_rms.append(np.linalg.norm(residual) / np.sqrt(degrees))
     scale = t[-1] ** np.arange(3)
-    return coefficients / scale[:, None], spread / scale, size
+    return (
+        np.array(coefficients) / scale[:, None],
+        np.array(spread) / scale,
+        np.array(residual_rms),
+    )
 
 
-def _fit_shape(seen: Kinematics, pose: np.ndarray, length: float) -> np.ndarray:
+def _fit_shape(measured: Kinematics, pose: np.ndarray, length: float) -> np.ndarray:
     """Fit the directions of the curve's pieces, (PIECES,) [rad], by Gauss-Newton.
 
     They are continuous from the grasp's. pose: of the grasp, (3,).
     """
-    start = _straight_line_angles(seen, pose, length)
-    before = _length_before(seen.s, length)
-    best, highest = start, -np.inf
-    for size, hinge in product(DIRECTION_WANDERS_RAD, HINGE_SHARES):
+    start = _straight_line_angles(measured, pose, length)
+    before = _length_before(measured.s, length)
+    best = start
+    highest = -np.inf
+    for wander, hinge in product(DIRECTION_WANDERS_RAD, HINGE_SHARES):
         angle = start
         for _ in range(GAUSS_NEWTON_STEPS):
-            slope = _place_slopes(seen.s, angle, length)
-            line = pose[:2] + before @ np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-            offset = (seen.place - line).ravel() + slope @ (angle - pose[2])
+            slope = _place_slopes(measured.s, angle, length)
+            directions = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+            curve = pose[:2] + before @ directions
+            offset = (measured.position - curve).ravel() + slope @ (angle - pose[2])
             walk, evidence = _random_walk_posterior(
-                slope, offset, seen.place_sigma, size, hinge
+                slope, offset, measured.position_sigma, wander, hinge
             )
             angle = pose[2] + walk
         if evidence > highest:
-            best, highest = angle, evidence
+            best = angle
+            highest = evidence
     return best
 
 
 def _straight_line_angles(
-    seen: Kinematics, pose: np.ndarray, length: float
+    measured: Kinematics, pose: np.ndarray, length: float
 ) -> np.ndarray:
     """Compute directions (PIECES,) [rad] of a line from the grasp by way of places."""
-    beyond_grasp = np.flatnonzero(seen.s > 1e-9 * length)
-    evenly = np.linspace(0.0, seen.s[-1], INITIAL_CORNERS + 1)[1:]
-    gap = np.abs(seen.s[beyond_grasp] - evenly[:, None])
+    beyond_grasp = np.flatnonzero(measured.s > 1e-9 * length)
+    wanted = np.linspace(0.0, measured.s[-1], INITIAL_CORNERS + 1)[1:]
+    gap = np.abs(measured.s[beyond_grasp] - wanted[:, None])
     corners = np.unique(beyond_grasp[gap.argmin(axis=1)])
 
-    line = np.concatenate([pose[None, :2], seen.place[corners]])
-    ends = np.concatenate([[0.0], seen.s[corners]])
+    line = np.concatenate([pose[None, :2], measured.position[corners]])
     step = np.diff(line, axis=0)
     directions = np.arctan2(step[:, 1], step[:, 0])
     angles = np.unwrap(np.concatenate([pose[2:], directions]))[1:]
+
+    ends = np.concatenate([[0.0], measured.s[corners]])
     middles = (ends[1:] + ends[:-1]) / 2
     return np.asarray(np.interp(_piece_middles(length), middles, angles))
 
 
 def _fit_turning_rates(
-    seen: Kinematics, angle: np.ndarray, rate: np.ndarray, length: float
+    measured: Kinematics, angle: np.ndarray, rate: np.ndarray, length: float
 ) -> np.ndarray:
     """Fit the rates (PIECES,) [rad/s] at which directions turn.
 
     They turn with the hand unless the evidence for a motion of the string is clear.
     rate: of the grasp's pose, (3,).
     """
-    slope = _place_slopes(seen.s, angle, length)
+    slope = _place_slopes(measured.s, angle, length)
     turning = slope @ np.full(CURVE_PIECES, rate[2])
-    offset = (seen.velocity - rate[:2]).ravel() - turning
-    sigma = seen.velocity_sigma
+    offset = (measured.velocity - rate[:2]).ravel() - turning
+    sigma = measured.velocity_sigma
     best, at_rest = _random_walk_posterior(slope, offset, sigma, 0.0, 0.0)
     highest = at_rest + MIN_GAIN_LOG_EVIDENCE
-    for size, hinge in product(RATE_WANDERS_RAD_S, HINGE_SHARES):
-        walk, evidence = _random_walk_posterior(slope, offset, sigma, size, hinge)
+    for wander, hinge in product(RATE_WANDERS_RAD_S, HINGE_SHARES):
+        walk, evidence = _random_walk_posterior(slope, offset, sigma, wander, hinge)
         if evidence > highest:
-            best, highest = walk, evidence
+            best = walk
+            highest = evidence
     return np.asarray(rate[2] + best)
 
 
 def _random_walk_posterior(
-    slope: np.ndarray, offset: np.ndarray, sigma: np.ndarray, size: float, hinge: float
+    slope: np.ndarray,
+    offset: np.ndarray,
+    sigma: np.ndarray,
+    wander: float,
+    hinge: float,
 ) -> tuple[np.ndarray, float]:
     """Compute the mean of a random walk along the curve, and its log evidence.
 
@@ -251,7 +268,7 @@ def _random_walk_posterior(
         What is measured, (2 M,).
     sigma
         Of each place, (M,).
-    size
+    wander
         Standard deviation of the walk over the whole curve.
     hinge
         Share of that at the grasp.
@@ -259,11 +276,13 @@ def _random_walk_posterior(
     steps = np.full(CURVE_PIECES, 1 / CURVE_PIECES)
     steps[0] = 0.5 / CURVE_PIECES + hinge**2
     sums = np.cumsum(steps)
-    prior = size**2 * np.minimum.outer(sums, sums)
-    covariance = slope @ prior @ slope.T + np.diag(np.repeat(sigma, 2) ** 2)
+    prior = wander**2 * np.minimum.outer(sums, sums)
+    noise = np.diag(np.repeat(sigma, 2) ** 2)
+    covariance = slope @ prior @ slope.T + noise
     pull = np.linalg.solve(covariance, offset)
+    mean = prior @ slope.T @ pull
     log_determinant = np.linalg.slogdet(covariance)[1]
-    return prior @ slope.T @ pull, float(-0.5 * (offset @ pull + log_determinant))
+    return mean, float(-0.5 * (offset @ pull + log_determinant))
 
 
 def _piece_middles(length: float) -> np.ndarray:
@@ -273,7 +292,8 @@ def _piece_middles(length: float) -> np.ndarray:
 def _length_before(s: np.ndarray, length: float) -> np.ndarray:
     """Compute how much of each piece lies before each place, (M, PIECES) [m]."""
     piece = length / CURVE_PIECES
-    before = np.clip(s[:, None] - piece * np.arange(CURVE_PIECES), 0.0, piece)
+    beginnings = piece * np.arange(CURVE_PIECES)
+    before = np.clip(s[:, None] - beginnings, 0.0, piece)
     before[:, -1] += np.maximum(s - length, 0.0)
     return np.asarray(before)
 

@@ -5,10 +5,14 @@
                 + P/2 ln 2 pi - 1/2 ln |H|        log volume of the posterior
 
 y_k are the coefficients of trial k, with the scale of its discrepancy integrated out
-(`discrepancy`); H is the curvature at the best theta. Before the data speak every
-exponent in its range is equally likely, except the amplitude of a cause. The prior of
-an amplitude is one of how far it moves the tip [m]: half-normal of several widths. So
-causes of any unit are equally likely, and one that moves nothing is no worse than none.
+(`discrepancy`); H is the curvature at the best theta. The prior of an amplitude of a
+cause is one of its tip shift: the root mean square, over all frames of all trials, of
+how far it moves the tip [m]. It is half-normal of several widths. So causes of any unit
+are equally likely, and one that moves nothing is no worse than none.
+
+All other exponents are uniform in [0, 1]. In H, and for those of the base model in the
+fit, a normal of the same variance stands for that: it gives a finite volume to what the
+data do not determine.
 
 References
 ----------
@@ -17,8 +21,7 @@ MacKay 2003, Information Theory, Inference, and Learning Algorithms, chapter 27.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,8 +33,8 @@ from stringcast.stages.inference.discrepancy import (
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
-from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.model.effect import Effect, amplitude_parameters
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
+from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.parameter import Parameter
 
 # Widths of the prior of how far a cause moves the tip [m], each as likely
@@ -40,6 +43,7 @@ MAX_SCALE_ROUNDS = 6  # of parameters and scales in turn, at most; it mostly tak
 SCREENING_ITERATIONS = 4  # iterations of several starts, before the best alone goes on
 DISCREPANCY_DRAWS = 400  # of a discrepancy: a probability is known to 0.025
 ABSENCE_TOLERANCE = 1e-9  # of a range: an amplitude so near to its start is absent
+AMPLITUDE_PRECISION = 1e-9  # none, but keeps the curvature positive
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,7 @@ class Fit:
     slopes
         Of the residuals with chi, (P, 2 n) of each trial.
     scale_indices
-        The index of the most likely scale of each trial's discrepancy, (K,).
+        The index of the most probable scale of each trial's discrepancy, (K,).
     log_likelihood_by_trial
         Log-likelihood of each trial, whatever that scale, (K,).
     log_evidence
@@ -98,8 +102,8 @@ def fit_hypothesis(
     data: TrialData,
     hypothesis: Hypothesis,
     starts: np.ndarray,
-    sizes: np.ndarray,
-    enough: float = solver.MIN_GAIN,
+    scale_indices: np.ndarray,
+    min_gain: float = solver.MIN_GAIN,
 ) -> Fit:
     """Fit a hypothesis: its parameters and the discrepancies' scales in turn.
 
@@ -107,12 +111,12 @@ def fit_hypothesis(
     ----------
     starts
         Exponents, (C, P).
-    sizes
+    scale_indices
         Indices of the scales to start with, (K,).
-    enough
+    min_gain
         A step that gains less of the log-likelihood ends its turn.
     """
-    chi = best_exponents(data, hypothesis, starts, sizes, enough)
+    chi = best_exponents(data, hypothesis, starts, scale_indices, min_gain)
     return evaluate_fit(data, hypothesis, chi)
 
 
@@ -120,63 +124,86 @@ def best_exponents(
     data: TrialData,
     hypothesis: Hypothesis,
     starts: np.ndarray,
-    sizes: np.ndarray,
-    enough: float = solver.MIN_GAIN,
+    scale_indices: np.ndarray,
+    min_gain: float = solver.MIN_GAIN,
 ) -> np.ndarray:
     """Find the exponents (P,) of a fit. Parameters as of `fit_hypothesis`."""
-    data, model = data.for_hypothesis(hypothesis), hypothesis.model
+    data = data.for_hypothesis(hypothesis)
+    model = hypothesis.model
+    uniform = hypothesis.base_indices
 
-    def likelihood() -> Likelihood:
-        return Likelihood(data, model, sizes, uniform_indices=hypothesis.base_indices)
+    # Several starts side by side; the best of them goes on
+    likelihood = Likelihood(data, model, scale_indices, uniform_indices=uniform)
+    screened = solver.fit_least_squares(
+        likelihood, starts, SCREENING_ITERATIONS, min_gain
+    ).chi
+    by_scale = data.log_likelihood_by_scale(data.residuals(model, screened))
+    log_likelihood = marginal_log_likelihood(by_scale).sum(axis=0)  # (C,)
+    best = int(np.argmax(log_likelihood))
+    chi: np.ndarray = screened[best]
+    scale_indices = best_scale_index(by_scale[:, best])
 
-    first = solver.fit_least_squares(likelihood(), starts, SCREENING_ITERATIONS, enough)
-    # (K, C, S)
-    by_scale = data.log_likelihood_by_scale(data.residuals(model, first.chi))
-    best = int(np.argmax(marginal_log_likelihood(by_scale).sum(axis=0)))
-    chi, sizes = first.chi[best], best_scale_index(by_scale[:, best])
     for _ in range(MAX_SCALE_ROUNDS - 1):
-        chi = solver.fit_least_squares(likelihood(), chi[None], enough=enough).chi[0]
+        likelihood = replace(likelihood, scale_indices=scale_indices)
+        fit = solver.fit_least_squares(likelihood, chi[None], min_gain=min_gain)
+        chi = fit.chi[0]
         residuals = data.residuals(model, chi[None])
         updated = best_scale_index(data.log_likelihood_by_scale(residuals)[:, 0])
-        if (updated == sizes).all():
+        if (updated == scale_indices).all():
             break
-        sizes = updated
-    return np.asarray(chi)
+        scale_indices = updated
+    return chi
 
 
 def evaluate_fit(data: TrialData, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
     """Evaluate a hypothesis and its log evidence at exponents (P,)."""
     data = data.for_hypothesis(hypothesis)
     rows = data.residuals(hypothesis.model, chi[None])
-    by_scale = data.log_likelihood_by_scale(rows)[:, 0]
-    sizes, by_trial = best_scale_index(by_scale), marginal_log_likelihood(by_scale)
     residuals = [row[0] for row in rows]
 
+    # Log likelihood of the trials
+    by_scale = data.log_likelihood_by_scale(rows)[:, 0]
+    scale_indices = best_scale_index(by_scale)
+    by_trial = marginal_log_likelihood(by_scale)
+
+    # Slopes, and residuals with each of the A amplitudes absent in turn
     amplitudes: list[int] = []
     for cause in hypothesis.causes:
-        amplitudes += hypothesis.parameter_indices(cause, amplitude_parameters(cause))
-    start = hypothesis.exponents_from({})
-    without_one = np.where(np.eye(len(chi), dtype=bool)[amplitudes], start, chi)
+        amplitudes += hypothesis.amplitude_indices(cause)
+    absent = hypothesis.exponents_from({})
+    is_absent = np.eye(len(chi), dtype=bool)[amplitudes]  # (A, P)
+    without_one = np.where(is_absent, absent, chi)
     slopes, others = _residual_slopes(
-        data, hypothesis, chi, residuals, sizes, without_one
+        data, hypothesis, chi, residuals, scale_indices, without_one
     )
 
+    # Log prior of the amplitudes
     shifts = [r - other for r, other in zip(residuals, others, strict=True)]
     tip_shifts = data.overall_tip_rms(shifts)
     tip_slopes = data.overall_tip_rms([slope[amplitudes] for slope in slopes])
     prior = 0.0
     for number, index in enumerate(amplitudes):
-        distance = abs(chi[index] - start[index])
-        shift, slope = tip_shifts[number], tip_slopes[number]
-        prior += log_prior(hypothesis.parameters[index], distance, shift, slope)
+        prior += log_prior(
+            hypothesis.parameters[index],
+            abs(chi[index] - absent[index]),
+            tip_shifts[number],
+            tip_slopes[number],
+        )
 
+    # Log volume of the posterior
     precision = np.full(len(chi), PRIOR_PRECISION)
-    precision[amplitudes] = ABSENCE_TOLERANCE
-    white = data.whiten(slopes, sizes)
-    volume = log_volume(white @ white.T + np.diag(precision))
-    evidence = float(by_trial.sum() + prior + volume)
+    precision[amplitudes] = AMPLITUDE_PRECISION
+    white_slopes = data.whiten(slopes, scale_indices)
+    volume = log_volume(white_slopes @ white_slopes.T + np.diag(precision))
+
     return Fit(
-        hypothesis, chi, tuple(residuals), tuple(slopes), sizes, by_trial, evidence
+        hypothesis,
+        chi,
+        tuple(residuals),
+        tuple(slopes),
+        scale_indices,
+        by_trial,
+        float(by_trial.sum() + prior + volume),
     )
 
 
@@ -185,33 +212,34 @@ def log_prior(
 ) -> float:
     """Compute the log density of a cause's amplitude in its exponent.
 
-    It is the density of how far the tip moves, times how far it moves by the exponent.
+    It is the density of the tip shift, times the tip shift per exponent.
 
     Parameters
     ----------
     distance
         Of the exponent from where the cause is absent.
     tip_shift
-        How far the cause moves the tip [m].
+        Of the cause [m].
     tip_slope
-        The same by the exponent, where it is absent [m].
+        Slope of the tip shift with the exponent, where the cause is absent [m].
     """
-    two_sided = amplitude.low < amplitude.start < amplitude.high
-    shift, slope = 0.0, tip_slope
     if distance > ABSENCE_TOLERANCE:
-        shift, slope = tip_shift, tip_shift / distance
-    density = float(tip_shift_density(np.asarray(shift), two_sided) * slope)
+        tip_slope = tip_shift / distance
+    else:
+        tip_shift = 0.0
+    density = float(tip_shift_density(np.asarray(tip_shift), amplitude) * tip_slope)
     return float(np.log(max(density, np.finfo(float).tiny)))
 
 
-def tip_shift_density(moves: np.ndarray, two_sided: bool) -> np.ndarray:
-    """Compute the prior density [1/m] of how far a cause moves the tip (...) [m].
+def tip_shift_density(tip_shift: np.ndarray, amplitude: Parameter) -> np.ndarray:
+    """Compute the prior density [1/m] of tip shifts (...) [m] by an amplitude.
 
-    Of a cause that can have either sign it is half to either side.
+    Of an amplitude that can have either sign it is half to either side.
     """
-    normal = np.exp(-0.5 * (moves[..., None] / TIP_SHIFT_WIDTHS_M) ** 2)
+    is_two_sided = amplitude.low < amplitude.start < amplitude.high
+    normal = np.exp(-0.5 * (tip_shift[..., None] / TIP_SHIFT_WIDTHS_M) ** 2)
     density = np.sqrt(2 / np.pi) / TIP_SHIFT_WIDTHS_M * normal
-    return np.asarray(density.mean(axis=-1) * (0.5 if two_sided else 1.0))
+    return np.asarray(density.mean(axis=-1) * (0.5 if is_two_sided else 1.0))
 
 
 def log_volume(curvature: np.ndarray) -> float:
@@ -222,13 +250,12 @@ def log_volume(curvature: np.ndarray) -> float:
 
 def mean_discrepancy(data: TrialData, fit: Fit) -> list[np.ndarray]:
     """Compute the most likely discrepancy of each trial, over sigma, (2 n,)."""
-    trials = data.for_hypothesis(fit.hypothesis).trials
     means = []
-    for trial, residual, size in zip(
-        trials, fit.residuals, fit.scale_indices, strict=True
-    ):
-        coefficients = trial.discrepancy.coefficients(residual[None])[0]
-        means.append(trial.discrepancy.posterior_mean(coefficients, int(size)))
+    for k, trial in enumerate(data.for_hypothesis(fit.hypothesis).trials):
+        discrepancy = trial.discrepancy
+        coefficients = discrepancy.coefficients(fit.residuals[k][None])[0]
+        scale_index = int(fit.scale_indices[k])
+        means.append(discrepancy.posterior_mean(coefficients, scale_index))
     return means
 
 
@@ -239,13 +266,16 @@ def sample_discrepancy_tip_rms(
 
     Returns root mean squares [m], (K, DISCREPANCY_DRAWS).
     """
-    data = data.for_hypothesis(fit.hypothesis)
     draws = []
-    for number, trial in enumerate(data.trials):
-        residual, size = fit.residuals[number], int(fit.scale_indices[number])
-        coefficients = trial.discrepancy.coefficients(residual[None])[0]
-        sample = trial.discrepancy.sample_posterior
-        draws.append(sample(coefficients, size, DISCREPANCY_DRAWS, rng))
+    for k, trial in enumerate(data.for_hypothesis(fit.hypothesis).trials):
+        discrepancy = trial.discrepancy
+        coefficients = discrepancy.coefficients(fit.residuals[k][None])[0]
+        scale_index = int(fit.scale_indices[k])
+        draws.append(
+            discrepancy.sample_posterior(
+                coefficients, scale_index, DISCREPANCY_DRAWS, rng
+            )
+        )
     return data.tip_rms_by_trial(draws)
 
 
@@ -253,26 +283,27 @@ def _residual_slopes(
     data: TrialData,
     hypothesis: Hypothesis,
     chi: np.ndarray,
-    residuals: Sequence[np.ndarray],
-    sizes: np.ndarray,
-    more: np.ndarray,
+    residuals: ByTrial,
+    scale_indices: np.ndarray,
+    further_chi: np.ndarray,
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Difference each trial's residuals (2 n,) by the exponents (P,).
 
-    Returns slopes (P, 2 n), and residuals (A, 2 n) at more exponents (A, P): further
+    Returns slopes (P, 2 n), and residuals (A, 2 n) at further exponents (A, P): more
     lanes of a batch cost little.
     """
-    width = np.full(len(chi), solver.FIRST_DIFFERENCE)
+    count = len(chi)
+    width = np.full(count, solver.FIRST_DIFFERENCE)
     for _ in range(2):  # the first differences say how wide the second should be
         offset = np.where(chi > 0.5, -width, width)
-        points = np.concatenate([chi + np.diag(offset), more])
-        slopes, others = [], []
+        points = np.concatenate([chi + np.diag(offset), further_chi])
         simulated = data.residuals(hypothesis.model, points)
+        slopes = []
         for rows, residual in zip(simulated, residuals, strict=True):
-            moved = rows[: len(chi)]
-            lost = (moved == DIVERGED_RESIDUAL) | (residual == DIVERGED_RESIDUAL)
-            slopes.append(np.where(lost, 0.0, moved - residual) / offset[:, None])
-            others.append(rows[len(chi) :])
-        white = data.whiten(slopes, sizes)[None]
+            moved = rows[:count]
+            diverged = (moved == DIVERGED_RESIDUAL) | (residual == DIVERGED_RESIDUAL)
+            change = np.where(diverged, 0.0, moved - residual)
+            slopes.append(change / offset[:, None])
+        white = data.whiten(slopes, scale_indices)[None]
         width = solver.difference_widths(white, np.ones(1))[0]
-    return slopes, others
+    return slopes, [rows[count:] for rows in simulated]

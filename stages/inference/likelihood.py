@@ -3,9 +3,9 @@
     residual_k = V_k^(-1/2) (simulated - measured) / sigma
 
 for trial k, whose error model gives V_k: independent noise of some scale, or a smooth
-discrepancy of some size (`discrepancy`), and displacements U_k a with unknown a ~ N(0,
-1), such as by another initial state. Integrated over a, these are noise of covariance
-V_k. What U_k could explain counts for less.
+discrepancy of a fixed scale (`discrepancy`), and displacements U_k a with unknown a ~
+N(0, 1), such as by another initial state. Integrated over a, these are noise of
+covariance V_k. What U_k could explain counts for less.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Likelihood:
     model
         That is fitted to them.
     scale_indices
-        The index of the scale of each trial's discrepancy, (K,); none where no trial
-        has a discrepancy.
+        The index of the scale of each trial's discrepancy, (K,). None where no trial
+        has a discrepancy: independent errors have a single scale.
     limit
         Standard deviations beyond which a residual counts less (Huber), or infinite.
     uniform_indices
@@ -50,7 +50,7 @@ class Likelihood:
 
     data: TrialData
     model: Model
-    scale_indices: Sequence[int] | np.ndarray = ()
+    scale_indices: np.ndarray | None = None
     limit: float = np.inf
     uniform_indices: Sequence[int] = ()
 
@@ -70,19 +70,20 @@ class Likelihood:
         Those of the prior come last. In a trial that diverged they are
         DIVERGED_RESIDUAL.
         """
-        prior = np.sqrt(PRIOR_PRECISION) * (chi[:, list(self.uniform_indices)] - 0.5)
+        from_middle = chi[:, list(self.uniform_indices)] - 0.5
+        prior = np.sqrt(PRIOR_PRECISION) * from_middle
         return np.concatenate([*self.residuals_by_trial(chi), prior], axis=1)
 
     def residuals_by_trial(self, chi: np.ndarray) -> list[np.ndarray]:
         """Compute white residuals of each trial, (C, N_k)."""
         residuals = self.data.residuals(self.model, chi)
-        sizes = np.asarray(self.scale_indices)
-        if not len(sizes):
-            sizes = np.zeros(len(residuals), dtype=int)
-        white = self.data.whiten_by_trial(residuals, sizes)
-        for number, residual in enumerate(residuals):
-            lost = (residual == DIVERGED_RESIDUAL).any(axis=1, keepdims=True)
-            white[number] = np.where(lost, DIVERGED_RESIDUAL, white[number])
+        scale_indices = self.scale_indices
+        if scale_indices is None:
+            scale_indices = np.zeros(len(residuals), dtype=int)
+        white = self.data.whiten_by_trial(residuals, scale_indices)
+        for k, residual in enumerate(residuals):
+            diverged = (residual == DIVERGED_RESIDUAL).any(axis=1, keepdims=True)
+            white[k] = np.where(diverged, DIVERGED_RESIDUAL, white[k])
         return white
 
     def cut_after_onset(self, seconds: float) -> Likelihood:
@@ -101,9 +102,10 @@ class Likelihood:
 
 def time_blocks(trials: Sequence[PreparedTrial]) -> np.ndarray:
     """Find the block of time of each residual, (N,), counted through all trials."""
-    blocks, first = [], 0
+    blocks = []
+    first = 0
     for trial in trials:
-        block = np.floor(trial.times[trial.frame] / BLOCK_S).astype(int)
+        block = np.floor(trial.times[trial.frame] / BLOCK_S)
         _, number = np.unique(block, return_inverse=True)
         blocks.append(np.repeat(first + number, 2))
         first += number.max() + 1
@@ -116,6 +118,8 @@ def _motion_onset(trial: PreparedTrial) -> float:
         return float(trial.times[0])
     hand = trial.motion.actual_hand_motion(trial.model.arm, ())
     length = trial.model.string.length
-    moved = np.abs((hand.pose[0] - hand.pose[0, 0]) * [1.0, 1.0, length])
-    onset = np.argmax(moved.max(axis=1) > MOTION_SHARE * length)
+    pose = hand.pose[0]
+    metres_per_unit = [1.0, 1.0, length]  # an angle moves the far end of the string
+    moved_m = np.abs((pose - pose[0]) * metres_per_unit)
+    onset = np.argmax(moved_m.max(axis=1) > MOTION_SHARE * length)
     return hand.start + hand.tick * float(onset)

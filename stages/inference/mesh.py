@@ -41,7 +41,8 @@ def discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
     reference = _likelihood_on_mesh(likelihood, REFERENCE_REFINEMENT)
     coarse = _simulated_points(likelihood, values)
     distance = coarse - _simulated_points(reference, values)
-    return float(np.sqrt(np.mean(np.sum(distance**2, axis=-1))))
+    squares = np.sum(distance**2, axis=-1)
+    return float(np.sqrt(np.mean(squares)))
 
 
 def _simulated_points(likelihood: Likelihood, values: np.ndarray) -> np.ndarray:
@@ -55,20 +56,21 @@ def _simulated_points(likelihood: Likelihood, values: np.ndarray) -> np.ndarray:
 
 
 def refine_mesh(
-    model: Model, trials: Sequence[PreparedTrial], times: float
+    model: Model, trials: Sequence[PreparedTrial], factor: float
 ) -> tuple[Model, tuple[PreparedTrial, ...]]:
-    """Divide a model's string, and that of trials, into `times` as many segments.
+    """Divide a model's string, and that of trials, into `factor` times the segments.
 
     Steps are as much shorter.
     """
     string = model.string
-    segments = round(times * (string.points - 1) + 1e-9)
-    step = string.largest_step / times
+    # The small number rounds a half up
+    segments = round(factor * (string.points - 1) + 1e-9)
+    step = string.largest_step / factor
     finer_string = replace(string, points=segments + 1, largest_step=step)
     finer = replace(model, string=finer_string)
     return finer, tuple(replace(trial, model=finer) for trial in trials)
 
 
-def _likelihood_on_mesh(likelihood: Likelihood, times: float) -> Likelihood:
-    model, trials = refine_mesh(likelihood.model, likelihood.data.trials, times)
+def _likelihood_on_mesh(likelihood: Likelihood, factor: float) -> Likelihood:
+    model, trials = refine_mesh(likelihood.model, likelihood.data.trials, factor)
     return replace(likelihood.with_trials(trials), model=model)

@@ -24,8 +24,8 @@ class MeshCorrection:
     parameter_names
         Names of the parameters, (P,).
     chi
-        Exponents (P,) at which the discretisation error was subtracted from the
-        measured points.
+        The centre: exponents (P,) at which the discretisation error was subtracted
+        from the measured points.
     slopes
         Of each trial, the slopes (P, 2 n) of the change of its residuals over sigma.
     """
@@ -34,11 +34,12 @@ class MeshCorrection:
     chi: np.ndarray
     slopes: tuple[np.ndarray, ...]
 
-    def centred_at(self, known: Mapping[str, float]) -> MeshCorrection:
-        """Move the point to other exponents, known by name."""
-        pairs = zip(self.parameter_names, self.chi, strict=True)
-        moved = [known.get(name, chi) for name, chi in pairs]
-        return replace(self, chi=np.array(moved))
+    def centred_at(self, exponents: Mapping[str, float]) -> MeshCorrection:
+        """Move the centre to other exponents by name; the slopes stay."""
+        moved = self.chi.copy()
+        for i, name in enumerate(self.parameter_names):
+            moved[i] = exponents.get(name, moved[i])
+        return replace(self, chi=moved)
 
     def subset(self, chosen: Sequence[int]) -> MeshCorrection:
         """Select some of the trials by number."""
@@ -52,8 +53,12 @@ class MeshCorrection:
 
         names: of the parameters, (P',).
         """
-        known = [i for i, name in enumerate(self.parameter_names) if name in names]
-        places = [names.index(self.parameter_names[i]) for i in known]
-        radius = MESH_CORRECTION_RADIUS
-        distance = np.clip(chi[:, places] - self.chi[known], -radius, radius)
-        return [distance @ slope[known] for slope in self.slopes]
+        known = []  # indices among the correction's parameters
+        columns = []  # indices of the same parameters in `names`
+        for i, name in enumerate(self.parameter_names):
+            if name in names:
+                known.append(i)
+                columns.append(names.index(name))
+        distance = chi[:, columns] - self.chi[known]
+        limited = distance.clip(-MESH_CORRECTION_RADIUS, MESH_CORRECTION_RADIUS)
+        return [limited @ slope[known] for slope in self.slopes]

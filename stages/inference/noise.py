@@ -36,7 +36,8 @@ class Noise:
     Parameters
     ----------
     place_covariance
-        Covariance of functions of place over that of white noise, (K, K).
+        Covariance of functions of place over that of white noise, (K, K), with K =
+        PLACE_FUNCTIONS.
     frame_correlation
         Correlation with the frame before.
     """
@@ -50,27 +51,32 @@ class Noise:
         in_time = (1 + self.frame_correlation) / (1 - self.frame_correlation)
         return float(np.trace(self.place_covariance) / PLACE_FUNCTIONS * in_time)
 
-    def covariance(self, time: csr_array, place: np.ndarray) -> np.ndarray:
+    def covariance(self, time: csr_array, gram_roots: np.ndarray) -> np.ndarray:
         """Compute the covariance (K B, K B) of noise projected on smooth functions.
 
-        A projection is a sum over points of noise times a product of functions.
+        A projection is a sum over points of noise times a product of functions. With
+        L L' the covariance of the noise, and A the products, this is (L' A)' (L' A).
 
         Parameters
         ----------
         time
             Functions of time at each frame, (F, B).
-        place
+        gram_roots
             Roots of the Gram matrices of functions of place, (F, K, K).
         """
         frames = time.shape[0]
-        products = np.einsum("fij,fb->fijb", place, time.toarray())
-        rows = products.reshape(frames, -1)[::-1]
-        filtered = lfilter([1.0], [1.0, -self.frame_correlation], rows, axis=0)[::-1]
-        filtered[1:] *= np.sqrt(1 - self.frame_correlation**2)
+        correlation = self.frame_correlation
+        products = np.einsum("fij,fb->fijb", gram_roots, time.toarray())
 
-        root = np.linalg.cholesky(self.place_covariance).T
+        # L' of the AR(1) process in time: a filter that runs backwards
+        reversed_rows = products.reshape(frames, -1)[::-1]
+        filtered = lfilter([1.0], [1.0, -correlation], reversed_rows, axis=0)[::-1]
+        filtered[1:] *= np.sqrt(1 - correlation**2)
+
+        # L' of the covariance of functions of place
+        place_root = np.linalg.cholesky(self.place_covariance).T
         by_place = filtered.reshape(frames, PLACE_FUNCTIONS, -1)
-        mixed = np.einsum("ki,fij->fkj", root, by_place)
+        mixed = np.einsum("ki,fij->fkj", place_root, by_place)
         rows = mixed.reshape(frames * PLACE_FUNCTIONS, -1)
         return np.asarray(rows.T @ rows)
 
@@ -100,14 +106,17 @@ def gram_roots(place: np.ndarray, frame: np.ndarray, frames: int) -> np.ndarray:
     gram = np.zeros((frames, place.shape[1], place.shape[1]))
     np.add.at(gram, frame, place[:, :, None] * place[:, None, :])
     values, vectors = np.linalg.eigh(gram)
-    roots = np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(np.einsum("fik,fk,fjk->fij", vectors, roots, vectors))
+    sizes = np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(np.einsum("fik,fk,fjk->fij", vectors, sizes, vectors))
 
 
 def noise_track(
     time: csr_array, place: np.ndarray, frame: np.ndarray, residual: np.ndarray
 ) -> NoiseTrack:
-    """Project residuals (n, 2) in frames (n,) on functions of place (n, K)."""
+    """Project residuals (n, 2) in frames (n,) on functions of place (n, K).
+
+    Divided by the root of their Gram matrix, white noise has unit variance in them.
+    """
     frames = time.shape[0]
     sums = np.zeros((frames, place.shape[1], 2))
     np.add.at(sums, frame, place[:, :, None] * residual[:, None, :])
@@ -133,43 +142,51 @@ def _most_likely_noise(tracks: Sequence[NoiseTrack]) -> Noise:
     The prior is white noise, and counts as much as PLACE_FUNCTIONS frames.
     """
 
-    def cost(before: float) -> float:
-        return -_restricted_likelihood(tracks, before)[0]
+    def cost(frame_correlation: float) -> float:
+        return -_restricted_likelihood(tracks, frame_correlation)[0]
 
     bounds = (0.0, MAX_FRAME_CORRELATION)
     best = minimize_scalar(cost, bounds=bounds, method="bounded").x
-    return Noise(_restricted_likelihood(tracks, best)[1], float(best))
+    _, place_covariance = _restricted_likelihood(tracks, best)
+    return Noise(place_covariance, float(best))
 
 
 def _restricted_likelihood(
-    tracks: Sequence[NoiseTrack], before: float
+    tracks: Sequence[NoiseTrack], frame_correlation: float
 ) -> tuple[float, np.ndarray]:
     """Compute the restricted log-likelihood of a correlation with the frame before.
 
     Returns it and the most likely covariance of functions of place, (K, K).
     """
     scatter = PLACE_FUNCTIONS * np.eye(PLACE_FUNCTIONS)
-    degrees, log_volume = PLACE_FUNCTIONS, 0.0
+    degrees = PLACE_FUNCTIONS
+    log_volume = 0.0
     for track in tracks:
-        smooth = _innovations(track.time_splines, before)
-        noisy = _innovations(track.place_residuals, before)
+        smooth = _innovations(track.time_splines, frame_correlation)
+        noisy = _innovations(track.place_residuals, frame_correlation)
+        frames = len(noisy)
+
+        # Subtract the smooth motion: its splines may not be independent
         q, r = np.linalg.qr(smooth)
         diagonal = np.abs(np.diag(r))
         kept = diagonal > np.sqrt(RANK_TOLERANCE) * np.abs(r).max()
+        basis = q[:, kept]
+        residual = noisy - basis @ (basis.T @ noisy)
 
-        residual = noisy - q[:, kept] @ (q[:, kept].T @ noisy)
         by_place = residual.reshape(-1, PLACE_FUNCTIONS, 2)
         scatter += np.einsum("fic,fjc->ij", by_place, by_place)
-        degrees += 2 * (len(noisy) - kept.sum())
-        of_innovations = (len(noisy) - 1) * np.log1p(-(before**2))
-        log_volume += of_innovations + 2 * np.log(diagonal[kept]).sum()
-    places = scatter / degrees
-    log_determinant = np.linalg.slogdet(places)[1]
-    value = -0.5 * (2 * PLACE_FUNCTIONS * log_volume + degrees * log_determinant)
-    return value, places
+        degrees += 2 * (frames - kept.sum())
+        log_innovations = (frames - 1) * np.log1p(-(frame_correlation**2))
+        log_smooth = 2 * np.log(diagonal[kept]).sum()
+        log_volume += log_innovations + log_smooth
+    covariance = scatter / degrees
+    log_determinant = np.linalg.slogdet(covariance)[1]
+    twice = 2 * PLACE_FUNCTIONS * log_volume + degrees * log_determinant
+    return -0.5 * twice, covariance
 
 
-def _innovations(values: np.ndarray, before: float) -> np.ndarray:
+def _innovations(values: np.ndarray, frame_correlation: float) -> np.ndarray:
     """Compute what each frame adds to the one before, of unit size, (F, ...)."""
-    new = (values[1:] - before * values[:-1]) / np.sqrt(1 - before**2)
-    return np.concatenate([values[:1], new])
+    added = values[1:] - frame_correlation * values[:-1]
+    scaled = added / np.sqrt(1 - frame_correlation**2)
+    return np.concatenate([values[:1], scaled])

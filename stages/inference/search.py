@@ -44,38 +44,43 @@ MAX_REFINEMENT_ROUNDS = 10  # of refinement at most; it mostly takes three
 # of the noise, geometric mean over trials: a smaller gain ends refinement
 MIN_LOG_NOISE_GAIN = 0.01
 MIN_SCALE = 1e-9  # of the noise: exact data have a residual, too
+MIN_SPAN_S = 1e-9  # of a trial of a single frame
 
 
 def screen_candidates(
     likelihood: Likelihood, chi: np.ndarray, count: int
 ) -> np.ndarray:
     """Choose the best candidates (C, P) at the first horizon, best first."""
-    ahead = horizons(likelihood)
-    first = _mesh_of_each_horizon(likelihood, len(ahead))[0].cut_after_onset(ahead[0])
-    misfit = np.mean(first.residuals(chi) ** 2, axis=1)
+    horizons_s = horizons(likelihood)
+    coarsest = _mesh_of_each_horizon(likelihood, len(horizons_s))[0]
+    early = coarsest.cut_after_onset(horizons_s[0])
+    misfit = np.mean(early.residuals(chi) ** 2, axis=1)
     return chi[np.argsort(misfit, kind="stable")[:count]]
 
 
 def horizons(likelihood: Likelihood) -> list[float]:
     """List the horizons [s] that are fitted in turn, the last of them infinite."""
-    spans, rate = [], 0.0
+    longest = 0.0
+    rate = 0.0  # of measured numbers in all trials [1/s]
     for trial in likelihood.data.trials:
-        span = max(float(np.ptp(trial.times)), MIN_SCALE)
+        span = max(float(np.ptp(trial.times)), MIN_SPAN_S)
         rate += 2 * len(trial.s) / span
-        spans.append(span)
+        longest = max(longest, span)
     length = likelihood.model.string.length
     swing = FIRST_HORIZON * np.sqrt(length / GRAVITY_M_S2)
-    enough = MIN_NUMBERS_PER_PARAMETER * len(likelihood.parameters) / rate
-    ahead = [max(swing, enough)]
-    while ahead[-1] * HORIZON_GROWTH < WHOLE_TRIAL_SHARE * max(spans):
-        ahead.append(ahead[-1] * HORIZON_GROWTH)
-    return [*ahead, np.inf]
+    determined = MIN_NUMBERS_PER_PARAMETER * len(likelihood.parameters) / rate
+    horizon = max(swing, determined)
+    horizons_s = [horizon]
+    while horizon * HORIZON_GROWTH < WHOLE_TRIAL_SHARE * longest:
+        horizon *= HORIZON_GROWTH
+        horizons_s.append(horizon)
+    return [*horizons_s, np.inf]
 
 
 def search_parameters(
     likelihood: Likelihood,
     starts: np.ndarray,
-    most: int,
+    max_iterations: int,
     progress: Progress = lambda share: None,
 ) -> np.ndarray:
     """Search the best parameters (P,) from several starts.
@@ -83,19 +88,22 @@ def search_parameters(
     Parameters
     ----------
     starts
-        Exponents (K, P), the best first.
-    most
-        Iterations of each start before the last horizon.
+        Exponents (R, P), the best first.
+    max_iterations
+        Iterations of each start before the last horizon, over all horizons.
     """
-    chi, ahead = starts, horizons(likelihood)
-    meshes = _mesh_of_each_horizon(likelihood, len(ahead))
-    iterations = max(most // max(len(ahead) - 1, 1), 1)
-    for number, (horizon, mesh) in enumerate(zip(ahead, meshes, strict=True)):
-        part = with_estimated_noise(mesh.cut_after_onset(horizon), chi[0])
-        limit = iterations if np.isfinite(horizon) else MAX_ITERATIONS
-        fits = fit_least_squares(part, chi, limit)
-        chi = fits.chi[_survivors(fits.residual, fits.loss)]
-        progress((number + 1) / len(ahead))
+    chi = starts
+    horizons_s = horizons(likelihood)
+    count = len(horizons_s)
+    meshes = _mesh_of_each_horizon(likelihood, count)
+    iterations = max(max_iterations // max(count - 1, 1), 1)
+    for number, horizon in enumerate(horizons_s):
+        if number == count - 1:
+            iterations = MAX_ITERATIONS
+        early = meshes[number].cut_after_onset(horizon)
+        runs = fit_least_squares(with_estimated_noise(early, chi[0]), chi, iterations)
+        chi = runs.chi[_survivors(runs.residual, runs.loss)]
+        progress((number + 1) / count)
     return np.asarray(chi[0])
 
 
@@ -109,13 +117,13 @@ def _mesh_of_each_horizon(likelihood: Likelihood, count: int) -> list[Likelihood
 def _survivors(residual: np.ndarray, loss: np.ndarray) -> list[int]:
     """Choose the better half of the runs that have come to different places.
 
-    residual: (K, N). loss: (K,). Returns their numbers, best first.
+    residual: (R, N). loss: (R,). Returns their numbers, best first.
     """
     kept: list[int] = []
-    order = np.argsort(loss, kind="stable")
-    for run in order[: max(len(loss) // 2, MIN_FINALISTS)]:
-        distances = [np.mean((residual[run] - residual[other]) ** 2) for other in kept]
-        nearest = np.min(distances, initial=np.inf)
+    count = max(len(loss) // 2, MIN_FINALISTS)
+    for run in np.argsort(loss, kind="stable")[:count]:
+        differences = residual[kept] - residual[run]
+        nearest = np.mean(differences**2, axis=1).min(initial=np.inf)
         if nearest > SAME_PLACE_TOLERANCE**2 * loss[run]:
             kept.append(int(run))
     return kept
@@ -131,13 +139,15 @@ def refine_solution(
     """
     likelihood = with_refined_initial_states(likelihood, chi, INITIAL_SPAN_S)
     for number in range(MAX_REFINEMENT_ROUNDS):
-        fits = fit_least_squares(likelihood, chi[None], enough=REFINEMENT_MIN_GAIN)
-        best = fits.chi[0]
+        runs = fit_least_squares(likelihood, chi[None], min_gain=REFINEMENT_MIN_GAIN)
+        best = runs.chi[0]
         updated = with_refined_initial_states(likelihood, best)
-        before, after = np.log(likelihood.noise_scales), np.log(updated.noise_scales)
+        before = np.log(likelihood.noise_scales)
+        after = np.log(updated.noise_scales)
         gain = np.mean(before) - np.mean(after)
         if gain > 0 or number == 0:
-            likelihood, chi = updated, best
+            likelihood = updated
+            chi = best
         if gain < MIN_LOG_NOISE_GAIN:
             break
     return likelihood, chi
@@ -151,9 +161,9 @@ def with_refined_initial_states(
     span: of each trial's beginning that the states are fitted to [s].
     """
     values = parameter_values(likelihood.parameters, chi)
-    trials = [
-        refine_initial_state(trial, values, span) for trial in likelihood.data.trials
-    ]
+    trials = []
+    for trial in likelihood.data.trials:
+        trials.append(refine_initial_state(trial, values, span))
     refined = with_estimated_noise(likelihood.with_trials(trials), chi)
     return replace(refined, limit=HUBER_LIMIT)
 
@@ -166,10 +176,11 @@ def with_estimated_noise(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
     """
     trials = [replace(t, error_model=UNIT_ERRORS) for t in likelihood.data.trials]
     plain = likelihood.with_trials(trials)
-    columns = initial_mode_columns(trials, parameter_values(likelihood.parameters, chi))
+    values = parameter_values(likelihood.parameters, chi)
+    columns = initial_mode_columns(trials, values)
     modelled = []
-    for number, residual in enumerate(plain.residuals_by_trial(chi[None])):
+    for k, residual in enumerate(plain.residuals_by_trial(chi[None])):
         scale = float(mad_sigma(residual)) + MIN_SCALE
-        errors = IndependentErrors(scale, columns[number] if columns else None)
-        modelled.append(replace(trials[number], error_model=errors))
+        errors = IndependentErrors(scale, columns[k] if columns else None)
+        modelled.append(replace(trials[k], error_model=errors))
     return plain.with_trials(modelled)

@@ -7,8 +7,8 @@ straight in values. So each step is tried along both lines: of 48 random starts 
 six hardest of 32 sets, 12 reached the best minimum by steps in exponents alone, 38 by
 both.
 
-The noise need not be known. An improvement is counted in the log-likelihood at the best
-scale of the noise, N/2 log(loss).
+The noise need not be known: a gain is one of the log-likelihood at the best scale of
+the noise, N/2 log(loss). This only decides when a run ends.
 
 References
 ----------
@@ -81,26 +81,26 @@ class Problem(Protocol):
 
 @dataclass
 class SolverRuns:
-    """The state of K runs.
+    """The state of R runs.
 
     Parameters
     ----------
     chi
-        (K, P).
+        Exponents, (R, P).
     residual
-        (K, N).
+        White residuals, (R, N).
     loss
-        Of the residuals, as `huber.loss`, (K,).
+        Of the residuals, as of `huber_loss`, (R,).
     width
-        Of chi, over which the next differences are taken, (K, P).
+        Of chi, over which the next differences are taken, (R, P).
     damping
-        That was right last, (K,).
+        That was right last, (R,).
     stale
-        Runs whose curvature and gradient are those of an earlier place, (K,).
+        Runs whose curvature and gradient are those of earlier exponents, (R,).
     active
-        Runs that may still gain, (K,).
+        Runs that may still gain, (R,).
     normal, gradient
-        Curvature (K, P, P) and gradient (K, P) of half the loss.
+        Curvature (R, P, P) and gradient (R, P) of half the loss.
     """
 
     chi: np.ndarray
@@ -115,7 +115,7 @@ class SolverRuns:
 
     @classmethod
     def start(cls, problem: Problem, chi: np.ndarray) -> SolverRuns:
-        """Place the runs at their starts (K, P)."""
+        """Place the runs at their starts (R, P)."""
         count, size = chi.shape
         residual = problem.residuals(chi)
         return cls(
@@ -134,34 +134,34 @@ class SolverRuns:
 def fit_least_squares(
     problem: Problem,
     starts: np.ndarray,
-    most: int = MAX_ITERATIONS,
-    enough: float = MIN_GAIN,
+    max_iterations: int = MAX_ITERATIONS,
+    min_gain: float = MIN_GAIN,
 ) -> SolverRuns:
     """Minimise the loss from several starts side by side.
 
     Parameters
     ----------
     starts
-        Exponents, (K, P).
-    most
+        Exponents, (R, P).
+    max_iterations
         Iterations at most.
-    enough
+    min_gain
         A run that gains less of the log-likelihood ends.
     """
-    fits = SolverRuns.start(problem, starts)
-    for _ in range(most):
-        active = np.flatnonzero(fits.active)
+    runs = SolverRuns.start(problem, starts)
+    for _ in range(max_iterations):
+        active = np.flatnonzero(runs.active)
         if not active.size:
             break
-        _linearise_runs(problem, fits, active[fits.stale[active]])
-        _step_runs(problem, fits, active, enough)
-    return fits
+        _linearise_runs(problem, runs, active[runs.stale[active]])
+        _step_runs(problem, runs, active, min_gain)
+    return runs
 
 
 def forward_differences(
     problem: Problem, chi: np.ndarray, residual: np.ndarray, width: np.ndarray
 ) -> np.ndarray:
-    """Difference the residuals (K, N) at chi (K, P) over widths (K, P), (K, P, N).
+    """Difference the residuals (R, N) at chi (R, P) over widths (R, P), (R, P, N).
 
     Differences point away from the nearer bound. Those of diverged runs are zero.
     """
@@ -170,75 +170,81 @@ def forward_differences(
     points = chi[:, None] + offset[..., None] * np.eye(size)
     moved = problem.residuals(points.reshape(-1, size)).reshape(count, size, -1)
     start = residual[:, None]
-    lost = (moved == DIVERGED_RESIDUAL) | (start == DIVERGED_RESIDUAL)
-    return np.where(lost, 0.0, moved - start) / offset[..., None]
+    diverged = (moved == DIVERGED_RESIDUAL) | (start == DIVERGED_RESIDUAL)
+    change = np.where(diverged, 0.0, moved - start)
+    return change / offset[..., None]
 
 
-def difference_widths(slope: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Choose widths (K, P) over which points move by a tenth of the residual.
+def difference_widths(slope: np.ndarray, loss: np.ndarray) -> np.ndarray:
+    """Choose widths (R, P) over which points move by a tenth of the residual.
 
-    slope: (K, P, N). left: the loss of each run, (K,).
+    slope: of white residuals, (R, P, N). loss: of each run, (R,).
     """
-    size = np.sqrt(np.mean(slope**2, axis=-1))
-    wanted = DIFFERENCE_SHARE * np.sqrt(left)[:, None]
-    width = wanted / np.maximum(size, wanted / MAX_DIFFERENCE + SMALLEST_FLOAT)
+    slope_rms = np.sqrt(np.mean(slope**2, axis=-1))
+    change = DIFFERENCE_SHARE * np.sqrt(loss)[:, None]
+    smallest_slope = change / MAX_DIFFERENCE + SMALLEST_FLOAT
+    width = change / np.maximum(slope_rms, smallest_slope)
     return np.asarray(np.clip(width, MIN_DIFFERENCE, MAX_DIFFERENCE))
 
 
-def _linearise_runs(problem: Problem, fits: SolverRuns, runs: np.ndarray) -> None:
-    """Update curvature, gradient and width of some runs where they are."""
-    if not runs.size:
+def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> None:
+    """Update curvature, gradient and width of the chosen runs where they are."""
+    if not chosen.size:
         return
-    residual = fits.residual[runs]
-    slope = forward_differences(problem, fits.chi[runs], residual, fits.width[runs])
+    residual = runs.residual[chosen]
+    width = runs.width[chosen]
+    slope = forward_differences(problem, runs.chi[chosen], residual, width)
     weight = huber_weights(residual, problem.limit)[:, None]
     weighted = slope * weight / residual.shape[1]
-    fits.normal[runs] = weighted @ slope.transpose(0, 2, 1)
-    fits.gradient[runs] = np.einsum("kpn,kn->kp", weighted, residual)
-    fits.width[runs] = difference_widths(slope, fits.loss[runs])
-    fits.stale[runs] = False
+    runs.normal[chosen] = weighted @ slope.transpose(0, 2, 1)
+    runs.gradient[chosen] = np.einsum("rpn,rn->rp", weighted, residual)
+    runs.width[chosen] = difference_widths(slope, runs.loss[chosen])
+    runs.stale[chosen] = False
 
 
 def _step_runs(
-    problem: Problem, fits: SolverRuns, active: np.ndarray, enough: float
+    problem: Problem, runs: SolverRuns, active: np.ndarray, min_gain: float
 ) -> None:
     """Move each active run to the best of its trial steps, if that improves it."""
-    points = np.stack([_trial_points(problem.parameters, fits, run) for run in active])
+    points = np.stack([_trial_points(problem.parameters, runs, run) for run in active])
     residuals = problem.residuals(points.reshape(-1, points.shape[-1]))
     residuals = residuals.reshape(*points.shape[:2], -1)
     losses = huber_loss(residuals, problem.limit)
     for number, run in enumerate(active):
         best = int(np.argmin(losses[number]))
         lowest = losses[number, best]
-        ratio = fits.loss[run] / max(lowest, SMALLEST_FLOAT)
+        ratio = runs.loss[run] / max(lowest, SMALLEST_FLOAT)
         gain = 0.5 * residuals.shape[-1] * np.log(ratio)
         improved = gain > 0
         factor = DAMPING_INCREASE
         if improved:
-            fits.chi[run] = points[number, best]
-            fits.residual[run] = residuals[number, best]
-            fits.loss[run] = lowest
+            runs.chi[run] = points[number, best]
+            runs.residual[run] = residuals[number, best]
+            runs.loss[run] = lowest
             factor = DAMPING_FACTORS[best % len(DAMPING_FACTORS)]
-        damping = max(fits.damping[run] * factor, MIN_DAMPING)
-        fits.damping[run] = damping
-        fits.stale[run] = improved
-        fits.active[run] = gain > enough if improved else damping < MAX_DAMPING
+        damping = max(runs.damping[run] * factor, MIN_DAMPING)
+        runs.damping[run] = damping
+        runs.stale[run] = improved
+        runs.active[run] = gain > min_gain if improved else damping < MAX_DAMPING
 
 
 def _trial_points(
-    parameters: Sequence[Parameter], fits: SolverRuns, run: int
+    parameters: Sequence[Parameter], runs: SolverRuns, run: int
 ) -> np.ndarray:
     """Compute trial steps of a run, straight in exponents, then straight in values.
 
-    Returns points (2 len(DAMPINGS), P).
+    Returns exponents (2 len(DAMPING_FACTORS), P).
     """
-    chi, normal, gradient = fits.chi[run], fits.normal[run], fits.gradient[run]
+    chi = runs.chi[run]
+    normal = runs.normal[run]
+    gradient = runs.gradient[run]
     diagonal = np.diag(normal)
     flat = FLAT_CURVATURE_SHARE * diagonal.mean() + SMALLEST_FLOAT
 
     low = np.maximum(chi - MAX_EXPONENT_STEP, 0.0) - chi
     high = np.minimum(chi + MAX_EXPONENT_STEP, 1.0) - chi
 
+    # A step in values is written as the step in exponents of the same slope
     value = parameter_values(parameters, chi)
     slope = np.maximum(parameter_slopes(parameters, chi), SMALLEST_FLOAT)
     lowest = parameter_values(parameters, np.clip(chi - MAX_VALUE_STEP, 0.0, 1.0))
@@ -247,10 +253,12 @@ def _trial_points(
         low_in_values = (lowest - value) / slope
         high_in_values = (highest - value) / slope
 
-    in_exponents, in_values = [], []
-    for share in DAMPING_FACTORS:
-        damped = normal + np.diag(fits.damping[run] * share * diagonal + flat)
-        in_exponents.append(chi + minimise_in_box(damped, gradient, low, high))
+    in_exponents = []
+    in_values = []
+    for factor in DAMPING_FACTORS:
+        damped = normal + np.diag(runs.damping[run] * factor * diagonal + flat)
+        step = minimise_in_box(damped, gradient, low, high)
+        in_exponents.append(chi + step)
         step = minimise_in_box(damped, gradient, low_in_values, high_in_values)
         in_values.append(parameter_exponents(parameters, value + slope * step))
     return np.asarray(np.clip([*in_exponents, *in_values], 0.0, 1.0))
@@ -298,9 +306,10 @@ def minimise_in_box(
             continue
 
         step = step + move
-        inwards = -side * (-gradient - normal @ step)
-        first = int(np.argmax(inwards))
-        if inwards[first] <= 0:
+        descent = -gradient - normal @ step
+        inwards = -side * descent
+        steepest = int(np.argmax(inwards))
+        if inwards[steepest] <= 0:
             break
-        side[first] = 0
+        side[steepest] = 0
     return np.clip(step, low, high)

@@ -19,6 +19,8 @@ from stringcast.stages.model.parameter import parameter_values
 
 CACHED_CANDIDATES = 64  # candidates: those of some iterations
 
+ByTrial = Sequence[np.ndarray]  # an array for each trial, since their points differ
+
 
 class ResidualCache:
     """The residuals of the last candidates, by the values of model and exponents."""
@@ -34,9 +36,7 @@ class ResidualCache:
             return None
         return list(self._residuals[self._keys.index(key)])
 
-    def store(
-        self, model: Model, chi: np.ndarray, residuals: Sequence[np.ndarray]
-    ) -> None:
+    def store(self, model: Model, chi: np.ndarray, residuals: ByTrial) -> None:
         """Keep the residuals (C, 2 n) of each trial at exponents (C, P)."""
         for k in range(max(len(chi) - CACHED_CANDIDATES, 0), len(chi)):
             self._keys.append((chi[k].tobytes(), model))
@@ -63,25 +63,30 @@ class TrialData:
     mesh_correction: MeshCorrection | None = None
 
     def for_hypothesis(self, hypothesis: Hypothesis) -> TrialData:
-        """Add the random effects of a hypothesis to the trials' discrepancies."""
-        names = tuple(
-            name for name in hypothesis.cause_names if name in self.random_effects
-        )
+        """Add the random effects of a hypothesis to the trials' error models.
+
+        The result has no further ones: a second call changes nothing. It is kept, as
+        are the residuals that it computes.
+        """
+        causes = self.random_effects.keys()
+        names = tuple(name for name in hypothesis.cause_names if name in causes)
         if not names:
             return self
-        if names not in self._data_by_random_effects:
+        if names not in self._extended_data:
             trials = []
             for k, trial in enumerate(self.trials):
                 shapes = np.hstack([self.random_effects[name][k] for name in names])
                 extended = trial.discrepancy.with_nuisance(shapes)
                 trials.append(replace(trial, error_model=extended))
-            self._data_by_random_effects[names] = TrialData(
+            extended_data = TrialData(
                 tuple(trials), mesh_correction=self.mesh_correction
             )
-        return self._data_by_random_effects[names]
+            self._extended_data[names] = extended_data
+        return self._extended_data[names]
 
     @cached_property
-    def _data_by_random_effects(self) -> dict[tuple[str, ...], TrialData]:
+    def _extended_data(self) -> dict[tuple[str, ...], TrialData]:
+        """Data with random effects, by the names of their causes."""
         return {}
 
     def between_trial_tip_rms(self, name: str) -> float:
@@ -97,13 +102,13 @@ class TrialData:
     def subset(self, chosen: Sequence[int]) -> TrialData:
         """Select some of the trials by number."""
         trials = tuple(self.trials[k] for k in chosen)
-        varying = {}
+        random_effects = {}
         for name, shapes in self.random_effects.items():
-            varying[name] = tuple(shapes[k] for k in chosen)
+            random_effects[name] = tuple(shapes[k] for k in chosen)
         correction = self.mesh_correction
         if correction is not None:
             correction = correction.subset(chosen)
-        return TrialData(trials, varying, correction)
+        return TrialData(trials, random_effects, correction)
 
     def residuals(self, model: Model, chi: np.ndarray) -> list[np.ndarray]:
         """Compute simulated less measured over sigma of each trial, (C, 2 n).
@@ -124,8 +129,9 @@ class TrialData:
         if self.mesh_correction is not None:
             changes = self.mesh_correction.correction_at(model.names, chi)
             for k, change in enumerate(changes):
-                lost = residuals[k] == DIVERGED_RESIDUAL
-                residuals[k] = np.where(lost, DIVERGED_RESIDUAL, residuals[k] + change)
+                diverged = residuals[k] == DIVERGED_RESIDUAL
+                corrected = residuals[k] + change
+                residuals[k] = np.where(diverged, DIVERGED_RESIDUAL, corrected)
         self._residual_cache.store(model, chi, residuals)
         return residuals
 
@@ -133,23 +139,23 @@ class TrialData:
     def _residual_cache(self) -> ResidualCache:
         return ResidualCache()
 
-    def whiten(self, residuals: Sequence[np.ndarray], sizes: np.ndarray) -> np.ndarray:
+    def whiten(self, residuals: ByTrial, scale_indices: np.ndarray) -> np.ndarray:
         """Whiten residuals (C, 2 n) of each trial and put them side by side, (C, N).
 
-        sizes: the number of the scale of each trial's discrepancy, (K,).
+        scale_indices: of the scale of each trial's discrepancy, (K,).
         """
-        return np.concatenate(self.whiten_by_trial(residuals, sizes), axis=1)
+        return np.concatenate(self.whiten_by_trial(residuals, scale_indices), axis=1)
 
     def whiten_by_trial(
-        self, residuals: Sequence[np.ndarray], sizes: np.ndarray
+        self, residuals: ByTrial, scale_indices: np.ndarray
     ) -> list[np.ndarray]:
         """Whiten residuals (C, 2 n) of each trial by its error model, (C, N_k)."""
         white = []
-        for trial, residual, size in zip(self.trials, residuals, sizes, strict=True):
-            white.append(trial.error_model.whiten(residual, int(size)))
+        for k, trial in enumerate(self.trials):
+            white.append(trial.error_model.whiten(residuals[k], int(scale_indices[k])))
         return white
 
-    def log_likelihood_by_scale(self, residuals: Sequence[np.ndarray]) -> np.ndarray:
+    def log_likelihood_by_scale(self, residuals: ByTrial) -> np.ndarray:
         """Compute the log-likelihood of residuals (C, 2 n) of each trial, (K, C, S).
 
         It is that at all scales of the trial's discrepancy.
@@ -160,21 +166,19 @@ class TrialData:
             by_trial.append(trial.discrepancy.log_likelihood_by_scale(coefficients))
         return np.stack(by_trial)
 
-    def without_initial_state_error(
-        self, residuals: Sequence[np.ndarray], sizes: np.ndarray
+    def without_nuisance(
+        self, residuals: ByTrial, scale_indices: np.ndarray
     ) -> list[np.ndarray]:
-        """Subtract what other initial states most likely explain of residuals (2 n,).
-
-        sizes: the number of the scale of each trial's discrepancy, (K,).
-        """
+        """Subtract what the nuisance most likely explains of residuals (2 n,)."""
         rest = []
-        for trial, residual, size in zip(self.trials, residuals, sizes, strict=True):
-            coefficients = trial.discrepancy.coefficients(residual[None])[0]
-            explained = trial.discrepancy.nuisance_mean(coefficients, int(size))
-            rest.append(residual - explained)
+        for k, trial in enumerate(self.trials):
+            discrepancy = trial.discrepancy
+            coefficients = discrepancy.coefficients(residuals[k][None])[0]
+            explained = discrepancy.nuisance_mean(coefficients, int(scale_indices[k]))
+            rest.append(residuals[k] - explained)
         return rest
 
-    def tip_rms_by_trial(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
+    def tip_rms_by_trial(self, displacements: ByTrial) -> np.ndarray:
         """Compute the root mean square at each trial's tip [m], (K, ...).
 
         displacements: over sigma, (..., 2 n) of each trial.
@@ -183,12 +187,13 @@ class TrialData:
         for trial, displacement in zip(self.trials, displacements, strict=True):
             points = displacement.reshape(*displacement.shape[:-1], len(trial.s), 2)
             is_tip = trial.is_tip
-            at_tip = points.compress(is_tip, axis=-2) * trial.sigma[is_tip, None]
-            squares = np.sum(at_tip**2, axis=-1)
+            at_tip = points.compress(is_tip, axis=-2)
+            at_tip_m = at_tip * trial.sigma[is_tip, None]
+            squares = np.sum(at_tip_m**2, axis=-1)
             by_trial.append(np.sqrt(np.mean(squares, axis=-1)))
         return np.array(by_trial)
 
-    def overall_tip_rms(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
+    def overall_tip_rms(self, displacements: ByTrial) -> np.ndarray:
         """Compute the root mean square at the tip over all trials [m], (C,).
 
         displacements: over sigma, (C, 2 n) of each trial.

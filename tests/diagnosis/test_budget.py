@@ -20,7 +20,7 @@ def test_a_cause_that_explains_nothing_by_itself_has_zero_and_not_less(monkeypat
         )
 
     data = SimpleNamespace(
-        without_initial_state_error=lambda names, indices: off_m[names],
+        without_nuisance=lambda names, indices: off_m[names],
         tip_rms_by_trial=lambda off: np.full(2, off),
     )
     data.for_hypothesis = lambda hypothesis: data

@@ -26,7 +26,7 @@ def test_causes_that_predict_no_trial_left_out_are_not_named(
     arm, monkeypatch, predicts, verdict
 ):
     """Joints that turn 3 % further than they say."""
-    monkeypatch.setattr(module, "predicts_better", lambda base, extended: predicts)
+    monkeypatch.setattr(module, "improves_predictions", lambda base, extended: predicts)
     real = with_second_order_mesh(ordinary(arm))
     real = real.with_effects(effects_by_name()["joint_gain"]).with_segments(80)
     values, rng = TRUTH | {"joint_gain.gain": 0.03}, np.random.default_rng(5)
@@ -78,11 +78,22 @@ def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
     monkeypatch.setattr(module, "candidate_effects", lambda *given: [])
     monkeypatch.setattr(module, "select_causes", select)
     observations = [SimpleNamespace(trial=f"t{k}") for k in range(3)]
-    given = module.DiagnosisInput(None, observations, {}, [0, 1, 2], [], CRITERIA, None)
-    progress = module._search_until_trials_settle(given, (), 0, 4, lambda share: None)
-    *_, (data, prepared, _, _) = progress
+    trials = module.TrialsByUse(observations, (), {})
+    settings = module.DiagnosisSettings(
+        model=None,
+        obstacles=(),
+        seed=0,
+        starts=4,
+        criteria=CRITERIA,
+        matching=None,
+        design=None,
+        excluded_effects=(),
+        progress=lambda share: None,
+    )
+    progress = module._search_until_trials_settle(trials, settings)
+    *_, (used, prepared, _, _) = progress
     assert kept == kept_each_time
-    assert [*data.rejected] == rejected == [*prepared.chaotic_trials]
+    assert [*used.rejected] == rejected == [*prepared.chaotic_trials]
 
 
 @pytest.mark.parametrize(

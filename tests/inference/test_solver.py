@@ -95,7 +95,7 @@ def test_the_minimum_within_bounds_is_scipys(limit):
     noise = np.random.default_rng(1).standard_normal(len(TIMES))
     noise[::9] += 30.0
     problem = Decay(LEVEL, np.array([*TRUTH, 1.02]), limit, noise)
-    found = fit_least_squares(problem, np.full((1, 3), 0.5), 200, enough=1e-12)
+    found = fit_least_squares(problem, np.full((1, 3), 0.5), 200, min_gain=1e-12)
     how = {"loss": "linear"} if np.isinf(limit) else {"loss": "huber", "f_scale": limit}
     start = np.array([0.8, 0.3, 0.9])
     theirs = least_squares(
