@@ -40,9 +40,8 @@ def fit_base_model(
         Exponents of the best fit.
     """
     parameters = likelihood.parameters
-    configured = parameter_exponents(
-        parameters, np.array([p.start for p in parameters])
-    )
+    starting_values = np.array([p.start for p in parameters])
+    configured = parameter_exponents(parameters, starting_values)
     drawn = rng.uniform(size=(SCREENED_PER_START * starts, len(configured)))
     candidates = np.concatenate([configured[None], drawn])
     best = screen_candidates(likelihood, candidates, starts)
@@ -81,18 +80,17 @@ def widen_range_if_supported(
     ranges[parameter.name] = replace(ranges[parameter.name], low=low, high=high)
     wider = replace(model, string=replace(model.string, ranges=ranges))
     trials = [replace(trial, model=wider) for trial in likelihood.data.trials]
-    start = parameter_exponents(
-        wider.parameters, parameter_values(likelihood.parameters, chi[None])
-    )
-    problem = with_estimated_noise(
-        replace(likelihood.with_trials(trials), model=wider), start[0]
-    )
+    values = parameter_values(likelihood.parameters, chi[None])
+    start = parameter_exponents(wider.parameters, values)
+    widened = replace(likelihood.with_trials(trials), model=wider)
+    widened = with_estimated_noise(widened, start[0])
 
-    before = problem.residuals(start)[0]
-    after = solver.fit_least_squares(problem, start)
+    # The gain of the log-likelihood at the best scale of the noise, as in `solver`
+    before = widened.residuals(start)[0]
+    after = solver.fit_least_squares(widened, start)
     gain = 0.5 * len(before) * np.log(np.mean(before**2) / after.loss[0])
     if gain > STRONG_LOG_EVIDENCE:
-        return problem, after.chi[0]
+        return widened, after.chi[0]
     return likelihood, chi
 
 

@@ -68,7 +68,7 @@ def error_budget(
         residuals = residuals_without_nuisance(data, fit)
         mean_squares.append(np.mean(data.tip_rms_by_trial(residuals) ** 2))
     squares = np.minimum.accumulate(mean_squares)
-    shares = squares[:-1] - squares[1:]  # 0, not -0, of a cause that explains nothing
+    shares = squares[:-1] - squares[1:]  # of the causes; not np.diff, for 0 and not -0
 
     entries = []
     full = fits[-1]
@@ -78,20 +78,21 @@ def error_budget(
         share_m = float(np.sqrt(shares[number]))
         entries.append(BudgetEntry(cause.name, share_m, lost))
 
-    left = float(squares[-1])
+    remaining = float(squares[-1])
     noise, numerical = _noise_and_numerical_mean_squares(state.prepared)
-    numerical = min(numerical, left)
-    noise = min(noise, left - numerical)
+    numerical = min(numerical, remaining)
+    noise = min(noise, remaining - numerical)
     rest = {
         "numerical error": numerical,
         "noise": noise,
-        "unexplained": left - numerical - noise,
+        "unexplained": remaining - numerical - noise,
     }
     for name, square in rest.items():
         entries.append(BudgetEntry(name, float(np.sqrt(max(square, 0.0)))))
 
     value = entries[-1].tip_rms_m
-    samples = np.sqrt(np.mean(sample_discrepancy_tip_rms(data, full, rng) ** 2, axis=0))
+    draws_m = sample_discrepancy_tip_rms(data, full, rng)  # (K, draws)
+    samples = np.sqrt(np.mean(draws_m**2, axis=0))
     low, high = np.quantile(samples, [0.025, 0.975]).tolist()
     interval = (value, min(low, value), max(high, value))
     return ErrorBudget(tuple(entries), interval, tuple(fits))
@@ -113,8 +114,8 @@ def nested_fits(state: SelectionState, base: Fit) -> list[Fit]:
 
 def _noise_and_numerical_mean_squares(prepared: PreparedData) -> tuple[float, float]:
     """Mean squares at the tip of noise and of uncertain numerical error [m2]."""
-    noise = [
-        2 * np.mean(trial.sigma[trial.is_tip] ** 2) for trial in prepared.data.trials
-    ]
+    noise = []
+    for trial in prepared.data.trials:
+        noise.append(2 * np.mean(trial.sigma[trial.is_tip] ** 2))
     numerical = np.mean(prepared.discretisation_uncertainty_m**2)
     return float(np.mean(noise)), float(numerical)

@@ -45,7 +45,7 @@ class ContactCandidates:
     start : numpy.ndarray, shape (P,)
         Exponents with the cause absent.
     parameter_indices : list of int
-        Of the cause's size, then of its place.
+        Of the cause's amplitude, then of its place and time.
     string_paths : sequence of dict
         Of each trial, the fitted string's path as arguments of laws, (M,) each.
     hand_path : dict
@@ -66,12 +66,12 @@ class ContactCandidates:
     def sample(self) -> np.ndarray:
         """Sample plausible exponents (C, P) anywhere in the range."""
         indices = self.parameter_indices
-        size = self.parameter_indices[0]
+        amplitude = indices[0]
         chi = np.repeat(self.start[None], 2**LOG2_CANDIDATES, axis=0)
         sobol = qmc.Sobol(len(indices), seed=self.seed)
         chi[:, indices] = sobol.random_base2(LOG2_CANDIDATES)
-        absent = self.start[size]
-        chi[:, size] = absent + INITIAL_SIZE_FRACTION * (1 - absent)
+        absent = self.start[amplitude]
+        chi[:, amplitude] = absent + INITIAL_SIZE_FRACTION * (1 - absent)
         return self._most_plausible(chi)
 
     def sample_near(
@@ -79,30 +79,34 @@ class ContactCandidates:
     ) -> np.ndarray:
         """Sample plausible exponents (C', P) within a radius of given ones (C, P)."""
         near = np.repeat(chi, REFINEMENT_CANDIDATES // len(chi), axis=0)
-        where = self.parameter_indices[1:]
-        offset = rng.uniform(-radius, radius, (len(near), len(where)))
-        near[:, where] = np.clip(near[:, where] + offset, 0, 1)
+        indices = self.parameter_indices[1:]  # all but the amplitude
+        offset = rng.uniform(-radius, radius, (len(near), len(indices)))
+        near[:, indices] = np.clip(near[:, indices] + offset, 0, 1)
         return self._most_plausible(near)
 
     def _most_plausible(self, chi: np.ndarray) -> np.ndarray:
-        """Select candidates that touch the string as it departs, and never the hand."""
+        """Select candidates that touch the string as it departs, and never the hand.
+
+        In a trial without a departure the best candidates never touch.
+        """
         chi = chi[~self._force_is_nonzero(chi, self.hand_path).any(axis=1)]
-        distance = np.zeros(len(chi))
+        square_delay = np.zeros(len(chi))  # between touch and departure, over trials
         fractions = []
         for path, departure in zip(
             self.string_paths, self.departure_times, strict=True
         ):
             touches = self._force_is_nonzero(chi, path)
-            never = path["t"][-1] + CONTACT_DELAY_S
-            first = path["t"][touches.argmax(axis=1)]
-            first = np.where(touches.any(axis=1), first, never)
-            delay = np.abs(first - min(departure, never))
-            distance += np.minimum(delay, CONTACT_DELAY_S) ** 2
+            times = path["t"]
+            after_end = times[-1] + CONTACT_DELAY_S  # stands for never
+            first_touch = times[touches.argmax(axis=1)]
+            first_touch = np.where(touches.any(axis=1), first_touch, after_end)
+            delay = np.abs(first_touch - min(departure, after_end))
+            square_delay += np.minimum(delay, CONTACT_DELAY_S) ** 2
             fractions.append(touches.mean(axis=1))
         fraction = np.mean(fractions, axis=0)
         is_contact = (fraction > 0) & (fraction < MAX_TOUCHED_FRACTION)
         contacts = np.flatnonzero(is_contact)
-        order = np.argsort(distance[contacts], kind="stable")
+        order = np.argsort(square_delay[contacts], kind="stable")
         return chi[contacts[order[:MAX_SIMULATED]]]
 
     def _force_is_nonzero(
@@ -118,8 +122,8 @@ class ContactCandidates:
             batch = chi[first : first + CANDIDATES_PER_BATCH]
             values = parameter_values(parameters, batch)
             material = string.material(values[:, : len(string.parameters)])
-            alone = string.with_only_effects((effect,), material)
-            force = load_sum(*alone, arguments)
+            only_this = string.with_only_effects((effect,), material)
+            force = load_sum(*only_this, arguments)
             is_nonzero.append(np.any(force != 0, axis=-1))
         return np.concatenate(is_nonzero)
 
@@ -130,7 +134,12 @@ def varied_parameters(effect: type[Effect]) -> list[Parameter]:
     Other parameters that start at an end of their range, such as friction, stay there.
     """
     amplitudes = amplitude_parameters(effect)
-    return [p for p in effect.parameters if p in amplitudes or p.low < p.start < p.high]
+    varied = []
+    for parameter in effect.parameters:
+        is_inside = parameter.low < parameter.start < parameter.high
+        if is_inside or parameter in amplitudes:
+            varied.append(parameter)
+    return varied
 
 
 def contact_candidates(
@@ -143,16 +152,19 @@ def contact_candidates(
     string_paths = []
     poses = []
     for trial in data.trials:
-        path = _string_path(trial, parent, values)
+        simulated = model.simulate_string(
+            trial.motion, values, trial.times, trial.initial_state, trial.turn
+        )
+        points = simulated.points[0]
+        path = path_arguments(points, model.string.arc_lengths(), trial.times)
         string_paths.append(_thin_path(path, STRING_PATH_POINTS))
         poses.append(model.hand_motion(trial.motion, values).pose[0])
     pose = np.concatenate(poses)
     hand_path = _thin_path({"x": pose[:, 0], "y": pose[:, 1]}, HAND_PATH_POINTS)
-    indices = hypothesis.parameter_indices(effect, varied_parameters(effect))
     return ContactCandidates(
         hypothesis,
         hypothesis.exponents_from(parent.exponents),
-        indices,
+        hypothesis.parameter_indices(effect, varied_parameters(effect)),
         string_paths,
         hand_path,
         _departure_times(data.trials, mean_discrepancy(data, parent)),
@@ -181,18 +193,6 @@ def _departure_times(
     return np.array(departures)
 
 
-def _string_path(
-    trial: PreparedTrial, parent: Fit, values: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Simulate the fitted string's path as arguments of laws, (M,) each."""
-    model = parent.hypothesis.model
-    state = trial.initial_state
-    turn = trial.turn
-    simulated = model.simulate_string(trial.motion, values, trial.times, state, turn)
-    arc_lengths = model.string.arc_lengths()
-    return path_arguments(simulated.points[0], arc_lengths, trial.times)
-
-
 def path_arguments(
     points: np.ndarray, s: np.ndarray, times: np.ndarray
 ) -> dict[str, np.ndarray]:
@@ -201,7 +201,9 @@ def path_arguments(
     Parameters
     ----------
     points : numpy.ndarray, shape (F, n, 2)
-        Mass points [m]; the one in the hand is left out.
+        Mass points [m]; the one in the hand is left out. They have the prefixes of
+        laws: v for velocity, u for velocity relative to the air, taken as still, and t
+        for the tangent.
     s : numpy.ndarray, shape (n,)
         Arc lengths [m].
     times : numpy.ndarray, shape (F,)

@@ -27,7 +27,7 @@ from stringcast.stages.diagnose import tables
 from stringcast.stages.diagnose.background_effects import posterior_with_background
 from stringcast.stages.diagnose.budget import ErrorBudget, error_budget, nested_fits
 from stringcast.stages.diagnose.candidate_motions import DesignSettings
-from stringcast.stages.diagnose.chaos import unresolvable_trials
+from stringcast.stages.diagnose.discretisation import unresolvable_trials
 from stringcast.stages.diagnose.document import (
     diagnosis_document,
     extended_model_settings,

@@ -1,4 +1,11 @@
-"""The model of what a hypothesis may leave unexplained in each trial."""
+"""The model of what a hypothesis may leave unexplained in each trial.
+
+A cause may differ from trial to trial, as when the string is picked up again. It then
+has an amplitude that all trials share, and one of each trial about it (random effects:
+Laird and Ware, Biometrics 38, 963, 1982). To first order the latter is a displacement
+of known shape whose amplitude is integrated out. The data determine how far trials
+differ at the tip; that may be zero.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +15,21 @@ from dataclasses import replace
 import numpy as np
 
 from stringcast.stages.diagnose.linearisation import difference_exponents
-from stringcast.stages.diagnose.random_effects import with_random_effects
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import simulate_trials
-from stringcast.stages.inference.discrepancy import Discrepancy
+from stringcast.stages.inference.discrepancy import (
+    Discrepancy,
+    marginal_log_likelihood,
+)
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_modes import (
     initial_mode_columns,
     reset_initial_state_linear,
 )
+from stringcast.stages.inference.laplace import TIP_SHIFT_WIDTHS_M
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.parameter import parameter_values
 
 MIN_RELATIVE_SENSITIVITY = 0.1  # of the largest: early frames are not exact either
@@ -46,9 +57,9 @@ def attach_discrepancy_model(
     TrialData
     """
     values = parameter_values(hypothesis.parameters, chi[None])[0]
-    no_columns = [np.zeros((2 * len(trial.s), 0)) for trial in trials]
-    initial_modes = initial_mode_columns(trials, values) or no_columns
-    error_shapes = error_shapes or no_columns
+    no_shapes = [np.zeros((2 * len(trial.s), 0)) for trial in trials]
+    initial_modes = initial_mode_columns(trials, values) or no_shapes
+    error_shapes = error_shapes or no_shapes
     sensitivity = sensitivity_by_frame(trials, hypothesis, chi)
 
     modelled = []
@@ -80,10 +91,57 @@ def sensitivity_by_frame(
         nominal, *changed = np.nan_to_num(trial.sample_at_points(strings))
         square = np.sum((np.stack(changed) - nominal) ** 2, axis=-1)  # (P, n)
         mean_square = square.mean(axis=1, keepdims=True)
-        scaled = np.mean(square / np.maximum(mean_square, np.finfo(float).tiny), axis=0)
+        relative = square / np.maximum(mean_square, np.finfo(float).tiny)
+        by_point = np.mean(relative, axis=0)
         frames = len(trial.times)
         count = np.maximum(np.bincount(trial.frame, minlength=frames), 1)
-        by_frame = np.sqrt(np.bincount(trial.frame, scaled, minlength=frames) / count)
-        grown = np.maximum.accumulate(by_frame)
+        sums = np.bincount(trial.frame, by_point, minlength=frames)
+        grown = np.maximum.accumulate(np.sqrt(sums / count))
         growth.append(np.maximum(grown, MIN_RELATIVE_SENSITIVITY * grown[-1]))
     return growth
+
+
+def with_random_effects(
+    data: TrialData, hypothesis: Hypothesis, chi: np.ndarray
+) -> TrialData:
+    """Add random effects of a hypothesis at exponents (P,), of the likeliest widths."""
+    for cause in hypothesis.causes:
+        if not cause.varies_between_trials:
+            continue
+        residuals, shapes = _shapes_per_metre(data, hypothesis, cause, chi)
+        candidates = [data]
+        for width_m in TIP_SHIFT_WIDTHS_M:
+            scaled = tuple(width_m * shape for shape in shapes)
+            effects = {**data.random_effects, cause.name: scaled}
+            candidates.append(replace(data, random_effects=effects))
+        log_likelihoods = []
+        for candidate in candidates:
+            extended = candidate.for_hypothesis(hypothesis)
+            by_scale = extended.log_likelihood_by_scale(residuals)
+            log_likelihoods.append(marginal_log_likelihood(by_scale).sum())
+        data = candidates[int(np.argmax(log_likelihoods))]
+    return data
+
+
+def _shapes_per_metre(
+    data: TrialData, hypothesis: Hypothesis, cause: type[Effect], chi: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Simulate how the amplitudes of a cause move each trial by 1 m at the tip.
+
+    Returns
+    -------
+    residuals : list of numpy.ndarray, shape (1, 2 n)
+    shapes : list of numpy.ndarray, shape (2 n, m)
+        Over sigma.
+    """
+    indices = hypothesis.amplitude_indices(cause)
+    step = solver.FIRST_DIFFERENCE
+    exponents = np.repeat(chi[None], len(indices) + 1, axis=0)  # the last unchanged
+    signed_steps = np.where(chi[indices] > 0.5, -step, step)
+    exponents[range(len(indices)), indices] += signed_steps
+    simulated = data.residuals(hypothesis.model, exponents)
+    residuals = [rows[-1:] for rows in simulated]
+    changes = [rows[:-1] - rows[-1] for rows in simulated]
+    shift_m = np.maximum(data.overall_tip_rms(changes), np.finfo(float).tiny)
+    shapes = [(change / shift_m[:, None]).T for change in changes]
+    return residuals, shapes

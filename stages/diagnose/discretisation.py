@@ -25,7 +25,10 @@ from stringcast.stages.diagnose.prepared_data import (
     RefinedFit,
     with_initial_states_of,
 )
-from stringcast.stages.diagnose.rules import NEGLIGIBLE_LOG_EVIDENCE
+from stringcast.stages.diagnose.rules import (
+    MIN_RESOLVED_TRIALS,
+    NEGLIGIBLE_LOG_EVIDENCE,
+)
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import simulate_trials
 from stringcast.stages.inference.hypothesis import Hypothesis
@@ -52,7 +55,9 @@ from stringcast.stages.model.parameter import parameter_values
 SEGMENTS = 20
 STEP_S = 1e-3
 MAX_CORRECTION_PASSES = 8  # it mostly takes two
-# |4 / 2^p - 1| / 4 of an extrapolated error is uncertain where halving is of order p
+# Of the uncertainty of an error to the error itself. Extrapolation takes an error to
+# fall by 4 as segments are halved (order 2). If it falls by 2^p, |4 / 2^p - 1| / 4 of
+# it is uncertain: a quarter where p = 1.
 MAX_UNCERTAINTY_RATIO = 0.25
 
 
@@ -61,11 +66,15 @@ def with_second_order_mesh(model: Model) -> Model:
 
     The error of the mass points is then of second order, and extrapolates.
     """
-    string = replace(model.string, points=SEGMENTS + 1, tip_cell=0.5, grasp_cell=0.5)
-    integrator = ImplicitLeapfrog()
-    return replace(
-        model, string=replace(string, integrator=integrator, largest_step=STEP_S)
+    string = replace(
+        model.string,
+        points=SEGMENTS + 1,
+        tip_cell=0.5,
+        grasp_cell=0.5,
+        integrator=ImplicitLeapfrog(),
+        largest_step=STEP_S,
     )
+    return replace(model, string=string)
 
 
 def correct_data_at(prepared: PreparedData, fit: Fit) -> PreparedData:
@@ -75,8 +84,8 @@ def correct_data_at(prepared: PreparedData, fit: Fit) -> PreparedData:
     was estimated before; it changes only when a cause is added (`reestimate_noise`).
     """
     # 1. The initial state of each trial that is most probable given the fit
-    initial = trials_with_reestimated_start(prepared.data, fit)
-    trials = with_initial_states_of(prepared.trials, initial)
+    restarted = trials_with_reestimated_start(prepared.data, fit)
+    trials = with_initial_states_of(prepared.trials, restarted)
 
     # 2. Discretisation error at the fit, 3. discrepancy model about the corrected data
     data, uncertainty_m = corrected_data_of(prepared, trials, fit)
@@ -100,9 +109,9 @@ def corrected_data_of(
         Of the discretisation error at each tip [m].
     """
     if prepared.mesh_is_model:
-        own = [replace(trial, model=fit.hypothesis.model) for trial in trials]
-        data = attach_discrepancy_model(own, fit.hypothesis, fit.chi)
-        return data, np.zeros(len(own))
+        simulated = [replace(trial, model=fit.hypothesis.model) for trial in trials]
+        data = attach_discrepancy_model(simulated, fit.hypothesis, fit.chi)
+        return data, np.zeros(len(simulated))
     return subtract_discretisation_error(trials, fit.hypothesis, fit.chi)
 
 
@@ -119,18 +128,19 @@ def subtract_discretisation_error(
     uncertainty_m : numpy.ndarray, shape (K,)
         Of the discretisation error at each tip [m].
     """
-    own = [replace(trial, model=hypothesis.model) for trial in trials]
-    moved = []
-    shapes = []
-    meshes = _simulate_on_meshes(own, hypothesis, chi, (1, 2, 4))
-    for trial, (coarse, finer, finest) in zip(own, meshes, strict=True):
+    corrected = []
+    shapes = []  # (2 n,)
+    meshes = _simulate_on_meshes(trials, hypothesis, chi, (1, 2, 4))
+    for trial, (coarse, finer, finest) in zip(trials, meshes, strict=True):
         limit = richardson_limit(finer, finest)
+        coarser_limit = richardson_limit(coarse, finer)
         error = np.nan_to_num(limit - coarse)
-        uncertainty = np.nan_to_num(limit - richardson_limit(coarse, finer))
-        moved.append(replace(trial, points=trial.points - error))
+        uncertainty = np.nan_to_num(limit - coarser_limit)
+        points = trial.points - error
+        corrected.append(replace(trial, model=hypothesis.model, points=points))
         shapes.append((uncertainty / trial.sigma[:, None]).ravel())
     columns = [shape[:, None] for shape in shapes]
-    data = attach_discrepancy_model(moved, hypothesis, chi, columns)
+    data = attach_discrepancy_model(corrected, hypothesis, chi, columns)
     return data, data.tip_rms_by_trial(shapes)
 
 
@@ -146,12 +156,10 @@ def correct_data_on_one_finer_mesh(prepared: PreparedData, fit: Fit) -> TrialDat
     trials = []
     for k, (coarse, finer) in enumerate(meshes):
         error = np.nan_to_num(richardson_limit(coarse, finer) - coarse)
-        trial = replace(
-            prepared.data.trials[k], points=prepared.trials[k].points - error
-        )
-        trials.append(
-            reset_initial_state_linear(trial, trial.discrepancy.nuisance_shapes)
-        )
+        points = prepared.trials[k].points - error
+        trial = replace(prepared.data.trials[k], points=points)
+        shapes = trial.discrepancy.nuisance_shapes
+        trials.append(reset_initial_state_linear(trial, shapes))
     mesh_correction = _centred_mesh_correction(prepared, fit)
     return replace(prepared.data, trials=tuple(trials), mesh_correction=mesh_correction)
 
@@ -167,14 +175,13 @@ def refine_to_convergence(prepared: PreparedData, fit: Fit) -> RefinedFit:
 
     Where a string whips, its discretisation error differs at every step on the way.
     """
+    current = RefinedFit(prepared, fit)
     for _ in range(MAX_CORRECTION_PASSES):
-        before = fit.log_evidence
-        refined = correct_discretisation_once(prepared, fit)
-        prepared = refined.prepared
-        fit = refined.fit
-        if fit.log_evidence < before + NEGLIGIBLE_LOG_EVIDENCE:
+        before = current.fit.log_evidence
+        current = correct_discretisation_once(current.prepared, current.fit)
+        if current.fit.log_evidence < before + NEGLIGIBLE_LOG_EVIDENCE:
             break
-    return RefinedFit(prepared, fit)
+    return current
 
 
 def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
@@ -184,16 +191,18 @@ def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
         return RefinedFit(corrected, refit(corrected.data, fit, fit.hypothesis))
 
     # The fit follows the error as it changes with the parameters ...
-    unmoved = evaluate_fit(corrected.data, fit.hypothesis, fit.chi)
+    hypothesis = fit.hypothesis
+    unmoved = evaluate_fit(corrected.data, hypothesis, fit.chi)
     mesh_correction = fit_mesh_correction(corrected, unmoved)
-    followed = replace(corrected.data, mesh_correction=mesh_correction)
-    chi = best_exponents(followed, fit.hypothesis, fit.chi[None], unmoved.scale_indices)
+    data = replace(corrected.data, mesh_correction=mesh_correction)
+    chi = best_exponents(data, hypothesis, fit.chi[None], unmoved.scale_indices)
 
-    # ... and the error is then computed where the fit ended
+    # ... and the error is then computed where the fit ended. Of the fit there, only
+    # the exponents are known and needed.
     moved = correct_data_at(corrected, replace(unmoved, chi=chi))
     mesh_correction = replace(mesh_correction, chi=chi)
     moved = replace(moved, data=replace(moved.data, mesh_correction=mesh_correction))
-    refitted = evaluate_fit(moved.data, fit.hypothesis, chi)
+    refitted = evaluate_fit(moved.data, hypothesis, chi)
     if refitted.log_evidence > unmoved.log_evidence:
         return RefinedFit(moved, refitted)
     return RefinedFit(corrected, unmoved)
@@ -203,12 +212,13 @@ def fit_mesh_correction(prepared: PreparedData, fit: Fit) -> MeshCorrection:
     """Measure how the discretisation error changes with the parameters of a fit.
 
     Differences on this mesh and on one of half the size are extrapolated. Trials whose
-    error is not seen to be of first order at least get none: slopes of chaotic motion
-    lead astray.
+    error does not fall by at least 2 as segments are halved get no slopes: those of
+    chaotic motion lead astray.
     """
     hypothesis = fit.hypothesis
     data = prepared.data
-    white_slopes = data.for_hypothesis(hypothesis).whiten(fit.slopes, fit.scale_indices)
+    extended = data.for_hypothesis(hypothesis)
+    white_slopes = extended.whiten(fit.slopes, fit.scale_indices)
     width = solver.difference_widths(white_slopes[None], np.ones(1))[0]
     chi, offset = difference_exponents(fit.chi, width)
     residuals = []  # of each mesh, of each trial, (1 + P, 2 n)
@@ -218,17 +228,17 @@ def fit_mesh_correction(prepared: PreparedData, fit: Fit) -> MeshCorrection:
 
     errors = []  # of each trial, (1 + P, 2 n)
     for coarse, fine in zip(*residuals, strict=True):
-        diverged = ((coarse == DIVERGED_RESIDUAL) | (fine == DIVERGED_RESIDUAL)).any(
-            axis=0
-        )
-        errors.append(np.where(diverged, 0.0, richardson_limit(coarse, fine) - coarse))
+        diverged = (coarse == DIVERGED_RESIDUAL) | (fine == DIVERGED_RESIDUAL)
+        error = richardson_limit(coarse, fine) - coarse
+        errors.append(np.where(diverged.any(axis=0), 0.0, error))
     error_m = data.tip_rms_by_trial([error[0] for error in errors])
     uncertainty_m = prepared.discretisation_uncertainty_m
     is_known = uncertainty_m <= MAX_UNCERTAINTY_RATIO * error_m
     slopes = []
     for error, known in zip(errors, is_known, strict=True):
-        slopes.append((error[1:] - error[0]) / offset[:, None] * known)
-    return MeshCorrection(tuple(hypothesis.model.names), fit.chi, tuple(slopes))
+        slope = (error[1:] - error[0]) / offset[:, None]
+        slopes.append(slope * known)
+    return MeshCorrection(hypothesis.model.names, fit.chi, tuple(slopes))
 
 
 def _simulate_on_meshes(
@@ -244,8 +254,45 @@ def _simulate_on_meshes(
     values = parameter_values(hypothesis.parameters, chi[None])
     by_mesh = []
     for factor in factors:
-        model, own = refine_mesh(hypothesis.model, trials, factor)
-        simulated = simulate_trials(model, own, values)
-        pairs = zip(own, simulated, strict=True)
-        by_mesh.append([trial.sample_at_points(strings)[0] for trial, strings in pairs])
+        model, refined = refine_mesh(hypothesis.model, trials, factor)
+        simulated = simulate_trials(model, refined, values)
+        sampled = []
+        for trial, strings in zip(refined, simulated, strict=True):
+            sampled.append(trial.sample_at_points(strings)[0])
+        by_mesh.append(sampled)
     return list(zip(*by_mesh, strict=True))
+
+
+def unresolvable_trials(prepared: PreparedData, tolerance_m: float) -> list[str]:
+    """Name trials whose discretisation error is uncertain by the tolerance or more.
+
+    Returns an empty list where too few trials would remain.
+    """
+    is_resolved = prepared.discretisation_uncertainty_m < tolerance_m
+    if is_resolved.sum() < MIN_RESOLVED_TRIALS:
+        return []
+    return [prepared.trials[k].name for k in np.flatnonzero(~is_resolved)]
+
+
+def exclude_chaotic_trials(prepared: PreparedData, tolerance_m: float) -> PreparedData:
+    """Exclude unresolvable trials and refit the base model: they say nothing of causes.
+
+    Trials in `keep_if_chaotic` stay.
+    """
+    unresolvable = unresolvable_trials(prepared, tolerance_m)
+    names = [name for name in unresolvable if name not in prepared.keep_if_chaotic]
+    if not names:
+        return prepared
+    kept = [k for k, trial in enumerate(prepared.trials) if trial.name not in names]
+    base = prepared.base_fit
+    base = replace(base, scale_indices=base.scale_indices[kept])
+    remaining = replace(
+        prepared,
+        trials_with_outliers=tuple(prepared.trials_with_outliers[k] for k in kept),
+        trials=tuple(prepared.trials[k] for k in kept),
+        data=prepared.data.subset(kept),
+        chaotic_trials=(*prepared.chaotic_trials, *names),
+    )
+    corrected = correct_data_at(remaining, base)
+    base_fit = refit(corrected.data, base, base.hypothesis)
+    return replace(corrected, base_fit=base_fit)

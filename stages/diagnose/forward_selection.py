@@ -145,39 +145,39 @@ def compare_candidates(
     effects: Sequence[type[Effect]],
     criteria: Criteria,
     seed: int,
-    accepted: Fit | None = None,
+    contested: Fit | None = None,
 ) -> SelectionStep:
     """Fit what each effect may add to a parent, and decide on the best of them.
 
-    The most promising proposals are fitted, then the look-alikes of the best, and all
-    others if none of these is accepted and something is left to explain.
-
     Parameters
     ----------
-    accepted : Fit, optional
-        The refined fit of an accepted cause whose place is contested.
+    contested : Fit, optional
+        The refined fit of a cause that was accepted, whose place is contested.
     """
-    candidates = [e for e in effects if e not in parent.hypothesis.causes]
+    causes = parent.hypothesis.causes
+    candidates = [effect for effect in effects if effect not in causes]
     proposals = propose_causes(prepared.data, parent, candidates, seed)
     step = SelectionStep(parent, proposals, fits=())
     remaining = proposals
-    if accepted is not None:
-        step = replace(step, fits=(accepted,))
-        causes = accepted.hypothesis.causes
+    if contested is not None:
+        step = replace(step, fits=(contested,))
+        causes = contested.hypothesis.causes
         remaining = [p for p in proposals if p.effect not in causes]
 
+    # The most promising ones, and the look-alikes of the best of these
     first = [p for p in remaining[:INITIAL_PROPOSALS] if p.gain > STRONG_LOG_EVIDENCE]
     step = _fit_more_proposals(prepared, step, first)
     remaining = [p for p in remaining if p not in first]
     lookalikes = _lookalikes_of_best(step, remaining, criteria)
     step = _fit_more_proposals(prepared, step, lookalikes)
-    step = _refine_rivals(prepared, step, criteria, accepted)
+    step = _refine_rivals(prepared, step, criteria, contested)
 
+    # All others, if something is left to explain
     misfit_m = unexplained_tip_rms(prepared.data, parent).max()
     if not step.accepted and misfit_m > criteria.min_tip_shift_m:
         others = [p for p in remaining if p not in lookalikes]
         step = _fit_more_proposals(prepared, step, others)
-        step = _refine_rivals(prepared, step, criteria, accepted)
+        step = _refine_rivals(prepared, step, criteria, contested)
     return step
 
 
@@ -188,20 +188,18 @@ def _lookalikes_of_best(
     if step.best is None or not has_evidence(step.parent, step.best, criteria):
         return []
     effect = step.best.hypothesis.causes[-1]
-    lookalikes = []
-    best = [proposal for proposal in step.proposals if proposal.effect is effect]
-    for proposal in others:
-        shared = [proposal.cosine_similarity(each) ** 2 for each in best]
-        if any(share > criteria.min_explained_fraction for share in shared):
-            lookalikes.append(proposal)
-    return lookalikes
+    least = criteria.min_explained_fraction
+    for best in step.proposals:
+        if best.effect is effect:
+            return [p for p in others if p.cosine_similarity(best) ** 2 > least]
+    return []
 
 
 def _refine_rivals(
     prepared: PreparedData,
     step: SelectionStep,
     criteria: Criteria,
-    accepted: Fit | None,
+    contested: Fit | None,
 ) -> SelectionStep:
     """Refine the fits near the best one, and decide whether the best is accepted.
 
@@ -212,22 +210,22 @@ def _refine_rivals(
     if step.best is None or not has_evidence(parent, step.best, criteria):
         return step
     gain = step.best.log_evidence - parent.log_evidence
-    near = parent.log_evidence + criteria.min_explained_fraction * gain
-    count = sum(fit.log_evidence > near for fit in step.fits[:MAX_RIVALS])
+    least_evidence = parent.log_evidence + criteria.min_explained_fraction * gain
+    count = sum(fit.log_evidence > least_evidence for fit in step.fits[:MAX_RIVALS])
 
-    trials = len(prepared.discretisation_uncertainty_m)
-    needed = trials
-    allowance_m = np.zeros(trials)
-    if accepted is None:
-        needed = min(MIN_RESOLVED_TRIALS, trials)
-        unexplained = 1 - criteria.min_explained_fraction_if_misfit
+    needed = len(prepared.discretisation_uncertainty_m)
+    allowance_m = np.zeros(needed)
+    if contested is None:
+        needed = min(MIN_RESOLVED_TRIALS, needed)
+        # A fraction of mean squares, and the roots of both
+        may_remain = 1 - criteria.min_explained_fraction_if_misfit
         misfit_m = unexplained_tip_rms(prepared.data, parent)
-        allowance_m = np.sqrt(unexplained) * misfit_m
+        allowance_m = np.sqrt(may_remain) * misfit_m
 
     refined = []
     for fit in step.fits[:count]:
         rival = RefinedFit(prepared, fit)
-        if fit is not accepted:
+        if fit is not contested:
             rival = refine_fit(prepared, fit)
         if is_resolved(rival.prepared, prepared, criteria, needed, allowance_m):
             refined.append(rival.fit)
@@ -265,43 +263,48 @@ def add_cause(
     starts: int,
 ) -> SelectionState:
     """Take the best fit of a step, with noise and numerical error as they are there."""
-    prepared = reestimate_noise(state.prepared, best)
+    with_noise = reestimate_noise(state.prepared, best)
+    joined = correct_discretisation_once(with_noise, best)
+    prepared = joined.prepared
+    fit = joined.fit
     steps = state.steps
-    current = correct_discretisation_once(prepared, best)
-    if prepared.point_counts != state.prepared.point_counts:
-        counts = prepared.outlier_count, state.prepared.outlier_count
+    if with_noise.point_counts != state.prepared.point_counts:
+        counts = with_noise.outlier_count, state.prepared.outlier_count
         log.info("%d outliers instead of %d", *counts)
-        steps = [_refit_step(current.prepared.data, step) for step in steps]
+        steps = [_refit_step(prepared.data, step) for step in steps]
 
     # Search more widely if much is left. Other strings are no better if their trials
     # are resolved worse: what is uncertain in these may explain anything.
-    prepared = current.prepared
-    fit = current.fit
     if unexplained_tip_rms(prepared.data, fit).max() > criteria.min_tip_shift_m:
         other = refit_from_new_starts(prepared.data, fit, rng, starts)
-        again = refine_fit(prepared, other)
-        all_trials = len(prepared.discretisation_uncertainty_m)
-        is_better = again.fit.log_evidence > fit.log_evidence
-        if is_better and is_resolved(again.prepared, prepared, criteria, all_trials):
-            current = again
-    return SelectionState(current.prepared, current.fit, steps)
+        refined = refine_fit(prepared, other)
+        trials = len(prepared.discretisation_uncertainty_m)
+        is_better = refined.fit.log_evidence > fit.log_evidence
+        if is_better and is_resolved(refined.prepared, prepared, criteria, trials):
+            return SelectionState(refined.prepared, refined.fit, steps)
+    return SelectionState(prepared, fit, steps)
 
 
 def _refit_step(data: TrialData, step: SelectionStep) -> SelectionStep:
     """Move a step to data with other points: refined fits are refitted."""
     parent = refit(data, step.parent, step.parent.hypothesis)
     refined = [refit(data, fit, fit.hypothesis) for fit in step.refined]
-    was_refined = {id(fit) for fit in step.refined}
-    others = [fit for fit in step.fits if id(fit) not in was_refined]
-    moved = [evaluate_fit(data, fit.hypothesis, fit.chi) for fit in others]
-    fits = _by_evidence([*refined, *moved])
+    was_refined = {id(fit) for fit in step.refined}  # fits hold arrays: no equality
+    others = []
+    for fit in step.fits:
+        if id(fit) not in was_refined:
+            others.append(evaluate_fit(data, fit.hypothesis, fit.chi))
+    fits = _by_evidence([*refined, *others])
     return replace(step, parent=parent, fits=fits, refined=refined)
 
 
 def drop_redundant_causes(
     state: SelectionState, best: Fit, criteria: Criteria
 ) -> SelectionState:
-    """Drop causes that the evidence does not need any more, the new one included."""
+    """Drop causes that the evidence does not need any more, the new one included.
+
+    best: the fit with all of them, in the order of acceptance.
+    """
     for cause in best.hypothesis.causes:
         data = state.prepared.data
         hypothesis = state.fit.hypothesis.without_cause(cause)
@@ -342,20 +345,20 @@ def _fit_more_proposals(
 ) -> SelectionStep:
     """Fit more of a step's proposals, promising ones with their own numerical error."""
     parent = step.parent
-    precision = NEGLIGIBLE_LOG_EVIDENCE
+    min_gain = NEGLIGIBLE_LOG_EVIDENCE  # a fit need not be more precise
     fits: list[Fit] = []
     for number, proposal in enumerate(proposals, 1):
         name = proposal.effect.name
         log.info("%d of %d: %s", number, len(proposals), name)
         hypothesis = proposal.hypothesis
         fit = fit_hypothesis(
-            prepared.data, hypothesis, proposal.starts, parent.scale_indices, precision
+            prepared.data, hypothesis, proposal.starts, parent.scale_indices, min_gain
         )
         first_gain = fit.log_evidence - parent.log_evidence
         if first_gain > 0:
             data = correct_data_on_one_finer_mesh(prepared, fit)
             fit = fit_hypothesis(
-                data, hypothesis, fit.chi[None], fit.scale_indices, precision
+                data, hypothesis, fit.chi[None], fit.scale_indices, min_gain
             )
         gains = (fit.log_evidence - parent.log_evidence, first_gain, proposal.gain)
         log.info("%s: log evidence %+.1f, at first %+.1f, proposed %.1f", name, *gains)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from stringcast.stages.inference.discrepancy import marginal_log_likelihood
@@ -11,7 +9,7 @@ from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
-from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
 
 
 def difference_exponents(
@@ -30,18 +28,21 @@ def difference_exponents(
 
 
 class LinearisedFit:
-    """A fit whose parameters follow any further displacement by a Gauss-Newton step."""
+    """A fit whose parameters follow any further displacement by a Gauss-Newton step.
+
+    The prior holds them where the fit is.
+    """
 
     def __init__(self, data: TrialData, parent: Fit) -> None:
         self.data = data.for_hypothesis(parent.hypothesis)
         self.parent = parent
-        scales = parent.scale_indices
-        residuals = [r[None] for r in parent.residuals]
-        self.white_slopes = self.data.whiten(parent.slopes, scales)  # (P, N)
-        self.white_residual = self.data.whiten(residuals, scales)[0]  # (N,)
+        scale_indices = parent.scale_indices
+        residuals = [residual[None] for residual in parent.residuals]
+        self.white_slopes = self.data.whiten(parent.slopes, scale_indices)  # (P, N)
+        self.white_residual = self.data.whiten(residuals, scale_indices)[0]  # (N,)
         prior = PRIOR_PRECISION * np.eye(len(parent.chi))
         normal_matrix = self.white_slopes @ self.white_slopes.T + prior
-        self.covariance = np.linalg.inv(normal_matrix)
+        self.covariance = np.linalg.inv(normal_matrix)  # (P, P)
 
     def responses(self, hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:
         """Simulate how exponents (C, P) change the residuals of each trial, (C, 2 n).
@@ -57,9 +58,7 @@ class LinearisedFit:
             responses.append(np.where(diverged, DIVERGED_RESIDUAL, change))
         return responses
 
-    def parameter_steps(
-        self, responses: Sequence[np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def parameter_steps(self, responses: ByTrial) -> tuple[np.ndarray, np.ndarray]:
         """Compute how the fitted parameters follow responses.
 
         Returns
@@ -87,15 +86,13 @@ class LinearisedFit:
         chi[:, index] = values
         responses = self.responses(self.parent.hypothesis, chi)
         steps, _ = self.parameter_steps(responses)
-        # The smallest step with the parameter held
-        column = self.covariance[index]
-        steps = steps - steps[:, [index]] * column / column[index]
+        # Conditioned on no step of the parameter that was set
+        covariance = self.covariance[index]
+        steps = steps - steps[:, [index]] * covariance / covariance[index]
         gains = self.log_likelihood_gains(responses, steps, np.ones(len(chi)))
         return np.clip(chi + steps, 0.0, 1.0), gains
 
-    def early_gains(
-        self, responses: Sequence[np.ndarray], end_times: np.ndarray
-    ) -> np.ndarray:
+    def early_gains(self, responses: ByTrial, end_times: np.ndarray) -> np.ndarray:
         """Gain of half the sum of squares until a time in each trial [s], (C,).
 
         Parameters
@@ -106,14 +103,15 @@ class LinearisedFit:
         gain = np.zeros(len(responses[0]))
         for k, trial in enumerate(self.data.trials):
             is_early = np.repeat(trial.times[trial.frame] <= end_times[k], 2)
-            before = self.parent.residuals[k]
-            after = (before + responses[k])[:, is_early]
-            before = before[is_early]
-            gain += 0.5 * (np.sum(before**2) - np.sum(after**2, axis=1))
+            residual = self.parent.residuals[k]
+            before = residual[is_early]
+            after = (residual + responses[k])[:, is_early]
+            removed = np.sum(before**2) - np.sum(after**2, axis=1)
+            gain += 0.5 * removed
         return gain
 
     def log_likelihood_gains(
-        self, responses: Sequence[np.ndarray], steps: np.ndarray, factors: np.ndarray
+        self, responses: ByTrial, steps: np.ndarray, factors: np.ndarray
     ) -> np.ndarray:
         """Gain of the log-likelihood by multiples (C,) of responses and steps, (C,).
 
@@ -124,7 +122,8 @@ class LinearisedFit:
             change = responses[k] + steps @ self.parent.slopes[k]
             moved.append(residual + factors[:, None] * change)
         by_scale = self.data.log_likelihood_by_scale(moved)
+        after = marginal_log_likelihood(by_scale)  # (K, C)
         before = self.parent.log_likelihood_by_trial[:, None]
-        gain = (marginal_log_likelihood(by_scale) - before).sum(axis=0)
+        gain = (after - before).sum(axis=0)
         diverged = (responses[0] == DIVERGED_RESIDUAL).any(axis=1)
         return np.where(diverged, -np.inf, gain)

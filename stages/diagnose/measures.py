@@ -11,25 +11,17 @@ from stringcast.stages.diagnose.predictions import (
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis, mean_discrepancy
 from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.model.effect import (
-    Effect,
-    amplitude_parameters,
-    is_position_dependent,
-)
+from stringcast.stages.model.effect import Effect, is_position_dependent
 
 
 def refit(data: TrialData, fit: Fit, hypothesis: Hypothesis) -> Fit:
     """Fit another hypothesis from the parameters of a fit."""
-    return fit_hypothesis(
-        data,
-        hypothesis,
-        hypothesis.exponents_from(fit.exponents)[None],
-        fit.scale_indices,
-    )
+    start = hypothesis.exponents_from(fit.exponents)
+    return fit_hypothesis(data, hypothesis, start[None], fit.scale_indices)
 
 
 def residuals_without_nuisance(data: TrialData, fit: Fit) -> list[np.ndarray]:
-    """Subtract the most likely initial-state error from a fit's residuals, (2 n,)."""
+    """Subtract what the nuisance most likely explains of a fit's residuals, (2 n,)."""
     extended = data.for_hypothesis(fit.hypothesis)
     return extended.without_nuisance(fit.residuals, fit.scale_indices)
 
@@ -40,7 +32,10 @@ def unexplained_tip_rms(data: TrialData, fit: Fit) -> np.ndarray:
 
 
 def tip_shift_rms(data: TrialData, one: Fit, other: Fit) -> np.ndarray:
-    """Compute the root mean square distance of two fits at each tip [m], (K,)."""
+    """Compute the tip shift between two fits in each trial [m], (K,).
+
+    It is the root mean square, over frames, of the distance between both tips.
+    """
     pairs = zip(one.residuals, other.residuals, strict=True)
     return data.tip_rms_by_trial([a - b for a, b in pairs])
 
@@ -87,18 +82,18 @@ def refitted_leave_one_out_gain(data: TrialData, parent: Fit, fit: Fit) -> float
 
     That trial may have led the fit astray.
     """
-    strongest = int(
-        np.argmax(fit.log_likelihood_by_trial - parent.log_likelihood_by_trial)
-    )
+    gains = fit.log_likelihood_by_trial - parent.log_likelihood_by_trial
+    strongest = int(np.argmax(gains))
     others = [k for k in range(len(data.trials)) if k != strongest]
     if not others:
         return -np.inf
     rest = data.subset(others)
-    more, less = (
-        fit_hypothesis(rest, one.hypothesis, one.chi[None], one.scale_indices[others])
-        for one in (fit, parent)
-    )
-    return more.log_evidence - less.log_evidence
+    log_evidence = []
+    for one in (fit, parent):
+        scale_indices = one.scale_indices[others]
+        refitted = fit_hypothesis(rest, one.hypothesis, one.chi[None], scale_indices)
+        log_evidence.append(refitted.log_evidence)
+    return log_evidence[0] - log_evidence[1]
 
 
 def cross_validated_gain(data: TrialData, parent: Fit, fit: Fit) -> float:
@@ -118,14 +113,11 @@ def trials_touched_by(
     """Find the trials in which a cause that depends on place moves the tip enough."""
     if not is_position_dependent(cause):
         return np.zeros(0, dtype=int)
-    amplitudes = {
-        cause.qualified_name(parameter) for parameter in amplitude_parameters(cause)
-    }
-    others = {
-        name: chi for name, chi in fit.exponents.items() if name not in amplitudes
-    }
-    without_cause = fit.hypothesis.exponents_from(others)
-    residuals = data.residuals(fit.hypothesis.model, without_cause[None])
+    hypothesis = fit.hypothesis
+    amplitudes = hypothesis.amplitude_indices(cause)
+    chi = fit.chi.copy()
+    chi[amplitudes] = hypothesis.exponents_from({})[amplitudes]
+    residuals = data.residuals(hypothesis.model, chi[None])
     pairs = zip(fit.residuals, residuals, strict=True)
-    shift = data.tip_rms_by_trial([residual - absent[0] for residual, absent in pairs])
-    return np.flatnonzero(shift > min_tip_shift_m)
+    shift_m = data.tip_rms_by_trial([active - absent[0] for active, absent in pairs])
+    return np.flatnonzero(shift_m > min_tip_shift_m)

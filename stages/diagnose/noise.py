@@ -49,12 +49,10 @@ def estimate_initial_noise(
     level = float(np.median(levels))
     if noise_is_given and not level > OVERRULING_NOISE_RATIO:
         level = 1.0
-    trials_with_outliers = _scale_sigma(measured, level)
     trials = _scale_sigma(kept, level)
     scaled_residuals = [residual / level for residual in residuals]
-    return trials_with_outliers, estimate_noise(
-        trials, scaled_residuals, noise_is_given
-    )
+    trials = estimate_noise(trials, scaled_residuals, noise_is_given)
+    return _scale_sigma(measured, level), trials
 
 
 def _scale_sigma(
@@ -71,8 +69,8 @@ def reestimate_noise(prepared: PreparedData, fit: Fit) -> PreparedData:
     least half of them.
     """
     if prepared.outlier_count:
-        initial = trials_with_reestimated_start(prepared.data, fit)
-        measured = with_initial_states_of(prepared.trials_with_outliers, initial)
+        restarted = trials_with_reestimated_start(prepared.data, fit)
+        measured = with_initial_states_of(prepared.trials_with_outliers, restarted)
         kept, residuals, _ = remove_outliers(measured, fit.hypothesis.model, fit.chi)
         reconsidered = replace(
             prepared,
@@ -126,11 +124,13 @@ def remove_outliers(
     kept = []
     residuals = []
     levels = []
-    for trial, residual in zip(trials, all_residuals, strict=True):
-        cleaned = _remove_trial_outliers(trial, residual.reshape(-1, 2))
-        kept.append(cleaned[0])
-        residuals.append(cleaned[1])
-        levels.append(cleaned[2])
+    for trial, flat_residual in zip(trials, all_residuals, strict=True):
+        rest, residual, level = _remove_trial_outliers(
+            trial, flat_residual.reshape(-1, 2)
+        )
+        kept.append(rest)
+        residuals.append(residual)
+        levels.append(level)
     return tuple(kept), residuals, levels
 
 
@@ -153,13 +153,15 @@ def trim_trailing_rest(trial: PreparedTrial) -> PreparedTrial:
 
     A thousand frames of rest say no more than a few, but would weigh more.
     """
-    distance = np.zeros(len(trial.times))  # of each frame from the final rest [m]
-    late = trial.times[trial.frame] > trial.times[-1] - KEPT_REST_S
+    times = trial.times
+    distance = np.zeros(len(times))  # of each frame from the final rest [m]
+    is_late = times[trial.frame] > times[-1] - KEPT_REST_S
     for track in track_places(trial.frame, trial.s):
-        if late[track].any():
-            end = np.median(trial.points[track[late[track]]], axis=0)
-            track_distance = np.linalg.norm(trial.points[track] - end, axis=1)
+        late = track[is_late[track]]
+        if late.size:
+            rest = np.median(trial.points[late], axis=0)
+            track_distance = np.linalg.norm(trial.points[track] - rest, axis=1)
             np.maximum.at(distance, trial.frame[track], track_distance)
     moving = np.flatnonzero(distance > MOTION_SHARE * trial.model.string.length)
-    last = trial.times[moving[-1]] if moving.size else trial.times[0]
-    return trial.cut_after(max(last + KEPT_REST_S, trial.times[:MIN_FRAMES][-1]))
+    last = times[moving[-1]] if moving.size else times[0]
+    return trial.cut_after(max(last + KEPT_REST_S, times[:MIN_FRAMES][-1]))

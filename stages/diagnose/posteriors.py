@@ -206,11 +206,12 @@ def _compare_alternatives(
     data = state.prepared.data
     others = hypothesis.without_cause(cause)
     reordered = others.with_cause(cause)
-    accepted = evaluate_fit(
-        data, reordered, reordered.exponents_from(state.fit.exponents)
-    )
+    chi = reordered.exponents_from(state.fit.exponents)
+    contested = evaluate_fit(data, reordered, chi)
     parent = refit(data, state.fit, others)
-    return compare_candidates(state.prepared, parent, effects, criteria, seed, accepted)
+    return compare_candidates(
+        state.prepared, parent, effects, criteria, seed, contested
+    )
 
 
 def bootstrap_weights(trials: int, seed: int) -> np.ndarray:

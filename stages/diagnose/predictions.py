@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import HELD_OUT, Observation
+from stringcast.stages.common import rms
 from stringcast.stages.estimate.matching import Matching, matching_targets
 from stringcast.stages.inference.discrepancy import (
     best_scale_index,
@@ -50,28 +51,26 @@ def predict_trials(data: TrialData, fit: Fit) -> list[Prediction]:
 
 def predict_left_out_trials(data: TrialData, fit: Fit) -> list[Prediction]:
     """Predict each trial by a fit of the same hypothesis to the others."""
-    numbers = range(len(data.trials))
+    count = len(data.trials)
+    # The scale of the trial left out is not known: the search starts from the median
+    scale_indices = np.full(count - 1, int(np.median(fit.scale_indices)))
     predictions = []
-    for number in numbers:
-        others = data.subset([k for k in numbers if k != number])
-        # The discrepancy scale of the trial left out is not known: start from the
-        # median
-        scales = np.full(len(others.trials), int(np.median(fit.scale_indices)))
-        refit = fit_hypothesis(others, fit.hypothesis, fit.chi[None], scales)
+    for number in range(count):
+        others = data.subset([k for k in range(count) if k != number])
+        refit = fit_hypothesis(others, fit.hypothesis, fit.chi[None], scale_indices)
         predictions.append(_predict_trial(data, refit, number))
     return predictions
 
 
 def _predict_trial(data: TrialData, fit: Fit, number: int) -> Prediction:
-    trial = with_initial_states_at(data.subset([number]), fit).for_hypothesis(
-        fit.hypothesis
-    )
-    residuals = trial.residuals(fit.hypothesis.model, fit.chi[None])
-    log_likelihoods = trial.log_likelihood_by_scale(residuals)[:, 0]
-    (residual,) = trial.without_nuisance(
-        [residuals[0][0]], best_scale_index(log_likelihoods)
-    )
-    return Prediction(fit, residual, float(marginal_log_likelihood(log_likelihoods)[0]))
+    hypothesis = fit.hypothesis
+    trial = with_initial_states_at(data.subset([number]), fit)
+    trial = trial.for_hypothesis(hypothesis)
+    residuals = trial.residuals(hypothesis.model, fit.chi[None])
+    by_scale = trial.log_likelihood_by_scale(residuals)[:, 0]  # (1, S)
+    scale_indices = best_scale_index(by_scale)
+    (residual,) = trial.without_nuisance([residuals[0][0]], scale_indices)
+    return Prediction(fit, residual, float(marginal_log_likelihood(by_scale)[0]))
 
 
 def held_out_table(
@@ -94,21 +93,22 @@ def held_out_table(
     rows = []
     gains = log_likelihood_gains(base, extended)
     for number, trial in enumerate(data.trials):
-        row: dict[str, object] = {"trial": trial.name}
-        row["log_likelihood_difference"] = gains[number]
-        row["noise_floor"] = float(np.sqrt(2 * np.mean(trial.sigma**2)))
+        row: dict[str, object] = {
+            "trial": trial.name,
+            "log_likelihood_difference": gains[number],
+            "noise_floor": float(np.sqrt(2 * np.mean(trial.sigma**2))),
+        }
         for name, predictions in (("base", base), ("extended", extended)):
-            one = predictions[number]
-            model = one.fit.hypothesis.model
-            chi = one.fit.chi
-            row |= rms_distances(trial, one.residual, name)
+            prediction = predictions[number]
+            fit = prediction.fit
+            row |= rms_distances(trial, prediction.residual, name)
             row[f"E_{name}"] = matching_rate(
-                model, chi, trial, observations[number], matching
+                fit.hypothesis.model, fit.chi, trial, observations[number], matching
             )
         residual = _predict_trial(data, known, number).residual
         row["rms_known"] = rms_distances(trial, residual, "known")["rms_known"]
         rows.append(row)
-    return HELD_OUT.check(pd.DataFrame(rows)) if rows else HELD_OUT.empty()
+    return HELD_OUT.check(pd.DataFrame(rows))
 
 
 def log_likelihood_gains(
@@ -128,7 +128,8 @@ def improves_predictions(
     for predictions in (base, extended):
         squares.append(sum(float(np.sum(p.residual**2)) for p in predictions))
         log_likelihoods.append(sum(p.log_likelihood for p in predictions))
-    return squares[1] < squares[0] and log_likelihoods[1] > log_likelihoods[0]
+    is_closer = squares[1] < squares[0]
+    return is_closer and log_likelihoods[1] > log_likelihoods[0]
 
 
 def rms_distances(
@@ -140,8 +141,8 @@ def rms_distances(
     """
     distance = np.linalg.norm(residual.reshape(-1, 2), axis=1) * trial.sigma
     return {
-        f"rms_{name}": float(np.sqrt(np.mean(distance**2))),
-        f"tip_rms_{name}": float(np.sqrt(np.mean(distance[trial.is_tip] ** 2))),
+        f"rms_{name}": rms(distance),
+        f"tip_rms_{name}": rms(distance[trial.is_tip]),
     }
 
 
@@ -153,12 +154,12 @@ def matching_rate(
     matching: Matching,
 ) -> float:
     """Compute the matching rate E (Eq. 5) from a prepared trial's initial state."""
-    target = matching_targets(model, [thin_frames(observation)], matching)[0]
-    case = replace(target.trial, initial_state=trial.initial_state, turn=trial.turn)
-    target = replace(target, trial=case)
-    return float(
-        np.mean(target.rates_by_frame(parameter_values(model.parameters, chi[None]))[0])
-    )
+    (target,) = matching_targets(model, [thin_frames(observation)], matching)
+    state = trial.initial_state
+    thinned = replace(target.trial, initial_state=state, turn=trial.turn)
+    values = parameter_values(model.parameters, chi[None])
+    rates = replace(target, trial=thinned).rates_by_frame(values)
+    return float(np.mean(rates[0]))
 
 
 def thin_frames(observation: Observation) -> Observation:

@@ -11,10 +11,10 @@ from stringcast.data.artifacts import Observation
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.base_model import fit_base_model
-from stringcast.stages.diagnose.chaos import exclude_chaotic_trials
 from stringcast.stages.diagnose.discretisation import (
     correct_data_at,
     corrected_data_of,
+    exclude_chaotic_trials,
     refine_to_convergence,
     subtract_discretisation_error,
     with_second_order_mesh,
@@ -38,7 +38,7 @@ from stringcast.stages.inference.initial_modes import (
 )
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis, mean_discrepancy
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
+from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
 
@@ -98,14 +98,20 @@ def prepare_data(
         If a trial cannot be used.
     """
     # Trials without the rest at their end
-    simulated = with_second_order_mesh(model)
+    second_order = with_second_order_mesh(model)
     noise_is_given = all("sigma" in o.points for o in observations)
-    measured = [prepare_trial(simulated, o) for o in observations]
-    moving = [trim_trailing_rest(_with_noise(t, noise_is_given)) for t in measured]
-    resting_points = sum(len(t.s) for t in measured) - sum(len(t.s) for t in moving)
+    moving = []
+    resting_points = 0
+    for observation in observations:
+        trial = prepare_trial(second_order, observation)
+        if not noise_is_given:
+            trial = replace(trial, sigma=np.full(len(trial.s), INITIAL_NOISE_M))
+        trimmed = trim_trailing_rest(trial)
+        resting_points += len(trial.s) - len(trimmed.s)
+        moving.append(trimmed)
 
     # Base model; its residuals determine outliers and noise
-    likelihood = Likelihood(TrialData(tuple(moving)), simulated)
+    likelihood = Likelihood(TrialData(tuple(moving)), second_order)
     likelihood, chi = fit_base_model(likelihood, rng, starts, progress)
     with_outliers, trials = estimate_initial_noise(likelihood, chi, noise_is_given)
 
@@ -113,8 +119,8 @@ def prepare_data(
     hypothesis = Hypothesis(likelihood.model)
     data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
     residuals = data.residuals(hypothesis.model, chi[None])
-    sizes = best_scale_index(data.log_likelihood_by_scale(residuals))[:, 0]
-    base_fit = fit_hypothesis(data, hypothesis, chi[None], sizes)
+    scale_indices = best_scale_index(data.log_likelihood_by_scale(residuals))[:, 0]
+    base_fit = fit_hypothesis(data, hypothesis, chi[None], scale_indices)
     prepared = PreparedData(
         data=data,
         base_fit=base_fit,
@@ -130,12 +136,6 @@ def prepare_data(
 
     prepared = exclude_chaotic_trials(prepared, tolerance_m)
     return keep_configured_mesh_if_supported(prepared, model, tolerance_m)
-
-
-def _with_noise(trial: PreparedTrial, noise_is_given: bool) -> PreparedTrial:
-    if noise_is_given:
-        return trial
-    return replace(trial, sigma=np.full(len(trial.s), INITIAL_NOISE_M))
 
 
 def prepare_further_trials(
@@ -161,10 +161,10 @@ def prepare_further_trials(
     trials, _, _ = remove_outliers(measured, model, base.chi)
 
     data, uncertainty_m = corrected_data_of(prepared, trials, fit)
-    initial = trials_with_reestimated_start(data, fit)
-    if initial is data.trials:
+    restarted = trials_with_reestimated_start(data, fit)
+    if restarted is data.trials:  # all begin at rest
         return data, uncertainty_m
-    return corrected_data_of(prepared, with_initial_states_of(trials, initial), fit)
+    return corrected_data_of(prepared, with_initial_states_of(trials, restarted), fit)
 
 
 def keep_configured_mesh_if_supported(
@@ -176,8 +176,8 @@ def keep_configured_mesh_if_supported(
     continuous string, and it leaves nothing to explain.
     """
     configured = _fit_configured_mesh(prepared, model)
-    gain_needed = prepared.base_fit.log_evidence + STRONG_LOG_EVIDENCE
-    if configured is None or configured.log_evidence < gain_needed:
+    needed_evidence = prepared.base_fit.log_evidence + STRONG_LOG_EVIDENCE
+    if configured is None or configured.log_evidence < needed_evidence:
         return replace(prepared, configured_mesh_fit=configured)
 
     hypothesis = configured.hypothesis
@@ -198,10 +198,10 @@ def _fit_configured_mesh(prepared: PreparedData, model: Model) -> Fit | None:
     fine = base.hypothesis.model.string
     if string.points > fine.points and string.tip_cell == fine.tip_cell:
         return None
-    own = Hypothesis(replace(model, string=replace(string, ranges=fine.ranges)))
+    configured = replace(model, string=replace(string, ranges=fine.ranges))
     trials = []
     for trial, corrected in zip(prepared.trials, prepared.data.trials, strict=True):
         discrepancy = corrected.discrepancy
-        chain = replace(trial, model=own.model, error_model=discrepancy)
+        chain = replace(trial, model=configured, error_model=discrepancy)
         trials.append(reset_initial_state_linear(chain, discrepancy.nuisance_shapes))
-    return refit(TrialData(tuple(trials)), base, own)
+    return refit(TrialData(tuple(trials)), base, Hypothesis(configured))

@@ -28,7 +28,6 @@ from stringcast.stages.model.effect import (
     Effect,
     HandEffect,
     ModelChange,
-    amplitude_parameters,
     is_position_dependent,
 )
 from stringcast.stages.model.hand import HandMotion
@@ -36,6 +35,7 @@ from stringcast.stages.model.model import Model
 
 # Of the way from absent to the end of a range: where the tip shift is measured
 PROBE_FRACTION = 0.03
+MIN_PROBE_FRACTION = PROBE_FRACTION**2
 PROBE_TIP_SHIFTS_M = TIP_SHIFT_WIDTHS_M[1:3]
 NEGLIGIBLE_TIP_SHIFT_M = 1e-7
 MAX_EXTRAPOLATION = 2.0  # of a probe's size, where it is still about linear
@@ -99,20 +99,18 @@ def candidate_effects(
     has_no_joints = any(isinstance(trial.motion, HandMotion) for trial in trials)
     candidates = []
     for effect in library.values():
-        is_known = effect in base.effects or effect.name in excluded
-        is_calibrated = False
-        if issubclass(effect, CameraEffect):
-            is_calibrated = bool(base.camera.lens) and effect.corrected_by_calibration
-        acts_on_joints = issubclass(effect, HandEffect) and "grasp" not in effect.laws()
-        if (
-            is_known
-            or is_calibrated
+        is_excluded = (
+            effect in base.effects
+            or effect.name in excluded
             or effect.excluded_from_search
             or issubclass(effect, ModelChange)
-            or (has_no_joints and acts_on_joints)
-        ):
-            continue
-        candidates.append(effect)
+        )
+        if issubclass(effect, CameraEffect) and base.camera.lens:
+            is_excluded |= effect.corrected_by_calibration
+        if issubclass(effect, HandEffect) and has_no_joints:
+            is_excluded |= "grasp" not in effect.laws()  # it acts on joints
+        if not is_excluded:
+            candidates.append(effect)
     return candidates
 
 
@@ -161,7 +159,7 @@ def _propose_global_effect(
     """Propose an effect that acts wherever the string is, at any time."""
     hypothesis = linear.parent.hypothesis.with_cause(effect)
     start = hypothesis.exponents_from(linear.parent.exponents)
-    amplitudes = hypothesis.parameter_indices(effect, amplitude_parameters(effect))
+    amplitudes = hypothesis.amplitude_indices(effect)
     chi = _probe_exponents(linear, hypothesis, effect, seed)
     responses = linear.responses(hypothesis, chi)
     steps, remainder = linear.parameter_steps(responses)
@@ -169,27 +167,28 @@ def _propose_global_effect(
     # The multiple of each probe that explains most
     square = np.sum(remainder**2, axis=1)
     negligible = NEGLIGIBLE_RESPONSE_SIGMAS**2
-    first = effect.parameters[0]
-    is_two_sided = first.low < first.start < first.high
+    multiple = -(remainder @ linear.white_residual) / np.maximum(square, negligible)
+    amplitude = effect.parameters[0]
+    is_two_sided = amplitude.low < amplitude.start < amplitude.high
     least = -MAX_EXTRAPOLATION if is_two_sided else 0.0
-    best = -(remainder @ linear.white_residual) / np.maximum(square, negligible)
-    factors = np.clip(best, least, MAX_EXTRAPOLATION)
+    factors = np.clip(multiple, least, MAX_EXTRAPOLATION)
     gain = linear.log_likelihood_gains(responses, steps, factors)
     gain = np.where(square > negligible, gain, -np.inf)
 
+    # The best ones, and the fitted parameters as they follow
     order = np.argsort(-gain, kind="stable")[:STARTS_PER_EFFECT]
-    if not np.isfinite(gain[order[0]]):
+    best = order[0]
+    if not np.isfinite(gain[best]):
         return None
     starts = chi[order]
     factors = factors[order, None]
-    size = starts[:, amplitudes] - start[amplitudes]
-    starts[:, amplitudes] = start[amplitudes] + factors * size
+    probed = starts[:, amplitudes] - start[amplitudes]
+    starts[:, amplitudes] = start[amplitudes] + factors * probed
     names = hypothesis.model.names
     fitted = [names.index(name) for name in linear.parent.exponents]
     starts[:, fitted] += factors * steps[order]
     starts = np.clip(starts, 0.0, 1.0)
-    best_gain = float(gain[order[0]])
-    return Proposal(hypothesis, starts, best_gain, remainder[order[0]])
+    return Proposal(hypothesis, starts, float(gain[best]), remainder[best])
 
 
 def _probe_exponents(
@@ -198,26 +197,30 @@ def _probe_exponents(
     """Choose exponents (C, P) by which an effect moves the tip as far as causes may."""
     start = hypothesis.exponents_from(linear.parent.exponents)
     varied = hypothesis.parameter_indices(effect, varied_parameters(effect))
-    amplitudes = hypothesis.parameter_indices(effect, amplitude_parameters(effect))
+    amplitudes = hypothesis.amplitude_indices(effect)
+    absent = start[amplitudes]
+
+    # Directions: the first amplitude at an end of its range, the others anywhere
     ends = np.array([[0.0], [1.0]])
     if len(varied) > 1:
         ends = qmc.Sobol(len(varied), seed=seed).random_base2(len(varied) + 1)
         ends[:, 0] = np.round(ends[:, 0])
     probes = np.repeat(start[None], len(ends), axis=0)
     probes[:, varied] = ends
-    distance = probes[:, amplitudes] - start[amplitudes]
+    distance = probes[:, amplitudes] - absent
     is_active = np.abs(distance).max(axis=1) > 0
     probes = probes[is_active]
     distance = distance[is_active]
 
-    probes[:, amplitudes] = start[amplitudes] + PROBE_FRACTION * distance
+    # Sizes: how far a small fraction moves the tip says which fractions are wanted
+    probes[:, amplitudes] = absent + PROBE_FRACTION * distance
     shift_m = linear.data.overall_tip_rms(linear.responses(hypothesis, probes))
     shift_m = np.maximum(shift_m, NEGLIGIBLE_TIP_SHIFT_M)
     scaled = []
     for wanted_m in PROBE_TIP_SHIFTS_M:
         fraction = PROBE_FRACTION * wanted_m / shift_m
-        fraction = np.clip(fraction, PROBE_FRACTION**2, 1.0)
-        probes[:, amplitudes] = start[amplitudes] + fraction[:, None] * distance
+        fraction = np.clip(fraction, MIN_PROBE_FRACTION, 1.0)
+        probes[:, amplitudes] = absent + fraction[:, None] * distance
         scaled.append(probes.copy())
     return np.unique(np.concatenate(scaled), axis=0)
 

@@ -11,9 +11,9 @@ from stringcast.stages.diagnose.base_model import (
     MAX_SEARCH_ITERATIONS,
     widen_range_if_supported,
 )
-from stringcast.stages.diagnose.chaos import exclude_chaotic_trials
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import (
+    exclude_chaotic_trials,
     fit_mesh_correction,
     subtract_discretisation_error,
     with_second_order_mesh,

@@ -13,8 +13,10 @@ from synthetic_trials import (
 )
 
 from stringcast.stages.diagnose import diagnose as module
-from stringcast.stages.diagnose.chaos import unresolvable_trials
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.discretisation import (
+    unresolvable_trials,
+    with_second_order_mesh,
+)
 from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.model.library import effects_by_name
 
