@@ -5,9 +5,9 @@ move its parameters as far as the measured trials allow, and may leave as much
 unexplained as it does there. To first order the log odds of the true rival over
 another, on one more trial, are normal with mean m and variance 2 m:
 
-    m = 1/2 d' (V + J N^(-1) J')^(-1) d
+    m = 1/2 d' (V + J I^(-1) J')^(-1) d
 
-d is the difference of the rivals, J the slopes of the other one, N the information of
+d is the difference of the rivals, J the slopes of the other one, I the information of
 the measured trials about its parameters, and V the covariance of noise and discrepancy.
 All motions are compared by d alone, the most different ones by m.
 """
@@ -96,31 +96,31 @@ class Rivals:
         """
         names = list(self.fits)
         fits = list(self.fits.values())
-        scale = np.array([int(np.median(fits[0].scale_indices))])
-        residuals = []
-        slopes = []
+        count = len(fits)
+        scale_indices = np.array([int(np.median(fits[0].scale_indices))])
+        residuals = []  # (2 n,) of each rival
+        slopes = []  # (P, 2 n)
         for fit in fits:
             chi, offset = difference_exponents(fit.chi, solver.FIRST_DIFFERENCE)
             simulated = trial.residuals(fit.hypothesis.model, chi)[0]
             if (simulated == solver.DIVERGED_RESIDUAL).any():
-                return np.zeros((len(fits), len(fits))), {}
+                return np.zeros((count, count)), {}
             residuals.append(simulated[0])
             slopes.append((simulated[1:] - simulated[0]) / offset[:, None])
 
-        log_odds = np.full((len(fits), len(fits)), np.inf)
+        log_odds = np.full((count, count), np.inf)
         predicted = {names[0]: residuals[0]}
-        for true, other in permutations(range(len(fits)), 2):
+        for true, other in permutations(range(count), 2):
             difference = residuals[other] - residuals[true]
-            white = trial.whiten([difference[None]], scale)[0]
-            white_slopes = trial.whiten([slopes[other]], scale)
-            normal = self._parameter_information(fits[other])
-            normal = normal + white_slopes @ white_slopes.T
-            adapted = -np.linalg.solve(normal, white_slopes @ white)
-            log_odds[true, other] = 0.5 * float(
-                white @ (white + adapted @ white_slopes)
-            )
+            white = trial.whiten([difference[None]], scale_indices)[0]
+            white_slopes = trial.whiten([slopes[other]], scale_indices)
+            information = self._parameter_information(fits[other])
+            normal = information + white_slopes @ white_slopes.T
+            step = -np.linalg.solve(normal, white_slopes @ white)
+            remainder = white + step @ white_slopes
+            log_odds[true, other] = 0.5 * float(white @ remainder)
             if true == 0:
-                predicted[names[other]] = residuals[other] + adapted @ slopes[other]
+                predicted[names[other]] = residuals[other] + step @ slopes[other]
         return log_odds, predicted
 
     def _parameter_information(self, fit: Fit) -> np.ndarray:
@@ -199,8 +199,9 @@ def _most_different_motions(
     for strings in zip(*by_rival, strict=True):  # (1, F, n, 2) of each rival
         squares = [np.mean((a[0] - b[0]) ** 2) for a, b in combinations(strings, 2)]
         differences.append(float(min(squares)))
-        inner = strings[0][0][:, :-1]
-        outer = strings[0][0][:, 1:]
+        likeliest = strings[0][0]
+        inner = likeliest[:, :-1]
+        outer = likeliest[:, 1:]
         crossed = [box.is_crossed_by(inner, outer).any() for box in obstacles]
         crosses.append(any(crossed))
     difference = np.array(differences)
@@ -212,10 +213,9 @@ def _most_different_motions(
 def _odds_summary(log_odds: float, deciding: float) -> dict[str, float]:
     """Summarise log odds of a mean, and twice that variance."""
     deviation = np.sqrt(2 * max(log_odds, 1e-12))
+    probability = float(norm.cdf((log_odds - deciding) / deviation))
     return {
-        "probability_to_decide": round(
-            float(norm.cdf((log_odds - deciding) / deviation)), 3
-        ),
+        "probability_to_decide": round(probability, 3),
         "expected_log_odds": round(log_odds, 3),
         "spread": round(float(np.sqrt(2 * log_odds)), 3),
     }
@@ -227,18 +227,18 @@ def _experiment_document(
     """Build next_experiment of diagnosis.json, without the motion's folder."""
     names = list(rivals.fits)
     deciding = rivals.deciding_log_odds
-    trials = rivals.data
+    data = rivals.data
     repeated = []
-    for k in range(len(trials.trials)):
-        again, _ = rivals.expected_log_odds(trials.subset([k]))
-        repeated.append(float(again.min()))
+    for k in range(len(data.trials)):
+        repeated_odds, _ = rivals.expected_log_odds(data.subset([k]))
+        repeated.append(float(repeated_odds.min()))
     best = int(np.argmax(repeated))
     inseparable = []
     for a, b in combinations(range(len(names)), 2):
         if min(log_odds[a, b], log_odds[b, a]) < INSEPARABLE_LOG_ODDS:
             inseparable.append([names[a], names[b]])
     summary = _odds_summary(float(log_odds.min()), deciding)
-    repeated_name = trials.trials[best].name
+    repeated_name = data.trials[best].name
     repeated_summary = _odds_summary(repeated[best], deciding)
 
     sentence = f"Of {motions} motions within the arm's limits, "

@@ -179,13 +179,11 @@ def _detection_threshold(
     value, tip_shift_m : float
         NaN if they are sufficient nowhere.
     """
-    chi = response.chi
     shifts_m = response.tip_shifts_m
     is_insufficient = (excess < 0) | (shifts_m < min_tip_shift_m)
     if is_insufficient[-1]:
         return np.nan, np.nan
-    position = 0.0
-    parameter = response.parameter
+    position = 0.0  # among the fractions of the range
     if is_insufficient.any():
         last = int(np.flatnonzero(is_insufficient)[-1])
         position = float(last)
@@ -195,9 +193,10 @@ def _detection_threshold(
                 share = (needed - values[last]) / rise
                 crossing = last + np.clip(share, 0.0, 1.0)
                 position = max(position, float(crossing))
-    numbers = np.arange(len(chi), dtype=float)
-    value = parameter.value(np.interp(position, numbers, chi))
-    return float(value), float(np.interp(position, numbers, shifts_m))
+    positions = np.arange(len(shifts_m), dtype=float)
+    chi = np.interp(position, positions, response.chi)
+    value = response.parameter.value(chi)
+    return float(value), float(np.interp(position, positions, shifts_m))
 
 
 class _SensitivityAnalysis:
@@ -231,9 +230,10 @@ class _SensitivityAnalysis:
                 continue
 
             steps, remainder = self.linear.parameter_steps(changes)
-            whole = remainder - steps @ self.linear.white_slopes
-            square = np.maximum(np.sum(whole**2, axis=1), NEGLIGIBLE_RESPONSE**2)
-            left = np.minimum(np.sum(remainder**2, axis=1) / square, 1.0)
+            white_changes = remainder - steps @ self.linear.white_slopes
+            square = np.sum(white_changes**2, axis=1)
+            square = np.maximum(square, NEGLIGIBLE_RESPONSE**2)
+            unimitated = np.minimum(np.sum(remainder**2, axis=1) / square, 1.0)
             pairs = zip(changes, self.base.slopes, strict=True)
             response = _EffectResponse(
                 effect,
@@ -243,7 +243,7 @@ class _SensitivityAnalysis:
                 tip_shifts_m=shifts_m,
                 unimitated=[change + steps @ slope for change, slope in pairs],
                 whitened=remainder,
-                imitated_fractions=1.0 - left,
+                imitated_fractions=1.0 - unimitated,
             )
             responses.append(response)
         return responses
@@ -256,9 +256,9 @@ class _SensitivityAnalysis:
         Its other amplitudes are absent and cost what they could explain of noise.
         """
         gains = self._expected_gains(response.unimitated)
-        sibling_cost = sum(_log_prior_cost(each)[0] for each in siblings)
         left_one_out = gains.sum(axis=0) - gains.max(axis=0)
-        return np.asarray(left_one_out + _log_prior_cost(response) + sibling_cost)
+        sibling_factor = sum(_log_occam_factor(sibling)[0] for sibling in siblings)
+        return np.asarray(left_one_out + _log_occam_factor(response) + sibling_factor)
 
     def is_confusable(
         self,
@@ -273,36 +273,35 @@ class _SensitivityAnalysis:
         probability than the set leaves.
         """
         index = response.index_near(tip_shift_m)
-        other_indices = [other.index_near(tip_shift_m) for other in others]
-        pairs = list(zip(others, other_indices, strict=True))
         white = response.whitened[index]
-        other_white = np.array([other.whitened[k] for other, k in pairs])
-        sizes = np.linalg.lstsq(other_white.T, white, rcond=None)[0]
-        explained_norm = np.linalg.norm(sizes @ other_white)
+        indices = [other.index_near(tip_shift_m) for other in others]
+        pairs = list(zip(others, indices, strict=True))
+        other_white = np.array([other.whitened[i] for other, i in pairs])
+        factors = np.linalg.lstsq(other_white.T, white, rcond=None)[0]
+        explained_norm = np.linalg.norm(factors @ other_white)
         if explained_norm < MIN_CONFUSABLE_COSINE * np.linalg.norm(white):
             return False
         differences = []
-        for number, displacement in enumerate(response.unimitated):
+        for k, displacement in enumerate(response.unimitated):
             explained = np.zeros(displacement.shape[1])
-            for size, (other, k) in zip(sizes, pairs, strict=True):
-                explained = explained + size * other.unimitated[number][k]
+            for factor, (other, i) in zip(factors, pairs, strict=True):
+                explained = explained + factor * other.unimitated[k][i]
             differences.append((displacement[index] - explained)[None])
-        loss = self._expected_gains(differences).sum()
-        return bool(loss < criteria.deciding_log_odds)
+        lost = self._expected_gains(differences).sum()
+        return bool(lost < criteria.deciding_log_odds)
 
     def _expected_gains(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
-        """Mean log-likelihood lost by unexplained displacements (C, 2 n), (K, C)."""
+        """Mean log-likelihood gained by explaining displacements (C, 2 n), (K, C)."""
         gains = []
         for k, trial in enumerate(self.data.trials):
             noise = self.noise[k]
-            before = _log_likelihood(trial.discrepancy, noise)
+            explained = _log_likelihood(trial.discrepancy, noise)
             coefficients = trial.discrepancy.coefficients(displacements[k])
             displaced = coefficients[:, None] + noise  # (C, draws, 2 M)
-            after = _log_likelihood(
-                trial.discrepancy, displaced.reshape(-1, displaced.shape[-1])
-            )
-            by_draw = after.reshape(displaced.shape[:2])
-            gains.append(before.mean() - by_draw.mean(axis=1))
+            flat = displaced.reshape(-1, displaced.shape[-1])
+            unexplained = _log_likelihood(trial.discrepancy, flat)
+            by_draw = unexplained.reshape(displaced.shape[:2])
+            gains.append(explained.mean() - by_draw.mean(axis=1))
         return np.array(gains)
 
 
@@ -311,8 +310,8 @@ def _log_likelihood(discrepancy: Discrepancy, coefficients: np.ndarray) -> np.nd
     return marginal_log_likelihood(by_scale)
 
 
-def _log_prior_cost(response: _EffectResponse) -> np.ndarray:
-    """Log evidence of an effect before the data count, as of `laplace`, (C,)."""
+def _log_occam_factor(response: _EffectResponse) -> np.ndarray:
+    """Log of prior density times posterior width of an amplitude, (C,)."""
     norm = np.maximum(np.linalg.norm(response.whitened, axis=1), NEGLIGIBLE_RESPONSE)
     sigmas_per_metre = norm / response.tip_shifts_m
     density = tip_shift_density(response.tip_shifts_m, response.parameter)

@@ -57,13 +57,13 @@ def residuals_table(prepared: PreparedData, base: Fit, extended: Fit) -> pd.Data
     frames = []
     base_residuals = residuals_without_nuisance(data, base)
     extended_residuals = residuals_without_nuisance(data, extended)
-    for k, (measured, trial) in enumerate(
-        zip(prepared.trials, data.trials, strict=True)
-    ):
+    for k, trial in enumerate(data.trials):
+        measured = prepared.trials[k]
         sigma = trial.sigma[:, None]
         base_offset = sigma * base_residuals[k].reshape(-1, 2)
+        extended_offset = sigma * extended_residuals[k].reshape(-1, 2)
         base_points = measured.points + base_offset
-        extended_points = measured.points + sigma * extended_residuals[k].reshape(-1, 2)
+        extended_points = measured.points + extended_offset
         along = string_tangents(trial.frame, trial.s, base_points)
         normal = base_offset[:, 1] * along[:, 0] - base_offset[:, 0] * along[:, 1]
         table = {
@@ -118,7 +118,8 @@ def hypotheses_table(
             label = hypothesis_label(fit)
             probabilities[label] = posterior.probabilities.get(name, 0.0)
     fits += [state.fit, *nested]
-    by_label = {hypothesis_label(fit): fit for fit in fits}  # the last one of a name
+    # Of the fits with the same causes the last, which is the most refined
+    by_label = {hypothesis_label(fit): fit for fit in fits}
 
     rows = []
     for label, fit in by_label.items():
@@ -190,9 +191,11 @@ def screening_table(state: SelectionState) -> pd.DataFrame:
     for step in state.steps:
         context = hypothesis_label(step.parent)
         for proposal in step.proposals:
-            name = proposal.effect.name
-            gain = proposal.gain
-            row = {"context": context, "effect": name, "predicted_gain": gain}
+            row = {
+                "context": context,
+                "effect": proposal.effect.name,
+                "predicted_gain": proposal.gain,
+            }
             rows.append(row)
     return SCREENING.check(pd.DataFrame(rows)) if rows else SCREENING.empty()
 
@@ -202,8 +205,12 @@ def likeness_table(state: SelectionState) -> pd.DataFrame:
     best = state.steps[0].proposals[:MAX_COMPARED_EFFECTS] if state.steps else []
     rows = []
     for other, proposal in combinations(best, 2):
-        names = {"effect": proposal.effect.name, "other": other.effect.name}
-        rows.append({**names, "cosine": proposal.cosine_similarity(other)})
+        row = {
+            "effect": proposal.effect.name,
+            "other": other.effect.name,
+            "cosine": proposal.cosine_similarity(other),
+        }
+        rows.append(row)
     return LIKENESS.check(pd.DataFrame(rows)) if rows else LIKENESS.empty()
 
 
@@ -238,8 +245,8 @@ def causes_table(
                 f"{between_trials_mm:.0f} mm at the tip"
             )
         common["sentence"] = sentence + range_end_remark(fit, effect)
-        tempered_fit = posterior_with_background(data, fit, judgement.background)
-        for row in _parameter_rows(fit, effect, tempered_fit, half_width):
+        posterior = posterior_with_background(data, fit, judgement.background)
+        for row in _parameter_rows(fit, effect, posterior, half_width):
             rows.append(common | row)
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
 
@@ -255,14 +262,14 @@ def fit_containing(state: SelectionState, judgement: Judgement, name: str) -> Fi
 
 def range_end_remark(fit: Fit, effect: type[Effect]) -> str:
     """Remark that a cause's amplitude lies at an end of its range."""
-    chi = fit.chi
+    absent = fit.hypothesis.exponents_from({})
+    is_present = np.abs(fit.chi - absent) > ABSENCE_TOLERANCE
+    is_at_end = np.abs(fit.chi - 0.5) > 0.5 - ABSENCE_TOLERANCE
     amplitudes = [p for p in amplitude_parameters(effect) if not p.is_lower_bound]
-    is_present = np.abs(chi - fit.hypothesis.exponents_from({})) > ABSENCE_TOLERANCE
-    is_at_end = is_present & (np.abs(chi - 0.5) > 0.5 - ABSENCE_TOLERANCE)
     indices = fit.hypothesis.parameter_indices(effect, amplitudes)
     ends = []
     for amplitude, index in zip(amplitudes, indices, strict=True):
-        if is_at_end[index]:
+        if is_present[index] and is_at_end[index]:
             ends.append(effect.qualified_name(amplitude))
     if not ends:
         return ""
@@ -273,12 +280,12 @@ def range_end_remark(fit: Fit, effect: type[Effect]) -> str:
 
 
 def _parameter_rows(
-    fit: Fit, effect: type[Effect], tempered_fit: BackgroundPosterior, half_width: float
+    fit: Fit, effect: type[Effect], posterior: BackgroundPosterior, half_width: float
 ) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
     indices = fit.hypothesis.parameter_indices(effect, effect.parameters)
     for parameter, index in zip(effect.parameters, indices, strict=True):
-        low, high = parameter_interval(fit, index, tempered_fit, half_width)
+        low, high = parameter_interval(fit, index, posterior, half_width)
         row: dict[str, object] = {
             "parameter": effect.qualified_name(parameter),
             "meaning": parameter.meaning,
@@ -293,7 +300,7 @@ def _parameter_rows(
 
 
 def parameter_uncertainty(
-    fit: Fit, tempered_fit: BackgroundPosterior, half_width: float
+    fit: Fit, posterior: BackgroundPosterior, half_width: float
 ) -> dict[str, Any]:
     """Collect the intervals and large correlations of a fit's parameters.
 
@@ -302,15 +309,15 @@ def parameter_uncertainty(
     dict
         As in diagnosis.json, the most correlated pairs first.
     """
-    names = [p.name for p in fit.hypothesis.parameters]
-    matrix = tempered_fit.correlation
+    names = fit.hypothesis.model.names
     intervals = {}
     for index, name in enumerate(names):
-        interval = parameter_interval(fit, index, tempered_fit, half_width)
+        interval = parameter_interval(fit, index, posterior, half_width)
         intervals[name] = list(interval)
     correlations: list[dict[str, Any]] = []
+    correlation = posterior.correlation
     for i, j in combinations(range(len(names)), 2):
-        value = float(matrix[i, j])
+        value = float(correlation[i, j])
         if abs(value) > MIN_SHOWN_CORRELATION:
             correlations.append({"parameters": [names[i], names[j]], "value": value})
     correlations.sort(key=lambda row: -abs(row["value"]))
@@ -318,15 +325,14 @@ def parameter_uncertainty(
 
 
 def parameter_interval(
-    fit: Fit, index: int, tempered_fit: BackgroundPosterior, half_width: float
+    fit: Fit, index: int, posterior: BackgroundPosterior, half_width: float
 ) -> tuple[float, float]:
     """Compute the ends of a parameter's interval, widened to hold its value."""
     chi = fit.chi[index]
-    parameter = fit.hypothesis.parameters[index]
-    reach = half_width * np.array([-1.0, 1.0]) * tempered_fit.standard_deviation[index]
-    low, high = tempered_fit.mean[index] + reach
-    ends = np.clip([min(low, chi), max(high, chi)], 0.0, 1.0)
-    low, high = parameter.value(ends)
+    mean = posterior.mean[index]
+    reach = half_width * posterior.standard_deviation[index]
+    ends = np.clip([min(mean - reach, chi), max(mean + reach, chi)], 0.0, 1.0)
+    low, high = fit.hypothesis.parameters[index].value(ends)
     return float(low), float(high)
 
 
@@ -335,9 +341,8 @@ def missing_table(data: TrialData, fit: Fit, criteria: Criteria) -> pd.DataFrame
     if unexplained_tip_rms(data, fit).max() < criteria.tip_tolerance_m:
         return MISSING.empty()
     frames = []
-    for trial, discrepancy in zip(
-        data.trials, mean_discrepancy(data, fit), strict=True
-    ):
+    pairs = zip(data.trials, mean_discrepancy(data, fit), strict=True)
+    for trial, discrepancy in pairs:
         x, y = -(discrepancy.reshape(-1, 2) * trial.sigma[:, None]).T
         frames.append(_average_in_cells(trial, {"x": x, "y": y}))
     return MISSING.check(pd.concat(frames, ignore_index=True))

@@ -96,9 +96,10 @@ def require_confirmation(
     verdict: Verdict, numbers: VerdictNumbers, criteria: Criteria
 ) -> Verdict:
     """Withdraw causes that no other trial confirms, or that predict none better."""
-    kind = verdict.kind
     causes = verdict.causes
-    if kind in ("none", "insufficient") or causes == (RESOLUTION,):
+    # A mesh is too coarse whatever other trials say
+    names_nothing = verdict.kind in ("none", "insufficient")
+    if names_nothing or causes == (RESOLUTION,):
         return verdict
     if not can_be_confirmed(numbers):
         remark = _single_trial_remark(numbers)
@@ -115,16 +116,17 @@ def _closest_explanation(numbers: VerdictNumbers) -> str:
     names = numbers.causes
     if not names or numbers.explained_fraction < 0:
         return ""
-    together = 100 * numbers.explained_fraction
     remark = (
-        f"The closest explanation, {' with '.join(names)}, removes {together:.0f} %"
+        f"The closest explanation, {' with '.join(names)}, removes "
+        f"{100 * numbers.explained_fraction:.0f} % of the mean square misfit"
     )
-    remark += " of the mean square misfit"
-    if numbers.largest_cause:
-        others = [name for name in names if name != numbers.largest_cause]
+    largest = numbers.largest_cause
+    if largest:
+        others = [name for name in names if name != largest]
         beyond = 100 * max(numbers.explained_beyond_largest, 0)
-        remark += f"; {' with '.join(others)} removes {beyond:.0f} % of what"
-        remark += f" {numbers.largest_cause} leaves"
+        remark += (
+            f"; {' with '.join(others)} removes {beyond:.0f} % of what {largest} leaves"
+        )
     return f"{remark}."
 
 
@@ -234,10 +236,12 @@ def _explained_beyond_largest_cause(
         Of the mean square misfit left by that cause alone, removed by the others.
     """
     causes = fit.hypothesis.causes
-    without = [
-        refit(data, fit, fit.hypothesis.without_cause(cause)) for cause in causes
-    ]
-    misfit = [np.mean(unexplained_tip_rms(data, less) ** 2) for less in without]
+    without = []
+    misfit = []
+    for cause in causes:
+        less = refit(data, fit, fit.hypothesis.without_cause(cause))
+        without.append(less)
+        misfit.append(np.mean(unexplained_tip_rms(data, less) ** 2))
     number = int(np.argmax(misfit))
     largest = causes[number]
     if len(causes) == 2:
@@ -279,23 +283,22 @@ def judge_interrupted_search(
     fit = state.fit
     background = background_responses(data, fit, effects)
     weights = bootstrap_weights(len(data.trials), seed)
-    step_of = {
-        step.best.hypothesis.cause_names[-1]: step
-        for step in state.steps
-        if step.accepted and step.best is not None
-    }
-    posteriors = tuple(
-        single_effect_posterior(
-            data,
-            step_of[name],
-            background,
-            weights,
-            len(effects),
-            criteria.min_tip_shift_m,
-        )
-        for name in fit.hypothesis.cause_names
-        if name in step_of
-    )
+    step_of = {}
+    for step in state.steps:
+        if step.accepted and step.best is not None:
+            step_of[step.best.hypothesis.cause_names[-1]] = step
+    posteriors = list[SingleEffectPosterior]()
+    for name in fit.hypothesis.cause_names:
+        if name in step_of:
+            posterior = single_effect_posterior(
+                data,
+                step_of[name],
+                background,
+                weights,
+                len(effects),
+                criteria.min_tip_shift_m,
+            )
+            posteriors.append(posterior)
     probability = misfit_probability(data, fit, criteria, seed)
     numbers = VerdictNumbers(
         trials=len(data.trials),
@@ -308,5 +311,5 @@ def judge_interrupted_search(
     verdict = Verdict("insufficient", probability, remark=remark)
     base_fit = fit_base_to(state)
     return Judgement(
-        verdict, numbers, posteriors, base_fit, background, interrupted=True
+        verdict, numbers, tuple(posteriors), base_fit, background, interrupted=True
     )
