@@ -11,6 +11,7 @@ from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.prepared_trial import with_model
 from stringcast.stages.inference.search import (
     refine_solution,
     screen_candidates,
@@ -79,7 +80,7 @@ def widen_range_if_supported(
         high = high * RANGE_WIDENING_FACTOR
     ranges[parameter.name] = replace(ranges[parameter.name], low=low, high=high)
     wider = replace(model, string=replace(model.string, ranges=ranges))
-    trials = [replace(trial, model=wider) for trial in likelihood.data.trials]
+    trials = with_model(likelihood.data.trials, wider)
     values = parameter_values(likelihood.parameters, chi[None])
     start = parameter_exponents(wider.parameters, values)
     widened = replace(likelihood.with_trials(trials), model=wider)
@@ -107,7 +108,7 @@ def refit_from_new_starts(
         is_cause[hypothesis.parameter_indices(cause, cause.parameters)] = True
     drawn = rng.uniform(size=(SCREENED_PER_START * starts, len(fit.chi)))
     candidates = np.where(is_cause, fit.chi, drawn)
-    trials = tuple(replace(trial, model=hypothesis.model) for trial in data.trials)
+    trials = with_model(data.trials, hypothesis.model)
     likelihood = Likelihood(TrialData(trials), hypothesis.model)
     best = screen_candidates(likelihood, candidates, starts - 1)
     tried = np.concatenate([fit.chi[None], best])

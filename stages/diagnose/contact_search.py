@@ -16,7 +16,7 @@ from scipy.stats import qmc
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, mean_discrepancy
 from stringcast.stages.inference.prepared_trial import PreparedTrial
-from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import Effect, StringEffect, amplitude_parameters
 from stringcast.stages.model.engine.stability import load_sum
 from stringcast.stages.model.parameter import Parameter, parameter_values
@@ -173,7 +173,7 @@ def contact_candidates(
 
 
 def _departure_times(
-    trials: Sequence[PreparedTrial], discrepancies: Sequence[np.ndarray]
+    trials: Sequence[PreparedTrial], discrepancies: ByTrial
 ) -> np.ndarray:
     """Find when the discrepancy of each trial, (2 n,) over sigma, is first large [s].
 
@@ -188,8 +188,7 @@ def _departure_times(
     departures = []
     for trial, distance_m in zip(trials, distances_m, strict=True):
         is_large = distance_m > np.maximum(DEPARTURE_SIGMAS * trial.sigma, least_m)
-        times = trial.times[trial.frame[is_large]]
-        departures.append(times.min(initial=np.inf))
+        departures.append(trial.point_times[is_large].min(initial=np.inf))
     return np.array(departures)
 
 

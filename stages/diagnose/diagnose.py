@@ -444,13 +444,13 @@ class HeldOutGain:
 
     def added_to(self, numbers: VerdictNumbers, criteria: Criteria) -> VerdictNumbers:
         """Add the gain to the numbers of a verdict."""
-        if not len(self.table):
-            return replace(numbers, heldout_is_closer=self.is_closer)
-        fraction = mean_explained_fraction(
-            self.table["tip_rms_base"].to_numpy(),
-            self.table["tip_rms_extended"].to_numpy(),
-            criteria.tip_tolerance_m,
-        )
+        fraction = numbers.heldout_explained_fraction
+        if len(self.table):
+            fraction = mean_explained_fraction(
+                self.table["tip_rms_base"].to_numpy(),
+                self.table["tip_rms_extended"].to_numpy(),
+                criteria.tip_tolerance_m,
+            )
         return replace(
             numbers,
             heldout_is_closer=self.is_closer,

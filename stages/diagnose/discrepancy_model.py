@@ -28,7 +28,7 @@ from stringcast.stages.inference.initial_modes import (
 )
 from stringcast.stages.inference.laplace import TIP_SHIFT_WIDTHS_M
 from stringcast.stages.inference.prepared_trial import PreparedTrial
-from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.parameter import parameter_values
 
@@ -39,7 +39,7 @@ def attach_discrepancy_model(
     trials: Sequence[PreparedTrial],
     hypothesis: Hypothesis,
     chi: np.ndarray,
-    error_shapes: Sequence[np.ndarray] | None = None,
+    error_shapes: ByTrial | None = None,
 ) -> TrialData:
     """Attach a Gaussian-process discrepancy and random effects to each trial.
 

@@ -43,7 +43,7 @@ from stringcast.stages.inference.laplace import (
 )
 from stringcast.stages.inference.mesh import refine_mesh
 from stringcast.stages.inference.mesh_correction import MeshCorrection
-from stringcast.stages.inference.prepared_trial import PreparedTrial
+from stringcast.stages.inference.prepared_trial import PreparedTrial, with_model
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.engine.accuracy import richardson_limit
@@ -109,7 +109,7 @@ def corrected_data_of(
         Of the discretisation error at each tip [m].
     """
     if prepared.mesh_is_model:
-        simulated = [replace(trial, model=fit.hypothesis.model) for trial in trials]
+        simulated = with_model(trials, fit.hypothesis.model)
         data = attach_discrepancy_model(simulated, fit.hypothesis, fit.chi)
         return data, np.zeros(len(simulated))
     return subtract_discretisation_error(trials, fit.hypothesis, fit.chi)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from stringcast.stages.common import rms
 from stringcast.stages.diagnose.budget import ErrorBudget
 from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.prepared_data import PreparedData
@@ -128,29 +129,25 @@ def gain_document(held_out: pd.DataFrame) -> dict[str, Any]:
 
     Numbers that no trial determines are NaN.
     """
-    rms = {}
-    tip_rms = {}
+    rms_m = {}
+    tip_rms_m = {}
     rate = {}
     for side in ("base", "extended"):
-        rms[side] = _rms_over_trials(held_out[f"rms_{side}"])
-        tip_rms[side] = _rms_over_trials(held_out[f"tip_rms_{side}"])
+        rms_m[side] = rms(held_out[f"rms_{side}"])
+        tip_rms_m[side] = rms(held_out[f"tip_rms_{side}"])
         rate[side] = float(held_out[f"E_{side}"].mean())
-    rms["noise_floor"] = _rms_over_trials(held_out["noise_floor"])
+    rms_m["noise_floor"] = rms(held_out["noise_floor"])
     difference = held_out["log_likelihood_difference"]
     return {
         "held_out_trials": held_out["trial"].tolist(),
-        "rms_m": rms,
-        "tip_rms_m": tip_rms,
+        "rms_m": rms_m,
+        "tip_rms_m": tip_rms_m,
         "matching_rate": rate,
         "log_likelihood_per_trial": {
             "difference": float(difference.mean()),
             "standard_error": float(difference.sem()),
         },
     }
-
-
-def _rms_over_trials(values: pd.Series) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def replace_non_finite(document: Any) -> Any:

@@ -271,10 +271,10 @@ def _predicted_table(
     """Build the table PREDICTED_STRINGS."""
     frames = []
     for name, residual in predicted.items():
-        points = trial.points + residual.reshape(-1, 2) * trial.sigma[:, None]
+        points = trial.points + trial.displacements_m(residual)
         table = {
             "hypothesis": name,
-            "t": trial.times[trial.frame],
+            "t": trial.point_times,
             "s": trial.s,
             "x": points[:, 0],
             "y": points[:, 1],

@@ -23,7 +23,7 @@ from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.inference.discrepancy import Discrepancy, marginal_log_likelihood
 from stringcast.stages.inference.laplace import Fit, tip_shift_density
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
-from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import (
     Effect,
     amplitude_parameters,
@@ -290,7 +290,7 @@ class _SensitivityAnalysis:
         lost = self._expected_gains(differences).sum()
         return bool(lost < criteria.deciding_log_odds)
 
-    def _expected_gains(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
+    def _expected_gains(self, displacements: ByTrial) -> np.ndarray:
         """Mean log-likelihood gained by explaining displacements (C, 2 n), (K, C)."""
         gains = []
         for k, trial in enumerate(self.data.trials):

@@ -102,7 +102,7 @@ class LinearisedFit:
         """
         gain = np.zeros(len(responses[0]))
         for k, trial in enumerate(self.data.trials):
-            is_early = np.repeat(trial.times[trial.frame] <= end_times[k], 2)
+            is_early = np.repeat(trial.point_times <= end_times[k], 2)
             residual = self.parent.residuals[k]
             before = residual[is_early]
             after = (residual + responses[k])[:, is_early]

@@ -22,7 +22,7 @@ from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.likelihood import MOTION_SHARE, Likelihood
 from stringcast.stages.inference.noise import WHITE_NOISE, fit_noise_model
 from stringcast.stages.inference.prepared_trial import PreparedTrial
-from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.model import Model
 
 OVERRULING_NOISE_RATIO = 1.3  # of estimated to given noise: from there the data decide
@@ -87,7 +87,7 @@ def reestimate_noise(prepared: PreparedData, fit: Fit) -> PreparedData:
 
 def estimate_noise(
     trials: Sequence[PreparedTrial],
-    residuals: Sequence[np.ndarray],
+    residuals: ByTrial,
     noise_is_given: bool,
 ) -> tuple[PreparedTrial, ...]:
     """Set the correlated noise of trials from residuals over sigma.
@@ -155,7 +155,7 @@ def trim_trailing_rest(trial: PreparedTrial) -> PreparedTrial:
     """
     times = trial.times
     distance = np.zeros(len(times))  # of each frame from the final rest [m]
-    is_late = times[trial.frame] > times[-1] - KEPT_REST_S
+    is_late = trial.point_times > times[-1] - KEPT_REST_S
     for track in track_places(trial.frame, trial.s):
         late = track[is_late[track]]
         if late.size:

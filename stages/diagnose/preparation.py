@@ -38,7 +38,7 @@ from stringcast.stages.inference.initial_modes import (
 )
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis, mean_discrepancy
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.inference.prepared_trial import prepare_trial, with_model
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
 
@@ -181,7 +181,7 @@ def keep_configured_mesh_if_supported(
         return replace(prepared, configured_mesh_fit=configured)
 
     hypothesis = configured.hypothesis
-    trials = tuple(replace(t, model=hypothesis.model) for t in prepared.trials)
+    trials = with_model(prepared.trials, hypothesis.model)
     on_its_mesh = replace(prepared, mesh_is_model=True, trials=trials)
     on_its_mesh = correct_data_at(on_its_mesh, configured)
     data = on_its_mesh.data

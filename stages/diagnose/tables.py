@@ -59,16 +59,15 @@ def residuals_table(prepared: PreparedData, base: Fit, extended: Fit) -> pd.Data
     extended_residuals = residuals_without_nuisance(data, extended)
     for k, trial in enumerate(data.trials):
         measured = prepared.trials[k]
-        sigma = trial.sigma[:, None]
-        base_offset = sigma * base_residuals[k].reshape(-1, 2)
-        extended_offset = sigma * extended_residuals[k].reshape(-1, 2)
+        base_offset = trial.displacements_m(base_residuals[k])
+        extended_offset = trial.displacements_m(extended_residuals[k])
         base_points = measured.points + base_offset
         extended_points = measured.points + extended_offset
         along = string_tangents(trial.frame, trial.s, base_points)
         normal = base_offset[:, 1] * along[:, 0] - base_offset[:, 0] * along[:, 1]
         table = {
             "trial": trial.name,
-            "t": trial.times[trial.frame],
+            "t": trial.point_times,
             "s": trial.s,
             "sigma": measured.sigma,
             "x": measured.points[:, 0],
@@ -132,7 +131,7 @@ def hypotheses_table(
         row = {
             "causes": label,
             "parameters": len(fit.chi),
-            "mean_square": float(np.mean(np.concatenate(fit.residuals) ** 2)),
+            "mean_square": np.mean(np.concatenate(fit.residuals) ** 2),
             "fit_gain": fit.log_evidence - base.log_evidence,
             "held_out_gain": held_out_gain,
             "moved": float(tip_shift_rms(data, base, fit).max()),
@@ -157,7 +156,7 @@ def entries_table(data: TrialData, nested: Sequence[Fit]) -> pd.DataFrame:
         for k, trial in enumerate(data.trials):
             squares = {}
             for name, by_trial in residuals.items():
-                offset = by_trial[k].reshape(-1, 2) * trial.sigma[:, None]
+                offset = trial.displacements_m(by_trial[k])
                 squares[name] = np.sum(offset**2, axis=1)
             table = _average_in_cells(trial, squares)
             table[["before", "after"]] **= 0.5
@@ -177,7 +176,7 @@ def _average_in_cells(
     trial: PreparedTrial, columns: Mapping[str, np.ndarray]
 ) -> pd.DataFrame:
     """Average columns (n,) of a trial's points over cells in time and along it."""
-    table = pd.DataFrame({"t": trial.times[trial.frame], "s": trial.s, **columns})
+    table = pd.DataFrame({"t": trial.point_times, "s": trial.s, **columns})
     part = np.ceil(trial.s / trial.s.max() * CELLS_ALONG_STRING)
     part = part.clip(1, CELLS_ALONG_STRING)
     moment = np.floor((table["t"] - trial.times[0]) / CELL_SECONDS)
@@ -343,6 +342,6 @@ def missing_table(data: TrialData, fit: Fit, criteria: Criteria) -> pd.DataFrame
     frames = []
     pairs = zip(data.trials, mean_discrepancy(data, fit), strict=True)
     for trial, discrepancy in pairs:
-        x, y = -(discrepancy.reshape(-1, 2) * trial.sigma[:, None]).T
+        x, y = -trial.displacements_m(discrepancy).T
         frames.append(_average_in_cells(trial, {"x": x, "y": y}))
     return MISSING.check(pd.concat(frames, ignore_index=True))

@@ -36,7 +36,7 @@ from stringcast.stages.inference.laplace import (
     Fit,
     sample_discrepancy_tip_rms,
 )
-from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import Effect
 
 RESOLUTION = "resolution"  # the cause that the configured mesh is too coarse
@@ -167,7 +167,7 @@ class Judgement:
     numbers: VerdictNumbers
     posteriors: tuple[SingleEffectPosterior, ...]
     base_fit: Fit
-    background: Sequence[np.ndarray]
+    background: ByTrial
     interrupted: bool = False
 
     @property

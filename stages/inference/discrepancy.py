@@ -181,7 +181,10 @@ class Discrepancy:
         return np.stack(by_scale, axis=1)
 
     def posterior_mean(self, coefficients: np.ndarray, scale_index: int) -> np.ndarray:
-        """Compute the most likely discrepancy over sigma (2 n,), given coefficients."""
+        """Compute the most likely discrepancy over sigma, (2 n,).
+
+        coefficients: of the residual, (2 M,).
+        """
         variance = self._variance_at(scale_index)
         amplitudes = self._nuisance_amplitudes(coefficients, scale_index)
         explained = self.nuisance_coefficients @ amplitudes

@@ -163,8 +163,7 @@ def reset_initial_state_linear(
     """
     amplitudes = initial_amplitudes(trial)
     moved = nuisance[:, : len(amplitudes)] @ amplitudes
-    displacement = trial.sigma[:, None] * moved.reshape(-1, 2)
-    return replace(trial, points=trial.points + displacement)
+    return replace(trial, points=trial.points + trial.displacements_m(moved))
 
 
 def initial_amplitudes(trial: PreparedTrial) -> np.ndarray:

@@ -19,7 +19,7 @@ from itertools import product
 import numpy as np
 
 from stringcast.data.schema import DataError
-from stringcast.stages.common import points_at_arc_lengths
+from stringcast.stages.common import points_at_arc_lengths, rms
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.state import StringState
 
@@ -127,7 +127,7 @@ def first_frame_kinematics(
     least_noise = max(sigma or 0.0, MIN_NOISE_SHARE * length)
     typical = max(float(np.median(residual)), least_noise)
     sound = residual <= OUTLIER_RATIO * typical
-    noise = max(float(np.sqrt(np.mean(residual[sound] ** 2))), least_noise)
+    noise = max(rms(residual[sound]), least_noise)
 
     position, velocity, _ = parabolas[sound].transpose(1, 0, 2)
     position_sigma, velocity_sigma = noise * spread[sound, :2].T

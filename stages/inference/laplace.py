@@ -254,8 +254,7 @@ def mean_discrepancy(data: TrialData, fit: Fit) -> list[np.ndarray]:
     for k, trial in enumerate(data.for_hypothesis(fit.hypothesis).trials):
         discrepancy = trial.discrepancy
         coefficients = discrepancy.coefficients(fit.residuals[k][None])[0]
-        scale_index = int(fit.scale_indices[k])
-        means.append(discrepancy.posterior_mean(coefficients, scale_index))
+        means.append(discrepancy.posterior_mean(coefficients, fit.scale_indices[k]))
     return means
 
 
@@ -270,10 +269,9 @@ def sample_discrepancy_tip_rms(
     for k, trial in enumerate(data.for_hypothesis(fit.hypothesis).trials):
         discrepancy = trial.discrepancy
         coefficients = discrepancy.coefficients(fit.residuals[k][None])[0]
-        scale_index = int(fit.scale_indices[k])
         draws.append(
             discrepancy.sample_posterior(
-                coefficients, scale_index, DISCREPANCY_DRAWS, rng
+                coefficients, fit.scale_indices[k], DISCREPANCY_DRAWS, rng
             )
         )
     return data.tip_rms_by_trial(draws)

@@ -105,7 +105,7 @@ def time_blocks(trials: Sequence[PreparedTrial]) -> np.ndarray:
     blocks = []
     first = 0
     for trial in trials:
-        block = np.floor(trial.times[trial.frame] / BLOCK_S)
+        block = np.floor(trial.point_times / BLOCK_S)
         _, number = np.unique(block, return_inverse=True)
         blocks.append(np.repeat(first + number, 2))
         first += number.max() + 1

@@ -15,7 +15,7 @@ import numpy as np
 
 from stringcast.stages.inference.batch import simulate_trials
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.prepared_trial import PreparedTrial
+from stringcast.stages.inference.prepared_trial import PreparedTrial, with_model
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 
@@ -68,7 +68,7 @@ def refine_mesh(
     step = string.largest_step / factor
     finer_string = replace(string, points=segments + 1, largest_step=step)
     finer = replace(model, string=finer_string)
-    return finer, tuple(replace(trial, model=finer) for trial in trials)
+    return finer, with_model(trials, finer)
 
 
 def _likelihood_on_mesh(likelihood: Likelihood, factor: float) -> Likelihood:

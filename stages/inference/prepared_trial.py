@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -95,6 +95,16 @@ class PreparedTrial:
         """A mask of the points that are the tip, (N,)."""
         return np.asarray(self.s > self.s.max() - TIP_TOLERANCE_M)
 
+    @property
+    def point_times(self) -> np.ndarray:
+        """The time of each measured point, (N,) [s]."""
+        return np.asarray(self.times[self.frame])
+
+    def displacements_m(self, residual: np.ndarray) -> np.ndarray:
+        """Turn residuals over sigma (2 N,) into displacements (N, 2) [m]."""
+        displacements = residual.reshape(-1, 2) * self.sigma[:, None]
+        return np.asarray(displacements)
+
     def simulate(self, values: np.ndarray) -> Iterator[tuple[slice, StringMotion]]:
         """Simulate candidates (C, P) at the frame times, chunk by chunk."""
         for first in range(0, len(values), MAX_BATCH_CANDIDATES):
@@ -142,6 +152,13 @@ class PreparedTrial:
         squares = np.sum(offset**2, axis=-1)
         outermost = self.s == self.s.max()
         return float(squares.mean()), float(squares[outermost].mean())
+
+
+def with_model(
+    trials: Sequence[PreparedTrial], model: Model
+) -> tuple[PreparedTrial, ...]:
+    """Replace the model of trials."""
+    return tuple(replace(trial, model=model) for trial in trials)
 
 
 def prepare_trial(model: Model, observation: Observation) -> PreparedTrial:

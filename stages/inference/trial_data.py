@@ -152,7 +152,7 @@ class TrialData:
         """Whiten residuals (C, 2 n) of each trial by its error model, (C, N_k)."""
         white = []
         for k, trial in enumerate(self.trials):
-            white.append(trial.error_model.whiten(residuals[k], int(scale_indices[k])))
+            white.append(trial.error_model.whiten(residuals[k], scale_indices[k]))
         return white
 
     def log_likelihood_by_scale(self, residuals: ByTrial) -> np.ndarray:
@@ -174,7 +174,7 @@ class TrialData:
         for k, trial in enumerate(self.trials):
             discrepancy = trial.discrepancy
             coefficients = discrepancy.coefficients(residuals[k][None])[0]
-            explained = discrepancy.nuisance_mean(coefficients, int(scale_indices[k]))
+            explained = discrepancy.nuisance_mean(coefficients, scale_indices[k])
             rest.append(residuals[k] - explained)
         return rest
 
