@@ -7,70 +7,62 @@ from typing import ClassVar
 
 import pandas as pd
 
-from stringcast.data.schema import Column, Table
+from stringcast.data.schema import Table, parse_columns
 
 MEASURED_PARAMETERS = Table(
     "measured",
     "the measured parameters; effects that were tried and not seen have found = false",
-    (
-        Column("name", "", "qualified name of the parameter", "text"),
-        Column("unit", "", "its unit", "text"),
-        Column("meaning", "", "what it is", "text"),
-        Column("value", "", "best value, in `unit`"),
-        Column("low", "", "lower end of the 95 % interval, in `unit`"),
-        Column("high", "", "upper end of the 95 % interval, in `unit`"),
-        Column("found", "", "it is part of the alignment", "bool"),
-    ),
+    parse_columns("""
+    name (text): qualified name of the parameter
+    unit (text): its unit
+    meaning (text): what it is
+    value: best value, in `unit`
+    low: lower end of the 95 % interval, in `unit`
+    high: upper end of the 95 % interval, in `unit`
+    found (bool): it is part of the alignment
+    """),
 )
 SIGHTINGS = Table(
     "seen",
     "every sighting of the arm; it is measured along one direction only",
-    (
-        Column("trial", "", "name of the trial", "text"),
-        Column("t", "s", "time by the camera's clock"),
-        Column("link", "1", "link of the arm, 1 is at the base", "int"),
-        Column("share", "1", "how far along the link"),
-        Column("x", "m", "where it was seen"),
-        Column("y", "m", "where it was seen"),
-        Column("along_x", "1", "direction in which it was measured"),
-        Column("along_y", "1", "direction in which it was measured"),
-        Column("sigma", "m", "one standard deviation"),
-        Column("before", "m", "reported less seen, as if camera and arm were aligned"),
-        Column("after", "m", "reported less seen, aligned"),
-    ),
+    parse_columns("""
+    trial (text): name of the trial
+    t [s]: time by the camera's clock
+    link [1] (int): link of the arm, 1 is at the base
+    share [1]: how far along the link
+    x [m]: where it was seen
+    y [m]: where it was seen
+    along_x [1]: direction in which it was measured
+    along_y [1]: direction in which it was measured
+    sigma [m]: one standard deviation
+    before [m]: reported less seen, as if camera and arm were aligned
+    after [m]: reported less seen, aligned
+    """),
 )
 LIKELIHOOD = Table(
     "likelihood",
     "how much worse the fit is with a given time offset; 3.84 is the end of a 95 % interval",
-    (
-        Column("offset", "s", "arm's clock less the camera's"),
-        Column(
-            "alone",
-            "1",
-            "rise of the deviance without a lag of the arm, corrected for correlated noise",
-        ),
-        Column("with_lag", "1", "the same where the arm may lag as well"),
-        Column("lag", "s", "the lag that then fits best"),
-    ),
+    parse_columns("""
+    offset [s]: arm's clock less the camera's
+    alone [1]: rise of the deviance without a lag of the arm, corrected for correlated
+        noise
+    with_lag [1]: the same where the arm may lag as well
+    lag [s]: the lag that then fits best
+    """),
 )
 ALIGNMENT_SUMMARY = Table(
     "aligned",
     "one row: how it went",
-    (
-        Column("sentence", "", "in words", "text"),
-        Column("rms_before", "m", "residual as if camera and arm were aligned"),
-        Column("rms_after", "m", "residual aligned"),
-        Column("noise", "m", "what noise alone would leave"),
-        Column("speed", "m/s", "fastest that a sighted point moved"),
-        Column(
-            "most_lag",
-            "s",
-            "a lag of the arm up to this cannot be told from the offset; 0 where one was measured",
-        ),
-        Column(
-            "extended", "", "the model with the alignment as settings, YAML", "text"
-        ),
-    ),
+    parse_columns("""
+    sentence (text): in words
+    rms_before [m]: residual as if camera and arm were aligned
+    rms_after [m]: residual aligned
+    noise [m]: what noise alone would leave
+    speed [m/s]: fastest that a sighted point moved
+    most_lag [s]: a lag of the arm up to this cannot be told from the offset; 0 where
+        one was measured
+    extended (text): the model with the alignment as settings, YAML
+    """),
 )
 
 

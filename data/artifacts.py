@@ -13,88 +13,71 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 
-from stringcast.data.schema import Column, Table
+from stringcast.data.schema import Column, Table, parse_columns
 
 JOINTS = ("q1", "q2", "q3")
 SPEEDS = ("w1", "w2", "w3")
 SENT_SPEEDS = ("sent1", "sent2", "sent3")
 
-TIME_COLUMN = Column("t", "s", "time; 0 is the start of the movement")
-ANGLE_COLUMNS = tuple(Column(f"q{j}", "rad", f"angle of joint {j}") for j in (1, 2, 3))
-SPEED_COLUMNS = tuple(
-    Column(f"w{j}", "rad/s", f"commanded velocity of joint {j}") for j in (1, 2, 3)
-)
-TRIAL_COLUMN = Column("trial", "", "name of the trial", "text")
-_FRAME = Column("frame", "1", "number of the frame", "int")
-_S = Column("s", "m", "arc length from the grasp")
-_MEASURED_POINT = (
-    TIME_COLUMN,
-    _S,
-    Column("x", "m", "measured position"),
-    Column("y", "m", "measured position"),
-)
-
 # --- motion
-# -----------------------------------------------------------------------------
 COMMANDS = Table(
     "commands",
     "joint commands on the arm's tick (5 ms)",
-    (TIME_COLUMN, *ANGLE_COLUMNS, *SPEED_COLUMNS),
+    parse_columns("""
+    t [s]: time; 0 is the start of the movement
+    q1 [rad]: angle of joint 1
+    q2 [rad]: angle of joint 2
+    q3 [rad]: angle of joint 3
+    w1 [rad/s]: commanded velocity of joint 1
+    w2 [rad/s]: commanded velocity of joint 2
+    w3 [rad/s]: commanded velocity of joint 3
+    """),
 )
 CONTROL_POINTS = Table(
     "control_points",
     "Bezier control points V_0..V_5 of each joint's velocity curve (III)",
-    (
-        Column("joint", "1", "joint number, 1 is at the base", "int"),
-        Column("index", "1", "n of V_n", "int"),
-        TIME_COLUMN,
-        Column("velocity", "rad/s", "V_n"),
-    ),
+    parse_columns("""
+    joint [1] (int): joint number, 1 is at the base
+    index [1] (int): n of V_n
+    t [s]: time; 0 is the start of the movement
+    velocity [rad/s]: V_n
+    """),
 )
 PREDICTED_STRING = Table(
     "string",
     "the string as simulated when the motion was chosen",
-    (
-        TIME_COLUMN,
-        Column("s", "m", "rest arc length from the grasp"),
-        Column("x", "m", "position of the mass point"),
-        Column("y", "m", "position of the mass point"),
-    ),
+    parse_columns("""
+    t [s]: time; 0 is the start of the movement
+    s [m]: rest arc length from the grasp
+    x [m]: position of the mass point
+    y [m]: position of the mass point
+    """),
 )
 ATTEMPTS = Table(
     "attempts",
     "outcomes of the motions that were tried",
-    (
-        Column("outcome", "", "why a motion was rejected, or 'hit'", "text"),
-        Column("count", "1", "how many motions", "int"),
-    ),
+    parse_columns("""
+    outcome (text): why a motion was rejected, or 'hit'
+    count [1] (int): how many motions
+    """),
 )
 MOTION_OUTCOME = Table(
     "outcome",
     "one row: the chosen motion; NaN if there is no target",
-    (
-        Column("duration", "s", "movement time T"),
-        Column(
-            "t_hit",
-            "s",
-            "when the simulated tip is nearest to the target's centre inside the box",
-        ),
-        Column("tip_x", "m", "simulated tip at t_hit"),
-        Column("tip_y", "m", "simulated tip at t_hit"),
-        Column("tried", "1", "motions tried", "int"),
-        Column("target_x", "m", "centre of the target box"),
-        Column("target_y", "m", "centre of the target box"),
-        Column("target_w", "m", "full width of the target box"),
-        Column("target_h", "m", "full height of the target box"),
-        Column(
-            "chance",
-            "1",
-            "predicted probability of a hit, where it was computed",
-            optional=True,
-        ),
-        Column("chance_low", "1", "lower end of its 95 % interval", optional=True),
-        Column("chance_high", "1", "upper end", optional=True),
-    ),
+    parse_columns("""
+    duration [s]: movement time T
+    t_hit [s]: when the simulated tip is nearest to the target's centre inside the box
+    tip_x [m]: simulated tip at t_hit
+    tip_y [m]: simulated tip at t_hit
+    tried [1] (int): motions tried
+    target_x [m]: centre of the target box
+    target_y [m]: centre of the target box
+    target_w [m]: full width of the target box
+    target_h [m]: full height of the target box
+    chance [1] (optional): predicted probability of a hit, where it was computed
+    chance_low [1] (optional): lower end of its 95 % interval
+    chance_high [1] (optional): upper end
+    """),
 )
 
 
@@ -123,114 +106,74 @@ class Motion:
 
 
 # --- trial
-# ------------------------------------------------------------------------------
 ARM = Table(
-    "arm", "measured joint angles, on the arm's clock", (TIME_COLUMN, *ANGLE_COLUMNS)
+    "arm",
+    "measured joint angles, on the arm's clock",
+    parse_columns("""
+    t [s]: time; 0 is the start of the movement
+    q1 [rad]: angle of joint 1
+    q2 [rad]: angle of joint 2
+    q3 [rad]: angle of joint 3
+    """),
 )
 TICKS = Table(
     "ticks",
     "the link, tick by tick",
-    (
-        Column("tick", "1", "number of the command", "int"),
-        Column("t_due", "s", "when the command was due, host clock"),
-        Column("t_sent", "s", "when it was written to the link, host clock"),
-        Column(
-            "t_acknowledged",
-            "s",
-            "when its acknowledgement came, host clock; NaN if none",
-        ),
-        Column("t_device", "s", "device clock in the acknowledgement; NaN if none"),
-        *SPEED_COLUMNS,
-        *(
-            Column(
-                f"q{j}", "rad", f"measured angle of joint {j} in the acknowledgement"
-            )
-            for j in (1, 2, 3)
-        ),
-        Column("missed", "", "the command was late or lost", "bool"),
-        *(
-            Column(
-                f"sent{j}",
-                "rad/s",
-                f"velocity of joint {j} as the link carried it",
-                optional=True,
-            )
-            for j in (1, 2, 3)
-        ),
-    ),
+    parse_columns("""
+    tick [1] (int): number of the command
+    t_due [s]: when the command was due, host clock
+    t_sent [s]: when it was written to the link, host clock
+    t_acknowledged [s]: when its acknowledgement came, host clock; NaN if none
+    t_device [s]: device clock in the acknowledgement; NaN if none
+    w1 [rad/s]: commanded velocity of joint 1
+    w2 [rad/s]: commanded velocity of joint 2
+    w3 [rad/s]: commanded velocity of joint 3
+    q1 [rad]: measured angle of joint 1 in the acknowledgement
+    q2 [rad]: measured angle of joint 2 in the acknowledgement
+    q3 [rad]: measured angle of joint 3 in the acknowledgement
+    missed (bool): the command was late or lost
+    sent1 [rad/s] (optional): velocity of joint 1 as the link carried it
+    sent2 [rad/s] (optional): velocity of joint 2 as the link carried it
+    sent3 [rad/s] (optional): velocity of joint 3 as the link carried it
+    """),
 )
 FRAMES = Table(
     "frames",
     "frames of the camera",
-    (
-        _FRAME,
-        Column(
-            "t",
-            "s",
-            "middle of the exposure, camera clock; 0 is the start of the movement",
-        ),
-        Column("file", "", "path of the image relative to the folder", "text"),
-        Column(
-            "number",
-            "1",
-            "number on the camera's schedule: skipped ones were dropped",
-            "int",
-            optional=True,
-        ),
-        Column("late", "s", "lateness against the schedule", optional=True),
-        Column(
-            "repeats",
-            "1",
-            "repetitions by the camera, which were left out",
-            "int",
-            optional=True,
-        ),
-    ),
+    parse_columns("""
+    frame [1] (int): number of the frame
+    t [s]: middle of the exposure, camera clock; 0 is the start of the movement
+    file (text): path of the image relative to the folder
+    number [1] (int, optional): number on the camera's schedule: skipped ones were
+        dropped
+    late [s] (optional): lateness against the schedule
+    repeats [1] (int, optional): repetitions by the camera, which were left out
+    """),
 )
 LINK = Table(
     "link",
     "one row: how the execution went",
-    (
-        Column("valid", "", "arm and camera are within their budgets", "bool"),
-        Column("reason", "", "why it is not; empty if it is", "text"),
-        Column("ticks", "1", "commands sent", "int"),
-        Column("missed", "1", "commands late or lost", "int"),
-        Column("jitter_p50", "s", "median lateness of a command"),
-        Column("jitter_p99", "s", "99th percentile of lateness"),
-        Column("jitter_max", "s", "largest lateness"),
-        Column("trip_p50", "s", "median round trip of the link test", optional=True),
-        Column("trip_p99", "s", "99th percentile of the round trips", optional=True),
-        Column("trip_max", "s", "longest round trip", optional=True),
-        Column(
-            "frames_due",
-            "1",
-            "frames on the camera's schedule until the end",
-            "int",
-            optional=True,
-        ),
-        Column(
-            "frames_dropped",
-            "1",
-            "missing frames of the schedule",
-            "int",
-            optional=True,
-        ),
-        Column(
-            "frames_repeated",
-            "1",
-            "frames repeated instead of new ones",
-            "int",
-            optional=True,
-        ),
-        Column(
-            "frames_late", "1", "frames later than half a period", "int", optional=True
-        ),
-        Column("fps", "1/s", "rate of the schedule", optional=True),
-        Column("frame_jitter_p50", "s", "median lateness of a frame", optional=True),
-        Column("frame_jitter_p99", "s", "99th percentile of lateness", optional=True),
-        Column("frame_jitter_max", "s", "largest lateness", optional=True),
-        Column("remarks", "", "unverified facts of the camera", "text", optional=True),
-    ),
+    parse_columns("""
+    valid (bool): arm and camera are within their budgets
+    reason (text): why it is not; empty if it is
+    ticks [1] (int): commands sent
+    missed [1] (int): commands late or lost
+    jitter_p50 [s]: median lateness of a command
+    jitter_p99 [s]: 99th percentile of lateness
+    jitter_max [s]: largest lateness
+    trip_p50 [s] (optional): median round trip of the link test
+    trip_p99 [s] (optional): 99th percentile of the round trips
+    trip_max [s] (optional): longest round trip
+    frames_due [1] (int, optional): frames on the camera's schedule until the end
+    frames_dropped [1] (int, optional): missing frames of the schedule
+    frames_repeated [1] (int, optional): frames repeated instead of new ones
+    frames_late [1] (int, optional): frames later than half a period
+    fps [1/s] (optional): rate of the schedule
+    frame_jitter_p50 [s] (optional): median lateness of a frame
+    frame_jitter_p99 [s] (optional): 99th percentile of lateness
+    frame_jitter_max [s] (optional): largest lateness
+    remarks (text, optional): unverified facts of the camera
+    """),
 )
 
 
@@ -282,38 +225,40 @@ class Film:
 
 
 # --- points
-# -----------------------------------------------------------------------------
 POINTS = Table(
     "points",
     "measured points of the string",
-    (
-        *_MEASURED_POINT,
-        Column("sigma", "m", "one standard deviation of a coordinate", optional=True),
-        Column("valid", "", "the point can be used", "bool", optional=True),
-    ),
+    parse_columns("""
+    t [s]: time; 0 is the start of the movement
+    s [m]: arc length from the grasp
+    x [m]: measured position
+    y [m]: measured position
+    sigma [m] (optional): one standard deviation of a coordinate
+    valid (bool, optional): the point can be used
+    """),
 )
 READINGS = Table(
     "readings",
     "readings of each frame",
-    (
-        _FRAME,
-        TIME_COLUMN,
-        Column("valid", "", "the frame could be read", "bool"),
-        Column("reason", "", "why it could not; empty if it could", "text"),
-        Column("tip_x", "m", "tip of the string; NaN if not read"),
-        Column("tip_y", "m", "tip of the string; NaN if not read"),
-        Column("tip_sigma", "m", "one standard deviation of a coordinate of the tip"),
-        Column("length", "m", "length of the centre-line that was read"),
-    ),
+    parse_columns("""
+    frame [1] (int): number of the frame
+    t [s]: time; 0 is the start of the movement
+    valid (bool): the frame could be read
+    reason (text): why it could not; empty if it could
+    tip_x [m]: tip of the string; NaN if not read
+    tip_y [m]: tip of the string; NaN if not read
+    tip_sigma [m]: one standard deviation of a coordinate of the tip
+    length [m]: length of the centre-line that was read
+    """),
 )
 MASKS = Table(
     "masks",
     "binarised string of each valid frame",
-    (
-        _FRAME,
-        TIME_COLUMN,
-        Column("png", "", "1-bit PNG, camera pixels", "bytes"),
-    ),
+    parse_columns("""
+    frame [1] (int): number of the frame
+    t [s]: time; 0 is the start of the movement
+    png (bytes): 1-bit PNG, camera pixels
+    """),
 )
 
 
@@ -342,16 +287,15 @@ def _valid_rows(points: pd.DataFrame) -> pd.DataFrame:
 
 
 # --- observation
-# ------------------------------------------------------------------------
 GRASP = Table(
     "grasp",
     "pose of the grasp",
-    (
-        TIME_COLUMN,
-        Column("x", "m", "position of the grasp"),
-        Column("y", "m", "position of the grasp"),
-        Column("theta", "rad", "direction in which the string leaves the grasp"),
-    ),
+    parse_columns("""
+    t [s]: time; 0 is the start of the movement
+    x [m]: position of the grasp
+    y [m]: position of the grasp
+    theta [rad]: direction in which the string leaves the grasp
+    """),
 )
 
 
@@ -415,77 +359,65 @@ class TrialSet:
 
 
 # --- estimate
-# ---------------------------------------------------------------------------
 PARAMETERS = Table(
     "parameters",
     "the estimated parameters",
-    (
-        Column("name", "", "parameter", "text"),
-        Column("symbol", "", "its symbol in the paper; empty if it has none", "text"),
-        Column("unit", "", "its unit", "text"),
-        Column("meaning", "", "what it is", "text"),
-        Column("value", "", "best value, in `unit`"),
-        Column(
-            "low",
-            "",
-            "lower end of the 95 % interval, in `unit`; NaN if the method gives none",
-        ),
-        Column(
-            "high",
-            "",
-            "upper end of the 95 % interval, in `unit`; NaN if the method gives none",
-        ),
-        Column("minimum", "", "lower end of the search range, in `unit`"),
-        Column("maximum", "", "upper end of the search range, in `unit`"),
-        Column("chi", "1", "exponent of the best value within its range, Eq. 3"),
-        Column("at_bound", "", "the value sits at an end of its range", "bool"),
-        Column("determined", "", "the data determine it", "bool"),
-    ),
+    parse_columns("""
+    name (text): parameter
+    symbol (text): its symbol in the paper; empty if it has none
+    unit (text): its unit
+    meaning (text): what it is
+    value: best value, in `unit`
+    low: lower end of the 95 % interval, in `unit`; NaN if the method gives none
+    high: upper end of the 95 % interval, in `unit`; NaN if the method gives none
+    minimum: lower end of the search range, in `unit`
+    maximum: upper end of the search range, in `unit`
+    chi [1]: exponent of the best value within its range, Eq. 3
+    at_bound (bool): the value sits at an end of its range
+    determined (bool): the data determine it
+    """),
 )
 CANDIDATES = Table(
     "candidates",
     "all candidates that were tried; one more column for each parameter",
-    (
-        Column("candidate", "1", "number of the candidate, in the order tried", "int"),
-        Column("matching_rate", "1", "E, Eq. 5; NaN if the run was rejected"),
-        Column("finite", "", "the run stayed finite", "bool"),
-        Column("accepted", "", "it was the best so far", "bool"),
-    ),
+    parse_columns("""
+    candidate [1] (int): number of the candidate, in the order tried
+    matching_rate [1]: E, Eq. 5; NaN if the run was rejected
+    finite (bool): the run stayed finite
+    accepted (bool): it was the best so far
+    """),
 )
 DRAWS = Table(
     "draws",
     "equally likely strings given the trials; one more column for each parameter",
-    (Column("draw", "1", "number of the draw", "int"),),
+    parse_columns("""
+    draw [1] (int): number of the draw
+    """),
 )
 MATCHING = Table(
     "matching",
     "the matching rate frame by frame, before and after estimation",
-    (
-        TRIAL_COLUMN,
-        TIME_COLUMN,
-        Column("before", "1", "E_f with the parameters before this estimation"),
-        Column("after", "1", "E_f with the estimated parameters"),
-    ),
+    parse_columns("""
+    trial (text): name of the trial
+    t [s]: time; 0 is the start of the movement
+    before [1]: E_f with the parameters before this estimation
+    after [1]: E_f with the estimated parameters
+    """),
 )
 ESTIMATION_SUMMARY = Table(
     "fit",
     "one row: how the estimation went",
-    (
-        Column("method", "", "how the parameters were estimated", "text"),
-        Column("before", "1", "E before"),
-        Column("after", "1", "E after"),
-        Column("rms_before", "m", "centre-line residual before, root mean square"),
-        Column("rms_after", "m", "centre-line residual after, root mean square"),
-        Column("tip_before", "m", "the same of the measured point nearest the tip"),
-        Column("tip_after", "m", "the same of the measured point nearest the tip"),
-        Column(
-            "rejected",
-            "1",
-            "candidates rejected because they did not stay finite",
-            "int",
-        ),
-        Column("sentence", "", "what the data determine, in words", "text"),
-    ),
+    parse_columns("""
+    method (text): how the parameters were estimated
+    before [1]: E before
+    after [1]: E after
+    rms_before [m]: centre-line residual before, root mean square
+    rms_after [m]: centre-line residual after, root mean square
+    tip_before [m]: the same of the measured point nearest the tip
+    tip_after [m]: the same of the measured point nearest the tip
+    rejected [1] (int): candidates rejected because they did not stay finite
+    sentence (text): what the data determine, in words
+    """),
 )
 
 
@@ -527,27 +459,26 @@ class Estimate:
 PREDICTED = Table(
     "predicted",
     "every measured point of a trial that nothing was fitted to, and its prediction",
-    (
-        TRIAL_COLUMN,
-        *_MEASURED_POINT,
-        Column("predicted_x", "m", "position in the model"),
-        Column("predicted_y", "m", "position in the model"),
-    ),
+    parse_columns("""
+    trial (text): name of the trial
+    t [s]: time; 0 is the start of the movement
+    s [m]: arc length from the grasp
+    x [m]: measured position
+    y [m]: measured position
+    predicted_x [m]: position in the model
+    predicted_y [m]: position in the model
+    """),
 )
 SCORE = Table(
     "score",
     "one row: the error in a trial that nothing was fitted to",
-    (
-        TRIAL_COLUMN,
-        Column(
-            "free",
-            "1",
-            "parameters of this trial alone: of its initial state or rest position",
-            "int",
-        ),
-        Column("rms", "m", "centre-line residual, root mean square"),
-        Column("tip", "m", "the same of the measured point nearest the tip"),
-    ),
+    parse_columns("""
+    trial (text): name of the trial
+    free [1] (int): parameters of this trial alone: of its initial state or rest
+        position
+    rms [m]: centre-line residual, root mean square
+    tip [m]: the same of the measured point nearest the tip
+    """),
 )
 
 
@@ -562,184 +493,137 @@ class Prediction:
 
 
 # --- diagnosis
-# --------------------------------------------------------------------------
 RESIDUALS = Table(
     "residuals",
     "every used measured point, and its position in the base and the extended model",
-    (
-        TRIAL_COLUMN,
-        *_MEASURED_POINT,
-        Column("sigma", "m", "noise floor of a coordinate"),
-        Column("doubt", "m", "noise and numerical error together"),
-        Column("base_x", "m", "the base model fitted to the trials that were used"),
-        Column("base_y", "m", "the base model fitted to the trials that were used"),
-        Column(
-            "extended_x", "m", "the extended model fitted to the trials that were used"
-        ),
-        Column(
-            "extended_y", "m", "the extended model fitted to the trials that were used"
-        ),
-        Column(
-            "base_normal",
-            "m",
-            "measured less base model, across the string, to its left",
-        ),
-        Column(
-            "base_tangential",
-            "m",
-            "measured less base model, along the string, towards the tip",
-        ),
-    ),
+    parse_columns("""
+    trial (text): name of the trial
+    t [s]: time; 0 is the start of the movement
+    s [m]: arc length from the grasp
+    x [m]: measured position
+    y [m]: measured position
+    sigma [m]: noise floor of a coordinate
+    doubt [m]: noise and numerical error together
+    base_x [m]: the base model fitted to the trials that were used
+    base_y [m]: the base model fitted to the trials that were used
+    extended_x [m]: the extended model fitted to the trials that were used
+    extended_y [m]: the extended model fitted to the trials that were used
+    base_normal [m]: measured less base model, across the string, to its left
+    base_tangential [m]: measured less base model, along the string, towards the tip
+    """),
 )
 HYPOTHESES = Table(
     "hypotheses",
     "every set of causes that was fitted",
-    (
-        Column(
-            "causes",
-            "",
-            "active effects, joined by ' + '; empty for the base model",
-            "text",
-        ),
-        Column("parameters", "1", "parameters fitted", "int"),
-        Column(
-            "mean_square",
-            "1",
-            "of the residual over noise and numerical error; 1 or less is noise",
-        ),
-        Column("fit_gain", "1", "log evidence over the base model"),
-        Column(
-            "held_out_gain",
-            "1",
-            "the same without the trial that gains most; NaN if not evaluated",
-        ),
-        Column(
-            "moved",
-            "m",
-            "tip displacement by these causes, root mean square, largest trial",
-        ),
-        Column(
-            "unexplained",
-            "1",
-            "unexplained share of the base model's mean-square tip residual",
-        ),
-        Column("probability", "1", "of the last cause against its alternatives"),
-    ),
+    parse_columns("""
+    causes (text): active effects, joined by ' + '; empty for the base model
+    parameters [1] (int): parameters fitted
+    mean_square [1]: of the residual over noise and numerical error; 1 or less is noise
+    fit_gain [1]: log evidence over the base model
+    held_out_gain [1]: the same without the trial that gains most; NaN if not evaluated
+    moved [m]: tip displacement by these causes, root mean square, largest trial
+    unexplained [1]: unexplained share of the base model's mean-square tip residual
+    probability [1]: of the last cause against its alternatives
+    """),
 )
 ENTRIES = Table(
     "entries",
     "what each cause explains given those added before: by trial, time and arc length",
-    (
-        Column("number", "1", "of the cause in the order of addition, from 1", "int"),
-        Column("cause", "", "name", "text"),
-        Column("evidence", "1", "log evidence of the cause given those before it"),
-        TRIAL_COLUMN,
-        Column("log_likelihood", "1", "increase of the trial's log-likelihood"),
-        TIME_COLUMN,
-        _S,
-        Column("before", "m", "residual without the cause, root mean square"),
-        Column("after", "m", "the same with it"),
-    ),
+    parse_columns("""
+    number [1] (int): of the cause in the order of addition, from 1
+    cause (text): name
+    evidence [1]: log evidence of the cause given those before it
+    trial (text): name of the trial
+    log_likelihood [1]: increase of the trial's log-likelihood
+    t [s]: time; 0 is the start of the movement
+    s [m]: arc length from the grasp
+    before [m]: residual without the cause, root mean square
+    after [m]: the same with it
+    """),
 )
 SCREENING = Table(
     "screening",
     "what each effect would explain to first order",
-    (
-        Column("context", "", "active causes, joined by ' + '", "text"),
-        Column("effect", "", "name", "text"),
-        Column("predicted_gain", "1", "of the log-likelihood"),
-    ),
+    parse_columns("""
+    context (text): active causes, joined by ' + '
+    effect (text): name
+    predicted_gain [1]: of the log-likelihood
+    """),
 )
 LIKENESS = Table(
     "likeness",
-    "similarity of two effects in this data, after the fitted parameters are projected out",
-    (
-        Column("effect", "", "name", "text"),
-        Column("other", "", "name", "text"),
-        Column("cosine", "1", "between their displacements: 1 is indistinguishable"),
-    ),
+    "similarity of two effects in this data, after the fitted parameters are "
+    "projected out",
+    parse_columns("""
+    effect (text): name
+    other (text): name
+    cosine [1]: between their displacements: 1 is indistinguishable
+    """),
 )
 CAUSES = Table(
     "causes",
     "the reported causes, one row for each of their parameters",
-    (
-        Column("effect", "", "name", "text"),
-        Column("probability", "1", "of the cause"),
-        Column("sentence", "", "the cause in words", "text"),
-        Column("parameter", "", "qualified name; empty if it has none", "text"),
-        Column("meaning", "", "what it is", "text"),
-        Column("unit", "", "its unit", "text"),
-        Column("value", "", "best value, in `unit`"),
-        Column("low", "", "lower end of the 95 % interval, in `unit`"),
-        Column(
-            "high",
-            "",
-            "upper end, in `unit`; of the range, where only the lower one is known",
-        ),
-        Column("at_least", "1", "only the lower end of the interval is known", "bool"),
-    ),
+    parse_columns("""
+    effect (text): name
+    probability [1]: of the cause
+    sentence (text): the cause in words
+    parameter (text): qualified name; empty if it has none
+    meaning (text): what it is
+    unit (text): its unit
+    value: best value, in `unit`
+    low: lower end of the 95 % interval, in `unit`
+    high: upper end, in `unit`; of the range, where only the lower one is known
+    at_least [1] (bool): only the lower end of the interval is known
+    """),
 )
 HELD_OUT = Table(
     "held_out",
     "base and extended model on each trial, fitted without it",
-    (
-        TRIAL_COLUMN,
-        Column("rms_base", "m", "centre-line residual"),
-        Column("rms_extended", "m", "centre-line residual"),
-        Column("noise_floor", "m", "residual of noise alone"),
-        Column("tip_rms_base", "m", "residual at the largest arc length measured"),
-        Column("tip_rms_extended", "m", "residual at the largest arc length measured"),
-        Column("E_base", "1", "matching rate, Eq. 5"),
-        Column("E_extended", "1", "matching rate, Eq. 5"),
-        Column("log_likelihood_difference", "1", "extended less base"),
-        Column(
-            "rms_known", "m", "of the extended model fitted to all trials of the search"
-        ),
-    ),
+    parse_columns("""
+    trial (text): name of the trial
+    rms_base [m]: centre-line residual
+    rms_extended [m]: centre-line residual
+    noise_floor [m]: residual of noise alone
+    tip_rms_base [m]: residual at the largest arc length measured
+    tip_rms_extended [m]: residual at the largest arc length measured
+    E_base [1]: matching rate, Eq. 5
+    E_extended [1]: matching rate, Eq. 5
+    log_likelihood_difference [1]: extended less base
+    rms_known [m]: of the extended model fitted to all trials of the search
+    """),
 )
 MISSING = Table(
     "missing",
     "residual of the extended model beyond noise, where it exceeds the tolerance",
-    (
-        TRIAL_COLUMN,
-        TIME_COLUMN,
-        _S,
-        Column("x", "m", "along x"),
-        Column("y", "m", "along y"),
-    ),
+    parse_columns("""
+    trial (text): name of the trial
+    t [s]: time; 0 is the start of the movement
+    s [m]: arc length from the grasp
+    x [m]: along x
+    y [m]: along y
+    """),
 )
 PREDICTED_STRINGS = Table(
     "predicted",
     "the string on the proposed motion by each hypothesis, fitted to the likeliest one",
-    (
-        Column(
-            "hypothesis",
-            "",
-            "its causes, joined by ' + '; the likeliest comes first",
-            "text",
-        ),
-        TIME_COLUMN,
-        _S,
-        Column("x", "m", "position"),
-        Column("y", "m", "position"),
-        Column(
-            "sigma",
-            "m",
-            "noise and numerical error of all points that this one represents",
-        ),
-    ),
+    parse_columns("""
+    hypothesis (text): its causes, joined by ' + '; the likeliest comes first
+    t [s]: time; 0 is the start of the movement
+    s [m]: arc length from the grasp
+    x [m]: position
+    y [m]: position
+    sigma [m]: noise and numerical error of all points that this one represents
+    """),
 )
 DIAGNOSIS_SUMMARY = Table(
     "finding",
     "one row: the verdict",
-    (
-        Column(
-            "verdict", "", "none, effect, ambiguous, unknown or insufficient", "text"
-        ),
-        Column("sentence", "", "in words", "text"),
-        Column("diagnosis", "", "diagnosis.json", "text"),
-        Column("extended", "", "the extended model as settings, YAML", "text"),
-    ),
+    parse_columns("""
+    verdict (text): none, effect, ambiguous, unknown or insufficient
+    sentence (text): in words
+    diagnosis (text): diagnosis.json
+    extended (text): the extended model as settings, YAML
+    """),
 )
 
 

@@ -8,72 +8,63 @@ from typing import Any, ClassVar
 import pandas as pd
 import yaml
 
-from stringcast.data.schema import Column, Table
+from stringcast.data.schema import Table, parse_columns
 
 VIEWS = Table(
     "views",
     "the pictures of the board; the last used one is the one in the plane of motion",
-    (
-        Column("view", "1", "number of the picture among those given", "int"),
-        Column("plane", "", "the board was held in the plane of motion", "bool"),
-        Column("corners", "1", "corners seen", "int"),
-        Column("reason", "", "why it was not used; empty if it was", "text"),
-        Column(
-            "rms",
-            "px",
-            "distance of measured and reprojected corners, root mean square; NaN if not used",
-        ),
-        Column(
-            "held_out_rms",
-            "px",
-            "the same with the lens of the other views; NaN in the plane",
-        ),
-        Column("tilt", "rad", "between the board's normal and the camera's axis"),
-        Column("distance", "m", "of the board's corner from the camera"),
-        Column("picture", "", "JPEG, grey", "bytes"),
-    ),
+    parse_columns("""
+    view [1] (int): number of the picture among those given
+    plane (bool): the board was held in the plane of motion
+    corners [1] (int): corners seen
+    reason (text): why it was not used; empty if it was
+    rms [px]: distance of measured and reprojected corners, root mean square; NaN if not
+        used
+    held_out_rms [px]: the same with the lens of the other views; NaN in the plane
+    tilt [rad]: between the board's normal and the camera's axis
+    distance [m]: of the board's corner from the camera
+    picture (bytes): JPEG, grey
+    """),
 )
 CORNERS = Table(
     "corners",
     "corners of the board in the views used",
-    (
-        Column("view", "1", "number of the picture among those given", "int"),
-        Column("plane", "", "the board was held in the plane of motion", "bool"),
-        Column("corner", "1", "number of the corner on the board", "int"),
-        Column("u", "px", "where it is seen, to the right"),
-        Column("v", "px", "where it is seen, down"),
-        Column("fit_u", "px", "where the calibrated camera has it"),
-        Column("fit_v", "px", "where the calibrated camera has it"),
-    ),
+    parse_columns("""
+    view [1] (int): number of the picture among those given
+    plane (bool): the board was held in the plane of motion
+    corner [1] (int): number of the corner on the board
+    u [px]: where it is seen, to the right
+    v [px]: where it is seen, down
+    fit_u [px]: where the calibrated camera has it
+    fit_v [px]: where the calibrated camera has it
+    """),
 )
 MEASURED_PARAMETERS = Table(
     "measured",
     "what was measured of the camera",
-    (
-        Column("name", "", "parameter, as in camera.yaml", "text"),
-        Column("unit", "", "its unit", "text"),
-        Column("meaning", "", "what it is", "text"),
-        Column("value", "", "best value, in `unit`"),
-        Column("sigma", "", "one standard deviation, in `unit`"),
-    ),
+    parse_columns("""
+    name (text): parameter, as in camera.yaml
+    unit (text): its unit
+    meaning (text): what it is
+    value: best value, in `unit`
+    sigma: one standard deviation, in `unit`
+    """),
 )
 CALIBRATION_SUMMARY = Table(
     "outcome",
     "one row: how good it is",
-    (
-        Column("valid", "", "it can be used", "bool"),
-        Column("reason", "", "why it cannot; empty if it can", "text"),
-        Column("width", "px", "of the pictures", "int"),
-        Column("height", "px", "of the pictures", "int"),
-        Column("rms", "px", "reprojection error of the views"),
-        Column("held_out_rms", "px", "the same of each with the lens of the others"),
-        Column("plane_rms", "px", "reprojection error in the plane of motion"),
-        Column(
-            "coverage", "1", "share of the picture's cells in which a corner was seen"
-        ),
-        Column("spread", "rad", "largest angle between two views of the board"),
-        Column("camera", "", "the camera as settings, YAML", "text"),
-    ),
+    parse_columns("""
+    valid (bool): it can be used
+    reason (text): why it cannot; empty if it can
+    width [px] (int): of the pictures
+    height [px] (int): of the pictures
+    rms [px]: reprojection error of the views
+    held_out_rms [px]: the same of each with the lens of the others
+    plane_rms [px]: reprojection error in the plane of motion
+    coverage [1]: share of the picture's cells in which a corner was seen
+    spread [rad]: largest angle between two views of the board
+    camera (text): the camera as settings, YAML
+    """),
 )
 
 

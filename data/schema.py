@@ -7,7 +7,9 @@ unit and meaning in each field's metadata.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+from textwrap import dedent
 
 import pandas as pd
 import pyarrow as pa
@@ -51,6 +53,37 @@ class Column:
         """Make the Arrow field, with unit and meaning as metadata."""
         metadata = {"unit": self.unit, "meaning": self.meaning}
         return pa.field(self.name, ARROW_TYPES[self.kind], metadata=metadata)
+
+
+COLUMN_LINE = re.compile(
+    r"(?P<name>\w+)( \[(?P<unit>.+?)\])?( \((?P<traits>.+?)\))?: (?P<meaning>.+)"
+)
+
+
+def parse_columns(text: str) -> tuple[Column, ...]:
+    """Parse the columns of a schema, one a line.
+
+    Parameters
+    ----------
+    text
+        Lines such as ``count [1] (int, optional): how many motions``. A line that is
+        indented farther continues the one before. Numbers of kind float need no kind.
+
+    Returns
+    -------
+    tuple of Column
+        The columns in the order of the lines.
+    """
+    columns: list[Column] = []
+    for line in re.sub(r"\n +", " ", dedent(text)).strip().splitlines():
+        match = COLUMN_LINE.fullmatch(line)
+        assert match is not None, f"no column: {line}"
+        kind, _, optional = (match["traits"] or "float").partition(", ")
+        if kind == "optional":
+            kind, optional = "float", kind
+        unit, meaning = match["unit"] or "", match["meaning"]
+        columns.append(Column(match["name"], unit, meaning, kind, bool(optional)))
+    return tuple(columns)
 
 
 @dataclass(frozen=True)
