@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Annotated, Self
 
 import numpy as np
@@ -102,16 +101,11 @@ class VelocityArm:
             self.wire.set_limits(self.arm)
             self._test_link()
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Stop whatever happened, and close the link.
 
         A movement that did not come to its end is an emergency.

@@ -9,7 +9,6 @@ import queue
 import threading
 import time
 from dataclasses import dataclass, replace
-from types import TracebackType
 from typing import Self
 
 import cv2
@@ -54,12 +53,7 @@ class FilmingCamera:
         self.stream = self.source.open(self.camera)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """End filming and close the source."""
         if self.film is not None:
             self.film.close()

@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
-from types import TracebackType
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from typing import Annotated, Self
 
-import numpy as np
 import pandas as pd
 from pydantic import Field
 
@@ -36,94 +35,53 @@ BAUD = 1_000_000  # a pseudo-terminal takes any
 LOG_VARIABLE = "STRINGCAST_EMULATOR_LOG"
 
 
-@dataclass
-class EmulatorProcess:
-    """An emulated device in its own process; entering returns its port."""
-
-    options: Sequence[str]
-    process: subprocess.Popen[str] | None = None
-
-    def __enter__(self) -> str:
-        """Start the process and return the device's port."""
-        command = ["-m", "stringcast.hardware.serial.emulator", *self.options]
-        self.process = subprocess.Popen(
-            [sys.executable, *command],
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        assert self.process.stdout is not None
-        port = self.process.stdout.readline().strip()
-        if not port:
-            self.__exit__(None, None, None)
-            raise HardwareError(
-                f"emulator: it did not start. Try it alone: {' '.join(command)}"
-            )
-        return port
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End the process."""
-        if self.process is not None:
-            self.process.terminate()
-            self.process.wait()
-            assert self.process.stdout is not None
-            self.process.stdout.close()
-            self.process = None
+@contextmanager
+def emulated_device(options: Sequence[str]) -> Iterator[str]:
+    """Run an emulated device in its own process and give its port to the block."""
+    command = ["-m", "stringcast.hardware.serial.emulator", *options]
+    with subprocess.Popen(
+        [sys.executable, *command],
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        assert process.stdout is not None
+        try:
+            port = process.stdout.readline().strip()
+            if not port:
+                raise HardwareError(
+                    f"emulator: it did not start. Try it alone: {' '.join(command)}"
+                )
+            yield port
+        finally:
+            process.terminate()
 
 
-@dataclass
-class RehearsalArm:
-    """The real driver on an emulated device, which fills the role `ArmDevice`.
+@dataclass(kw_only=True)
+class RehearsalArm(VelocityArm):
+    """The real driver on an emulated device, whose wire is opened with it.
 
     The string of the virtual bench follows what the device measured.
     """
 
-    device: VelocityArm
-    emulator: EmulatorProcess
+    options: Sequence[str]
     bench: VirtualBench
+    emulator: ExitStack = field(default_factory=ExitStack)
 
     def __enter__(self) -> Self:
         """Start the device and open the link to it."""
-        self.device.wire = SerialWire(self.emulator.__enter__(), BAUD)
-        try:
-            self.device.__enter__()
-        except BaseException:
-            self.emulator.__exit__(None, None, None)
-            raise
-        return self
+        port = self.emulator.enter_context(emulated_device(self.options))
+        self.wire = SerialWire(port, BAUD)
+        return super().__enter__()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Stop, then end the device."""
-        try:
-            self.device.__exit__(kind, error, trace)
-        finally:
-            self.emulator.__exit__(kind, error, trace)
-
-    def angles(self) -> np.ndarray:
-        """Return the joint angles that the device reports, (J,) [rad]."""
-        return self.device.angles()
-
-    def check(self, commands: pd.DataFrame) -> None:
-        """Refuse what a real arm would refuse."""
-        self.device.check(commands)
-
-    def move_to(self, angles: Sequence[float]) -> None:
-        """Move the device to angles (J,) [rad], where the virtual string has settled."""
-        self.device.move_to(angles)
+        with self.emulator:
+            super().__exit__(*error)
 
     def perform(self, commands: pd.DataFrame) -> Performance:
         """Play the commands, and let the bench's string follow the measured angles."""
-        performance = self.device.perform(commands)
+        performance = super().perform(commands)
         measured = performance.arm
         self.bench.performed_motion = (
             measured["t"].to_numpy(),
@@ -168,6 +126,6 @@ def open_lab(
     log_file = os.environ.get(LOG_VARIABLE, os.devnull)
     options = ["--watchdog", str(watchdog), "--log", log_file]
     options += [f"--fault={fault}" for fault in faults]
-    device = VelocityArm(arm, SerialWire("", BAUD), driving)
-    rehearsal = RehearsalArm(device, EmulatorProcess(options), bench)
+    wire = SerialWire("", BAUD)  # the port is known once the emulator runs
+    rehearsal = RehearsalArm(arm, wire, driving, options=options, bench=bench)
     return Lab(rehearsal, VirtualCamera(bench))

@@ -1,5 +1,6 @@
 """Rehearsals move nothing, slowly, or only an emulator, and no model is updated."""
 
+import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -74,6 +75,20 @@ def test_dry_the_arm_stays_where_it_is_and_the_film_is_whole(bench):
 
 
 @pytest.fixture
+def emulators(monkeypatch):
+    """Collect the processes of emulated devices."""
+    processes = []
+
+    class RecordedProcess(subprocess.Popen):
+        def __init__(self, *args, **options):
+            super().__init__(*args, **options)
+            processes.append(self)
+
+    monkeypatch.setattr(subprocess, "Popen", RecordedProcess)
+    return processes
+
+
+@pytest.fixture
 def rehearsal(bench):
     settings = {
         "specimen": bench.specimen,
@@ -94,7 +109,7 @@ def rehearsal(bench):
     return lab
 
 
-def test_the_emulators_movement_swings_the_virtual_string(rehearsal):
+def test_the_emulators_movement_swings_the_virtual_string(rehearsal, emulators):
     lab = rehearsal()
     trial = execute(swing(), lab.arm, lab.camera, before=0.1, after=0.1)
     ended = swing().commands[list(JOINTS)].iloc[-1]
@@ -102,7 +117,8 @@ def test_the_emulators_movement_swings_the_virtual_string(rehearsal):
     assert len(trial.images) == pytest.approx(0.7 * 50, abs=3)
     performed = lab.camera.bench.performed_motion
     np.testing.assert_array_equal(performed[1], trial.arm[list(JOINTS)])
-    assert lab.arm.emulator.process is None
+    (emulator,) = emulators
+    assert emulator.poll() is not None
 
 
 def test_dry_sends_nothing_but_zero_to_the_device(rehearsal):
@@ -115,7 +131,9 @@ def test_dry_sends_nothing_but_zero_to_the_device(rehearsal):
         dry_run(too_fast, lab.arm, lab.camera, before=0.1, after=0.1)
 
 
-def test_a_fault_in_rehearsal_is_the_error_that_a_real_one_would_be(rehearsal):
+def test_a_fault_in_rehearsal_is_the_error_that_a_real_one_would_be(
+    rehearsal, emulators
+):
     lab = rehearsal(["brownout:400"])
     with pytest.raises(HardwareError, match=r"restarted|no answer"):
         execute(
@@ -125,4 +143,5 @@ def test_a_fault_in_rehearsal_is_the_error_that_a_real_one_would_be(rehearsal):
             before=0.1,
             after=0.1,
         )
-    assert lab.arm.emulator.process is None
+    (emulator,) = emulators
+    assert emulator.poll() is not None
