@@ -41,7 +41,8 @@ SIGHTINGS = Table(
 )
 LIKELIHOOD = Table(
     "likelihood",
-    "how much worse the fit is with a given time offset; 3.84 is the end of a 95 % interval",
+    "how much worse the fit is with a given time offset; 3.84 is the end of a 95 % "
+    "interval",
     parse_columns("""
     offset [s]: arm's clock less the camera's
     alone [1]: rise of the deviance without a lag of the arm, corrected for correlated

@@ -95,8 +95,8 @@ class Dataset:
     row_counts
         Counts of the rows of the measured tables, by file.
     clock_starts
-        Seconds subtracted from the times of a trial whose clock began long before it, by
-        trial.
+        Seconds subtracted from the times of a trial whose clock began long before it,
+        by trial.
     """
 
     folder: Path
@@ -331,7 +331,8 @@ def _read_table(table: Table, folder: Path, rows: dict[str, RowCounts]) -> pd.Da
             GRASP: ", nor arm.parquet or arm.csv",
         }.get(table, "")
         raise DataError(
-            f"{folder}: neither {table.name}.parquet nor {table.name}.csv{alternative}. "
+            f"{folder}: neither {table.name}.parquet nor "
+            f"{table.name}.csv{alternative}. "
             f"{_missing_table_remedy(folder)}"
         )
     schema = with_trial(table)

@@ -88,7 +88,7 @@ def is_file_inside(folder: Path, file: str) -> bool:
 
 
 def is_outside(folder: Path, file: str) -> bool:
-    """Tell whether a path that a file names lies outside this folder, links followed."""
+    """Tell whether a path that a file names leaves this folder, links followed."""
     if "\0" in file:
         return False
     path = Path(os.path.realpath(folder / file))
@@ -183,7 +183,7 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_yaml_int(self, node: Any) -> Any:
-        """Construct a whole number; Python cannot print those of thousands of digits."""
+        """Construct a whole number, of as many digits as Python can print."""
         if len(node.value) > MAX_DIGITS:
             raise yaml.YAMLError(
                 f"a whole number of {len(node.value)} digits{node.start_mark}"
@@ -223,7 +223,7 @@ def _interpolated_key(value: Any, place: str = "") -> str:
 
 
 def check_csv(path: Path) -> Path:
-    """Require a CSV file that fits into memory and names its columns; return its path."""
+    """Require a CSV file that fits into memory and has a heading; return its path."""
     with require_plain_file(path, MAX_CSV_BYTES).open("rb") as file:
         head = file.read(MAX_HEADER_BYTES)
     if len(head) == MAX_HEADER_BYTES and b"\n" not in head and b"\r" not in head:
@@ -289,7 +289,8 @@ def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[
     if size > MAX_TABLE_BYTES:
         raise DataError(
             f"{path}: {metadata.num_rows} rows of {metadata.num_columns} columns would "
-            f"take {size / 1e9:.1f} GB, at most {MAX_TABLE_BYTES / 1e9:.1f} are read. Split "
+            f"take {size / 1e9:.1f} GB, at most {MAX_TABLE_BYTES / 1e9:.1f} are read. "
+            "Split "
             "it into datasets of fewer trials."
         )
     if len(schema) > MAX_COLUMNS:

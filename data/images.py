@@ -29,7 +29,7 @@ CACHE_BYTES = 1 << 29  # [bytes] of images that are cached
 
 
 class Images(Sequence[np.ndarray]):
-    """Grey images, uint8 (height, width); an index reads one, a slice a list of them."""
+    """Grey images, uint8 (height, width); an index reads one, a slice a list."""
 
     @abstractmethod
     def read(self, index: int) -> np.ndarray:

@@ -194,7 +194,8 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     version = content.get("format", FORMAT_VERSION)
     if version != FORMAT_VERSION or isinstance(version, bool):
         raise DataError(
-            f"{path}: format is {version!r}; this version reads {FORMAT_VERSION}. Convert it."
+            f"{path}: format is {version!r}; this version reads {FORMAT_VERSION}. "
+            "Convert it."
         )
     try:
         Metadata.model_validate(content)

@@ -34,8 +34,8 @@ MIN_RETURN_FRACTION = 0.25
 class RowCounts:
     """Counts of a file's rows.
 
-    total: rows in the file. dropped: unusable ones by reason. unordered: rows earlier than
-    the row before them of the same trial (and arc length).
+    total: rows in the file. dropped: unusable ones by reason. unordered: rows earlier
+    than the row before them of the same trial (and arc length).
     """
 
     total: int

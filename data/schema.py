@@ -33,7 +33,7 @@ PANDAS_TYPES = {
 
 
 class DataError(ExpectedError):
-    """Data that cannot be used; the message names the field, the file and the remedy."""
+    """Data that cannot be used; the message names field, file and remedy."""
 
 
 @dataclass(frozen=True)

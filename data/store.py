@@ -44,13 +44,14 @@ def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
     folder
         The folder to write.
     origin
-        What made the artifact, as values of JSON; it goes into the footer of every table.
+        What made the artifact, as values of JSON; it goes into the footer of every
+        table.
 
     Raises
     ------
     DataError
-        If the folder cannot be written. A former folder is then still there; only a kill
-        between the two renames of a replacement leaves neither.
+        If the folder cannot be written. A former folder is then still there; only a
+        kill between the two renames of a replacement leaves neither.
     """
     with write_atomically(folder) as part:
         disk.make_folder(part)

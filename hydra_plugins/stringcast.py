@@ -1,4 +1,4 @@
-"""The one place where Hydra looks for launchers. What ours does is in `pipeline.sweep`."""
+"""The one place where Hydra looks for launchers; ours is in `pipeline.sweep`."""
 
 from stringcast.pipeline.sweep.lazy_launcher import LazyLauncher
 

@@ -120,7 +120,8 @@ def gather_tables(
     if not motion_parts:
         _refuse_incomplete(
             recordings,
-            "no columns say how the hand moved: joint angles, or its place and direction",
+            "no columns say how the hand moved: joint angles, or its place and "
+            "direction",
         )
     if not (point_parts or films):
         _refuse_incomplete(recordings, "no column says where the string was")

@@ -164,7 +164,8 @@ class RecordingReader:
         if fps is None:
             raise DataError(
                 f"{self.recording.file}: no column holds times; there are "
-                f"{list_columns(self.recording)}. Name it with --map t=<column>, or give the "
+                f"{list_columns(self.recording)}. Name it with --map t=<column>, or "
+                "give the "
                 "camera's rate with --fps 200."
             )
         for column in columns:
@@ -309,7 +310,8 @@ class RecordingReader:
             return PlaneAxis(names[0]), PlaneAxis(names[1], -1.0 if is_down else 1.0)
         raise DataError(
             f"{self.recording.file}: positions have three coordinates, a cast has two. "
-            "Choose those to the right and up: --plane x,z, or --plane=-z,y if z points "
+            "Choose those to the right and up: --plane x,z, or --plane=-z,y if z "
+            "points "
             "to the left."
         )
 
@@ -347,7 +349,8 @@ class RecordingReader:
             scale, origin = self.hints.px_per_m, self.hints.origin_px
             if scale is None or origin is None:
                 raise DataError(
-                    f"{self.recording.file}: positions are in pixels. Give the pixels of a "
+                    f"{self.recording.file}: positions are in pixels. Give the pixels "
+                    "of a "
                     "metre and the pixel of the world's origin: "
                     "--px-per-m 340 --origin-px 251.5,387.5."
                 )

@@ -148,7 +148,7 @@ class VelocityArm:
         angles = np.array(self.wire.angles())
         if not np.isfinite(angles).all():
             raise HardwareError(
-                f"arm on {self.wire.name}: an encoder reports no number. "
+                f"arm on {self.wire.port}: an encoder reports no number. "
                 "Look at it before the next try."
             )
         return angles
@@ -221,7 +221,7 @@ class VelocityArm:
         offset = np.abs(self.angles() - angles[0]).max()
         if not offset <= START_TOLERANCE_RAD:
             raise HardwareError(
-                f"arm on {self.wire.name}: it reports a pose {np.degrees(offset):.1f} "
+                f"arm on {self.wire.port}: it reports a pose {np.degrees(offset):.1f} "
                 "degrees from the movement's start. Move it there first (move_to), or "
                 "check the encoders."
             )
@@ -258,7 +258,7 @@ class VelocityArm:
     def _refuse_latched(self) -> None:
         if self.latch_reason:
             raise HardwareError(
-                f"arm on {self.wire.name}: latched by the emergency stop "
+                f"arm on {self.wire.port}: latched by the emergency stop "
                 f"({self.latch_reason}). Look why, make it safe, then clear it."
             )
 
@@ -276,14 +276,15 @@ class VelocityArm:
         if not np.median(self.round_trips_s) <= self.driving.round_trip:
             p50, p99, most = np.percentile(self.round_trips_s, [50, 99, 100]) * 1e3
             raise HardwareError(
-                f"arm on {self.wire.name}: a round trip takes {p50:.1f} ms (99 %: "
+                f"arm on {self.wire.port}: a round trip takes {p50:.1f} ms (99 %: "
                 f"{p99:.1f}, longest: {most:.1f} ms), allowed are "
                 f"{self.driving.round_trip * 1e3:.1f}. Lower the adapter's latency "
                 "timer, or change ports."
             )
         if not self.wire.watchdog >= 2 * self.arm.tick:
             raise HardwareError(
-                f"arm on {self.wire.name}: its watchdog of "
-                f"{self.wire.watchdog * 1e3:.0f} ms is shorter than two ticks. Lengthen "
+                f"arm on {self.wire.port}: its watchdog of "
+                f"{self.wire.watchdog * 1e3:.0f} ms is shorter than two ticks. "
+                "Lengthen "
                 "it in the device."
             )

@@ -103,7 +103,7 @@ class Guard:
     emergency_stop: Callable[[], str]
 
     def stop_reason(self, log: MovementLog, tick: int) -> str:
-        """Return why the movement must end after sending `tick`; empty if all is well."""
+        """State why the movement must end after sending `tick`; empty if it need not."""
         silent = tick - 1 - log.last_answered
         if silent > self.misses:
             return f"no answer for {silent} ticks"
@@ -167,7 +167,7 @@ def play(wire: Wire, log: MovementLog, guard: Guard, priority: int) -> None:
             pressed = guard.emergency_stop()
             if pressed:
                 wire.latch()
-                raise HardwareError(f"arm on {wire.name}: emergency stop ({pressed}).")
+                raise HardwareError(f"arm on {wire.port}: emergency stop ({pressed}).")
             log.sent[k] = time.monotonic() - log.start
             number, log.speeds_sent[k] = wire.send(log.commanded[k])
             log.pending_ticks[number] = k
@@ -217,6 +217,7 @@ def _ramp_to_rest(
         reason += ", then the link went"
     wire.stop()
     raise HardwareError(
-        f"arm on {wire.name}: {reason} at {log.due[tick]:.3f} s; it was brought to rest. "
+        f"arm on {wire.port}: {reason} at {log.due[tick]:.3f} s; it was brought to "
+        "rest. "
         "Look at the arm, the cable and the device before the next try."
     )

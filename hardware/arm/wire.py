@@ -39,11 +39,14 @@ class Wire(Protocol):
     """A link to an arm, over a serial device or a bus of servos.
 
     Each method raises `HardwareError` if it cannot do its work.
+
+    Attributes
+    ----------
+    port
+        The device file of the link.
     """
 
-    @property
-    def name(self) -> str:
-        """The port or device of the arm, for messages."""
+    port: str
 
     @property
     def watchdog(self) -> float:

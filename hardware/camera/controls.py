@@ -71,7 +71,8 @@ def apply_controls(
         if accepted[key] or reported not in UNREPORTED_VALUES:
             raise HardwareError(
                 f"{name}: source.controls.{key} is {value:g}, the driver reports "
-                f"{reported:g}. Set it to what the driver can do (v4l2-ctl --list-ctrls "
+                f"{reported:g}. Set it to what the driver can do (v4l2-ctl "
+                "--list-ctrls "
                 "lists it), choose another source.backend, or take it out of "
                 "source.controls if it does not matter."
             )

@@ -25,23 +25,24 @@ class Device(Source):
     """The settings of a camera that OpenCV can open.
 
     No driver reports the delay. V4L2 stamps a frame when its first or last byte arrives
-    (on this host's clock; uvcvideo: the first); other backends give a time from the start
-    of the stream, or none. Stamps therefore give the distances between frames, not their
-    absolute times.
+    (on this host's clock; uvcvideo: the first); other backends give a time from the
+    start of the stream, or none. Stamps therefore give the distances between frames,
+    not their absolute times.
 
     Attributes
     ----------
     number
         Number of the camera, as OpenCV counts.
     backend
-        OpenCV's name of the driver's interface, such as V4L2, DSHOW, AVFOUNDATION; or ANY.
+        OpenCV's name of the driver's interface, such as V4L2, DSHOW, AVFOUNDATION; or
+        ANY.
     delay
         From the middle of the exposure to the arrival of the quickest frame [s]: about
         half the exposure, the readout and the transfer. Measure it once, by a
         calibration motion or a flashing lamp.
     controls
-        Properties by OpenCV's name without CAP_PROP_, in the driver's units, set in this
-        order and read back.
+        Properties by OpenCV's name without CAP_PROP_, in the driver's units, set in
+        this order and read back.
     seconds
         How long stills are taken [s].
     interval

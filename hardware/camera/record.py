@@ -13,8 +13,8 @@ from stringcast.hardware.camera.schedule import FrameSchedule, fit_schedule
 from stringcast.hardware.camera.source import Frame
 from stringcast.stages.execute.interfaces import Recording
 
-# fraction of equal neighbours at rest above which images are drawn or compressed, so that
-# equality shows no repetition
+# fraction of equal neighbours at rest above which images are drawn or compressed, so
+# that equality shows no repetition
 NOISELESS_FRACTION = 0.75
 LATE_PERIODS = 0.5  # lateness above which a frame counts as late
 
@@ -137,9 +137,9 @@ def exposure_times(
 ) -> tuple[np.ndarray, FrameSchedule]:
     """Estimate when frames were exposed.
 
-    A source's own stamps are times of exposure except for a constant, which the quickest
-    arrival gives. Arrivals are late by chance, exposures are not: without stamps they
-    follow the schedule.
+    A source's own stamps are times of exposure except for a constant, which the
+    quickest arrival gives. Arrivals are late by chance, exposures are not: without
+    stamps they follow the schedule.
 
     Parameters
     ----------

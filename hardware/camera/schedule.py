@@ -3,8 +3,8 @@
 A camera exposes at a steady rate. The noted times are late, now a little, now a lot,
 never early, and some frames are missing. The rate at which the times are most in step
 (the highest peak of their periodogram) is found whatever the lateness of single frames.
-The quickest frames then show the moments of exposure. A frame belongs to the last moment
-before it, and no two frames to the same one: the earlier of two was late.
+The quickest frames then show the moments of exposure. A frame belongs to the last
+moment before it, and no two frames to the same one: the earlier of two was late.
 
 References
 ----------

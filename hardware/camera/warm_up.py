@@ -15,8 +15,8 @@ LOOK_S = 0.5  # [s] that the check takes
 MIN_FRAMES = 10  # needed for the check
 TIMEOUT_S = 5.0  # [s] until that many must have come
 RATE_TOLERANCE = 0.05  # relative error of the frame rate
-# relative change in brightness of a still scene; a lamp's flicker is less over a quarter
-# of the time
+# relative change in brightness of a still scene; a lamp's flicker is less over a
+# quarter of the time
 BRIGHTNESS_TOLERANCE = 0.03
 
 
@@ -68,7 +68,8 @@ def check_stream(stream: Stream, name: str, camera: Camera) -> tuple[str, ...]:
         raise HardwareError(
             f"{name}: {rate:.1f} frames come in a second, camera.fps is "
             f"{camera.fps:g}. Shorten the exposure, choose a quicker format "
-            "(source.controls.FOURCC) or a smaller size, or set camera.fps to what comes."
+            "(source.controls.FOURCC) or a smaller size, or set camera.fps to what "
+            "comes."
         )
     if all(np.array_equal(frame.image, frames[0].image) for frame in frames[1:]):
         raise HardwareError(

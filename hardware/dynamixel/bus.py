@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Annotated, Any, Literal
@@ -96,8 +97,8 @@ class DynamixelBus:
     patience
         Multiples of 20 ms without a command after which each servo stops by itself.
     rounding_debt : (J,)
-        Velocity that rounding has left out so far [rad/s]. It is made up for in the next
-        command, so that rounding to 0.024 rad/s does not add up to a displacement.
+        Velocity that rounding has left out so far [rad/s]. It is made up for in the
+        next command, so that rounding to 0.024 rad/s does not add up to a displacement.
     max_counts : (J,)
         Largest velocity of each servo [counts]; zero until `set_limits`.
     """
@@ -120,11 +121,6 @@ class DynamixelBus:
     packets: Any = None
     reader: Any = None
     writer: Any = None
-
-    @property
-    def name(self) -> str:
-        """The port's device file."""
-        return self.port
 
     @property
     def watchdog(self) -> float:
@@ -160,11 +156,9 @@ class DynamixelBus:
         """Switch the torque off and close the port."""
         if self.handler is None:
             return
-        try:
+        with suppress(HardwareError):  # no servo is there: the bus watchdog has acted
             for _ in range(MAX_TRIES):
                 self._write_all(TORQUE_ENABLE, 0)
-        except HardwareError:
-            pass  # no servo is there: the bus watchdog has acted
         if self.handler.ser is not None:
             self.handler.closePort()
         self.handler = None
@@ -214,10 +208,8 @@ class DynamixelBus:
             return []
         # the first servo's clock, unwrapped: it wraps every 33 seconds
         millis = register_value(states[0], REALTIME_TICK)
-        if self.clock_ms is None:
-            self.clock_ms = millis
-        else:
-            self.clock_ms += (millis - self.clock_ms) % CLOCK_WRAP_MS
+        last = millis if self.clock_ms is None else self.clock_ms
+        self.clock_ms = last + (millis - last) % CLOCK_WRAP_MS
         clock = self.clock_ms * 1e-3
         hold_reason, angles = self._hold_reason(states), self._angles(states)
         return [ArmAnswer(self.command_number, clock, hold_reason, angles)]
@@ -227,15 +219,13 @@ class DynamixelBus:
 
         One that has acted stays as it is.
         """
-        try:
+        with suppress(HardwareError):  # no servo is there: the watchdogs act
             for _ in range(MAX_TRIES):
                 self._write_all(GOAL_VELOCITY, 0)
             self._hold_reason(self._read_all())
             if self.watchdogs_armed and not self.latched:
                 self._write_all(BUS_WATCHDOG, 0)
-        except HardwareError:
-            return  # no servo is there: the watchdogs act
-        self.watchdogs_armed = False
+            self.watchdogs_armed = False
 
     def latch(self) -> None:
         """Set velocity zero, then be silent until the servos' watchdogs have tripped.
@@ -243,13 +233,11 @@ class DynamixelBus:
         That is their own latch.
         """
         self.latched = True
-        try:
+        with suppress(HardwareError):
             for _ in range(MAX_TRIES):
                 self._write_all(GOAL_VELOCITY, 0)
             self._write_all(BUS_WATCHDOG, 1)
-        except HardwareError:
-            return
-        time.sleep(3 * WATCHDOG_UNIT_S)
+            time.sleep(3 * WATCHDOG_UNIT_S)
 
     def clear(self) -> None:
         """Undo tripped watchdogs; connect first if the bus is not open."""
@@ -275,7 +263,8 @@ class DynamixelBus:
             self.sdk = import_module("dynamixel_sdk")
         except ModuleNotFoundError as error:
             raise HardwareError(
-                "hardware=dynamixel needs the maker's library: pip install dynamixel-sdk"
+                "hardware=dynamixel needs the maker's library: pip install "
+                "dynamixel-sdk"
             ) from error
         self.handler = self.sdk.PortHandler(self.port)
         # The library waits for 34 ms at least, seven ticks.
@@ -334,20 +323,12 @@ class DynamixelBus:
             )
 
     def _read(self, servo: ServoSettings, register: Register) -> int:
-        data = self._exchange(
-            servo,
-            lambda: self.packets.readTxRx(self.handler, servo.id, *register),
-        )
+        (data,) = self._exchange(servo, self.packets.readTxRx, *register)
         return int.from_bytes(bytes(data), "little")
 
     def _write(self, servo: ServoSettings, register: Register, value: int) -> None:
         data = list(value.to_bytes(register.size, "little"))
-
-        def write() -> tuple[Any, ...]:
-            write_register = self.packets.writeTxRx
-            return None, *write_register(self.handler, servo.id, *register, data)
-
-        self._exchange(servo, write)
+        self._exchange(servo, self.packets.writeTxRx, *register, data)
 
     def _set_and_verify(
         self, servo: ServoSettings, register: Register, value: int
@@ -366,14 +347,17 @@ class DynamixelBus:
                 "Look at its control table with the maker's wizard, or reset the servo."
             )
 
-    def _exchange(self, servo: ServoSettings, ask: Callable[[], Any]) -> Any:
+    def _exchange(
+        self, servo: ServoSettings, act: Callable[..., Any], *details: Any
+    ) -> Any:
         """Exchange packets with one servo, again if one is lost.
 
+        Returns what the library's method `act` returns before its two error codes.
         Raises HardwareError if the servo does not answer or reports an error.
         """
         fault = ""
         for _ in range(MAX_TRIES):
-            data, result, error = self._call(ask)
+            *data, result, error = self._call(act, self.handler, servo.id, *details)
             error &= 0x7F  # without the top bit: see HARDWARE_ERROR
             if result == self.sdk.COMM_SUCCESS and error == 0:
                 return data
@@ -389,8 +373,12 @@ class DynamixelBus:
         data: list[int] = []
         for servo in self.servos:
             data += servo.id, *value.to_bytes(register.size, "little")
-        write = self.packets.syncWriteTxOnly
-        self._call(lambda: write(self.handler, *register, data, len(data)))
+        # looked up once the call has found the bus open
+        self._call(
+            lambda: self.packets.syncWriteTxOnly(
+                self.handler, *register, data, len(data)
+            )
+        )
 
     def _read_all(self) -> list[bytes]:
         """Read the registers STATE_BLOCK of all servos; empty if one is silent."""
@@ -398,12 +386,12 @@ class DynamixelBus:
             return []
         return [bytes(self.reader.data_dict[servo.id]) for servo in self.servos]
 
-    def _call(self, act: Callable[[], Any]) -> Any:
+    def _call(self, act: Callable[..., Any], *arguments: Any) -> Any:
         """Call the library; raise HardwareError for a broken connection."""
         if self.handler is None or not self.handler.is_open:
             raise HardwareError(f"arm on {self.port}: it is not open.")
         try:
-            return act()
+            return act(*arguments)
         except LINK_ERRORS as error:
             raise HardwareError(
                 f"arm on {self.port}: the link is gone ({error}). "

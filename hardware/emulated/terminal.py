@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import pty
 import select
@@ -11,11 +12,11 @@ import threading
 import time
 import tty
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TextIO
 
 from stringcast.hardware.emulated.joints import STEP_S
 
@@ -32,8 +33,8 @@ class EmulatedDevice(ABC):
     ----------
     faults
         Faults by number of the velocity command, from 0.
-    record_event
-        Called with every event and the device.
+    log
+        The file in which every event is recorded, as a line of JSON.
     clock
         True time [s].
     unsimulated_s
@@ -47,7 +48,7 @@ class EmulatedDevice(ABC):
     """
 
     faults: Mapping[int, str]
-    record_event: Callable[[str, Any], object]
+    log: TextIO
     clock: float = field(default=0.0, init=False)
     unsimulated_s: float = field(default=0.0, init=False)
     deaf_until: float = field(default=0.0, init=False)
@@ -71,6 +72,16 @@ class EmulatedDevice(ABC):
     def state(self) -> tuple[str, bool]:
         """The device's state in a word, and whether the arm stands."""
 
+    @property
+    @abstractmethod
+    def facts(self) -> dict[str, list[float]]:
+        """What is recorded with every event, a number for each joint."""
+
+    def record_event(self, event: str) -> None:
+        """Record an event with the time [s], the state and the facts."""
+        row = {"event": event, "t": self.clock, "state": self.state[0], **self.facts}
+        self.log.write(json.dumps(row) + "\n")
+
     def advance(self, elapsed: float) -> bytes:
         """Let `elapsed` [s] pass; return the bytes that leave in it."""
         out = b""
@@ -82,9 +93,9 @@ class EmulatedDevice(ABC):
             word, stands = self.state
             last_word, stood = self.last_state
             if word != last_word:
-                self.record_event(word, self)
+                self.record_event(word)
             if stands is not stood:
-                self.record_event("stands" if stands else "moves", self)
+                self.record_event("stands" if stands else "moves")
             self.last_state = word, stands
         return out
 
@@ -93,7 +104,7 @@ class EmulatedDevice(ABC):
         fault = self.faults.get(self.velocity_count, "")
         self.velocity_count += 1
         if fault:
-            self.record_event(fault, self)
+            self.record_event(fault)
         return fault
 
 
@@ -132,7 +143,7 @@ def command_parser(
 
 
 def serve(device: EmulatedDevice, until: float, after: float) -> None:
-    """Serve a device for `until` seconds, until SIGTERM, or as long as its parent lives.
+    """Serve a device for `until` seconds, or until SIGTERM or the end of its parent.
 
     Then, or unplugged, it goes on alone for `after` seconds.
     """

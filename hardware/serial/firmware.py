@@ -1,7 +1,7 @@
 """The device's side of the link, as README.md specifies it.
 
-It has no clock, port or joints of its own. `device/stringcast.c` is the same in C; tests
-feed both the same bytes and expect the same answers.
+It has no clock, port or joints of its own. `device/stringcast.c` is the same in C;
+tests feed both the same bytes and expect the same answers.
 """
 
 from __future__ import annotations

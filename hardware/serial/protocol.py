@@ -231,7 +231,7 @@ class Deframer:
         self.rest = b""
 
     def frames(self, data: bytes) -> list[bytes]:
-        """Add data and return the frames whose delimiter has come, without empty ones."""
+        """Add data; return the frames whose delimiter has come, without empty ones."""
         *parts, rest = (self.rest + data).split(b"\0")
         self.rest = rest[: MAX_FRAME_BYTES + 1]  # enough to know that it is too long
         return [part for part in parts if 0 < len(part) <= MAX_FRAME_BYTES]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from stringcast.hardware.serial.protocol import (
     PROTOCOL_VERSION,
     Command,
     Deframer,
+    DeviceAnswer,
     DeviceState,
     FrameError,
     FrameKind,
@@ -67,11 +69,6 @@ class SerialWire:
     deframer: Deframer = field(default_factory=Deframer)
     last_refusal: str = ""
     clock_us: int | None = None
-
-    @property
-    def name(self) -> str:
-        """The port's device file."""
-        return self.port
 
     def open(self) -> None:
         """Open the port and greet the device."""
@@ -138,20 +135,16 @@ class SerialWire:
 
         A frame may be lost, and none is in flight after the answer.
         """
-        try:
+        with suppress(HardwareError):  # no device is there: its watchdog acts
             for _ in range(MAX_TRIES):
                 self._send(FrameKind.STOP)
             self._report(FrameKind.STOP)
-        except HardwareError:
-            return  # no device is there: its watchdog acts
 
     def latch(self) -> None:
         """Send LATCH three times, for a frame may be lost."""
-        try:
+        with suppress(HardwareError):
             for _ in range(MAX_TRIES):
                 self._send(FrameKind.LATCH)
-        except HardwareError:
-            return
 
     def clear(self) -> None:
         """Undo the emergency stop; connect first if the port is not open."""
@@ -177,10 +170,9 @@ class SerialWire:
 
         It wraps every 72 minutes, and answers may change places.
         """
-        if self.clock_us is None:
-            self.clock_us = micros
-        step = (micros - self.clock_us + 2**31) % 2**32 - 2**31
-        self.clock_us += step
+        last = micros if self.clock_us is None else self.clock_us
+        step = (micros - last + 2**31) % 2**32 - 2**31
+        self.clock_us = last + step
         return self.clock_us * 1e-6
 
     def _report(self, kind: FrameKind) -> Report:
@@ -190,7 +182,7 @@ class SerialWire:
 
     def _exchange(
         self, kind: FrameKind, values: tuple[float, ...] = ()
-    ) -> Report | Greeting | LimitsAnswer:
+    ) -> DeviceAnswer:
         """Send and wait for the answer, again if a frame is lost."""
         expected = ANSWER_TYPES.get(kind, Report)
         for _ in range(MAX_TRIES):
@@ -219,7 +211,7 @@ class SerialWire:
             raise self._link_error(error) from error
         return self.sequence
 
-    def _read_answers(self) -> list[Report | Greeting | LimitsAnswer]:
+    def _read_answers(self) -> list[DeviceAnswer]:
         """Return the whole answers that have arrived."""
         assert self.link is not None
         try:

@@ -47,8 +47,8 @@ class Specimen:
     points
         Mass points of the simulation.
     hidden
-        Further effects, on the string, in the hand, the camera or their clocks, by name,
-        each with its parameters.
+        Further effects, on the string, in the hand, the camera or their clocks, by
+        name, each with its parameters.
     """
 
     length: float

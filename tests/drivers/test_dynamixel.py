@@ -10,6 +10,7 @@ import time
 import tty
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from io import StringIO
 
 import numpy as np
 import pytest
@@ -247,7 +248,7 @@ def serve_servos(servos):
     there = threading.Thread(
         target=_exchange_bytes,
         args=(
-            EmulatedBus({}, lambda *_: None, servos),
+            EmulatedBus({}, StringIO(), servos),
             master,
             time.monotonic() + 60,
             ended,

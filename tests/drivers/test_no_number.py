@@ -67,7 +67,7 @@ def test_the_guard_looks_at_the_first_answer_too():
 class Wire:
     """A wire that reports a pose, and must not be sent anything."""
 
-    name, watchdog = "here", 0.25
+    port, watchdog = "here", 0.25
 
     def __init__(self, pose, watchdog=0.25):
         self.pose, self.watchdog = pose, watchdog

@@ -18,7 +18,7 @@ from stringcast.stages.execute.interfaces import HardwareError
 class Script:
     """A wire with a perfect arm, until `spoil` changes an answer (None: lost)."""
 
-    name, watchdog = "script", 0.025
+    port, watchdog = "script", 0.025
 
     def __init__(self, spoil=lambda answer: answer):
         self.spoil, self.sent, self.said, self.due = spoil, [], [], []

@@ -6,14 +6,11 @@ process that started it.
 
 from __future__ import annotations
 
-import json
-
 from stringcast.hardware.dynamixel.emulator.bus import (
     FAULTS,
     EmulatedBus,
     EmulatedServo,
 )
-from stringcast.hardware.dynamixel.registers import TORQUE_ENABLE
 from stringcast.hardware.emulated.terminal import command_parser, serve
 
 UNPLUGGED_S = 1.0  # [s] for which unplugged servos go on
@@ -26,25 +23,8 @@ def main() -> None:
     ).parse_args()
     with options.log.open("w", buffering=1) as log:
         servos = {number: EmulatedServo() for number in (1, 2, 3)}
-        bus = EmulatedBus(
-            dict(options.fault),
-            lambda event, bus: log.write(log_line(event, bus)),
-            servos,
-        )
+        bus = EmulatedBus(dict(options.fault), log, servos)
         serve(bus, options.until, UNPLUGGED_S)
-
-
-def log_line(event: str, bus: EmulatedBus) -> str:
-    """Write an event with time [s], angles [rad] and torque of the servos as JSON."""
-    servos = bus.servos.values()
-    row = {
-        "event": event,
-        "t": bus.clock,
-        "state": event,
-        "angles": [servo.joint.angle for servo in servos],
-        "torque": [servo.get(TORQUE_ENABLE) for servo in servos],
-    }
-    return json.dumps(row) + "\n"
 
 
 if __name__ == "__main__":

@@ -148,6 +148,15 @@ class EmulatedBus(EmulatedDevice):
             stands = stands and servo.joint.is_still
         return word, stands
 
+    @property
+    def facts(self) -> dict[str, list[float]]:
+        """The angles of the joints [rad], and whether the torque is on."""
+        servos = self.servos.values()
+        return {
+            "angles": [servo.joint.angle for servo in servos],
+            "torque": [servo.get(TORQUE_ENABLE) for servo in servos],
+        }
+
     def _answer(self, packet: Packet) -> bytes:
         """Answer an instruction; address and length begin most of them."""
         for servo in self.servos.values():

@@ -1,12 +1,10 @@
 """Serve an emulated device on a pseudo-terminal, whose name is printed first.
 
-It is called as `python -m stringcast.hardware.serial.emulator` and ends with the process
-that started it.
+It is called as `python -m stringcast.hardware.serial.emulator` and ends with the
+process that started it.
 """
 
 from __future__ import annotations
-
-import json
 
 from stringcast.hardware.emulated.terminal import command_parser, serve
 from stringcast.hardware.serial.emulator.device import FAULT_KINDS, EmulatedArm
@@ -30,25 +28,8 @@ def main() -> None:
     options = parser.parse_args()
     with options.log.open("w", buffering=1) as log:
         firmware, faults = Firmware(options.watchdog), dict(options.fault)
-        device = EmulatedArm(
-            faults,
-            lambda event, device: log.write(log_line(event, device)),
-            firmware,
-            options.since,
-        )
+        device = EmulatedArm(faults, log, firmware, options.since)
         serve(device, options.until, UNPLUGGED_S)
-
-
-def log_line(event: str, device: EmulatedArm) -> str:
-    """Write an event with time [s], angles [rad] and speeds [rad/s] as JSON."""
-    row = {
-        "event": event,
-        "t": device.clock,
-        "state": device.firmware.state.name.lower(),
-        "angles": [joint.angle for joint in device.joints],
-        "speeds": [joint.speed for joint in device.joints],
-    }
-    return json.dumps(row) + "\n"
 
 
 if __name__ == "__main__":

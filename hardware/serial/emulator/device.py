@@ -29,10 +29,6 @@ ANSWER_PREFIX = "answer-"  # of faults on the way back
 DelayedPieces = list[tuple[float, bytes]]
 
 
-def _deliver(frame: bytes) -> DelayedPieces:
-    return [(0.0, frame)]
-
-
 def _flip_bit(frame: bytes) -> DelayedPieces:
     """Flip a bit in the middle of a frame."""
     middle = len(frame) // 2
@@ -40,8 +36,7 @@ def _flip_bit(frame: bytes) -> DelayedPieces:
     return [(0.0, frame[:middle] + flipped + frame[middle + 1 :])]
 
 
-LineFault = Callable[[bytes], DelayedPieces]
-LINE_FAULTS: dict[str, LineFault] = {
+LINE_FAULTS: dict[str, Callable[[bytes], DelayedPieces]] = {
     "drop": lambda frame: [],
     "duplicate": lambda frame: [(0.0, frame), (0.0, frame)],
     "corrupt": _flip_bit,
@@ -51,7 +46,7 @@ LINE_FAULTS: dict[str, LineFault] = {
 
 
 class Arrival(NamedTuple):
-    """Bytes on their way: when they arrive [s], and the fault of them or their answer."""
+    """Bytes on their way: when they arrive [s], and their or their answer's fault."""
 
     when: float
     frame: bytes
@@ -62,8 +57,8 @@ class Arrival(NamedTuple):
 class EmulatedArm(EmulatedDevice):
     """The emulated device with its arm.
 
-    firmware: what it runs. initial_clock: its clock when it starts [us]. boot_time: when
-    it last started [s].
+    firmware: what it runs. initial_clock: its clock when it starts [us]. boot_time:
+    when it last started [s].
     """
 
     firmware: Firmware
@@ -94,8 +89,7 @@ class EmulatedArm(EmulatedDevice):
             fault = self.next_fault() if moves else ""
             if fault in DEVICE_FAULTS:  # these strike at once
                 DEVICE_FAULTS[fault](self)
-            line = LINE_FAULTS.get(fault, _deliver)
-            self.incoming += self._schedule(frame, fault, line)
+            self.incoming += self._schedule(frame, fault, fault)
 
     def step(self) -> bytes:
         """Let one step pass and obey the frames that arrive in it.
@@ -110,10 +104,8 @@ class EmulatedArm(EmulatedDevice):
         angles = [joint.encoder for joint in self.joints]
         for _, frame, fault in _pop_due(self.incoming, self.clock):
             answer = self.firmware.answer_frame(frame, self.micros, angles)
-            line: LineFault = _deliver
-            if fault.startswith(ANSWER_PREFIX):
-                line = LINE_FAULTS[fault.removeprefix(ANSWER_PREFIX)]
-            self.outgoing += self._schedule(answer, fault, line)
+            answer_fault = fault.partition(ANSWER_PREFIX)[2]
+            self.outgoing += self._schedule(answer, fault, answer_fault)
         return b"".join(due.frame for due in _pop_due(self.outgoing, self.clock))
 
     @property
@@ -121,6 +113,14 @@ class EmulatedArm(EmulatedDevice):
         """The firmware's state, and whether the arm stands."""
         stands = all(joint.is_still for joint in self.joints)
         return self.firmware.state.name.lower(), stands
+
+    @property
+    def facts(self) -> dict[str, list[float]]:
+        """The angles [rad] and speeds [rad/s] of the joints."""
+        return {
+            "angles": [joint.angle for joint in self.joints],
+            "speeds": [joint.speed for joint in self.joints],
+        }
 
     def restart(self) -> None:
         """Restart after a breakdown of the supply.
@@ -132,10 +132,12 @@ class EmulatedArm(EmulatedDevice):
         self.initial_clock, self.boot_time = 0, self.clock
         self.deaf_until = self.clock + BOOT_S
 
-    def _schedule(
-        self, frame: bytes, fault: str, line: Callable[[bytes], DelayedPieces]
-    ) -> list[Arrival]:
-        return [Arrival(self.clock + late, piece, fault) for late, piece in line(frame)]
+    def _schedule(self, frame: bytes, fault: str, line_fault: str) -> list[Arrival]:
+        """Send a frame on its way, through the line's fault if there is one."""
+        pieces: DelayedPieces = [(0.0, frame)]
+        if line_fault in LINE_FAULTS:
+            pieces = LINE_FAULTS[line_fault](frame)
+        return [Arrival(self.clock + late, piece, fault) for late, piece in pieces]
 
 
 def _pop_due(queue: list[Arrival], now: float) -> list[Arrival]:
