@@ -25,17 +25,17 @@ def folder_differences(
 
     Hidden files and files whose name is in `leave_out` are ignored.
     """
-    names: set[Path] = set()
-    for folder in (a, b):
-        for path in folder.rglob("*"):
-            name = path.relative_to(folder)
-            is_hidden = any(part.startswith(".") for part in name.parts)
-            if path.is_file() and name.name not in leave_out and not is_hidden:
-                names.add(name)
+    names = {
+        path.relative_to(folder)
+        for folder in (a, b)
+        for path in folder.rglob("*")
+        if path.is_file() and path.name not in leave_out
+    }
     lines: list[str] = []
     for name in sorted(names):
-        for words in file_differences(a / name, b / name):
-            lines.append(f"{name.as_posix()}: {words}")
+        if not any(part.startswith(".") for part in name.parts):
+            differences = file_differences(a / name, b / name)
+            lines += [f"{name.as_posix()}: {words}" for words in differences]
     return lines
 
 

@@ -10,6 +10,7 @@ run.
 from __future__ import annotations
 
 import shlex
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -141,13 +142,12 @@ def write_dataset(
     parts: dict[Table, list[pd.DataFrame]] = {table: [] for table in RUN_TABLES}
     for name, (trial, points) in trials.items():
         files = [(places[name] / file).as_posix() for file in trial.frames["file"]]
-        parts[ARM].append(trial.arm.assign(trial=name))
-        parts[FRAMES].append(trial.frames.assign(file=files, trial=name))
-        parts[POINTS].append(points.points.assign(trial=name))
-        parts[READINGS].append(points.readings.assign(trial=name))
-        parts[MASKS].append(points.masks.assign(trial=name))
-    for table, frames in parts.items():
-        rows = pd.concat(frames, ignore_index=True)
+        frames = trial.frames.assign(file=files)
+        tables = trial.arm, frames, points.points, points.readings, points.masks
+        for table, rows in zip(RUN_TABLES, tables, strict=True):
+            parts[table].append(rows.assign(trial=name))
+    for table, part in parts.items():
+        rows = pd.concat(part, ignore_index=True)
         write_table(with_trial(table), rows, folder / f"{table.name}.parquet", origin)
     content = yaml.safe_dump({"format": FORMAT_VERSION, **known}, sort_keys=False)
     write_text(folder / DATASET_FILE, content)
@@ -195,7 +195,7 @@ def read_dataset(folder: Path) -> Dataset:
     for name in sorted({*frames[0]["trial"], *frames[1]["trial"], *shots}):
         block = known.get("trials", {}).get(name, {})
         initial = block.get("initial", known.get("initial", "rest"))
-        tables = [part.get(name, empty) for part, empty in parts]
+        tables = [part[name] for part in parts]
         trial, film, start = _build_trial(
             name, hand, tables, shots.get(name), moving=initial == "moving"
         )
@@ -209,16 +209,17 @@ def read_dataset(folder: Path) -> Dataset:
         if start:
             clocks[name] = start
     # by these a run knows whether the data have changed since
-    hashes: dict[str, str] = {}
-    for path in _source_files(folder, shots):
-        hashes[path.relative_to(folder).as_posix()] = content_hash(path)
+    hashes = {
+        path.relative_to(folder).as_posix(): content_hash(path)
+        for path in _source_files(folder, shots)
+    }
     return Dataset(folder, trials, films, unusable, known, hashes, rows, clocks)
 
 
 def _source_files(folder: Path, shots: Mapping[str, TimedImages]) -> list[Path]:
     """List what a dataset consists of: tables, folders of frames, videos."""
     paths = set(video_files(folder))
-    for table in (ARM, GRASP, POINTS, READINGS, MASKS, FRAMES):
+    for table in (GRASP, *RUN_TABLES):
         path = _find_table(folder, table.name)
         if path is not None:
             paths.add(path)
@@ -383,13 +384,12 @@ def _missing_table_remedy(folder: Path) -> str:
     inner = sorted(folder.glob(f"*/{DATASET_FILE}"))
     if inner:
         return f"A dataset lies in {inner[0].parent}. Name that folder"
-    own_names: set[str] = set()
-    for table in (ARM, GRASP, *RUN_TABLES):
-        own_names |= {f"{table.name}{ending}" for ending in ENDINGS}
+    own_names = {table.name for table in (GRASP, *RUN_TABLES)}
     files: list[str] = []
     for path in sorted(folder.iterdir()):
-        is_table = path.suffix in (".csv", ".parquet", ".tsv", ".h5", ".mcap")
-        if is_table and path.name not in own_names:
+        is_table = path.suffix in (*ENDINGS, ".tsv", ".h5", ".mcap")
+        is_own = path.suffix in ENDINGS and path.stem in own_names
+        if is_table and not is_own:
             files.append(shlex.quote(str(path)))
     if not files:
         return "Add it, with column 'trial'."
@@ -402,15 +402,14 @@ def _missing_table_remedy(folder: Path) -> str:
     )
 
 
-def _split_by_trial(
-    frame: pd.DataFrame,
-) -> tuple[dict[str, pd.DataFrame], pd.DataFrame]:
-    """Split the rows by trial; also return a frame without rows."""
+def _split_by_trial(frame: pd.DataFrame) -> defaultdict[str, pd.DataFrame]:
+    """Split the rows by trial; a trial without rows has a frame without rows."""
     rows = frame.drop(columns="trial")
-    parts: dict[str, pd.DataFrame] = {}
+    empty = rows.iloc[:0].reset_index(drop=True)
+    parts = defaultdict(lambda: empty)
     for name, part in rows.groupby(frame["trial"], sort=False):
         parts[str(name)] = part.reset_index(drop=True)
-    return parts, rows.iloc[:0].reset_index(drop=True)
+    return parts
 
 
 def exclude_stray_points(data: Dataset, length: float) -> Dataset:

@@ -144,10 +144,11 @@ class Table:
 
     def empty(self) -> pd.DataFrame:
         """Make a frame without rows."""
-        columns: dict[str, pd.Series] = {}
-        for column in self.columns:
-            if not column.optional:
-                columns[column.name] = pd.Series(dtype=PANDAS_TYPES[column.kind])
+        columns = {
+            column.name: pd.Series(dtype=PANDAS_TYPES[column.kind])
+            for column in self.columns
+            if not column.optional
+        }
         return pd.DataFrame(columns)
 
 

@@ -94,9 +94,11 @@ def load(kind: type[Artifact], folder: Path) -> Artifact:
             f"{folder}: there is no {kind.__name__.lower()} here. "
             "Name a run folder that holds one."
         )
-    content: dict[str, Any] = {}
-    for name, table in kind.TABLES.items():  # type: ignore[attr-defined]
-        content[name] = read_table(table, folder / f"{name}.parquet")
+    tables: dict[str, Table] = kind.TABLES  # type: ignore[attr-defined]
+    content: dict[str, Any] = {
+        name: read_table(table, folder / f"{name}.parquet")
+        for name, table in tables.items()
+    }
     if "images" in kind.__dataclass_fields__:  # type: ignore[attr-defined]
         content["images"] = load_images(folder, content["frames"])
     return kind(**content)

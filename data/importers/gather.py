@@ -273,14 +273,12 @@ def _read_parts(
     kinds = {column.meaning.kind for column in columns}
     if kinds.isdisjoint(("joint", "hand", "point")):
         return None, None
-    reader = RecordingReader(recording, hints, used_columns)
-    common = pd.DataFrame(
-        {"t": reader.read_times(columns)}, index=recording.table.index
-    )
-    trial = next((column for column in columns if column.meaning.kind == "trial"), None)
-    common["trial"] = reader.read_names(trial) if trial else recording.name
-    motion = reader.read_motion(columns)
-    points = reader.read_points(columns)
+    reader = RecordingReader(recording, hints, columns, used_columns)
+    common = pd.DataFrame({"t": reader.read_times()})
+    trials = reader.columns_of("trial")
+    common["trial"] = reader.read_names(trials[0]) if trials else recording.name
+    motion = reader.read_motion()
+    points = reader.read_points()
     if motion is not None:
         motion = pd.concat([common, motion], axis=1)
     if points is not None:

@@ -55,15 +55,10 @@ def _read_numbers(path: Path, features: Mapping[str, Any]) -> pd.DataFrame:
     try:
         plain, _ = check_parquet(path, [])
         with pq.ParquetFile(path) as file:
-            wide: list[str] = []
-            for name, feature in features.items():
-                if name in file.schema_arrow.names and _is_numeric(feature):
-                    wide.append(name)
-            names = [
-                n
-                for n in dict.fromkeys((*INDEX_COLUMNS, *wide))
-                if n in plain or n in wide
-            ]
+            wide = [name for name, feature in features.items() if _is_numeric(feature)]
+            readable = {*plain, *set(wide).intersection(file.schema_arrow.names)}
+            unique_names = dict.fromkeys((*INDEX_COLUMNS, *wide))
+            names = [name for name in unique_names if name in readable]
             table = file.read(names)
         columns: dict[str, np.ndarray] = {}
         for name in names:

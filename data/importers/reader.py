@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -117,7 +118,17 @@ class RecordingReader:
 
     recording: SourceRecording
     hints: ColumnHints
+    columns: Sequence[SourceColumn]
     used_columns: list[UsedColumn]
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """The recording's table, with rows by number."""
+        return self.recording.table.reset_index(drop=True)
+
+    def columns_of(self, kind: str) -> list[SourceColumn]:
+        """Return the columns of one kind of meaning."""
+        return [column for column in self.columns if column.meaning.kind == kind]
 
     def read_numbers(
         self, column: SourceColumn, role: str, unit: str, factor: float, how: str
@@ -126,7 +137,7 @@ class RecordingReader:
 
         Raises DataError if it holds no number.
         """
-        raw = pd.to_numeric(self.recording.table[column.name], errors="coerce")
+        raw = pd.to_numeric(self.table[column.name], errors="coerce")
         values: np.ndarray = column.sign * raw.to_numpy(dtype=float) + column.shift
         values = values * factor
         if not np.isfinite(values).any():
@@ -150,15 +161,11 @@ class RecordingReader:
         self.used_columns.append(
             UsedColumn(self.recording.file, column.name, "trial", "", column.how)
         )
-        names: np.ndarray = (
-            self.recording.table[column.name].astype(str).map(trial_name).to_numpy()
-        )
-        return names
+        return np.asarray(self.table[column.name].astype(str).map(trial_name))
 
-    def read_times(self, columns: Sequence[SourceColumn]) -> np.ndarray:
+    def read_times(self) -> np.ndarray:
         """Read times, (K,) [s], of the best column of times or of the frame numbers."""
-        clocks = [column for column in columns if column.meaning.kind == "time"]
-        if clocks:
+        if clocks := self.columns_of("time"):
             return self._read_clock(min(clocks, key=_time_preference))
         fps = self.hints.fps or self.recording.fps
         if fps is None:
@@ -168,16 +175,15 @@ class RecordingReader:
                 "give the "
                 "camera's rate with --fps 200."
             )
-        for column in columns:
-            if column.meaning.kind == "frame":
-                how = "--fps" if self.hints.fps else "file"
-                unit = f"frames, {fps:g} a second"
-                return self.read_numbers(column, "t", unit, 1 / fps, how)
-        return np.arange(len(self.recording.table)) / fps
+        if numbers := self.columns_of("frame"):
+            how = "--fps" if self.hints.fps else "file"
+            unit = f"frames, {fps:g} a second"
+            return self.read_numbers(numbers[0], "t", unit, 1 / fps, how)
+        return np.arange(len(self.table)) / fps
 
     def _read_clock(self, column: SourceColumn) -> np.ndarray:
         """Read a column of times [s]: numbers of any unit, or dates."""
-        raw = self.recording.table[column.name]
+        raw = self.table[column.name]
         numbers = pd.to_numeric(raw, errors="coerce")
         if numbers.notna().any():
             unit, how = column.meaning.unit, column.how
@@ -229,7 +235,7 @@ class RecordingReader:
             unit, how = ("deg", "--deg") if self.hints.degrees else ("rad", "--rad")
         if not unit:
             names = [c.name for c in same_unit or [column]]
-            numbers = self.recording.table[names].apply(pd.to_numeric, errors="coerce")
+            numbers = self.table[names].apply(pd.to_numeric, errors="coerce")
             # of the joint that turns farthest
             largest = float(numbers.abs().quantile(0.9).max())
             unit = "rad"
@@ -237,23 +243,23 @@ class RecordingReader:
                 unit, how = "deg", "values"
         return self.read_numbers(column, role, unit, ANGLE_UNITS[unit], how)
 
-    def read_motion(self, columns: Sequence[SourceColumn]) -> pd.DataFrame | None:
+    def read_motion(self) -> pd.DataFrame | None:
         """Read joint angles or poses of the hand; None if there are none."""
-        index = self.recording.table.index
-        joints = [column for column in columns if column.meaning.kind == "joint"]
+        joints = self.columns_of("joint")
         if joints:
             joints.sort(key=lambda column: int(column.meaning.name))
             unitless = [c for c in joints if not c.meaning.unit]  # all in one unit
-            angles: dict[str, np.ndarray] = {}
-            for n, column in enumerate(joints, 1):
-                angles[f"q{n}"] = self.read_angle(column, f"q{n}", unitless)
-            return pd.DataFrame(angles, index=index)
-        hand = {c.meaning.axis: c for c in columns if c.meaning.kind == "hand"}
+            angles = {
+                f"q{n}": self.read_angle(column, f"q{n}", unitless)
+                for n, column in enumerate(joints, 1)
+            }
+            return pd.DataFrame(angles)
+        hand = {column.meaning.axis: column for column in self.columns_of("hand")}
         has_direction = "angle" in hand or hand.keys() >= {*QUATERNION_AXES}
         if len({"x", "y", "z"} & {*hand}) < 2 or not has_direction:
             return None  # a position that a tracker saw
-        right, up = self.plane_axes(columns)
-        pose = self._xy(hand, right, up, "")
+        right, up = self.plane_axes
+        pose = self._xy(hand, "")
         # direction in which the string leaves: a column, or x turned by a quaternion
         if "angle" in hand:
             pose["theta"] = self.read_angle(hand["angle"], "theta")
@@ -262,16 +268,13 @@ class RecordingReader:
             rise = up.sign * direction[up.name]
             run = right.sign * direction[right.name]
             pose["theta"] = np.unwrap(np.arctan2(rise, run))
-        return pd.DataFrame(pose, index=index)
+        return pd.DataFrame(pose)
 
     def _xy(
-        self,
-        columns: Mapping[str, SourceColumn],
-        right: PlaneAxis,
-        up: PlaneAxis,
-        prefix: str,
+        self, columns: Mapping[str, SourceColumn], prefix: str
     ) -> dict[str, np.ndarray]:
         """Read positions in the plane of motion, x and y, (K,) each [m]."""
+        right, up = self.plane_axes
         x = right.sign * self.read_length(columns[right.name], f"{prefix}x")
         y = up.sign * self.read_length(columns[up.name], f"{prefix}y")
         return {"x": x, "y": y}
@@ -288,25 +291,20 @@ class RecordingReader:
             "z": 2 * (x * z - w * y),
         }
 
-    def plane_axes(
-        self, columns: Sequence[SourceColumn]
-    ) -> tuple[PlaneAxis, PlaneAxis]:
-        """Choose the file's directions of x and y.
+    @cached_property
+    def plane_axes(self) -> tuple[PlaneAxis, PlaneAxis]:
+        """The file's directions of x and y.
 
         They are the two that exist, or those of three that the user named.
         """
         if self.hints.plane:
             right, up = self.hints.plane.split(",")
             return _signed_axis(right), _signed_axis(up)
-        kinds: set[str] = set()
-        axes: set[str] = set()
-        for column in columns:
-            if column.meaning.kind in ("hand", "point"):
-                kinds.add(column.meaning.kind)
-                axes.add(column.meaning.axis)
+        points = self.columns_of("point")
+        axes = {column.meaning.axis for column in (*self.columns_of("hand"), *points)}
         names = sorted(axes & {"x", "y", "z"})
         if len(names) < 3:
-            is_down = self.hints.y_is_down and "point" in kinds
+            is_down = self.hints.y_is_down and points
             return PlaneAxis(names[0]), PlaneAxis(names[1], -1.0 if is_down else 1.0)
         raise DataError(
             f"{self.recording.file}: positions have three coordinates, a cast has two. "
@@ -315,36 +313,26 @@ class RecordingReader:
             "to the left."
         )
 
-    def read_points(self, columns: Sequence[SourceColumn]) -> pd.DataFrame | None:
+    def read_points(self) -> pd.DataFrame | None:
         """Read the points of the string, one row per sample and point.
 
         The index is that of the samples. None stands for a recording without points.
         """
         axes_of: dict[str, dict[str, SourceColumn]] = {}
-        arc = None
-        for column in columns:
-            what = column.meaning
-            if what.kind == "point":
-                axes_of.setdefault(what.name, {})[what.axis] = column
-            elif what.kind == "arc" and arc is None:
-                arc = column
-        tables: list[pd.DataFrame] = []
-        for name, axes in axes_of.items():
-            if len({"x", "y", "z"} & {*axes}) >= 2:
-                tables.append(self._read_point(name, axes, arc, columns))
+        for column in self.columns_of("point"):
+            axes_of.setdefault(column.meaning.name, {})[column.meaning.axis] = column
+        tables = [
+            self._read_point(name, axes)
+            for name, axes in axes_of.items()
+            if len({"x", "y", "z"} & {*axes}) >= 2
+        ]
         return pd.concat(tables) if tables else None
 
-    def _read_point(
-        self,
-        name: str,
-        axes: Mapping[str, SourceColumn],
-        arc: SourceColumn | None,
-        columns: Sequence[SourceColumn],
-    ) -> pd.DataFrame:
+    def _read_point(self, name: str, axes: Mapping[str, SourceColumn]) -> pd.DataFrame:
         """Read one point of the string over time."""
-        right, up = self.plane_axes(columns)
         prefix = f"{name}." if name else ""
-        xy = self._xy(axes, right, up, prefix)
+        xy = self._xy(axes, prefix)
+        right, _ = self.plane_axes
         if self.length_unit(axes[right.name]) == "px":
             scale, origin = self.hints.px_per_m, self.hints.origin_px
             if scale is None or origin is None:
@@ -357,10 +345,9 @@ class RecordingReader:
             # rows of pixels are counted from the top
             x, y = (xy["x"] - origin[0]) / scale, (origin[1] - xy["y"]) / scale
             xy = {"x": x, "y": y}
-        index = pd.RangeIndex(len(self.recording.table))
-        frame = pd.DataFrame({"point": name, **xy}, index=index)
-        if arc is not None:
-            frame["s"] = self.read_length(arc, "s")
+        frame = pd.DataFrame({"point": name, **xy})
+        if arcs := self.columns_of("arc"):
+            frame["s"] = self.read_length(arcs[0], "s")
         if "sigma" in axes:
             frame["sigma"] = self.read_length(axes["sigma"], f"{prefix}sigma")
         role = f"{prefix}valid"

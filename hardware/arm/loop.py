@@ -103,7 +103,7 @@ class Guard:
     emergency_stop: Callable[[], str]
 
     def stop_reason(self, log: MovementLog, tick: int) -> str:
-        """State why the movement must end after sending `tick`; empty if it need not."""
+        """State why the movement must end at `tick`; empty if it need not."""
         silent = tick - 1 - log.last_answered
         if silent > self.misses:
             return f"no answer for {silent} ticks"

@@ -59,9 +59,10 @@ def apply_controls(
     HardwareError
         If a control is reported with another value.
     """
-    accepted: dict[str, bool] = {}
-    for key, value in {**form, **controls}.items():
-        accepted[key] = capture.set(_property_number(key), value)
+    accepted = {
+        key: capture.set(_property_number(key), value)
+        for key, value in {**form, **controls}.items()
+    }
     remarks: list[str] = []
     for key, value in controls.items():
         reported = float(capture.get(_property_number(key)))

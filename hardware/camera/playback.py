@@ -92,16 +92,17 @@ class ImageFolder(PlayedSource):
 
     def images(self) -> Sequence[np.ndarray]:
         """Open the images of the folder."""
-        names: list[str] = []
-        for path in sorted(self.folder.glob("*")):
-            if path.suffix.lower() in IMAGE_SUFFIXES:
-                names.append(path.name)
+        names = tuple(
+            path.name
+            for path in sorted(self.folder.glob("*"))
+            if path.suffix.lower() in IMAGE_SUFFIXES
+        )
         if not names:
             raise DataError(
                 f"{self.folder}: there is no image here ({', '.join(IMAGE_SUFFIXES)}). "
                 "Name the folder that has them."
             )
-        return ImageFiles(self.folder, tuple(names))
+        return ImageFiles(self.folder, names)
 
 
 @dataclass(frozen=True)

@@ -296,11 +296,8 @@ def group_options(group: str) -> tuple[str, ...]:
 @cache
 def group_names() -> tuple[str, ...]:
     """Return the names of all groups of settings."""
-    names = []
-    for path in CONF_FOLDER.iterdir():
-        if path.is_dir() and not path.name.startswith("_"):
-            names.append(path.name)
-    return tuple(sorted(names))
+    folders = [path.name for path in CONF_FOLDER.iterdir() if path.is_dir()]
+    return tuple(sorted(name for name in folders if not name.startswith("_")))
 
 
 @cache

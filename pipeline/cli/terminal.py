@@ -114,10 +114,9 @@ def explain_hydra_error(error: BaseException) -> str:
         remedy = unknown_setting_remedy(unknown[1])
         return f"{unknown[1]} (command line): there is no such setting. {remedy}"
 
-    lines = []
-    for line in text.splitlines():
-        if line.strip() and "provider" not in line:
-            lines.append(line)
+    lines = [
+        line for line in text.splitlines() if line.strip() and "provider" not in line
+    ]
     return "\n".join(lines).removesuffix("Config search path:").strip()
 
 
@@ -134,10 +133,11 @@ def unknown_setting_remedy(name: str) -> str:
         return f"It belongs to {' and '.join(options)}."
 
     GlobalHydra.instance().clear()
-    chosen_groups = []
-    for word in sys.argv[1:]:
-        if (CONF_FOLDER / word.partition("=")[0].lstrip("+")).is_dir():
-            chosen_groups.append(word)
+    chosen_groups = [
+        word
+        for word in sys.argv[1:]
+        if (CONF_FOLDER / word.partition("=")[0].lstrip("+")).is_dir()
+    ]
     names = list(setting_names(compose_settings(chosen_groups)))
     near = difflib.get_close_matches(name, names, 1)
     return f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."

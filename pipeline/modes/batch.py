@@ -49,10 +49,11 @@ class Batch(Stepwise):
     def check(self, experiment: Experiment) -> None:
         """Refuse a stage that takes more than trials, and missing trials."""
         refuse_unknown_stages((self.stage, *self.first))
-        choices = []
-        for name, stage in sorted(stages().items()):
-            if [*stage.inputs] == ["trials"]:
-                choices.append(name)
+        choices = [
+            name
+            for name, stage in sorted(stages().items())
+            if [*stage.inputs] == ["trials"]
+        ]
         if self.stage not in choices:
             raise UserError(
                 f"mode.stage = {self.stage}: it does not look at trials alone. "
@@ -92,15 +93,15 @@ class Batch(Stepwise):
             return self.perform_trial(executor)
         data = read_usable_trials(experiment)
         history = history_of_dataset(data, executor)
-        observations = []
+        observations = tuple(data.trials.values())
         if self.read:
-            for name in data.trials:
-                observations.append(read_points(history, data, name, self.again))
+            observations = tuple(
+                read_points(history, data, name, self.again) for name in data.trials
+            )
         else:
             history.begin_iteration()
-            observations.extend(data.trials.values())
         trials = TrialSet(
-            tuple(observations),
+            observations,
             data.films,
             data.rejection_reasons,
             held_out_trials(data),

@@ -32,18 +32,17 @@ def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
 
 def held_out_trials(data: dataset.Dataset) -> tuple[str, ...]:
     """Return the names of the trials that dataset.yaml holds out."""
-    names = []
-    for name, block in data.metadata.get("trials", {}).items():
-        if block.get("role") == "held_out":
-            names.append(name)
-    return tuple(names)
+    blocks = data.metadata.get("trials", {})
+    return tuple(
+        name for name, block in blocks.items() if block.get("role") == "held_out"
+    )
 
 
 def history_of_dataset(data: dataset.Dataset, executor: Executor) -> History:
     """Return the history of a run of stored trials, with the hashes of their files."""
-    hashes = {}
-    for name, digest in data.hashes.items():
-        hashes[(data.folder / name).as_posix()] = digest
+    hashes = {
+        (data.folder / name).as_posix(): digest for name, digest in data.hashes.items()
+    }
     return History(executor, file_hashes=hashes)
 
 

@@ -185,10 +185,11 @@ def prepare_experiment(config: Mapping[str, Any], where: BlockLocation) -> Exper
     for number, box in enumerate(config["obstacles"]["boxes"]):
         place = f"obstacles.boxes.{number}"
         obstacles.append(build_dataclass(Box, box, place, where("obstacles")))
-    functions = {}
-    for name in (*stages(), "hardware"):
-        if name in config:
-            functions[name] = bind_stage(config[name], name, where(name))
+    functions = {
+        name: bind_stage(config[name], name, where(name))
+        for name in (*stages(), "hardware")
+        if name in config
+    }
     mode = build_chosen(config["mode"], "mode", where("mode"))
     experiment = Experiment(config, model, target, tuple(obstacles), functions, mode)
     mode.check(experiment)

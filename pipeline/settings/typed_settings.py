@@ -44,9 +44,10 @@ def bind_stage(block: Mapping[str, Any], place: str, where: str) -> Callable[...
     given = {name: value for name, value in block.items() if name != "_target_"}
     check_names(given, types, place, where)
 
-    arguments: dict[str, Any] = {}
-    for name, kind in types.items():
-        arguments[name] = validate_value(kind, given[name], f"{place}.{name}", where)
+    arguments = {
+        name: validate_value(kind, given[name], f"{place}.{name}", where)
+        for name, kind in types.items()
+    }
     for name, kind in keyword_types(function).items():
         if is_settings_group(kind):
             field_values = {

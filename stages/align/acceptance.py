@@ -244,9 +244,8 @@ def residual_changes(
     """
     effect = find_effects([name])[0]
     model = problem.model.with_effects(effect)
-    settings = [fit.values]
-    for parameter in amplitude_parameters(effect):
-        settings.append(fit.values | {effect.qualified_name(parameter): size})
+    amplitudes = map(effect.qualified_name, amplitude_parameters(effect))
+    settings = [fit.values, *(fit.values | {one: size} for one in amplitudes)]
     residuals = []
     for setting in settings:
         values = model.values(setting)[None]
