@@ -81,6 +81,13 @@ MOTION_OUTCOME = Table(
 )
 
 
+def outcome_without_target(duration: float, tried: int) -> pd.DataFrame:
+    """Return table MOTION_OUTCOME of a motion without a target."""
+    names = [column.name for column in MOTION_OUTCOME.columns]
+    row = {"duration": duration, "tried": tried}
+    return MOTION_OUTCOME.check(pd.DataFrame([row], columns=names))
+
+
 @dataclass(frozen=True)
 class Motion:
     """A planned movement, which `generate` makes and `execute` performs."""
@@ -687,13 +694,10 @@ class Diagnosis:
             return None
         hypothesis = self.predicted["hypothesis"]
         likeliest = self.predicted[hypothesis == hypothesis.iloc[0]]
-        outcome = {column.name: [np.nan] for column in MOTION_OUTCOME.columns}
-        outcome["duration"] = [self.commands["t"].max()]
-        outcome["tried"] = [0]
         return Motion(
             self.commands,
             self.control_points,
             PREDICTED_STRING.check(likeliest[["t", "s", "x", "y"]]),
             ATTEMPTS.empty(),
-            MOTION_OUTCOME.check(pd.DataFrame(outcome)),
+            outcome_without_target(self.commands["t"].max(), 0),
         )

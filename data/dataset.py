@@ -406,7 +406,7 @@ def _split_by_trial(frame: pd.DataFrame) -> defaultdict[str, pd.DataFrame]:
     """Split the rows by trial; a trial without rows has a frame without rows."""
     rows = frame.drop(columns="trial")
     empty = rows.iloc[:0].reset_index(drop=True)
-    parts = defaultdict(lambda: empty)
+    parts: defaultdict[str, pd.DataFrame] = defaultdict(lambda: empty)
     for name, part in rows.groupby(frame["trial"], sort=False):
         parts[str(name)] = part.reset_index(drop=True)
     return parts

@@ -8,8 +8,7 @@ import numpy as np
 
 from stringcast.data.schema import DataError
 from stringcast.stages.align.fit import AlignmentFit, AlignmentProblem, robust_sigma
-from stringcast.stages.align.sightings import SightedTrial, points_on_links
-from stringcast.stages.model.arm import Arm
+from stringcast.stages.align.sightings import points_on_links
 from stringcast.stages.model.effect import amplitude_parameters
 from stringcast.stages.model.library import find_effects
 
@@ -29,13 +28,6 @@ REQUIRED_PRECISION = {
 RANGE_EDGE = 1e-3  # of a parameter's range: nearer to its end, the parameter is at it
 
 
-def max_hand_speed(arm: Arm, trial: SightedTrial) -> float:
-    """Return the largest speed of the hand in a trial [m/s]."""
-    motion = trial.motion
-    velocity = arm.grasp_velocity(motion.angles, motion.speeds)[..., :2]
-    return float(np.linalg.norm(velocity, axis=-1).max())
-
-
 def refuse_sight(problem: AlignmentProblem) -> None:
     """Refuse trials in which the arm is hardly seen, hardly moves, or has other units.
 
@@ -49,17 +41,16 @@ def refuse_sight(problem: AlignmentProblem) -> None:
     DataError
         With the reason.
     """
-    frames = sum(len(np.unique(trial.sightings.frame)) for trial in problem.trials)
+    frames = sum(np.unique(trial.sightings.frame).size for trial in problem.trials)
     if frames < MIN_FRAMES:
         raise DataError(
             f"the arm is seen in {frames} frames only, {MIN_FRAMES} are needed. Film"
             " it longer, or light it."
         )
-    speed = max(max_hand_speed(problem.model.arm, trial) for trial in problem.trials)
-    if speed < MIN_HAND_SPEED:
+    if problem.max_hand_speed < MIN_HAND_SPEED:
         raise DataError(
-            f"the hand moves at {speed:.3f} m/s at most: too slow to compare clocks, "
-            f"{MIN_HAND_SPEED} m/s are needed. Swing it."
+            f"the hand moves at {problem.max_hand_speed:.3f} m/s at most: too slow to "
+            f"compare clocks, {MIN_HAND_SPEED} m/s are needed. Swing it."
         )
     # seen over expected spread of the arm
     log_ratios = []
@@ -111,12 +102,10 @@ def refuse_fit(problem: AlignmentProblem, fit: AlignmentFit) -> None:
     for name, (limit, unit) in REQUIRED_PRECISION.items():
         half_width = fit.half_widths[fit.names.index(name)]
         if half_width > limit:
-            arm = problem.model.arm
-            speed = max(max_hand_speed(arm, trial) for trial in problem.trials)
             raise DataError(
                 f"{name} would be known to +- {half_width:.2g} {unit} only, {limit:g}"
-                f" is needed: the hand reaches {speed:.2f} m/s. Swing it faster and"
-                " further, or film it longer."
+                f" is needed: the hand reaches {problem.max_hand_speed:.2f} m/s. Swing"
+                " it faster and further, or film it longer."
             )
 
 

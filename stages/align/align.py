@@ -18,7 +18,7 @@ from stringcast.data.alignment import (
 )
 from stringcast.data.artifacts import Film, Observation, TrialSet
 from stringcast.data.schema import DataError
-from stringcast.stages.align.acceptance import max_hand_speed, refuse_fit, refuse_sight
+from stringcast.stages.align.acceptance import refuse_fit, refuse_sight
 from stringcast.stages.align.fit import (
     CANDIDATE_EFFECTS,
     REQUIRED_EFFECTS,
@@ -112,9 +112,11 @@ def align(
         trials += sightings_from_films(
             full_model, filmed, arm_width, lambda share: progress(0.6 * share)
         )
-    for observation in observations:
-        if observation.trial not in filmed:
-            trials.append(grasp_sightings(observation, model.arm))
+    trials += [
+        grasp_sightings(observation, model.arm)
+        for observation in observations
+        if observation.trial not in filmed
+    ]
     sighted = tuple(trial for trial in trials if len(trial.sightings.frame))
     problem = AlignmentProblem(full_model, sighted)
     refuse_sight(problem)
@@ -139,7 +141,7 @@ def build_alignment(
         "rms_before": rms(before),
         "rms_after": rms(after),
         "noise": rms(problem.sigma),
-        "speed": max(max_hand_speed(model.arm, trial) for trial in problem.trials),
+        "speed": problem.max_hand_speed,
         "most_lag": lag,
         "extended": extended_settings(model, measured, fit),
     }
@@ -166,8 +168,8 @@ def extended_settings(model: Model, measured: pd.DataFrame, fit: AlignmentFit) -
         for name, value in model.start_values.items()
         if name.split(".")[0] not in alignment_effects
     }
-    for row in measured[measured["found"]].itertuples():
-        values[row.name] = {"value": row.value, "low": row.low, "high": row.high}
+    found = measured[measured["found"]].set_index("name")
+    values |= found[["value", "low", "high"]].to_dict("index")
     settings = {"effects": sorted(effects - {"gravity"}), "parameter_values": values}
     return yaml.safe_dump(settings, sort_keys=False)
 

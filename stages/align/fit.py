@@ -67,6 +67,16 @@ class AlignmentProblem:
         return np.concatenate([seen.times[seen.frame] for seen in sightings])
 
     @cached_property
+    def max_hand_speed(self) -> float:
+        """The largest speed of the hand in any trial [m/s]."""
+        largest = 0.0
+        for motion in (trial.motion for trial in self.trials):
+            velocity = self.model.arm.grasp_velocity(motion.angles, motion.speeds)
+            speed = np.linalg.norm(velocity[..., :2], axis=-1)
+            largest = max(largest, float(speed.max()))
+        return largest
+
+    @cached_property
     def blocks(self) -> np.ndarray:
         """Time block of each sighting (N,); blocks do not cross trials."""
         durations = [max(float(np.ptp(t.sightings.times)), 1e-9) for t in self.trials]
@@ -89,12 +99,10 @@ class AlignmentProblem:
             names += map(effect.qualified_name, amplitude_parameters(effect))
         return tuple(names)
 
-    def ranges(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """Return lower and upper bounds (P,) of parameters."""
-        by_name = {p.name: p for p in self.model.parameters}
-        parameters = [by_name[name] for name in names]
-        low, high = [p.low for p in parameters], [p.high for p in parameters]
-        return np.array(low), np.array(high)
+    def ranges(self, names: Sequence[str]) -> np.ndarray:
+        """Return lower and upper bounds (2, P) of parameters."""
+        ranges = {p.name: (p.low, p.high) for p in self.model.parameters}
+        return np.array([ranges[name] for name in names]).T
 
     def residuals(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
         """Return simulated less seen positions of candidates.
@@ -127,8 +135,7 @@ class AlignmentProblem:
         ends = np.concatenate([middle + np.diag(step), middle - np.diag(step)])
         upper, lower = np.split(self.residuals(names, ends), 2)
         slopes = (upper - lower) / (2 * step[:, None])
-        weighted_slopes: np.ndarray = slopes.T / self.sigma[:, None]
-        return weighted_slopes
+        return np.asarray(slopes.T / self.sigma[:, None])
 
 
 @dataclass(frozen=True)
@@ -155,13 +162,12 @@ class FreeParameters:
         fixed = np.tile(list(self.fixed_values.values()), (len(chi), 1))
         names = (*self.names, *self.fixed_values)
         residuals = self.problem.residuals(names, np.hstack([free, fixed]))
-        weighted: np.ndarray = residuals / self.problem.sigma
-        return weighted
+        return np.asarray(residuals / self.problem.sigma)
 
 
 @dataclass(frozen=True)
 class AlignmentFit:
-    """Parameters that fit.
+    """Parameters of an alignment that fit the sightings best.
 
     Attributes
     ----------
@@ -200,7 +206,7 @@ class AlignmentFit:
 
     @cached_property
     def weight(self) -> np.ndarray:
-        """Huber's weights (N,)."""
+        """Huber's weight of each residual (N,)."""
         return huber_weights(self.residual, self.limit)
 
     @cached_property
@@ -217,8 +223,7 @@ class AlignmentFit:
     @property
     def half_widths(self) -> np.ndarray:
         """Half widths of the 95 % intervals (P,)."""
-        half_widths: np.ndarray = self._relative_covariance.half_width_95 * self.width
-        return half_widths
+        return np.asarray(self._relative_covariance.half_width_95 * self.width)
 
     @cached_property
     def inflation(self) -> float:

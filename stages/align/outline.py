@@ -161,10 +161,8 @@ def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
     scene = estimate_scene(np.stack(samples))
 
     def difference(number: int) -> np.ndarray:
-        difference: np.ndarray = cv2.absdiff(
-            film.images[int(number)].astype(np.float32), scene
-        )
-        return difference
+        image = film.images[int(number)].astype(np.float32)
+        return np.asarray(cv2.absdiff(image, scene))
 
     # contrast of the arm: the upper of two classes of differences (Otsu)
     coarse = chosen[:: max(len(chosen) // COARSE_FRAMES, 1)]

@@ -43,7 +43,7 @@ class Sightings:
 
 @dataclass(frozen=True)
 class SightedTrial:
-    """One trial: the joints as the arm reports them, and what was seen of it."""
+    """The joints in one trial as the arm reports them, and what was seen of it."""
 
     name: str
     motion: JointMotion
@@ -67,13 +67,11 @@ class SightedTrial:
         seen = self.sightings
         joints = model.observed_arm(self.motion, values, seen.times)
         error = points_on_links(joints, seen) - seen.position
-        residuals: np.ndarray = np.sum(error * seen.direction, axis=-1)
-        return residuals
+        return np.asarray(np.sum(error * seen.direction, axis=-1))
 
 
 def points_on_links(joints: np.ndarray, sightings: Sightings) -> np.ndarray:
     """Return the sighted points (C, N, 2) [m] of joints at (C, F, J + 1, 2) [m]."""
     near = joints[:, sightings.frame, sightings.link - 1]
     far = joints[:, sightings.frame, sightings.link]
-    points: np.ndarray = near + sightings.share[:, None] * (far - near)
-    return points
+    return np.asarray(near + sightings.share[:, None] * (far - near))

@@ -25,10 +25,10 @@ from stringcast.data.artifacts import (
     COMMANDS,
     CONTROL_POINTS,
     JOINTS,
-    MOTION_OUTCOME,
     PREDICTED_STRING,
     SPEEDS,
     Motion,
+    outcome_without_target,
 )
 from stringcast.data.schema import DataError
 from stringcast.stages.align.fit import (
@@ -264,14 +264,11 @@ def build_motion(arm: Arm, angles: np.ndarray, outcomes: Counter[str]) -> Motion
     columns = {"t": np.arange(len(angles)) * arm.tick}
     columns |= dict(zip(JOINTS, angles.T, strict=True))
     columns |= dict(zip(SPEEDS, arm.commanded_velocities(angles).T, strict=True))
-    outcome = {column.name: [np.nan] for column in MOTION_OUTCOME.columns}
-    outcome["duration"] = [(len(angles) - 1) * arm.tick]
-    outcome["tried"] = [outcomes.total()]
     attempts = pd.DataFrame(sorted(outcomes.items()), columns=["outcome", "count"])
     return Motion(
         COMMANDS.check(pd.DataFrame(columns)),
         CONTROL_POINTS.empty(),
         PREDICTED_STRING.empty(),
         ATTEMPTS.check(attempts),
-        MOTION_OUTCOME.check(pd.DataFrame(outcome)),
+        outcome_without_target((len(angles) - 1) * arm.tick, outcomes.total()),
     )
