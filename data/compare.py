@@ -31,7 +31,7 @@ def folder_differences(
         for path in folder.rglob("*")
         if path.is_file() and path.name not in leave_out
     }
-    lines: list[str] = []
+    lines = []
     for name in sorted(names):
         if not any(part.startswith(".") for part in name.parts):
             differences = file_differences(a / name, b / name)
@@ -83,7 +83,7 @@ def _table_differences(a: Path, b: Path) -> list[str]:
     names = first.column_names
     if names != second.column_names:
         return [f"columns are {', '.join(names)} and {', '.join(second.column_names)}"]
-    lines: list[str] = []
+    lines = []
     for name in names:
         kinds = first[name].type, second[name].type
         if kinds[0] != kinds[1]:

@@ -188,9 +188,9 @@ def read_dataset(folder: Path) -> Dataset:
     hand, frames = _read_tables(folder, known, rows, filmed=bool(shots))
     # each trial by itself, by a clock of its own, and whether it can be used
     parts = [_split_by_trial(frame) for frame in frames]
-    trials: dict[str, Observation] = {}
-    films: dict[str, Film] = {}
-    unusable: dict[str, TrialFault] = {}
+    trials = {}
+    films = {}
+    unusable = {}
     clocks: dict[str, float] = {}
     for name in sorted({*frames[0]["trial"], *frames[1]["trial"], *shots}):
         block = known.get("trials", {}).get(name, {})
@@ -385,7 +385,7 @@ def _missing_table_remedy(folder: Path) -> str:
     if inner:
         return f"A dataset lies in {inner[0].parent}. Name that folder"
     own_names = {table.name for table in (GRASP, *RUN_TABLES)}
-    files: list[str] = []
+    files = []
     for path in sorted(folder.iterdir()):
         is_table = path.suffix in (*ENDINGS, ".tsv", ".h5", ".mcap")
         is_own = path.suffix in ENDINGS and path.stem in own_names
@@ -428,7 +428,7 @@ def exclude_stray_points(data: Dataset, length: float) -> Dataset:
         The dataset without a trial's few stray points, or without the whole trial where
         they are many.
     """
-    trials: dict[str, Observation] = {}
+    trials = {}
     faults = dict(data.unusable)
     for name, observation in data.trials.items():
         is_beyond = observation.points["s"] > MAX_ARC_LENGTH_RATIO * length

@@ -298,8 +298,8 @@ def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[
             f"{path}: it has {len(schema)} columns, at most {MAX_COLUMNS} are read. "
             "Leave out the others."
         )
-    names: list[str] = []
-    texts: list[str] = []
+    names = []
+    texts = []
     for column in schema:
         name, kind = column.name, column.type
         if schema.names.count(name) > 1:

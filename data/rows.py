@@ -124,7 +124,7 @@ def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCoun
         How many rows were read and dropped.
     """
     rows = RowFilter(frame)
-    numbers: list[str] = []
+    numbers = []
     for column in table.columns:
         if column.kind == "text":
             rows.drop(f"no {column.name}", rows.frame[column.name].isna())

@@ -74,7 +74,7 @@ def parse_columns(text: str) -> tuple[Column, ...]:
     tuple of Column
         The columns in the order of the lines.
     """
-    columns: list[Column] = []
+    columns = []
     for line in re.sub(r"\n +", " ", dedent(text)).strip().splitlines():
         match = COLUMN_LINE.fullmatch(line)
         assert match is not None, f"no column: {line}"
@@ -124,8 +124,8 @@ class Table:
         DataError
             If a column is missing or a value has the wrong type.
         """
-        missing: list[str] = []
-        typed: dict[str, pd.Series] = {}
+        missing = []
+        typed = {}
         for column in self.columns:
             if column.name in frame:
                 typed[column.name] = _cast(column, frame[column.name], source)

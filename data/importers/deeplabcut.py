@@ -25,7 +25,7 @@ def read(path: Path) -> list[SourceRecording]:
 
     Raises DataError if the file is damaged.
     """
-    headings: dict[str, list[str]] = {}
+    headings = {}
     count = 0
     with check_csv(path).open(encoding="utf-8", errors="replace") as file:
         for _ in HEADINGS:

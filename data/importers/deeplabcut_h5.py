@@ -83,7 +83,7 @@ def _unpickle_names(pickled: bytes) -> list[str]:
     columns: Any = _TextUnpickler(io.BytesIO(pickled[:MAX_NAMES_BYTES])).load()
     if not isinstance(columns, list) or len(columns) > MAX_COLUMNS:
         raise ValueError("its columns have no names")
-    names: list[str] = []
+    names = []
     for levels in columns:
         is_named = isinstance(levels, tuple) and len(levels) >= 3
         if not is_named or not all(isinstance(level, str) for level in levels):

@@ -40,7 +40,7 @@ def read_recordings(paths: Sequence[Path]) -> list[SourceRecording]:
         If a file is missing, damaged or of an unknown format; it names the file and the
         remedy.
     """
-    results: list[SourceRecording] = []
+    results = []
     for path in paths:
         if not path.exists():
             raise DataError(f"{path}: there is no such file. Look at its name.")

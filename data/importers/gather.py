@@ -100,10 +100,10 @@ def gather_tables(
     """
     _refuse_unknown_columns(recordings, hints)
     used_columns: list[UsedColumn] = []
-    unused_columns: dict[Path, list[str]] = {}
-    motion_parts: list[tuple[SourceRecording, pd.DataFrame]] = []
-    point_parts: list[tuple[SourceRecording, pd.DataFrame]] = []
-    films: list[SourceRecording] = []
+    unused_columns = {}
+    motion_parts = []
+    point_parts = []
+    films = []
     for recording in recordings:
         if recording.film is not None:
             films.append(recording)
@@ -241,7 +241,7 @@ def _mapped_columns(
     recording: SourceRecording, hints: ColumnHints
 ) -> dict[str, SourceColumn]:
     """Interpret the columns of a recording that the user named."""
-    columns: dict[str, SourceColumn] = {}
+    columns = {}
     for role, text in hints.columns.items():
         match = _match_column(text, recording)
         if match is None:
@@ -302,7 +302,7 @@ def _trial_names(recordings: Sequence[SourceRecording]) -> dict[int, str]:
     # numbers stay whole
     begin = len(commonprefix(stems).rstrip("0123456789"))  # noqa: RUF071
     end = len(commonprefix(reversed_stems).rstrip("0123456789"))  # noqa: RUF071
-    names: dict[int, str] = {}
+    names = {}
     for recording, stem in zip(recordings, stems, strict=True):
         names[id(recording)] = trial_name(stem[begin : len(stem) - end])
     return names
@@ -325,7 +325,7 @@ def _join_parts(
     """Join parts to one table, each row with the name of its trial."""
     if not parts:
         return pd.DataFrame()
-    frames: list[pd.DataFrame] = []
+    frames = []
     for recording, part in parts:
         trial = part["trial"].replace("", names[id(recording)])
         frames.append(part.assign(trial=trial))

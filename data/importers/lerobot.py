@@ -60,7 +60,7 @@ def _read_numbers(path: Path, features: Mapping[str, Any]) -> pd.DataFrame:
             unique_names = dict.fromkeys((*INDEX_COLUMNS, *wide))
             names = [name for name in unique_names if name in readable]
             table = file.read(names)
-        columns: dict[str, np.ndarray] = {}
+        columns = {}
         for name in names:
             if name in INDEX_COLUMNS:
                 columns[name] = table[name].to_numpy()

@@ -85,8 +85,8 @@ def _read_messages(file: Any, path: Path) -> Iterator[tuple[str, dict[str, float
     summary = reader.get_summary()
     if summary is None or summary.statistics is None:
         raise ValueError("its index is missing")
-    topics: list[str] = []
-    descriptions: list[str] = []
+    topics = []
+    descriptions = []
     all_json = True
     count = 0
     for number, channel in summary.channels.items():

@@ -63,7 +63,7 @@ def apply_controls(
         key: capture.set(_property_number(key), value)
         for key, value in {**form, **controls}.items()
     }
-    remarks: list[str] = []
+    remarks = []
     for key, value in controls.items():
         reported = float(capture.get(_property_number(key)))
         tolerance = RELATIVE_TOLERANCE * max(abs(value), RELATIVE_TOLERANCE)

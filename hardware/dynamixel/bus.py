@@ -139,7 +139,7 @@ class DynamixelBus:
 
         The velocity limit outlasts the power and is only ever lowered.
         """
-        max_counts: list[int] = []
+        max_counts = []
         for servo, speed, acceleration in zip(
             self.servos, arm.speed, arm.acceleration, strict=True
         ):
@@ -410,7 +410,7 @@ class DynamixelBus:
         return "" if watchdogs == {self.patience} else "a servo restarted"
 
     def _angles(self, states: Sequence[bytes]) -> tuple[float, ...]:
-        angles: list[float] = []
+        angles = []
         for servo, state in zip(self.servos, states, strict=True):
             counts = register_value(state, PRESENT_POSITION) - servo.zero
             angles.append(servo.direction * counts * POSITION_UNIT)

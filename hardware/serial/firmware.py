@@ -131,7 +131,7 @@ class Firmware:
         if self.state in MOVING_STATES:
             elapsed = (micros - self.last_velocity_us) % 2**32
         span = max(elapsed, ACCELERATION_TICKS * self.limits[-2]) * 1e-6
-        target: list[float] = []
+        target = []
         for joint in range(JOINT_COUNT):
             speed, acceleration = self.limits[joint], self.limits[JOINT_COUNT + joint]
             wanted, former = command.values[joint], self.target[joint]

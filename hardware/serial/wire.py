@@ -122,7 +122,7 @@ class SerialWire:
 
     def answers(self) -> Sequence[ArmAnswer]:
         """Return the reports that have come, without greetings and damaged frames."""
-        answers: list[ArmAnswer] = []
+        answers = []
         for report in self._read_answers():
             if isinstance(report, Report):
                 clock = self._unwrap_clock(report.micros)

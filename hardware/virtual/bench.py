@@ -296,7 +296,7 @@ class VirtualCamera:
         joints = bench.camera_view(bench.joints_at, moments).reshape(shape)
         wall = render_background(camera, bench.look, bench.seed)
         rng = bench.random_generator(3)
-        images: list[np.ndarray] = []
+        images = []
         for arm, string in zip(joints, strings, strict=True):
             frame = render_frame(camera, bench.look, arm, string, wall)
             images.append(add_sensor_noise(frame, bench.look, rng))

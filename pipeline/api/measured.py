@@ -40,7 +40,7 @@ class Trials:
     @property
     def table(self) -> pd.DataFrame:
         """A row for each trial: frames, points, seconds, and why it is rejected."""
-        rows: list[dict[str, Any]] = []
+        rows = []
         for name, trial in self.data.trials.items():
             t = trial.valid_points["t"]
             rows.append(

@@ -81,7 +81,7 @@ def refuse_mistakes(words: Sequence[str]) -> None:
 
     answers = list(answer_words(words))
     faults = [answer.fault for answer in answers if answer.fault]
-    suggested: list[str] = []
+    suggested = []
     for answer in answers:
         for word in answer.suggested_words:
             if word not in suggested:

@@ -56,7 +56,7 @@ class Estimate(Stepwise):
             )
         history = history_of_dataset(data, executor)
         window = experiment.config["trials_used"]
-        observations: list[Observation] = []
+        observations = []
         for number, name in enumerate(fitted, start=1):
             observations.append(read_points(history, data, name, self.again))
             first = 0

@@ -270,8 +270,8 @@ def read_parameter_values(
         else:
             given[name] = value
 
-    values: dict[str, float] = {}
-    ranges: dict[str, tuple[float, float]] = {}
+    values = {}
+    ranges = {}
     for name, value in given.items():
         setting = f"parameter_values.{name}"
         if name not in model.names:

@@ -34,7 +34,7 @@ def write_stage_page(
     experiment: Experiment, stage: StageSpec, artifact: Any, sentence: str, folder: Path
 ) -> None:
     """Write `report.html` in a folder: the page of a stage's artifact."""
-    commands: list[tuple[str, str]] = []
+    commands = []
     if stage.name == "diagnose":
         commands = commands_after_diagnosis(artifact, experiment.config)
     record = StageRecord(

@@ -288,7 +288,7 @@ def publish_dataset(
     iterations : list of Iteration
         Iterations with a trial and its points.
     """
-    trials: dict[str, tuple[Trial, Points]] = {}
+    trials = {}
     trial_folders = {}
     invalid_trials = {}
     for iteration in iterations:

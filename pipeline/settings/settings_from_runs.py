@@ -77,7 +77,7 @@ def inherit_settings(config: DictConfig, given: set[str]) -> dict[str, Any]:
     """
     # not resolved yet: a setting that refers to another one follows it
     merged: Any = OmegaConf.create(OmegaConf.to_container(config))
-    inherited: dict[str, Any] = {}
+    inherited = {}
     if config.trials is not None:
         inherited = settings_of_trials(Path(config.trials), given)
     for name, value in inherited.items():

@@ -21,7 +21,7 @@ STAGES_FOLDER = Path(package.__path__[0])
 @cache
 def stages() -> dict[str, StageSpec]:
     """Return all stages by name; raise ValueError for two of one name."""
-    found: dict[str, StageSpec] = {}
+    found = {}
     for file in sorted(STAGES_FOLDER.rglob("__init__.py")):
         if "\nSTAGE = " in file.read_text(encoding="utf-8"):
             folders = file.parent.relative_to(STAGES_FOLDER).parts

@@ -107,7 +107,7 @@ def align(
         )
     full_model = measurement_model(model)
     filmed = {name: film for name, film in films.items() if film.arm is not None}
-    trials: list[SightedTrial] = []
+    trials = []
     if filmed:
         trials += sightings_from_films(
             full_model, filmed, arm_width, lambda share: progress(0.6 * share)

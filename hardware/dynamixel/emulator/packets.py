@@ -49,7 +49,7 @@ class PacketSplitter:
     def packets(self, data: bytes) -> list[Packet]:
         """Add data and return the packets whose last byte has come."""
         self.rest += data
-        packets: list[Packet] = []
+        packets = []
         while (start := self.rest.find(HEADER)) >= 0:
             self.rest = self.rest[start:]
             # header, identity and length, which counts all after it
