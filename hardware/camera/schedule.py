@@ -66,32 +66,52 @@ def fit_schedule(t: np.ndarray, period: float) -> FrameSchedule:
     FrameSchedule
         The schedule with the number and the lateness of each frame.
     """
-    # the rate near 1 / period with which the times are most in step
     elapsed = t - t[0]
-    span = elapsed[-1] / period + 1  # periods
-    steps = int(np.ceil(16 * PERIOD_TOLERANCE * span))  # eight to the width of a peak
-    factors = np.linspace(1 - PERIOD_TOLERANCE, 1 + PERIOD_TOLERANCE, 2 * steps + 1)
-    rates = factors / period
-    waves = np.array([np.exp(2j * np.pi * rate * elapsed).sum() for rate in rates])
-    best = int(np.argmax(np.abs(waves)))
+    rate, phase = _most_coherent_rate(elapsed, period)
     # times in periods, near whole numbers
-    turns = elapsed * rates[best] - np.angle(waves[best]) / (2 * np.pi)
+    turns = elapsed * rate - phase / (2 * np.pi)
     late = turns - np.rint(turns)
     quickest = np.percentile(late, QUICK_PERCENTILE)
-    numbers = np.floor(turns - quickest + EARLY_PERIODS).astype(int)
-    # No number twice: of two frames with one number the earlier was late, and so are
-    # those that it pushes.
-    indices = np.arange(len(numbers))
-    numbers = np.minimum.accumulate((numbers - indices)[::-1])[::-1] + indices
-    numbers -= numbers[0]
-    # seconds per number: a line, then again without the later half
-    slope = period
-    if numbers[-1] > 1:
-        slope, start = map(float, np.polyfit(numbers, t, 1))
-        late = t - slope * numbers - start
-        is_quick = late <= np.median(late)
-        if len(np.unique(numbers[is_quick])) > 2:
-            slope = float(np.polyfit(numbers[is_quick], t[is_quick], 1)[0])
+    numbers = _distinct_numbers(np.floor(turns - quickest + EARLY_PERIODS).astype(int))
+    slope = _seconds_per_number(numbers, t, period)
     late = t - slope * numbers
     quickest = np.percentile(late, QUICK_PERCENTILE)
-    return FrameSchedule(slope, numbers, quickest + slope * numbers, late - quickest)
+    due = quickest + slope * numbers
+    return FrameSchedule(slope, numbers, due, late - quickest)
+
+
+def _most_coherent_rate(elapsed: np.ndarray, period: float) -> tuple[float, float]:
+    """Find the rate near 1 / period [1/s] with which times are most in step.
+
+    Returns the rate and its phase [rad].
+    """
+    span = elapsed[-1] / period + 1  # periods
+    steps = int(np.ceil(16 * PERIOD_TOLERANCE * span))  # eight to the width of a peak
+    low, high = 1 - PERIOD_TOLERANCE, 1 + PERIOD_TOLERANCE
+    rates = np.linspace(low, high, 2 * steps + 1) / period
+    waves = np.array([np.exp(2j * np.pi * rate * elapsed).sum() for rate in rates])
+    best = int(np.argmax(np.abs(waves)))
+    return rates[best], np.angle(waves[best])
+
+
+def _distinct_numbers(numbers: np.ndarray) -> np.ndarray:
+    """Count frames from 0, none twice.
+
+    Of two frames with one number the earlier was late, and so are those that it pushes.
+    """
+    indices = np.arange(len(numbers))
+    room = (numbers - indices)[::-1]
+    distinct = np.minimum.accumulate(room)[::-1] + indices
+    return np.asarray(distinct - distinct[0])
+
+
+def _seconds_per_number(numbers: np.ndarray, t: np.ndarray, period: float) -> float:
+    """Fit the period [s]: a line, then again without the later half."""
+    if numbers[-1] <= 1:
+        return period
+    slope, start = map(float, np.polyfit(numbers, t, 1))
+    late = t - slope * numbers - start
+    is_quick = late <= np.median(late)
+    if len(np.unique(numbers[is_quick])) <= 2:
+        return slope
+    return float(np.polyfit(numbers[is_quick], t[is_quick], 1)[0])

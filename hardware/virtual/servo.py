@@ -54,11 +54,12 @@ class VirtualServo:
         # a command acts from its very tick on, whatever the rounding
         command = np.searchsorted(t, fine + 1e-9, side="right") - 1
         held = speeds[np.clip(command, 0, len(t) - 1)]
-        joints = speeds.shape[1]
-        held = held * (1 + self.repeatability * rng.standard_normal(joints))
+        error = self.repeatability * rng.standard_normal(speeds.shape[1])
+        real = held * (1 + error)
+
         # two equal poles p: -3 dB of 1 / (s / p + 1)^2 is at p sqrt(sqrt(2) - 1)
-        pole = np.exp(-2 * np.pi * self.bandwidth / np.sqrt(np.sqrt(2) - 1) * self.step)
-        real = held
+        pole_rate = -2 * np.pi * self.bandwidth / np.sqrt(np.sqrt(2) - 1)
+        pole = np.exp(pole_rate * self.step)
         for _ in range(2):
             # y_k = (1 - p) x_k + p y_{k-1}; SciPy's filter takes half a second to load
             steps = accumulate((1 - pole) * real, lambda last, new: new + pole * last)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stringcast.data import dataset
-from stringcast.data.artifacts import Observation, TrialSet
+from stringcast.data.artifacts import TrialSet
 from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.cast import log_fit
 from stringcast.pipeline.modes.stepwise import Stepwise, require_trials

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from stringcast.data import dataset, disk, store
-from stringcast.data.artifacts import Points, Trial
+from stringcast.data.artifacts import Trial
 from stringcast.data.errors import remedy_for
 from stringcast.data.file_checks import read_json
 from stringcast.data.images import RecentImages

@@ -36,7 +36,6 @@ from stringcast.stages.align.lookalike import (
     likelihood_profile,
 )
 from stringcast.stages.align.outline import sightings_from_films
-from stringcast.stages.align.sightings import SightedTrial
 from stringcast.stages.common import Progress, rms
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
