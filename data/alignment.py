@@ -92,8 +92,3 @@ class Alignment:
     def extended_yaml(self) -> str:
         """Settings of the model with the alignment, for other experiments (YAML)."""
         return str(self.aligned["extended"].iloc[0])
-
-    def aligned_values(self) -> dict[str, float]:
-        """Return the values that are part of the alignment, by qualified name."""
-        rows = self.measured[self.measured["found"]]
-        return dict(zip(rows["name"], rows["value"], strict=True))

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import pandas as pd
-import yaml
 
 from stringcast.data.schema import Table, parse_columns
 
@@ -88,9 +87,3 @@ class Calibration:
     def reason(self) -> str:
         """The reason why the calibration cannot be used; empty if it can."""
         return str(self.outcome["reason"].iloc[0])
-
-    @property
-    def camera(self) -> dict[str, Any]:
-        """Settings of the camera."""
-        settings: dict[str, Any] = yaml.safe_load(self.outcome["camera"].iloc[0])
-        return settings

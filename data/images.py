@@ -131,8 +131,7 @@ class Video(Images):
                 f"{self.path}: frame {index} cannot be read. "
                 "Restore the file or leave its trial out."
             )
-        grey: np.ndarray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        return grey
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
 def _image_size(path: Path) -> str:
@@ -210,8 +209,7 @@ def encode_png(image: np.ndarray) -> bytes:
     )
     good, content = cv2.imencode(".png", image, options)
     assert good, f"an image {image.shape} of {image.dtype} cannot be a PNG"
-    encoded: bytes = content.tobytes()
-    return encoded
+    return bytes(content)
 
 
 TimedImages = tuple[np.ndarray, Images]

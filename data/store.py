@@ -210,8 +210,7 @@ def read_origin(path: Path) -> dict[str, Any]:
     if path.exists():
         file_checks.require_plain_file(path)
     metadata = pq.read_schema(path).metadata or {}
-    origin: dict[str, Any] = json.loads(metadata.get(b"origin", b"{}"))
-    return origin
+    return dict(json.loads(metadata.get(b"origin", b"{}")))
 
 
 def write_text(path: Path, text: str) -> None:

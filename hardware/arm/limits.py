@@ -26,10 +26,8 @@ class Workspace:
 
     def is_left_by(self, points: np.ndarray) -> np.ndarray:
         """Tell whether any of the points (..., P, 2) [m] lies outside, (...)."""
-        is_left: np.ndarray = ~np.all(
-            (points >= self.low) & (points <= self.high), axis=(-2, -1)
-        )
-        return is_left
+        is_inside = (points >= self.low) & (points <= self.high)
+        return np.asarray(~is_inside.all(axis=(-2, -1)))
 
 
 def check_movement(arm: Arm, workspace: Workspace, angles: np.ndarray) -> None:

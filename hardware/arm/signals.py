@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 Handler = Callable[[int, FrameType | None], object] | int | None
@@ -25,13 +25,11 @@ class TerminationSignals:
 
     def install(self) -> None:
         """Handle termination signals from now on."""
-        try:
+        with suppress(ValueError):
             self.former_handlers = {
                 number: signal.signal(number, _raise_interrupt)
                 for number in TERMINATION_SIGNALS
             }
-        except ValueError:
-            self.former_handlers = {}
 
     def restore(self) -> None:
         """Restore the former handlers."""

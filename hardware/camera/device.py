@@ -98,7 +98,7 @@ class Device(Source):
                 "FPS": camera.fps,
             }
             remarks = apply_controls(capture, self.name, form, self.controls)
-            stream = DeviceStream(capture, self.name)
+            stream = DeviceStream(capture)
             stream.remarks = (*remarks, *check_stream(stream, self.name, camera))
         except BaseException:
             capture.release()
@@ -124,12 +124,11 @@ class Device(Source):
             stream.close()
 
 
+@dataclass
 class DeviceStream(Stream):
-    """A stream of frames from an open camera."""
+    """A stream of frames from an open camera that is already set."""
 
-    def __init__(self, capture: cv2.VideoCapture, name: str) -> None:
-        """Wrap a capture that is already set; the name is for messages."""
-        self.capture, self.name = capture, name
+    capture: cv2.VideoCapture
 
     def begin(self) -> None:
         """Drop as many frames as the driver may hold from before."""

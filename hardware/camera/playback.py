@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -54,13 +54,17 @@ class PlayedSource(Source):
         yield from self.images()
 
 
+@dataclass
 class PlayedStream(Stream):
-    """Images that are being played; their stamps are times of the film."""
+    """Images that are being played; their stamps are times of the film.
 
-    def __init__(self, images: Sequence[np.ndarray], fps: float) -> None:
-        """Play from the first image."""
-        self.images, self.fps = images, fps
-        self.begin()
+    number: of the next image. start: host time of the first one [s].
+    """
+
+    images: Sequence[np.ndarray]
+    fps: float
+    number: int = 0
+    start: float = field(default_factory=time.monotonic)
 
     def begin(self) -> None:
         """Start with the first image now."""

@@ -224,11 +224,11 @@ def decode_cobs(data: bytes) -> bytes:
     return bytes(result)
 
 
+@dataclass
 class Deframer:
     """A splitter of a stream of bytes at delimiters, which drops what is too long."""
 
-    def __init__(self) -> None:
-        self.rest = b""
+    rest: bytes = b""
 
     def frames(self, data: bytes) -> list[bytes]:
         """Add data; return the frames whose delimiter has come, without empty ones."""

@@ -143,9 +143,8 @@ class VirtualBench:
     def string_at(self, times: np.ndarray) -> np.ndarray:
         """Simulate the true string at times (F,) [s], (F, n, 2) [m]."""
         motion = self._commanded_motion(0.001)
-        motions = self.model.simulate_string(motion, self.values, times)
-        points: np.ndarray = motions.points[0]
-        return points
+        simulated = self.model.simulate_string(motion, self.values, times)
+        return np.asarray(simulated.points[0])
 
     def joints_at(self, times: np.ndarray) -> np.ndarray:
         """Compute the true arm at times (F,) [s], (F, J + 1, 2) [m]."""
@@ -157,11 +156,7 @@ class VirtualBench:
 
     def _commanded_motion(self, tick: float) -> JointMotion:
         """Sample the performed motion of the joints every `tick` [s]."""
-        if self.performed_motion is None:
-            raise HardwareError(
-                "virtual bench: nothing has been performed. "
-                "Perform a motion before filming it."
-            )
+        assert self.performed_motion is not None
         return resample_joint_motion(*self.performed_motion, tick=tick)
 
     def camera_view(
@@ -183,8 +178,7 @@ class VirtualBench:
         """
         model, values = self.model, self.values
         points = true(model.required_times(values, times).ravel())
-        observed: np.ndarray = model.observed_points(points[None], values, times)[0]
-        return observed
+        return np.asarray(model.observed_points(points[None], values, times)[0])
 
 
 @dataclass

@@ -96,10 +96,8 @@ def add_sensor_noise(
 ) -> np.ndarray:
     """Add the sensor's noise to a frame and round it, uint8."""
     noise = rng.standard_normal(frame.shape, dtype=np.float32)
-    noisy_frame: np.ndarray = np.clip(
-        np.rint(frame + look.noise * noise), 0, 255
-    ).astype(np.uint8)
-    return noisy_frame
+    grey = np.rint(frame + look.noise * noise)
+    return np.asarray(np.clip(grey, 0, 255), np.uint8)
 
 
 def line_coverage(camera: Camera, line: np.ndarray, width: float) -> np.ndarray:

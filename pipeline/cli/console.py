@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, contextmanager
 from math import isfinite
 
 import pandas as pd
-from rich.console import Group, RenderableType
+from rich.console import Group, JustifyMethod, RenderableType
 from rich.markup import escape
 from rich.panel import Panel
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -114,15 +114,8 @@ def cast_panel(result: RunResult) -> Panel:
 
 def cast_table(rows: list[list[str]]) -> Table:
     """Return a table of casts without its empty columns."""
-    table = Table(box=None, pad_edge=False)
-    filled_columns = []
-    for number, heading in enumerate(CAST_COLUMNS):
-        if any(row[number] for row in rows):
-            filled_columns.append(number)
-            table.add_column(Text(heading), justify="right")
-    for row in rows:
-        table.add_row(*[row[number] for number in filled_columns])
-    return table
+    frame = pd.DataFrame(rows, columns=CAST_COLUMNS)
+    return text_table(frame.loc[:, (frame != "").any()], "right")
 
 
 def cast_row(iteration: Iteration) -> list[str]:
@@ -165,11 +158,11 @@ def determined_parameters(estimate: Estimate) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def text_table(frame: pd.DataFrame) -> Table:
+def text_table(frame: pd.DataFrame, justify: JustifyMethod = "left") -> Table:
     """Return a table for the terminal whose cells are shown as texts."""
     table = Table(box=None, pad_edge=False)
     for heading in frame.columns:
-        table.add_column(escape(heading), overflow="fold")
+        table.add_column(escape(heading), justify=justify, overflow="fold")
     for row in frame.itertuples(index=False):
         table.add_row(*(Text(str(cell)) for cell in row))
     return table

@@ -42,6 +42,7 @@ from stringcast.stages.spec import StageCall
 BlockLocation = Callable[[str], str]  # from the name of a block to its file
 SAVEABLE_OUTPUTS = ("frames", "report")
 ALL_TRIALS = "all"  # a value of `trials_used`
+MEASURED_PARTS = ("value", "low", "high")  # of a parameter with an interval
 
 
 class Mode(ABC):
@@ -264,9 +265,7 @@ def read_parameter_values(
     for name, value in block.items():
         # +parameter_values.tip_mass.ratio=0.05 on the command line is a nested block
         if isinstance(value, Mapping) and "value" not in value:
-            given |= {
-                f"{name}.{inner_name}": inner for inner_name, inner in value.items()
-            }
+            given |= {f"{name}.{inner}": number for inner, number in value.items()}
         else:
             given[name] = value
 
@@ -278,16 +277,8 @@ def read_parameter_values(
             remedy = unknown_parameter_remedy(name, model)
             fault = "the model has no such parameter"
             raise UserError(f"{setting} ({where}): {fault}. {remedy}.")
-        is_measured = isinstance(value, Mapping) and set(value) == {
-            "value",
-            "low",
-            "high",
-        }
-        numbers = (
-            [value[part] for part in ("value", "low", "high")]
-            if is_measured
-            else [value]
-        )
+        is_measured = isinstance(value, Mapping) and set(value) == {*MEASURED_PARTS}
+        numbers = [value[part] for part in MEASURED_PARTS] if is_measured else [value]
         if not all(isinstance(n, float | int) and math.isfinite(n) for n in numbers):
             remedy = "it must be a number, or value, low and high. Change it."
             raise UserError(f"{setting} = {value!r} ({where}): {remedy}")

@@ -42,11 +42,10 @@ class RunResult:
     @property
     def last_estimate(self) -> Estimate | None:
         """Estimate of the last iteration that has one."""
-        for iteration in reversed(self.iterations):
-            if "estimate" in iteration.artifacts:
-                estimate: Estimate = iteration.artifacts["estimate"]
-                return estimate
-        return None
+        estimate = None
+        for iteration in self.iterations:
+            estimate = iteration.artifacts.get("estimate", estimate)
+        return estimate
 
     @property
     def has_hit(self) -> bool:

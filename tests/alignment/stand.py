@@ -35,6 +35,12 @@ OFF = {
 }
 
 
+def aligned_values(alignment):
+    """Return the values that are part of an alignment, by qualified name."""
+    rows = alignment.measured[alignment.measured["found"]]
+    return dict(zip(rows["name"], rows["value"], strict=True))
+
+
 @dataclass(frozen=True)
 class Stand:
     """A performed motion. model: a string in the hand of an arm before a camera."""

@@ -51,7 +51,7 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.report.pages.alignment import alignment_page
 from stringcast.stages.report.records import StageRecord
-from tests.alignment.stand import OFF, SWING, stand, still
+from tests.alignment.stand import OFF, SWING, aligned_values, stand, still
 
 MISSED = 1.5  # half widths of a 95 % interval: one in 300 is further out by chance
 
@@ -91,7 +91,7 @@ def test_known_values_are_recovered_within_what_is_stated(
 ):
     true = OFF | {"time_offset.offset": offset}
     made = aligned(bench, bench.observation(true, fps, correlation=correlation))
-    assert abs(made.aligned_values()["time_offset.offset"] - offset) < 1e-3
+    assert abs(aligned_values(made)["time_offset.offset"] - offset) < 1e-3
     for name, value in true.items():
         found, reach = interval(made, name)
         assert abs(found - value) < MISSED * reach, name
@@ -100,13 +100,13 @@ def test_known_values_are_recovered_within_what_is_stated(
 
 def test_what_is_aligned_is_found_aligned(bench):
     made = aligned(bench, bench.observation({}))
-    assert not {name.split(".")[0] for name in made.aligned_values()} - {
+    assert not {name.split(".")[0] for name in aligned_values(made)} - {
         "time_offset",
         "camera_rotation",
         "pixel_scale",
         "camera_offset",
     }
-    for name in made.aligned_values():
+    for name in aligned_values(made):
         found, reach = interval(made, name)
         assert abs(found) < MISSED * reach, name
 
@@ -122,7 +122,7 @@ def test_turning_the_scene_turns_the_result_and_another_clock_sets_it_off(bench)
         t=seen.points["t"] + later,
     )
     before, after = (
-        aligned(bench, o).aligned_values() for o in (seen, replace(seen, points=turned))
+        aligned_values(aligned(bench, o)) for o in (seen, replace(seen, points=turned))
     )
     assert after["camera_rotation.angle"] - before[
         "camera_rotation.angle"
@@ -147,7 +147,7 @@ def test_noise_that_nobody_states_is_found(bench):
     seen = bench.observation(OFF, sigma=2e-3)
     made = aligned(bench, replace(seen, points=seen.points.drop(columns="sigma")))
     assert made.seen["sigma"].iloc[0] == pytest.approx(2e-3, rel=0.2)
-    assert made.aligned_values()["time_offset.offset"] == pytest.approx(
+    assert aligned_values(made)["time_offset.offset"] == pytest.approx(
         OFF["time_offset.offset"], abs=1e-3
     )
 
@@ -159,7 +159,7 @@ def test_noise_that_nobody_states_is_found(bench):
 def test_a_lag_that_shows_is_told_from_the_offset(bench):
     true = OFF | {"arm_lag.time_constant": 0.012}
     made = aligned(bench, bench.observation(true, fps=100, sigma=3e-4))
-    assert "arm_lag.time_constant" in made.aligned_values()
+    assert "arm_lag.time_constant" in aligned_values(made)
     for name in ("time_offset.offset", "arm_lag.time_constant"):
         found, reach = interval(made, name)
         assert abs(found - true[name]) < MISSED * reach
@@ -169,8 +169,8 @@ def test_a_lag_that_shows_is_told_from_the_offset(bench):
 def test_a_lag_that_does_not_show_is_left_open_and_said(bench):
     """Offset and lag together are measured; neither is named for the other."""
     made = aligned(bench, bench.observation(OFF | {"arm_lag.time_constant": 0.002}))
-    assert "arm_lag.time_constant" not in made.aligned_values()
-    assert made.aligned_values()["time_offset.offset"] == pytest.approx(
+    assert "arm_lag.time_constant" not in aligned_values(made)
+    assert aligned_values(made)["time_offset.offset"] == pytest.approx(
         OFF["time_offset.offset"] - 0.002, abs=1e-3
     )
     assert made.aligned["most_lag"].iloc[0] > 0.002
@@ -299,7 +299,7 @@ def test_the_arm_is_read_in_frames(model, arm_is):
     made = align(
         bench.model, [nothing], {"t01": Film(t, images, arm=bench.arm)}, arm_width=0.035
     )
-    found = made.aligned_values()
+    found = aligned_values(made)
     assert found["time_offset.offset"] == pytest.approx(
         OFF["time_offset.offset"], abs=1e-4
     )

@@ -7,6 +7,7 @@ ROBOTIS e-manual, protocol 2.0.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 HEADER = b"\xff\xff\xfd\x00"
@@ -40,11 +41,11 @@ def status_packet(identity: int, error: int, parameters: bytes = b"") -> bytes:
     return body + crc16(body).to_bytes(2, "little")
 
 
+@dataclass
 class PacketSplitter:
     """A splitter of a stream of bytes into packets, which drops damaged ones."""
 
-    def __init__(self) -> None:
-        self.rest = b""
+    rest: bytes = b""
 
     def packets(self, data: bytes) -> list[Packet]:
         """Add data and return the packets whose last byte has come."""
