@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import yaml
 from studio import BOARD, LENS, SIZE, TILTED, picture, pose, tilted
 
 from stringcast.data.schema import DataError
@@ -87,7 +88,7 @@ def test_a_known_camera_comes_back_within_its_uncertainty(clean):
 
 def test_the_plane_is_where_the_board_was_held(clean):
     found = clean
-    block = found.camera
+    block = yaml.safe_load(found.outcome["camera"].iloc[0])
     camera = Camera(
         **block
         | {

@@ -78,7 +78,7 @@ def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_pa
         atol=4e-4,
     )
     stored = store.load(Calibration, tmp_path / "calibration")
-    assert stored.camera == yaml.safe_load((tmp_path / "camera.yaml").read_text())
+    assert stored.outcome["camera"].iloc[0] == (tmp_path / "camera.yaml").read_text()
     page = (tmp_path / "report.html").read_text()
     assert page.count("<img") == len(TILTED) + 2
     assert "camera.lens.focal[0]" in page
