@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -141,9 +142,8 @@ def _message_row(topic: str, message: Any, log_time: int) -> dict[str, float]:
         for number, (name, angle) in enumerate(zip(names, positions, strict=False), 1):
             row[f"joint{number} {name} [rad]"] = float(angle)
         return row
-    numbers = dict(_message_numbers(message, topic.strip("/").replace("/", " "), 0))
-    for name in list(numbers)[:MAX_COLUMNS]:
-        row[name] = numbers[name]
+    place = topic.strip("/").replace("/", " ")
+    row |= islice(_message_numbers(message, place, 0), MAX_COLUMNS)
     return row
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Self
 
 import numpy as np
 import pandas as pd
-from pydantic import Field
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from stringcast.data.artifacts import JOINTS
 from stringcast.hardware.arm.limits import Workspace, check_movement
@@ -51,13 +51,13 @@ class Driving:
         The region for joints and hand.
     """
 
-    round_trip: Annotated[float, Field(gt=0)]
-    misses: Annotated[int, Field(ge=1)]
-    late: Annotated[float, Field(gt=0)]
+    round_trip: PositiveFloat
+    misses: PositiveInt
+    late: PositiveFloat
     most_missed: Annotated[float, Field(ge=0, le=1)]
-    astray: Annotated[float, Field(gt=0)]
-    approach: Annotated[float, Field(gt=0)]
-    settle: Annotated[float, Field(ge=0)]
+    astray: PositiveFloat
+    approach: PositiveFloat
+    settle: NonNegativeFloat
     priority: Annotated[int, Field(ge=0, le=99)]
     workspace: Workspace
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import cv2
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PositiveFloat
 
 from stringcast.hardware.camera.controls import Controls, apply_controls
 from stringcast.hardware.camera.source import Frame, Source, Stream
@@ -53,8 +53,8 @@ class Device(Source):
     backend: str
     delay: Annotated[float, Field(ge=0, le=1)]
     controls: Controls
-    seconds: Annotated[float, Field(gt=0)]
-    interval: Annotated[float, Field(gt=0)]
+    seconds: PositiveFloat
+    interval: PositiveFloat
 
     @property
     def name(self) -> str:

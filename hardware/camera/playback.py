@@ -7,10 +7,9 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import PositiveInt
 
 from stringcast.data.images import ImageFiles, Video
 from stringcast.data.schema import DataError
@@ -117,7 +116,7 @@ class VideoFile(PlayedSource):
     """
 
     path: Path
-    every: Annotated[int, Field(ge=1)]
+    every: PositiveInt
 
     @property
     def name(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from stringcast.hardware.arm import Driving, VelocityArm
 from stringcast.hardware.camera import FilmingCamera, Source
@@ -21,9 +21,9 @@ def open_lab(
     seed: int,
     trial: int,
     port: str,
-    baud: Annotated[int, Field(gt=0)],
+    baud: PositiveInt,
     servos: tuple[ServoSettings, ...],
-    reply: Annotated[float, Field(gt=0)],
+    reply: PositiveFloat,
     patience: Annotated[int, Field(ge=1, le=127)],
     driving: Driving,
     source: Source,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
 from stringcast.hardware.arm import Driving, VelocityArm
 from stringcast.hardware.camera import FilmingCamera, Source
@@ -21,7 +21,7 @@ def open_lab(
     seed: int,
     trial: int,
     port: str,
-    baud: Annotated[int, Field(gt=0)],
+    baud: PositiveInt,
     driving: Driving,
     source: Source,
     most_lost: Annotated[float, Field(ge=0, le=1)],

@@ -8,10 +8,10 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from typing import Annotated, Self
+from typing import Self
 
 import pandas as pd
-from pydantic import Field
+from pydantic import PositiveInt
 
 from stringcast.data.artifacts import JOINTS
 from stringcast.hardware.arm import Driving, VelocityArm
@@ -101,7 +101,7 @@ def open_lab(
     look: Look,
     obstacles: Obstacles,
     driving: Driving,
-    watchdog: Annotated[int, Field(gt=0)],
+    watchdog: PositiveInt,
     faults: list[str],
 ) -> Lab:
     """Open the emulated arm and the virtual camera of one trial.

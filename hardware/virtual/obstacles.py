@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
-from pydantic import Field
+from pydantic import NonNegativeFloat
 
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.effect import numbered_effect
 from stringcast.stages.model.effects.box_contact import BoxContact
-
-NonNegativeNumber = Annotated[float, Field(ge=0)]
 
 
 @dataclass(frozen=True)
@@ -32,9 +29,9 @@ class Obstacles:
     """
 
     boxes: tuple[Box, ...] = ()
-    stiffness: NonNegativeNumber = 4.0e6
-    friction: NonNegativeNumber = 0.3
-    loss: NonNegativeNumber = 0.1
+    stiffness: NonNegativeFloat = 4.0e6
+    friction: NonNegativeFloat = 0.3
+    loss: NonNegativeFloat = 0.1
 
     @property
     def effects(self) -> tuple[type[BoxContact], ...]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated
 
 import numpy as np
 import pandas as pd
 import yaml
-from pydantic import Field
+from pydantic import PositiveFloat
 
 from stringcast.data.alignment import (
     ALIGNMENT_SUMMARY,
@@ -72,7 +71,7 @@ def align(
     observations: Sequence[Observation],
     films: Mapping[str, Film],
     *,
-    arm_width: Annotated[float, Field(gt=0)],
+    arm_width: PositiveFloat,
     progress: Progress = lambda share: None,
 ) -> Alignment:
     """Align camera and arm from all trials together.

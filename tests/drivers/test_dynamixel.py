@@ -409,3 +409,12 @@ def test_the_device_keeps_its_limits_against_any_bytes():
 def test_no_bus_is_one_clear_error():
     with pytest.raises(HardwareError, match=r"hardware\.port"), driver("/dev/nowhere"):
         pass
+
+
+def test_a_missing_library_is_one_clear_error(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "dynamixel_sdk", None)
+    with (
+        pytest.raises(HardwareError, match="pip install dynamixel-sdk"),
+        driver(str(tmp_path / "port")),
+    ):
+        pass

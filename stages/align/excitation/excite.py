@@ -18,7 +18,7 @@ from typing import Annotated
 
 import numpy as np
 import pandas as pd
-from pydantic import Field
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from stringcast.data.artifacts import (
     ATTEMPTS,
@@ -82,10 +82,10 @@ def excite(
     *,
     seed: int,
     duration: Annotated[float, Field(gt=0.5, le=60)],
-    speed: Annotated[float, Field(gt=0)],
-    highest: Annotated[float, Field(gt=0)],
-    sines: Annotated[int, Field(ge=1)],
-    motions: Annotated[int, Field(ge=1)],
+    speed: PositiveFloat,
+    highest: PositiveFloat,
+    sines: PositiveInt,
+    motions: PositiveInt,
     progress: Progress = lambda share: None,
 ) -> Motion:
     """Draw motions and return the most informative one.
