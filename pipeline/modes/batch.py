@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from stringcast.data.artifacts import MASKS, POINTS, READINGS, Observation, TrialSet
 from stringcast.data.schema import DataError
@@ -21,7 +19,7 @@ from stringcast.pipeline.modes.stored_trials import (
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History
 from stringcast.pipeline.run.result import RunResult
-from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.pipeline.settings.stage_registry import stages
 
 
@@ -62,7 +60,7 @@ class Batch(Stepwise):
         if not self.first:
             require_trials(experiment)
 
-    def moves_arm(self, config: Mapping[str, Any]) -> bool:
+    def moves_arm(self, config: Settings) -> bool:
         """Tell whether a trial is performed first."""
         return config["trials"] is None and "execute" in self.first
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from rich.console import Group
 from rich.markup import escape
@@ -22,7 +20,7 @@ from stringcast.pipeline.run.experiment import Experiment, Mode
 from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.run.provenance import step_origin
 from stringcast.pipeline.run.result import RunResult
-from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import build_chosen, build_dataclass
 from stringcast.stages.calibrate.board import Board
@@ -39,7 +37,7 @@ class Calibrate(Mode):
         """Refuse stored trials."""
         refuse_trials(experiment)
 
-    def picture_sources(self, config: Mapping[str, Any]) -> tuple[str, ...]:
+    def picture_sources(self, config: Settings) -> tuple[str, ...]:
         """Return the names of the sources of pictures."""
         return ("source", "plane")
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -16,7 +15,7 @@ from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
 from stringcast.pipeline.run.iterations import Executor, History, Iteration
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.settings.allowed_callables import DRY_RUNS
-from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import require_allowed
 from stringcast.stages.align.correction import transform_to_arm_frame
@@ -43,7 +42,7 @@ class Cast(Stepwise):
         refuse_unknown_stages(self.stages)
         check_reach(experiment.target, experiment.arm, experiment.string.length)
 
-    def moves_arm(self, config: Mapping[str, Any]) -> bool:
+    def moves_arm(self, config: Settings) -> bool:
         """Tell whether casts are performed."""
         return config["trials"] is None and "execute" in self.stages
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from stringcast.data.artifacts import Diagnosis, TrialSet
 from stringcast.pipeline.modes.batch import Batch
@@ -14,6 +12,7 @@ from stringcast.pipeline.modes.stored_trials import describe_rejected
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History
 from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.settings.composition import Settings
 from stringcast.pipeline.settings.stage_registry import stages
 
 
@@ -29,7 +28,7 @@ class Diagnose(Batch):
 
     motions: int
 
-    def moves_arm(self, config: Mapping[str, Any]) -> bool:
+    def moves_arm(self, config: Settings) -> bool:
         """Tell whether motions may be performed."""
         return self.motions > 0
 

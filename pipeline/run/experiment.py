@@ -15,7 +15,7 @@ from hydra.utils import get_object
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.run.result import RunResult
-from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import (
     bind_stage,
@@ -74,11 +74,11 @@ class Mode(ABC):
             With the setting and the remedy.
         """
 
-    def moves_arm(self, config: Mapping[str, Any]) -> bool:
+    def moves_arm(self, config: Settings) -> bool:
         """Tell whether an arm is moved, real or virtual."""
         return False
 
-    def picture_sources(self, config: Mapping[str, Any]) -> tuple[str, ...]:
+    def picture_sources(self, config: Settings) -> tuple[str, ...]:
         """Return the blocks of settings that name sources of pictures in use."""
         films = "source" in config["hardware"] and self.moves_arm(config)
         return ("source",) if films else ()
@@ -104,7 +104,7 @@ class Experiment:
         Loop over the stages.
     """
 
-    config: Mapping[str, Any]
+    config: Settings
     model: Model
     target: Box
     obstacles: tuple[Box, ...]
@@ -150,7 +150,7 @@ class Experiment:
         return get_object(f"stringcast.{step.stage.run}")(call, **step.inputs)
 
 
-def prepare_experiment(config: Mapping[str, Any], where: BlockLocation) -> Experiment:
+def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
     """Check all settings and build what a run needs, before anything moves.
 
     Parameters
@@ -197,7 +197,7 @@ def prepare_experiment(config: Mapping[str, Any], where: BlockLocation) -> Exper
     return experiment
 
 
-def check_run_settings(config: Mapping[str, Any], where: BlockLocation) -> None:
+def check_run_settings(config: Settings, where: BlockLocation) -> None:
     """Raise UserError for a setting of the run itself that has a wrong value."""
 
     def refuse(name: str, requirement: str) -> NoReturn:
@@ -250,7 +250,7 @@ def add_effects(
 
 
 def read_parameter_values(
-    block: Mapping[str, Any], model: Model, where: str
+    block: Settings, model: Model, where: str
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Read the setting `parameter_values`.
 
@@ -301,7 +301,7 @@ def unknown_parameter_remedy(name: str, model: Model) -> str:
     return f"Known are: {', '.join(model.names)}"
 
 
-def build_string(block: Mapping[str, Any], where: str) -> String:
+def build_string(block: Settings, where: str) -> String:
     """Build the string model with the ranges of its parameters."""
     fields = dict(block)
     limits_by_name, choice = fields.pop("ranges"), fields.pop("integrator")
@@ -332,7 +332,7 @@ def build_string(block: Mapping[str, Any], where: str) -> String:
 
 
 def refine_string_to_tolerance(
-    string: String, arm: Arm, config: Mapping[str, Any], where: str
+    string: String, arm: Arm, config: Settings, where: str
 ) -> String:
     """Return the string with points and step that keep `string.tolerance`, if given.
 

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from stringcast.pipeline.run.experiment import Mode
-from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.pipeline.settings.typed_settings import build_chosen
 
 SOURCE_PLACES = {"path": "film", "folder": "folder of images"}  # by setting
 
 
-def refuse_unusable_source(settings: Mapping[str, Any], given: set[str]) -> None:
+def refuse_unusable_source(settings: Settings, given: set[str]) -> None:
     """Raise UserError for a source of pictures that is not used or does not exist.
 
     Parameters

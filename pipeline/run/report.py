@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from stringcast.pipeline.cli.terminal import program_name
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.provenance import software_versions
 from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.settings.composition import Settings
 from stringcast.stages.report.page import FOLDER_PLACEHOLDER as HERE
 from stringcast.stages.report.pages.cast import cast_page
 from stringcast.stages.report.records import RunRecord, StageRecord, simulate_cast
@@ -112,7 +113,7 @@ def commands_after_casts(result: RunResult) -> list[tuple[str, str]]:
 
 
 def commands_after_diagnosis(
-    diagnosis: Diagnosis, config: Mapping[str, Any]
+    diagnosis: Diagnosis, config: Settings
 ) -> list[tuple[str, str]]:
     """Return the commands to offer after a diagnosis, by its verdict."""
     trials = f"trials={config['trials']}"

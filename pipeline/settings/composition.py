@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from omegaconf import OmegaConf
 
 from stringcast.data.errors import ExpectedError
 
+Settings = Mapping[str, Any]  # of a run or a block, by name
 CONF_FOLDER = Path(__file__).resolve().parents[2] / "conf"
 
 

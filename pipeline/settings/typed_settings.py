@@ -13,7 +13,7 @@ from hydra.utils import get_object
 from pydantic import TypeAdapter, ValidationError
 
 from stringcast.pipeline.settings.allowed_callables import allowed_names_by_role
-from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.stages.common import SettingsGroup
 
 BuiltT = TypeVar("BuiltT")
@@ -21,7 +21,7 @@ BuiltT = TypeVar("BuiltT")
 RUN_ARGUMENTS = ("seed", "manipulation", "trial", "progress")
 
 
-def bind_stage(block: Mapping[str, Any], place: str, where: str) -> Callable[..., Any]:
+def bind_stage(block: Settings, place: str, where: str) -> Callable[..., Any]:
     """Return the function that a block names, with its checked settings bound.
 
     Parameters
@@ -87,7 +87,7 @@ def is_settings_group(hint: Any) -> bool:
 
 
 def build_dataclass(
-    kind: type[BuiltT], block: Mapping[str, Any], place: str, where: str
+    kind: type[BuiltT], block: Settings, place: str, where: str
 ) -> BuiltT:
     """Build a validated dataclass from a block whose names are its fields."""
     check_names(block, expected_fields(kind, block), place, where)
@@ -95,7 +95,7 @@ def build_dataclass(
     return built
 
 
-def expected_fields(kind: Any, block: Mapping[str, Any]) -> list[str]:
+def expected_fields(kind: Any, block: Settings) -> list[str]:
     """Return the fields of a dataclass that a block gives or must give."""
     names = []
     for field in fields(kind):
@@ -155,7 +155,7 @@ def require_allowed(target: Any, place: str, where: str) -> str:
     return str(target)
 
 
-def build_chosen(block: Mapping[str, Any], place: str, where: str) -> Any:
+def build_chosen(block: Settings, place: str, where: str) -> Any:
     """Build the object of the class that a block names by `_target_`."""
     if not isinstance(block, Mapping) or "_target_" not in block:
         remedy = f"it must hold `_target_` and its settings. Choose {place}=..."
