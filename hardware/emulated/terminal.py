@@ -75,7 +75,7 @@ class EmulatedDevice(ABC):
     @property
     @abstractmethod
     def facts(self) -> dict[str, list[float]]:
-        """What is recorded with every event, a number for each joint."""
+        """The numbers of each joint that are recorded with every event."""
 
     def record_event(self, event: str) -> None:
         """Record an event with the time [s], the state and the facts."""

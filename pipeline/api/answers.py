@@ -56,7 +56,7 @@ class DiagnosisResult:
 
     @property
     def verdict(self) -> str:
-        """One of none, effect, ambiguous, unknown and insufficient."""
+        """The verdict: none, effect, ambiguous, unknown or insufficient."""
         return self.artifact.verdict
 
     @property

@@ -36,7 +36,7 @@ from stringcast.stages.spec import EXTENDED
 
 @dataclass(frozen=True)
 class KnownString:
-    """What is known of a string, as an extended.yaml holds it.
+    """The known settings of a string, as an extended.yaml holds them.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ class Trials:
 
     @property
     def folder(self) -> Path:
-        """The dataset's folder."""
+        """The folder that holds the dataset."""
         return self.data.folder
 
     @property

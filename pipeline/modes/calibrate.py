@@ -34,7 +34,7 @@ class Calibrate(Mode):
     """Calibration from pictures of a tilted board and of one in the plane of motion."""
 
     def check(self, experiment: Experiment) -> None:
-        """Refuse stored trials."""
+        """Refuse stored trials, which a calibration does not use."""
         refuse_trials(experiment)
 
     def picture_sources(self, config: Settings) -> tuple[str, ...]:

@@ -39,7 +39,7 @@ class Estimate(Stepwise):
     again: bool
 
     def check(self, experiment: Experiment) -> None:
-        """Refuse missing trials."""
+        """Refuse to estimate without stored trials."""
         require_trials(experiment)
 
     def run_steps(

@@ -86,7 +86,7 @@ class Mode(ABC):
 
 @dataclass(frozen=True)
 class Experiment:
-    """What a run works with; implements `stages.spec.Setup`.
+    """The objects that a run works with; implements `stages.spec.Setup`.
 
     Parameters
     ----------

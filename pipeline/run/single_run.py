@@ -1,5 +1,6 @@
-"""One run, or one job of a sweep, from the settings that Hydra has composed to its end,
-on the terminal and in its folder.
+"""One run, or one job of a sweep, from its settings to its end.
+
+It shows the run on the terminal and keeps it in the run's folder.
 """
 
 from __future__ import annotations
