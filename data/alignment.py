@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import pandas as pd
 
-from stringcast.data.schema import Table, parse_columns
+from stringcast.data.schema import Table, parse_columns, tables_by_name
 
 MEASURED_PARAMETERS = Table(
     "measured",
@@ -76,12 +76,12 @@ class Alignment:
     likelihood: pd.DataFrame
     aligned: pd.DataFrame
 
-    TABLES: ClassVar[dict[str, Table]] = {
-        "measured": MEASURED_PARAMETERS,
-        "seen": SIGHTINGS,
-        "likelihood": LIKELIHOOD,
-        "aligned": ALIGNMENT_SUMMARY,
-    }
+    TABLES: ClassVar = tables_by_name(
+        MEASURED_PARAMETERS,
+        SIGHTINGS,
+        LIKELIHOOD,
+        ALIGNMENT_SUMMARY,
+    )
 
     @property
     def sentence(self) -> str:

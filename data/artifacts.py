@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 
-from stringcast.data.schema import Column, Table, parse_columns
+from stringcast.data.schema import Column, Table, parse_columns, tables_by_name
 
 JOINTS = ("q1", "q2", "q3")
 SPEEDS = ("w1", "w2", "w3")
@@ -98,13 +98,13 @@ class Motion:
     attempts: pd.DataFrame
     outcome: pd.DataFrame
 
-    TABLES: ClassVar[dict[str, Table]] = {
-        "commands": COMMANDS,
-        "control_points": CONTROL_POINTS,
-        "string": PREDICTED_STRING,
-        "attempts": ATTEMPTS,
-        "outcome": MOTION_OUTCOME,
-    }
+    TABLES: ClassVar = tables_by_name(
+        COMMANDS,
+        CONTROL_POINTS,
+        PREDICTED_STRING,
+        ATTEMPTS,
+        MOTION_OUTCOME,
+    )
 
     @property
     def duration(self) -> float:
@@ -198,12 +198,12 @@ class Trial:
     link: pd.DataFrame
     images: Sequence[np.ndarray] = field(repr=False)
 
-    TABLES: ClassVar[dict[str, Table]] = {
-        "arm": ARM,
-        "ticks": TICKS,
-        "frames": FRAMES,
-        "link": LINK,
-    }
+    TABLES: ClassVar = tables_by_name(
+        ARM,
+        TICKS,
+        FRAMES,
+        LINK,
+    )
 
     @property
     def film(self) -> Film:
@@ -277,11 +277,7 @@ class Points:
     readings: pd.DataFrame
     masks: pd.DataFrame
 
-    TABLES: ClassVar[dict[str, Table]] = {
-        "points": POINTS,
-        "readings": READINGS,
-        "masks": MASKS,
-    }
+    TABLES: ClassVar = tables_by_name(POINTS, READINGS, MASKS)
 
     @property
     def valid_points(self) -> pd.DataFrame:
@@ -438,13 +434,13 @@ class Estimate:
     fit: pd.DataFrame
     draws: pd.DataFrame = field(default_factory=DRAWS.empty)
 
-    TABLES: ClassVar[dict[str, Table]] = {
-        "parameters": PARAMETERS,
-        "candidates": CANDIDATES,
-        "matching": MATCHING,
-        "fit": ESTIMATION_SUMMARY,
-        "draws": DRAWS,
-    }
+    TABLES: ClassVar = tables_by_name(
+        PARAMETERS,
+        CANDIDATES,
+        MATCHING,
+        ESTIMATION_SUMMARY,
+        DRAWS,
+    )
 
     def tables(self) -> dict[str, Table]:
         """Return TABLES with columns of the parameters in `candidates` and `draws`."""
@@ -496,7 +492,7 @@ class Prediction:
     predicted: pd.DataFrame
     score: pd.DataFrame
 
-    TABLES: ClassVar[dict[str, Table]] = {"predicted": PREDICTED, "score": SCORE}
+    TABLES: ClassVar = tables_by_name(PREDICTED, SCORE)
 
 
 # --- diagnosis
@@ -654,20 +650,20 @@ class Diagnosis:
     control_points: pd.DataFrame
     predicted: pd.DataFrame
 
-    TABLES: ClassVar[dict[str, Table]] = {
-        "finding": DIAGNOSIS_SUMMARY,
-        "causes": CAUSES,
-        "held_out": HELD_OUT,
-        "residuals": RESIDUALS,
-        "hypotheses": HYPOTHESES,
-        "entries": ENTRIES,
-        "screening": SCREENING,
-        "likeness": LIKENESS,
-        "missing": MISSING,
-        "commands": COMMANDS,
-        "control_points": CONTROL_POINTS,
-        "predicted": PREDICTED_STRINGS,
-    }
+    TABLES: ClassVar = tables_by_name(
+        DIAGNOSIS_SUMMARY,
+        CAUSES,
+        HELD_OUT,
+        RESIDUALS,
+        HYPOTHESES,
+        ENTRIES,
+        SCREENING,
+        LIKENESS,
+        MISSING,
+        COMMANDS,
+        CONTROL_POINTS,
+        PREDICTED_STRINGS,
+    )
 
     @property
     def verdict(self) -> str:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import pandas as pd
 
-from stringcast.data.schema import Table, parse_columns
+from stringcast.data.schema import Table, parse_columns, tables_by_name
 
 VIEWS = Table(
     "views",
@@ -76,12 +76,12 @@ class Calibration:
     measured: pd.DataFrame
     outcome: pd.DataFrame
 
-    TABLES: ClassVar[dict[str, Table]] = {
-        "views": VIEWS,
-        "corners": CORNERS,
-        "measured": MEASURED_PARAMETERS,
-        "outcome": CALIBRATION_SUMMARY,
-    }
+    TABLES: ClassVar = tables_by_name(
+        VIEWS,
+        CORNERS,
+        MEASURED_PARAMETERS,
+        CALIBRATION_SUMMARY,
+    )
 
     @property
     def reason(self) -> str:

@@ -152,6 +152,11 @@ class Table:
         return pd.DataFrame(columns)
 
 
+def tables_by_name(*tables: Table) -> dict[str, Table]:
+    """Return the schemas of an artifact's tables by name."""
+    return {table.name: table for table in tables}
+
+
 def _cast(column: Column, values: pd.Series, source: str) -> pd.Series:
     """Give values the type of a column; raise DataError naming one that has another."""
     try:
