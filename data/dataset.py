@@ -114,6 +114,20 @@ class Dataset:
         """Reasons of trials that cannot be used, by name."""
         return {name: fault.reason for name, fault in self.unusable.items()}
 
+    def require_trial(self, place: str) -> None:
+        """Raise DataError, which begins with the place, if no trial can be used."""
+        if not self.trials:
+            reasons = describe_rejected(self.rejection_reasons) or "it holds no trial"
+            raise DataError(
+                f"{place}: no trial can be used ({reasons}). "
+                "Look at the files it names."
+            )
+
+
+def describe_rejected(rejected: Mapping[str, str]) -> str:
+    """List the rejected trials with their reasons."""
+    return "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
+
 
 def write_dataset(
     folder: Path,

@@ -166,7 +166,9 @@ class RecordingReader:
     def read_times(self) -> np.ndarray:
         """Read times, (K,) [s], of the best column of times or of the frame numbers."""
         if clocks := self.columns_of("time"):
-            return self._read_clock(min(clocks, key=_time_preference))
+            # one that the user named first, then the shortest name
+            clocks.sort(key=lambda c: (c.how != "--map", len(c.meaning.name.split())))
+            return self._read_clock(clocks[0])
         fps = self.hints.fps or self.recording.fps
         if fps is None:
             raise DataError(
@@ -360,11 +362,6 @@ class RecordingReader:
         elif "valid" in axes:
             frame["valid"] = self.read_numbers(axes["valid"], role, "", 1.0, "name") > 0
         return frame
-
-
-def _time_preference(column: SourceColumn) -> tuple[bool, int]:
-    """Order columns of times: one that the user named first, then the shortest name."""
-    return column.how != "--map", len(column.meaning.name.split())
 
 
 def _time_unit(step: float) -> str:

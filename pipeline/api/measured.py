@@ -89,15 +89,9 @@ def read(folder: str | Path) -> Trials:
     StringcastError
         If no trial can be used.
     """
-    result = Trials(dataset.read_dataset(Path(folder)))
-    if not result:
-        rejected = result.data.rejection_reasons
-        reasons = "; ".join(f"{name}: {why}" for name, why in rejected.items())
-        raise DataError(
-            f"{folder}: no trial can be used ({reasons or 'it holds no trial'}). "
-            "Look at the files it names."
-        )
-    return result
+    data = dataset.read_dataset(Path(folder))
+    data.require_trial(str(folder))
+    return Trials(data)
 
 
 def sample() -> Trials:
@@ -176,10 +170,7 @@ def trials(
         "initial": initial,
     }
     if arm is not None:
-        metadata["arm"] = {
-            "links": [float(link) for link in links],
-            "base": [float(coordinate) for coordinate in base],
-        }
+        metadata["arm"] = {"links": [*map(float, links)], "base": [*map(float, base)]}
     if sigma is not None:
         metadata["noise"] = {"point_sigma": float(sigma)}
     text = yaml.safe_dump(metadata)

@@ -8,6 +8,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -81,11 +82,8 @@ def refuse_mistakes(words: Sequence[str]) -> None:
 
     answers = list(answer_words(words))
     faults = [answer.fault for answer in answers if answer.fault]
-    suggested = []
-    for answer in answers:
-        for word in answer.suggested_words:
-            if word not in suggested:
-                suggested.append(word)
+    suggested_words = (answer.suggested_words for answer in answers)
+    suggested = list(dict.fromkeys(chain.from_iterable(suggested_words)))
 
     trials_given = any(word.startswith("trials=") for word in suggested)
     for experiment in TRIAL_EXPERIMENTS:

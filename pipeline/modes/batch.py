@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stringcast.data.artifacts import MASKS, POINTS, READINGS, Observation, TrialSet
+from stringcast.data.dataset import describe_rejected
 from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.cast import refuse_unknown_stages
 from stringcast.pipeline.modes.stepwise import Stepwise, require_trials
 from stringcast.pipeline.modes.stored_trials import (
-    describe_rejected,
     held_out_trials,
     history_of_dataset,
     read_points,

@@ -123,15 +123,16 @@ def trials_for_estimation(
     experiment: Experiment, iterations: Sequence[Iteration]
 ) -> TrialSet:
     """Return the trusted trials that an estimation uses: the last ones, or all."""
-    observations, numbers = [], []
-    for iteration in iterations:
-        if "points" in iteration.artifacts and not iteration.refusal_reason:
-            observations.append(iteration.observation)
-            numbers.append(iteration.number)
+    trusted = [
+        iteration
+        for iteration in iterations
+        if "points" in iteration.artifacts and not iteration.refusal_reason
+    ]
     window = experiment.config["trials_used"]
-    first = 0 if window == ALL_TRIALS else -window
+    used = trusted if window == ALL_TRIALS else trusted[-window:]
     return TrialSet(
-        tuple(observations[first:]), iteration_numbers=tuple(numbers[first:])
+        tuple(iteration.observation for iteration in used),
+        iteration_numbers=tuple(iteration.number for iteration in used),
     )
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stringcast.data.artifacts import Diagnosis, TrialSet
+from stringcast.data.dataset import describe_rejected
 from stringcast.pipeline.modes.batch import Batch
-from stringcast.pipeline.modes.stored_trials import describe_rejected
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History
 from stringcast.pipeline.run.result import RunResult

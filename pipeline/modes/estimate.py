@@ -12,7 +12,6 @@ from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.cast import log_fit
 from stringcast.pipeline.modes.stepwise import Stepwise, require_trials
 from stringcast.pipeline.modes.stored_trials import (
-    describe_rejected,
     held_out_trials,
     history_of_dataset,
     read_points,
@@ -98,5 +97,7 @@ def estimation_outcome(iterations: Sequence[Iteration], data: dataset.Dataset) -
         *prediction_sentences,
     ]
     if data.rejection_reasons:
-        sentences.append(f"Left out: {describe_rejected(data.rejection_reasons)}.")
+        sentences.append(
+            f"Left out: {dataset.describe_rejected(data.rejection_reasons)}."
+        )
     return " ".join(sentences)

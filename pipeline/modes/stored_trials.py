@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from stringcast.data import dataset
 from stringcast.data.artifacts import Observation
-from stringcast.data.schema import DataError
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History
 from stringcast.stages.check.check import refuse_errors
@@ -21,12 +19,7 @@ def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
     stored = dataset.read_dataset(Path(trials))
     refuse_errors(CheckedDataset(stored, experiment.arm, experiment.camera, length))
     data = dataset.exclude_stray_points(stored, length)
-    if not data.trials:
-        reasons = describe_rejected(data.rejection_reasons) or "it holds no trial"
-        raise DataError(
-            f"trials={trials}: no trial can be used ({reasons}). "
-            "Look at the files it names."
-        )
+    data.require_trial(f"trials={trials}")
     return data
 
 
@@ -62,8 +55,3 @@ def read_points(
     return replace(
         stored, points=points.points, readings=points.readings, masks=points.masks
     )
-
-
-def describe_rejected(rejected: Mapping[str, str]) -> str:
-    """List the rejected trials with their reasons."""
-    return "; ".join(f"{name}: {reason}" for name, reason in rejected.items())

@@ -26,12 +26,12 @@ def refuse_unusable_source(settings: Settings, given: set[str]) -> None:
     given_sources = sorted(n for n in given if n.partition(".")[0] == "source")
     if given_sources and not used_sources:
         name = given_sources[-1]
-        block, _, key = name.partition(".")
+        key = name.partition(".")[2]
         reason = "this films nothing"
         if mode.moves_arm(settings):
             reason = "the virtual lab films with its own camera"
         raise UserError(
-            f"{name} = {settings[block][key or '_target_']} (command line): it would "
+            f"{name} = {settings['source'][key or '_target_']} (command line): it would "
             f"not be used: {reason}. Leave it out, or give hardware=serial, "
             "hardware=dynamixel or +experiment=calibrate. To read films of earlier "
             "casts: python -m pipeline import <films> --to mine"

@@ -251,12 +251,11 @@ def settings_of_trials(folder: Path, given: set[str]) -> dict[str, Any]:
                 if value is not None:
                     stored[f"{group}.{name}"] = value
 
-    inherited = {}
-    for name, value in stored.items():
+    for name in list(stored):
         group_is_given = name.partition(".")[0] in given and name != LENGTH_SETTING
-        if name not in given and not group_is_given:
-            inherited[name] = value
-    return inherited
+        if name in given or group_is_given:
+            del stored[name]
+    return stored
 
 
 def refuse_unknown_bench(folder: Path, given: set[str]) -> None:
