@@ -44,13 +44,14 @@ class Obstacles:
         """Parameters of the effects by qualified name."""
         values: dict[str, float] = {}
         for effect, box in zip(self.effects, self.boxes, strict=True):
-            values |= {
-                f"{effect.name}.centre_x": box.x,
-                f"{effect.name}.centre_y": box.y,
-                f"{effect.name}.width": box.w,
-                f"{effect.name}.height": box.h,
-                f"{effect.name}.stiffness": self.stiffness,
-                f"{effect.name}.friction": self.friction,
-                f"{effect.name}.loss": self.loss,
+            contact = {
+                "centre_x": box.x,
+                "centre_y": box.y,
+                "width": box.w,
+                "height": box.h,
+                "stiffness": self.stiffness,
+                "friction": self.friction,
+                "loss": self.loss,
             }
+            values |= {f"{effect.name}.{key}": value for key, value in contact.items()}
         return values

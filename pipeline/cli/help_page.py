@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import yaml
 
+from stringcast.pipeline.cli.command_line_hints import group_options
 from stringcast.pipeline.cli.terminal import with_program_name
 from stringcast.pipeline.commands import command_list
 from stringcast.pipeline.settings.composition import CONF_FOLDER, compose_settings
@@ -77,7 +78,7 @@ def group_lines() -> list[str]:
     lines = []
     for folder in sorted(path for path in CONF_FOLDER.rglob("*") if path.is_dir()):
         name = folder.relative_to(CONF_FOLDER).as_posix()
-        options = sorted(file.stem for file in folder.glob("*.yaml"))
+        options = group_options(name)
         if options and not name.startswith("hydra"):
             lines.append(f"{name}: {', '.join(options)}")
     return lines
