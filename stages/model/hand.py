@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,6 +50,20 @@ class HandMotion:
         """Time of the last pose [s]."""
         end: float = self.start + (self.pose.shape[1] - 1) * self.tick
         return end
+
+    def for_candidates(self, chosen: np.ndarray) -> HandMotion:
+        """Return the motions of some candidates, by number, or the one they share."""
+        if len(self.pose) == 1:
+            return self
+        return replace(self, pose=self.pose[chosen], rate=self.rate[chosen])
+
+    def with_ticks(self, count: int) -> HandMotion:
+        """Return the motion with so many poses: cut, or followed by rest."""
+        missing = max(count - self.pose.shape[1], 0)
+        pose, rate = append_rest_ticks(
+            self.pose[:, :count], self.rate[:, :count], missing
+        )
+        return replace(self, pose=pose, rate=rate)
 
     def extended_until(self, until: float) -> HandMotion:
         """Append rest until a time [s], or as long as anything lags behind."""

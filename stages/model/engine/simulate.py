@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -18,7 +18,7 @@ from stringcast.stages.model.engine.sampling import (
     last_needed_tick,
 )
 from stringcast.stages.model.engine.stability import averageable_slopes, steps_per_tick
-from stringcast.stages.model.hand import HandMotion, append_rest_ticks
+from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.state import StringState
 from stringcast.stages.model.statics.chain import (
     Chain,
@@ -95,34 +95,35 @@ def simulate(
     material = string.material(np.atleast_2d(values))
     position = (times - hand.start) / hand.tick
     last = last_needed_tick(position)
-    count = int(last.max()) + 1
-    missing = max(count - hand.pose.shape[1], 0)
-    poses, rates = append_rest_ticks(
-        hand.pose[:, :count], hand.rate[:, :count], missing
-    )
+    hand = hand.with_ticks(int(last.max()) + 1)
     steps, possible = steps_per_tick(
         *string.without_absent_effects(material), hand.tick
     )
     turn = np.broadcast_to(turn, len(material))
 
-    groups = []
+    points = np.full((len(material), times.shape[-1], string.points, 2), np.nan)
+    finite = np.zeros(len(material), dtype=bool)
     for group_steps in np.unique(steps[possible]):  # who shares a step shares the loop
         chosen = np.flatnonzero(possible & (steps == group_steps))
         some = material[chosen]
-        pose = poses if len(poses) == 1 else poses[chosen]
-        rate = rates if len(rates) == 1 else rates[chosen]
-        pose, rate = _free_string_pose(string, some, pose, rate)
+        free_hand = _free_string_hand(string, some, hand.for_candidates(chosen))
         state = None if initial is None else initial.for_candidates(chosen)
         ticks = _run_candidates(
-            string, some, pose, rate, hand, int(group_steps), state, turn[chosen]
+            string, some, free_hand, int(group_steps), state, turn[chosen]
         )
-        shared = times.ndim == 1
-        end = last if shared else last[chosen]
-        points = interpolate_ticks(ticks, position if shared else position[chosen], end)
-        points = _at_stated_arc_lengths(string, some, points)
-        groups.append((chosen, points, is_bounded(ticks, end)))
-    shape = (len(material), times.shape[-1], string.points, 2)
-    return _gather_groups(groups, shape)
+        end = last
+        moments = position
+        if times.ndim == 2:
+            end = last[chosen]
+            moments = position[chosen]
+        at_moments = interpolate_ticks(ticks, moments, end)
+        points[chosen] = _at_stated_arc_lengths(string, some, at_moments)
+        finite[chosen] = is_bounded(ticks, end)
+    with np.errstate(invalid="ignore", over="ignore"):
+        # a sum is not finite where a number is not
+        finite &= np.isfinite(points.sum(axis=(1, 2, 3)))
+    points[~finite] = np.nan
+    return StringMotion(points, finite)
 
 
 def _at_stated_arc_lengths(
@@ -138,31 +139,11 @@ def _at_stated_arc_lengths(
     return interpolate_along_string(points, place)
 
 
-def _gather_groups(
-    groups: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], shape: tuple[int, ...]
-) -> StringMotion:
-    """Put groups of candidates in order: numbers, points, who stayed finite."""
-    if len(groups) == 1 and len(groups[0][0]) == shape[0]:
-        _, points, finite = groups[0]
-    else:
-        points, finite = np.full(shape, np.nan), np.zeros(shape[0], dtype=bool)
-        for chosen, group_points, group_finite in groups:
-            points[chosen] = group_points
-            finite[chosen] = group_finite
-    with np.errstate(invalid="ignore", over="ignore"):
-        # a sum is not finite where a number is not
-        finite = finite & np.isfinite(points.sum(axis=(1, 2, 3)))
-    points[~finite] = np.nan
-    return StringMotion(points, finite)
-
-
-def _free_string_pose(
-    string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray
-) -> Shape:
-    """Move poses and their rates from the stated grasp to where the free string begins.
-
-    Each is (1 or C, K, 3).
-    """
+def _free_string_hand(
+    string: String, material: np.ndarray, hand: HandMotion
+) -> HandMotion:
+    """Move a hand from the stated grasp to where the free string begins."""
+    pose, rate = hand.pose, hand.rate
     for along, across in string.law_values("grasp_offset", material, {}):
         if np.any(along) or np.any(across):
             cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
@@ -170,14 +151,12 @@ def _free_string_pose(
             y = along * sin + across * cos
             pose = pose + np.stack([x, y, 0 * x], axis=-1)
             rate = rate + rate[..., 2:] * np.stack([-y, x, 0 * x], axis=-1)
-    return pose, rate
+    return replace(hand, pose=pose, rate=rate)
 
 
 def _run_candidates(
     string: String,
     material: np.ndarray,
-    pose: np.ndarray,
-    rate: np.ndarray,
     hand: HandMotion,
     steps: int,
     initial: StringState | None,
@@ -189,46 +168,43 @@ def _run_candidates(
     diverges.
     """
     count = len(material)
-    compiled, filled = string.with_compiled_effects(material)
+    compiled, compiled_material = string.with_compiled_effects(material)
     loop = (compiled.effects, compiled.row_names, string.integrator)
     lanes = batching.lane_count(count, *loop)
     blocks = -(-count // lanes)
     dt = hand.tick / steps
 
-    # The last block is filled up with the last candidate. The loop loads a number of
-    # all candidates of a block at once: lanes stand last, side by side.
+    # How the strings lie and move at first. The last block is filled up with the last
+    # candidate.
+    start = _initial_configuration(string, material, hand, initial, turn)
     index = np.minimum(np.arange(blocks * lanes), count - 1)
-    own_material = material[index]
-    parameters = filled[index].reshape(blocks, lanes, -1).transpose(0, 2, 1)
-    shared_hand = len(pose) == 1
-    own_pose = pose if shared_hand else pose[index]
-    own_rate = rate if shared_hand else rate[index]
-    cubic = _hermite_coefficients(own_pose, own_rate, hand.tick, lanes)
-
-    # How the strings lie and move at first, and the further rows of integrator and
-    # memory.
-    start = _initial_configuration(string, material, pose, rate, initial, turn)
     angles, lengths, velocity, rest_angles = (part[index] for part in start)
-    active, active_material = string.without_absent_effects(own_material)
+    material = material[index]
+    hand = hand.for_candidates(index)
+    first_pose = hand.pose[:, 0]
+    reversal = np.zeros(count)
+    if initial is not None:
+        reversal = np.broadcast_to(initial.memory_reversal, count)
+
+    active, active_material = string.without_absent_effects(material)
     constants = string.integrator.row_values(
         active.point_masses(active_material)[0],
         active.free_segment_lengths(active_material),
         partial(averageable_slopes, active, active_material),
         dt,
     )
-    reversal = 0.0 if initial is None else initial.memory_reversal
     memory = _memory_rows(
         string,
-        own_material,
-        own_pose[:, 0, 2],
+        material,
+        first_pose[:, 2],
         angles,
         rest_angles,
-        np.broadcast_to(reversal, count)[index][:, None],
+        reversal[index][:, None],
     )
     buffers = _fill_buffers(
         string,
-        own_material,
-        own_pose[:, 0],
+        material,
+        first_pose,
         angles,
         lengths,
         velocity,
@@ -236,10 +212,14 @@ def _run_candidates(
         lanes,
     )
 
+    # The loop loads a number of all candidates of a block at once: lanes stand last,
+    # side by side.
+    parameters = _by_lane(compiled_material[index], lanes)
+    cubic = _hermite_coefficients(hand, lanes)
     run = partial(
         batching.compile_step_loop(*loop, lanes),
         values=np.ascontiguousarray(parameters).reshape(blocks, -1),
-        hands_per_block=0 if shared_hand else 1,
+        hands_per_block=int(len(hand.pose) > 1),
         start=hand.start,
         points=string.points,
         length=string.segment_length,
@@ -258,11 +238,15 @@ def _run_candidates(
     return out
 
 
+def _by_lane(rows: np.ndarray, lanes: int) -> np.ndarray:
+    """Put candidates side by side: from (C, M) to (blocks, M, lanes)."""
+    return rows.reshape(-1, lanes, rows.shape[1]).transpose(0, 2, 1)
+
+
 def _initial_configuration(
     string: String,
     material: np.ndarray,
-    pose: np.ndarray,
-    rate: np.ndarray,
+    hand: HandMotion,
     initial: StringState | None,
     turn: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
@@ -276,35 +260,35 @@ def _initial_configuration(
     where the string would hang at rest.
     """
     count, segments = len(material), string.points - 1
-    first_pose = pose[:, 0]
+    pose, rate = hand.pose[:, 0], hand.rate[:, 0]
+
+    def hang() -> Shape:
+        return hanging_shape(*string.without_absent_effects(material), pose, turn)
+
     if initial is None:
-        angles, lengths = hanging_shape(
-            *string.without_absent_effects(material), first_pose, turn
-        )
+        angles, lengths = hang()
         return angles, lengths, np.zeros((count, string.points, 2)), angles
 
     middles = string.segment_middles()
     hidden = (string.free_length_ratio(material) - 1) * string.length
     if np.any(hidden):
         before = hidden + grasp_compliance_length(string, material)
-        initial = initial.extend_before_grasp(before, pose[:, 0, 2], rate[:, 0, 2])
+        initial = initial.extend_before_grasp(before, pose[:, 2], rate[:, 2])
         segment_length = string.free_segment_lengths(material)[:, None]
         middles = segment_length * (np.arange(segments) + 0.5) - hidden[:, None]
     angles, turn_rates = initial.segment_angles_and_rates(middles)
     angles = np.broadcast_to(angles, (count, segments))
     turn_rates = np.broadcast_to(turn_rates, (count, segments))
-    lengths = stretched_lengths(string, material, first_pose, angles)
+    lengths = stretched_lengths(string, material, pose, angles)
 
     normal = np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
     relative = np.cumsum((lengths * turn_rates)[..., None] * normal, axis=1)
-    hand_velocity = np.broadcast_to(rate[:, :1, :2], (count, 1, 2))
+    hand_velocity = np.broadcast_to(rate[:, None, :2], (count, 1, 2))
     velocity = np.concatenate([hand_velocity, hand_velocity + relative], axis=1)
 
     rest_angles = angles
     if any(string.memory_count(slot) for slot in MEMORY_SLOTS):
-        rest_angles, _ = hanging_shape(
-            *string.without_absent_effects(material), first_pose, turn
-        )
+        rest_angles, _ = hang()
     return angles, lengths, velocity, rest_angles
 
 
@@ -381,8 +365,7 @@ def _fill_buffers(
     numbers = row_numbers(*loop)
     buffers = batching.zero_buffers(blocks, string.points, *loop, lanes)
     for name, row in rows.items():
-        by_lane = row.reshape(blocks, lanes, -1).transpose(0, 2, 1)
-        buffers[:, : row.shape[1], numbers[name]] = by_lane
+        buffers[:, : row.shape[1], numbers[name]] = _by_lane(row, lanes)
     return buffers.reshape(blocks, -1)
 
 
@@ -426,16 +409,14 @@ def _memory_rows(
     return rows
 
 
-def _hermite_coefficients(
-    pose: np.ndarray, rate: np.ndarray, tick: float, lanes: int
-) -> np.ndarray:
+def _hermite_coefficients(hand: HandMotion, lanes: int) -> np.ndarray:
     """Find the coefficients of the hand's cubic in each tick, as the loop reads them.
 
     a0 to a3 for x, y and theta each. One hand for all: (K - 1, 1, 12 lanes), as wide as
     the lanes so that the loop loads vectors. Else the hands of each block.
     """
-    p0, p1 = pose[:, :-1], pose[:, 1:]
-    v0, v1 = rate[:, :-1] * tick, rate[:, 1:] * tick
+    p0, p1 = hand.pose[:, :-1], hand.pose[:, 1:]
+    v0, v1 = hand.rate[:, :-1] * hand.tick, hand.rate[:, 1:] * hand.tick
     second = 3 * (p1 - p0) - 2 * v0 - v1
     third = 2 * (p0 - p1) + v0 + v1
     coefficients = np.stack([p0, v0, second, third], axis=-1)
