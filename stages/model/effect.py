@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
@@ -152,6 +153,11 @@ class Effect(ABC):
     def qualified_name(cls, parameter: Parameter) -> str:
         """Name a parameter among those of all effects: the paper's own stand alone."""
         return parameter.name if parameter.symbol else f"{cls.name}.{parameter.name}"
+
+    @classmethod
+    def qualified_parameters(cls) -> list[Parameter]:
+        """Return the parameters with qualified names."""
+        return [replace(p, name=cls.qualified_name(p)) for p in cls.parameters]
 
 
 class StringEffect(Effect):

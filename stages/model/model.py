@@ -130,9 +130,7 @@ class Model(Parametrised):
         """All parameters, with qualified names: the string's first."""
         parameters = list(self.string.parameters)
         for effect in self._outer_effects:
-            for parameter in effect.parameters:
-                name = effect.qualified_name(parameter)
-                parameters.append(replace(parameter, name=name))
+            parameters += effect.qualified_parameters()
         return tuple(self._with_known_values(p) for p in parameters)
 
     def _with_known_values(self, parameter: Parameter) -> Parameter:
@@ -325,12 +323,9 @@ class Model(Parametrised):
 
         The candidates along the first of so many dimensions.
         """
-        parameters = {}
-        for parameter in effect.parameters:
-            place = self.names.index(effect.qualified_name(parameter))
-            shape = (-1, *[1] * (dimensions - 1))
-            parameters[parameter.name] = values[:, place].reshape(shape)
-        return parameters
+        shape = (-1, *[1] * (dimensions - 1))
+        named = self.values_of(effect, values)
+        return {name: value.reshape(shape) for name, value in named.items()}
 
 
 def _sort_by_order(*effects: type[EffectT]) -> tuple[type[EffectT], ...]:

@@ -6,8 +6,12 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from stringcast.stages.model.effect import Effect
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,16 @@ class Parametrised:
     def names(self) -> tuple[str, ...]:
         """Qualified names of the parameters."""
         return tuple(p.name for p in self.parameters)
+
+    def values_of(
+        self, effect: type[Effect], values: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Return an effect's parameters by their own names, (...), of all (..., P)."""
+        parameters = {}
+        for parameter in effect.parameters:
+            place = self.names.index(effect.qualified_name(parameter))
+            parameters[parameter.name] = values[..., place]
+        return parameters
 
     def values(self, named: Mapping[str, float]) -> np.ndarray:
         """Return values in the order of `parameters`, (P,).

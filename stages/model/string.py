@@ -142,10 +142,8 @@ class String(Parametrised):
         """Parameters of all effects, with qualified names, in the order of `values`."""
         parameters = []
         for effect in self.effects:
-            for parameter in effect.parameters:
-                name = effect.qualified_name(parameter)
-                renamed = replace(parameter, name=name)
-                parameters.append(self.ranges.get(name, renamed))
+            for parameter in effect.qualified_parameters():
+                parameters.append(self.ranges.get(parameter.name, parameter))
         return tuple(parameters)
 
     # --- material: what the laws are evaluated with -------------------------
@@ -189,7 +187,7 @@ class String(Parametrised):
             self._soften_grasp(material)
         columns: list[np.ndarray] = []
         for effect in self.effects:
-            effect_values = self.effect_parameters(effect, material)
+            effect_values = self.values_of(effect, material)
             columns += effect.derive_parameters(**effect_values).values()
         if self._hidden_length_effects:
             per_segment = 1 / self.free_segment_lengths(material)
@@ -214,16 +212,6 @@ class String(Parametrised):
         softened_damping = grasp_part + share**2 * bending_damping / cell
         material[..., places[0]] = softened_stiffness
         material[..., places[1]] = softened_damping
-
-    def effect_parameters(
-        self, effect: type[StringEffect], material: np.ndarray
-    ) -> dict[str, np.ndarray]:
-        """Return an effect's parameters, (...) each, by name, of material (..., P)."""
-        parameters = {}
-        for parameter in effect.parameters:
-            place = self.names.index(effect.qualified_name(parameter))
-            parameters[parameter.name] = material[..., place]
-        return parameters
 
     # --- the same string with fewer or more effects -------------------------
 
@@ -297,9 +285,8 @@ class String(Parametrised):
         for effect in self.effects:
             removable[effect] = []
             if effect not in PAPER_EFFECTS and not is_position_dependent(effect):
-                for parameter in effect.parameters:
-                    name = effect.qualified_name(parameter)
-                    removable[effect].append(self.names.index(name))
+                for parameter in effect.qualified_parameters():
+                    removable[effect].append(self.names.index(parameter.name))
         return removable
 
     @cached_property
@@ -330,7 +317,7 @@ class String(Parametrised):
         ratio = np.ones(material.shape[:-1])
         for effect in self._hidden_length_effects:
             law = effect.laws()["hidden_length"]
-            effect_values = self.effect_parameters(effect, material)
+            effect_values = self.values_of(effect, material)
             ratio = ratio + law(**select_arguments(law, effect_values)) / self.length
         return ratio
 
@@ -378,16 +365,11 @@ class String(Parametrised):
             "s": self.free_arc_lengths(material),
             "length": self.length * ratio,
         }
-        for length in self.law_values("tip_length", material, arguments):
-            cells[:, -1:] += length
+        cells[:, -1:] = self.law_sum("tip_length", material, arguments, cells[:, -1:])
         density = np.ones((len(material), self.points))
-        for excess in self.law_values("density", material, arguments):
-            density = density + excess
+        masses = cells * self.law_sum("density", material, arguments, density)
         tip_mass = np.zeros((len(material), 1))
-        for mass in self.law_values("tip_mass", material, arguments):
-            tip_mass = tip_mass + mass
-        masses = density * cells
-        masses[:, -1:] += tip_mass
+        masses[:, -1:] += self.law_sum("tip_mass", material, arguments, tip_mass)
         return masses, cells
 
     # --- laws ---------------------------------------------------------------
@@ -409,6 +391,16 @@ class String(Parametrised):
         """
         for law in self._laws.get(slot, ()):
             yield _evaluate_law(law, material, arguments)
+
+    def law_sum(
+        self,
+        slot: str,
+        material: np.ndarray,
+        arguments: Mapping[str, np.ndarray],
+        start: np.ndarray,
+    ) -> np.ndarray:
+        """Add all laws in a slot to a start, as `law_values`. Any shape (C, M)."""
+        return sum(self.law_values(slot, material, arguments), start)
 
     def memory_count(self, slot: str) -> int:
         """Count effects with memory of a slot, `moment` or `grasp_moment`."""
@@ -480,10 +472,7 @@ class String(Parametrised):
 
 
 def _parameter_names(effects: Effects) -> set[str]:
-    names = set()
-    for effect in effects:
-        names |= {effect.qualified_name(p) for p in effect.parameters}
-    return names
+    return {p.name for effect in effects for p in effect.qualified_parameters()}
 
 
 def _own_starts(effects: Effects) -> np.ndarray:

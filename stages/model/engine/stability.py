@@ -129,7 +129,7 @@ def frequency_and_damping_bounds(string: String, material: np.ndarray) -> Slopes
     lightest = (cells / masses).max(axis=1)
     for effect in string.effects:
         if hasattr(effect, "bound"):
-            effect_values = string.effect_parameters(effect, material)
+            effect_values = string.values_of(effect, material)
             declared_frequency2, declared_damping = effect.bound(**effect_values)
             frequency2.append(lightest * declared_frequency2)
             damping_rates.append(lightest * declared_damping)
@@ -226,9 +226,8 @@ def slot_sum(
     out. arguments: of the slot, (1 or C, M) each.
     """
     columns = max(value.shape[1] for value in arguments.values())
-    total = np.zeros((len(material), columns))
-    for value in string.law_values(slot, material, arguments):
-        total = total + value
+    start = np.zeros((len(material), columns))
+    total = string.law_sum(slot, material, arguments, start)
     if slot == "moment" and with_hinge_stiffness:
         for stiffness in string.law_values("hinge_stiffness", material, arguments):
             total = total + stiffness * arguments["curvature"]
