@@ -7,12 +7,12 @@ over the nominal mass per length [m^2/s^2].
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from stringcast.stages.model.engine.stability import (
+    SAMPLED_ARGUMENTS,
     load_sum,
     slot_sum,
     vector_slot_sum,
@@ -76,6 +76,11 @@ class Chain:
             grasp_rest_angle(string, material),
         )
 
+    @property
+    def rest_lengths(self) -> np.ndarray:
+        """Rest lengths of the segments, (C, n - 1) [m]."""
+        return np.repeat(self.segment_length, self.string.points - 1, axis=1)
+
     def for_candidates(self, which: np.ndarray) -> Chain:
         """Return the chains of some candidates, by number."""
         return Chain(
@@ -90,18 +95,15 @@ class Chain:
         )
 
 
-def guess_angles(
-    string: String, material: np.ndarray, theta: np.ndarray, turn: np.ndarray
-) -> np.ndarray:
+def guess_angles(chain: Chain, theta: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """Guess the angles of the segments.
 
     From the grasp's direction to straight down, over the length on which weight bends
     the rod, the shorter way or the other, whichever is nearer to a turn [rad]. theta,
     turn: (C,).
     """
-    _, stiffness = slot_sum_and_slope(
-        string, material, "moment", "curvature", ZERO, {"rate": ZERO}
-    )
+    string, material = chain.string, chain.material
+    _, stiffness = slot_sum_and_slope(string, material, "moment", ZERO)
     scale = (np.maximum(stiffness, 1e-12) / GRAVITY_M_S2) ** (1 / 3)
     shorter = (-np.pi / 2 - theta + np.pi) % (2 * np.pi) - np.pi
     other = shorter - 2 * np.pi * np.sign(shorter)
@@ -110,12 +112,6 @@ def guess_angles(
     middles = string.segment_middles() * string.free_length_ratio(material)[:, None]
     angles: np.ndarray = theta[:, None] + fall[:, None] * (1 - np.exp(-middles / scale))
     return angles
-
-
-def rest_lengths(string: String, material: np.ndarray) -> np.ndarray:
-    """Return the rest lengths of the segments, (C, n - 1) [m]."""
-    lengths = string.free_segment_lengths(material)[:, None]
-    return np.repeat(lengths, string.points - 1, axis=1)
 
 
 def forces_beyond_segments(
@@ -168,20 +164,14 @@ def hinge_moments(
     """
     string, material = chain.string, chain.material
     grasp, grasp_slope = slot_sum_and_slope(
-        string,
-        material,
-        "grasp_moment",
-        "angle",
-        grasp_hinge_angle(chain, theta, angles),
-        {"rate": ZERO},
+        string, material, "grasp_moment", grasp_hinge_angle(chain, theta, angles)
     )
     inner, inner_slope = slot_sum_and_slope(
         string,
         material,
         "moment",
-        "curvature",
         hinge_curvatures(chain, angles),
-        {"rate": ZERO, "s": chain.arc_lengths[:, 1:-1]},
+        s=chain.arc_lengths[:, 1:-1],
     )
     end = np.zeros((len(material), 1))
     moments = np.concatenate([grasp, inner, end], axis=1)
@@ -222,12 +212,8 @@ def grasp_rest_angle(string: String, material: np.ndarray) -> np.ndarray:
 
 def grasp_compliance_length(string: String, material: np.ndarray) -> np.ndarray:
     """Find the length of string that is as compliant as the grasp, (C,) [m]."""
-    _, bending = slot_sum_and_slope(
-        string, material, "moment", "curvature", ZERO, {"rate": ZERO}
-    )
-    _, grasp = slot_sum_and_slope(
-        string, material, "grasp_moment", "angle", ZERO, {"rate": ZERO}
-    )
+    _, bending = slot_sum_and_slope(string, material, "moment", ZERO)
+    _, grasp = slot_sum_and_slope(string, material, "grasp_moment", ZERO)
     ratio = bending / np.maximum(grasp, MIN_TURN_STIFFNESS)
     compliance_length: np.ndarray = ratio[:, 0]
     return compliance_length
@@ -243,24 +229,24 @@ def slot_sum_and_slope(
     string: String,
     material: np.ndarray,
     slot: str,
-    argument: str,
     values: np.ndarray,
-    others: Mapping[str, np.ndarray],
+    **others: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sum a slot's laws, and find the sum's rise with one argument, (C, M) each.
+    """Sum a slot's laws at rest, and its rise with stretch, curvature or angle.
 
-    The laws are evaluated in one call: with so few numbers it is the calls that take
-    the time.
+    (C, M) each. The laws are evaluated in one call: with so few numbers it is the calls
+    that take the time.
 
-    values: (1 or C, M) of that argument. others: the slot's other arguments, (1, 1 or
-    M) each.
+    values: (1 or C, M) of the slot's first argument. others: further arguments, (1 or
+    C, M) each.
     """
+    (argument, _), _ = SAMPLED_ARGUMENTS[slot]
     step = 1e-3 if argument == "curvature" else 1e-5
     count = values.shape[1]
     three = np.concatenate([values, values + step, values - step], axis=1)
-    arguments = {argument: three}
+    arguments = {argument: three, "rate": ZERO}
     for name, value in others.items():
-        arguments[name] = np.tile(value, 3) if value.shape[1] > 1 else value
+        arguments[name] = np.tile(value, 3)
     total = slot_sum(string, material, slot, arguments)
     above, below = total[:, count : 2 * count], total[:, 2 * count :]
     return total[:, :count], (above - below) / (2 * step)

@@ -13,7 +13,7 @@ ever.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,11 +23,9 @@ from stringcast.stages.model.statics.chain import (
     MAX_ITERATIONS,
     MAX_TURN_RAD,
     MIN_TURN_STIFFNESS,
-    ZERO,
     Chain,
     guess_angles,
     hinge_moments,
-    rest_lengths,
     slot_sum_and_slope,
     static_point_forces,
     sum_to_tip,
@@ -64,10 +62,9 @@ def contact_shape(
     angles, lengths : ndarray of shape (C, n - 1)
         Of the segments [rad], continuous from the grasp, and [m].
     """
-    angles = guess_angles(string, material, pose[:, 2], turn)
-    lengths = rest_lengths(string, material)
     chain = Chain.from_material(string, material)
-    strings = _RelaxingStrings(chain, pose, angles, lengths)
+    angles = guess_angles(chain, pose[:, 2], turn)
+    strings = _RelaxingStrings(chain, pose, angles, chain.rest_lengths)
     moving = np.arange(len(material))
     for _ in range(MAX_ITERATIONS):
         some = strings.for_candidates(moving)
@@ -154,7 +151,7 @@ class _RelaxingStrings:
         angles, lengths = self.angles.copy(), self.lengths.copy()
         angles[which] += step[:, : angles.shape[1]]
         lengths[which] += step[:, angles.shape[1] :]
-        return _RelaxingStrings(self.chain, self.pose, angles, lengths)
+        return replace(self, angles=angles, lengths=lengths)
 
     @cached_property
     def tangents_and_positions(self) -> tuple[np.ndarray, np.ndarray]:
@@ -197,10 +194,9 @@ class _RelaxingStrings:
     @cached_property
     def tension(self) -> tuple[np.ndarray, np.ndarray]:
         """Tension [m2/s2] and its slope with the stretch, (C, n - 1) each."""
-        string, material = self.chain.string, self.chain.material
         stretch = self.lengths / self.chain.segment_length - 1
         return slot_sum_and_slope(
-            string, material, "tension", "stretch", stretch, {"rate": ZERO}
+            self.chain.string, self.chain.material, "tension", stretch
         )
 
     @cached_property

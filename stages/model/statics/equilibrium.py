@@ -26,12 +26,10 @@ from stringcast.stages.model.statics.chain import (
     MAX_ITERATIONS,
     MAX_TURN_RAD,
     MIN_TURN_STIFFNESS,
-    ZERO,
     Chain,
     forces_beyond_segments,
     guess_angles,
     hinge_moments,
-    rest_lengths,
     slot_sum_and_slope,
 )
 from stringcast.stages.model.statics.contact_equilibrium import contact_shape
@@ -95,8 +93,8 @@ def _free_hanging_shape(
     pose: (C, 3). turn: (C,).
     """
     chain = Chain.from_material(string, material)
-    angles = guess_angles(string, material, pose[:, 2], turn)
-    lengths = rest_lengths(string, material)
+    angles = guess_angles(chain, pose[:, 2], turn)
+    lengths = chain.rest_lengths
     force = forces_beyond_segments(chain, pose, angles, lengths)
     turns_with_string = string.uses_argument(
         ("load", "flow", "acceleration"), ("x", "y", "tx", "ty")
@@ -104,9 +102,8 @@ def _free_hanging_shape(
     last_step, share = np.zeros_like(angles), np.ones((len(angles), 1))
     moving = np.arange(len(material))
     for _ in range(MAX_ITERATIONS):
-        if moving.size == len(material):
-            some = chain
-        else:
+        some = chain
+        if moving.size < len(material):
             some = chain.for_candidates(moving)
         if turns_with_string:
             force[moving] = forces_beyond_segments(
@@ -116,9 +113,7 @@ def _free_hanging_shape(
         # To where all is balanced, by the tangents of the laws here: to evaluate the
         # laws takes longer than all else.
         stretch = lengths[moving] / some.segment_length - 1
-        tension = slot_sum_and_slope(
-            some.string, some.material, "tension", "stretch", stretch, {"rate": ZERO}
-        )
+        tension = slot_sum_and_slope(string, some.material, "tension", stretch)
         step, balanced_lengths = np.zeros_like(stretch), np.empty_like(stretch)
         _solve_balance(
             force[moving],
@@ -239,16 +234,14 @@ def stretched_lengths(
     [rad].
     """
     chain = Chain.from_material(string, material)
-    lengths = rest_lengths(string, material)
+    lengths = chain.rest_lengths
     poses = np.broadcast_to(pose, (len(material), 3))
     force = forces_beyond_segments(chain, poses, angles, lengths)
     along = force[..., 0] * np.cos(angles) + force[..., 1] * np.sin(angles)
     for _ in range(4):
         stretch = lengths / chain.segment_length - 1
         for _ in range(2):  # Newton steps to where tension balances the pull
-            tension, rise = slot_sum_and_slope(
-                string, material, "tension", "stretch", stretch, {"rate": ZERO}
-            )
+            tension, rise = slot_sum_and_slope(string, material, "tension", stretch)
             stretch = np.maximum(stretch - (tension - along) / rise, MIN_STRETCH)
         lengths = chain.segment_length * (1 + stretch)
     return lengths
