@@ -27,7 +27,6 @@ from stringcast.stages.extract.quality import check_line
 from stringcast.stages.extract.score import rasterise
 from stringcast.stages.extract.segment import (
     Backdrop,
-    arm_silhouette,
     estimate_background,
     fill_never_uncovered,
     half_width,
@@ -176,9 +175,7 @@ def _estimate_backdrop(
         joints = np.zeros((0, 2))
         if footage.body is not None:
             joints = camera.pixels(footage.body[number])
-        silhouette = arm_silhouette(
-            image.shape, joints[None], arm_width * camera.px_per_m
-        )
+        silhouette = rasterise(joints, image.shape, arm_width * camera.px_per_m)
         frames.append(image)
         arms.append(pack_mask(silhouette))
     uncovered = uncovered_brightness(frames)
@@ -250,7 +247,7 @@ class FrameReader:
         image = self.footage.images[number]
         longest = self.arc_lengths[-1] * (1 + self.longer) * self.camera.px_per_m
         window = window_around(grasp, longest + WINDOW_MARGIN_PX, image.shape)
-        if min(window.shape) < 2 * MIN_PROFILE_REACH_PX:
+        if window.size.min() < 2 * MIN_PROFILE_REACH_PX:
             raise UnreadableError("the grasp is out of view")
 
         moments, blur = self._arm_during_exposure(number)
@@ -333,44 +330,24 @@ def _build_tables(
 
     s: (K,) arc lengths of the points [m].
     """
-    reasons = [""] * len(t)
-    tips = np.full((len(t), 4), np.nan)
-    read: list[FrameReading] = []
-    frames: list[int] = []
+    rows, points, masks = [], [], []
     for number, reading in enumerate(readings):
+        frame = {"frame": number, "t": t[number]}
         if isinstance(reading, str):
-            reasons[number] = reading
+            unknown = dict.fromkeys(("tip_x", "tip_y", "tip_sigma", "length"), np.nan)
+            rows.append({**frame, "valid": False, "reason": reading, **unknown})
             continue
-        x, y = reading.points[-1]
-        tips[number] = x, y, reading.sigma[-1], reading.length
-        frames.append(number)
-        read.append(reading)
-    table = pd.DataFrame(
-        {
-            "frame": np.arange(len(t)),
-            "t": t,
-            "valid": ~np.isnan(tips[:, 0]),
-            "reason": reasons,
-            "tip_x": tips[:, 0],
-            "tip_y": tips[:, 1],
-            "tip_sigma": tips[:, 2],
-            "length": tips[:, 3],
-        }
+        x, y = reading.points.T
+        sigma = reading.sigma
+        tip = {"tip_x": x[-1], "tip_y": y[-1], "tip_sigma": sigma[-1]}
+        length = {"length": reading.length}
+        rows.append({**frame, "valid": True, "reason": "", **tip, **length})
+        line = {"t": t[number], "s": s, "x": x, "y": y, "sigma": sigma, "valid": True}
+        points.append(pd.DataFrame(line))
+        masks.append({**frame, "png": reading.mask})
+    table = READINGS.check(pd.DataFrame(rows))
+    if not points:
+        return Points(POINTS.empty(), table, MASKS.empty())
+    return Points(
+        POINTS.check(pd.concat(points)), table, MASKS.check(pd.DataFrame(masks))
     )
-    if not read:
-        return Points(POINTS.empty(), READINGS.check(table), MASKS.empty())
-    places = np.concatenate([reading.points for reading in read])
-    points = pd.DataFrame(
-        {
-            "t": np.repeat(t[frames], len(s)),
-            "s": np.tile(s, len(frames)),
-            "x": places[:, 0],
-            "y": places[:, 1],
-            "sigma": np.concatenate([reading.sigma for reading in read]),
-            "valid": True,
-        }
-    )
-    masks = pd.DataFrame(
-        {"frame": frames, "t": t[frames], "png": [reading.mask for reading in read]}
-    )
-    return Points(POINTS.check(points), READINGS.check(table), MASKS.check(masks))

@@ -43,12 +43,13 @@ def pixel_scores(
 
 
 def rasterise(
-    points_px: np.ndarray, shape: tuple[int, int], width_px: float
+    points_px: np.ndarray, shape: tuple[int, ...], width_px: float
 ) -> np.ndarray:
-    """Draw a polyline (K, 2) of pixels (u, v) as a binary image, uint8 0 or 255."""
+    """Draw polylines (..., K, 2) of pixels (u, v) as a binary image, uint8 0 or 255."""
     canvas = np.zeros(shape, np.uint8)
     # OpenCV takes fixed-point numbers: 4 bits behind the point
     pixels = np.rint(points_px * 16).astype(np.int32)
+    lines = list(pixels.reshape(-1, pixels.shape[-2], 1, 2))
     thickness = max(round(width_px), 1)
-    cv2.polylines(canvas, [pixels[:, None]], False, 255, thickness, cv2.LINE_8, 4)
+    cv2.polylines(canvas, lines, False, 255, thickness, cv2.LINE_8, 4)
     return canvas

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stringcast.stages.extract.score import rasterise
+
 WIDTH_SAMPLES = 15  # frames from which the string's width is measured
 BRIGHTNESS_SAMPLES = 30  # frames from which the string's brightness is measured
 BAND_ROWS = 16  # rows of all frames that are sorted at a time: about a megabyte
@@ -110,7 +112,7 @@ def segment_frame(
         body_noise = max(noise, estimate_noise(above[body]))
     threshold = sigmas * np.where(body, body_noise, noise)
     mask = remove_specks((above > threshold).astype(np.uint8))
-    arm = arm_silhouette(image.shape, moments, width + 4 + blur)
+    arm = rasterise(moments, image.shape, width + 4 + blur) > 0
     # before the arm, only light close to certain pixels is the string's
     certain = ~body | (cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0)
     # scaled as in front of a typical part of the scene, because the string outshines a
@@ -326,10 +328,10 @@ def expected_brightness(
     if not len(moments):
         nowhere = np.zeros(scene.shape, bool)
         return scene, nowhere, nowhere
-    covers = [arm_silhouette(scene.shape, joints[None], width) for joints in moments]
+    covers = [rasterise(joints, scene.shape, width) > 0 for joints in moments]
     cover = cv2.GaussianBlur(np.mean(covers, axis=0, dtype=np.float32), (0, 0), 0.5)
     body = cover > 0.99
-    middle = arm_silhouette(scene.shape, moments, max(width / 3, 1)) & body
+    middle = (rasterise(moments, scene.shape, width / 3) > 0) & body
     arm_level = float(np.median(image[middle])) if middle.any() else 0.0
     blended = scene + cover * (arm_level - scene)
     square = np.ones((2 * round(margin) + 1,) * 2, np.uint8)
@@ -370,17 +372,3 @@ def remove_specks(mask: np.ndarray) -> np.ndarray:
     _, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     is_large = stats[:, cv2.CC_STAT_AREA] >= MIN_PATCH_PX
     return np.asarray(mask & is_large[label].astype(np.uint8))
-
-
-def arm_silhouette(
-    shape: tuple[int, ...], moments: np.ndarray, width: float
-) -> np.ndarray:
-    """Draw the arm's links at all moments as a mask, bool.
-
-    moments: (M, J + 1, 2) joints [px]. width: of a link [px].
-    """
-    canvas = np.zeros(shape, np.uint8)
-    # OpenCV takes fixed-point numbers: 4 bits behind the point
-    pixels = list(np.rint(moments * 16).astype(np.int32)[:, :, None])
-    cv2.polylines(canvas, pixels, False, 255, max(round(width), 1), cv2.LINE_8, 4)
-    return canvas > 0

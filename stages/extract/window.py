@@ -9,26 +9,22 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Window:
-    """Rows and columns of a picture: first and one past the last pixel of each."""
+    """A part of a picture.
 
-    rows: tuple[int, int]
-    columns: tuple[int, int]
+    Parameters
+    ----------
+    corner : (2,) its first pixel (u, v)
+    size : (2,) width and height [px]; not positive where it lies outside the picture
+    """
 
-    @property
-    def corner(self) -> np.ndarray:
-        """Pixel (u, v) at which the window begins, (2,)."""
-        return np.array([self.columns[0], self.rows[0]], dtype=float)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width [px]; zero where the window lies outside the picture."""
-        height = self.rows[1] - self.rows[0]
-        width = self.columns[1] - self.columns[0]
-        return max(height, 0), max(width, 0)
+    corner: np.ndarray
+    size: np.ndarray
 
     def cut(self, image: np.ndarray) -> np.ndarray:
         """Cut the window out of an image (height, width, ...)."""
-        return image[slice(*self.rows), slice(*self.columns)]
+        left, top = self.corner
+        right, bottom = self.corner + self.size
+        return image[top:bottom, left:right]
 
     def paste(self, part: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         """Make an image of this shape that is 0 except for `part` in the window."""
@@ -42,6 +38,6 @@ def window_around(centre: np.ndarray, reach: float, shape: tuple[int, ...]) -> W
 
     It ends where the picture of the given shape ends.
     """
-    low = np.maximum(np.floor(centre - reach), 0).astype(int)
-    high = np.minimum(np.ceil(centre + reach) + 1, shape[1::-1]).astype(int)
-    return Window((int(low[1]), int(high[1])), (int(low[0]), int(high[0])))
+    first = np.maximum(np.floor(centre - reach), 0).astype(int)
+    end = np.minimum(np.ceil(centre + reach) + 1, shape[1::-1]).astype(int)
+    return Window(first, end - first)
