@@ -74,7 +74,7 @@ def hit_test(
     path = tip_path(readings, times)
     if not np.isfinite(path).any():
         return HitResult(False, np.nan, np.nan, len(contact_times))
-    inside = np.append(False, target.is_crossed_by(path[:-1], path[1:]))
+    inside = np.append(False, target.is_crossed_along(path))
     hit = bool(inside.any())
     if hit and len(contact_times):
         hit = contact_times[0] > times[np.argmax(inside)]
@@ -95,7 +95,7 @@ def _contact_times(
     same_frame = t[1:] == t[:-1]
     touched = np.zeros(len(same_frame), dtype=bool)
     for box in obstacles:
-        touched |= box.is_crossed_by(places[:-1], places[1:]) & same_frame
+        touched |= box.is_crossed_along(places) & same_frame
     return np.unique(t[1:][touched])
 
 

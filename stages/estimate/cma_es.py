@@ -66,7 +66,7 @@ def estimate(
         Settings of E.
     """
     targets = matching_targets(model, observations, matching)
-    before = start_chi(model.parameters, previous)
+    before = start_chi(model, previous)
     count = len(before)
     rng = np.random.default_rng(seed)
     bounds = np.tile([0.0, 1.0], (count, 1))

@@ -80,7 +80,7 @@ def estimate(
         Settings of E, by which all candidates are scored, too.
     """
     targets = matching_targets(model, observations, matching)
-    before = start_chi(model.parameters, previous)
+    before = start_chi(model, previous)
     rng = np.random.default_rng([seed, manipulation])
     drawn = rng.uniform(0, 1, (screening, len(before)))
     # Known values of added effects are refined, but not drawn from their whole range,

@@ -60,7 +60,7 @@ def estimate(
         Settings of E.
     """
     targets = matching_targets(model, observations, matching)
-    before = start_chi(model.parameters, previous)
+    before = start_chi(model, previous)
     rng = np.random.default_rng(seed)
     chi = before[None]
     rate = matching_rate(targets, chi)

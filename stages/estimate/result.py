@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import pandas as pd
@@ -19,7 +19,12 @@ from stringcast.data.artifacts import (
 from stringcast.data.schema import DataError
 from stringcast.stages.estimate.matching import MatchingTarget, matching_rate
 from stringcast.stages.estimate.posterior import sample_least_squares_posterior
-from stringcast.stages.model.parameter import Parameter, parameter_values
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import (
+    Parameter,
+    parameter_exponents,
+    parameter_values,
+)
 
 EQUAL_RATE_TOLERANCE = 0.01  # of E: candidates so near to the best are as good
 UNDETERMINED_SPREAD = 0.5  # of the range, of a parameter's good values
@@ -82,11 +87,10 @@ class Interval:
     sentence: str
 
 
-def start_chi(parameters: Sequence[Parameter], previous: Estimate | None) -> np.ndarray:
+def start_chi(model: Model, previous: Estimate | None) -> np.ndarray:
     """Choose the start of a search, (P,): the previous estimate or the start values."""
     known = {} if previous is None else previous.values()
-    starts = [p.chi(np.asarray(known.get(p.name, p.start))) for p in parameters]
-    return np.array([float(start) for start in starts])
+    return parameter_exponents(model.parameters, model.values(known))
 
 
 def build_search_estimate(
@@ -214,11 +218,8 @@ def describe_undetermined(
     """Name the parameters that the data cannot determine; `clear` if there are none."""
     if determined.all():
         return clear
-    loose = [
-        parameter_label(parameter)
-        for parameter, known in zip(parameters, determined, strict=True)
-        if not known
-    ]
+    labels = np.array([parameter_label(parameter) for parameter in parameters])
+    loose = labels[~determined]
     why = "other values fit as well, or the best lies at the end of the range"
     return f"This data cannot determine {', '.join(loose)}: {why}."
 
@@ -263,25 +264,15 @@ def _parameter_table(
     interval: Interval,
 ) -> pd.DataFrame:
     low, high = parameter_values(parameters, np.stack([interval.low, interval.high]))
-    described = [
-        (p.name, p.symbol, p.unit, p.meaning, p.low, p.high) for p in parameters
-    ]
-    names, symbols, units, meanings, minima, maxima = zip(*described, strict=True)
-    return pd.DataFrame(
-        {
-            "name": names,
-            "symbol": symbols,
-            "unit": units,
-            "meaning": meanings,
-            "value": value,
-            "low": low,
-            "high": high,
-            "minimum": minima,
-            "maximum": maxima,
-            "chi": chi,
-            "at_bound": ~within_range(chi),
-            "determined": interval.determined,
-        }
+    described = pd.DataFrame([asdict(parameter) for parameter in parameters])
+    described = described.rename(columns={"low": "minimum", "high": "maximum"})
+    return described[["name", "symbol", "unit", "meaning", "minimum", "maximum"]].assign(
+        value=value,
+        low=low,
+        high=high,
+        chi=chi,
+        at_bound=~within_range(chi),
+        determined=interval.determined,
     )
 
 

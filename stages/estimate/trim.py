@@ -31,7 +31,7 @@ def trim_at_contact(observation: Observation, obstacles: Sequence[Box]) -> Obser
     margin = 2 * CONTACT_MARGIN_M
     for obstacle in obstacles:
         box = replace(obstacle, w=obstacle.w + margin, h=obstacle.h + margin)
-        near |= box.is_crossed_by(lines[:, :-1], lines[:, 1:]).any(axis=1)
+        near |= box.is_crossed_along(lines).any(axis=1)
         near[1:] |= box.is_crossed_by(lines[:-1], lines[1:]).any(axis=1)
     contacts = np.flatnonzero(near)
     if not contacts.size or contacts[0] < MIN_FRAMES:

@@ -288,7 +288,7 @@ def arm_faults(
     faults = np.full(len(angles), "", dtype=object)
     joints = arm.joint_positions(angles)
     for box in obstacles:
-        touched = box.is_crossed_by(joints[..., :-1, :], joints[..., 1:, :])
+        touched = box.is_crossed_along(joints)
         faults[touched.any(axis=(1, 2))] = "the arm touches an obstacle"
     hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1)
     commanded = arm.commanded_velocities(angles)
@@ -322,8 +322,9 @@ def _simulate_curves(
         np.repeat(values[None], len(angles), axis=0),
         times,
     )
-    inside = target.is_crossed_by(motion.tip[:, :-1], motion.tip[:, 1:])
-    return SimulatedCandidates(times, motion.points, inside)
+    return SimulatedCandidates(
+        times, motion.points, target.is_crossed_along(motion.tip)
+    )
 
 
 def _string_faults(
@@ -334,7 +335,7 @@ def _string_faults(
     moving = simulated.times[None, 1:] <= duration[:, None] + ROUNDING_S
     points = simulated.points
     for box in obstacles:
-        touched = box.is_crossed_by(points[:, 1:, :-1], points[:, 1:, 1:]).any(axis=2)
+        touched = box.is_crossed_along(points[:, 1:]).any(axis=2)
         faults[(touched & moving).any(axis=1)] = "the string touches an obstacle"
     hits = (simulated.inside & moving).any(axis=1)
     faults[~hits] = "the tip misses the target"

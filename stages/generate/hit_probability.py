@@ -159,16 +159,17 @@ def _predict_batch(
 
     # nearest point of each segment to the centre, in half widths and half heights
     target = task.target
-    scaled = (path - [target.x, target.y]) / [target.w / 2, target.h / 2]
-    start, segment = scaled[:, :-1], np.diff(scaled, axis=1)
-    square = np.maximum(segment[..., 0] ** 2 + segment[..., 1] ** 2, 1e-300)
-    product = start[..., 0] * segment[..., 0] + start[..., 1] * segment[..., 1]
-    share = np.clip(-product / square, 0, 1)
+    scaled = (path - target.centre) / target.half_size
+    start = scaled[:, :-1]
+    segment = np.diff(scaled, axis=1)
+    square = np.sum(segment**2, axis=-1)
+    product = np.sum(start * segment, axis=-1)
+    share = np.clip(-product / np.maximum(square, 1e-300), 0, 1)
     nearest = start + share[..., None] * segment
     distance = np.hypot(nearest[..., 0], nearest[..., 1])
     least = np.where(counts, distance, np.inf).min(axis=1)
 
-    entered = target.is_crossed_by(path[:, :-1], path[:, 1:]) & counts
+    entered = target.is_crossed_along(path) & counts
     hit = entered.any(axis=1) & finite & ~arm_touches.any(axis=1)
     return CastOutcome(
         np.where(finite, least, np.inf).reshape(shape),
@@ -216,12 +217,11 @@ def _contact_ticks(
     tip = points[:, :, -1]
     lowest, highest = points.min(axis=2), points.max(axis=2)
     for box in task.obstacles:
-        arm |= box.is_crossed_by(joints[..., :-1, :], joints[..., 1:, :]).any(axis=2)
+        arm |= box.is_crossed_along(joints).any(axis=2)
         # only strings whose bounding box overlaps the obstacle are examined closely
-        centre, half = np.array([box.x, box.y]), np.array([box.w / 2, box.h / 2])
-        apart = (lowest > centre + half) | (highest < centre - half)
-        is_near = ~apart.any(axis=2)
-        near = points[is_near]
-        string[is_near] |= box.is_crossed_by(near[:, :-1], near[:, 1:]).any(axis=1)
-        string[:, 1:] |= box.is_crossed_by(tip[:, :-1], tip[:, 1:])
+        is_beyond = lowest > box.centre + box.half_size
+        is_before = highest < box.centre - box.half_size
+        is_near = ~(is_beyond | is_before).any(axis=2)
+        string[is_near] |= box.is_crossed_along(points[is_near]).any(axis=1)
+        string[:, 1:] |= box.is_crossed_along(tip)
     return arm, string

@@ -21,6 +21,7 @@ from stringcast.stages.generate.hit_probability import (
     simulate_motions,
 )
 from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
+from stringcast.stages.model.parameter import parameter_exponents
 
 OBSERVED_PLACES = 4  # on the string, from its tip, that stand for all observed points
 # in ticks: simulation error lasts, so that a denser sampling is no new evidence
@@ -59,11 +60,10 @@ def predictive_sd(
         0 * samples.lag,
         0 * samples.tip_error,
     )
-    chi = np.empty_like(samples.values)
-    for number, parameter in enumerate(task.model.parameters):
-        chi[:, number] = parameter.chi(samples.values[:, number])
+    chi = parameter_exponents(task.model.parameters, samples.values)
     # (K, P), of the parameters that vary
-    exponents = (chi - chi.mean(axis=0))[:, np.ptp(chi, axis=0) > 0]
+    varying = chi[:, np.ptp(chi, axis=0) > 0]
+    exponents = varying - varying.mean(axis=0)
     ridge = RIDGE * np.eye(exponents.shape[1])
     precision = np.linalg.inv(exponents.T @ exponents / len(strings) + ridge)
 

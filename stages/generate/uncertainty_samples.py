@@ -10,6 +10,7 @@ from pydantic import Field
 
 from stringcast.data.artifacts import Estimate
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import parameter_values
 
 SmallNumber = Annotated[float, Field(ge=0, le=0.1)]
 
@@ -102,11 +103,11 @@ def sample_uncertainty(
         tip_sigma = float(estimate.fit["rms_after"].iloc[0])
     tip_error = tip_sigma * rng.standard_normal((count, 2))
     if estimate is None:
-        values = np.empty((count, len(model.names)))
-        for number, parameter in enumerate(model.parameters):
-            values[:, number] = parameter.value(rng.uniform(0, 1, count))
-            if parameter.name in model.start_values:
-                values[:, number] = model.start_values[parameter.name]
+        chi = rng.uniform(0, 1, (len(model.names), count)).T
+        values = parameter_values(model.parameters, chi)
+        for number, name in enumerate(model.names):
+            if name in model.start_values:
+                values[:, number] = model.start_values[name]
     else:
         possible = [model.values(row) for row in estimate.draws.to_dict("records")]
         values = np.stack(possible)[rng.integers(0, len(possible), count)]

@@ -28,17 +28,33 @@ class Box:
     w: Annotated[FiniteFloat, Field(gt=0)]
     h: Annotated[FiniteFloat, Field(gt=0)]
 
+    @property
+    def centre(self) -> np.ndarray:
+        """Centre, (2,) [m]."""
+        return np.array([self.x, self.y])
+
+    @property
+    def half_size(self) -> np.ndarray:
+        """Half the width and half the height, (2,) [m]."""
+        return np.array([self.w, self.h]) / 2
+
     def is_crossed_by(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Return whether segments touch the box, (...) bool, by the slab method.
 
         a, b: ends of the segments, (..., 2) [m].
         """
-        enter_x, leave_x = _slab_crossing(self.x, self.w / 2, a[..., 0], b[..., 0])
-        enter_y, leave_y = _slab_crossing(self.y, self.h / 2, a[..., 1], b[..., 1])
-        enter = np.maximum(np.maximum(enter_x, enter_y), 0.0)
-        leave = np.minimum(np.minimum(leave_x, leave_y), 1.0)
-        crosses: np.ndarray = enter <= leave
+        enter, leave = _slab_crossing(self.centre, self.half_size, a, b)
+        first = np.maximum(enter[..., 0], enter[..., 1])
+        last = np.minimum(leave[..., 0], leave[..., 1])
+        crosses: np.ndarray = np.maximum(first, 0.0) <= np.minimum(last, 1.0)
         return crosses
+
+    def is_crossed_along(self, path: np.ndarray) -> np.ndarray:
+        """Return whether each segment of paths (..., K, 2) touches the box.
+
+        (..., K - 1) bool.
+        """
+        return self.is_crossed_by(path[..., :-1, :], path[..., 1:, :])
 
     def distance_to_centre(self, points: np.ndarray) -> np.ndarray:
         """Return the distance of points (..., 2) [m] from the box's centre."""
@@ -46,23 +62,24 @@ class Box:
 
     def distance_to(self, x: float, y: float) -> float:
         """Return the distance of a point from the box itself, 0 inside [m]."""
-        across = max(abs(x - self.x) - self.w / 2, 0)
-        up = max(abs(y - self.y) - self.h / 2, 0)
-        return float(np.hypot(across, up))
+        offset = np.abs(np.array([x, y]) - self.centre)
+        beyond = np.maximum(offset - self.half_size, 0)
+        return float(np.hypot(*beyond))
 
 
 def _slab_crossing(
-    centre: float, half: float, a: np.ndarray, b: np.ndarray
+    centre: np.ndarray, half: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the shares of the ways from a to b at which they enter and leave a slab.
+    """Find the shares of the ways from a to b at which they enter and leave slabs.
 
-    a, b: coordinates [m]. +inf and -inf for never.
+    One slab for each coordinate, (..., 2) [m]. +inf and -inf for never.
     """
     way = b - a
     with np.errstate(divide="ignore", invalid="ignore"):
         first = (centre - half - a) / way
         second = (centre + half - a) / way
-    enter, leave = np.minimum(first, second), np.maximum(first, second)
+    enter = np.minimum(first, second)
+    leave = np.maximum(first, second)
     still = way == 0
     if still.any():
         outside = np.where(np.abs(a - centre) > half, np.inf, -np.inf)
