@@ -172,7 +172,7 @@ def _estimate_backdrop(
         image = footage.images[number]
         if image.dtype != np.uint8:
             image = cv2.convertScaleAbs(image)
-        joints = np.zeros((0, 2))
+        joints = np.zeros((0, 2, 2))
         if footage.body is not None:
             joints = camera.pixels(footage.body[number])
         silhouette = rasterise(joints, image.shape, arm_width * camera.px_per_m)
@@ -286,7 +286,7 @@ class FrameReader:
         The blur is how far the fastest joint moves in the exposure [px].
         """
         if self.footage.body is None:
-            return np.zeros((0, 0, 2)), 0.0
+            return np.zeros((0, 2, 2)), 0.0
         neighbours = slice(max(number - 1, 0), number + 2)
         joints = self.camera.pixels(self.footage.body[neighbours])
         elapsed = max(float(np.ptp(self.footage.t[neighbours])), 1e-9)
