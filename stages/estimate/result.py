@@ -266,7 +266,9 @@ def _parameter_table(
     low, high = parameter_values(parameters, np.stack([interval.low, interval.high]))
     described = pd.DataFrame([asdict(parameter) for parameter in parameters])
     described = described.rename(columns={"low": "minimum", "high": "maximum"})
-    return described[["name", "symbol", "unit", "meaning", "minimum", "maximum"]].assign(
+    return described[
+        ["name", "symbol", "unit", "meaning", "minimum", "maximum"]
+    ].assign(
         value=value,
         low=low,
         high=high,
