@@ -144,16 +144,17 @@ def with_most_probable_causes(
     state: SelectionState, posteriors: Sequence[SingleEffectPosterior]
 ) -> SelectionState:
     """Put the likeliest effect into each place if the evidence is then higher."""
-    exponents = dict(state.fit.exponents)
-    likeliest = dict[type[Effect], None]()  # in the order of the places
+    likeliest = {}  # by cause, in the order of the places
     for posterior in posteriors:
         fit = posterior.fits.get(posterior.ranked[0])
         if fit is not None:
-            likeliest[fit.hypothesis.causes[-1]] = None
-            exponents |= fit.exponents
+            likeliest[fit.hypothesis.causes[-1]] = fit
     causes = state.fit.hypothesis.causes
     if len(likeliest) != len(causes) or likeliest.keys() == {*causes}:
         return state
+    exponents = dict(state.fit.exponents)
+    for fit in likeliest.values():
+        exponents |= fit.exponents
     together = Hypothesis(state.fit.hypothesis.base, tuple(likeliest))
     start = together.exponents_from(exponents)
     scale_indices = state.fit.scale_indices
