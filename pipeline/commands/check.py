@@ -39,6 +39,7 @@ from stringcast.stages.check.overview import (
 )
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.report.formatting import format_count
 
 USABLE, NOT_USABLE = 0, 1  # exit statuses
 SEVERITY_COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
@@ -70,9 +71,10 @@ def main(arguments: Sequence[str]) -> int:
         if options.effects and overview["usable"]:
             # takes seconds to import
             effects = import_module("stringcast.pipeline.commands.check_effects")
-            overview["effects"] = effects.detectable_effects(
-                options.folder, options.settings
+            settings = settings_for_data(
+                options.folder, options.settings, "+experiment=diagnose"
             )
+            overview["effects"] = effects.detectable_effects(settings)
         if report is not None:
             write_text(report, check_report(checked, overview))
     except (DataError, UserError, HydraException, OmegaConfBaseException) as error:
@@ -207,12 +209,12 @@ def print_overview(overview: Mapping[str, Any], console: Terminal) -> None:
     for severity in SEVERITY_COLOURS:
         count = sum(finding["severity"] == severity for finding in findings)
         if count:
-            counts.append(plural(count, severity))
+            counts.append(format_count(count, severity))
     counted = ", ".join(counts) or "nothing looks wrong"
     conclusion = f"[bold red]Not usable[/]: {counted}."
     if overview["usable"]:
         conclusion = (
-            f"[bold green]Usable[/]: {plural(len(trials), 'trial')}; {counted}."
+            f"[bold green]Usable[/]: {format_count(len(trials), 'trial')}; {counted}."
         )
     console.print(conclusion, soft_wrap=True)
 
@@ -229,11 +231,6 @@ def finding_sentence(finding: Mapping[str, Any]) -> str:
     if remedy:
         sentence += f" {remedy}{full_stop(remedy)}"
     return sentence
-
-
-def plural(count: int, noun: str) -> str:
-    """Return a number with a noun in the singular or plural."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def trial_table(rows: Sequence[Mapping[str, Any]]) -> Table:

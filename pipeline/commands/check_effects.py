@@ -5,9 +5,8 @@ A module of its own, as it takes seconds to import.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from math import isnan
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ import numpy as np
 from stringcast.data.schema import DataError
 from stringcast.pipeline.cli.console import progress_bars
 from stringcast.pipeline.cli.terminal import Terminal
-from stringcast.pipeline.commands.check import settings_for_data
 from stringcast.pipeline.modes.stored_trials import held_out_trials, read_usable_trials
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.typed_settings import build_dataclass
@@ -27,17 +25,15 @@ from stringcast.stages.estimate.trim import trim_at_contact
 from stringcast.stages.model.library import effects_by_name
 
 
-def detectable_effects(folder: Path, overrides: Sequence[str]) -> list[dict[str, Any]]:
-    """Return what a diagnosis of a folder's trials could find of each effect.
+def detectable_effects(settings: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return what a diagnosis of stored trials could find of each effect.
 
     A bar on the terminal shows the progress.
 
     Parameters
     ----------
-    folder : Path
-        Measured data, or a run.
-    overrides : sequence of str
-        Settings as on the command line.
+    settings : mapping
+        All settings of the diagnosis.
 
     Returns
     -------
@@ -49,7 +45,6 @@ def detectable_effects(folder: Path, overrides: Sequence[str]) -> list[dict[str,
     DataError, UserError
         If these trials cannot be diagnosed.
     """
-    settings = settings_for_data(folder, overrides, "+experiment=diagnose")
     experiment = prepare_experiment(settings, lambda block: f"conf/{block}")
     options = experiment.config["diagnose"]
     data = read_usable_trials(experiment)
@@ -61,7 +56,8 @@ def detectable_effects(folder: Path, overrides: Sequence[str]) -> list[dict[str,
     trials, _ = usable_trials(experiment.model, search_trials)
     if len(trials) < 2:
         raise DataError(
-            f"{folder}: causes are sought in two trials or more. Record more."
+            f"{settings['trials']}: causes are sought in two trials or more. "
+            "Record more."
         )
 
     criteria = build_dataclass(

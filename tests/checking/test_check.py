@@ -791,7 +791,9 @@ def test_what_the_trials_can_tell_is_said_where_it_is_asked(
         tmp_path / "page.html",
         "string.points=15",
     )
-    assert asked == [(folder, ["string.points=15"])]
+    ((settings,),) = asked
+    assert settings["trials"] == str(folder)
+    assert settings["string"]["points"] == 15
     assert re.search(r"wind.along_x +0.021 m/s +0.7 +52% +tip_mass", done.stdout)
     assert done.stdout.index("Found from:") < done.stdout.index("Usable: 3 trials")
     page = (tmp_path / "page.html").read_text()
