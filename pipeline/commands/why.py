@@ -23,8 +23,8 @@ from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.stage_registry import stages
 
 StepState = tuple[str, tuple[str, ...]]  # state, and reasons why it is not fresh
-FRESH: StepState = ("fresh", ())
-MISSING: StepState = ("missing", ("it has not been made yet",))
+FRESH_STEP: StepState = ("fresh", ())
+MISSING_STEP: StepState = ("missing", ("it has not been made yet",))
 STALE_STATE = "stale"
 KEPT_STATE = "stale, but stays: the arm has moved by it"
 
@@ -52,7 +52,7 @@ def main(arguments: list[str]) -> int:
     for name in sorted(names, key=lambda name: Path(name).parent):
         state, reasons = states[name]
         print_block(f"{name}: {state}", reasons)
-    return int(any(states[name] != FRESH for name in names))
+    return int(any(states[name] != FRESH_STEP for name in names))
 
 
 def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepState]:
@@ -92,7 +92,7 @@ def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepStat
         for path in inputs[name]:
             if states[path][0] == STALE_STATE:
                 reasons += (f"{path}, an input, is stale",)
-        states[name] = FRESH
+        states[name] = FRESH_STEP
         if reasons:
             number = int(place.parent.name)
             has_moved = arm_has_executed(settings, folder, number, place.name)
@@ -101,7 +101,7 @@ def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepStat
     last = max(len({place.parent for place in places.values()}), 1)
     missing = missing_step(settings, folder, last)
     if missing is not None:
-        states[missing.as_posix()] = MISSING
+        states[missing.as_posix()] = MISSING_STEP
     return states
 
 

@@ -20,8 +20,8 @@ from stringcast.data.artifacts import Points
 from stringcast.data.compare import file_differences
 from stringcast.pipeline import __main__ as shell
 from stringcast.pipeline import commands
-from stringcast.pipeline.commands.verify import verify_run as computed_again
 from stringcast.pipeline.commands.stored_runs import walk_steps
+from stringcast.pipeline.commands.verify import verify_run
 from stringcast.pipeline.modes import Batch, Calibrate
 from stringcast.pipeline.run import provenance
 from stringcast.pipeline.run.provenance import code_state
@@ -63,7 +63,7 @@ def verified(run, tmp_path, here):
         yield lambda share: None
 
     (tmp_path / "aside").mkdir()
-    return computed_again(here, run, tmp_path / "aside", bar)
+    return verify_run(here, run, tmp_path / "aside", bar)
 
 
 def change(run, step, table, column, row, value):
