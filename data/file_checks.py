@@ -33,6 +33,7 @@ MAX_HEADER_BYTES = 2**16  # [bytes] of the first line of a CSV file: 64 for each
 MAX_DIGITS = 40  # of a whole number: twice those of the largest that a table holds
 # of an image: the largest sensors have 5e7, which take 0.2 GB in three colours
 MAX_PIXELS = 1 << 26
+READ_ERRORS = (pa.ArrowException, OSError, ValueError)  # of a damaged file
 # kinds of YAML values that no setting has
 REFUSED_YAML_TAGS = {
     f"tag:yaml.org,2002:{kind}" for kind in ("set", "omap", "pairs", "binary")
@@ -252,6 +253,47 @@ def read_frame(path: Path, kind: str, remedy: str, **options: Any) -> pd.DataFra
     except (ValueError, OSError) as error:
         raise DataError(
             f"{path}: cannot be read as {kind} ({error}). {remedy}"
+        ) from error
+
+
+def read_parquet(
+    path: Path, remedy: str, needed: Collection[str] = ()
+) -> tuple[pd.DataFrame, dict[bytes, bytes]]:
+    """Check a Parquet file and read its plain columns.
+
+    Parameters
+    ----------
+    path
+        The file.
+    remedy
+        What to do about a damaged file, for the message.
+    needed
+        Columns that must hold one value per row.
+
+    Returns
+    -------
+    frame : pandas.DataFrame
+        The columns that hold one value per row.
+    metadata : dict
+        The metadata of the file.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged or does not fit into memory.
+    """
+    try:
+        columns, texts = check_parquet(path, needed)
+        with pq.ParquetFile(
+            path, page_checksum_verification=True, read_dictionary=texts
+        ) as file:
+            metadata = file.schema_arrow.metadata or {}
+            frame = file.read(columns).to_pandas()
+        # a column of texts may have become the index
+        return frame.astype({text: object for text in texts if text in frame}), metadata
+    except READ_ERRORS as error:
+        raise DataError(
+            f"{path}: not a whole Parquet file ({error}). {remedy}"
         ) from error
 
 

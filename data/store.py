@@ -31,7 +31,7 @@ from stringcast.data.schema import DataError, Table
 
 Artifact = TypeVar("Artifact")
 CHUNK_BYTES = 2**20  # [bytes] of a file that are hashed at a time
-READ_ERRORS = (pa.ArrowException, OSError, ValueError)
+READ_ERRORS = file_checks.READ_ERRORS
 
 
 def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
@@ -165,29 +165,14 @@ def read_table(table: Table, path: Path) -> pd.DataFrame:
     DataError
         If the file does not fit; it names the file, the column and the remedy.
     """
-    try:
-        if not path.exists():
-            raise FileNotFoundError(path)
-        columns, texts = file_checks.check_parquet(
-            path, [column.name for column in table.columns]
-        )
-        with pq.ParquetFile(
-            path, page_checksum_verification=True, read_dictionary=texts
-        ) as file:
-            metadata = file.schema_arrow.metadata or {}
-            frame = file.read(columns).to_pandas()
-        # a column of texts may have become the index
-        frame = frame.astype({text: object for text in texts if text in frame})
-    except FileNotFoundError as error:
+    if not os.path.exists(path):
         raise DataError(
             f"{path}: the file is missing. "
             "Restore it, or run the step that makes it again."
-        ) from error
-    except READ_ERRORS as error:
-        raise DataError(
-            f"{path}: not a whole Parquet file ({error}). "
-            "Restore it or delete it and run again."
-        ) from error
+        )
+    needed = [column.name for column in table.columns]
+    remedy = "Restore it or delete it and run again."
+    frame, metadata = file_checks.read_parquet(path, remedy, needed)
     name = metadata.get(b"table", table.name.encode()).decode()  # others write no name
     if name != table.name:
         raise DataError(

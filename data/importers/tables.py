@@ -6,14 +6,12 @@ import csv as lines
 from pathlib import Path
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from stringcast.data.file_checks import (
     MAX_COLUMNS,
     check_csv,
-    check_parquet,
     read_frame,
+    read_parquet,
 )
 from stringcast.data.importers import SourceRecording
 from stringcast.data.schema import DataError
@@ -36,7 +34,8 @@ def read(path: Path) -> list[SourceRecording]:
     comment must name its columns. Raises DataError naming the file and the remedy.
     """
     if path.suffix.lower() == ".parquet":
-        return [SourceRecording(path, _read_parquet(path))]
+        frame, _ = read_parquet(path, "Write it again.")
+        return [SourceRecording(path, frame)]
     with check_csv(path).open(encoding="utf-8-sig", errors="replace") as text:
         head = text.read(SNIFFED_BYTES).splitlines()
     skipped = 0
@@ -71,18 +70,6 @@ def read(path: Path) -> list[SourceRecording]:
             "time_s,joint1_deg,joint2_deg,joint3_deg or time_s,tip_x_mm,tip_y_mm."
         )
     return [SourceRecording(path, frame.set_axis(names, axis=1))]
-
-
-def _read_parquet(path: Path) -> pd.DataFrame:
-    try:
-        columns, texts = check_parquet(path, [])
-        with pq.ParquetFile(path, read_dictionary=texts) as file:
-            frame = file.read(columns).to_pandas()
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise DataError(
-            f"{path}: not a whole Parquet file ({error}). Write it again."
-        ) from error
-    return frame.astype(dict.fromkeys(texts, object))
 
 
 def detect_separator(head: list[str]) -> tuple[str, str]:
