@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import pandas as pd
 
+from stringcast.data.artifacts import Film, Points, Trial, TrialSet
 from stringcast.stages.common import Progress
 
 if TYPE_CHECKING:
@@ -73,6 +74,19 @@ class LatestIteration(Input):
             if name in iterations[number - 1]:
                 return number, iterations[number - 1][name]
         return None
+
+
+@dataclass(frozen=True)
+class CollectedTrials(SameIteration):
+    """The trials that a mode has collected, each from these parts of its iteration.
+
+    parts: kinds of the parts by name, which are wired like inputs.
+    """
+
+    kind: type | UnionType = TrialSet
+    parts: Mapping[str, type | UnionType] = field(
+        default_factory=lambda: {"trial": Trial | Film, "points": Points}
+    )
 
 
 class StageSetup(Protocol):
@@ -151,6 +165,8 @@ class StageSpec:
     files : function from the artifact and the folder of the next iteration to texts
         that a run leaves in its folder, by name
     page : function that makes report.html from `report.records.Facts`
+    is_end : its artifact is a result, even where no stage uses it
+    moves_arm : it performs a motion, real or virtual
     """
 
     name: str
@@ -163,3 +179,5 @@ class StageSpec:
     summary: Callable[[Any], StageSummary] = _default_summary
     files: Callable[[Any, Path], Mapping[str, str]] = lambda artifact, ahead: {}
     page: str = "stages.report.pages.tables.tables_page"
+    is_end: bool = False
+    moves_arm: bool = False

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from stringcast.data.artifacts import Estimate
+from stringcast.data.artifacts import Estimate, Prediction
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.iterations import Iteration
 from stringcast.pipeline.run.log import forward_log
@@ -120,7 +120,7 @@ def cast_table(rows: list[list[str]]) -> Table:
 
 def cast_row(iteration: Iteration) -> list[str]:
     """Return the cells of a cast or stored trial, some of them empty."""
-    verdict, estimate = iteration.verdict, iteration.artifacts.get("estimate")
+    verdict, estimate = iteration.verdict, iteration.find(Estimate)
     cells = [str(iteration.number), "", ""]
     if (
         verdict is not None
@@ -128,8 +128,8 @@ def cast_row(iteration: Iteration) -> list[str]:
         and isfinite(verdict.distance)
     ):
         cells[1:] = ["yes" if verdict.hit else "no", f"{verdict.distance * 1e3:.0f}"]
-    if "prediction" in iteration.artifacts:
-        rms = iteration.artifacts["prediction"].score["rms"].iloc[0]
+    if (prediction := iteration.find(Prediction)) is not None:
+        rms = prediction.score["rms"].iloc[0]
         return [*cells, "", "held out", f"{rms * 1e3:.1f}"]
     if estimate is None:
         return [*cells, "", "", ""]

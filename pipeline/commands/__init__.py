@@ -19,6 +19,7 @@ COMMAND_NAMES = (
     "check",
     "new",
     "board",
+    "graph",
     "resume",
     "index",
     "verify",

@@ -56,9 +56,9 @@ from typing import ClassVar
 
 import pandas as pd
 
-from stringcast.data.artifacts import TrialSet
+from stringcast.data.artifacts import Points
 from stringcast.data.schema import Column, Table
-from stringcast.stages.spec import SameIteration, StageSpec, StageSummary
+from stringcast.stages.spec import CollectedTrials, StageSpec, StageSummary
 
 FARTHEST = Table(
     "farthest",
@@ -92,7 +92,8 @@ STAGE = StageSpec(
     folder="{name}",  # of the artifact in an iteration
     uses=("{name}",),  # settings that change the artifact
     run="stages.{name}.{name}.run",  # makes the artifact of its inputs
-    inputs={{"trials": SameIteration(TrialSet)}},
+    inputs={{"trials": CollectedTrials(parts={{"points": Points}})}},
+    is_end=True,  # its artifact is a result by itself
     by=("stages.{name}.{name}.{name}",),  # allowed as `_target_` in conf/{name}/*.yaml
     summary=summary,
 )

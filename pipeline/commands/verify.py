@@ -25,7 +25,7 @@ from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.file_names import SUMMARY_FILE
 from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.run.provenance import (
-    is_repeatable,
+    arm_is_virtual,
     load_step_with_staleness,
 )
 from stringcast.pipeline.run.result import RunResult, run_summary
@@ -96,7 +96,7 @@ def verify_run(
         if stored.artifact is None:
             comparison.note(name, stored.stale_reasons)
             raise NotMadeError
-        if not is_repeatable(experiment.config, step.stage.folder):
+        if step.stage.moves_arm and not arm_is_virtual(experiment.config):
             comparison.lines.append(f"{name}: {UNREPEATABLE_NOTE}")
             return stored.artifact
         with bar(f"{step.number}. {step.stage.name}") as progress:
@@ -126,7 +126,7 @@ def compare_dataset(
     """Compare the dataset that a run wrote with the one that its steps make."""
     measured = []
     for iteration in result.iterations:
-        if {"trial", "points"} <= iteration.artifacts.keys():
+        if iteration.measurement_names:
             measured.append(iteration)
     if experiment.config["trials"] is not None or not measured:
         return

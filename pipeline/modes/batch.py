@@ -5,20 +5,33 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from stringcast.data.artifacts import MASKS, POINTS, READINGS, Observation, TrialSet
+from stringcast.data.artifacts import (
+    MASKS,
+    POINTS,
+    READINGS,
+    Observation,
+    Trial,
+    TrialSet,
+)
 from stringcast.data.dataset import describe_rejected
 from stringcast.data.schema import DataError
-from stringcast.pipeline.modes.cast import refuse_unknown_stages
+from stringcast.pipeline.modes.cast import collected_input
 from stringcast.pipeline.modes.stepwise import Stepwise, require_trials
 from stringcast.pipeline.modes.stored_trials import (
+    STORED_ARTIFACTS,
     held_out_trials,
     history_of_dataset,
-    read_points,
+    read_trial,
     read_usable_trials,
 )
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History
 from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.run.stage_graph import (
+    StageGraph,
+    build_graph,
+    refuse_unknown_stages,
+)
 from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.pipeline.settings.stage_registry import stages
 
@@ -31,32 +44,40 @@ class Batch(Stepwise):
     ----------
     stage : str
         Stage that takes `trials`.
-    read : bool
-        Extract points of trials that have only frames.
+    reading : tuple of str
+        Stages through which each stored trial goes; those that take frames only where
+        no points are stored.
     again : bool
-        Extract points again where they are stored.
+        Read frames again where points are stored.
     first : tuple of str
         Stages that make a trial if none are stored; empty if stored ones are required.
     """
 
     stage: str
-    read: bool
+    reading: tuple[str, ...]
     again: bool
     first: tuple[str, ...]
 
+    def graph(self, config: Settings) -> StageGraph:
+        """Return the graph of a performed or stored trial, up to the stage."""
+        first = self.first if config["trials"] is None else ()
+        names = [*first, *self.reading, self.stage]
+        return build_graph(names, config, {} if first else STORED_ARTIFACTS)
+
     def check(self, experiment: Experiment) -> None:
         """Refuse a stage that takes more than trials, and missing trials."""
-        refuse_unknown_stages((self.stage, *self.first))
+        refuse_unknown_stages((self.stage,))
         choices = [
             name
             for name, stage in sorted(stages().items())
-            if [*stage.inputs] == ["trials"]
+            if len(stage.inputs) == 1 and collected_input(name)
         ]
         if self.stage not in choices:
             raise UserError(
                 f"mode.stage = {self.stage}: it does not look at trials alone. "
                 f"Choose {' or '.join(choices)}."
             )
+        self.graph(experiment.config)
         if not self.first:
             require_trials(experiment)
 
@@ -69,7 +90,8 @@ class Batch(Stepwise):
     ) -> RunResult:
         """Run the stage on all trials."""
         history, trials = self.begin_history(experiment, executor)
-        artifact = history.make_artifact(self.stage, trials=trials)
+        collected = {collected_input(self.stage): trials}
+        artifact = history.make_artifact(self.stage, **collected)
         stage = stages()[self.stage]
         sentences = [stage.summary(artifact).sentence]
         if trials.rejected:
@@ -87,14 +109,16 @@ class Batch(Stepwise):
         DataError
             If they cannot be used.
         """
+        graph = self.graph(experiment.config)
         if experiment.config["trials"] is None:
-            return self.perform_trial(executor)
+            return self.perform_trial(executor, graph)
         data = read_usable_trials(experiment)
-        history = history_of_dataset(data, executor)
+        history = history_of_dataset(data, executor, graph)
         observations = tuple(data.trials.values())
-        if self.read:
+        if self.reading:
             observations = tuple(
-                read_points(history, data, name, self.again) for name in data.trials
+                read_trial(history, data, name, self.reading, self.again)
+                for name in data.trials
             )
         else:
             history.begin_iteration()
@@ -107,9 +131,11 @@ class Batch(Stepwise):
         )
         return history, trials
 
-    def perform_trial(self, executor: Executor) -> tuple[History, TrialSet]:
+    def perform_trial(
+        self, executor: Executor, graph: StageGraph
+    ) -> tuple[History, TrialSet]:
         """Perform a trial, of which nothing is read yet."""
-        history = History(executor)
+        history = History(executor, graph=graph)
         iteration = history.begin_iteration()
         for name in self.first:
             history.make_artifact(name)
@@ -117,7 +143,8 @@ class Batch(Stepwise):
             raise DataError(
                 f"nothing is measured from this trial: {iteration.refusal_reason}."
             )
-        trial, name = iteration.artifacts["trial"], iteration.trial_name
+        trial, name = iteration.find(Trial), iteration.trial_name
+        assert trial is not None
         no_tables = POINTS.empty(), READINGS.empty(), MASKS.empty()
         observation = Observation(name, *no_tables, arm=trial.arm)
         films = {name: trial.film}

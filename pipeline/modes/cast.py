@@ -9,19 +9,31 @@ from pathlib import Path
 
 import pandas as pd
 
-from stringcast.data.artifacts import Motion, Points, TrialSet
+from stringcast.data.artifacts import Estimate, Motion, Points, Trial, TrialSet
 from stringcast.pipeline.modes.stepwise import Stepwise, refuse_trials
 from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
 from stringcast.pipeline.run.iterations import Executor, History, Iteration
 from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.run.stage_graph import StageGraph, build_graph
 from stringcast.pipeline.settings.allowed_callables import DRY_RUNS
-from stringcast.pipeline.settings.composition import Settings, UserError
+from stringcast.pipeline.settings.composition import Settings
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import require_allowed
 from stringcast.stages.align.correction import transform_to_arm_frame
 from stringcast.stages.hit_test import HitResult, check_reach, hit_test
+from stringcast.stages.spec import CollectedTrials, SameIteration, StageSpec
 
 log = logging.getLogger(__name__)
+
+# What a cast does with its artifacts, in the form of a stage.
+HIT_TEST = StageSpec(
+    name="hit test",
+    makes=HitResult,
+    folder="",
+    uses=("target", "obstacles"),
+    run="stages.hit_test.hit_test",
+    inputs={"motion": SameIteration(Motion), "points": SameIteration(Points)},
+)
 
 
 @dataclass(frozen=True)
@@ -36,10 +48,14 @@ class Cast(Stepwise):
 
     stages: tuple[str, ...]
 
+    def graph(self, config: Settings) -> StageGraph:
+        """Return the graph of a cast, which ends with the hit test."""
+        return build_graph(self.stages, config, {}, HIT_TEST)
+
     def check(self, experiment: Experiment) -> None:
-        """Refuse stored trials, unknown stages, and a target out of reach."""
+        """Refuse stored trials, wrong wiring, and a target out of reach."""
         refuse_trials(experiment)
-        refuse_unknown_stages(self.stages)
+        self.graph(experiment.config)
         check_reach(experiment.target, experiment.arm, experiment.string.length)
 
     def moves_arm(self, config: Settings) -> bool:
@@ -54,7 +70,8 @@ class Cast(Stepwise):
         before: Sequence[Iteration] = (),
     ) -> RunResult:
         """Cast until a trial hits; earlier casts count."""
-        history = History(executor, [*before])
+        graph = self.graph(experiment.config)
+        history = History(executor, [*before], graph=graph)
         target = experiment.config["execute"]["_target_"]
         is_dry_run = require_allowed(target, "execute", "config.json") in DRY_RUNS
         max_casts = 1 if is_dry_run else experiment.config["max_casts"]
@@ -63,7 +80,8 @@ class Cast(Stepwise):
             iteration = history.begin_iteration()
             self.perform_cast(experiment, history)
             log_fit(iteration)
-            iteration = replace(iteration, verdict=measure_hit(experiment, iteration))
+            verdict = measure_hit(experiment, iteration, graph)
+            iteration = replace(iteration, verdict=verdict)
             log_verdict(iteration)
             history.iterations[-1] = iteration
             has_hit = iteration.has_hit
@@ -77,17 +95,21 @@ class Cast(Stepwise):
         """Run the stages of a cast; nothing is learned from an invalid trial."""
         iteration = history.iterations[-1]
         for name in self.stages:
-            if "trials" not in stages()[name].inputs:
+            collected = collected_input(name)
+            if not collected:
                 history.make_artifact(name)
             elif not iteration.refusal_reason:
-                trials = trials_for_estimation(experiment, history.iterations)
-                history.make_artifact(name, trials=trials)
+                trials = trials_for_estimation(experiment, history, name)
+                history.make_artifact(name, **{collected: trials})
 
 
-def measure_hit(experiment: Experiment, iteration: Iteration) -> HitResult:
+def measure_hit(
+    experiment: Experiment, iteration: Iteration, graph: StageGraph
+) -> HitResult:
     """Test whether the measured tip hit the target."""
-    motion: Motion = iteration.artifacts["motion"]
-    points: Points = iteration.artifacts["points"]
+    artifacts = iteration.artifacts
+    motion: Motion = artifacts[graph.artifact_name(HIT_TEST.name, "motion")]
+    points: Points = artifacts[graph.artifact_name(HIT_TEST.name, "points")]
     in_arm_frame = transform_to_arm_frame(points, experiment.model)
     return hit_test(
         in_arm_frame, experiment.target, experiment.obstacles, motion.duration
@@ -110,37 +132,37 @@ def log_verdict(iteration: Iteration) -> None:
         )
 
 
-def refuse_unknown_stages(names: Sequence[str]) -> None:
-    """Raise UserError for a name that no stage has."""
-    for name in names:
-        if name not in stages():
-            raise UserError(
-                f"mode: there is no stage {name!r}. Known are: {', '.join(stages())}."
-            )
+def collected_input(stage: str) -> str:
+    """Return the name of the input that takes collected trials; empty without one."""
+    for name, wanted in stages()[stage].inputs.items():
+        if isinstance(wanted, CollectedTrials):
+            return name
+    return ""
 
 
 def trials_for_estimation(
-    experiment: Experiment, iterations: Sequence[Iteration]
+    experiment: Experiment, history: History, stage: str
 ) -> TrialSet:
-    """Return the trusted trials that an estimation uses: the last ones, or all."""
+    """Return the trusted trials that a stage uses: the last ones, or all."""
     trusted = [
         iteration
-        for iteration in iterations
-        if "points" in iteration.artifacts and not iteration.refusal_reason
+        for iteration in history.iterations
+        if iteration.measurement_names and not iteration.refusal_reason
     ]
     window = experiment.config["trials_used"]
     used = trusted if window == ALL_TRIALS else trusted[-window:]
     return TrialSet(
-        tuple(iteration.observation for iteration in used),
+        tuple(history.observe(iteration, stage) for iteration in used),
         iteration_numbers=tuple(iteration.number for iteration in used),
     )
 
 
 def log_fit(iteration: Iteration) -> None:
     """Log the result of an estimation, if there was one."""
-    if "estimate" not in iteration.artifacts:
+    estimate = iteration.find(Estimate)
+    if estimate is None:
         return
-    fit = iteration.artifacts["estimate"].fit.iloc[0]
+    fit = estimate.fit.iloc[0]
     rates, rms_mm = fit[["before", "after"]], 1e3 * fit[["rms_before", "rms_after"]]
     message = "estimate %d: E %.3f to %.3f, rms %.1f to %.1f mm. %s"
     log.info(message, iteration.number, *rates, *rms_mm, fit["sentence"])
@@ -157,8 +179,9 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
 
 def dry_run_outcome(iteration: Iteration) -> str:
     """Describe a dry run: the delays of the link, and how often the string was read."""
-    link = iteration.artifacts["trial"].link.iloc[0]
-    readings = iteration.artifacts["points"].readings
+    trial, points = iteration.find(Trial), iteration.find(Points)
+    assert trial is not None and points is not None
+    link, readings = trial.link.iloc[0], points.readings
     is_read = readings["valid"]
     reasons = readings.loc[~is_read.astype(bool), "reason"]
 

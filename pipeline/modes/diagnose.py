@@ -9,11 +9,16 @@ from pathlib import Path
 from stringcast.data.artifacts import Diagnosis, TrialSet
 from stringcast.data.dataset import describe_rejected
 from stringcast.pipeline.modes.batch import Batch
+from stringcast.pipeline.modes.cast import collected_input
+from stringcast.pipeline.modes.stored_trials import STORED_ARTIFACTS
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History
 from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.run.stage_graph import StageGraph, build_graph
 from stringcast.pipeline.settings.composition import Settings
 from stringcast.pipeline.settings.stage_registry import stages
+
+PERFORMANCE = ("propose", "execute")  # stages that perform a proposed motion
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,11 @@ class Diagnose(Batch):
 
     motions: int
 
+    def graph(self, config: Settings) -> StageGraph:
+        """Return the graph of a trial, which performs the motion proposed before."""
+        names = [*PERFORMANCE, *self.reading, self.stage]
+        return build_graph(names, config, STORED_ARTIFACTS)
+
     def moves_arm(self, config: Settings) -> bool:
         """Tell whether motions may be performed."""
         return self.motions > 0
@@ -38,20 +48,39 @@ class Diagnose(Batch):
         """Diagnose, and repeat after each performed motion."""
         history, trials = self.begin_history(experiment, executor)
         stored = len(history.iterations)
-        diagnosis: Diagnosis = history.make_artifact(self.stage, trials=trials)
+        collected = collected_input(self.stage)
+        diagnosis: Diagnosis = history.make_artifact(self.stage, **{collected: trials})
         while diagnosis.motion is not None:
             trial_name = f"performed-{len(history.iterations) + 1:02d}"
             iteration = history.begin_iteration(trial=trial_name)
-            history.make_artifact("propose")
+            history.make_artifact(PERFORMANCE[0])
             if iteration.number > stored + self.motions:
                 history.iterations.pop()
                 break
-            trials = perform_proposed_motion(history, trials)
-            diagnosis = history.make_artifact(self.stage, trials=trials)
+            trials = self.perform_proposed_motion(history, trials)
+            diagnosis = history.make_artifact(self.stage, **{collected: trials})
             executor.publish(history.iterations[stored:])
         sentence = diagnosis_outcome(diagnosis)
         stage = stages()[self.stage]
         return RunResult(folder, tuple(history.iterations), sentence, stage)
+
+    def perform_proposed_motion(self, history: History, trials: TrialSet) -> TrialSet:
+        """Perform the proposed motion and add its trial to the others."""
+        for name in (*PERFORMANCE[1:], *self.reading):
+            history.make_artifact(name)
+        iteration = history.iterations[-1]
+        fault = iteration.refusal_reason
+        observation = history.observe(iteration, self.stage)
+        if not fault and not observation.readings["valid"].any():
+            fault = "the string could not be read in any frame"
+        if fault:
+            rejected = {**trials.rejected, iteration.trial_name: fault}
+            return replace(trials, rejected=rejected)
+        return replace(
+            trials,
+            observations=(*trials.observations, observation),
+            iteration_numbers=(*trials.iteration_numbers, iteration.number),
+        )
 
 
 def diagnosis_outcome(diagnosis: Diagnosis) -> str:
@@ -63,21 +92,3 @@ def diagnosis_outcome(diagnosis: Diagnosis) -> str:
     if next_experiment := details["next_experiment"]:
         sentences.append(next_experiment["sentence"])
     return " ".join(filter(None, sentences))
-
-
-def perform_proposed_motion(history: History, trials: TrialSet) -> TrialSet:
-    """Perform the proposed motion and add its trial to the others."""
-    for name in ("execute", "extract"):
-        history.make_artifact(name)
-    iteration = history.iterations[-1]
-    fault = iteration.refusal_reason
-    if not fault and not iteration.artifacts["points"].readings["valid"].any():
-        fault = "the string could not be read in any frame"
-    if fault:
-        rejected = {**trials.rejected, iteration.trial_name: fault}
-        return replace(trials, rejected=rejected)
-    return replace(
-        trials,
-        observations=(*trials.observations, iteration.observation),
-        iteration_numbers=(*trials.iteration_numbers, iteration.number),
-    )

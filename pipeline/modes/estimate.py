@@ -5,21 +5,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from stringcast.data import dataset
+from stringcast.data import artifacts, dataset
 from stringcast.data.artifacts import TrialSet
 from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.cast import log_fit
 from stringcast.pipeline.modes.stepwise import Stepwise, require_trials
 from stringcast.pipeline.modes.stored_trials import (
+    STORED_ARTIFACTS,
     held_out_trials,
     history_of_dataset,
-    read_points,
+    read_trial,
     read_usable_trials,
 )
 from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
 from stringcast.pipeline.run.iterations import Executor, Iteration
 from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.run.stage_graph import StageGraph, build_graph
+
+# Stages that this mode calls by name.
+ESTIMATION = "estimate"
+PREDICTION = "predict"
 
 
 @dataclass(frozen=True)
@@ -31,14 +38,24 @@ class Estimate(Stepwise):
 
     Parameters
     ----------
+    reading : tuple of str
+        Stages through which each stored trial goes; those that take frames only where
+        no points are stored.
     again : bool
-        Extract points again where they are stored.
+        Read frames again where points are stored.
     """
 
+    reading: tuple[str, ...]
     again: bool
 
+    def graph(self, config: Settings) -> StageGraph:
+        """Return the graph of a stored trial, from which an estimation is made."""
+        names = [*self.reading, ESTIMATION, PREDICTION]
+        return build_graph(names, config, STORED_ARTIFACTS)
+
     def check(self, experiment: Experiment) -> None:
-        """Refuse to estimate without stored trials."""
+        """Refuse wrong wiring and missing trials."""
+        self.graph(experiment.config)
         require_trials(experiment)
 
     def run_steps(
@@ -53,11 +70,13 @@ class Estimate(Stepwise):
                 f"trials={data.folder}: dataset.yaml holds out every trial. "
                 "Leave some to estimate from."
             )
-        history = history_of_dataset(data, executor)
+        history = history_of_dataset(data, executor, self.graph(experiment.config))
         window = experiment.config["trials_used"]
         observations = []
         for number, name in enumerate(fitted, start=1):
-            observations.append(read_points(history, data, name, self.again))
+            observations.append(
+                read_trial(history, data, name, self.reading, self.again)
+            )
             first = 0
             if window != ALL_TRIALS:
                 first = max(number - window, 0)
@@ -65,14 +84,14 @@ class Estimate(Stepwise):
                 continue
             numbers = tuple(range(first + 1, number + 1))
             trials = TrialSet(tuple(observations[first:]), iteration_numbers=numbers)
-            history.make_artifact("estimate", trials=trials)
+            history.make_artifact(ESTIMATION, trials=trials)
             log_fit(history.iterations[-1])
 
         for name in sorted(data.trials.keys() - set(fitted)):
-            observation = read_points(history, data, name, self.again)
+            observation = read_trial(history, data, name, self.reading, self.again)
             numbers = (len(history.iterations),)
             trials = TrialSet((observation,), iteration_numbers=numbers)
-            history.make_artifact("predict", trials=trials)
+            history.make_artifact(PREDICTION, trials=trials)
         sentence = estimation_outcome(history.iterations, data)
         return RunResult(folder, tuple(history.iterations), sentence)
 
@@ -82,11 +101,11 @@ def estimation_outcome(iterations: Sequence[Iteration], data: dataset.Dataset) -
     rate, count = 0.0, len(iterations)
     prediction_sentences = []
     for iteration in iterations:
-        if "estimate" in iteration.artifacts:
-            rate = float(iteration.artifacts["estimate"].fit["after"].iloc[0])
-        if "prediction" in iteration.artifacts:
+        if (estimate := iteration.find(artifacts.Estimate)) is not None:
+            rate = float(estimate.fit["after"].iloc[0])
+        if (prediction := iteration.find(artifacts.Prediction)) is not None:
             count -= 1
-            score = iteration.artifacts["prediction"].score.iloc[0]
+            score = prediction.score.iloc[0]
             prediction_sentences.append(
                 f"Held out, the tip of {score['trial']} is {1e3 * score['tip']:.1f} mm "
                 "off (rms)."

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from rich.markup import escape
 
@@ -15,12 +17,23 @@ from stringcast.pipeline.run.experiment import Experiment, Mode
 from stringcast.pipeline.run.file_names import SUMMARY_FILE
 from stringcast.pipeline.run.iterations import Executor
 from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.execute.interfaces import HardwareError
 
 
 class Stepwise(Mode):
     """A mode whose steps an executor makes or reads."""
+
+    @abstractmethod
+    def graph(self, config: Mapping[str, Any]) -> StageGraph:
+        """Return the graph of the stages of an iteration.
+
+        Raises
+        ------
+        UserError
+            If the stages cannot be wired.
+        """
 
     @abstractmethod
     def run_steps(
@@ -42,8 +55,9 @@ class Stepwise(Mode):
         if self.moves_arm(experiment.config) and not (folder / SUMMARY_FILE).exists():
             check_devices(experiment)
         with progress_bars(console) as bar:
+            graph = self.graph(experiment.config)
             steps = run_folder.RunFolder(
-                experiment, folder, bar, lambda text: console.print(escape(text))
+                experiment, folder, graph, bar, lambda text: console.print(escape(text))
             )
             result = self.run_steps(experiment, folder, steps)
             if "report" in saved_outputs:

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from stringcast.data import dataset
-from stringcast.data.artifacts import Observation
+from stringcast.data.artifacts import Film, Observation, Points
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History
+from stringcast.pipeline.run.stage_graph import StageGraph
+from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.check.check import refuse_errors
 from stringcast.stages.check.measured import CheckedDataset
+from stringcast.stages.spec import StageSpec
+
+# Names of what a stored trial may hold, for the stages that read it.
+STORED_FILM = "trial"
+STORED_POINTS = "points"
+STORED_ARTIFACTS = {STORED_FILM: Film, STORED_POINTS: Points}
 
 
 def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
@@ -31,27 +41,64 @@ def held_out_trials(data: dataset.Dataset) -> tuple[str, ...]:
     )
 
 
-def history_of_dataset(data: dataset.Dataset, executor: Executor) -> History:
+def history_of_dataset(
+    data: dataset.Dataset, executor: Executor, graph: StageGraph
+) -> History:
     """Return the history of a run of stored trials, with the hashes of their files."""
     hashes = {
         (data.folder / name).as_posix(): digest for name, digest in data.hashes.items()
     }
-    return History(executor, file_hashes=hashes)
+    return History(executor, file_hashes=hashes, graph=graph)
 
 
-def read_points(
-    history: History, data: dataset.Dataset, name: str, again: bool
+def read_trial(
+    history: History,
+    data: dataset.Dataset,
+    name: str,
+    reading: Sequence[str],
+    again: bool,
 ) -> Observation:
     """Return a trial with its points, in an iteration of its own.
 
-    Points are extracted from frames if none are stored, or if `again` is true.
+    Parameters
+    ----------
+    history : History
+        Where the iteration is added.
+    data : Dataset
+        The stored trials.
+    name : str
+        Name of the trial.
+    reading : sequence of str
+        Stages through which the trial goes. Those that take frames are left out if
+        there are no frames, or if points are stored.
+    again : bool
+        Read the frames again where points are stored.
     """
     stored, film = data.trials[name], data.films.get(name)
-    if film is None or not (stored.points.empty or again):
-        history.begin_iteration()
+    reads_frames = film is not None and (stored.points.empty or again)
+    given: dict[str, Any] = {STORED_FILM: film}
+    if not reads_frames:
+        points = Points(stored.points, stored.readings, stored.masks)
+        given = {name_of_read_points(reading): points}
+    iteration = history.begin_iteration(given=given)
+    for stage in reading:
+        if reads_frames or not takes_frames(stages()[stage]):
+            history.make_artifact(stage)
+    if not iteration.artifacts:
         return stored
-    history.begin_iteration(given={"trial": film})
-    points = history.make_artifact("extract")
-    return replace(
-        stored, points=points.points, readings=points.readings, masks=points.masks
-    )
+    read = iteration.find(Points)
+    assert read is not None
+    return replace(stored, points=read.points, readings=read.readings, masks=read.masks)
+
+
+def takes_frames(stage: StageSpec) -> bool:
+    """Tell whether a stage takes the frames of a trial."""
+    return any(issubclass(Film, wanted.kind) for wanted in stage.inputs.values())
+
+
+def name_of_read_points(reading: Sequence[str]) -> str:
+    """Return the name under which points would be read from frames."""
+    for name in reading:
+        if takes_frames(stages()[name]):
+            return stages()[name].folder
+    return STORED_POINTS

@@ -189,7 +189,7 @@ def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
     functions = {
         name: bind_stage(config[name], name, where(name))
         for name in (*stages(), "hardware")
-        if name in config
+        if name in config and set(config[name]) != {"inputs"}
     }
     mode = build_chosen(config["mode"], "mode", where("mode"))
     experiment = Experiment(config, model, target, tuple(obstacles), functions, mode)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from stringcast.data.artifacts import Observation, TrialSet
+from stringcast.data.artifacts import Observation, Points, Trial
 from stringcast.pipeline.run.file_names import artifact_folder
+from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.settings.stage_registry import stages
-from stringcast.stages.spec import StageSpec
+from stringcast.stages.spec import CollectedTrials, StageSpec
 
 if TYPE_CHECKING:
     from stringcast.stages.hit_test import HitResult  # which loads SciPy
+
+ArtifactT = TypeVar("ArtifactT")
 
 
 @dataclass(frozen=True)
@@ -81,12 +84,34 @@ class Iteration:
         """Name of the trial."""
         return self.custom_trial_name or f"t{self.number:02d}"
 
+    def find(self, kind: type[ArtifactT]) -> ArtifactT | None:
+        """Return the artifact of a kind that a stage made last, else a given one."""
+        for artifacts in (self.artifacts, self.given_artifacts):
+            for artifact in reversed(artifacts.values()):
+                if isinstance(artifact, kind):
+                    return artifact
+        return None
+
+    @property
+    def measurement_names(self) -> tuple[str, ...]:
+        """Names of its trial and of the points read from it; empty without both."""
+        names = []
+        for kind in (Trial, Points):
+            for name, artifact in self.artifacts.items():
+                if isinstance(artifact, kind):
+                    names.append(name)
+                    break
+            else:
+                return ()
+        return tuple(names)
+
     @property
     def refusal_reason(self) -> str:
         """Reason why its trial cannot be trusted; empty if it can."""
-        if "trial" not in self.artifacts:
+        trial = self.find(Trial)
+        if trial is None:
             return ""
-        link = self.artifacts["trial"].link.iloc[0]
+        link = trial.link.iloc[0]
         return "" if link["valid"] else str(link["reason"])
 
     @property
@@ -94,10 +119,8 @@ class Iteration:
         """Whether the tip reached the target in a trial that can be trusted."""
         return self.verdict is not None and self.verdict.hit and not self.refusal_reason
 
-    @property
-    def observation(self) -> Observation:
-        """Trial in the form that estimation takes."""
-        trial, points = self.artifacts["trial"], self.artifacts["points"]
+    def observe(self, trial: Trial, points: Points) -> Observation:
+        """Return the trial with these points, in the form that estimation takes."""
         return Observation(
             self.trial_name, points.points, points.readings, points.masks, arm=trial.arm
         )
@@ -118,11 +141,24 @@ class Executor(Protocol):
 
 @dataclass
 class History:
-    """Iterations of a run so far, with content hashes of stored trials by path."""
+    """Iterations of a run so far.
+
+    Parameters
+    ----------
+    executor : Executor
+        Source of the artifacts.
+    iterations : list of Iteration
+        The iterations.
+    file_hashes : mapping
+        Content hashes of stored trials by path.
+    graph : StageGraph
+        From which stage each input comes.
+    """
 
     executor: Executor
     iterations: list[Iteration] = field(default_factory=list)
     file_hashes: Mapping[str, str] = field(default_factory=dict)
+    graph: StageGraph = StageGraph()
 
     def begin_iteration(
         self, trial: str = "", given: Mapping[str, Any] | None = None
@@ -169,18 +205,30 @@ class History:
         inputs: dict[str, Any] = {}
         folders: list[Path] = []
         for key, wanted in stage.inputs.items():
-            number, artifact = wanted.find(key, available) or (0, None)
+            source = self.graph.artifact_name(name, key)
+            number, artifact = wanted.find(source, available) or (0, None)
             inputs[key] = artifact
             if number and not isinstance(artifact, wanted.kind):
                 kind = type(artifact).__name__
                 raise TypeError(f"stage {name}: {key} is a {kind}, not {wanted.kind}")
-            if isinstance(artifact, TrialSet):
-                for trial_number in artifact.iteration_numbers:
-                    folders.append(artifact_folder(trial_number, "trial"))
-                    folders.append(artifact_folder(trial_number, "points"))
-            elif number and key in self.iterations[number - 1].artifacts:
-                folders.append(artifact_folder(number, key))
+            if isinstance(wanted, CollectedTrials):
+                parts = [self.graph.artifact_name(name, part) for part in wanted.parts]
+                for trial_number in inputs[key].iteration_numbers:
+                    folders += self.folders_of(trial_number, parts)
+            elif number:
+                folders += self.folders_of(number, [source])
         step = Step(stage, current.number, inputs, tuple(folders), self.file_hashes)
         artifact = self.executor.obtain(step)
         current.artifacts[stage.folder] = artifact
         return artifact
+
+    def folders_of(self, number: int, names: Sequence[str]) -> list[Path]:
+        """Return the folders of those artifacts that this run made in an iteration."""
+        made = self.iterations[number - 1].artifacts
+        return [artifact_folder(number, name) for name in names if name in made]
+
+    def observe(self, iteration: Iteration, stage: str) -> Observation:
+        """Return the trial of an iteration as it is wired to a stage."""
+        trial = iteration.artifacts[self.graph.artifact_name(stage, "trial")]
+        points = iteration.artifacts[self.graph.artifact_name(stage, "points")]
+        return iteration.observe(trial, points)

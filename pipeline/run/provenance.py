@@ -24,6 +24,7 @@ from stringcast.data import store
 from stringcast.data.schema import DataError
 from stringcast.pipeline.run.file_names import artifact_folder
 from stringcast.pipeline.run.iterations import Step
+from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.settings.composition import UserError, flatten_settings
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.model.library import effect_files
@@ -281,20 +282,31 @@ def differing_values(
     return differing
 
 
-def is_repeatable(config: Mapping[str, Any], artifact: str) -> bool:
-    """Tell whether an artifact can be made again, unlike the trial of a real arm."""
-    is_virtual = str(config["hardware"]["_target_"]).startswith(VIRTUAL_LAB_PREFIX)
-    return is_virtual or artifact != "trial"
+def arm_is_virtual(config: Mapping[str, Any]) -> bool:
+    """Tell whether trials can be made again, unlike those of a real arm."""
+    return str(config["hardware"]["_target_"]).startswith(VIRTUAL_LAB_PREFIX)
 
 
 def arm_has_executed(
-    config: Mapping[str, Any], folder: Path, number: int, artifact: str
+    config: Mapping[str, Any], folder: Path, number: int, stage: str, graph: StageGraph
 ) -> bool:
     """Tell whether a real arm has moved by an artifact of an iteration.
 
-    Such an artifact is kept, for measurements depend on it.
+    Such an artifact is kept, for measurements depend on it: that of a stage before the
+    movement of its iteration, and all of earlier iterations.
+
+    Parameters
+    ----------
+    config : mapping
+        All settings of the run.
+    folder : Path
+        Folder of the run.
+    number, stage
+        Number of the iteration and name of the stage that made the artifact.
+    graph : StageGraph
+        Graph of the run.
     """
-    if is_repeatable(config, "trial"):
+    if arm_is_virtual(config) or graph.movement is None:
         return False
-    trial_number = number if artifact in ("motion", "trial") else number + 1
-    return (folder / artifact_folder(trial_number, "trial")).is_dir()
+    moved = number if graph.precedes_movement(stage) else number + 1
+    return (folder / artifact_folder(moved, graph.movement)).is_dir()

@@ -8,7 +8,7 @@ from typing import Any
 
 from hydra.utils import get_object
 
-from stringcast.data.artifacts import Diagnosis, Estimate
+from stringcast.data.artifacts import Diagnosis, Estimate, Motion, Points, Trial
 from stringcast.data.store import write_text
 from stringcast.pipeline.cli.terminal import program_name
 from stringcast.pipeline.run.experiment import Experiment
@@ -56,14 +56,16 @@ def collect_casts(experiment: Experiment, result: RunResult) -> RunRecord:
     casts, estimates = [], []
     previous: Estimate | None = None
     for iteration in result.iterations:
-        artifacts = iteration.artifacts
-        estimate = artifacts.get("estimate")
+        estimate = iteration.find(Estimate)
         if estimate is not None:
             estimates.append(estimate)
         if iteration.verdict is None:  # only estimated
             continue
-        made = artifacts["motion"], artifacts["trial"], artifacts["points"], estimate
-        observation, verdict = iteration.observation, iteration.verdict
+        motion, trial = iteration.find(Motion), iteration.find(Trial)
+        points, verdict = iteration.find(Points), iteration.verdict
+        assert motion is not None and trial is not None and points is not None
+        observation = iteration.observe(trial, points)
+        made = motion, trial, points, estimate
         cast = simulate_cast(experiment.model, observation, made, verdict, previous)
         casts.append(cast)
         previous = previous if estimate is None else estimate

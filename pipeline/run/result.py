@@ -7,7 +7,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from stringcast.data.artifacts import Estimate
+from stringcast.data.artifacts import Estimate, Prediction
 from stringcast.pipeline.run.iterations import Iteration
 from stringcast.stages.spec import StageSpec
 
@@ -42,10 +42,10 @@ class RunResult:
     @property
     def last_estimate(self) -> Estimate | None:
         """Estimate of the last iteration that has one."""
-        estimate = None
-        for iteration in self.iterations:
-            estimate = iteration.artifacts.get("estimate", estimate)
-        return estimate
+        for iteration in reversed(self.iterations):
+            if (estimate := iteration.find(Estimate)) is not None:
+                return estimate
+        return None
 
     @property
     def has_hit(self) -> bool:
@@ -61,8 +61,8 @@ def run_summary(result: RunResult) -> dict[str, Any]:
 
 def iteration_summary(iteration: Iteration) -> dict[str, Any]:
     """Return an iteration in a few numbers; None for what is not finite."""
-    artifacts, verdict = iteration.artifacts, iteration.verdict
-    fit = artifacts["estimate"].fit.iloc[0] if "estimate" in artifacts else {}
+    verdict, estimate = iteration.verdict, iteration.find(Estimate)
+    fit: Any = {} if estimate is None else estimate.fit.iloc[0]
     row = {
         "number": iteration.number,
         "E_before": fit.get("before"),
@@ -70,8 +70,8 @@ def iteration_summary(iteration: Iteration) -> dict[str, Any]:
         "rms_m": fit.get("rms_after"),
         "tip_rms_m": fit.get("tip_after"),
     }
-    if "prediction" in artifacts:
-        score = artifacts["prediction"].score.iloc[0]
+    if (prediction := iteration.find(Prediction)) is not None:
+        score = prediction.score.iloc[0]
         row["held_out"] = score["trial"]
         row["rms_m"], row["tip_rms_m"] = score["rms"], score["tip"]
     if verdict is not None:

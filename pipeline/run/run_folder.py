@@ -38,12 +38,13 @@ from stringcast.pipeline.run.file_names import (
 from stringcast.pipeline.run.iterations import Iteration, Step
 from stringcast.pipeline.run.provenance import (
     arm_has_executed,
+    arm_is_virtual,
     current_origin,
-    is_repeatable,
     load_step_with_staleness,
     step_origin,
 )
 from stringcast.pipeline.run.result import RunResult, run_summary
+from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.run.stopping import stop_stage_on_interrupt
 from stringcast.pipeline.settings.settings_from_runs import DATASET_SETTINGS
 
@@ -62,6 +63,8 @@ class RunFolder:
         What the run works with.
     folder : Path
         Folder of the run.
+    graph : StageGraph
+        Graph of its stages.
     bar : callable
         Makes the progress bar of a step, by its name.
     notify : callable
@@ -72,6 +75,7 @@ class RunFolder:
 
     experiment: Experiment
     folder: Path
+    graph: StageGraph
     bar: ProgressBar
     notify: Callable[[str], object]
     interrupted: bool = False
@@ -98,7 +102,8 @@ class RunFolder:
 
         # a stale step is used all the same if a real arm has moved by it
         reasons = "; ".join(stored.stale_reasons)
-        if not arm_has_executed(config, self.folder, step.number, step.stage.folder):
+        number, stage = step.number, step.stage.name
+        if not arm_has_executed(config, self.folder, number, stage, self.graph):
             self._warn(f"recomputing {step.folder}: {reasons}")
             return self._make_artifact(step, folder)
         if stored.artifact is None:
@@ -239,17 +244,16 @@ def remove_frames(experiment: Experiment, result: RunResult) -> None:
 
     Frames of a real camera stay: they cannot be filmed again.
     """
-    if not is_repeatable(experiment.config, "trial"):
+    if not arm_is_virtual(experiment.config):
         return
     for iteration in result.iterations:
-        if "trial" not in iteration.artifacts:
-            continue
-        trial_folder = result.folder / artifact_folder(iteration.number, "trial")
-        frame_files = iteration.artifacts["trial"].frames["file"]
-        frame_folders = {Path(file).parts[0] for file in frame_files}
-        for path in list(trial_folder.iterdir()):
-            if path.is_dir() and path.name in frame_folders:
-                disk.remove(path)
+        for name, artifact in iteration.artifacts.items():
+            if isinstance(artifact, Trial):
+                folder = result.folder / artifact_folder(iteration.number, name)
+                names = {Path(file).parts[0] for file in artifact.frames["file"]}
+                for path in list(folder.iterdir()):
+                    if path.is_dir() and path.name in names:
+                        disk.remove(path)
 
 
 @contextmanager
@@ -293,8 +297,9 @@ def publish_dataset(
     invalid_trials = {}
     for iteration in iterations:
         name, artifacts = iteration.trial_name, iteration.artifacts
-        trials[name] = artifacts["trial"], artifacts["points"]
-        trial_folders[name] = artifact_folder(iteration.number, "trial")
+        trial, points = iteration.measurement_names
+        trials[name] = artifacts[trial], artifacts[points]
+        trial_folders[name] = artifact_folder(iteration.number, trial)
         if iteration.refusal_reason:
             invalid_trials[name] = {"invalid": iteration.refusal_reason}
 
@@ -316,7 +321,7 @@ def trial_hashes(folder: Path, iterations: list[Iteration]) -> dict[str, str]:
     """Return the content hashes of the trials and points of a run, by path."""
     hashes = {}
     for iteration in iterations:
-        for artifact in ("trial", "points"):
+        for artifact in iteration.measurement_names:
             path = artifact_folder(iteration.number, artifact)
             hashes[path.as_posix()] = store.content_hash(folder / path)
     return hashes

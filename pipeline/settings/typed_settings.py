@@ -19,6 +19,8 @@ from stringcast.stages.common import SettingsGroup
 BuiltT = TypeVar("BuiltT")
 # Arguments that a run supplies itself.
 RUN_ARGUMENTS = ("seed", "manipulation", "trial", "progress")
+# Settings of a stage's block that are no arguments: the function and its wiring.
+RUN_SETTINGS = ("_target_", "inputs")
 
 
 def bind_stage(block: Settings, place: str, where: str) -> Callable[..., Any]:
@@ -41,7 +43,7 @@ def bind_stage(block: Settings, place: str, where: str) -> Callable[..., Any]:
     """
     function = load_callable(block["_target_"], place, where)
     types = setting_types(function)
-    given = {name: value for name, value in block.items() if name != "_target_"}
+    given = {name: value for name, value in block.items() if name not in RUN_SETTINGS}
     check_names(given, types, place, where)
 
     arguments = {

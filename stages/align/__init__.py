@@ -8,11 +8,11 @@ from pathlib import Path
 import pandas as pd
 
 from stringcast.data.alignment import Alignment
-from stringcast.data.artifacts import TrialSet
+from stringcast.data.artifacts import Film, Trial
 from stringcast.stages.spec import (
     EXTENDED,
     MODEL,
-    SameIteration,
+    CollectedTrials,
     StageSpec,
     StageSummary,
 )
@@ -48,9 +48,10 @@ STAGE = StageSpec(
     folder="alignment",
     uses=(*MODEL, "align"),
     run="stages.align.align.run",
-    inputs={"trials": SameIteration(TrialSet)},
+    inputs={"trials": CollectedTrials(parts={"trial": Trial | Film})},
     by=("stages.align.align.align",),
     summary=summary,
     files=files,
     page="stages.report.pages.alignment.alignment_page",
+    is_end=True,
 )

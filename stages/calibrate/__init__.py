@@ -58,4 +58,5 @@ STAGE = StageSpec(
     summary=summary,
     files=files,
     page="stages.report.pages.calibration.calibration_page",
+    is_end=True,
 )

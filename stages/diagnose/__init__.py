@@ -9,11 +9,11 @@ from typing import Any
 
 import pandas as pd
 
-from stringcast.data.artifacts import Diagnosis, TrialSet
+from stringcast.data.artifacts import Diagnosis
 from stringcast.stages.spec import (
     EXTENDED,
     MODEL,
-    SameIteration,
+    CollectedTrials,
     StageSpec,
     StageSummary,
 )
@@ -61,9 +61,10 @@ STAGE = StageSpec(
     folder="diagnosis",
     uses=(*MODEL, "obstacles", "diagnose", "seed"),
     run="stages.diagnose.diagnose.run",
-    inputs={"trials": SameIteration(TrialSet)},
+    inputs={"trials": CollectedTrials()},
     by=("stages.diagnose.diagnose.diagnose",),
     summary=summary,
     files=files,
     page="stages.report.pages.diagnosis.diagnosis_page",
+    is_end=True,
 )

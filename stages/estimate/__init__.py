@@ -1,7 +1,7 @@
 """Estimate: the string's parameters from trials, three ways with one signature (IV)."""
 
-from stringcast.data.artifacts import Estimate, TrialSet
-from stringcast.stages.spec import MODEL, LatestIteration, SameIteration, StageSpec
+from stringcast.data.artifacts import Estimate
+from stringcast.stages.spec import MODEL, CollectedTrials, LatestIteration, StageSpec
 
 STAGE = StageSpec(
     name="estimate",
@@ -9,10 +9,11 @@ STAGE = StageSpec(
     folder="estimate",
     uses=(*MODEL, "obstacles", "estimate", "trials_used", "seed"),
     run="stages.estimate.run.run",
-    inputs={"trials": SameIteration(TrialSet), "estimate": LatestIteration(Estimate)},
+    inputs={"trials": CollectedTrials(), "estimate": LatestIteration(Estimate)},
     by=(
         "stages.estimate.random_search.estimate",
         "stages.estimate.cma_es.estimate",
         "stages.estimate.least_squares.estimate",
     ),
+    is_end=True,
 )

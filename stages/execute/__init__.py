@@ -15,4 +15,5 @@ STAGE = StageSpec(
         "stages.execute.dry_run.dry_run",
         "stages.execute.dry_run.slow_run",
     ),
+    moves_arm=True,
 )

@@ -1,7 +1,7 @@
 """Predict: where a fitted model has the string in a trial that nothing was fitted to."""
 
-from stringcast.data.artifacts import Estimate, Prediction, TrialSet
-from stringcast.stages.spec import MODEL, LatestIteration, SameIteration, StageSpec
+from stringcast.data.artifacts import Estimate, Prediction
+from stringcast.stages.spec import MODEL, CollectedTrials, LatestIteration, StageSpec
 
 STAGE = StageSpec(
     name="predict",
@@ -9,5 +9,6 @@ STAGE = StageSpec(
     folder="prediction",
     uses=(*MODEL, "obstacles", "effects_per_recording"),
     run="stages.estimate.prediction.predict.run",
-    inputs={"trials": SameIteration(TrialSet), "estimate": LatestIteration(Estimate)},
+    inputs={"trials": CollectedTrials(), "estimate": LatestIteration(Estimate)},
+    is_end=True,
 )

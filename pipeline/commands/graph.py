@@ -1,0 +1,28 @@
+"""Print the stages of a run with these settings, and where their inputs come from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from stringcast.pipeline.commands import CommandParser
+from stringcast.pipeline.modes.stepwise import Stepwise
+from stringcast.pipeline.settings.composition import UserError, compose_settings
+from stringcast.pipeline.settings.typed_settings import build_chosen
+
+
+def main(arguments: list[str]) -> int:
+    """Print the graph; return 0."""
+    parser = CommandParser("python -m pipeline graph", description=__doc__)
+    parser.add_argument(
+        "settings", nargs="*", help="settings of the run, such as +experiment=stringB"
+    )
+    overrides = parser.parse_args(arguments).settings
+    composed = OmegaConf.create(compose_settings(overrides))
+    settings: Any = OmegaConf.to_container(composed, resolve=True)
+    mode = build_chosen(settings["mode"], "mode", "conf/mode")
+    if not isinstance(mode, Stepwise):
+        raise UserError("mode: a calibration has one stage and no graph. Choose a run.")
+    print(mode.graph(settings).describe())
+    return 0

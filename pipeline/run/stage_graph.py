@@ -1,0 +1,288 @@
+"""The graph of a run: from which stage each input of a stage comes.
+
+A stage states the kinds of its inputs. An input comes from the last stage before it, in
+the order of the mode, that makes an artifact of its kind. The setting `inputs` of a
+stage names another one, as in `estimate.inputs.points=extract`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import UnionType
+from typing import Any, NamedTuple
+
+from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.stage_registry import stages
+from stringcast.stages.spec import CollectedTrials, LatestIteration, StageSpec
+
+INPUTS_SETTING = "inputs"  # of a stage's block of settings
+Kind = type | UnionType
+
+
+class Port(NamedTuple):
+    """A place at a stage that an artifact fills: an input, or a part of its trials.
+
+    name, kind: of the artifact. is_earlier: it comes from an earlier iteration, and
+    may be absent.
+    """
+
+    name: str
+    kind: Kind
+    is_earlier: bool = False
+
+
+@dataclass(frozen=True)
+class Wire:
+    """The source of one input.
+
+    Parameters
+    ----------
+    stage, port : str
+        Stage and name of its input.
+    source : str
+        Stage that makes the artifact; empty if the run is given it.
+    artifact : str
+        Name of the artifact in an iteration.
+    is_earlier : bool
+        The artifact comes from an earlier iteration.
+    """
+
+    stage: str
+    port: str
+    source: str
+    artifact: str
+    is_earlier: bool
+
+    def describe(self) -> str:
+        """Return which input comes from where."""
+        source = f"of {self.source}" if self.source else "of the stored trial"
+        earlier = " in an earlier iteration" if self.is_earlier else ""
+        return f"{self.port} {source}{earlier}"
+
+
+@dataclass(frozen=True)
+class StageGraph:
+    """Stages of an iteration in their order, and the wires between them."""
+
+    stages: tuple[str, ...] = ()
+    wires: tuple[Wire, ...] = ()
+
+    def artifact_name(self, stage: str, port: str) -> str:
+        """Return the name of the artifact that fills an input, else the input's own."""
+        for wire in self.wires:
+            if (wire.stage, wire.port) == (stage, port):
+                return wire.artifact
+        return port
+
+    def describe(self) -> str:
+        """Return a line for each stage, with the sources of its inputs."""
+        lines = []
+        for stage in dict.fromkeys(
+            [*self.stages, *(wire.stage for wire in self.wires)]
+        ):
+            wires = [wire.describe() for wire in self.wires if wire.stage == stage]
+            taken = ", ".join(wires) or "nothing"
+            lines.append(f"{stage}: takes {taken}")
+        return "\n".join(lines)
+
+    def precedes_movement(self, stage: str) -> bool:
+        """Tell whether the arm of an iteration moves by or after this stage."""
+        if stage not in self.stages:
+            return False
+        following = self.stages[self.stages.index(stage) :]
+        return any(stages()[name].moves_arm for name in following)
+
+    @property
+    def movement(self) -> str | None:
+        """Name of the artifact of the first stage that moves an arm."""
+        for name in self.stages:
+            if stages()[name].moves_arm:
+                return stages()[name].folder
+        return None
+
+
+def build_graph(
+    names: Sequence[str],
+    config: Mapping[str, Any],
+    given: Mapping[str, Kind],
+    outcome: StageSpec | None = None,
+) -> StageGraph:
+    """Wire the stages of a mode.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Stages in the order of an iteration.
+    config : mapping
+        All settings of the run.
+    given : mapping
+        Kinds of the artifacts with which an iteration may begin, by name.
+    outcome : StageSpec, optional
+        What the mode itself does with the artifacts of an iteration, as a stage.
+
+    Raises
+    ------
+    UserError
+        For an unknown stage, and for an input that is missing, ambiguous, of another
+        kind or from a later stage; for an artifact that nothing uses.
+    """
+    refuse_unknown_stages(names)
+    specs = [stages()[name] for name in names]
+    consumers = specs if outcome is None else [*specs, outcome]
+    wires = []
+    for position, stage in enumerate(consumers):
+        chosen = chosen_sources(stage, config)
+        automatic: dict[tuple[str, bool], str] = {}
+        for port in ports_of(stage):
+            if port.name in chosen:
+                source = find_chosen(stage, port, chosen[port.name], names, position)
+            else:
+                usable = specs if port.is_earlier else specs[:position]
+                source = last_maker(port.kind, usable)
+                key = (source, port.is_earlier)
+                if source and key in automatic:
+                    refuse_ambiguous(stage, automatic[key], port)
+                automatic[key] = port.name
+            if source:
+                artifact = stages()[source].folder
+            else:
+                artifact = given_name(port, given)
+                if not artifact and port.is_earlier:
+                    continue
+                if not artifact:
+                    refuse_missing(stage, port, names)
+            wire = Wire(stage.name, port.name, source, artifact, port.is_earlier)
+            wires.append(wire)
+    refuse_unused(specs, wires)
+    return StageGraph(tuple(names), tuple(wires))
+
+
+def ports_of(stage: StageSpec) -> Iterator[Port]:
+    """Yield the inputs of a stage; the parts of collected trials count one by one."""
+    for name, wanted in stage.inputs.items():
+        if isinstance(wanted, CollectedTrials):
+            for part, kind in wanted.parts.items():
+                yield Port(part, kind)
+        else:
+            yield Port(name, wanted.kind, isinstance(wanted, LatestIteration))
+
+
+def chosen_sources(stage: StageSpec, config: Mapping[str, Any]) -> dict[str, str]:
+    """Return the setting `inputs` of a stage; raise UserError for unknown inputs."""
+    setting = f"{stage.name}.{INPUTS_SETTING}"
+    chosen = (config.get(stage.name) or {}).get(INPUTS_SETTING) or {}
+    if not isinstance(chosen, Mapping):
+        raise UserError(
+            f"{setting} = {chosen!r}: it must hold names of inputs, each with the "
+            "name of a stage. Change it."
+        )
+    known = [port.name for port in ports_of(stage)]
+    for name in chosen:
+        if name not in known:
+            raise UserError(
+                f"{setting}.{name}: stage {stage.name} has no such input. "
+                f"{nearest(name, known)}"
+            )
+    return dict(chosen)
+
+
+def find_chosen(
+    stage: StageSpec, port: Port, source: Any, names: Sequence[str], position: int
+) -> str:
+    """Return the stage that a setting chooses for an input, if it can be its source."""
+    setting = f"{stage.name}.{INPUTS_SETTING}.{port.name} = {source}"
+    if source not in names:
+        raise UserError(
+            f"{setting}: this run has no such stage. {nearest(str(source), names)}"
+        )
+    makes = stages()[source].makes
+    if not issubclass(makes, port.kind):
+        raise UserError(
+            f"{setting}: {source} makes {makes.__name__}, but {stage.name} takes "
+            f"{kind_name(port.kind)}. Choose another stage."
+        )
+    if not port.is_earlier and names.index(source) >= position:
+        raise UserError(
+            f"{setting}: {source} does not come before {stage.name}, so that each "
+            "would wait for the other. Change the order of the stages in mode."
+        )
+    return str(source)
+
+
+def last_maker(kind: Kind, specs: Sequence[StageSpec]) -> str:
+    """Return the last stage that makes this kind; empty if there is none."""
+    for spec in reversed(specs):
+        if issubclass(spec.makes, kind):
+            return spec.name
+    return ""
+
+
+def given_name(port: Port, given: Mapping[str, Kind]) -> str:
+    """Return the name of the given artifact that fills an input; empty if none does."""
+    for name, kind in given.items():
+        if isinstance(kind, type) and issubclass(kind, port.kind):
+            return name
+    return ""
+
+
+def refuse_unknown_stages(names: Sequence[str]) -> None:
+    """Raise UserError for a name that no stage has, or a stage that stands twice."""
+    for position, name in enumerate(names):
+        if name not in stages():
+            raise UserError(
+                f"mode: there is no stage {name!r}. {nearest(name, [*stages()])}"
+            )
+        if name in names[:position]:
+            raise UserError(f"mode: stage {name} stands twice. Remove one.")
+
+
+def refuse_ambiguous(stage: StageSpec, first: str, port: Port) -> None:
+    """Raise UserError for two inputs that would be the same artifact."""
+    raise UserError(
+        f"stage {stage.name}: its inputs {first} and {port.name} are both "
+        f"{kind_name(port.kind)}. Name the stage of each: "
+        f"+{stage.name}.{INPUTS_SETTING}.{port.name}=..."
+    )
+
+
+def refuse_missing(stage: StageSpec, port: Port, names: Sequence[str]) -> None:
+    """Raise UserError for an input that nothing makes."""
+    makers = []
+    for name, spec in stages().items():
+        if issubclass(spec.makes, port.kind) and name != stage.name:
+            makers.append(name)
+    remedy = "Leave the stage out."
+    if makers:
+        remedy = f"Put one that makes it before: {' or '.join(makers)}."
+    raise UserError(
+        f"stage {stage.name} takes {port.name} ({kind_name(port.kind)}), which no "
+        f"stage before it makes; the stages are {', '.join(names)}. {remedy}"
+    )
+
+
+def refuse_unused(specs: Sequence[StageSpec], wires: Sequence[Wire]) -> None:
+    """Raise UserError for a stage whose artifact nothing uses."""
+    used = {wire.source for wire in wires}
+    for spec in specs:
+        if spec.name not in used and not spec.is_end:
+            raise UserError(
+                f"mode: nothing uses what stage {spec.name} makes "
+                f"({spec.makes.__name__}). Leave the stage out, name it in the "
+                f"setting `{INPUTS_SETTING}` of another stage, or mark it as an end "
+                "(is_end in its description)."
+            )
+
+
+def kind_name(kind: Kind) -> str:
+    """Return the name of a kind, or the names of several."""
+    kinds = kind.__args__ if isinstance(kind, UnionType) else (kind,)
+    return " or ".join(part.__name__ for part in kinds)
+
+
+def nearest(name: str, known: Sequence[str]) -> str:
+    """Suggest the nearest known name, or list all."""
+    if near := difflib.get_close_matches(name, known, 1):
+        return f"Did you mean '{near[0]}'?"
+    return f"Known are: {', '.join(known)}."
