@@ -180,7 +180,8 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
 def dry_run_outcome(iteration: Iteration) -> str:
     """Describe a dry run: the delays of the link, and how often the string was read."""
     trial, points = iteration.find(Trial), iteration.find(Points)
-    assert trial is not None and points is not None
+    assert trial is not None
+    assert points is not None
     link, readings = trial.link.iloc[0], points.readings
     is_read = readings["valid"]
     reasons = readings.loc[~is_read.astype(bool), "reason"]

@@ -119,6 +119,14 @@ class Iteration:
         """Whether the tip reached the target in a trial that can be trusted."""
         return self.verdict is not None and self.verdict.hit and not self.refusal_reason
 
+    @property
+    def observation(self) -> Observation:
+        """Its trial with the points that were made last."""
+        trial, points = self.find(Trial), self.find(Points)
+        assert trial is not None
+        assert points is not None
+        return self.observe(trial, points)
+
     def observe(self, trial: Trial, points: Points) -> Observation:
         """Return the trial with these points, in the form that estimation takes."""
         return Observation(

@@ -63,7 +63,9 @@ def collect_casts(experiment: Experiment, result: RunResult) -> RunRecord:
             continue
         motion, trial = iteration.find(Motion), iteration.find(Trial)
         points, verdict = iteration.find(Points), iteration.verdict
-        assert motion is not None and trial is not None and points is not None
+        assert motion is not None
+        assert trial is not None
+        assert points is not None
         observation = iteration.observe(trial, points)
         made = motion, trial, points, estimate
         cast = simulate_cast(experiment.model, observation, made, verdict, previous)

@@ -237,7 +237,7 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(
         (["seed=true"], "seed = True .*whole number"),
         (
             ["mode.stages=[generat]"],
-            "there is no stage 'generat'. Known are: .*generate",
+            "there is no stage 'generat'. Did you mean 'generate'",
         ),
         (
             ["mode=estimate"],

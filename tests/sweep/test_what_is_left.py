@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from stringcast.data import dataset
-from stringcast.data.artifacts import ARM, FRAMES, POINTS
+from stringcast.data.artifacts import ARM, FRAMES, LINK, POINTS, TICKS, Trial
 from stringcast.data.images import encode_png
 from stringcast.data.store import write_table, write_text
 from stringcast.pipeline.run import run_folder
@@ -48,7 +48,8 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
     write_text(tmp_path / "dataset.yaml", "format: 1\nstring: {length: 0.3}\n")
     assert dataset.read_dataset(tmp_path).films
     names = [f"images/{i}.png" for i in range(3)]
-    trial = SimpleNamespace(frames=pd.DataFrame({"file": names}))
+    frames = pd.DataFrame({"file": names})
+    trial = Trial(ARM.empty(), TICKS.empty(), frames, LINK.empty(), [])
     ended = RunResult(tmp_path, (Iteration(1, {"trial": trial}),), "")
     other = place.with_name("not_of_the_run")
     other.mkdir()
