@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from stringcast.data import artifacts, dataset
 from stringcast.data.artifacts import TrialSet
@@ -23,6 +22,7 @@ from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
 from stringcast.pipeline.run.iterations import Executor, Iteration
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.run.stage_graph import StageGraph, build_graph
+from stringcast.pipeline.settings.composition import Settings
 
 # Stages that this mode calls by name.
 ESTIMATION = "estimate"

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from rich.markup import escape
 
@@ -18,7 +16,7 @@ from stringcast.pipeline.run.file_names import SUMMARY_FILE
 from stringcast.pipeline.run.iterations import Executor
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.run.stage_graph import StageGraph
-from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.stages.execute.interfaces import HardwareError
 
 
@@ -26,7 +24,7 @@ class Stepwise(Mode):
     """A mode whose steps an executor makes or reads."""
 
     @abstractmethod
-    def graph(self, config: Mapping[str, Any]) -> StageGraph:
+    def graph(self, config: Settings) -> StageGraph:
         """Return the graph of the stages of an iteration.
 
         Raises

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from types import UnionType
 from typing import Any, NamedTuple
 
-from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.spec import CollectedTrials, LatestIteration, StageSpec
 
@@ -105,7 +105,7 @@ class StageGraph:
 
 def build_graph(
     names: Sequence[str],
-    config: Mapping[str, Any],
+    config: Settings,
     given: Mapping[str, Kind],
     outcome: StageSpec | None = None,
 ) -> StageGraph:
@@ -169,7 +169,7 @@ def ports_of(stage: StageSpec) -> Iterator[Port]:
             yield Port(name, wanted.kind, isinstance(wanted, LatestIteration))
 
 
-def chosen_sources(stage: StageSpec, config: Mapping[str, Any]) -> dict[str, str]:
+def chosen_sources(stage: StageSpec, config: Settings) -> dict[str, str]:
     """Return the setting `inputs` of a stage; raise UserError for unknown inputs."""
     setting = f"{stage.name}.{INPUTS_SETTING}"
     chosen = (config.get(stage.name) or {}).get(INPUTS_SETTING) or {}
