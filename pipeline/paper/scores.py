@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -153,7 +152,7 @@ def run_table(ledger: Ledger, jobs: Sequence[Job]) -> pd.DataFrame:
             continue
         casts = []
         if job.state == DONE_STATE:
-            casts = read_casts(ledger.job_folder(job.key))
+            casts = read_casts(ledger, job.key)
         hits = [cast["manipulation"] for cast in casts if cast["hit"]]
         row = {
             "condition": experiment,
@@ -170,11 +169,9 @@ def run_table(ledger: Ledger, jobs: Sequence[Job]) -> pd.DataFrame:
     return table_of_rows(RUNS, rows)
 
 
-def read_casts(run_folder: Path) -> list[dict[str, Any]]:
-    """Read the casts of a run from its run.json."""
-    text = (run_folder / "run.json").read_text(encoding="utf-8")
-    casts = json.loads(text)["iterations"]
-    return [{"manipulation": cast.pop("number"), **cast} for cast in casts]
+def read_casts(ledger: Ledger, key: str) -> list[dict[str, Any]]:
+    """Return the casts of a job with the names of table CASTS."""
+    return [{"manipulation": cast.pop("number"), **cast} for cast in ledger.casts(key)]
 
 
 def table_of_rows(table: Table, rows: list[dict[str, Any]]) -> pd.DataFrame:
@@ -198,7 +195,7 @@ def cast_table(ledger: Ledger, runs: pd.DataFrame) -> pd.DataFrame:
     """Return table CASTS of the runs that are done."""
     rows = []
     for run in runs[runs["state"] == DONE_STATE].itertuples():
-        for cast in read_casts(ledger.folder / run.folder):
+        for cast in read_casts(ledger, run.folder):
             rows.append({"condition": run.condition, "seed": run.seed, **cast})
     return table_of_rows(CASTS, rows)
 

@@ -6,7 +6,6 @@ have not ended are passed to the function that the setting `hydra.launcher.by` n
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -184,11 +183,8 @@ class LedgerLauncher:
 
 def job_return(ledger: Ledger, job: Job) -> JobReturn:
     """Return the value of a job for a sweeper that optimises."""
-    path = ledger.job_folder(job.key) / "run.json"
-    iterations = []
-    if path.exists():
-        iterations = json.loads(path.read_text(encoding="utf-8"))["iterations"]
-    rate = iterations[-1].get("E_after") if iterations else None
+    casts = ledger.casts(job.key)
+    rate = casts[-1].get("E_after") if casts else None
     result = JobReturn(overrides=list(job.overrides), status=JobStatus.COMPLETED)
     result.return_value = nan if rate is None else rate
     return result

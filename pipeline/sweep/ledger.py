@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from stringcast.data.file_checks import read_json
 from stringcast.data.schema import DataError
 from stringcast.data.store import write_text
 
@@ -145,13 +146,20 @@ class Ledger:
         return pending
 
     def mark_lost_as_failed(self, keys: Sequence[str]) -> None:
-        """Mark as failed the jobs that were started and that no process runs any more."""
+        """Mark as failed the jobs that were started and that no process runs."""
         for key in keys:
             self._change_state(key, (RUNNING_STATE,), FAILED_STATE, LOST_WORKER_ERROR)
 
     def job_folder(self, key: str) -> Path:
         """Return the folder of a job's run."""
         return self.folder / key
+
+    def casts(self, key: str) -> list[dict[str, Any]]:
+        """Return the casts or estimations of a job's run from its run.json, if any."""
+        path = self.job_folder(key) / "run.json"
+        if not path.exists():
+            return []
+        return list(read_json(path)["iterations"])
 
     def _change_state(
         self, key: str, states: Sequence[str], state: str, error: str = ""

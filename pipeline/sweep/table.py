@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -115,27 +114,15 @@ def setting_value(job: Job, name: str, given: Mapping[str, str]) -> Any:
 
 def job_row(ledger: Ledger, job: Job) -> dict[str, Any]:
     """Return the row of a job, with the outcome of its run from run.json."""
-    row = {
-        "job": job.number,
-        "key": job.key,
-        "folder": ledger.job_folder(job.key).name,
-        "state": job.state,
-        "error": job.error,
-        "attempts": job.attempts,
-        "seconds": job.seconds,
-        "host": job.host,
-    }
-    outcome = dict.fromkeys(("hit", "manipulations", "E_before", "E_after", "miss_m"))
-    path = ledger.job_folder(job.key) / "run.json"
-    if job.state == DONE_STATE and path.exists():
-        summary = json.loads(path.read_text(encoding="utf-8"))
-        casts = summary["iterations"]
-        if casts:
-            outcome["manipulations"] = len(casts)
-            for name in ("E_before", "E_after", "miss_m"):
-                outcome[name] = casts[-1].get(name)
-        if any("hit" in cast for cast in casts):
-            outcome["hit"] = summary["hit"]
+    row: dict[str, Any] = {"job": job.number, "key": job.key, "folder": job.key}
+    for name in ("state", "error", "attempts", "seconds", "host"):
+        row[name] = getattr(job, name)
+    casts = ledger.casts(job.key) if job.state == DONE_STATE else []
+    last = casts[-1] if casts else {}
+    hits = [cast["hit"] for cast in casts if "hit" in cast]
+    outcome = {"hit": any(hits) if hits else None, "manipulations": len(casts) or None}
+    for name in ("E_before", "E_after", "miss_m"):
+        outcome[name] = last.get(name)
     for name, value in outcome.items():
         row[name] = float("nan") if value is None else float(value)
     return row

@@ -69,12 +69,12 @@ def estimate_arc_lengths(
         if trial not in hands.index:
             continue
         hand = hands.loc[trial].to_numpy()
-        places = places.droplevel("trial")
         xy = places.to_numpy()
         order = np.argsort(np.linalg.norm(xy - hand, axis=1))
         steps = np.diff(np.vstack([hand, xy[order]]), axis=0)
         path = np.linalg.norm(steps, axis=1).cumsum()
-        for name, s in zip(places.index[order], path, strict=True):
+        names = places.index.get_level_values("point")[order]
+        for name, s in zip(names, path, strict=True):
             arc_lengths.setdefault(str(name), []).append(float(s))
     nearest_first = sorted(arc_lengths.items(), key=lambda item: item[1][0])
     return {name: np.array(values) for name, values in nearest_first}

@@ -97,7 +97,7 @@ def check_clock_start(dataset: CheckedDataset) -> Iterator[Finding]:
 
 def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find frames at another rate than the stated one of the camera."""
-    fps = (dataset.data.metadata.get("camera") or {}).get("fps")
+    fps = dataset.metadata_block("camera").get("fps")
     if fps is None:
         return
     fps = float(fps)

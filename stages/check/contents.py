@@ -112,7 +112,7 @@ def check_trial_count(dataset: CheckedDataset) -> Iterator[Finding]:
 def check_string_length(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find a missing length, one that does not fit the points, and several strings."""
     length = dataset.length
-    if "length" not in (dataset.data.metadata.get("string") or {}):
+    if "length" not in dataset.metadata_block("string"):
         statement = f"it is missing; {length:.3f} m is assumed"
         remedy = "Write string: {length: <metres, grasp to tip>}"
         yield warning(DATASET_FILE, "string.length", statement, remedy)
@@ -180,7 +180,7 @@ def check_hand_tables(dataset: CheckedDataset) -> Iterator[Finding]:
 
 def check_camera(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find frame rates that no camera has."""
-    fps = (dataset.data.metadata.get("camera") or {}).get("fps")
+    fps = dataset.metadata_block("camera").get("fps")
     if fps is not None and fps > MAX_FRAME_RATE:
         statement = (
             f"it is {float(fps):.3g} frames a second, more than any camera takes"
@@ -221,7 +221,7 @@ def check_names(dataset: CheckedDataset) -> Iterator[Finding]:
     metadata = dataset.data.metadata
     yield from _similar_names(metadata, Metadata.model_fields)
     for block, kind in BLOCKS.items():
-        keys = metadata.get(block) or {}
+        keys = dataset.metadata_block(block)
         yield from _similar_names(keys, kind.model_fields, f"{block}.")
     for name, keys in metadata.get("trials", {}).items():
         yield from _similar_names(keys, TrialBlock.model_fields, f"trials.{name}.")

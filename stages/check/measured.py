@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -60,36 +61,32 @@ class CheckedTrial:
         """Valid points, sorted by time and arc length."""
         return self.observation.valid_points.sort_values(["t", "s"], kind="stable")
 
-    @cached_property
+    @property
     def motion(self) -> pd.DataFrame:
         """Stored joint angles or poses of the grasp."""
-        motion = self.observation.arm
-        if motion is None:
-            motion = self.observation.grasp
-        assert motion is not None
-        return motion
+        if self.observation.arm is not None:
+            return self.observation.arm
+        assert self.observation.grasp is not None
+        return self.observation.grasp
 
     @cached_property
     def joints(self) -> np.ndarray | None:
         """Joint angles (K, J) [rad], or None if poses were measured."""
         if self.observation.arm is None:
             return None
-        joints: np.ndarray = self.motion[list(JOINTS)].to_numpy()
-        return joints
+        return np.asarray(self.motion[list(JOINTS)])
 
     @cached_property
     def pose(self) -> np.ndarray:
         """Pose of the grasp (K, 3): x [m], y [m], theta [rad]."""
         if self.joints is not None:
             return self.arm.grasp_pose(self.joints)
-        pose: np.ndarray = self.motion[["x", "y", "theta"]].to_numpy()
-        return pose
+        return np.asarray(self.motion[["x", "y", "theta"]])
 
     @cached_property
     def hand_t(self) -> np.ndarray:
         """Times of the hand's poses (K,) [s], by the arm's clock."""
-        times: np.ndarray = self.motion["t"].to_numpy()
-        return times
+        return np.asarray(self.motion["t"])
 
     @cached_property
     def frame_t(self) -> np.ndarray:
@@ -213,6 +210,10 @@ class CheckedDataset:
         for trial in self.with_points():
             if lost <= MAX_LOST_SHARE and not trial.is_undersampled:
                 yield trial
+
+    def metadata_block(self, name: str) -> Mapping[str, Any]:
+        """Return a block of dataset.yaml, which may be empty or missing."""
+        return self.data.metadata.get(name) or {}
 
     def file(self, table: str) -> str:
         """Return the file of a table: Parquet or CSV."""

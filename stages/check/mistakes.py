@@ -136,16 +136,12 @@ def initial_views(trial: CheckedTrial, camera: Camera) -> Views:
     synchronous = np.stack(columns, axis=-1)
     first = np.broadcast_to(log[0], synchronous.shape)
     no_hand = np.empty((len(t), 0))
-    context = (trial.length, trial.arm, camera)
-    if trial.joints is None:
-        return (
-            InitialView(t, s, xy, None, synchronous, *context),
-            InitialView(t, s, xy, None, first, *context),
-        )
-    return (
-        InitialView(t, s, xy, synchronous, no_hand, *context),
-        InitialView(t, s, xy, first, no_hand, *context),
-    )
+    views = []
+    for motion in (synchronous, first):
+        joints, hand = (None, motion) if trial.joints is None else (motion, no_hand)
+        view = InitialView(t, s, xy, joints, hand, trial.length, trial.arm, camera)
+        views.append(view)
+    return views[0], views[1]
 
 
 @dataclass(frozen=True)
@@ -335,7 +331,7 @@ def impossible_views(dataset: CheckedDataset) -> dict[str, Views]:
         trial.name: initial_views(trial, dataset.camera)
         for trial in dataset.with_points()
     }
-    if "length" not in (dataset.data.metadata.get("string") or {}):
+    if "length" not in dataset.metadata_block("string"):
         ends = [views[0].end for views in views_by_trial.values()]
         end = max(ends, default=0.0)
         if end > MAX_ARC_LENGTH_RATIO * dataset.length:
@@ -355,7 +351,7 @@ def unknown_arm_fields(dataset: CheckedDataset) -> list[str]:
     """Return the fields of the arm that joint angles need and dataset.yaml lacks."""
     if all(trial.joints is None for trial in dataset.trials):
         return []
-    block = dataset.data.metadata.get("arm") or {}
+    block = dataset.metadata_block("arm")
     return [key for key in ("links", "base") if key not in block]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -25,45 +25,9 @@ DETECTION_NOTE = (
     "Found from: the size from which on a diagnosis would find an effect in these "
     "trials, and how far it then moves the tip. Like the string: the share of its "
     "motion that the string's own parameters can imitate. Taken for: effects that are "
-    "as likely at that size; larger ones can be distinguished. Effects that depend on a "
-    "place are not listed."
+    "as likely at that size; larger ones can be distinguished. Effects that depend on "
+    "a place are not listed."
 )
-
-
-@dataclass(frozen=True)
-class OverviewRow:
-    """One trial of the overview.
-
-    Attributes
-    ----------
-    trial
-        Its name.
-    duration, common
-        Time seen by the camera, and by the arm's clock as well [s].
-    frames
-        Number of frames.
-    fps, hand_rate
-        Samples of string and hand [1/s].
-    points
-        Mean number of points in a frame.
-    noise
-        Of a coordinate [m], None if unknown.
-    path
-        Length of the hand's path [m].
-    begins
-        "at rest", "moving", or "moving?" if it seems to move against what is stated.
-    """
-
-    trial: str
-    duration: float
-    common: float
-    frames: int
-    fps: float | None
-    hand_rate: float | None
-    points: float
-    noise: float | None
-    path: float
-    begins: str
 
 
 def sample_rate(t: np.ndarray) -> float | None:
@@ -72,8 +36,18 @@ def sample_rate(t: np.ndarray) -> float | None:
     return 1 / interval if interval > 0 else None
 
 
-def overview_rows(dataset: CheckedDataset) -> list[OverviewRow]:
-    """Return a row for each usable trial."""
+def overview_rows(dataset: CheckedDataset) -> list[dict[str, Any]]:
+    """Return a row for each usable trial.
+
+    Returns
+    -------
+    list of dict
+        trial; duration seen by the camera [s], and common: by the arm's clock as well
+        [s]; frames; fps and hand_rate: samples of string and hand [1/s]; points: mean
+        number in a frame; noise of a coordinate [m], None if unknown; path: length of
+        the hand's path [m]; begins: "at rest", "moving", or "moving?" if the string
+        seems to move against what is stated.
+    """
     rows, films = [], dataset.data.films
     for trial in dataset.trials:
         # without points, frames of the film count
@@ -85,18 +59,18 @@ def overview_rows(dataset: CheckedDataset) -> list[OverviewRow]:
         begins = "moving" if trial.starts_moving else "at rest"
         if len(trial.points) and not trial.starts_moving and is_restless(trial):
             begins = "moving?"
-        row = OverviewRow(
-            trial=trial.name,
-            duration=float(np.ptp(t)),
-            common=float(common),
-            frames=len(t),
-            fps=sample_rate(t),
-            hand_rate=sample_rate(trial.hand_t),
-            points=float(len(trial.points) / max(len(trial.frame_t), 1)),
-            noise=None if np.isnan(trial.noise) else trial.noise,
-            path=float(steps.sum()),
-            begins=begins,
-        )
+        row = {
+            "trial": trial.name,
+            "duration": float(np.ptp(t)),
+            "common": float(common),
+            "frames": len(t),
+            "fps": sample_rate(t),
+            "hand_rate": sample_rate(trial.hand_t),
+            "points": float(len(trial.points) / max(len(trial.frame_t), 1)),
+            "noise": None if np.isnan(trial.noise) else trial.noise,
+            "path": float(steps.sum()),
+            "begins": begins,
+        }
         rows.append(row)
     return rows
 
@@ -145,7 +119,7 @@ def dataset_overview(dataset: CheckedDataset) -> dict[str, Any]:
         "folder": str(dataset.data.folder),
         "usable": bool(usable_trials) and not has_errors,
         "string_length_m": dataset.length,
-        "trials": [asdict(row) for row in overview_rows(dataset)],
+        "trials": overview_rows(dataset),
         "rejected": dict(dataset.data.rejection_reasons),
         "findings": [asdict(finding) for finding in findings],
     }

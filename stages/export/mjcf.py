@@ -40,11 +40,15 @@ CARRIAGE_MASS_RATIO = 1e6
 
 DOCUMENT_TEMPLATE = """\
 <mujoco model="string">
-  <!-- Written by stringcast: {segments} links, {length:g} m, {mass:g} kg. Planar, x to the right, y up.
-       Links do not stretch; hung up at rest, the string is {stretch:.2f} mm longer.{omitted}
-       The hand is a carriage; to hang the string in a gripper of yours, take body link_1 with all that is in it. -->
+  <!-- Written by stringcast: {segments} links, {length:g} m, {mass:g} kg. Planar, x \
+to the right, y up.
+       Links do not stretch; hung up at rest, the string is {stretch:.2f} mm \
+longer.{omitted}
+       The hand is a carriage; to hang the string in a gripper of yours, take body \
+link_1 with all that is in it. -->
   <compiler angle="radian"/>
-  <option timestep="{step:g}" integrator="implicitfast" gravity="{gx:.9g} {gy:.9g} 0" wind="{wx:.9g} {wy:.9g} 0" \
+  <option timestep="{step:g}" integrator="implicitfast" gravity="{gx:.9g} {gy:.9g} 0" \
+wind="{wx:.9g} {wy:.9g} 0" \
 density="{density:g}" viscosity="{viscosity:g}">
     <flag contact="disable" constraint="disable"/>
   </option>
@@ -67,10 +71,13 @@ density="{density:g}" viscosity="{viscosity:g}">
 """
 LINK_TEMPLATE = """\
 {pad}<body name="link_{number}" pos="{start:.9g} {across:.9g} 0">
-{pad}  <joint name="hinge_{number}" type="hinge" axis="0 0 1" stiffness="{stiffness:.9g}" damping="{damping:.9g}" \
+{pad}  <joint name="hinge_{number}" type="hinge" axis="0 0 1" \
+stiffness="{stiffness:.9g}" damping="{damping:.9g}" \
 springref="{rest:.9g}"/>
-{pad}  <inertial pos="{length:.9g} 0 0" mass="{mass:.9g}" diaginertia="{inertia:.9g} {inertia:.9g} {inertia:.9g}"/>
-{pad}  <geom type="sphere" pos="{length:.9g} 0 0" size="{radius:.9g}" mass="0" contype="0" conaffinity="0" \
+{pad}  <inertial pos="{length:.9g} 0 0" mass="{mass:.9g}" diaginertia="{inertia:.9g} \
+{inertia:.9g} {inertia:.9g}"/>
+{pad}  <geom type="sphere" pos="{length:.9g} 0 0" size="{radius:.9g}" mass="0" \
+contype="0" conaffinity="0" \
 fluidshape="ellipsoid" fluidcoef="{blunt:.9g} 0 0 0 0"/>
 """
 
