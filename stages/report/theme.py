@@ -67,38 +67,6 @@ class Picture:
     height: int
 
 
-def figure_with_margins(
-    width: float,
-    height: float,
-    left: float = 0.66,
-    top: float = 0.28,
-    bottom: float = 0.42,
-    row_gap: float = 0.14,
-) -> Figure:
-    """Create an empty figure with given margins.
-
-    The margins hold a label, numbers of five characters and a row of legend. Measuring
-    the texts, as the layout of the style does, takes longer than drawing them.
-
-    Parameters
-    ----------
-    width, height, left, top, bottom : float
-        Size and margins [inch].
-    row_gap : float
-        Gap between rows of axes, in heights of a row.
-    """
-    figure = Figure(figsize=(width, height), layout="none")  # type: ignore[arg-type]
-    figure.subplots_adjust(
-        left=left / width,
-        bottom=bottom / height,
-        right=1 - 0.2 / width,
-        top=1 - top / height,
-        wspace=0.08,
-        hspace=row_gap,
-    )
-    return figure
-
-
 def svg_picture(figure: Figure, alt: str) -> Picture:
     """Draw a figure as an SVG that follows the reader's light or dark theme."""
     buffer = io.StringIO()

@@ -18,9 +18,11 @@ from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.report.charts.axes import (
     OBSTACLE_STYLE,
     TARGET_STYLE,
+    add_legend_above,
     draw_box,
     draw_map,
     label_decades,
+    new_axes,
 )
 from stringcast.stages.report.formatting import (
     format_count,
@@ -32,7 +34,6 @@ from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import (
     MM_PER_M,
     Picture,
-    figure_with_margins,
     svg_picture,
 )
 
@@ -57,7 +58,7 @@ def cast_path_picture(record: RunRecord, cast: CastRecord) -> Picture | None:
     tip = cast.tip_path(np.arange(0, cast.motion.duration, 0.001)) * MM_PER_M
     if np.isfinite(tip).any():
         axes.plot(*tip.T, color="measured", lw=1, label="string's tip")
-    figure.legend(loc="upper left", ncols=6)
+    add_legend_above(figure, 6)
     length = format_mm(float(np.hypot(*np.diff(hand, axis=0).T).sum() / MM_PER_M))
     words = (
         f"Path of the hand, {length} long, and of the tip; {_describe_target(record)}."
@@ -82,15 +83,14 @@ def hand_paths_picture(record: RunRecord) -> Picture | None:
             lw=1 + strength,
         )
     axes.plot(*np.array(record.model.arm.base) * MM_PER_M, "s", ms=6, color="soft")
-    figure.legend(loc="upper left", ncols=6)
+    add_legend_above(figure, 6)
     words = f"Path of the hand in {count} casts; {_describe_target(record)}."
     return svg_picture(figure, words)
 
 
 def _plane_with_boxes(record: RunRecord) -> tuple[Figure, Axes]:
     """Create axes with target and obstacles to scale."""
-    figure = figure_with_margins(5.4, 4.9)
-    axes = figure.subplots()
+    figure, axes = new_axes(5.4, 4.9)
     axes.margins(0.08)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
     draw_box(axes, record.target, label="target", **TARGET_STYLE)
@@ -221,8 +221,7 @@ def distance_map(
     if not cast.centre_lines:
         return None
     table = distances(record, cast, cast.after)
-    figure = figure_with_margins(5.4, 2.6)
-    axes = figure.subplots()
+    figure, axes = new_axes(5.4, 2.6)
     drawn = draw_map(
         axes,
         table["s"].to_numpy(),
@@ -276,8 +275,7 @@ def history_picture(parameter: Parameter, estimates: Sequence[Estimate]) -> Pict
     tables = [estimate.parameters.set_index("name") for estimate in estimates]
     rows = pd.DataFrame([table.loc[parameter.name] for table in tables])
     numbers = np.arange(1, len(rows) + 1)
-    figure = figure_with_margins(2.5, 1.55, left=0.5, top=0.16)
-    axes = figure.subplots()
+    figure, axes = new_axes(2.5, 1.55)
     lowest, highest = rows["minimum"].min(), rows["maximum"].max()
     axes.axhspan(lowest, highest, color="axis", alpha=0.16, lw=0)
     values = [parameter.start, *rows["value"]]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import AsinhNorm, LinearSegmentedColormap
 from matplotlib.figure import Figure
 
@@ -21,7 +20,6 @@ from stringcast.stages.report.records import DiagnosisRecord, model_distances, t
 from stringcast.stages.report.theme import (
     MM_PER_M,
     Picture,
-    figure_with_margins,
     svg_picture,
 )
 
@@ -49,9 +47,7 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
     trials = record.drawn_trials
     if not trials:
         return None
-    figure = figure_with_margins(
-        5.4, 1.3 + 1.05 * len(trials), top=0.45, bottom=1.0, row_gap=0.3
-    )
+    figure = Figure(figsize=(5.4, 1.3 + 1.05 * len(trials)))
     panels = figure.subplots(len(trials), 2, sharex=True, sharey=True, squeeze=False)
 
     # one colour scale for all trials and models
@@ -75,21 +71,15 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
     ):
         top.set_title(words, fontsize=9, pad=16)
         bottom.set_xlabel("time [ms]")
-    _draw_colour_bar(figure, drawn, end)
-    trial_count = format_count(len(trials), "trial")
-    words = f"Residuals of the {model} model over arc length and time in {trial_count}."
-    return svg_picture(figure, words)
-
-
-def _draw_colour_bar(figure: Figure, drawn: ScalarMappable, end: float) -> None:
-    height = figure.get_figheight()
-    place = figure.add_axes((0.15, 0.46 / height, 0.8, 0.09 / height))
-    bar = figure.colorbar(drawn, cax=place, orientation="horizontal", extend="both")
+    bar = figure.colorbar(drawn, ax=panels, location="bottom", extend="both", aspect=60)
     positive = [tick for tick in SCALE_TICKS if tick <= end]
     ticks = [*(-tick for tick in reversed(positive)), 0, *positive]
     bar.set_ticks(ticks, labels=[str(tick).replace("-", "−") for tick in ticks])
     bar.minorticks_off()
     bar.set_label("measured minus simulated [noise floor]")
+    trial_count = format_count(len(trials), "trial")
+    words = f"Residuals of the {model} model over arc length and time in {trial_count}."
+    return svg_picture(figure, words)
 
 
 def residual_components(table: pd.DataFrame, model: str) -> dict[str, np.ndarray]:
