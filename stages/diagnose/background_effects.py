@@ -57,7 +57,9 @@ class BackgroundPosterior:
 
 
 def background_responses(
-    data: TrialData, fit: Fit, effects: Sequence[type[Effect]]
+    data: TrialData,
+    fit: Fit,
+    effects: Sequence[type[Effect]],
 ) -> list[np.ndarray]:
     """Simulate what each effect does about a fit, scaled to 1 m at the tip.
 
@@ -91,7 +93,9 @@ def background_responses(
 
 
 def _append_scaled(
-    responses: Sequence[list[np.ndarray]], data: TrialData, changes: ByTrial
+    responses: Sequence[list[np.ndarray]],
+    data: TrialData,
+    changes: ByTrial,
 ) -> None:
     """Append displacements (C, 2 n) per metre at the tip, if they can be simulated."""
     shift_m = data.overall_tip_rms(changes)
@@ -102,7 +106,9 @@ def _append_scaled(
 
 
 def posterior_with_background(
-    data: TrialData, fit: Fit, background: ByTrial
+    data: TrialData,
+    fit: Fit,
+    background: ByTrial,
 ) -> BackgroundPosterior:
     """Compute the posterior of a fit's exponents, averaged over background scales."""
     by_trial, gradient_by_trial = _normal_equations_by_trial(data, fit, background)
@@ -129,7 +135,10 @@ def posterior_with_background(
 
 
 def background_log_evidence_gains(
-    data: TrialData, fit: Fit, background: ByTrial, weights: np.ndarray
+    data: TrialData,
+    fit: Fit,
+    background: ByTrial,
+    weights: np.ndarray,
 ) -> np.ndarray:
     """Gain of a fit's log evidence by the background, (D,), over none of it.
 
@@ -151,7 +160,9 @@ def background_log_evidence_gains(
 
 
 def _normal_equations_by_trial(
-    data: TrialData, fit: Fit, background: ByTrial
+    data: TrialData,
+    fit: Fit,
+    background: ByTrial,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Multiply white slopes of parameters and background, M in all.
 
@@ -178,7 +189,10 @@ def _normal_equations_by_trial(
 
 
 def _solve_at_scale(
-    products: np.ndarray, gradient: np.ndarray, parameters: int, scale_m: float
+    products: np.ndarray,
+    gradient: np.ndarray,
+    parameters: int,
+    scale_m: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Solve the normal equations (..., M, M) with a background of one scale.
 

@@ -29,7 +29,10 @@ SCREENED_PER_START = 8
 
 
 def fit_base_model(
-    likelihood: Likelihood, rng: np.random.Generator, starts: int, progress: Progress
+    likelihood: Likelihood,
+    rng: np.random.Generator,
+    starts: int,
+    progress: Progress,
 ) -> tuple[Likelihood, np.ndarray]:
     """Fit the base model from many starts, in ranges as wide as the data ask for.
 
@@ -57,7 +60,9 @@ def fit_base_model(
 
 
 def widen_range_if_supported(
-    likelihood: Likelihood, chi: np.ndarray, index: int
+    likelihood: Likelihood,
+    chi: np.ndarray,
+    index: int,
 ) -> tuple[Likelihood, np.ndarray]:
     """Widen the range of a parameter that lies at its end, if that explains much more.
 
@@ -96,7 +101,10 @@ def widen_range_if_supported(
 
 
 def refit_from_new_starts(
-    data: TrialData, fit: Fit, rng: np.random.Generator, starts: int
+    data: TrialData,
+    fit: Fit,
+    rng: np.random.Generator,
+    starts: int,
 ) -> Fit:
     """Refit a hypothesis from other strings, the causes' parameters staying.
 

@@ -54,7 +54,9 @@ class ErrorBudget:
 
 
 def error_budget(
-    state: SelectionState, base: Fit, rng: np.random.Generator
+    state: SelectionState,
+    base: Fit,
+    rng: np.random.Generator,
 ) -> ErrorBudget:
     """Divide the base model's misfit among causes, numerical error, noise and the rest.
 

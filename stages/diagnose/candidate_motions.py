@@ -80,7 +80,10 @@ def sample_motions_within_limits(
 
 
 def synthetic_trial(
-    model: Model, curve: Curves, like: PreparedTrial, design: DesignSettings
+    model: Model,
+    curve: Curves,
+    like: PreparedTrial,
+    design: DesignSettings,
 ) -> PreparedTrial:
     """Make the trial that a motion would make, with all points at the origin.
 

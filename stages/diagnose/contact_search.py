@@ -75,7 +75,10 @@ class ContactCandidates:
         return self._most_plausible(chi)
 
     def sample_near(
-        self, chi: np.ndarray, radius: float, rng: np.random.Generator
+        self,
+        chi: np.ndarray,
+        radius: float,
+        rng: np.random.Generator,
     ) -> np.ndarray:
         """Sample plausible exponents (C', P) within a radius of given ones (C, P)."""
         near = np.repeat(chi, REFINEMENT_CANDIDATES // len(chi), axis=0)
@@ -110,7 +113,9 @@ class ContactCandidates:
         return chi[contacts[order[:MAX_SIMULATED]]]
 
     def _force_is_nonzero(
-        self, chi: np.ndarray, path: Mapping[str, np.ndarray]
+        self,
+        chi: np.ndarray,
+        path: Mapping[str, np.ndarray],
     ) -> np.ndarray:
         """Evaluate whether each candidate acts at each point of a path, (C, M)."""
         string = self.hypothesis.model.string
@@ -143,7 +148,10 @@ def varied_parameters(effect: type[Effect]) -> list[Parameter]:
 
 
 def contact_candidates(
-    data: TrialData, parent: Fit, hypothesis: Hypothesis, seed: int
+    data: TrialData,
+    parent: Fit,
+    hypothesis: Hypothesis,
+    seed: int,
 ) -> ContactCandidates:
     """Prepare the search of contacts of a hypothesis' last cause about its parent."""
     effect = hypothesis.causes[-1]
@@ -173,7 +181,8 @@ def contact_candidates(
 
 
 def _departure_times(
-    trials: Sequence[PreparedTrial], discrepancies: ByTrial
+    trials: Sequence[PreparedTrial],
+    discrepancies: ByTrial,
 ) -> np.ndarray:
     """Find when the discrepancy of each trial, (2 n,) over sigma, is first large [s].
 
@@ -193,7 +202,9 @@ def _departure_times(
 
 
 def path_arguments(
-    points: np.ndarray, s: np.ndarray, times: np.ndarray
+    points: np.ndarray,
+    s: np.ndarray,
+    times: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """Compute arguments of laws, (M,) each, along the path of a string.
 

@@ -317,7 +317,8 @@ def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagno
 
 
 def _search_until_trials_settle(
-    trials: TrialsByUse, settings: DiagnosisSettings
+    trials: TrialsByUse,
+    settings: DiagnosisSettings,
 ) -> Iterator[SearchProgress]:
     """Search causes, and again while the causes change which trials are resolved.
 
@@ -376,7 +377,9 @@ def _search_until_trials_settle(
 
 
 def _trials_resolved_with_causes(
-    state: SelectionState, searched: Sequence[Observation], tolerance_m: float
+    state: SelectionState,
+    searched: Sequence[Observation],
+    tolerance_m: float,
 ) -> list[str]:
     """Name trials that are chaotic without the causes and resolved with them.
 
@@ -403,7 +406,9 @@ def _mesh_is_too_coarse(prepared: PreparedData, criteria: Criteria) -> bool:
 
 
 def _held_out_trials_misfit(
-    state: SelectionState, held_out: Sequence[Observation], criteria: Criteria
+    state: SelectionState,
+    held_out: Sequence[Observation],
+    criteria: Criteria,
 ) -> bool:
     """Whether held-out trials misfit by more than the tolerance.
 
@@ -459,7 +464,10 @@ class HeldOutGain:
 
 
 def _measure_gain(
-    trials: TrialsByUse, matching: Matching, state: SelectionState, base_fit: Fit
+    trials: TrialsByUse,
+    matching: Matching,
+    state: SelectionState,
+    base_fit: Fit,
 ) -> HeldOutGain:
     """Predict held-out trials, or else each trial by the fit to the others."""
     if len(trials.observations) == 1:
@@ -482,7 +490,9 @@ def _measure_gain(
 
 
 def _propose_experiment(
-    state: SelectionState, judgement: Judgement, settings: DiagnosisSettings
+    state: SelectionState,
+    judgement: Judgement,
+    settings: DiagnosisSettings,
 ) -> ProposedExperiment:
     """Propose the motion that distinguishes the first group of look-alikes."""
     names = list[str]()
@@ -582,7 +592,9 @@ def _finding_table(
 
 
 def _extended_model_yaml(
-    model: Model, fit: Fit, intervals: Mapping[str, Sequence[float]]
+    model: Model,
+    fit: Fit,
+    intervals: Mapping[str, Sequence[float]],
 ) -> str:
     """Write the model with its causes as settings; a header marks a base model."""
     cause_intervals = {}

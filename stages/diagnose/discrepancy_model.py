@@ -72,7 +72,9 @@ def attach_discrepancy_model(
 
 
 def sensitivity_by_frame(
-    trials: Sequence[PreparedTrial], hypothesis: Hypothesis, chi: np.ndarray
+    trials: Sequence[PreparedTrial],
+    hypothesis: Hypothesis,
+    chi: np.ndarray,
 ) -> list[np.ndarray]:
     """Measure how a small change of the parameters has grown by each frame.
 
@@ -102,7 +104,9 @@ def sensitivity_by_frame(
 
 
 def with_random_effects(
-    data: TrialData, hypothesis: Hypothesis, chi: np.ndarray
+    data: TrialData,
+    hypothesis: Hypothesis,
+    chi: np.ndarray,
 ) -> TrialData:
     """Add random effects of a hypothesis at exponents (P,), of the likeliest widths."""
     for cause in hypothesis.causes:
@@ -124,7 +128,10 @@ def with_random_effects(
 
 
 def _shapes_per_metre(
-    data: TrialData, hypothesis: Hypothesis, cause: type[Effect], chi: np.ndarray
+    data: TrialData,
+    hypothesis: Hypothesis,
+    cause: type[Effect],
+    chi: np.ndarray,
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Simulate how the amplitudes of a cause move each trial by 1 m at the tip.
 

@@ -98,7 +98,9 @@ def correct_data_at(prepared: PreparedData, fit: Fit) -> PreparedData:
 
 
 def corrected_data_of(
-    prepared: PreparedData, trials: Sequence[PreparedTrial], fit: Fit
+    prepared: PreparedData,
+    trials: Sequence[PreparedTrial],
+    fit: Fit,
 ) -> tuple[TrialData, np.ndarray]:
     """Correct any trials at a fit, by the same mesh as the prepared ones.
 
@@ -116,7 +118,9 @@ def corrected_data_of(
 
 
 def subtract_discretisation_error(
-    trials: Sequence[PreparedTrial], hypothesis: Hypothesis, chi: np.ndarray
+    trials: Sequence[PreparedTrial],
+    hypothesis: Hypothesis,
+    chi: np.ndarray,
 ) -> tuple[TrialData, np.ndarray]:
     """Subtract the discretisation error of a hypothesis from measured trials.
 

@@ -252,7 +252,9 @@ def _join_with_and(words: Sequence[str]) -> str:
 
 
 def extended_model_settings(
-    model: Model, fit: Fit, intervals: Mapping[str, Sequence[float]]
+    model: Model,
+    fit: Fit,
+    intervals: Mapping[str, Sequence[float]],
 ) -> dict[str, object]:
     """Write a fit as settings of other stages.
 

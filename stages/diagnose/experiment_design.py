@@ -83,7 +83,8 @@ class Rivals:
     deciding_log_odds: float
 
     def expected_log_odds(
-        self, trial: TrialData
+        self,
+        trial: TrialData,
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Compute the expected log odds of the rivals in one further trial.
 
@@ -181,7 +182,9 @@ def design_experiment(
 
 
 def _most_different_motions(
-    rivals: Rivals, trials: Sequence[PreparedTrial], obstacles: Sequence[Box]
+    rivals: Rivals,
+    trials: Sequence[PreparedTrial],
+    obstacles: Sequence[Box],
 ) -> list[int]:
     """Select the motions in which the fitted rivals differ most.
 
@@ -222,7 +225,9 @@ def _odds_summary(log_odds: float, deciding: float) -> dict[str, float]:
 
 
 def _experiment_document(
-    rivals: Rivals, log_odds: np.ndarray, motions: int
+    rivals: Rivals,
+    log_odds: np.ndarray,
+    motions: int,
 ) -> dict[str, Any]:
     """Build next_experiment of diagnosis.json, without the motion's folder."""
     names = list(rivals.fits)
@@ -266,7 +271,8 @@ def _experiment_document(
 
 
 def _predicted_table(
-    trial: PreparedTrial, predicted: Mapping[str, np.ndarray]
+    trial: PreparedTrial,
+    predicted: Mapping[str, np.ndarray],
 ) -> pd.DataFrame:
     """Build the table PREDICTED_STRINGS."""
     frames = []

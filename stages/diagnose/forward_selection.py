@@ -182,7 +182,9 @@ def compare_candidates(
 
 
 def _lookalikes_of_best(
-    step: SelectionStep, others: Sequence[Proposal], criteria: Criteria
+    step: SelectionStep,
+    others: Sequence[Proposal],
+    criteria: Criteria,
 ) -> list[Proposal]:
     """Find proposals that to first order explain much of what the best fit does."""
     if step.best is None or not has_evidence(step.parent, step.best, criteria):
@@ -299,7 +301,9 @@ def _refit_step(data: TrialData, step: SelectionStep) -> SelectionStep:
 
 
 def drop_redundant_causes(
-    state: SelectionState, best: Fit, criteria: Criteria
+    state: SelectionState,
+    best: Fit,
+    criteria: Criteria,
 ) -> SelectionState:
     """Drop causes that the evidence does not need any more, the new one included.
 
@@ -316,7 +320,8 @@ def drop_redundant_causes(
 
 
 def drop_unpredictive_causes(
-    state: SelectionState, criteria: Criteria
+    state: SelectionState,
+    criteria: Criteria,
 ) -> SelectionState:
     """Drop causes that do not help to predict trials left out, the last one first.
 
@@ -341,7 +346,9 @@ def drop_unpredictive_causes(
 
 
 def _fit_more_proposals(
-    prepared: PreparedData, step: SelectionStep, proposals: Sequence[Proposal]
+    prepared: PreparedData,
+    step: SelectionStep,
+    proposals: Sequence[Proposal],
 ) -> SelectionStep:
     """Fit more of a step's proposals, promising ones with their own numerical error."""
     parent = step.parent

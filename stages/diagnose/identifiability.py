@@ -165,7 +165,9 @@ def _detection_limit(
 
 
 def _detection_threshold(
-    response: _EffectResponse, excess: np.ndarray, min_tip_shift_m: float
+    response: _EffectResponse,
+    excess: np.ndarray,
+    min_tip_shift_m: float,
 ) -> tuple[float, float]:
     """Interpolate where both the evidence and the tip shift are and stay sufficient.
 
@@ -249,7 +251,9 @@ class _SensitivityAnalysis:
         return responses
 
     def expected_log_evidence(
-        self, response: _EffectResponse, siblings: Sequence[_EffectResponse]
+        self,
+        response: _EffectResponse,
+        siblings: Sequence[_EffectResponse],
     ) -> np.ndarray:
         """Mean log evidence for an active effect without the strongest trial, (C,).
 
@@ -320,7 +324,8 @@ def _log_occam_factor(response: _EffectResponse) -> np.ndarray:
 
 
 def _noise_coefficients(
-    discrepancy: Discrepancy, rng: np.random.Generator
+    discrepancy: Discrepancy,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """Draw coefficients (2 NOISE_DRAWS, 2 M) of a trial's noise and initial state."""
     size, modes = discrepancy.nuisance_coefficients.shape

@@ -13,7 +13,8 @@ from stringcast.stages.inference.trial_data import ByTrial, TrialData
 
 
 def difference_exponents(
-    chi: np.ndarray, width: np.ndarray | float
+    chi: np.ndarray,
+    width: np.ndarray | float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vary each exponent by a width, away from the nearer end of its range.
 
@@ -72,7 +73,9 @@ class LinearisedFit:
         return steps, white + steps @ self.white_slopes
 
     def refit_at_values(
-        self, index: int, values: np.ndarray
+        self,
+        index: int,
+        values: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Set one parameter to other values (C,), and let the others follow.
 
@@ -111,7 +114,10 @@ class LinearisedFit:
         return gain
 
     def log_likelihood_gains(
-        self, responses: ByTrial, steps: np.ndarray, factors: np.ndarray
+        self,
+        responses: ByTrial,
+        steps: np.ndarray,
+        factors: np.ndarray,
     ) -> np.ndarray:
         """Gain of the log-likelihood by multiples (C,) of responses and steps, (C,).
 

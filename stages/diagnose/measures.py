@@ -41,7 +41,9 @@ def tip_shift_rms(data: TrialData, one: Fit, other: Fit) -> np.ndarray:
 
 
 def mean_explained_fraction(
-    before: np.ndarray, after: np.ndarray, tolerance_m: float
+    before: np.ndarray,
+    after: np.ndarray,
+    tolerance_m: float,
 ) -> float:
     """Average the explained fraction over trials that misfit by more than a tolerance.
 
@@ -108,7 +110,10 @@ def cross_validated_gain(data: TrialData, parent: Fit, fit: Fit) -> float:
 
 
 def trials_touched_by(
-    data: TrialData, fit: Fit, cause: type[Effect], min_tip_shift_m: float
+    data: TrialData,
+    fit: Fit,
+    cause: type[Effect],
+    min_tip_shift_m: float,
 ) -> np.ndarray:
     """Find the trials in which a cause that depends on place moves the tip enough."""
     if not is_position_dependent(cause):

@@ -33,7 +33,9 @@ KEPT_REST_S = 0.2  # of a string at rest
 
 
 def estimate_initial_noise(
-    likelihood: Likelihood, chi: np.ndarray, noise_is_given: bool
+    likelihood: Likelihood,
+    chi: np.ndarray,
+    noise_is_given: bool,
 ) -> tuple[tuple[PreparedTrial, ...], tuple[PreparedTrial, ...]]:
     """Set the noise of all trials from the residuals of the base model.
 
@@ -56,7 +58,8 @@ def estimate_initial_noise(
 
 
 def _scale_sigma(
-    trials: Sequence[PreparedTrial], factor: float
+    trials: Sequence[PreparedTrial],
+    factor: float,
 ) -> tuple[PreparedTrial, ...]:
     return tuple(replace(trial, sigma=factor * trial.sigma) for trial in trials)
 
@@ -108,7 +111,9 @@ def estimate_noise(
 
 
 def remove_outliers(
-    trials: Sequence[PreparedTrial], model: Model, chi: np.ndarray
+    trials: Sequence[PreparedTrial],
+    model: Model,
+    chi: np.ndarray,
 ) -> tuple[tuple[PreparedTrial, ...], list[np.ndarray], list[float]]:
     """Remove points far from smooth motion about a model at exponents (P,).
 
@@ -135,7 +140,8 @@ def remove_outliers(
 
 
 def _remove_trial_outliers(
-    trial: PreparedTrial, residual: np.ndarray
+    trial: PreparedTrial,
+    residual: np.ndarray,
 ) -> tuple[PreparedTrial, np.ndarray, float]:
     level = float("nan")
     for _ in range(OUTLIER_PASSES):

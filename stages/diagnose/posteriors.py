@@ -124,7 +124,9 @@ def swap_lookalikes_until_stable(
 
 
 def _more_probable_fit(
-    posterior: SingleEffectPosterior, state: SelectionState, criteria: Criteria
+    posterior: SingleEffectPosterior,
+    state: SelectionState,
+    criteria: Criteria,
 ) -> Fit | None:
     """Find the fit with what is more probable in a place, or None.
 
@@ -141,7 +143,8 @@ def _more_probable_fit(
 
 
 def with_most_probable_causes(
-    state: SelectionState, posteriors: Sequence[SingleEffectPosterior]
+    state: SelectionState,
+    posteriors: Sequence[SingleEffectPosterior],
 ) -> SelectionState:
     """Put the likeliest effect into each place if the evidence is then higher."""
     likeliest = {}  # by cause, in the order of the places

@@ -112,7 +112,8 @@ def held_out_table(
 
 
 def log_likelihood_gains(
-    base: Sequence[Prediction], extended: Sequence[Prediction]
+    base: Sequence[Prediction],
+    extended: Sequence[Prediction],
 ) -> np.ndarray:
     """Gain of each trial's log-likelihood by the extended model's prediction, (K,)."""
     pairs = zip(base, extended, strict=True)
@@ -120,7 +121,8 @@ def log_likelihood_gains(
 
 
 def improves_predictions(
-    base: Sequence[Prediction], extended: Sequence[Prediction]
+    base: Sequence[Prediction],
+    extended: Sequence[Prediction],
 ) -> bool:
     """Whether the extended model is closer to the trials, and makes them likelier."""
     squares = []
@@ -133,7 +135,9 @@ def improves_predictions(
 
 
 def rms_distances(
-    trial: PreparedTrial, residual: np.ndarray, name: str
+    trial: PreparedTrial,
+    residual: np.ndarray,
+    name: str,
 ) -> dict[str, float]:
     """Compute root mean squares [m] of a residual over sigma, of all and tip points.
 

@@ -46,7 +46,8 @@ INITIAL_NOISE_M = 1e-3  # before anything is known
 
 
 def usable_trials(
-    model: Model, observations: Sequence[Observation]
+    model: Model,
+    observations: Sequence[Observation],
 ) -> tuple[list[Observation], dict[str, str]]:
     """Separate trials that can be prepared from those that cannot.
 
@@ -139,7 +140,9 @@ def prepare_data(
 
 
 def prepare_further_trials(
-    prepared: PreparedData, observations: Sequence[Observation], fit: Fit
+    prepared: PreparedData,
+    observations: Sequence[Observation],
+    fit: Fit,
 ) -> tuple[TrialData, np.ndarray]:
     """Correct further trials at a fit, with the noise of the prepared ones.
 
@@ -168,7 +171,9 @@ def prepare_further_trials(
 
 
 def keep_configured_mesh_if_supported(
-    prepared: PreparedData, model: Model, tolerance_m: float
+    prepared: PreparedData,
+    model: Model,
+    tolerance_m: float,
 ) -> PreparedData:
     """Make the configured mesh part of the model if the data clearly come from it.
 

@@ -73,7 +73,8 @@ class RefinedFit:
 
 
 def with_initial_states_of(
-    trials: Sequence[PreparedTrial], others: Sequence[PreparedTrial]
+    trials: Sequence[PreparedTrial],
+    others: Sequence[PreparedTrial],
 ) -> tuple[PreparedTrial, ...]:
     """Replace the initial state of each trial by that of another version of it."""
     pairs = zip(trials, others, strict=True)

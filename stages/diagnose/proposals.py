@@ -115,7 +115,10 @@ def candidate_effects(
 
 
 def propose_causes(
-    data: TrialData, parent: Fit, effects: Sequence[type[Effect]], seed: int
+    data: TrialData,
+    parent: Fit,
+    effects: Sequence[type[Effect]],
+    seed: int,
 ) -> list[Proposal]:
     """Propose effects in addition to those of a fit, the most promising first.
 
@@ -154,7 +157,9 @@ def alternative_parameter_starts(data: TrialData, fit: Fit) -> np.ndarray:
 
 
 def _propose_global_effect(
-    linear: LinearisedFit, effect: type[Effect], seed: int
+    linear: LinearisedFit,
+    effect: type[Effect],
+    seed: int,
 ) -> Proposal | None:
     """Propose an effect that acts wherever the string is, at any time."""
     hypothesis = linear.parent.hypothesis.with_cause(effect)
@@ -192,7 +197,10 @@ def _propose_global_effect(
 
 
 def _probe_exponents(
-    linear: LinearisedFit, hypothesis: Hypothesis, effect: type[Effect], seed: int
+    linear: LinearisedFit,
+    hypothesis: Hypothesis,
+    effect: type[Effect],
+    seed: int,
 ) -> np.ndarray:
     """Choose exponents (C, P) by which an effect moves the tip as far as causes may."""
     start = hypothesis.exponents_from(linear.parent.exponents)
@@ -226,7 +234,9 @@ def _probe_exponents(
 
 
 def _propose_contact(
-    linear: LinearisedFit, effect: type[Effect], seed: int
+    linear: LinearisedFit,
+    effect: type[Effect],
+    seed: int,
 ) -> Proposal | None:
     """Propose an effect that depends on place, such as a plane that the string hits.
 

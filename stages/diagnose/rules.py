@@ -183,7 +183,10 @@ def has_evidence(parent: Fit, fit: Fit, criteria: Criteria) -> bool:
 
 
 def moves_tip_enough(
-    data: TrialData, parent: Fit, fit: Fit, criteria: Criteria
+    data: TrialData,
+    parent: Fit,
+    fit: Fit,
+    criteria: Criteria,
 ) -> bool:
     """Whether the tip of some trial differs enough between a fit and its parent."""
     shift = tip_shift_rms(data, parent, fit)
@@ -191,7 +194,11 @@ def moves_tip_enough(
 
 
 def explains_its_only_trial(
-    data: TrialData, parent: Fit, fit: Fit, touched: int, criteria: Criteria
+    data: TrialData,
+    parent: Fit,
+    fit: Fit,
+    touched: int,
+    criteria: Criteria,
 ) -> bool:
     """Whether a contact removes enough misfit of the only trial that it touches."""
     before = unexplained_tip_rms(data, parent)
@@ -201,7 +208,10 @@ def explains_its_only_trial(
 
 
 def survives_leave_one_out(
-    data: TrialData, parent: Fit, fit: Fit, criteria: Criteria
+    data: TrialData,
+    parent: Fit,
+    fit: Fit,
+    criteria: Criteria,
 ) -> bool:
     """Whether the evidence for a fit does not rest on a single trial."""
     needed = criteria.min_log_bayes_factor

@@ -173,7 +173,8 @@ def entries_table(data: TrialData, nested: Sequence[Fit]) -> pd.DataFrame:
 
 
 def _average_in_cells(
-    trial: PreparedTrial, columns: Mapping[str, np.ndarray]
+    trial: PreparedTrial,
+    columns: Mapping[str, np.ndarray],
 ) -> pd.DataFrame:
     """Average columns (n,) of a trial's points over cells in time and along it."""
     table = pd.DataFrame({"t": trial.point_times, "s": trial.s, **columns})
@@ -214,7 +215,9 @@ def likeness_table(state: SelectionState) -> pd.DataFrame:
 
 
 def causes_table(
-    state: SelectionState, judgement: Judgement, half_width: float
+    state: SelectionState,
+    judgement: Judgement,
+    half_width: float,
 ) -> pd.DataFrame:
     """Build the table CAUSES of the named causes, each with its intervals.
 
@@ -279,7 +282,10 @@ def range_end_remark(fit: Fit, effect: type[Effect]) -> str:
 
 
 def _parameter_rows(
-    fit: Fit, effect: type[Effect], posterior: BackgroundPosterior, half_width: float
+    fit: Fit,
+    effect: type[Effect],
+    posterior: BackgroundPosterior,
+    half_width: float,
 ) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
     indices = fit.hypothesis.parameter_indices(effect, effect.parameters)
@@ -299,7 +305,9 @@ def _parameter_rows(
 
 
 def parameter_uncertainty(
-    fit: Fit, posterior: BackgroundPosterior, half_width: float
+    fit: Fit,
+    posterior: BackgroundPosterior,
+    half_width: float,
 ) -> dict[str, Any]:
     """Collect the intervals and large correlations of a fit's parameters.
 
@@ -324,7 +332,10 @@ def parameter_uncertainty(
 
 
 def parameter_interval(
-    fit: Fit, index: int, posterior: BackgroundPosterior, half_width: float
+    fit: Fit,
+    index: int,
+    posterior: BackgroundPosterior,
+    half_width: float,
 ) -> tuple[float, float]:
     """Compute the ends of a parameter's interval, widened to hold its value."""
     chi = fit.chi[index]

@@ -93,7 +93,9 @@ def name_causes(numbers: VerdictNumbers, criteria: Criteria) -> Verdict:
 
 
 def require_confirmation(
-    verdict: Verdict, numbers: VerdictNumbers, criteria: Criteria
+    verdict: Verdict,
+    numbers: VerdictNumbers,
+    criteria: Criteria,
 ) -> Verdict:
     """Withdraw causes that no other trial confirms, or that predict none better."""
     causes = verdict.causes
@@ -180,7 +182,10 @@ class Judgement:
 
 
 def measure_verdict_numbers(
-    posteriors: Posteriors, base_fit: Fit, criteria: Criteria, seed: int
+    posteriors: Posteriors,
+    base_fit: Fit,
+    criteria: Criteria,
+    seed: int,
 ) -> VerdictNumbers:
     """Measure what the verdict depends on, but for trials left out.
 
@@ -224,7 +229,10 @@ def measure_verdict_numbers(
 
 
 def _explained_beyond_largest_cause(
-    data: TrialData, fit: Fit, unexplained_m: np.ndarray, criteria: Criteria
+    data: TrialData,
+    fit: Fit,
+    unexplained_m: np.ndarray,
+    criteria: Criteria,
 ) -> tuple[str, float]:
     """Measure what the other causes explain in addition to the largest one.
 
@@ -255,7 +263,10 @@ def _explained_beyond_largest_cause(
 
 
 def misfit_probability(
-    data: TrialData, fit: Fit, criteria: Criteria, seed: int
+    data: TrialData,
+    fit: Fit,
+    criteria: Criteria,
+    seed: int,
 ) -> float:
     """Estimate the probability that the tip of some trial is off by the tolerance."""
     rng = np.random.default_rng([seed, DISCREPANCY_DRAWS])

@@ -66,7 +66,9 @@ def tensor_products(time: csr_array, place: np.ndarray) -> csr_array:
 
 
 def nystrom_root(
-    points: np.ndarray, nodes: np.ndarray, kernel: Callable[[np.ndarray], np.ndarray]
+    points: np.ndarray,
+    nodes: np.ndarray,
+    kernel: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
     """Compute a root (n, M) of a kernel's covariance of points (n,) from nodes (M,).
 

@@ -30,7 +30,9 @@ SEPARATE_HANDS_COST = 1.15
 
 
 def normalised_residuals(
-    model: Model, trials: Sequence[PreparedTrial], values: np.ndarray
+    model: Model,
+    trials: Sequence[PreparedTrial],
+    values: np.ndarray,
 ) -> list[np.ndarray]:
     """Compute simulated less measured points over sigma of candidates (C, P).
 
@@ -49,7 +51,9 @@ def normalised_residuals(
 
 
 def simulate_trials(
-    model: Model, trials: Sequence[PreparedTrial], values: np.ndarray
+    model: Model,
+    trials: Sequence[PreparedTrial],
+    values: np.ndarray,
 ) -> list[np.ndarray]:
     """Simulate candidates (C, P) in each trial.
 
@@ -101,7 +105,9 @@ def _plan_batches(seconds: Sequence[float], loads: float) -> list[list[int]]:
 
 
 def _simulate_batch(
-    model: Model, trials: Sequence[PreparedTrial], values: np.ndarray
+    model: Model,
+    trials: Sequence[PreparedTrial],
+    values: np.ndarray,
 ) -> list[np.ndarray]:
     """Simulate candidates in trials that share a batch.
 
@@ -173,7 +179,8 @@ def _lane(model: Model, trial: PreparedTrial, values: np.ndarray) -> _Lane:
 
 
 def _stack_states(
-    starts: Sequence[StringState | None], count: int
+    starts: Sequence[StringState | None],
+    count: int,
 ) -> StringState | None:
     """Stack the states of several trials for so many candidates of each.
 

@@ -81,7 +81,10 @@ def parameter_covariance(likelihood: Likelihood, chi: np.ndarray) -> Covariance:
 
 
 def jackknife_covariance(
-    slope: np.ndarray, residual: np.ndarray, weight: np.ndarray, block: np.ndarray
+    slope: np.ndarray,
+    residual: np.ndarray,
+    weight: np.ndarray,
+    block: np.ndarray,
 ) -> Covariance:
     """Leave out each block in turn and take one Newton step, (H - H_b)^(-1) g_b.
 

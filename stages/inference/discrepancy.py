@@ -86,7 +86,10 @@ class Discrepancy:
 
     @classmethod
     def for_trial(
-        cls, trial: PreparedTrial, growth: np.ndarray, nuisance: np.ndarray
+        cls,
+        trial: PreparedTrial,
+        growth: np.ndarray,
+        nuisance: np.ndarray,
     ) -> Discrepancy:
         """Build the basis of a trial in which noise and discrepancy are diagonal.
 
@@ -164,7 +167,9 @@ class Discrepancy:
         return self.whiten_coefficients(self.coefficients(residual), scale_index)
 
     def whiten_coefficients(
-        self, coefficients: np.ndarray, scale_index: int
+        self,
+        coefficients: np.ndarray,
+        scale_index: int,
     ) -> np.ndarray:
         """Compute V(s)^(-1/2) of coefficients (C, 2 M)."""
         deviation, whitening = self._whitening_by_scale[scale_index]
@@ -216,7 +221,9 @@ class Discrepancy:
         return np.asarray(self.nuisance_shapes @ amplitudes)
 
     def _nuisance_amplitudes(
-        self, coefficients: np.ndarray, scale_index: int
+        self,
+        coefficients: np.ndarray,
+        scale_index: int,
     ) -> np.ndarray:
         deviation, _ = self._whitening_by_scale[scale_index]
         root = self.nuisance_coefficients / deviation[:, None]
@@ -241,7 +248,8 @@ class Discrepancy:
 
 
 def remove_smooth_motion(
-    trial: PreparedTrial, residual: np.ndarray
+    trial: PreparedTrial,
+    residual: np.ndarray,
 ) -> tuple[np.ndarray, float]:
     """Remove smooth motion from residuals (n, 2) over sigma.
 

@@ -45,7 +45,9 @@ class Hypothesis:
         return replace(self, causes=others)
 
     def parameter_indices(
-        self, cause: type[Effect], parameters: Sequence[Parameter]
+        self,
+        cause: type[Effect],
+        parameters: Sequence[Parameter],
     ) -> list[int]:
         """Find the indices of some parameters of a cause among all parameters."""
         names = self.model.names

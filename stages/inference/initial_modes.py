@@ -51,7 +51,9 @@ def initial_state_parameters(string: String) -> tuple[Parameter, ...]:
 
 
 def refine_initial_state(
-    trial: PreparedTrial, values: np.ndarray, span: float = INITIAL_SPAN_S
+    trial: PreparedTrial,
+    values: np.ndarray,
+    span: float = INITIAL_SPAN_S,
 ) -> PreparedTrial:
     """Fit the initial state to a trial's first part, with parameters (P,) held.
 
@@ -118,7 +120,8 @@ class _InitialStateProblem:
 
 
 def initial_mode_columns(
-    trials: Sequence[PreparedTrial], values: np.ndarray
+    trials: Sequence[PreparedTrial],
+    values: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
     """Compute how points move over sigma with each trial's modes, (2 N, M).
 
@@ -153,7 +156,8 @@ def initial_mode_slopes(trial: PreparedTrial, values: np.ndarray) -> np.ndarray:
 
 
 def reset_initial_state_linear(
-    trial: PreparedTrial, nuisance: np.ndarray
+    trial: PreparedTrial,
+    nuisance: np.ndarray,
 ) -> PreparedTrial:
     """Displace points as if the trial began in the state of its first frames.
 
@@ -177,7 +181,8 @@ def initial_amplitudes(trial: PreparedTrial) -> np.ndarray:
 
 
 def with_initial_amplitudes(
-    trial: PreparedTrial, amplitudes: np.ndarray
+    trial: PreparedTrial,
+    amplitudes: np.ndarray,
 ) -> PreparedTrial:
     """Set the amplitudes of a trial's initial state.
 
@@ -206,7 +211,9 @@ def with_initial_amplitudes(
 
 
 def _residuals_at_amplitudes(
-    trial: PreparedTrial, values: np.ndarray, amplitudes: np.ndarray
+    trial: PreparedTrial,
+    values: np.ndarray,
+    amplitudes: np.ndarray,
 ) -> np.ndarray:
     """Compute residuals over sigma (C, 2 N) with amplitudes (C, M)."""
     moved = with_initial_amplitudes(trial, amplitudes)
@@ -215,7 +222,8 @@ def _residuals_at_amplitudes(
 
 
 def trials_with_reestimated_start(
-    data: TrialData, fit: Fit
+    data: TrialData,
+    fit: Fit,
 ) -> tuple[PreparedTrial, ...]:
     """Find the most likely initial states of trials, given a fit and discrepancies."""
     if all(trial.initial_state is None for trial in data.trials):
@@ -258,7 +266,10 @@ def with_initial_states_at(data: TrialData, fit: Fit) -> TrialData:
 
 
 def _most_likely_initial_state(
-    trial: PreparedTrial, extended: PreparedTrial, scale_index: int, values: np.ndarray
+    trial: PreparedTrial,
+    extended: PreparedTrial,
+    scale_index: int,
+    values: np.ndarray,
 ) -> PreparedTrial:
     """Find the most likely initial state with values (P,) of the extended model.
 

@@ -63,7 +63,10 @@ class Kinematics:
 
 
 def estimate_initial_state(
-    hand: HandMotion, length: float, times: np.ndarray, measured: Kinematics
+    hand: HandMotion,
+    length: float,
+    times: np.ndarray,
+    measured: Kinematics,
 ) -> StringState:
     """Fit shape and turning rates of the string at the first frame.
 
@@ -136,7 +139,10 @@ def first_frame_kinematics(
 
 
 def _early_tracks(
-    frame: np.ndarray, s: np.ndarray, points: np.ndarray, length: float
+    frame: np.ndarray,
+    s: np.ndarray,
+    points: np.ndarray,
+    length: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Follow places through the first frames, (F, M, 2) [m], NaN where not seen.
 
@@ -156,7 +162,8 @@ def _early_tracks(
 
 
 def _fit_parabolas(
-    t: np.ndarray, tracks: np.ndarray
+    t: np.ndarray,
+    tracks: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fit a parabola to each place.
 
@@ -211,7 +218,9 @@ def _fit_shape(measured: Kinematics, pose: np.ndarray, length: float) -> np.ndar
 
 
 def _straight_line_angles(
-    measured: Kinematics, pose: np.ndarray, length: float
+    measured: Kinematics,
+    pose: np.ndarray,
+    length: float,
 ) -> np.ndarray:
     """Compute directions (PIECES,) [rad] of a line from the grasp by way of places."""
     beyond_grasp = np.flatnonzero(measured.s > 1e-9 * length)
@@ -230,7 +239,10 @@ def _straight_line_angles(
 
 
 def _fit_turning_rates(
-    measured: Kinematics, angle: np.ndarray, rate: np.ndarray, length: float
+    measured: Kinematics,
+    angle: np.ndarray,
+    rate: np.ndarray,
+    length: float,
 ) -> np.ndarray:
     """Fit the rates (PIECES,) [rad/s] at which directions turn.
 

@@ -208,7 +208,10 @@ def evaluate_fit(data: TrialData, hypothesis: Hypothesis, chi: np.ndarray) -> Fi
 
 
 def log_prior(
-    amplitude: Parameter, distance: float, tip_shift: float, tip_slope: float
+    amplitude: Parameter,
+    distance: float,
+    tip_shift: float,
+    tip_slope: float,
 ) -> float:
     """Compute the log density of a cause's amplitude in its exponent.
 
@@ -259,7 +262,9 @@ def mean_discrepancy(data: TrialData, fit: Fit) -> list[np.ndarray]:
 
 
 def sample_discrepancy_tip_rms(
-    data: TrialData, fit: Fit, rng: np.random.Generator
+    data: TrialData,
+    fit: Fit,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """Draw discrepancies given the data, and compute their size at each tip.
 

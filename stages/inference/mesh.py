@@ -56,7 +56,9 @@ def _simulated_points(likelihood: Likelihood, values: np.ndarray) -> np.ndarray:
 
 
 def refine_mesh(
-    model: Model, trials: Sequence[PreparedTrial], factor: float
+    model: Model,
+    trials: Sequence[PreparedTrial],
+    factor: float,
 ) -> tuple[Model, tuple[PreparedTrial, ...]]:
     """Divide a model's string, and that of trials, into `factor` times the segments.
 

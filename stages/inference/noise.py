@@ -111,7 +111,10 @@ def gram_roots(place: np.ndarray, frame: np.ndarray, frames: int) -> np.ndarray:
 
 
 def noise_track(
-    time: csr_array, place: np.ndarray, frame: np.ndarray, residual: np.ndarray
+    time: csr_array,
+    place: np.ndarray,
+    frame: np.ndarray,
+    residual: np.ndarray,
 ) -> NoiseTrack:
     """Project residuals (n, 2) in frames (n,) on functions of place (n, K).
 
@@ -152,7 +155,8 @@ def _most_likely_noise(tracks: Sequence[NoiseTrack]) -> Noise:
 
 
 def _restricted_likelihood(
-    tracks: Sequence[NoiseTrack], frame_correlation: float
+    tracks: Sequence[NoiseTrack],
+    frame_correlation: float,
 ) -> tuple[float, np.ndarray]:
     """Compute the restricted log-likelihood of a correlation with the frame before.
 

@@ -155,7 +155,8 @@ class PreparedTrial:
 
 
 def with_model(
-    trials: Sequence[PreparedTrial], model: Model
+    trials: Sequence[PreparedTrial],
+    model: Model,
 ) -> tuple[PreparedTrial, ...]:
     """Replace the model of trials."""
     return tuple(replace(trial, model=model) for trial in trials)
@@ -197,7 +198,9 @@ def prepare_trial(model: Model, observation: Observation) -> PreparedTrial:
 
 
 def _estimate_start(
-    trial: PreparedTrial, hand: HandMotion, sigma_is_known: bool
+    trial: PreparedTrial,
+    hand: HandMotion,
+    sigma_is_known: bool,
 ) -> StringState:
     """Estimate the state in which a trial begins from its first frames."""
     length = trial.model.string.length

@@ -48,7 +48,9 @@ MIN_SPAN_S = 1e-9  # of a trial of a single frame
 
 
 def screen_candidates(
-    likelihood: Likelihood, chi: np.ndarray, count: int
+    likelihood: Likelihood,
+    chi: np.ndarray,
+    count: int,
 ) -> np.ndarray:
     """Choose the best candidates (C, P) at the first horizon, best first."""
     horizons_s = horizons(likelihood)
@@ -130,7 +132,8 @@ def _survivors(residual: np.ndarray, loss: np.ndarray) -> list[int]:
 
 
 def refine_solution(
-    likelihood: Likelihood, chi: np.ndarray
+    likelihood: Likelihood,
+    chi: np.ndarray,
 ) -> tuple[Likelihood, np.ndarray]:
     """Refine parameters (P,), noise and initial states in turn.
 
@@ -154,7 +157,9 @@ def refine_solution(
 
 
 def with_refined_initial_states(
-    likelihood: Likelihood, chi: np.ndarray, span: float = np.inf
+    likelihood: Likelihood,
+    chi: np.ndarray,
+    span: float = np.inf,
 ) -> Likelihood:
     """Refine initial states and noise at parameters (P,); outliers then count less.
 

@@ -159,7 +159,10 @@ def fit_least_squares(
 
 
 def forward_differences(
-    problem: Problem, chi: np.ndarray, residual: np.ndarray, width: np.ndarray
+    problem: Problem,
+    chi: np.ndarray,
+    residual: np.ndarray,
+    width: np.ndarray,
 ) -> np.ndarray:
     """Difference the residuals (R, N) at chi (R, P) over widths (R, P), (R, P, N).
 
@@ -203,7 +206,10 @@ def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> N
 
 
 def _step_runs(
-    problem: Problem, runs: SolverRuns, active: np.ndarray, min_gain: float
+    problem: Problem,
+    runs: SolverRuns,
+    active: np.ndarray,
+    min_gain: float,
 ) -> None:
     """Move each active run to the best of its trial steps, if that improves it."""
     points = np.stack([_trial_points(problem.parameters, runs, run) for run in active])
@@ -229,7 +235,9 @@ def _step_runs(
 
 
 def _trial_points(
-    parameters: Sequence[Parameter], runs: SolverRuns, run: int
+    parameters: Sequence[Parameter],
+    runs: SolverRuns,
+    run: int,
 ) -> np.ndarray:
     """Compute trial steps of a run, straight in exponents, then straight in values.
 
@@ -265,7 +273,10 @@ def _trial_points(
 
 
 def minimise_in_box(
-    normal: np.ndarray, gradient: np.ndarray, low: np.ndarray, high: np.ndarray
+    normal: np.ndarray,
+    gradient: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
 ) -> np.ndarray:
     """Minimise a quadratic within bounds by an active set.
 

@@ -147,7 +147,9 @@ class TrialData:
         return np.concatenate(self.whiten_by_trial(residuals, scale_indices), axis=1)
 
     def whiten_by_trial(
-        self, residuals: ByTrial, scale_indices: np.ndarray
+        self,
+        residuals: ByTrial,
+        scale_indices: np.ndarray,
     ) -> list[np.ndarray]:
         """Whiten residuals (C, 2 n) of each trial by its error model, (C, N_k)."""
         white = []
@@ -167,7 +169,9 @@ class TrialData:
         return np.stack(by_trial)
 
     def without_nuisance(
-        self, residuals: ByTrial, scale_indices: np.ndarray
+        self,
+        residuals: ByTrial,
+        scale_indices: np.ndarray,
     ) -> list[np.ndarray]:
         """Subtract what the nuisance most likely explains of residuals (2 n,)."""
         rest = []
