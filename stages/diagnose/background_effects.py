@@ -22,7 +22,11 @@ from stringcast.stages.inference.discrepancy import (
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
-from stringcast.stages.inference.trial_data import ByTrial, TrialData
+from stringcast.stages.inference.trial_data import (
+    ByTrial,
+    TrialData,
+    subtract_by_trial,
+)
 from stringcast.stages.model.effect import Effect, is_position_dependent
 
 # The smaller scales of the discrepancy, with the same prior
@@ -83,8 +87,7 @@ def background_responses(
         chi = np.repeat(start[None], count, axis=0)
         chi[range(count), amplitudes] += PROBE_FRACTION * (end - absent)
         residuals = data.residuals(hypothesis.model, chi)
-        pairs = zip(residuals, fit.residuals, strict=True)
-        changes = [residual - before for residual, before in pairs]
+        changes = subtract_by_trial(residuals, fit.residuals)
         _append_scaled(responses, data, changes)
     for cause in fit.hypothesis.causes:
         amplitudes = fit.hypothesis.amplitude_indices(cause)

@@ -161,7 +161,11 @@ def contact_candidates(
     poses = []
     for trial in data.trials:
         simulated = model.simulate_string(
-            trial.motion, values, trial.times, trial.initial_state, trial.turn
+            trial.motion,
+            values,
+            trial.times,
+            trial.initial_state,
+            trial.turn,
         )
         points = simulated.points[0]
         path = path_arguments(points, model.string.arc_lengths(), trial.times)

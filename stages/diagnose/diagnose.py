@@ -266,6 +266,7 @@ class SearchProgress(NamedTuple):
 
 
 def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagnosis:
+    """Diagnose trials, and again all of them if held-out ones show something else."""
     criteria = settings.criteria
     seed = settings.seed
     reached = None
@@ -519,13 +520,21 @@ def build_diagnosis(
     found = set(state.fit.hypothesis.cause_names)
     is_named = not found.isdisjoint(judgement.verdict.causes)
     shown = state if is_named else replace(state, fit=base_fit)
+    # A random stream apart from those of the fits
     rng = np.random.default_rng([settings.seed, len(data.trials)])
     budget = error_budget(shown, base_fit, rng)
     # Causes that were found and not named have entries as well
     entered_fits = budget.nested_fits if is_named else nested_fits(state, base_fit)
     causes = tables.causes_table(shown, judgement, settings.interval_half_width)
     finding = _finding_table(
-        trials, settings, shown, judgement, gain, experiment, budget, causes
+        trials,
+        settings,
+        shown,
+        judgement,
+        gain,
+        experiment,
+        budget,
+        causes,
     )
     criteria = settings.criteria
     return Diagnosis(
@@ -534,7 +543,10 @@ def build_diagnosis(
         held_out=gain.table,
         residuals=tables.residuals_table(state.prepared, base_fit, shown.fit),
         hypotheses=tables.hypotheses_table(
-            state, budget.nested_fits, judgement, criteria.tip_tolerance_m
+            state,
+            budget.nested_fits,
+            judgement,
+            criteria.tip_tolerance_m,
         ),
         entries=tables.entries_table(data, entered_fits),
         screening=tables.screening_table(state),
@@ -566,7 +578,12 @@ def _finding_table(
             fit, posterior, settings.interval_half_width
         )
     unexplained = unexplained_document(
-        data, shown.fit, base_fit, judgement, budget, settings.criteria
+        data,
+        shown.fit,
+        base_fit,
+        judgement,
+        budget,
+        settings.criteria,
     )
     document = diagnosis_document(
         shown.prepared,

@@ -93,7 +93,10 @@ def correct_data_at(prepared: PreparedData, fit: Fit) -> PreparedData:
     # How the discretisation error changes with the parameters, about the fit
     data = replace(data, mesh_correction=_centred_mesh_correction(prepared, fit))
     return replace(
-        prepared, trials=trials, data=data, discretisation_uncertainty_m=uncertainty_m
+        prepared,
+        trials=trials,
+        data=data,
+        discretisation_uncertainty_m=uncertainty_m,
     )
 
 

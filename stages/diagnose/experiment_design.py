@@ -31,12 +31,14 @@ from stringcast.stages.diagnose.candidate_motions import (
     with_represented_points,
 )
 from stringcast.stages.diagnose.discretisation import subtract_discretisation_error
-from stringcast.stages.diagnose.linearisation import difference_exponents
+from stringcast.stages.diagnose.linearisation import (
+    LinearisedFit,
+    difference_exponents,
+)
 from stringcast.stages.generate.generate import command_table, control_point_table
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import simulate_trials
 from stringcast.stages.inference.laplace import Fit
-from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.box import Box
@@ -115,7 +117,7 @@ class Rivals:
             difference = residuals[other] - residuals[true]
             white = trial.whiten([difference[None]], scale_indices)[0]
             white_slopes = trial.whiten([slopes[other]], scale_indices)
-            information = self._parameter_information(fits[other])
+            information = LinearisedFit(self.data, fits[other]).information
             normal = information + white_slopes @ white_slopes.T
             step = -np.linalg.solve(normal, white_slopes @ white)
             remainder = white + step @ white_slopes
@@ -123,12 +125,6 @@ class Rivals:
             if true == 0:
                 predicted[names[other]] = residuals[other] + step @ slopes[other]
         return log_odds, predicted
-
-    def _parameter_information(self, fit: Fit) -> np.ndarray:
-        """Information (P, P) of the measured trials about a rival's parameters."""
-        data = self.data.for_hypothesis(fit.hypothesis)
-        white = data.whiten(fit.slopes, fit.scale_indices)
-        return np.asarray(white @ white.T + PRIOR_PRECISION * np.eye(len(fit.chi)))
 
 
 def design_experiment(

@@ -359,13 +359,21 @@ def _fit_more_proposals(
         log.info("%d of %d: %s", number, len(proposals), name)
         hypothesis = proposal.hypothesis
         fit = fit_hypothesis(
-            prepared.data, hypothesis, proposal.starts, parent.scale_indices, min_gain
+            prepared.data,
+            hypothesis,
+            proposal.starts,
+            parent.scale_indices,
+            min_gain,
         )
         first_gain = fit.log_evidence - parent.log_evidence
         if first_gain > 0:
             data = correct_data_on_one_finer_mesh(prepared, fit)
             fit = fit_hypothesis(
-                data, hypothesis, fit.chi[None], fit.scale_indices, min_gain
+                data,
+                hypothesis,
+                fit.chi[None],
+                fit.scale_indices,
+                min_gain,
             )
         gains = (fit.log_evidence - parent.log_evidence, first_gain, proposal.gain)
         log.info("%s: log evidence %+.1f, at first %+.1f, proposed %.1f", name, *gains)

@@ -148,7 +148,10 @@ def _detection_limit(
         index = response.index_near(shift_m)
         for effect, others in by_effect.items():
             if effect is not response.effect and analysis.is_confusable(
-                response, shift_m, others, criteria
+                response,
+                shift_m,
+                others,
+                criteria,
             ):
                 lookalikes.append(effect.name)
     parameter = response.parameter

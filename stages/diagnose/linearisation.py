@@ -42,8 +42,8 @@ class LinearisedFit:
         self.white_slopes = self.data.whiten(parent.slopes, scale_indices)  # (P, N)
         self.white_residual = self.data.whiten(residuals, scale_indices)[0]  # (N,)
         prior = PRIOR_PRECISION * np.eye(len(parent.chi))
-        normal_matrix = self.white_slopes @ self.white_slopes.T + prior
-        self.covariance = np.linalg.inv(normal_matrix)  # (P, P)
+        self.information = self.white_slopes @ self.white_slopes.T + prior  # (P, P)
+        self.covariance = np.linalg.inv(self.information)
 
     def responses(self, hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:
         """Simulate how exponents (C, P) change the residuals of each trial, (C, 2 n).

@@ -10,7 +10,7 @@ from stringcast.stages.diagnose.predictions import (
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis, mean_discrepancy
-from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.trial_data import TrialData, subtract_by_trial
 from stringcast.stages.model.effect import Effect, is_position_dependent
 
 
@@ -36,8 +36,7 @@ def tip_shift_rms(data: TrialData, one: Fit, other: Fit) -> np.ndarray:
 
     It is the root mean square, over frames, of the distance between both tips.
     """
-    pairs = zip(one.residuals, other.residuals, strict=True)
-    return data.tip_rms_by_trial([a - b for a, b in pairs])
+    return data.tip_rms_by_trial(subtract_by_trial(one.residuals, other.residuals))
 
 
 def mean_explained_fraction(
@@ -122,7 +121,6 @@ def trials_touched_by(
     amplitudes = hypothesis.amplitude_indices(cause)
     chi = fit.chi.copy()
     chi[amplitudes] = hypothesis.exponents_from({})[amplitudes]
-    residuals = data.residuals(hypothesis.model, chi[None])
-    pairs = zip(fit.residuals, residuals, strict=True)
-    shift_m = data.tip_rms_by_trial([active - absent[0] for active, absent in pairs])
+    absent = data.residuals(hypothesis.model, chi[None])
+    shift_m = data.tip_rms_by_trial(subtract_by_trial(fit.residuals, absent))  # (K, 1)
     return np.flatnonzero(shift_m > min_tip_shift_m)

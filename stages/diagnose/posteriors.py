@@ -102,7 +102,11 @@ def swap_lookalikes_until_stable(
         by_cause = list[SingleEffectPosterior]()
         replacement = None
         for posterior in _single_effect_posteriors(
-            state, effects, background, criteria, seed
+            state,
+            effects,
+            background,
+            criteria,
+            seed,
         ):
             by_cause.append(posterior)
             if replacement is None:
@@ -189,7 +193,12 @@ def _single_effect_posteriors(
         )
     for step in steps:
         yield single_effect_posterior(
-            data, step, background, weights, len(effects), criteria.min_tip_shift_m
+            data,
+            step,
+            background,
+            weights,
+            len(effects),
+            criteria.min_tip_shift_m,
         )
 
 
@@ -214,12 +223,18 @@ def _compare_alternatives(
     contested = evaluate_fit(data, reordered, chi)
     parent = refit(data, state.fit, others)
     return compare_candidates(
-        state.prepared, parent, effects, criteria, seed, contested
+        state.prepared,
+        parent,
+        effects,
+        criteria,
+        seed,
+        contested,
     )
 
 
 def bootstrap_weights(trials: int, seed: int) -> np.ndarray:
     """Draw how often each trial counts in a Bayesian bootstrap, (samples, K)."""
+    # A random stream apart from those of the fits
     rng = np.random.default_rng([seed, BOOTSTRAP_SAMPLES])
     return trials * rng.dirichlet(np.ones(trials), BOOTSTRAP_SAMPLES)
 

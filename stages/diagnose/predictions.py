@@ -103,7 +103,11 @@ def held_out_table(
             fit = prediction.fit
             row |= rms_distances(trial, prediction.residual, name)
             row[f"E_{name}"] = matching_rate(
-                fit.hypothesis.model, fit.chi, trial, observations[number], matching
+                fit.hypothesis.model,
+                fit.chi,
+                trial,
+                observations[number],
+                matching,
             )
         residual = _predict_trial(data, known, number).residual
         row["rms_known"] = rms_distances(trial, residual, "known")["rms_known"]

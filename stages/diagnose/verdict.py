@@ -217,7 +217,10 @@ def measure_verdict_numbers(
     numbers = replace(numbers, explained_fraction=explained)
     if len(causes) > 1 and misfit_remains(numbers.misfit_probability):
         largest, fraction = _explained_beyond_largest_cause(
-            data, fit, unexplained_m, criteria
+            data,
+            fit,
+            unexplained_m,
+            criteria,
         )
         numbers = replace(
             numbers, largest_cause=largest, explained_beyond_largest=fraction
@@ -269,6 +272,7 @@ def misfit_probability(
     seed: int,
 ) -> float:
     """Estimate the probability that the tip of some trial is off by the tolerance."""
+    # The same draws for every fit: probabilities then differ by the fits alone
     rng = np.random.default_rng([seed, DISCREPANCY_DRAWS])
     largest_m = sample_discrepancy_tip_rms(data, fit, rng).max(axis=0)
     return float(np.mean(largest_m > criteria.tip_tolerance_m))
@@ -322,5 +326,10 @@ def judge_interrupted_search(
     verdict = Verdict("insufficient", probability, remark=remark)
     base_fit = fit_base_to(state)
     return Judgement(
-        verdict, numbers, tuple(posteriors), base_fit, background, interrupted=True
+        verdict,
+        numbers,
+        tuple(posteriors),
+        base_fit,
+        background,
+        interrupted=True,
     )

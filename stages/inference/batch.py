@@ -117,7 +117,11 @@ def _simulate_batch(
     if len(trials) == 1:
         (trial,) = trials
         motion = model.simulate_observation(
-            trial.motion, values, trial.times, trial.initial_state, trial.turn
+            trial.motion,
+            values,
+            trial.times,
+            trial.initial_state,
+            trial.turn,
         )
         return [motion.points]
 

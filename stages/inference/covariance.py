@@ -76,7 +76,10 @@ def parameter_covariance(likelihood: Likelihood, chi: np.ndarray) -> Covariance:
         width = difference_widths(slope, huber_loss(residual, likelihood.limit))
     weight = huber_weights(residual[0], likelihood.limit)
     return jackknife_covariance(
-        slope[0], residual[0], weight, time_blocks(likelihood.data.trials)
+        slope[0],
+        residual[0],
+        weight,
+        time_blocks(likelihood.data.trials),
     )
 
 

@@ -68,7 +68,11 @@ def refine_initial_state(
     if not np.isfinite(noise):
         return trial
     return fit_initial_state(
-        trial, early, values, lambda residual: residual / noise, HUBER_LIMIT
+        trial,
+        early,
+        values,
+        lambda residual: residual / noise,
+        HUBER_LIMIT,
     )
 
 
@@ -252,7 +256,10 @@ def with_initial_states_at(data: TrialData, fit: Fit) -> TrialData:
     columns = initial_mode_columns(restarted, values)
     trials = []
     for trial, restarted_trial, shapes in zip(
-        data.trials, restarted, columns, strict=True
+        data.trials,
+        restarted,
+        columns,
+        strict=True,
     ):
         # Points as measured, and then displaced by the new modes
         discrepancy = trial.discrepancy

@@ -208,7 +208,11 @@ def _fit_shape(measured: Kinematics, pose: np.ndarray, length: float) -> np.ndar
             curve = pose[:2] + before @ directions
             offset = (measured.position - curve).ravel() + slope @ (angle - pose[2])
             walk, evidence = _random_walk_posterior(
-                slope, offset, measured.position_sigma, wander, hinge
+                slope,
+                offset,
+                measured.position_sigma,
+                wander,
+                hinge,
             )
             angle = pose[2] + walk
         if evidence > highest:

@@ -33,7 +33,11 @@ from stringcast.stages.inference.discrepancy import (
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
-from stringcast.stages.inference.trial_data import ByTrial, TrialData
+from stringcast.stages.inference.trial_data import (
+    ByTrial,
+    TrialData,
+    subtract_by_trial,
+)
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.parameter import Parameter
 
@@ -135,7 +139,10 @@ def best_exponents(
     # Several starts side by side; the best of them goes on
     likelihood = Likelihood(data, model, scale_indices, uniform_indices=uniform)
     screened = solver.fit_least_squares(
-        likelihood, starts, SCREENING_ITERATIONS, min_gain
+        likelihood,
+        starts,
+        SCREENING_ITERATIONS,
+        min_gain,
     ).chi
     by_scale = data.log_likelihood_by_scale(data.residuals(model, screened))
     log_likelihood = marginal_log_likelihood(by_scale).sum(axis=0)  # (C,)
@@ -174,12 +181,16 @@ def evaluate_fit(data: TrialData, hypothesis: Hypothesis, chi: np.ndarray) -> Fi
     is_absent = np.eye(len(chi), dtype=bool)[amplitudes]  # (A, P)
     without_one = np.where(is_absent, absent, chi)
     slopes, others = _residual_slopes(
-        data, hypothesis, chi, residuals, scale_indices, without_one
+        data,
+        hypothesis,
+        chi,
+        residuals,
+        scale_indices,
+        without_one,
     )
 
     # Log prior of the amplitudes
-    shifts = [r - other for r, other in zip(residuals, others, strict=True)]
-    tip_shifts = data.overall_tip_rms(shifts)
+    tip_shifts = data.overall_tip_rms(subtract_by_trial(residuals, others))
     tip_slopes = data.overall_tip_rms([slope[amplitudes] for slope in slopes])
     prior = 0.0
     for number, index in enumerate(amplitudes):
@@ -276,7 +287,10 @@ def sample_discrepancy_tip_rms(
         coefficients = discrepancy.coefficients(fit.residuals[k][None])[0]
         draws.append(
             discrepancy.sample_posterior(
-                coefficients, fit.scale_indices[k], DISCREPANCY_DRAWS, rng
+                coefficients,
+                fit.scale_indices[k],
+                DISCREPANCY_DRAWS,
+                rng,
             )
         )
     return data.tip_rms_by_trial(draws)

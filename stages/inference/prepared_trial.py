@@ -113,7 +113,11 @@ class PreparedTrial:
             if start is not None:
                 start = start.for_candidates(chunk)
             motion = self.model.simulate_observation(
-                self.motion, values[chunk], self.times, start, self.turn
+                self.motion,
+                values[chunk],
+                self.times,
+                start,
+                self.turn,
             )
             yield chunk, motion
 
@@ -207,7 +211,12 @@ def _estimate_start(
     sigma = float(np.median(trial.sigma)) if sigma_is_known else None
     try:
         seen = first_frame_kinematics(
-            trial.times, trial.frame, trial.s, trial.points, sigma, length
+            trial.times,
+            trial.frame,
+            trial.s,
+            trial.points,
+            sigma,
+            length,
         )
     except DataError as error:
         raise DataError(f"trial {trial.name}: {error}") from error

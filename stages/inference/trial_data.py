@@ -22,6 +22,12 @@ CACHED_CANDIDATES = 64  # candidates: those of some iterations
 ByTrial = Sequence[np.ndarray]  # an array for each trial, since their points differ
 
 
+def subtract_by_trial(residuals: ByTrial, others: ByTrial) -> list[np.ndarray]:
+    """Subtract the arrays of each trial."""
+    pairs = zip(residuals, others, strict=True)
+    return [residual - other for residual, other in pairs]
+
+
 class ResidualCache:
     """The residuals of the last candidates, by the values of model and exponents."""
 
