@@ -570,24 +570,17 @@ def _finding_table(
 ) -> pd.DataFrame:
     """Build the table FINDING: the verdict, diagnosis.json and extended.yaml."""
     data = shown.prepared.data
-    base_fit = judgement.base_fit
     uncertainty = {}
-    for name, fit in (("base", base_fit), ("extended", shown.fit)):
+    for name, fit in (("base", judgement.base_fit), ("extended", shown.fit)):
         posterior = posterior_with_background(data, fit, judgement.background)
         uncertainty[name] = tables.parameter_uncertainty(
             fit, posterior, settings.interval_half_width
         )
     unexplained = unexplained_document(
-        data,
-        shown.fit,
-        base_fit,
-        judgement,
-        budget,
-        settings.criteria,
+        data, shown.fit, judgement, budget, settings.criteria
     )
     document = diagnosis_document(
         shown.prepared,
-        base_fit,
         judgement,
         budget,
         causes,
@@ -616,9 +609,8 @@ def _extended_model_yaml(
     """Write the model with its causes as settings; a header marks a base model."""
     cause_intervals = {}
     for cause in fit.hypothesis.causes:
-        for parameter in cause.parameters:
-            name = cause.qualified_name(parameter)
-            cause_intervals[name] = intervals[name]
+        for parameter in cause.qualified_parameters():
+            cause_intervals[parameter.name] = intervals[parameter.name]
     extended = extended_model_settings(model, fit, cause_intervals)
     text = yaml.safe_dump(extended, sort_keys=False)
     return text if cause_intervals else BASE_MODEL_HEADER + text

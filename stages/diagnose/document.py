@@ -25,7 +25,6 @@ MM_PER_M = 1e3
 
 def diagnosis_document(
     prepared: PreparedData,
-    base: Fit,
     judgement: Judgement,
     budget: ErrorBudget,
     causes: pd.DataFrame,
@@ -60,7 +59,7 @@ def diagnosis_document(
         "causes": [cause_document(causes, name) for name in verdict.causes],
         "alternatives": _alternatives(judgement),
         "indistinguishable": [list(group) for group in verdict.lookalike_groups],
-        "base": {"parameters": base.values, **uncertainty["base"]},
+        "base": {"parameters": judgement.base_fit.values, **uncertainty["base"]},
         "extended": uncertainty["extended"],
         "gain": measured_gain,
         "unexplained": dict(unexplained),
@@ -90,10 +89,7 @@ def _alternatives(judgement: Judgement) -> list[dict[str, Any]]:
         absent = [each.probabilities.get("", 0.0) for each in judgement.posteriors]
         probabilities["none"] = in_library * float(np.prod(absent))
     probabilities["unknown"] = verdict.misfit_probability
-    rows = []
-    for name, probability in probabilities.items():
-        rows.append({"effect": name, "probability": probability})
-    return rows
+    return [{"effect": name, "probability": p} for name, p in probabilities.items()]
 
 
 def _budget_rows(budget: ErrorBudget) -> list[dict[str, Any]]:
@@ -163,7 +159,6 @@ def replace_non_finite(document: Any) -> Any:
 def unexplained_document(
     data: TrialData,
     fit: Fit,
-    base: Fit,
     judgement: Judgement,
     budget: ErrorBudget,
     criteria: Criteria,
@@ -173,7 +168,7 @@ def unexplained_document(
     fraction = 0.0
     if judgement.verdict.kind != "none":
         square = unexplained_tip_rms(data, fit) ** 2
-        base_square = unexplained_tip_rms(data, base) ** 2
+        base_square = unexplained_tip_rms(data, judgement.base_fit) ** 2
         base_sum = max(base_square.sum(), np.finfo(float).tiny)
         fraction = float(np.clip(square.sum() / base_sum, 0, 1))
     where = ""
@@ -277,7 +272,9 @@ def extended_model_settings(
         "ranges": widened_ranges(model.string, string),
         "integrator": {"_target_": target},
     }
-    known: dict[str, object] = {n: float(f"{v:.8g}") for n, v in values.items()}
+    known: dict[str, object] = {}
+    for name, value in values.items():
+        known[name] = float(f"{value:.8g}")
     for name, (low, high) in {**intervals, **model.measured_ranges}.items():
         value = float(np.clip(values[name], low, high))
         known[name] = {"value": value, "low": low, "high": high}

@@ -14,13 +14,12 @@ from stringcast.stages.diagnose.prepared_data import (
     with_initial_states_of,
 )
 from stringcast.stages.inference.discrepancy import (
-    noise_track_of_trial,
     remove_smooth_motion,
 )
 from stringcast.stages.inference.initial_modes import trials_with_reestimated_start
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.likelihood import MOTION_SHARE, Likelihood
-from stringcast.stages.inference.noise import WHITE_NOISE, fit_noise_model
+from stringcast.stages.inference.noise import WHITE_NOISE, fit_noise_model, noise_track
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.model import Model
@@ -103,7 +102,7 @@ def estimate_noise(
     """
     tracks = []
     for trial, residual in zip(trials, residuals, strict=True):
-        tracks.append(noise_track_of_trial(trial, residual.reshape(-1, 2)))
+        tracks.append(noise_track(trial, residual.reshape(-1, 2)))
     noise = fit_noise_model(tracks)
     if noise_is_given and noise.variance_of_means < 1:
         noise = WHITE_NOISE

@@ -41,7 +41,7 @@ from stringcast.stages.inference.basis import (
     time_nodes,
     time_splines,
 )
-from stringcast.stages.inference.noise import NoiseTrack, gram_roots, noise_track
+from stringcast.stages.inference.noise import gram_roots
 from stringcast.stages.inference.whitening import LowRankWhitening
 
 if TYPE_CHECKING:
@@ -267,13 +267,6 @@ def remove_smooth_motion(
     by_spline = np.linalg.lstsq(gram, sums, rcond=RANK_TOLERANCE)[0]
     rest = residual - splines @ by_spline
     return rest, float(mad_sigma(rest) / np.sqrt(free_share))
-
-
-def noise_track_of_trial(trial: PreparedTrial, residual: np.ndarray) -> NoiseTrack:
-    """Project residuals (n, 2) over their noise on what the noise is estimated from."""
-    time = time_splines(trial.times, knot_spacing(trial.times))
-    place = place_functions(trial.s, trial.model.string.length)
-    return noise_track(time, place, trial.frame, residual)
 
 
 def log_scale_prior() -> np.ndarray:

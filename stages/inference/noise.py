@@ -18,13 +18,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 from scipy.sparse import csr_array
 
-from stringcast.stages.inference.basis import PLACE_FUNCTIONS, RANK_TOLERANCE
+from stringcast.stages.inference.basis import (
+    PLACE_FUNCTIONS,
+    RANK_TOLERANCE,
+    knot_spacing,
+    place_functions,
+    time_splines,
+)
+
+if TYPE_CHECKING:
+    from stringcast.stages.inference.prepared_trial import PreparedTrial
 
 MAX_FRAME_CORRELATION = 0.5  # as of means over two frames: more is motion
 
@@ -110,20 +120,18 @@ def gram_roots(place: np.ndarray, frame: np.ndarray, frames: int) -> np.ndarray:
     return np.asarray(np.einsum("fik,fk,fjk->fij", vectors, sizes, vectors))
 
 
-def noise_track(
-    time: csr_array,
-    place: np.ndarray,
-    frame: np.ndarray,
-    residual: np.ndarray,
-) -> NoiseTrack:
-    """Project residuals (n, 2) in frames (n,) on functions of place (n, K).
+def noise_track(trial: PreparedTrial, residual: np.ndarray) -> NoiseTrack:
+    """Project residuals (n, 2) over sigma on what the noise is estimated from.
 
-    Divided by the root of their Gram matrix, white noise has unit variance in them.
+    Divided by the root of the Gram matrix of functions of place, white noise has unit
+    variance in them.
     """
-    frames = time.shape[0]
-    sums = np.zeros((frames, place.shape[1], 2))
-    np.add.at(sums, frame, place[:, :, None] * residual[:, None, :])
-    roots = gram_roots(place, frame, frames)
+    time = time_splines(trial.times, knot_spacing(trial.times))
+    place = place_functions(trial.s, trial.model.string.length)
+    frames = len(trial.times)
+    sums = np.zeros((frames, PLACE_FUNCTIONS, 2))
+    np.add.at(sums, trial.frame, place[:, :, None] * residual[:, None, :])
+    roots = gram_roots(place, trial.frame, frames)
     inverse = np.linalg.pinv(roots, rcond=np.sqrt(RANK_TOLERANCE), hermitian=True)
     return NoiseTrack(time.toarray(), (inverse @ sums).reshape(frames, -1))
 

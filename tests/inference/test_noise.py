@@ -19,13 +19,13 @@ from stringcast.stages.inference.basis import (
 from stringcast.stages.inference.discrepancy import (
     DISCREPANCY_SCALES_M,
     Discrepancy,
-    noise_track_of_trial,
 )
 from stringcast.stages.inference.noise import (
     WHITE_NOISE,
     Noise,
     fit_noise_model,
     gram_roots,
+    noise_track,
 )
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.model.hand import resample_hand_motion
@@ -97,7 +97,7 @@ def test_correlation_is_told_beside_motion_however_large(trial):
         40 * np.sin(15 * T[trial.frame] + 4 * trial.s) * trial.s / 0.3,
     )
     found = fit_noise_model(
-        [noise_track_of_trial(trial, each + swing[:, None]) for each in noisy(rng, 4)]
+        [noise_track(trial, each + swing[:, None]) for each in noisy(rng, 4)]
     )
     assert found.frame_correlation == pytest.approx(BEFORE, abs=0.07)
     assert np.linalg.eigvalsh(found.place_covariance) == pytest.approx(
@@ -108,7 +108,7 @@ def test_correlation_is_told_beside_motion_however_large(trial):
 
 def test_white_noise_is_white(trial):
     white = np.random.default_rng(1).standard_normal((4, len(trial.s), 2))
-    found = fit_noise_model([noise_track_of_trial(trial, each) for each in white])
+    found = fit_noise_model([noise_track(trial, each) for each in white])
     assert found.frame_correlation < 0.1
     assert found.variance_of_means == pytest.approx(1.0, abs=0.15)
 
@@ -120,11 +120,11 @@ def test_what_a_model_lacks_in_two_of_five_trials_is_no_noise(trial):
     )
     residuals = noisy(rng, 5)
     residuals[:2] += crack[:, None]
-    found = fit_noise_model([noise_track_of_trial(trial, each) for each in residuals])
+    found = fit_noise_model([noise_track(trial, each) for each in residuals])
     assert found.variance_of_means == pytest.approx(OF_MEANS, rel=0.25)
     assert (
         fit_noise_model(
-            [noise_track_of_trial(trial, each) for each in residuals[:2]]
+            [noise_track(trial, each) for each in residuals[:2]]
         ).variance_of_means
         > 2 * OF_MEANS
     )
