@@ -228,7 +228,7 @@ def _cause_sentences(judgement: Judgement, causes: pd.DataFrame) -> list[str]:
     stated = {}
     for name in verdict.causes:
         stated[name] = f"{by_effect[name]} (probability {inclusion[name]:.2f})"
-    lookalikes = {name for group in verdict.lookalike_groups for name in group}
+    lookalikes = set().union(*verdict.lookalike_groups)
     certain = [stated[name] for name in verdict.causes if name not in lookalikes]
     sentences = []
     if certain:

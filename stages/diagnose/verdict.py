@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -80,7 +81,7 @@ def name_causes(numbers: VerdictNumbers, criteria: Criteria) -> Verdict:
 
     if numbers.causes and explains_enough(numbers, criteria):
         groups = tuple(group for group in numbers.credible_sets if len(group) > 1)
-        named = dict.fromkeys(name for group in numbers.credible_sets for name in group)
+        named = dict.fromkeys(chain(*numbers.credible_sets))
         kind = "ambiguous" if groups else "effect"
         return Verdict(kind, numbers.misfit_probability, tuple(named), groups)
 
@@ -194,14 +195,15 @@ def measure_verdict_numbers(
     state = posteriors.state
     data = state.prepared.data
     fit = state.fit
-    causes = state.fit.hypothesis.cause_names
+    causes = fit.hypothesis.cause_names
+    credible_sets = []
+    for posterior in posteriors.by_cause:
+        credible = posterior.credible_set(criteria.coverage)
+        credible_sets.append(tuple(filter(None, credible)))
     numbers = VerdictNumbers(
         trials=len(data.trials),
         causes=causes,
-        credible_sets=tuple(
-            tuple(name for name in each.credible_set(criteria.coverage) if name)
-            for each in posteriors.by_cause
-        ),
+        credible_sets=tuple(credible_sets),
         inclusion_probability=inclusion_probabilities(posteriors.by_cause),
         diverged=fit.diverged,
         misfit_probability=misfit_probability(data, fit, criteria, seed),
