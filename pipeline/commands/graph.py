@@ -7,8 +7,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from stringcast.pipeline.commands import CommandParser
-from stringcast.pipeline.modes.stepwise import Stepwise
-from stringcast.pipeline.settings.composition import UserError, compose_settings
+from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.pipeline.settings.typed_settings import build_chosen
 
 
@@ -22,7 +21,9 @@ def main(arguments: list[str]) -> int:
     composed = OmegaConf.create(compose_settings(overrides))
     settings: Any = OmegaConf.to_container(composed, resolve=True)
     mode = build_chosen(settings["mode"], "mode", "conf/mode")
-    if not isinstance(mode, Stepwise):
-        raise UserError("mode: a calibration has one stage and no graph. Choose a run.")
-    print(mode.graph(settings).describe())
+    sources = mode.graph(settings).describe_sources()
+    for stage, text in sources.items():
+        print(f"{stage}: {text}")
+    if not sources:
+        print("This run has a single stage.")
     return 0

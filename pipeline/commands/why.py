@@ -17,10 +17,8 @@ from stringcast.pipeline.commands.stored_runs import (
     read_stored_settings,
     run_folder_of,
 )
-from stringcast.pipeline.modes.stepwise import Stepwise
 from stringcast.pipeline.run.file_names import SUMMARY_FILE, artifact_folder
 from stringcast.pipeline.run.provenance import arm_has_executed, stale_reasons
-from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import build_chosen
@@ -76,7 +74,7 @@ def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepStat
         States and reasons by the step's folder within the run.
     """
     folder_names = {stage.folder for stage in stages().values()}
-    graph = stored_graph(settings)
+    graph = build_chosen(settings["mode"], "mode", "config.json").graph(settings)
     makers = {stages()[name].folder: name for name in graph.stages}
     places: dict[str, Path] = {}
     for place in sorted(folder.glob("iterations/*/*")):
@@ -109,12 +107,6 @@ def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepStat
     if missing is not None:
         states[missing.as_posix()] = MISSING_STEP
     return states
-
-
-def stored_graph(settings: Mapping[str, Any]) -> StageGraph:
-    """Return the graph of a stored run; an empty one for a run without steps."""
-    mode = build_chosen(settings["mode"], "mode", "config.json")
-    return mode.graph(settings) if isinstance(mode, Stepwise) else StageGraph()
 
 
 def missing_step(settings: Mapping[str, Any], folder: Path, number: int) -> Path | None:

@@ -15,23 +15,12 @@ from stringcast.pipeline.run.experiment import Experiment, Mode
 from stringcast.pipeline.run.file_names import SUMMARY_FILE
 from stringcast.pipeline.run.iterations import Executor
 from stringcast.pipeline.run.result import RunResult
-from stringcast.pipeline.run.stage_graph import StageGraph
-from stringcast.pipeline.settings.composition import Settings, UserError
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.execute.interfaces import HardwareError
 
 
 class Stepwise(Mode):
     """A mode whose steps an executor makes or reads."""
-
-    @abstractmethod
-    def graph(self, config: Settings) -> StageGraph:
-        """Return the graph of the stages of an iteration.
-
-        Raises
-        ------
-        UserError
-            If the stages cannot be wired.
-        """
 
     @abstractmethod
     def run_steps(

@@ -15,6 +15,7 @@ from hydra.utils import get_object
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.run.result import RunResult
+from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import (
@@ -73,6 +74,16 @@ class Mode(ABC):
         UserError, DataError
             With the setting and the remedy.
         """
+
+    def graph(self, config: Settings) -> StageGraph:
+        """Return the graph of the stages of an iteration; empty for a single stage.
+
+        Raises
+        ------
+        UserError
+            If the stages cannot be wired.
+        """
+        return StageGraph()
 
     def moves_arm(self, config: Settings) -> bool:
         """Tell whether an arm is moved, real or virtual."""

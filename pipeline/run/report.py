@@ -143,4 +143,6 @@ def commands_after_diagnosis(
 
 def page_provenance(experiment: Experiment) -> dict[str, Any]:
     """Return the provenance that a page shows."""
-    return {"seed": experiment.seed} | software_versions()
+    graph = experiment.mode.graph(experiment.config)
+    stages = {"stages": graph.describe_sources()}
+    return {"seed": experiment.seed} | stages | software_versions()

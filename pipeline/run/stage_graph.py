@@ -76,16 +76,15 @@ class StageGraph:
                 return wire.artifact
         return port
 
-    def describe(self) -> str:
-        """Return a line for each stage, with the sources of its inputs."""
-        lines = []
-        for stage in dict.fromkeys(
-            [*self.stages, *(wire.stage for wire in self.wires)]
-        ):
-            wires = [wire.describe() for wire in self.wires if wire.stage == stage]
-            taken = ", ".join(wires) or "nothing"
-            lines.append(f"{stage}: takes {taken}")
-        return "\n".join(lines)
+    def describe_sources(self) -> dict[str, str]:
+        """Return the sources of the inputs of each stage in words."""
+        taken: dict[str, list[str]] = {stage: [] for stage in self.stages}
+        for wire in self.wires:
+            taken.setdefault(wire.stage, []).append(wire.describe())
+        return {
+            stage: f"takes {', '.join(sources) or 'nothing'}"
+            for stage, sources in taken.items()
+        }
 
     def precedes_movement(self, stage: str) -> bool:
         """Tell whether the arm of an iteration moves by or after this stage."""

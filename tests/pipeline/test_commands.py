@@ -136,9 +136,7 @@ def aligned(model, observations, films, *, progress):
 
 def test_a_run_without_points_is_verified_too(tmp_path):
     """An alignment films the arm, and reads no string: there is no dataset of it."""
-    mode = Batch(
-        stage="align", reading=(), again=False, first=("generate", "execute")
-    )
+    mode = Batch(stage="align", reading=(), again=False, first=("generate", "execute"))
     here = toy_experiment(1, mode=mode)
     here = replace(here, stages={**here.stages, "align": aligned})
     toy_run(tmp_path / "run", here)

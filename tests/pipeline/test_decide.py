@@ -66,7 +66,9 @@ def decide(trials, folder, experiment="decide"):
     SEEN.clear()
     here = replace(here, stages={**here.stages, "diagnose": proposing})
     result = here.mode.run_steps(
-        here, folder, run_folder.RunFolder(here, folder, here.mode.graph(here.config), silent, print)
+        here,
+        folder,
+        run_folder.RunFolder(here, folder, here.mode.graph(here.config), silent, print),
     )
     run_folder.write_stage_files(result)
     return result

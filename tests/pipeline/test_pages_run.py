@@ -140,6 +140,7 @@ RUN = {
     # In a copy of the project: they rewrite what was recorded.
     "tests.convergence.table": Run(r"\| A \| 3 \| semi_implicit_euler \|"),
     # What is on the disk.
+    "pipeline graph +experiment=stringB": Run("estimate: takes trial of execute"),
     "pipeline index --to runs.parquet": Run(r"run +ended as +casts"),
 }
 TEN_MINUTES = "tests/pipeline/test_readme_commands.py::test_the_first_ten_minutes_go_as_the_page_says"
