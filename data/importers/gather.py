@@ -6,6 +6,7 @@ import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from os.path import commonprefix
 from pathlib import Path
 
@@ -145,10 +146,8 @@ def _refuse_unknown_columns(
     recordings: Sequence[SourceRecording], hints: ColumnHints
 ) -> None:
     """Refuse roles that do not exist, and columns that no file has."""
-    unique: dict[str, None] = {}
-    for recording in recordings:
-        unique |= dict.fromkeys(map(str, recording.table))
-    names = list(unique)
+    tables = (recording.table for recording in recordings)
+    names = list(dict.fromkeys(map(str, chain.from_iterable(tables))))
     for role, text in hints.columns.items():
         if not ROLE_PATTERN.fullmatch(role):
             raise DataError(

@@ -6,8 +6,8 @@ tests feed both the same bytes and expect the same answers.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
+from ctypes import c_float
 from dataclasses import dataclass, field
 
 from stringcast.hardware.serial.protocol import (
@@ -149,4 +149,4 @@ def _limit_velocity(wanted: float, former: float, speed: float, change: float) -
     """Limit a velocity and its change, in single precision [rad/s]."""
     slow = min(max(wanted, -speed), speed)
     cut = min(max(slow, former - change), former + change)
-    return float(struct.unpack("<f", struct.pack("<f", cut))[0])
+    return c_float(cut).value

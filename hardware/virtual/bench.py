@@ -72,8 +72,7 @@ class Specimen:
         """Values of all parameters of the string and of hidden effects, by name."""
         values = dict(self.parameters)
         for effect, parameters in self.hidden.items():
-            for name, value in parameters.items():
-                values[f"{effect}.{name}"] = value
+            values |= {f"{effect}.{name}": parameters[name] for name in parameters}
         return values
 
     def string(self) -> String:
