@@ -31,8 +31,8 @@ def refuse_unusable_source(settings: Settings, given: set[str]) -> None:
         if mode.moves_arm(settings):
             reason = "the virtual lab films with its own camera"
         raise UserError(
-            f"{name} = {settings['source'][key or '_target_']} (command line): it would "
-            f"not be used: {reason}. Leave it out, or give hardware=serial, "
+            f"{name} = {settings['source'][key or '_target_']} (command line): it "
+            f"would not be used: {reason}. Leave it out, or give hardware=serial, "
             "hardware=dynamixel or +experiment=calibrate. To read films of earlier "
             "casts: python -m pipeline import <films> --to mine"
         )
