@@ -34,7 +34,7 @@ class Input(ABC):
     def find(
         self, name: str, iterations: Sequence[Mapping[str, Any]]
     ) -> tuple[int, Any] | None:
-        """Find the artifact.
+        """Find the artifact among those of all iterations.
 
         Parameters
         ----------
@@ -114,7 +114,7 @@ class StageSetup(Protocol):
 
 @dataclass(frozen=True)
 class StageCall:
-    """One call of a stage.
+    """The call of a stage: its function, setup, seed and progress.
 
     Parameters
     ----------

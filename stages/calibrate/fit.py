@@ -26,7 +26,7 @@ Pose = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class LensFit:
-    """A fitted lens.
+    """A lens fitted to views of a board.
 
     Attributes
     ----------

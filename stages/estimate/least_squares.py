@@ -142,11 +142,9 @@ def _describe_mesh(likelihood: Likelihood, chi: np.ndarray) -> str:
     noise = np.sqrt(2) * np.median(sigmas)
     if not error > noise:
         return ""
-    string = likelihood.model.string
-    points, step = 2 * string.points - 1, string.largest_step / 2
     return (
-        f" On a far finer mesh the string would be {1e3 * error:.1f} mm elsewhere (root "
-        f"mean square; noise {1e3 * noise:.1f} mm). The parameters make up for that in "
-        f"these motions, not in others. Finer: string.points={points} "
-        f"string.largest_step={step:.2g}."
+        f" Discretisation error is {1e3 * error:.1f} mm rms (noise {1e3 * noise:.1f} "
+        "mm). The fitted parameters partly compensate for it and may not transfer to "
+        f"other motions. Use string.points={2 * likelihood.model.string.points - 1} to "
+        "reduce it."
     )

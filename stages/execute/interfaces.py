@@ -169,7 +169,7 @@ class CameraDevice(Protocol):
         """Close the camera."""
 
     def start(self) -> None:
-        """Begin filming.
+        """Start filming with this camera.
 
         Raises
         ------
