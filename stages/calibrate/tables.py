@@ -93,7 +93,7 @@ def calibration_tables(
         ),
     }
     return Calibration(
-        VIEWS.check(pd.DataFrame(_view_rows(solution, views))),
+        VIEWS.check(_view_rows(solution, views)),
         CORNERS.check(pd.concat(corners, ignore_index=True)),
         MEASURED_PARAMETERS.check(measured),
         CALIBRATION_SUMMARY.check(pd.DataFrame([outcome])),
@@ -102,30 +102,25 @@ def calibration_tables(
 
 def _view_rows(
     solution: CalibrationSolution, views: Sequence[BoardView]
-) -> list[dict[str, object]]:
+) -> pd.DataFrame:
     """Return a row for every view, that in the plane of motion last."""
     lens, camera = solution.lens, solution.plane.camera
     tilts = np.arccos(np.clip(np.abs(lens.normals[:, 2]), 0, 1))
-    errors = solution.errors
-    results = {}
-    for k, view in enumerate(solution.used_views):
-        _, place = lens.poses[k]
-        results[view.number] = {
-            "rms": errors[k],
-            "held_out_rms": solution.held_out_rms[k],
-            "tilt": tilts[k],
-            "distance": float(np.linalg.norm(place)),
-        }
-    missing = dict.fromkeys(("rms", "held_out_rms", "tilt", "distance"), np.nan)
-    rows = []
-    for view in views:
-        result = results.get(view.number, missing)
-        rows.append(_view_row(view, plane=False) | result)
+    columns = {
+        "rms": solution.errors,
+        "held_out_rms": solution.held_out_rms,
+        "tilt": tilts,
+        "distance": [np.linalg.norm(place) for _, place in lens.poses],
+    }
+    numbers = [view.number for view in solution.used_views]
+    results = pd.DataFrame(columns, index=numbers)
+    tilted = pd.DataFrame([_view_row(view, plane=False) for view in views])
     assert camera.lens is not None
     flat = {"rms": solution.plane_rms, "held_out_rms": np.nan}
     flat["tilt"] = float(np.arccos(np.cos(camera.tilt[0]) * np.cos(camera.tilt[1])))
     flat["distance"] = camera.lens.mean_focal / camera.px_per_m
-    return [*rows, _view_row(solution.plane_view, plane=True) | flat]
+    in_plane = pd.DataFrame([_view_row(solution.plane_view, plane=True) | flat])
+    return pd.concat([tilted.join(results, on="view"), in_plane])
 
 
 def _view_row(view: BoardView, plane: bool) -> dict[str, object]:

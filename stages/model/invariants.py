@@ -96,32 +96,20 @@ class Dissipative(Invariant):
 
 def is_odd(law: str, *names: str) -> Invariant:
     """Declare that the value changes sign with these arguments, all together."""
-    return Equivariant(
-        law,
-        f"{law} is odd in {', '.join(names)}",
-        lambda arguments: _scale_arguments(arguments, names, -1),
-        lambda value, arguments: -value,
-    )
+    sentence = f"{law} is odd in {', '.join(names)}"
+    return _scales(law, sentence, names, -1, value_factor=-1)
 
 
 def is_even(law: str, *names: str) -> Invariant:
     """Declare that the value stays when these arguments change sign, all together."""
-    return Equivariant(
-        law,
-        f"{law} is even in {', '.join(names)}",
-        lambda arguments: _scale_arguments(arguments, names, -1),
-        lambda value, arguments: value,
-    )
+    sentence = f"{law} is even in {', '.join(names)}"
+    return _scales(law, sentence, names, -1, value_factor=1)
 
 
 def vanishes_at_zero(law: str, *names: str) -> Invariant:
     """Declare that the value is zero where these arguments are."""
-    return Equivariant(
-        law,
-        f"{law} is zero at zero {', '.join(names)}",
-        lambda arguments: _scale_arguments(arguments, names, 0),
-        lambda value, arguments: 0 * value,
-    )
+    sentence = f"{law} is zero at zero {', '.join(names)}"
+    return _scales(law, sentence, names, 0, value_factor=0)
 
 
 def reduces_to(law: str, name: str, *others: str) -> Invariant:
@@ -208,6 +196,22 @@ def rotates_about_centre(law: str) -> Invariant:
         f"{law} knows no direction",
         move_arguments,
         lambda value, arguments: rotate_about(value, arguments["camera"].centre),
+    )
+
+
+def _scales(
+    law: str,
+    sentence: str,
+    names: tuple[str, ...],
+    factor: float,
+    value_factor: float,
+) -> Invariant:
+    """Declare by what the value changes when these arguments change by a factor."""
+    return Equivariant(
+        law,
+        sentence,
+        lambda arguments: _scale_arguments(arguments, names, factor),
+        lambda value, arguments: value_factor * value,
     )
 
 

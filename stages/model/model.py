@@ -303,13 +303,13 @@ class Model(Parametrised):
         if motions > 1:
             inside = np.broadcast_to(inside, (motions, inside.shape[1]))
         angles = []
-        for i in range(motions):
-            spline = interpolate.CubicHermiteSpline(
-                ticks, actual.angles[i], actual.speeds[i]
-            )
-            angles.append(spline(inside if motions == 1 else inside[i]))
-        joint_angles = angles[0] if motions == 1 else np.stack(angles)
-        joints = self.arm.joint_positions(joint_angles)
+        rows = np.split(inside, motions)  # of each motion, or all of the one
+        for row, *motion_samples in zip(
+            rows, actual.angles, actual.speeds, strict=True
+        ):
+            spline = interpolate.CubicHermiteSpline(ticks, angle, speed)
+            angles.append(spline(row))
+        joints = self.arm.joint_positions(np.concatenate(angles))
         return self.observed_points(joints, values, times)
 
     def _hand_effect_values(self, values: np.ndarray) -> Sequence[HandEffectValues]:

@@ -73,7 +73,7 @@ def interpolate_ticks(
     ends = np.broadcast_to(last, count)
 
     def work(first: int, end: int) -> None:
-        _interpolate_candidates(ticks, positions, ends, TIME_NODES, first, end, result)
+        _interpolate_candidates(ticks, positions, ends, first, end, result)
 
     parallel_for(work, count, CANDIDATES_PER_PIECE)
     return result
@@ -129,6 +129,16 @@ def _sum_weighted_points(
 
 
 @compile_kernel
+def _lagrange_weight(offset: float, node: int, nodes: int) -> float:
+    """Weigh one of evenly spaced nodes at an offset from the first, in spacings."""
+    weight = 1.0
+    for other in range(nodes):
+        if other != node:
+            weight *= (offset - other) / (node - other)
+    return weight
+
+
+@compile_kernel
 def interpolate_measurements(
     points: np.ndarray, frame: np.ndarray, place: np.ndarray
 ) -> np.ndarray:
@@ -154,10 +164,7 @@ def interpolate_measurements(
         inside = min(max(place[k], 0.0), float(last))
         first = min(max(int(inside) - 1, 0), last + 1 - nodes)
         for i in range(nodes):
-            weight[i] = 1.0
-            for m in range(nodes):
-                if m != i:
-                    weight[i] *= (inside - first - m) / (i - m)
+            weight[i] = _lagrange_weight(inside - first, i, nodes)
         for c in range(count):
             for i in range(nodes):
                 result[c, k, 0] += weight[i] * points[c, frame[k], first + i, 0]
@@ -170,7 +177,6 @@ def _interpolate_candidates(
     ticks: np.ndarray,
     position: np.ndarray,
     last: np.ndarray,
-    nodes: int,
     start: int,
     end: int,
     result: np.ndarray,
@@ -182,14 +188,11 @@ def _interpolate_candidates(
     """
     for c in range(start, end):
         for f in range(position.shape[1]):
-            first = int(np.floor(position[c, f])) - (nodes // 2 - 1)
-            first = min(max(first, 0), last[c] + 1 - nodes)
+            first = int(np.floor(position[c, f])) - (TIME_NODES // 2 - 1)
+            first = min(max(first, 0), last[c] + 1 - TIME_NODES)
             offset = position[c, f] - first
-            for i in range(nodes):
-                weight = 1.0
-                for m in range(nodes):
-                    if m != i:
-                        weight *= (offset - m) / (i - m)
+            for i in range(TIME_NODES):
+                weight = _lagrange_weight(offset, i, TIME_NODES)
                 for p in range(ticks.shape[2]):
                     result[c, f, p, 0] += weight * ticks[c, first + i, p, 0]
                     result[c, f, p, 1] += weight * ticks[c, first + i, p, 1]

@@ -26,6 +26,7 @@ from stringcast.stages.model.statics.chain import (
     grasp_hinge_angle,
     grasp_rest_angle,
     hinge_curvatures,
+    tangents_and_positions,
 )
 from stringcast.stages.model.statics.equilibrium import hanging_shape, stretched_lengths
 from stringcast.stages.model.string import String
@@ -343,10 +344,10 @@ def _fill_buffers(
     """
     count = len(material)
     blocks = count // lanes
-    direction = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    vectors = lengths[..., None] * direction
-    from_grasp = np.concatenate([np.zeros((count, 1, 2)), vectors], axis=1)
-    positions = np.cumsum(from_grasp, axis=1) + pose[:, None, :2]
+    tangent, free_positions = tangents_and_positions(pose, angles, lengths)
+    vectors = lengths[..., None] * tangent
+    grasp = np.broadcast_to(pose[:, None, :2], (count, 1, 2))
+    positions = np.concatenate([grasp, free_positions], axis=1)
     masses, cells = string.point_masses(material)
     rows = {
         "X": positions[..., 0],
