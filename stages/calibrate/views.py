@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from stringcast.stages.calibrate.board import Board
+from stringcast.stages.common import rms
 
 MIN_CORNERS = 8  # twice as many as a board's place needs
 CORNER_TOLERANCE_PX = 1e-3  # of the last step towards a corner
@@ -99,7 +100,7 @@ def _board_mismatch(board: Board, markers: np.ndarray, ids: np.ndarray) -> str:
     to_picture, _ = cv2.findHomography(expected, seen)
     error = cv2.perspectiveTransform(expected[None], to_picture)[0] - seen
     side = np.median(np.linalg.norm(markers[:, 0] - markers[:, 1], axis=-1))
-    if np.sqrt(np.mean(error**2)) > MAX_MARKER_MISFIT * side:
+    if rms(error) > MAX_MARKER_MISFIT * side:
         return (
             "its markers are not where the board of the settings has them: it is "
             "another board"

@@ -17,6 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from stringcast.stages.common import mad_sigma
+from stringcast.stages.extract.segment import SegmentedFrame
 from stringcast.stages.extract.uncertainty import centroid_sigma, point_sigmas
 
 # steps (d_v, d_u) to half of a pixel's neighbours; the others are their opposites
@@ -128,7 +129,8 @@ def trace_line(
         raise UnreadableError("no string at the grasp")
 
     # cheapest paths from the grasp, in the part of the picture with allowed pixels
-    part = np.s_[rows[0] : rows[-1] + 1, columns.min() : columns.max() + 1]
+    left, right = columns.min(), columns.max()
+    part = np.s_[rows[0] : rows[-1] + 1, left : right + 1]
     graph = _pixel_graph(light[part], mask[part], allowed[part])
     depth, previous = dijkstra(
         graph, indices=int(np.argmin(distance)), return_predecessors=True
@@ -154,21 +156,16 @@ def trace_line(
     return np.concatenate([grasp[None], pixels[best[1:]]])
 
 
-def refine_line(
-    light: np.ndarray, outline: np.ndarray, path: np.ndarray, noise: float, half: float
-) -> Centreline:
+def refine_line(frame: SegmentedFrame, path: np.ndarray, half: float) -> Centreline:
     """Move a traced line to the centroid of light across it, and its end to the tip.
 
     Parameters
     ----------
-    light : (height, width) array
-        Brightness above the scene [grey levels].
-    outline : (height, width) bool array
-        Where the arm's outline makes brightness uncertain; the line is extended there.
+    frame : SegmentedFrame
+        The string's light; where the arm's outline makes it uncertain, the line is
+        extended.
     path : (K, 2) array
         Traced pixels (u, v).
-    noise : float
-        Standard deviation of the light [grey levels].
     half : float
         Half the string's width [px].
 
@@ -181,7 +178,7 @@ def refine_line(
     firm = max(len(path) - int(np.ceil(1.5 * half)), 2)
     rough = gaussian_filter1d(path[:firm], max(2.0, half / 2), axis=0, mode="nearest")
     extended = _extend_line(rough, half, 2 * half + 4)
-    first = _centre_points(light, outline, extended, noise, half)
+    first = _centre_points(frame, extended, half)
     if np.isnan(first.light[-1]):
         return first  # its end is hidden, so that nothing shows where to extend it
 
@@ -189,16 +186,14 @@ def refine_line(
     # angle, it is not lit on both sides
     firm = max(len(first.points) - 1 - int(np.ceil(half)), 2)
     depth = first.depth[:firm]
-    s = np.linspace(0, depth[-1], max(round(depth[-1]) + 1, 2))
-    u = np.interp(s, depth, first.points[:firm, 0])
-    v = np.interp(s, depth, first.points[:firm, 1])
-    extended = _extend_line(np.stack([u, v], axis=-1), half, 3 * half + 5)
-    return _centre_points(light, outline, extended, noise, half)
+    count = max(round(depth[-1]) + 1, 2)
+    s = np.linspace(0, depth[-1], count)
+    u, v = first.points[:firm].T
+    line = np.column_stack([np.interp(s, depth, u), np.interp(s, depth, v)])
+    return _centre_points(frame, _extend_line(line, half, 3 * half + 5), half)
 
 
-def _centre_points(
-    light: np.ndarray, outline: np.ndarray, line: np.ndarray, noise: float, half: float
-) -> Centreline:
+def _centre_points(frame: SegmentedFrame, line: np.ndarray, half: float) -> Centreline:
     """Move a line (K, 2) [px] to the centroid of light, and cut it at the tip.
 
     Its points are a pixel apart and go on beyond the tip.
@@ -206,7 +201,7 @@ def _centre_points(
     tangent = np.gradient(line, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
-    profile = _cross_profiles(light, outline, line, normal, noise, half)
+    profile = _cross_profiles(frame, line, normal, half)
     end, end_sigma = _find_end(profile.light, profile.outlined, half)
 
     last = int(end)
@@ -214,7 +209,8 @@ def _centre_points(
     firm = max(count - int(np.ceil(half)), 1)
     shift = gaussian_filter1d(profile.shift[:firm], max(1.0, half / 3), mode="nearest")
     shift = np.pad(shift, (0, count - firm), mode="edge")
-    tip = line[last] + (end % 1) * tangent[last] + shift[-1] * normal[last]
+    beyond_last = (end % 1) * tangent[last]
+    tip = line[last] + beyond_last + shift[-1] * normal[last]
     points = line[:count] + shift[:, None] * normal[:count]
 
     nearest = np.append(np.arange(count), last)  # the tip is like the point before it
@@ -228,34 +224,32 @@ def _centre_points(
 
 
 def _cross_profiles(
-    light: np.ndarray,
-    outline: np.ndarray,
-    line: np.ndarray,
-    normal: np.ndarray,
-    noise: float,
-    half: float,
+    frame: SegmentedFrame, line: np.ndarray, normal: np.ndarray, half: float
 ) -> CrossProfile:
     """Read profiles across a line (K, 2) [px] along its unit normals (K, 2)."""
     reach = max(MIN_PROFILE_REACH_PX, 1.8 * half + 2)
     across = np.arange(-reach, reach + 0.25, 0.5)
     places = line[:, None] + across[None, :, None] * normal[:, None]
     u, v = np.moveaxis(places.astype(np.float32), -1, 0)
-    bright = np.maximum(cv2.remap(light, u, v, cv2.INTER_LINEAR) - 2 * noise, 0)
+    light = cv2.remap(frame.light, u, v, cv2.INTER_LINEAR)
+    bright = np.maximum(light - 2 * frame.noise, 0)
     total = bright.sum(axis=1)
     centroid = (bright * across).sum(axis=1) / np.maximum(total, 1e-9)
     shift = np.clip(centroid, -reach, reach)
 
-    covered = cv2.remap(outline.astype(np.float32), u, v, cv2.INTER_LINEAR)
+    outline = frame.outline.astype(np.float32)
+    covered = cv2.remap(outline, u, v, cv2.INTER_LINEAR)
     on_string = np.abs(across) <= half + 1
     outlined = covered[:, on_string].max(axis=1) > 0.5
-    dark = total < 4 * noise
+    dark = total < 4 * frame.noise
     near_edge = distance_transform_edt(dark | outlined) < EXTENSION_PX
     unseen = dark | (outlined & near_edge)
     # the arm shows where the string begins
     unseen[0] = False
     shift[0] = 0.0
-    shift = np.interp(np.arange(len(shift)), np.flatnonzero(~unseen), shift[~unseen])
-    sigma = centroid_sigma(bright, across, unseen, noise, half)
+    seen = np.flatnonzero(~unseen)
+    shift = np.interp(np.arange(len(shift)), seen, shift[seen])
+    sigma = centroid_sigma(bright, across, unseen, frame.noise, half)
     return CrossProfile(shift, sigma, total, outlined, unseen)
 
 
@@ -276,7 +270,8 @@ def _find_end(
     Blur along the string fades its end; half is where the end is in the middle of the
     exposure, however fast it moved. An end hidden by an outline may lie anywhere in it.
     """
-    first = max(len(light) - int(4 * half + 4 + END_MARGIN_PX), 0)
+    reach = int(4 * half + 4 + END_MARGIN_PX)
+    first = max(len(light) - reach, 0)
     level = float(np.percentile(light[first:], 75)) / 2
     last = int(np.flatnonzero(light >= level)[-1])
     hidden = int(np.argmin(np.append(outlined[last + 1 :], False)))
@@ -284,7 +279,8 @@ def _find_end(
         # standard deviation of a uniform distribution over the hidden points
         return last + hidden / 2, max(hidden, 1) / np.sqrt(12)
     drop = float(light[last] - light[last + 1])
-    plateau = light[first : max(last - int(2 * half), first + 1)]
+    plateau_end = max(last - int(2 * half), first + 1)
+    plateau = light[first:plateau_end]
     level_sigma = mad_sigma(plateau - 2 * level) / drop
     end = last + float(light[last] - level) / drop
     return end, float(np.hypot(END_SHAPE_SIGMA_PX, level_sigma))
@@ -301,15 +297,14 @@ def _pixel_graph(light: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> co
     cost = np.where(mask[allowed] > 0, seen_cost, UNSEEN_PENALTY)
 
     padded = np.pad(number, 1, constant_values=-1)
-    inner = padded[1:-1, 1:-1]
-    rows, columns = padded.shape
     froms, tos, weights = [], [], []
     for dv, du in NEIGHBOUR_STEPS:
-        shifted = padded[1 + dv : rows - 1 + dv, 1 + du : columns - 1 + du]
-        joined = (inner >= 0) & (shifted >= 0)
-        froms.append(inner[joined])
-        tos.append(shifted[joined])
-        mean_cost = (cost[froms[-1]] + cost[tos[-1]]) / 2
+        neighbour = np.roll(padded, (-dv, -du), axis=(0, 1))
+        joined = (padded >= 0) & (neighbour >= 0)
+        pixel, other = padded[joined], neighbour[joined]
+        froms.append(pixel)
+        tos.append(other)
+        mean_cost = (cost[pixel] + cost[other]) / 2
         weights.append(np.hypot(dv, du) * mean_cost)
     start = np.concatenate(froms + tos)
     end = np.concatenate(tos + froms)

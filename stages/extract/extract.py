@@ -270,7 +270,7 @@ class FrameReader:
             grasp - window.corner,
             start_radius=self.hidden + TRACE_START_MARGIN_PX,
         )
-        line = refine_line(frame.light, frame.outline, path, frame.noise, half)
+        line = refine_line(frame, path, half)
         check_line(line, frame.mask, half)
 
         points = np.concatenate([grasp[None], line.points[1:] + window.corner])

@@ -17,7 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from stringcast.stages.common import mad_sigma
+from stringcast.stages.common import mad_sigma, rms
 
 MAX_SAMPLES = 120  # frames whose median stands for the film
 # factors by which the picture is made smaller: large shifts first, then their fractions
@@ -68,7 +68,7 @@ def stabilise_film(images: Sequence[np.ndarray]) -> tuple[Sequence[np.ndarray], 
     if not shift.any() and (gain == 1).all():
         return images, 0.0
     median_sigma = np.sqrt(np.pi / 2 / len(shift))  # in sigmas of the median's values
-    sway = float(median_sigma * np.sqrt(np.mean(shift**2)))
+    sway = float(median_sigma * rms(shift))
     return StabilisedImages(images, gain, shift), sway
 
 
@@ -101,10 +101,10 @@ def _significant_changes(
     Gains are 1 and shifts 0 where their RMS is below this share of the threshold.
     """
     gain = found[:, 0] / np.median(found[:, 0])
-    if not np.sqrt(np.mean((gain - 1) ** 2)) > threshold_share * MIN_FLICKER:
+    if not rms(gain - 1) > threshold_share * MIN_FLICKER:
         gain = np.ones_like(gain)
     shift = found[:, 1:] - np.median(found[:, 1:], axis=0)
-    if not np.sqrt(np.mean(shift**2)) > threshold_share * MIN_TREMBLE_PX:
+    if not rms(shift) > threshold_share * MIN_TREMBLE_PX:
         shift = np.zeros_like(shift)
     return gain, shift
 

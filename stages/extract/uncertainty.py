@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from stringcast.stages.common import rms
+
 # offset of the light's middle from the string's, as a share of the half width
 CENTRE_ERROR_SHARE = 0.005
 MIN_SIGMA_PX = 0.03  # what sampling by pixels leaves
@@ -56,7 +58,7 @@ def centroid_sigma(
     lever = np.sqrt(np.sum(across[inside] ** 2) * NOISE_CORRELATION_PX / spacing)
     by_noise = SMOOTHED_NOISE_SHARE * noise * lever / total
     displacement = (bright * across)[:, ~inside].sum(axis=1) / total
-    by_light_outside = np.sqrt(np.mean(displacement[~unseen] ** 2))
+    by_light_outside = rms(displacement[~unseen])
     by_extension = HIDDEN_SLOPE_SIGMA * distance_transform_edt(unseen)
     variance = (
         np.where(unseen, 0, by_noise) ** 2

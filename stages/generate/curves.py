@@ -34,7 +34,8 @@ class Curves:
 
         The ticks go from 0 to `until` [s]; the arm rests after T.
         """
-        u = np.arange(round(until / tick) + 1) * tick / self.duration[:, None]
+        times = np.arange(round(until / tick) + 1) * tick
+        u = times / self.duration[:, None]
         inside = np.clip(u, 0, 1)[:, :, None]
         speed = np.einsum("bkn,bjn->bkj", _bernstein(inside, INTERVALS), self.control)
         # the tick at T still moves, whatever the rounding
@@ -97,7 +98,8 @@ def next_curves(
     change = (durations[1] - durations[0]) / 4
     duration = last.duration[0] + rng.uniform(-change, change, count)
     duration = whole_ticks(np.clip(duration, *durations), arm.tick)
-    limit = np.minimum(alpha * duration[:, None] / INTERVALS, np.asarray(arm.speed))
+    fastest = alpha * duration[:, None] / INTERVALS
+    limit = np.minimum(fastest, np.asarray(arm.speed))
     shares = rng.uniform(-1, 1, (count, len(arm.links), INTERVALS - 1))
     control = np.repeat(last.control, count, axis=0)
     control[..., 1:-1] += shares * fraction * limit[..., None]
@@ -115,7 +117,8 @@ def plain_cast(arm: Arm, duration: float) -> Curves:
     control = np.zeros((1, len(sweep), INTERVALS + 1))
     speed = sweep / ticks * (INTERVALS + 1) / (INTERVALS - 1)
     control[0, :, 1:-1] = speed[:, None]
-    return Curves(((lowest + highest - sweep) / 2)[None], ticks, control)
+    start = (lowest + highest - sweep) / 2
+    return Curves(start[None], ticks, control)
 
 
 def whole_ticks(duration: np.ndarray, tick: float) -> np.ndarray:

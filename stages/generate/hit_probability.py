@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -88,10 +89,11 @@ def predict_outcome(
     CastOutcome
         Distance and hit of each motion under each sample.
     """
-    shape = (len(curves.duration), len(samples))
+    motions = len(curves.duration)
+    shape = (motions, len(samples))
     outcome = CastOutcome(np.empty(shape), np.empty(shape), np.empty(shape, bool))
     order = np.argsort(curves.duration, kind="stable")
-    batches = min(-(-shape[0] * shape[1] // BATCH_SIZE), shape[0])
+    batches = min(math.ceil(motions * len(samples) / BATCH_SIZE), motions)
     for batch in np.array_split(order, batches):
         part = _predict_batch(task, curves.select(batch), samples)
         outcome.distance[batch] = part.distance
@@ -130,7 +132,8 @@ def simulate_motions(
     repeated = samples.select(np.tile(np.arange(len(samples)), len(curves.duration)))
     gain = 1 + repeated.amplitude[:, None]
     start = angles[:, :1]
-    motion = JointMotion(0.0, tick, start + gain * (angles - start), gain * speeds)
+    turned = start + gain * (angles - start)
+    motion = JointMotion(0.0, tick, turned, gain * speeds)
     times = np.arange(angles.shape[1]) * tick
     points = model.simulate_string(motion, repeated.values, times).points
     share = model.string.arc_lengths() / model.string.length
@@ -196,10 +199,10 @@ def midpoint_tip_path(tip: np.ndarray) -> np.ndarray:
     before_start = 2 * tip[:, :1] - tip[:, 1:2]
     after_end = 2 * tip[:, -1:] - tip[:, -2:-1]
     padded = np.concatenate([before_start, tip, after_end], axis=1)
-    inner = tip[:, :-1] + tip[:, 1:]
-    path = np.empty((len(tip), 2 * tip.shape[1] - 1, 2))
-    path[:, ::2] = tip
-    path[:, 1::2] = (9 * inner - padded[:, :-3] - padded[:, 3:]) / 16
+    nearer_two = tip[:, :-1] + tip[:, 1:]
+    middles = (9 * nearer_two - padded[:, :-3] - padded[:, 3:]) / 16
+    path = np.repeat(tip, 2, axis=1)[:, :-1]
+    path[:, 1::2] = middles
     return path
 
 

@@ -304,9 +304,7 @@ class Model(Parametrised):
             inside = np.broadcast_to(inside, (motions, inside.shape[1]))
         angles = []
         rows = np.split(inside, motions)  # of each motion, or all of the one
-        for row, *motion_samples in zip(
-            rows, actual.angles, actual.speeds, strict=True
-        ):
+        for row, angle, speed in zip(rows, actual.angles, actual.speeds, strict=True):
             spline = interpolate.CubicHermiteSpline(ticks, angle, speed)
             angles.append(spline(row))
         joints = self.arm.joint_positions(np.concatenate(angles))

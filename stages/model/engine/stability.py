@@ -94,8 +94,8 @@ def _drag_rate(string: String, material: np.ndarray) -> np.ndarray:
     vx = np.array([[slow, fast, 0.0, 0.0]])
     vy = np.array([[0.0, 0.0, slow, fast]])
     loads = load_sum(plain, undeclared_material, {"vx": vx, "vy": vy})
-    rises = np.abs(loads[:, 1::2] - loads[:, ::2]).max(axis=(1, 2))
-    steepest = rises / (SPEED_DIFFERENCE * MAX_DRAG_SPEED_M_S)
+    rises = loads[:, 1::2] - loads[:, ::2]
+    steepest = np.abs(rises).max(axis=(1, 2)) / (SPEED_DIFFERENCE * slow)
     masses, cells = plain.point_masses(undeclared_material)
     return np.asarray(steepest * (cells / masses).max(axis=1))
 
@@ -153,9 +153,9 @@ def sampled_slopes(string: String, material: np.ndarray) -> Slopes:
         four = np.moveaxis(total.reshape(len(total), 4, -1), 1, 0)
         stiffness = (four[0] - four[1]) / (2 * step)
         damping = (four[2] - four[3]) / (2 * rate_step)
-        rises = stiffness, damping
-        steepest.append([np.abs(rise).max(axis=1) for rise in rises])
-        gentlest.append([np.maximum(rise.min(axis=1), 0.0) for rise in rises])
+        rises = np.stack([stiffness, damping])
+        steepest.append(np.abs(rises).max(axis=2))
+        gentlest.append(np.maximum(rises.min(axis=2), 0.0))
     return np.swapaxes(steepest, 0, 1), np.swapaxes(gentlest, 0, 1)
 
 
@@ -180,7 +180,7 @@ def memory_stiffness_bounds(string: String, material: np.ndarray) -> np.ndarray:
         if slot not in MEMORY_SLOTS or not string.memory_count(slot):
             continue
         _, bends = SAMPLED_ARGUMENTS[slot][0]
-        farthest = string.updated_memory(slot, material, np.full((1, 1), bends[-1]))
+        farthest = string.updated_memory(slot, material, bends[None, -1:])
         shares = np.linspace(-1.0, 1.0, 9)
         states = [memory * shares for memory in farthest]
         before = list(string.memory_moments(slot, material, states))
@@ -188,8 +188,10 @@ def memory_stiffness_bounds(string: String, material: np.ndarray) -> np.ndarray:
             bend = np.full((1, 1), change)
             bent = string.updated_memory(slot, material, bend, states, INSTANT_S)
             total = np.zeros(len(material))
-            for i, moment in enumerate(string.memory_moments(slot, material, bent)):
-                total = total + ((moment - before[i]) / change).max(axis=1)
+            after = string.memory_moments(slot, material, bent)
+            for moment, moment_before in zip(after, before, strict=True):
+                rise = (moment - moment_before) / change
+                total = total + rise.max(axis=1)
             steepest[row] = np.maximum(steepest[row], total)
     return steepest
 
@@ -203,7 +205,7 @@ def _difference_arguments(slot: str) -> tuple[dict[str, np.ndarray], float, floa
     """
     (first, values), (second, rates) = SAMPLED_ARGUMENTS[slot]
     grids = np.meshgrid(values, rates, indexing="ij")
-    a, b = grids[0].ravel()[None], grids[1].ravel()[None]
+    a, b = np.reshape(grids, (2, 1, -1))
     step = 1e-4 * float(np.ptp(values))
     rate_step = 1e-4 * float(np.ptp(rates))
     arguments = {
@@ -243,7 +245,8 @@ def load_sum(
     """
     known = DEFAULT_ARGUMENTS | arguments
     air = vector_slot_sum(string, material, "flow", known)
-    known |= {"ux": known["vx"] - air[..., 0], "uy": known["vy"] - air[..., 1]}
+    known["ux"] = known["vx"] - air[..., 0]
+    known["uy"] = known["vy"] - air[..., 1]
     return vector_slot_sum(string, material, "load", known)
 
 
