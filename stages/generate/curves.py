@@ -68,17 +68,24 @@ def first_curves(
     durations: tuple[float, float],
     alpha: float,
 ) -> Curves:
-    """Draw random poses and curves: V_n = alpha_n T / 5, V_0 = V_5 = 0 (Eq. 2).
+    """Draw random poses and curves.
 
     durations: range of T [s]. alpha: limit of the accelerations alpha_n [rad/s^2].
     """
     joints = len(arm.links)
     start = rng.uniform(arm.lowest, arm.highest, (count, joints))
     duration = whole_ticks(rng.uniform(*durations, count), arm.tick)
-    control = np.zeros((count, joints, INTERVALS + 1))
     acceleration = rng.uniform(-alpha, alpha, (count, joints, INTERVALS - 1))
-    control[..., 1:-1] = acceleration * duration[:, None, None] / INTERVALS
-    return Curves(start, duration, control)
+    return Curves(start, duration, control_points(acceleration, duration))
+
+
+def control_points(acceleration: np.ndarray, duration: np.ndarray) -> np.ndarray:
+    """Compute V_n = alpha_n T / 5 with V_0 = V_5 = 0 (Eq. 2), (B, J, 6) [rad/s].
+
+    acceleration: alpha_n, (B, J, 4) [rad/s^2]. duration: T, (B,) [s].
+    """
+    inner = acceleration * duration[:, None, None] / INTERVALS
+    return np.pad(inner, ((0, 0), (0, 0), (1, 1)))
 
 
 def next_curves(

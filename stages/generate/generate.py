@@ -31,6 +31,7 @@ from stringcast.stages.generate.curves import (
     first_curves,
     next_curves,
 )
+from stringcast.stages.generate.hit_probability import CastTask
 from stringcast.stages.hit_test import check_reach
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
@@ -174,6 +175,7 @@ def generate(
     rng = np.random.default_rng(seed)
     values = model.values({} if estimate is None else estimate.values())
     ranges = (drawing.durations, drawing.alpha)
+    task = CastTask(model, target, obstacles)
 
     def draw_first(size: int) -> Curves:
         return first_curves(model.arm, rng, size, *ranges)
@@ -192,15 +194,8 @@ def generate(
         hits: list[tuple[float, Motion]] = []
         while tried.total() < budget.attempts and len(hits) < budget.hits:
             size = min(budget.batch, budget.attempts - tried.total())
-            hits += _try_curves(
-                model,
-                target,
-                obstacles,
-                values,
-                draw(size),
-                tried,
-                budget.hits - len(hits),
-            )
+            wanted = budget.hits - len(hits)
+            hits += _try_curves(task, values, draw(size), tried, wanted)
             progress(tried.total() / budget.attempts)
         counts += tried
         if hits:
@@ -230,9 +225,7 @@ def curves_from_motion(motion: Motion) -> Curves:
 
 
 def _try_curves(
-    model: Model,
-    target: Box,
-    obstacles: Sequence[Box],
+    task: CastTask,
     values: np.ndarray,
     curves: Curves,
     counts: Counter[str],
@@ -244,19 +237,19 @@ def _try_curves(
     long each hit's tip stays in the box [s], and its motion.
     """
     until = float(curves.duration.max())
-    angles, speeds = curves.sample(model.arm.tick, until)
-    outcomes = arm_faults(model.arm, obstacles, angles, speeds)
+    arm = task.model.arm
+    angles, speeds = curves.sample(arm.tick, until)
+    outcomes = arm_faults(arm, task.obstacles, angles, speeds)
     feasible = np.flatnonzero(outcomes == "")
     hits: list[tuple[float, Motion]] = []
     for first in range(0, len(feasible), BATCH_SIZE):
         batch = feasible[first : first + BATCH_SIZE]
-        simulated = _simulate_curves(
-            model, target, values, angles[batch], speeds[batch], until
-        )
-        outcomes[batch] = _string_faults(simulated, obstacles, curves.duration[batch])
+        simulated = _simulate_curves(task, values, angles[batch], speeds[batch], until)
+        durations = curves.duration[batch]
+        outcomes[batch] = _string_faults(simulated, task.obstacles, durations)
         for index in np.flatnonzero(outcomes[batch] == HIT):
             curve = curves.select(batch[[index]])
-            hits.append(_build_motion(model, target, curve, simulated, int(index)))
+            hits.append(_build_motion(task, curve, simulated, int(index)))
             if len(hits) == wanted:
                 counts.update(outcomes[: batch[index] + 1])
                 return hits
@@ -307,23 +300,22 @@ def arm_faults(
 
 
 def _simulate_curves(
-    model: Model,
-    target: Box,
+    task: CastTask,
     values: np.ndarray,
     angles: np.ndarray,
     speeds: np.ndarray,
     until: float,
 ) -> SimulatedCandidates:
     """Simulate the strings of feasible movements."""
-    tick = model.arm.tick
+    tick = task.model.arm.tick
     times = np.arange(round(until / tick) * SUBSTEPS + 1) * tick / SUBSTEPS
-    motion = model.simulate_string(
+    motion = task.model.simulate_string(
         JointMotion(0.0, tick, angles, speeds),
         np.repeat(values[None], len(angles), axis=0),
         times,
     )
     return SimulatedCandidates(
-        times, motion.points, target.is_crossed_along(motion.tip)
+        times, motion.points, task.target.is_crossed_along(motion.tip)
     )
 
 
@@ -345,11 +337,7 @@ def _string_faults(
 
 
 def _build_motion(
-    model: Model,
-    target: Box,
-    curve: Curves,
-    simulated: SimulatedCandidates,
-    index: int,
+    task: CastTask, curve: Curves, simulated: SimulatedCandidates, index: int
 ) -> tuple[float, Motion]:
     """Build the artifact of one hit, and measure how long its tip stays inside [s]."""
     times = simulated.times
@@ -357,11 +345,11 @@ def _build_motion(
     moving = times <= duration + ROUNDING_S
     inside = np.flatnonzero(simulated.inside[index] & moving[1:])
     tip = simulated.points[index, 1:, -1]
-    nearest = inside[int(np.argmin(target.distance_to_centre(tip[inside])))]
+    distance = task.target.distance_to_centre(tip[inside])
+    nearest = inside[int(np.argmin(distance))]
     ticks = np.flatnonzero(moving)[::SUBSTEPS]
     motion = motion_artifact(
-        model,
-        target,
+        task,
         curve,
         times[ticks],
         simulated.points[index, ticks],
@@ -375,8 +363,7 @@ def _build_motion(
 
 
 def motion_artifact(
-    model: Model,
-    target: Box,
+    task: CastTask,
     curve: Curves,
     times: np.ndarray,
     points: np.ndarray,
@@ -387,10 +374,8 @@ def motion_artifact(
 
     Parameters
     ----------
-    model : Model
-        String and arm.
-    target : Box
-        Box that the tip shall enter [m].
+    task : CastTask
+        Model, target and obstacles.
     curve : Curves
         The movement.
     times : (T,) array
@@ -407,6 +392,7 @@ def motion_artifact(
     Motion
         Commands, control points, predicted string, attempts and outcome.
     """
+    model, target = task.model, task.target
     row = {
         "duration": float(curve.duration[0]),
         "target_x": target.x,

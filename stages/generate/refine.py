@@ -11,7 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from cmaes import CMA
 
-from stringcast.stages.generate.curves import INTERVALS, Curves, whole_ticks
+from stringcast.stages.generate.curves import (
+    INTERVALS,
+    Curves,
+    control_points,
+    whole_ticks,
+)
 from stringcast.stages.generate.generate import arm_faults
 from stringcast.stages.generate.hit_probability import CastTask, predict_outcome
 from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
@@ -71,9 +76,7 @@ class MotionSpace:
         duration = self.shortest + points[:, joints] * (self.longest - self.shortest)
         duration = whole_ticks(duration, self.arm.tick)
         shares = points[:, joints + 1 :].reshape(len(points), joints, INTERVALS - 1)
-        control = np.zeros((len(points), joints, INTERVALS + 1))
-        control[..., 1:-1] = shares * self.alpha * duration[:, None, None] / INTERVALS
-        return Curves(start, duration, control)
+        return Curves(start, duration, control_points(shares * self.alpha, duration))
 
 
 def refine_motions(

@@ -281,8 +281,7 @@ def build_motion_artifact(
         {"outcome": ["less likely to hit", HIT], "count": [tried - 1, 1]}
     )
     return motion_artifact(
-        task.model,
-        task.target,
+        task,
         curve,
         np.arange(len(points)) * tick,
         points,

@@ -67,9 +67,8 @@ class HandMotion:
 
     def extended_until(self, until: float) -> HandMotion:
         """Append rest until a time [s], or as long as anything lags behind."""
-        seconds = until - self.end
-        pose, rate = _append_rest_seconds(self.pose, self.rate, seconds, self.tick)
-        return HandMotion(self.start, self.tick, pose, rate)
+        missing = _rest_ticks(until - self.end, self.tick)
+        return self.with_ticks(self.pose.shape[1] + missing)
 
     def starting_at(self, begin: float | np.ndarray) -> HandMotion:
         """Return the motion from a moment on, from which time then counts.
@@ -143,10 +142,9 @@ class JointMotion:
 
     def extended_until(self, until: float) -> JointMotion:
         """Append rest until a time [s], or as long as anything lags behind."""
-        seconds = until - (self.start + (self.angles.shape[1] - 1) * self.tick)
-        angles, speeds = _append_rest_seconds(
-            self.angles, self.speeds, seconds, self.tick
-        )
+        end = self.start + (self.angles.shape[1] - 1) * self.tick
+        missing = _rest_ticks(until - end, self.tick)
+        angles, speeds = append_rest_ticks(self.angles, self.speeds, missing)
         return JointMotion(self.start, self.tick, angles, speeds)
 
     def hand_motion(self, arm: Arm) -> HandMotion:
@@ -219,18 +217,17 @@ def _resample(
 
     At least two. values: (B, K, ...).
     """
-    count = max(int(np.floor((t[-1] - t[0]) / tick + 1e-9)) + 1, 2)
+    ticks = np.floor((t[-1] - t[0]) / tick + 1e-9)
+    count = max(int(ticks) + 1, 2)
     times = t[0] + tick * np.arange(count)
     spline = interpolate.CubicSpline(t, values, axis=1, bc_type="natural")
     return float(times[0]), tick, spline(times), spline(times, 1)
 
 
-def _append_rest_seconds(
-    value: np.ndarray, rate: np.ndarray, seconds: float, tick: float
-) -> ValueAndRate:
-    """Append rest for further seconds, if any, to value and rate, (B, K, ...) each."""
+def _rest_ticks(seconds: float, tick: float) -> int:
+    """Count the ticks of rest for further seconds, or as long as anything lags."""
     ticks = np.clip(seconds, 0.0, MAX_LAG_S) / tick
-    return append_rest_ticks(value, rate, int(np.ceil(ticks - 1e-9)))
+    return int(np.ceil(ticks - 1e-9))
 
 
 def append_rest_ticks(value: np.ndarray, rate: np.ndarray, count: int) -> ValueAndRate:

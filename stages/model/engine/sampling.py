@@ -194,5 +194,6 @@ def _interpolate_candidates(
             for i in range(TIME_NODES):
                 weight = _lagrange_weight(offset, i, TIME_NODES)
                 for p in range(ticks.shape[2]):
-                    result[c, f, p, 0] += weight * ticks[c, first + i, p, 0]
-                    result[c, f, p, 1] += weight * ticks[c, first + i, p, 1]
+                    for axis in range(2):
+                        value = ticks[c, first + i, p, axis]
+                        result[c, f, p, axis] += weight * value
