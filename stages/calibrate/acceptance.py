@@ -112,8 +112,8 @@ def _view_fault(
         spread, needed = np.degrees([solution.spread, thresholds.spread])
         return (
             f"the views differ in tilt by {spread:.0f} degrees at most, {needed:.0f} "
-            "are needed to tell focal length from distance. Tilt the board to the left, "
-            "right, front and back."
+            "are needed to tell focal length from distance. Tilt the board to the "
+            "left, right, front and back."
         )
     errors = solution.held_out_rms
     worst, usual = int(np.argmax(errors)), float(np.median(errors))

@@ -165,7 +165,7 @@ def _plane_view(flat: Sequence[np.ndarray], board: Board) -> BoardView:
     best = max(views, key=lambda view: len(view.corners))
     if best.reason:
         raise DataError(
-            f"the board in the plane of motion: {best.reason}. Hold it in view, lit and "
-            "still."
+            f"the board in the plane of motion: {best.reason}. Hold it in view, lit "
+            "and still."
         )
     return best

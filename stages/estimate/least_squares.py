@@ -109,7 +109,7 @@ def estimate(
 def _parameter_intervals(
     likelihood: Likelihood, best: np.ndarray, covariance: Covariance
 ) -> Interval:
-    """Compute 95 % intervals about the solution (P,), and say what they do not cover."""
+    """Compute 95 % intervals about the solution (P,), with their caveats."""
     parameters = likelihood.parameters
     low = np.clip(best - covariance.half_width_95, 0, 1)
     high = np.clip(best + covariance.half_width_95, 0, 1)

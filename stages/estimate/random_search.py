@@ -54,8 +54,8 @@ def estimate(
     chi_0, beta
         First range of the exponents, and its narrowing by each candidate.
     batch
-        Candidates drawn at a time from the same chi_best, so that they fill the machine:
-        1 is one by one, as many as `candidates` is Eq. 4 to the letter.
+        Candidates drawn at a time from the same chi_best, so that they fill the
+        machine: 1 is one by one, as many as `candidates` is Eq. 4 to the letter.
     matching
         Settings of E.
     """

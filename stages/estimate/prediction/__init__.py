@@ -1,4 +1,4 @@
-"""Predict: where a fitted model has the string in a trial that nothing was fitted to."""
+"""Predict: where a fitted model has the string in a trial that was not fitted."""
 
 from stringcast.data.artifacts import Estimate, Prediction
 from stringcast.stages.spec import MODEL, CollectedTrials, LatestIteration, StageSpec

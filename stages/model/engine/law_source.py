@@ -70,7 +70,7 @@ class LawSource:
 
     @property
     def per_segment(self) -> str:
-        """Row with the inverse of a segment's rest length, if candidates differ in it."""
+        """Row with one over a segment's rest length, if candidates differ in it."""
         return self._row_if_any(FREE_LENGTH_ROWS[1])
 
     def definitions(self) -> list[str]:
