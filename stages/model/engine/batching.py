@@ -9,7 +9,7 @@ these.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import cache
 from itertools import count, repeat
 from typing import Any
@@ -18,11 +18,7 @@ import numpy as np
 
 from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.engine.integrators import Integrator
-from stringcast.stages.model.engine.kernel_codegen import (
-    LANES,
-    generate_source,
-    row_numbers,
-)
+from stringcast.stages.model.engine.kernel_codegen import LANES, generate_source
 from stringcast.stages.model.engine.module_cache import (
     import_generated_module,
     module_path,
@@ -108,21 +104,6 @@ def _single_lane_runs(
         return repeat(-1)
     source = generate_source(effects, row_names, integrator, 1)
     return count(RUNS_BEFORE_SINGLE_LANE if module_path(source).exists() else 0)
-
-
-def zero_buffers(
-    blocks: int,
-    points: int,
-    integrator: Integrator,
-    effects: Sequence[type[StringEffect]],
-    lanes: int,
-) -> np.ndarray:
-    """Return zeros for the rows of every point.
-
-    Of shape (blocks, points + PADDING_POINTS, rows, lanes).
-    """
-    rows = len(row_numbers(integrator, effects))
-    return aligned_zeros((blocks, points + PADDING_POINTS, rows, lanes))
 
 
 def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:

@@ -362,9 +362,9 @@ def _fill_buffers(
         "GRASP_REST_ANGLE": grasp_rest_angle(string, material),
         **further,
     }
-    loop = (string.integrator, string.effects)
-    numbers = row_numbers(*loop)
-    buffers = batching.zero_buffers(blocks, string.points, *loop, lanes)
+    numbers = row_numbers(string.integrator, string.effects)
+    points = string.points + batching.PADDING_POINTS
+    buffers = batching.aligned_zeros((blocks, points, len(numbers), lanes))
     for name, row in rows.items():
         buffers[:, : row.shape[1], numbers[name]] = _by_lane(row, lanes)
     return buffers.reshape(blocks, -1)
