@@ -64,7 +64,7 @@ def background_responses(
     data: TrialData,
     fit: Fit,
     effects: Sequence[type[Effect]],
-) -> list[np.ndarray]:
+) -> ByTrial:
     """Simulate what each effect does about a fit, scaled to 1 m at the tip.
 
     Effects that depend on place are left out: they do nothing but where they touch.

@@ -75,7 +75,7 @@ def sensitivity_by_frame(
     trials: Sequence[PreparedTrial],
     hypothesis: Hypothesis,
     chi: np.ndarray,
-) -> list[np.ndarray]:
+) -> ByTrial:
     """Measure how a small change of the parameters has grown by each frame.
 
     Returns
@@ -132,7 +132,7 @@ def _shapes_per_metre(
     hypothesis: Hypothesis,
     cause: type[Effect],
     chi: np.ndarray,
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
+) -> tuple[ByTrial, ByTrial]:
     """Simulate how the amplitudes of a cause move each trial by 1 m at the tip.
 
     Returns

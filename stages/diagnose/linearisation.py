@@ -45,7 +45,7 @@ class LinearisedFit:
         self.information = self.white_slopes @ self.white_slopes.T + prior  # (P, P)
         self.covariance = np.linalg.inv(self.information)
 
-    def responses(self, hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:
+    def responses(self, hypothesis: Hypothesis, chi: np.ndarray) -> ByTrial:
         """Simulate how exponents (C, P) change the residuals of each trial, (C, 2 n).
 
         A candidate that diverges in any trial is DIVERGED_RESIDUAL in all of them.

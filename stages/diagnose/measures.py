@@ -10,7 +10,11 @@ from stringcast.stages.diagnose.predictions import (
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis, mean_discrepancy
-from stringcast.stages.inference.trial_data import TrialData, subtract_by_trial
+from stringcast.stages.inference.trial_data import (
+    ByTrial,
+    TrialData,
+    subtract_by_trial,
+)
 from stringcast.stages.model.effect import Effect, is_position_dependent
 
 
@@ -20,7 +24,7 @@ def refit(data: TrialData, fit: Fit, hypothesis: Hypothesis) -> Fit:
     return fit_hypothesis(data, hypothesis, start[None], fit.scale_indices)
 
 
-def residuals_without_nuisance(data: TrialData, fit: Fit) -> list[np.ndarray]:
+def residuals_without_nuisance(data: TrialData, fit: Fit) -> ByTrial:
     """Subtract what the nuisance most likely explains of a fit's residuals, (2 n,)."""
     extended = data.for_hypothesis(fit.hypothesis)
     return extended.without_nuisance(fit.residuals, fit.scale_indices)

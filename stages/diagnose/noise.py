@@ -113,7 +113,7 @@ def remove_outliers(
     trials: Sequence[PreparedTrial],
     model: Model,
     chi: np.ndarray,
-) -> tuple[tuple[PreparedTrial, ...], list[np.ndarray], list[float]]:
+) -> tuple[tuple[PreparedTrial, ...], ByTrial, list[float]]:
     """Remove points far from smooth motion about a model at exponents (P,).
 
     Returns

@@ -96,7 +96,7 @@ def held_out_table(
         row: dict[str, object] = {
             "trial": trial.name,
             "log_likelihood_difference": gains[number],
-            "noise_floor": float(np.sqrt(2 * np.mean(trial.sigma**2))),
+            "noise_floor": np.sqrt(2 * np.mean(trial.sigma**2)),
         }
         for name, predictions in (("base", base), ("extended", extended)):
             prediction = predictions[number]

@@ -134,7 +134,7 @@ def hypotheses_table(
             "mean_square": np.mean(np.concatenate(fit.residuals) ** 2),
             "fit_gain": fit.log_evidence - base.log_evidence,
             "held_out_gain": held_out_gain,
-            "moved": float(tip_shift_rms(data, base, fit).max()),
+            "moved": tip_shift_rms(data, base, fit).max(),
             "unexplained": 1 - explained,
             "probability": probabilities.get(label, 0.0),
         }

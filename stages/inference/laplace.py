@@ -74,8 +74,8 @@ class Fit:
 
     hypothesis: Hypothesis
     chi: np.ndarray
-    residuals: tuple[np.ndarray, ...]
-    slopes: tuple[np.ndarray, ...]
+    residuals: ByTrial
+    slopes: ByTrial
     scale_indices: np.ndarray
     log_likelihood_by_trial: np.ndarray
     log_evidence: float
@@ -210,8 +210,8 @@ def evaluate_fit(data: TrialData, hypothesis: Hypothesis, chi: np.ndarray) -> Fi
     return Fit(
         hypothesis,
         chi,
-        tuple(residuals),
-        tuple(slopes),
+        residuals,
+        slopes,
         scale_indices,
         by_trial,
         float(by_trial.sum() + prior + volume),
@@ -262,7 +262,7 @@ def log_volume(curvature: np.ndarray) -> float:
     return float(0.5 * (len(curvature) * np.log(2 * np.pi) - log_determinant))
 
 
-def mean_discrepancy(data: TrialData, fit: Fit) -> list[np.ndarray]:
+def mean_discrepancy(data: TrialData, fit: Fit) -> ByTrial:
     """Compute the most likely discrepancy of each trial, over sigma, (2 n,)."""
     means = []
     for k, trial in enumerate(data.for_hypothesis(fit.hypothesis).trials):
@@ -303,7 +303,7 @@ def _residual_slopes(
     residuals: ByTrial,
     scale_indices: np.ndarray,
     further_chi: np.ndarray,
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
+) -> tuple[ByTrial, ByTrial]:
     """Difference each trial's residuals (2 n,) by the exponents (P,).
 
     Returns slopes (P, 2 n), and residuals (A, 2 n) at further exponents (A, P): more

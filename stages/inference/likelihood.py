@@ -17,7 +17,7 @@ import numpy as np
 
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
-from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
 
@@ -74,16 +74,17 @@ class Likelihood:
         prior = np.sqrt(PRIOR_PRECISION) * from_middle
         return np.concatenate([*self.residuals_by_trial(chi), prior], axis=1)
 
-    def residuals_by_trial(self, chi: np.ndarray) -> list[np.ndarray]:
+    def residuals_by_trial(self, chi: np.ndarray) -> ByTrial:
         """Compute white residuals of each trial, (C, N_k)."""
         residuals = self.data.residuals(self.model, chi)
         scale_indices = self.scale_indices
         if scale_indices is None:
             scale_indices = np.zeros(len(residuals), dtype=int)
-        white = self.data.whiten_by_trial(residuals, scale_indices)
-        for k, residual in enumerate(residuals):
+        white = []
+        whitened = self.data.whiten_by_trial(residuals, scale_indices)
+        for residual, white_residual in zip(residuals, whitened, strict=True):
             diverged = (residual == DIVERGED_RESIDUAL).any(axis=1, keepdims=True)
-            white[k] = np.where(diverged, DIVERGED_RESIDUAL, white[k])
+            white.append(np.where(diverged, DIVERGED_RESIDUAL, white_residual))
         return white
 
     def cut_after_onset(self, seconds: float) -> Likelihood:

@@ -22,7 +22,7 @@ CACHED_CANDIDATES = 64  # candidates: those of some iterations
 ByTrial = Sequence[np.ndarray]  # an array for each trial, since their points differ
 
 
-def subtract_by_trial(residuals: ByTrial, others: ByTrial) -> list[np.ndarray]:
+def subtract_by_trial(residuals: ByTrial, others: ByTrial) -> ByTrial:
     """Subtract the arrays of each trial."""
     pairs = zip(residuals, others, strict=True)
     return [residual - other for residual, other in pairs]
@@ -35,7 +35,7 @@ class ResidualCache:
         self._keys: deque[tuple[bytes, Model]] = deque(maxlen=CACHED_CANDIDATES)
         self._residuals: deque[list[np.ndarray]] = deque(maxlen=CACHED_CANDIDATES)
 
-    def find(self, model: Model, chi: np.ndarray) -> list[np.ndarray] | None:
+    def find(self, model: Model, chi: np.ndarray) -> ByTrial | None:
         """Look up the residuals (1, 2 n) of each trial at exponents (P,), or None."""
         key = (chi.tobytes(), model)
         if key not in self._keys:
@@ -116,7 +116,7 @@ class TrialData:
             correction = correction.subset(chosen)
         return TrialData(trials, random_effects, correction)
 
-    def residuals(self, model: Model, chi: np.ndarray) -> list[np.ndarray]:
+    def residuals(self, model: Model, chi: np.ndarray) -> ByTrial:
         """Compute simulated less measured over sigma of each trial, (C, 2 n).
 
         A run that diverged is DIVERGED_RESIDUAL throughout. A single candidate that
@@ -156,7 +156,7 @@ class TrialData:
         self,
         residuals: ByTrial,
         scale_indices: np.ndarray,
-    ) -> list[np.ndarray]:
+    ) -> ByTrial:
         """Whiten residuals (C, 2 n) of each trial by its error model, (C, N_k)."""
         white = []
         for k, trial in enumerate(self.trials):
@@ -178,7 +178,7 @@ class TrialData:
         self,
         residuals: ByTrial,
         scale_indices: np.ndarray,
-    ) -> list[np.ndarray]:
+    ) -> ByTrial:
         """Subtract what the nuisance most likely explains of residuals (2 n,)."""
         rest = []
         for k, trial in enumerate(self.trials):
