@@ -152,8 +152,8 @@ def best_exponents(
 
     for _ in range(MAX_SCALE_ROUNDS - 1):
         likelihood = replace(likelihood, scale_indices=scale_indices)
-        fit = solver.fit_least_squares(likelihood, chi[None], min_gain=min_gain)
-        chi = fit.chi[0]
+        runs = solver.fit_least_squares(likelihood, chi[None], min_gain=min_gain)
+        chi = runs.chi[0]
         residuals = data.residuals(model, chi[None])
         updated = best_scale_index(data.log_likelihood_by_scale(residuals)[:, 0])
         if (updated == scale_indices).all():

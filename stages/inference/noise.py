@@ -137,7 +137,7 @@ def noise_track(trial: PreparedTrial, residual: np.ndarray) -> NoiseTrack:
 
 
 def fit_noise_model(tracks: Sequence[NoiseTrack]) -> Noise:
-    """Estimate the noise of all trials from the quieter half of them.
+    """Estimate the noise of all trials from the quieter ones, just over half of them.
 
     Misfit of a model looks like more noise, never like less.
     """
