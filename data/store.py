@@ -30,6 +30,16 @@ from stringcast.data.images import ImageFiles, encode_png
 from stringcast.data.schema import DataError, Table
 
 Artifact = TypeVar("Artifact")
+# Types of the parts of an origin that commands read.
+ORIGIN_TYPES = {
+    "step": str,
+    "python": str,
+    "inputs": dict,
+    "config": dict,
+    "code": dict,
+    "packages": dict,
+    "made": dict,
+}
 CHUNK_BYTES = 2**20  # [bytes] of a file that are hashed at a time
 READ_ERRORS = file_checks.READ_ERRORS
 
@@ -186,7 +196,7 @@ def read_origin(path: Path) -> dict[str, Any]:
     """Read what made a Parquet file, or the first one in a folder.
 
     The result is empty for a file of another program. Raises DataError for a folder
-    without tables.
+    without tables, and for a footer of another shape.
     """
     if path.is_dir():
         folder, path = path, min(path.glob("*.parquet"), default=path)
@@ -195,7 +205,28 @@ def read_origin(path: Path) -> dict[str, Any]:
     if path.exists():
         file_checks.require_plain_file(path)
     metadata = pq.read_schema(path).metadata or {}
-    return dict(json.loads(metadata.get(b"origin", b"{}")))
+    try:
+        origin = json.loads(metadata.get(b"origin", b"{}"))
+    except (ValueError, RecursionError):
+        origin = None
+    if not isinstance(origin, dict) or not has_shape_of_origin(origin):
+        raise DataError(
+            f"{path}: its footer does not say what made it. Restore the file, or "
+            "delete it and run again."
+        )
+    return origin
+
+
+def has_shape_of_origin(origin: Mapping[str, Any]) -> bool:
+    """Tell whether the parts of an origin that are there have the right types."""
+    for name, kind in ORIGIN_TYPES.items():
+        if not isinstance(origin.get(name, kind()), kind):
+            return False
+    for name in ("inputs", "code", "packages"):
+        if not all(isinstance(value, str) for value in origin.get(name, {}).values()):
+            return False
+    made = origin.get("made", {"at": "", "seconds": 0.0})
+    return isinstance(made.get("at"), str) and isinstance(made.get("seconds"), float)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -16,7 +16,8 @@ from rich.text import Text
 
 from stringcast.data import store
 from stringcast.data.artifacts import ESTIMATION_SUMMARY
-from stringcast.data.file_checks import read_json
+from stringcast.data.errors import escape_control_characters
+from stringcast.data.file_checks import MAX_TEXT_BYTES, read_json
 from stringcast.data.schema import Column, DataError, Table
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
@@ -51,8 +52,8 @@ RUNS_TABLE = Table(
         Column("said", "", "how it ended or why it stopped, in words", "text"),
     ),
 )
-# raised where files of other programs are read
-READ_ERRORS = (KeyError, TypeError, ValueError, AttributeError)
+# first characters of a cell that a spreadsheet takes for a formula
+FORMULA_STARTS = ("=", "+", "-", "@", "\t")
 # characters, so that a row fits into 80 columns
 RUN_COLUMN_WIDTH, COLUMN_WIDTH = 38, 10
 
@@ -90,8 +91,10 @@ def list_runs(folder: Path) -> pd.DataFrame:
         raise UserError(f"{folder}: there is no such folder. Name one that holds runs.")
     runs: list[Path] = []
     for path in folder.rglob("config.json"):
-        if path.is_file() and '"mode"' in path.read_text("utf-8", "replace"):
-            runs.append(path.parent)
+        if path.is_file():
+            with path.open(encoding="utf-8", errors="replace") as file:
+                if '"mode"' in file.read(MAX_TEXT_BYTES):
+                    runs.append(path.parent)
     console = Terminal(stderr=True)
     rows = []
     for run in track(sorted(runs), "index", console=console, transient=True):
@@ -102,7 +105,7 @@ def list_runs(folder: Path) -> pd.DataFrame:
 def write_runs(runs: pd.DataFrame, to: Path, folder: Path) -> None:
     """Write the list of a folder's runs as a page, Parquet or CSV, by its ending."""
     if to.suffix == ".csv":
-        store.write_text(to, runs.to_csv(index=False))
+        store.write_text(to, runs.map(neutralise_formula).to_csv(index=False))
     elif to.suffix == ".parquet":
         store.write_table(RUNS_TABLE, runs, to, {"step": "index"} | software_versions())
     elif to.suffix == ".html":
@@ -121,6 +124,17 @@ def write_runs(runs: pd.DataFrame, to: Path, folder: Path) -> None:
         )
 
 
+def neutralise_formula(value: Any) -> Any:
+    """Return a text that no spreadsheet or terminal takes for a command.
+
+    A formula is one if a text begins with it; an apostrophe before it makes it a text.
+    """
+    if not isinstance(value, str):
+        return value
+    text = escape_control_characters(value)
+    return f"'{text}" if text.startswith(FORMULA_STARTS) else text
+
+
 def run_row(run: Path) -> dict[str, Any]:
     """Return the row of a run, which says what is wrong if the run is damaged."""
     try:
@@ -130,7 +144,8 @@ def run_row(run: Path) -> dict[str, Any]:
             **ending_columns(run, settings),
             **step_columns(run, settings),
         }
-    except (DataError, *READ_ERRORS) as error:
+    except Exception as error:  # a run of others may be damaged in any way
+        reason = str(error) if isinstance(error, DataError) else repr(error)
         return {
             "experiment": "",
             "outcome": "",
@@ -140,7 +155,7 @@ def run_row(run: Path) -> dict[str, Any]:
             "seconds": 0.0,
             "state": "damaged",
             "stale": "",
-            "said": str(error),
+            "said": reason,
         }
 
 

@@ -57,6 +57,8 @@ def add_origin(tree: Tree, place: Path, run: Path, shown: set[Path | str]) -> bo
     has_changed = False
     for name, digest in origin.get("inputs", {}).items():
         paths = [path.resolve() for path in (run / name, Path(name)) if path.exists()]
+        # of a folder elsewhere, which no step has as an input, nothing is read
+        paths = [path for path in paths if path.is_file() or path.is_relative_to(run)]
         if not paths:
             tree.add(Text(f"{name} IS GONE"))
             has_changed = True

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import logging
 from abc import abstractmethod
 from importlib import import_module
 from pathlib import Path
 
 from rich.markup import escape
 
+from stringcast.data.errors import ExpectedError
 from stringcast.pipeline.cli.console import print_summary, progress_bars
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run import run_folder
 from stringcast.pipeline.run.experiment import Experiment, Mode
-from stringcast.pipeline.run.file_names import SUMMARY_FILE
+from stringcast.pipeline.run.file_names import LOG_FILE, SUMMARY_FILE
 from stringcast.pipeline.run.iterations import Executor
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.execute.interfaces import HardwareError
+
+log = logging.getLogger(__name__)
 
 
 class Stepwise(Mode):
@@ -47,12 +51,10 @@ class Stepwise(Mode):
                 experiment, folder, graph, bar, lambda text: console.print(escape(text))
             )
             result = self.run_steps(experiment, folder, steps)
+            run_folder.write_stage_files(result)
             if "report" in saved_outputs:
                 with bar("report"):
-                    # loaded here, because drawing takes a second and more to load
-                    report = import_module("stringcast.pipeline.run.report")
-                    report.write_report(experiment, result)
-            run_folder.write_stage_files(result)
+                    write_page(experiment, result, console)
             if not steps.interrupted:
                 run_folder.write_summary(result)
         if "frames" not in saved_outputs and not steps.interrupted:
@@ -61,6 +63,22 @@ class Stepwise(Mode):
         if steps.interrupted:
             raise KeyboardInterrupt
         return result
+
+
+def write_page(experiment: Experiment, result: RunResult, console: Terminal) -> None:
+    """Write the run's page; a fault of ours in it costs the page alone."""
+    # loaded here, because drawing takes a second and more to load
+    report = import_module("stringcast.pipeline.run.report")
+    try:
+        report.write_report(experiment, result)
+    except ExpectedError:  # such as a full disk
+        raise
+    except Exception as error:
+        log.exception("report.html was not drawn")
+        console.print_line(
+            f"report.html was not drawn ({error!r}). All results are stored. Please "
+            f"report this, with {result.folder / LOG_FILE}."
+        )
 
 
 def check_devices(experiment: Experiment) -> None:

@@ -231,7 +231,8 @@ def input_hashes(
         path = folder / name if name.startswith("iterations/") else Path(name)
         path = path.resolve()
         is_allowed = any(path.is_relative_to(allowed) for allowed in allowed_folders)
-        if is_allowed and (path.is_dir() or path.is_file()):
+        is_step = path.is_dir() and path.is_relative_to(allowed_folders[0])
+        if is_allowed and (is_step or path.is_file()):
             hashes[name] = store.content_hash(path)
     return hashes
 

@@ -138,7 +138,7 @@ def matching_figure(record: PaperRecord, condition: str) -> PaperFigure | None:
         is_near = np.abs(t - closest) <= HIT_HALF_WINDOW_S
         means.append(float(np.nanmean(rates[is_near])))
         texts.append(f"{format_rate(means[-1])} in {name}")
-    axes.set(xlabel="time [ms]", ylabel="matching rate E$_f$ [1]", ylim=(0, 1.02))
+    axes.set(xlabel="time [ms]", ylabel="matching rate of a frame [1]", ylim=(0, 1.02))
     add_legend_above(figure, 2)
     words = f"Around the closest approach, 50 ms each side, E is {', '.join(texts)}"
     if means[-1] > means[0]:

@@ -1,0 +1,119 @@
+"""Runs of others, damaged or made to harm: what the commands say of them."""
+
+import json
+
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from stringcast.data.schema import DataError
+from stringcast.data.store import read_origin
+from stringcast.pipeline.cli.terminal import Terminal
+from stringcast.pipeline.commands import load_command
+from stringcast.pipeline.commands.index import neutralise_formula
+from stringcast.pipeline.run import report
+from stringcast.pipeline.run.single_run import perform_run
+from tests.faults.toy import toy_experiment, toy_run
+
+
+@pytest.fixture
+def run(tmp_path):
+    folder = tmp_path / "outputs" / "run"
+    toy_run(folder, toy_experiment(1))
+    return folder
+
+
+def rewrite_origin(path, change):
+    """Replace the origin in a table's footer by a text."""
+    table = pq.read_table(path)
+    metadata = dict(table.schema.metadata)
+    origin = json.loads(metadata[b"origin"])
+    metadata[b"origin"] = change(origin).encode()
+    pq.write_table(table.replace_schema_metadata(metadata), path)
+
+
+NESTED = "[" * 100_000
+FOOTERS = {
+    "list": lambda origin: "[1, 2]",
+    "nested": lambda origin: NESTED,
+    "inputs": lambda origin: json.dumps({**origin, "inputs": ["/usr"]}),
+    "numbers": lambda origin: json.dumps({**origin, "inputs": {"a": 1}}),
+    "code": lambda origin: json.dumps({**origin, "code": "new"}),
+    "made": lambda origin: json.dumps({**origin, "made": {"at": 1}}),
+}
+
+
+@pytest.mark.parametrize("footer", FOOTERS)
+def test_a_footer_of_another_shape_is_one_error(run, capsys, footer):
+    path = run / "iterations/01/estimate/fit.parquet"
+    for table in path.parent.glob("*.parquet"):
+        rewrite_origin(table, FOOTERS[footer])
+    with pytest.raises(DataError, match="its footer does not say what made it"):
+        read_origin(path)
+    assert load_command("why")([str(run)]) == 1
+    assert "its footer does not say what made it" in capsys.readouterr().out
+    assert load_command("index")([str(run.parent)]) == 0
+    with pytest.raises(DataError, match="its footer"):
+        load_command("lineage")([str(path)])
+
+
+def test_a_folder_elsewhere_that_a_footer_names_is_not_read(
+    run, capsys, monkeypatch, tmp_path
+):
+    """Of `/usr`, it would take hours."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "file").write_text("private")
+    inputs = {str(elsewhere): "0" * 64}
+    for table in run.glob("iterations/01/*/*.parquet"):
+        rewrite_origin(table, lambda origin: json.dumps({**origin, "inputs": inputs}))
+    config = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps({**config, "trials": str(elsewhere)}))
+    opened = []
+    monkeypatch.setattr(
+        "stringcast.data.store.content_hash",
+        lambda path: opened.append(path) or "0" * 64,
+    )
+    load_command("why")([str(run)])
+    load_command("index")([str(run.parent)])
+    load_command("lineage")([str(run / "iterations/01/estimate/fit.parquet")])
+    assert elsewhere not in opened
+    printed = "".join(capsys.readouterr().out.split())
+    assert f"{elsewhere}ISGONE" in printed
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "[1]", '{"mode": 1}', '{"mode": 1, "name": {}}', "\0" * 2**21]
+)
+def test_a_damaged_run_is_a_line_of_the_index(run, tmp_path, text):
+    hostile = run.parent / "hostile"
+    hostile.mkdir()
+    (hostile / "config.json").write_text(f'"mode"{text}' if text == "{" else text)
+    (hostile / "run.json").write_text("[]")
+    to = tmp_path / "runs.parquet"
+    assert load_command("index")([str(run.parent), "--to", str(to)]) == 0
+    states = pd.read_parquet(to).set_index("run")["state"]
+    assert states["run"] == "ended"
+    assert states.get("hostile", "damaged") == "damaged"
+
+
+def test_a_table_for_spreadsheets_holds_no_formula():
+    assert neutralise_formula("=1+1") == "'=1+1"
+    assert neutralise_formula("@SUM(A1)") == "'@SUM(A1)"
+    assert neutralise_formula("\x1b[2J") == r"\x1b[2J"
+    assert neutralise_formula("a run") == "a run"
+    assert neutralise_formula(-1.5) == -1.5
+
+
+def test_a_page_that_fails_costs_the_page_alone(tmp_path, monkeypatch, capsys):
+    def fail(*given):
+        raise ValueError("no such colour")
+
+    monkeypatch.setattr(report, "write_report", fail)
+    folder = tmp_path / "run"
+    with (tmp_path / "said").open("w") as said:
+        perform_run(toy_experiment(1), folder, Terminal(file=said, width=1000))
+    assert "report.html was not drawn" in (tmp_path / "said").read_text()
+    assert (folder / "run.json").exists()
+    assert "no such colour" in (folder / "run.log").read_text()
+    assert not (folder / "report.html").exists()
