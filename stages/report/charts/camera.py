@@ -7,7 +7,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -16,15 +15,12 @@ from stringcast.stages.report.formatting import format_mm, format_ms
 from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import (
     FRAME_COLOURS,
-    MM_PER_M,
     Picture,
     data_uri,
     encode_webp,
     webp_picture,
 )
 
-GRID_SPACING_M = 0.1
-TEXT_OUTLINE = [patheffects.withStroke(linewidth=2.4, foreground="#000000a0")]
 UNIT_BOX = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2  # corners, in turn
 
 
@@ -137,35 +133,6 @@ def draw_line(axes: Axes, record: RunRecord, world: np.ndarray, **style: Any) ->
         axes.plot(*record.model.camera.pixels(world).T, **style)
 
 
-def draw_grid(axes: Axes, record: RunRecord, region: ImageRegion) -> None:
-    """Draw a grid every 100 mm with its coordinates, bent as the lens bends it."""
-    camera = record.model.camera
-    left, top, right, bottom = region.left, region.top, region.right, region.bottom
-    corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
-    world = camera.world(corners)
-    low, high = world.min(axis=0), world.max(axis=0)
-    margin = 0.08 * (high - low)  # keeps labels out of the corners
-    first = np.ceil((low + margin) / GRID_SPACING_M)
-    last = np.floor((high - margin) / GRID_SPACING_M)
-    for axis, shift, align in ((0, (0, 5), "center"), (1, (5, -3), "left")):
-        for coordinate in np.arange(first[axis], last[axis] + 1) * GRID_SPACING_M:
-            line = np.linspace(low, high, 40)
-            line[:, axis] = coordinate
-            draw_line(axes, record, line, color="white", alpha=0.14, lw=0.7)
-            start = np.clip(camera.pixels(line)[0], (left, top), (right, bottom - 0.5))
-            axes.annotate(
-                f"{coordinate * MM_PER_M:.0f}",
-                start,
-                shift,
-                textcoords="offset points",
-                ha=align,
-                color="white",
-                fontsize=8,
-                path_effects=TEXT_OUTLINE,
-            )
-    axes.text(0.99, 0.01, "mm", transform=axes.transAxes, ha="right", color="white")
-
-
 # --- the closest approach
 TIP_PATH_HALF_WINDOW_S = 0.03
 
@@ -193,7 +160,6 @@ def closest_approach_picture(record: RunRecord, cast: CastRecord) -> Picture | N
     draw_line(
         axes, record, closest, color=FRAME_COLOURS["ink"], marker="o", ms=8, mfc="none"
     )
-    draw_grid(axes, record, region)
 
     position = "not visible"
     if np.isfinite(verdict.distance):

@@ -123,15 +123,14 @@ def matching_figure(record: PaperRecord, condition: str) -> PaperFigure | None:
             tables[number] = table.sort_values("t")
     if not tables:
         return None
+    first = min(tables)
     compared = max(number for number in tables if number <= COMPARED_CAST)
     figure, axes = new_axes(5.4, 3.0)
-    means: list[float] = []
-    texts = []
-    for number in sorted({min(tables), compared}):
-        t = tables[number]["t"].to_numpy()
-        rates = tables[number]["before"].to_numpy()
+    means, texts = [], []
+    for number in sorted({first, compared}):
+        t, rates = tables[number][["t", "before"]].to_numpy().T
         closest = record.cast_verdict(condition, number)["t_closest"]
-        colour = "after" if means else "before"
+        colour = "before" if number == first else "after"
         name = f"manipulation {number}"
         axes.plot(t * MM_PER_M, break_at_gaps(t, rates), color=colour, label=name)
         axes.axvline(closest * MM_PER_M, color=colour, lw=1, ls="--")
@@ -186,27 +185,12 @@ def table_4_figure(
 def _draw_parameter(axes: Axes, ours: pd.DataFrame, paper: dict[str, float]) -> None:
     low, high = ours["minimum"].min(), ours["maximum"].max()
     axes.axvspan(low, high, color="axis", alpha=0.16, lw=0, label="range")
-    for row, (condition, printed) in enumerate(paper.items()):
-        labels = ("a run of ours", "the paper") if row == 0 else (None, None)
-        values = ours.loc[ours["condition"] == condition, "value"]
-        axes.plot(
-            values,
-            [row - 0.12] * len(values),
-            "o",
-            color="after",
-            alpha=0.6,
-            ms=5,
-            label=labels[0],
-        )
-        axes.plot(
-            [printed],
-            [row + 0.18],
-            "x",
-            color="before",
-            ms=7,
-            mew=2,
-            label=labels[1],
-        )
+    rows = ours["condition"].map(list(paper).index)
+    label = "a run of ours"
+    axes.plot(ours["value"], rows - 0.12, "o", color="after", alpha=0.6, label=label)
+    rows_of_paper = np.arange(len(paper)) + 0.18
+    style: dict[str, Any] = {"color": "before", "ms": 7, "mew": 2}
+    axes.plot(list(paper.values()), rows_of_paper, "x", label="the paper", **style)
     axes.set_xscale("log")
     label_decades(axes.xaxis)
     axes.set_yticks(range(len(paper)), [condition[-1] for condition in paper])
