@@ -21,6 +21,7 @@ from stringcast.stages.report.theme import (
     webp_picture,
 )
 
+REGION_MARGIN_M = 0.05  # around the points that a part of the image shows
 UNIT_BOX = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2  # corners, in turn
 
 
@@ -54,9 +55,7 @@ class ImageRegion:
         return part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
 
 
-def region_around(
-    record: RunRecord, world: np.ndarray, margin: float = 0.05
-) -> ImageRegion:
+def region_around(record: RunRecord, world: np.ndarray) -> ImageRegion:
     """Return the part of the image that shows world points.
 
     Parameters
@@ -64,12 +63,10 @@ def region_around(
     record : Record
     world : ndarray, shape (N, 2)
         Points [m]; those that are NaN are ignored.
-    margin : float
-        Around the points [m].
     """
     camera = record.model.camera
     pixels = camera.pixels(world[np.isfinite(world).all(axis=1)])
-    border = margin * camera.px_per_m
+    border = REGION_MARGIN_M * camera.px_per_m
     image_size = np.array([camera.width, camera.height])
     low = np.clip(np.floor(pixels.min(axis=0) - border), 0, image_size - 16).astype(int)
     high = np.ceil(pixels.max(axis=0) + border)

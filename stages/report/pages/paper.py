@@ -320,11 +320,7 @@ def _failures_section(record: PaperRecord) -> Section | None:
 
 
 def _choices_section() -> Section:
-    rows = []
-    for paper, choice in OPEN_CHOICES:
-        is_markup = isinstance(paper, Markup)
-        text = paper if is_markup else sentence_markup(paper)
-        rows.append((text, sentence_markup(choice)))
+    rows = [tuple(map(sentence_markup, texts)) for texts in OPEN_CHOICES]
     table = Card("", [Table(("the paper", "here"), rows)])
     return Section("What the paper leaves open, and our choices", [table])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from markupsafe import Markup
@@ -41,7 +41,7 @@ from stringcast.stages.report.page import (
     number_cells,
 )
 from stringcast.stages.report.records import SweepRecord
-from stringcast.stages.report.theme import STYLE_SHEET, Picture
+from stringcast.stages.report.theme import STYLE_SHEET
 
 MAIN_OUTCOMES = ("hit", "manipulations", "E_after")
 
@@ -163,27 +163,16 @@ def _job_cell(record: SweepRecord, job: Mapping[str, Any]) -> Cell:
     )
 
 
-def _small_pictures(
-    outcomes: list[Outcome], draw: Callable[[Outcome], Picture | None]
-) -> list[tuple[Markup, Picture]]:
-    """Draw a small picture of each outcome that a job knows, below its title."""
+def _response_section(record: SweepRecord, factor: str) -> Section:
+    """Draw each outcome over a setting, below its title."""
     pictures = []
-    for outcome in outcomes:
+    for outcome in record.outcomes:
         unit = Markup("")
         if outcome.unit not in ("", "1"):
             unit = Markup("[{}]").format(unit_markup(outcome.unit))
-        if picture := draw(outcome):
+        picture = outcome_curve(record.finished_jobs, outcome, factor, record.units)
+        if picture:
             pictures.append((join_sentences([bold_text(outcome.label), unit]), picture))
-    return pictures
-
-
-def _response_section(record: SweepRecord, factor: str) -> Section:
-    """Draw each outcome over a setting."""
-
-    def draw(outcome: Outcome) -> Picture | None:
-        return outcome_curve(record.finished_jobs, outcome, factor, record.units)
-
-    pictures = _small_pictures(record.outcomes, draw)
     parts: list[Part] = [Text("Nothing is known: no job is done.", "missing")]
     if pictures:
         lead = "Blue: mean over the other settings and the seeds. Grey: the jobs."
