@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import pandas as pd
 from markupsafe import Markup
 from matplotlib import style
 
@@ -90,25 +91,22 @@ def _describe_largest_effect(record: SweepRecord, main: list[Outcome]) -> str:
     if not record.factors or record.finished_jobs.empty:
         return ""
     for outcome in main:
-        effects = {}
+        largest, sentence = 0.0, ""
         for factor in record.factors:
             means = mean_response(record.finished_jobs, outcome, [factor])
-            low, high = (
-                means.loc[means["mean"].idxmin()],
-                means.loc[means["mean"].idxmax()],
-            )
-            if low["high"] < high["low"]:
-                effects[factor] = (low, high)
-        if effects:
-            factor = max(
-                effects,
-                key=lambda f: float(effects[f][1]["mean"] - effects[f][0]["mean"]),
-            )
-            low, high = effects[factor]
-            unit = f" {outcome.unit}" if outcome.unit else ""
-            best = f"{format_value(high['mean'])}{unit} with {factor}={high[factor]}"
-            worst = f"{format_value(low['mean'])}{unit} with {low[factor]}"
-            return f"The {outcome.label} is {best}, {worst}"
+            low = means.loc[means["mean"].idxmin()]
+            high = means.loc[means["mean"].idxmax()]
+            size = high["mean"] - low["mean"]
+            if low["high"] < high["low"] and size > largest:
+                largest = size
+                unit = f" {outcome.unit}" if outcome.unit else ""
+                best = (
+                    f"{format_value(high['mean'])}{unit} with {factor}={high[factor]}"
+                )
+                worst = f"{format_value(low['mean'])}{unit} with {low[factor]}"
+                sentence = f"The {outcome.label} is {best}, {worst}"
+        if sentence:
+            return sentence
     return f"No varied setting changes the {main[0].label} significantly"
 
 
@@ -209,21 +207,16 @@ def _combinations_section(record: SweepRecord, main: list[Outcome]) -> Section |
     factors = record.factors
     if not factors or record.finished_jobs.empty:
         return None
-    count = record.finished_jobs.groupby(factors, sort=True).size()
-    means: dict[str, Mapping[Any, str]] = {}
+    columns = {"jobs": record.finished_jobs.groupby(factors, sort=True).size()}
     for outcome in main:
-        rows = mean_response(record.finished_jobs, outcome, factors)
-        texts = [format_mean(row) for row in rows.to_dict("records")]
-        means[outcome.title] = dict(
-            zip(rows.set_index(factors).index, texts, strict=True)
-        )
+        means = mean_response(record.finished_jobs, outcome, factors)
+        columns[outcome.title] = means.set_index(factors).apply(format_mean, axis=1)
+    combinations = pd.concat(columns, axis=1).fillna(NOT_KNOWN).reset_index()
     table = []
-    for level, jobs in count.items():
-        texts = [of_level.get(level, NOT_KNOWN) for of_level in means.values()]
-        levels = level if len(factors) > 1 else [level]
-        table.append([*levels, *number_cells([jobs, *texts])])
+    for row in combinations.to_numpy(object).tolist():
+        table.append([*row[: len(factors)], *number_cells(row[len(factors) :])])
     summary = f"{format_count(len(table), 'combination')} of settings"
-    folded = Details(summary, [Table([*factors, "jobs", *means], table)])
+    folded = Details(summary, [Table([*factors, *columns], table)])
     return Section("All combinations", [folded])
 
 
