@@ -87,31 +87,29 @@ def worse_predictions(record: DiagnosisRecord) -> list[dict[str, Any]]:
 
 def _held_out_table(record: DiagnosisRecord) -> Table:
     """Tabulate each held-out trial, and all together."""
-    models, gain = record.models, record.document["gain"]
-    total = {
+    gain = record.document["gain"]
+    total: dict[str, Any] = {
+        "trial": bold_text("all"),
         "noise_floor": gain["rms_m"]["noise_floor"],
         "log_likelihood_difference": gain["log_likelihood_per_trial"]["difference"],
     }
-    for model in models:
+    rms, tip, rates = {}, {}, {}  # columns of the table by their titles
+    for model in record.models:
         total[f"rms_{model}"] = gain["rms_m"][model]
         total[f"tip_rms_{model}"] = gain["tip_rms_m"][model]
         total[f"E_{model}"] = gain["matching_rate"][model]
+        rms[f"RMS {model}"] = f"rms_{model}"
+        tip[f"tip {model}"] = f"tip_rms_{model}"
+        rates[f"E {model}"] = f"E_{model}"
+    lengths = rms | {"noise floor": "noise_floor"} | tip
+    gains = (
+        {"log-likelihood": "log_likelihood_difference"} if record.is_extended else {}
+    )
 
-    def cells(row: dict[str, Any]) -> list[str]:
-        texts = [format_mm(row[f"rms_{model}"], 2) for model in models]
-        texts.append(format_mm(row["noise_floor"], 2))
-        texts += [format_mm(row[f"tip_rms_{model}"], 2) for model in models]
-        texts += [format_rate(row[f"E_{model}"]) for model in models]
-        if record.is_extended:
-            texts.append(format_gain(row["log_likelihood_difference"]))
-        return texts
-
-    columns = ["trial", *(f"RMS {model}" for model in models), "noise floor"]
-    columns += [f"{quantity} {model}" for quantity in ("tip", "E") for model in models]
-    if record.is_extended:
-        columns.append("log-likelihood")
     rows = []
-    for row in record.diagnosis.held_out.to_dict("records"):
-        rows.append([row["trial"], *number_cells(cells(row))])
-    rows.append([bold_text("all"), *number_cells(cells(total))])
-    return Table(columns, rows)
+    for row in (*record.diagnosis.held_out.to_dict("records"), total):
+        texts = [format_mm(row[name], 2) for name in lengths.values()]
+        texts += [format_rate(row[name]) for name in rates.values()]
+        texts += [format_gain(row[name]) for name in gains.values()]
+        rows.append([row["trial"], *number_cells(texts)])
+    return Table(["trial", *lengths, *rates, *gains], rows)
