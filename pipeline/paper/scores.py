@@ -132,7 +132,7 @@ NUMBERS = Table(
 
 
 def read_printed_numbers() -> pd.DataFrame:
-    """Read table NUMBERS."""
+    """Read the table of the numbers that the paper prints."""
     return NUMBERS.check(pd.read_csv(NUMBERS_FILE), str(NUMBERS_FILE))
 
 

@@ -47,7 +47,7 @@ CHECKS: tuple[Check, ...] = (
 
 
 def collect_findings(dataset: CheckedDataset) -> list[Finding]:
-    """Run all checks.
+    """Run all checks of a dataset.
 
     Findings of the same place with the same remedy become one, with the statement of
     the first and all their trials.

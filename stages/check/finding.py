@@ -21,7 +21,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One result of a check.
+    """A fault or peculiarity that a check found in the data.
 
     Attributes
     ----------

@@ -142,7 +142,7 @@ class CheckedTrial:
 
     @cached_property
     def noise(self) -> float:
-        """One standard deviation of a coordinate [m]; NaN if frames are too few.
+        """Standard deviation of a coordinate [m], or NaN if there are too few frames.
 
         It is estimated from fourth differences in time, which smooth motion hardly has,
         at the calmest place, because the tip of a fast string has them.
