@@ -391,12 +391,11 @@ def likeliest_mistakes(
         if len(best) == 1:
             return best
         gravity = abs(median_gravity(dataset.with_points()))
-
-        def gravity_error(correction: Correction, gravity: float = gravity) -> float:
-            ratio = gravity * length_factor(correction) / GRAVITY
-            return float(np.nan_to_num(abs(np.log(ratio))))
-
-        return sorted(best, key=gravity_error)
+        gravity_errors: dict[Correction, float] = {}
+        for candidate in best:
+            ratio = gravity * length_factor(candidate) / GRAVITY
+            gravity_errors[candidate] = float(np.nan_to_num(abs(np.log(ratio))))
+        return sorted(best, key=gravity_errors.__getitem__)
     return []
 
 

@@ -28,10 +28,7 @@ def law_picture(effect: type[Effect], values: Mapping[str, float]) -> Picture:
     figure, axes = new_axes(3.4, 2.5)
     effect.plot(axes, values)
     for line in axes.lines:
-        if line.get_color() in (
-            "0.6",
-            "0.7",
-        ):  # effects draw grey, which has no dark side
+        if line.get_color() in ("0.6", "0.7"):  # grey of effects has no dark side
             line.set_color("axis")
     for arrows in axes.collections:
         arrows.set_facecolor("after")
@@ -100,15 +97,7 @@ def unexplained_picture(record: DiagnosisRecord) -> Picture | None:
         )
         axes.margins(0.06, 0.3)
         axes.set_ylabel("s [mm]")
-        axes.text(
-            1.0,
-            1.0,
-            trial,
-            transform=axes.transAxes,
-            ha="right",
-            va="bottom",
-            color="soft",
-        )
+        axes.set_title(trial, loc="right", color="soft", fontsize=9)
     axes.set_xlabel("time [ms]")
     top = table.loc[size.idxmax()]
     words = (
