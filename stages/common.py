@@ -1,9 +1,13 @@
-"""Helpers of stages: progress, robust scatter, and tracks of places on a string."""
+"""Helpers of stages: progress, imports, scatter, and tracks of places on a string."""
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
@@ -25,6 +29,18 @@ class SettingsGroup:
     It is an argument of a stage's function. Its fields are settings of the stage's
     group, next to the others.
     """
+
+
+def import_file(name: str, path: Path) -> ModuleType:
+    """Import a file under a name that is not a package's."""
+    specification = importlib.util.spec_from_file_location(name, path)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    # where `inspect` looks for source text and Numba for its cached machine code
+    sys.modules[name] = module
+    specification.loader.exec_module(module)
+    return module
 
 
 class InterruptRequest(KeyboardInterrupt):

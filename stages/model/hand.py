@@ -46,10 +46,14 @@ class HandMotion:
     rate: np.ndarray
 
     @property
+    def times(self) -> np.ndarray:
+        """Times of the poses, (K,) [s]."""
+        return self.start + self.tick * np.arange(self.pose.shape[1])
+
+    @property
     def end(self) -> float:
         """Time of the last pose [s]."""
-        end: float = self.start + (self.pose.shape[1] - 1) * self.tick
-        return end
+        return float(self.times[-1])
 
     def for_candidates(self, chosen: np.ndarray) -> HandMotion:
         """Return the motions of some candidates, by number, or the one they share."""
@@ -140,10 +144,14 @@ class JointMotion:
     angles: np.ndarray
     speeds: np.ndarray
 
+    @property
+    def times(self) -> np.ndarray:
+        """Times of the angles, (K,) [s]."""
+        return self.start + self.tick * np.arange(self.angles.shape[1])
+
     def extended_until(self, until: float) -> JointMotion:
         """Append rest until a time [s], or as long as anything lags behind."""
-        end = self.start + (self.angles.shape[1] - 1) * self.tick
-        missing = _rest_ticks(until - end, self.tick)
+        missing = _rest_ticks(until - self.times[-1], self.tick)
         angles, speeds = append_rest_ticks(self.angles, self.speeds, missing)
         return JointMotion(self.start, self.tick, angles, speeds)
 
@@ -255,7 +263,7 @@ def _apply_law(
     present = np.any(differs, axis=0)
     if not present.any():
         return value, rate
-    t = motion.start + motion.tick * np.arange(value.shape[1])
+    t = motion.times
     present_values = value if len(value) == 1 else value[present]
     present_parameters = {name: p[present] for name, p in parameters.items()}
     change = (

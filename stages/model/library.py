@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import difflib
-import importlib.util
+import importlib
 import os
-import sys
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+from stringcast.stages.common import import_file
 from stringcast.stages.model import effects as package
 from stringcast.stages.model.effect import Effect, numbered_effect
 
@@ -123,13 +123,7 @@ def _load_effect(path: Path) -> type[Effect]:
     if path.parent == Path(package.__path__[0]).resolve():
         module = importlib.import_module(f"{package.__name__}.{path.stem}")
     else:
-        name = f"effects_elsewhere.{path.stem}"
-        specification = importlib.util.spec_from_file_location(name, path)
-        assert specification is not None
-        assert specification.loader is not None
-        module = importlib.util.module_from_spec(specification)
-        sys.modules[name] = module  # inspect looks there for the text of laws
-        specification.loader.exec_module(module)
+        module = import_file(f"effects_elsewhere.{path.stem}", path)
     effects = []
     for member in vars(module).values():
         if isinstance(member, type) and member.__module__ == module.__name__:

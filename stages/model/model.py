@@ -297,7 +297,7 @@ class Model(Parametrised):
         """
         moments = np.atleast_2d(self.required_times(values, times))
         actual = self.joint_motion(motion, values)
-        ticks = actual.start + actual.tick * np.arange(actual.angles.shape[1])
+        ticks = actual.times
         inside = np.clip(moments, ticks[0], ticks[-1])
         motions = len(actual.angles)
         if motions > 1:

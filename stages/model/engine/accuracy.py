@@ -177,8 +177,7 @@ def _refine_steps(
 
 def _simulate_tip(string: String, hand: HandMotion, values: np.ndarray) -> np.ndarray:
     """Simulate the tip at the hand's ticks, (C, F, 2) [m]."""
-    times = hand.start + hand.tick * np.arange(hand.pose.shape[1])
-    return simulate(string, hand, values, times).tip
+    return simulate(string, hand, values, hand.times).tip
 
 
 def _max_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:

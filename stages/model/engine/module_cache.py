@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import getpass
 import hashlib
-import importlib.util
 import os
 import stat
 import sys
@@ -22,6 +21,8 @@ import llvmlite.binding
 import numba
 import numpy as np
 
+from stringcast.stages.common import import_file
+
 ROOT = Path(__file__).resolve().parents[3]
 
 
@@ -33,13 +34,7 @@ def import_generated_module(text: str) -> ModuleType:
         unfinished = path.with_suffix(f".{os.getpid()}.tmp")
         unfinished.write_text(text, encoding="utf-8")
         os.replace(unfinished, path)
-    specification = importlib.util.spec_from_file_location(path.stem, path)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[path.stem] = module  # cached machine code looks its module up by name
-    specification.loader.exec_module(module)
-    return module
+    return import_file(path.stem, path)
 
 
 def module_path(text: str) -> Path:
