@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import eigh
@@ -41,11 +41,8 @@ from stringcast.stages.inference.basis import (
     time_nodes,
     time_splines,
 )
-from stringcast.stages.inference.noise import gram_roots
+from stringcast.stages.inference.noise import MeasuredTrial, gram_roots
 from stringcast.stages.inference.whitening import LowRankWhitening
-
-if TYPE_CHECKING:
-    from stringcast.stages.inference.prepared_trial import PreparedTrial
 
 MATERN_TIME_S = 0.08  # [s]: 0.05 to 0.12 suited nine fits of strings of 0.3 m
 # Scales s [m], each 1.56 times the last; no string is farther off.
@@ -87,7 +84,7 @@ class Discrepancy:
     @classmethod
     def for_trial(
         cls,
-        trial: PreparedTrial,
+        trial: MeasuredTrial,
         growth: np.ndarray,
         nuisance: np.ndarray,
     ) -> Discrepancy:
@@ -248,7 +245,7 @@ class Discrepancy:
 
 
 def remove_smooth_motion(
-    trial: PreparedTrial,
+    trial: MeasuredTrial,
     residual: np.ndarray,
 ) -> tuple[np.ndarray, float]:
     """Remove smooth motion from residuals (n, 2) over sigma.
@@ -288,7 +285,7 @@ def best_scale_index(log_likelihoods: np.ndarray) -> np.ndarray:
     return np.asarray(np.argmax(log_likelihoods + log_scale_prior(), axis=-1))
 
 
-def _kernel_root(trial: PreparedTrial, growth: np.ndarray) -> np.ndarray:
+def _kernel_root(trial: MeasuredTrial, growth: np.ndarray) -> np.ndarray:
     """Compute a root (n, R) of the discrepancy's covariance, of unit rms at the tip."""
     knots = time_nodes(trial.times, KNOT_SPACING_S)
     correlation_time = max(MATERN_TIME_S, 2 * (knots[1] - knots[0]))

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -32,9 +32,7 @@ from stringcast.stages.inference.basis import (
     place_functions,
     time_splines,
 )
-
-if TYPE_CHECKING:
-    from stringcast.stages.inference.prepared_trial import PreparedTrial
+from stringcast.stages.model.model import Model
 
 MAX_FRAME_CORRELATION = 0.5  # as of means over two frames: more is motion
 
@@ -94,6 +92,37 @@ class Noise:
 WHITE_NOISE = Noise(np.eye(PLACE_FUNCTIONS), 0.0)
 
 
+class MeasuredTrial(Protocol):
+    """The part of a prepared trial that its noise and discrepancy depend on.
+
+    Prepared trials know their discrepancies, and no module knows one that knows it.
+    """
+
+    @property
+    def model(self) -> Model:
+        """The model, whose string's length counts."""
+
+    @property
+    def times(self) -> np.ndarray:
+        """The frame times, (F,) [s]."""
+
+    @property
+    def frame(self) -> np.ndarray:
+        """The frame index of each measured point, (n,)."""
+
+    @property
+    def s(self) -> np.ndarray:
+        """The arc length of each measured point, (n,) [m]."""
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """The standard deviation of each measured point, (n,) [m]."""
+
+    @property
+    def noise(self) -> Noise:
+        """The correlation of the points' noise."""
+
+
 @dataclass(frozen=True)
 class NoiseTrack:
     """The residuals of a trial that its noise is estimated from.
@@ -120,7 +149,7 @@ def gram_roots(place: np.ndarray, frame: np.ndarray, frames: int) -> np.ndarray:
     return np.asarray(np.einsum("fik,fk,fjk->fij", vectors, sizes, vectors))
 
 
-def noise_track(trial: PreparedTrial, residual: np.ndarray) -> NoiseTrack:
+def noise_track(trial: MeasuredTrial, residual: np.ndarray) -> NoiseTrack:
     """Project residuals (n, 2) over sigma on what the noise is estimated from.
 
     Divided by the root of the Gram matrix of functions of place, white noise has unit
