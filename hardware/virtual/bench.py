@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
 from stringcast.data.artifacts import JOINTS, SPEEDS
 from stringcast.hardware.virtual.obstacles import Obstacles
@@ -51,7 +52,7 @@ class Specimen:
         name, each with its parameters.
     """
 
-    length: float
+    length: Annotated[float, Field(gt=0, le=100.0)]
     parameters: Mapping[str, float]
     points: int = 40
     hidden: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

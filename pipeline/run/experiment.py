@@ -16,7 +16,11 @@ from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.run.stage_graph import StageGraph
-from stringcast.pipeline.settings.composition import Settings, UserError
+from stringcast.pipeline.settings.composition import (
+    Settings,
+    UserError,
+    flatten_settings,
+)
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import (
     bind_stage,
@@ -210,6 +214,13 @@ def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
 
 def check_run_settings(config: Settings, where: BlockLocation) -> None:
     """Raise UserError for a setting of the run itself that has a wrong value."""
+
+    for name, value in flatten_settings(config).items():
+        if isinstance(value, float) and not math.isfinite(value):
+            place = where(name.partition(".")[0])
+            raise UserError(
+                f"{name} = {value} ({place}): it must be a finite number. Change it."
+            )
 
     def refuse(name: str, requirement: str) -> NoReturn:
         setting = f"{name} = {config[name]!r} ({where(name)})"

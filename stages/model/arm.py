@@ -45,7 +45,7 @@ class Arm:
     speed: tuple[PositiveFloat, ...]
     acceleration: tuple[PositiveFloat, ...]
     hand_speed: PositiveFloat
-    tick: PositiveFloat
+    tick: Annotated[float, Field(ge=1e-4, le=1.0)]
 
     def __post_init__(self) -> None:
         """Refuse limits that do not belong to the links."""

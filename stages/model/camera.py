@@ -57,7 +57,7 @@ class Camera:
     height: Annotated[int, Field(ge=16)]
     px_per_m: Annotated[float, Field(gt=0)]
     origin_px: tuple[float, float]
-    fps: Annotated[float, Field(gt=0)]
+    fps: Annotated[float, Field(gt=0, le=1e5)]
     exposure: Annotated[float, Field(ge=0)] = 0.0
     distortion: float = 0.0
     rotation: float = 0.0

@@ -12,9 +12,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from stringcast.stages.model.effect import StringEffect, is_position_dependent
 from stringcast.stages.model.effects.air_drag import AirDrag
@@ -114,7 +115,7 @@ class String(Parametrised):
         If there are too few or too many points, or ranges of unknown parameters.
     """
 
-    length: float
+    length: Annotated[float, Field(gt=0, le=100.0)]
     points: int = 10
     effects: Effects = PAPER_EFFECTS
     reference_points: int = 10
@@ -122,7 +123,7 @@ class String(Parametrised):
     grasp_cell: float = 0.0
     ranges: Mapping[str, Parameter] = field(default_factory=dict)
     integrator: Integrator = SemiImplicitEuler()
-    largest_step: float = 2.0e-4
+    largest_step: Annotated[float, Field(ge=1e-6, le=0.1)] = 2.0e-4
 
     def __post_init__(self) -> None:
         """Refuse what cannot be simulated."""
