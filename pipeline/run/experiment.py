@@ -213,8 +213,7 @@ def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
 
 
 def check_run_settings(config: Settings, where: BlockLocation) -> None:
-    """Raise UserError for a setting of the run itself that has a wrong value."""
-
+    """Raise UserError for a number that is not finite, or a setting of the run."""
     for name, value in flatten_settings(config).items():
         if isinstance(value, float) and not math.isfinite(value):
             place = where(name.partition(".")[0])

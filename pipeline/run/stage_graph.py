@@ -182,7 +182,7 @@ def chosen_sources(stage: StageSpec, config: Settings) -> dict[str, str]:
         if name not in known:
             raise UserError(
                 f"{setting}.{name}: stage {stage.name} has no such input. "
-                f"{nearest(name, known)}"
+                f"{suggest(name, known)}"
             )
     return dict(chosen)
 
@@ -194,7 +194,7 @@ def find_chosen(
     setting = f"{stage.name}.{INPUTS_SETTING}.{port.name} = {source}"
     if source not in names:
         raise UserError(
-            f"{setting}: this run has no such stage. {nearest(str(source), names)}"
+            f"{setting}: this run has no such stage. {suggest(str(source), names)}"
         )
     makes = stages()[source].makes
     if not issubclass(makes, port.kind):
@@ -231,7 +231,7 @@ def refuse_unknown_stages(names: Sequence[str]) -> None:
     for position, name in enumerate(names):
         if name not in stages():
             raise UserError(
-                f"mode: there is no stage {name!r}. {nearest(name, [*stages()])}"
+                f"mode: there is no stage {name!r}. {suggest(name, [*stages()])}"
             )
         if name in names[:position]:
             raise UserError(f"mode: stage {name} stands twice. Remove one.")
@@ -280,7 +280,7 @@ def kind_name(kind: Kind) -> str:
     return " or ".join(part.__name__ for part in kinds)
 
 
-def nearest(name: str, known: Sequence[str]) -> str:
+def suggest(name: str, known: Sequence[str]) -> str:
     """Suggest the nearest known name, or list all."""
     if near := difflib.get_close_matches(name, known, 1):
         return f"Did you mean '{near[0]}'?"

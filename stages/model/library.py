@@ -126,9 +126,10 @@ def _load_effect(path: Path) -> type[Effect]:
         module = import_file(f"effects_elsewhere.{path.stem}", path)
     effects = []
     for member in vars(module).values():
-        if isinstance(member, type) and member.__module__ == module.__name__:
-            if issubclass(member, Effect):
-                effects.append(member)
+        if not isinstance(member, type) or member.__module__ != module.__name__:
+            continue
+        if issubclass(member, Effect):
+            effects.append(member)
     if [getattr(effect, "name", "") for effect in effects] != [path.stem]:
         raise ValueError(
             f"{path}: it must hold one effect, with name = '{path.stem}'. See "
