@@ -304,6 +304,16 @@ def test_a_real_arm_does_not_move_by_limits_of_others(settings):
     refuse_inherited_limits(real, real, "trials=x")
 
 
+@pytest.mark.parametrize("block", ["arm", "hardware", "execute"])
+def test_every_limit_of_others_is_asked_about(block):
+    real = resolved("hardware=serial")
+    other = {**real, block: {**real[block], "added_by_others": 1.0}}
+    with pytest.raises(
+        UserError, match=rf"{block}\.added_by_others: absent here, 1\.0 there"
+    ):
+        refuse_inherited_limits(other, real, "trials=x")
+
+
 def test_a_virtual_arm_asks_nobody(settings):
     faster = {**settings, "arm": {**settings["arm"], "hand_speed": 99.0}}
     refuse_inherited_limits(faster, settings, "trials=x")
