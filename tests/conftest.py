@@ -1,4 +1,4 @@
-"""What several tests need: the default world, and trials filmed once."""
+"""Fixtures of several tests: the default world, and trials filmed once."""
 
 import io
 import os
@@ -89,7 +89,10 @@ def pytest_collection_modifyitems(items):
 
 
 def executed(stats):
-    """Whether any test was run to its end. stats: reports by outcome."""
+    """Return whether any test was run to its end.
+
+    `stats` holds reports by outcome.
+    """
     return any(
         stats.get(outcome)
         for outcome in ("passed", "failed", "error", "xfailed", "xpassed")
@@ -97,7 +100,7 @@ def executed(stats):
 
 
 def pytest_sessionfinish(session, exitstatus):
-    """A run in which every test was skipped has shown nothing, and is not clean."""
+    """Fail a run in which every test was skipped, because it has shown nothing."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     worker = hasattr(session.config, "workerinput")
     asked = (
@@ -112,9 +115,11 @@ def pytest_sessionfinish(session, exitstatus):
 
 @pytest.fixture(autouse=True, scope="session")
 def cores_are_shared():
-    """Side by side, each worker has its share of the cores: with all of them each, they
-    would wait for one another. Linear algebra has one thread, as in a command: two spin
-    while they wait, 4 of a diagnosis' 24 s of processor.
+    """Give each parallel worker its share of the cores.
+
+    Workers with all cores each would wait for one another. Linear algebra has one
+    thread, as in a command: two threads spin while they wait and take 4 of a diagnosis'
+    24 s of processor time.
     """
     numba.set_num_threads(share())
     with threadpool_limits(1, "blas"):
@@ -123,9 +128,11 @@ def cores_are_shared():
 
 @pytest.fixture(autouse=True, scope="session")
 def files_of_settings_are_parsed_once():
-    """A command composes its settings of 30 files, and the tests' process runs hundreds
-    of commands: what OmegaConf makes of a text is kept, a quarter of the time of a
-    composition.
+    """Cache the parsed text of settings files.
+
+    A command composes its settings from 30 files, and the tests' process runs hundreds
+    of commands. OmegaConf's result for a text is kept, which saves a quarter of a
+    composition's time.
     """
     parse = OmegaConf.load
     kept = cache(lambda text: parse(io.StringIO(text)))
@@ -141,15 +148,16 @@ def files_of_settings_are_parsed_once():
 
 
 def share():
-    """How many cores each worker has."""
+    """Return the number of cores of each worker."""
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     return max(numba.config.NUMBA_NUM_THREADS // workers, 1)
 
 
 def pipeline(*words):
-    """The command as a user gives it, in a process of its own, with a worker's share of
-    the cores: threads that wait for one another spin, and a diagnosis beside other work
-    took 66 s of processor for 25.
+    """Run the command as a user gives it, in a process with a worker's share of cores.
+
+    Threads that wait for one another spin: a diagnosis in parallel with other work took
+    66 s of processor time instead of 25.
     """
     command = [sys.executable, "-m", "pipeline", *map(str, words)]
     around = os.environ | {"NUMBA_NUM_THREADS": str(share())}
@@ -166,8 +174,9 @@ def pipeline(*words):
 
 @pytest.fixture
 def called(monkeypatch, capsys):
-    """The same in this process, where nothing is asked of the process: one of its own
-    takes 2 s to start.
+    """Run the command in this process, where the test does not need a separate one.
+
+    A separate process takes 2 s to start.
     """
     from stringcast.pipeline import __main__ as shell
     from stringcast.pipeline.sweep.lazy_launcher import LazyLauncher
@@ -196,8 +205,9 @@ def called(monkeypatch, capsys):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Pictures of pages are empty, but for their words: drawing takes most of a page's
-    time.
+    """Leave pictures of pages empty except for their words.
+
+    Drawing takes most of a page's time.
     """
     empty = SimpleNamespace(print_svg=lambda data, metadata: data.write("<svg></svg>"))
     monkeypatch.setattr(
@@ -207,7 +217,7 @@ def undrawn(monkeypatch):
 
 @contextmanager
 def threads(number):
-    """With so many of Numba's threads."""
+    """Run the block with a number of Numba's threads."""
     before = numba.get_num_threads()
     numba.set_num_threads(number)
     try:
@@ -217,7 +227,7 @@ def threads(number):
 
 
 def other_threads():
-    """With another number of threads than now, where there are several cores."""
+    """Return another number of threads than now, where there are several cores."""
     return threads(1 if numba.get_num_threads() > 1 else numba.config.NUMBA_NUM_THREADS)
 
 
@@ -238,16 +248,14 @@ def camera() -> Camera:
 
 @pytest.fixture(scope="module")
 def null_trials(arm, camera, tmp_path_factory):
-    """A folder of trials that hide nothing."""
+    """Write a folder of trials that hide nothing."""
     folder = tmp_path_factory.mktemp("theirs")
     draw("own_kernel", 1, "none").write(folder)
     return folder
 
 
 def ordinary(arm) -> Model:
-    """The base model of an ordinary string, as it is configured, before a simple
-    camera.
-    """
+    """Return the configured base model of an ordinary string before a simple camera."""
     return Model(
         String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)
     )
@@ -258,7 +266,7 @@ def specimen(name) -> Specimen:
 
 
 def swing(duration=0.5, start=(-0.9, 0.6, 0.4), speeds=(7.0, 5.0, -8.0)) -> Motion:
-    """A smooth movement of all joints, as a Motion artifact."""
+    """Return a smooth movement of all joints as a Motion artifact."""
     t = np.arange(0, duration + 1e-9, 0.005)
     w = np.stack([a * np.sin(np.pi * t / duration) ** 2 for a in speeds], axis=-1)
     q = np.asarray(start) + np.concatenate(
@@ -281,7 +289,10 @@ def swing(duration=0.5, start=(-0.9, 0.6, 0.4), speeds=(7.0, 5.0, -8.0)) -> Moti
 
 @pytest.fixture(scope="session")
 def filmed(arm, camera):
-    """Perform and film a swing of a string: (trial, true string at the frames)."""
+    """Perform and film a swing of a string; return the trial and the true string.
+
+    The true string is given at the frames.
+    """
 
     def film(name, **how):
         bench = VirtualBench(arm, replace(camera), specimen(name), seed=3)

@@ -1,5 +1,6 @@
-"""A stand for alignment: an arm that swings, and its hand as a camera of known
-misalignment would see it.
+"""Simulated trials of a camera whose true misalignment is known.
+
+The arm swings, and the camera sees its hand as the misalignment makes it.
 """
 
 from dataclasses import dataclass, replace
@@ -43,7 +44,10 @@ def aligned_values(alignment):
 
 @dataclass(frozen=True)
 class Stand:
-    """A performed motion. model: a string in the hand of an arm before a camera."""
+    """A performed motion of a string in the hand of an arm before a camera.
+
+    `model` holds the string, the arm and the camera.
+    """
 
     model: Model
     motion: Motion
@@ -66,12 +70,13 @@ class Stand:
 
     @property
     def arm(self) -> pd.DataFrame:
-        """What the arm reports, table ARM."""
+        """Return what the arm reports, as table ARM."""
         return self._performed[0]
 
     def joints(self, true, fps, also=()):
-        """Times (F,) of frames and where the camera sees the joints, (F, J + 1, 2).
-        true: by qualified name.
+        """Return frame times (F,) and where the camera sees the joints, (F, J + 1, 2).
+
+        `true` holds the true alignment by qualified name.
         """
         model = measurement_model(self.model).with_effects(*find_effects(also))
         times = np.arange(0.0, self.motion.duration, 1 / fps)
@@ -82,8 +87,9 @@ class Stand:
     def observation(
         self, true, fps=60.0, sigma=1e-3, correlation=0.0, also=(), name="t01"
     ):
-        """The hand as points at s = 0. correlation: of the noise from one frame to the
-        next.
+        """Return the hand as observed points at s = 0.
+
+        `correlation` is that of the noise from one frame to the next.
         """
         t, joints = self.joints(true, fps, also)
         fresh = np.random.default_rng([self.seed, 2]).normal(size=(len(t) + 200, 2))
@@ -100,12 +106,12 @@ class Stand:
 
 
 def stand(model: Model, seed: int = 0, **swing) -> Stand:
-    """A stand whose motion is drawn from a seed."""
+    """Draw a stand's motion from a seed."""
     return Stand(model, excite(model, (), seed=seed, **{**SWING, **swing}), seed)
 
 
 def still(observation: Observation) -> Observation:
-    """The same as if the arm had not moved."""
+    """Return the same stand with an arm that does not move."""
     first = observation.points.iloc[0]
     arm = observation.arm.assign(**observation.arm[list(JOINTS)].iloc[0])
     return replace(

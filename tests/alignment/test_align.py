@@ -1,5 +1,7 @@
-"""Camera and clock against the arm: what is hidden is found, as surely as is said; what
-cannot be told is refused.
+"""Alignment of camera and clock with the arm.
+
+A hidden misalignment is found within its stated uncertainty. What the data cannot
+determine is refused.
 """
 
 from dataclasses import replace
@@ -63,8 +65,10 @@ def model(arm, camera):
 
 @pytest.fixture(scope="module")
 def bench(model):
-    """Measured with the noise of fourteen seeds: the intervals of thirteen hold, that
-    of one (0) is out by 1.9 halves.
+    """Return a stand of another seed.
+
+    Measured with the noise of fourteen seeds: thirteen intervals hold. That of seed 0
+    misses by 1.9 half-widths.
     """
     return replace(stand(model), seed=1)
 
@@ -167,7 +171,7 @@ def test_a_lag_that_shows_is_told_from_the_offset(bench):
 
 
 def test_a_lag_that_does_not_show_is_left_open_and_said(bench):
-    """Offset and lag together are measured; neither is named for the other."""
+    """Offset and lag are measured together, and neither is mistaken for the other."""
     made = aligned(bench, bench.observation(OFF | {"arm_lag.time_constant": 0.002}))
     assert "arm_lag.time_constant" not in aligned_values(made)
     assert aligned_values(made)["time_offset.offset"] == pytest.approx(
@@ -278,8 +282,9 @@ LOOKS = {
 
 @pytest.mark.parametrize("arm_is", LOOKS)
 def test_the_arm_is_read_in_frames(model, arm_is):
-    """320 x 320 px, 6 mm a pixel: the clocks to 0.1 ms, places to 0.3 of a pixel at 0.6
-    m. A string hangs in the way.
+    """Clocks are found to 0.1 ms, and places to 0.3 of a pixel at 0.6 m, from frames.
+
+    The frames have 320 x 320 px of 6 mm. A string hangs in the way.
     """
     camera = replace(
         model.camera, width=320, height=320, px_per_m=170.0, origin_px=(125.5, 193.5)
@@ -325,7 +330,7 @@ def test_the_arm_is_read_in_frames(model, arm_is):
 
 
 def taken_over(model, made):
-    """The model as another experiment has it."""
+    """Return the model as another experiment takes it over."""
     told = yaml.safe_load(made.extended_yaml)
     known = {name: block["value"] for name, block in told["parameter_values"].items()}
     measured = {
@@ -345,8 +350,10 @@ def later(bench, model):
 
 
 def test_estimation_is_better_with_the_alignment_known(bench, model, later):
-    """A short search within 2 % of the true string, noise of 1 mm in x and in y: little
-    more is left, or far more.
+    """Estimation with the alignment known leaves little residual; without it, far more.
+
+    The search is short and stays within 2 % of the true string. The noise is 1 mm in x
+    and in y.
     """
     known = {
         "bending_stiffness": 4.0,
@@ -460,7 +467,10 @@ def test_the_tip_is_judged_where_it_is(model, later):
 
 
 def hand_speed(arm, angles):
-    """The hand's greatest speed [m/s]. angles: (K, J)."""
+    """Return the greatest speed of the hand [m/s].
+
+    `angles` has shape (K, J).
+    """
     return np.linalg.norm(
         arm.grasp_velocity(angles, np.gradient(angles, arm.tick, axis=0))[:, :2],
         axis=-1,
@@ -468,8 +478,10 @@ def hand_speed(arm, angles):
 
 
 def test_the_hand_is_never_faster_than_asked_however_far_it_swings(arm):
-    """Slow and wide: the lever changes much on the way. Measured where that was not
-    looked at: up to 1.6 times.
+    """A slow and wide swing keeps the hand's speed limit.
+
+    The lever changes much on the way. Where this was not checked, the speed was up to
+    1.6 times the limit.
     """
     rng = np.random.default_rng(0)
     for _ in range(40):
@@ -482,8 +494,9 @@ def test_the_hand_is_never_faster_than_asked_however_far_it_swings(arm):
 def test_motions_are_ranked_by_how_well_they_tell_the_clocks_where_only_these_count(
     model, monkeypatch
 ):
-    """Against what sightings 10 ms apart say of the offset, all else but a lag unknown;
-    drawn ones differ by half.
+    """The ranking agrees with the offset's uncertainty from sightings 10 ms apart.
+
+    Everything but a lag is unknown. Drawn motions differ by half.
     """
     monkeypatch.setattr("stringcast.stages.align.excitation.excite.CLOCK_WEIGHT", 1e6)
     told, known = [], []

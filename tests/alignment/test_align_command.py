@@ -1,4 +1,4 @@
-"""Alignment from the command line, and what other experiments make of it."""
+"""Alignment from the command line, and its use by other experiments."""
 
 from pathlib import Path
 

@@ -1,5 +1,6 @@
-"""`import stringcast`: the same answers as from the command line, without folders and
-words of Hydra.
+"""The interface of `import stringcast` gives the same answers as the command line.
+
+It needs neither folders nor Hydra's terms.
 """
 
 import json
@@ -94,8 +95,9 @@ def motion():
 
 
 def test_the_string_is_simulated_as_it_was_planned(motion):
-    """To 0.1 mm: what is planned is a curve, what is commanded are its samples each 5
-    ms.
+    """The simulated string agrees with the planned one to 0.1 mm.
+
+    A plan is a curve, and its samples every 5 ms are commanded.
     """
     planned = motion.string
     times = planned["t"].unique()
@@ -132,8 +134,9 @@ def test_a_known_string_is_another_and_words_stand_above_it(motion, tmp_path):
 
 
 def test_a_diagnosis_shows_what_it_says(tmp_path):
-    """The diagnosis itself is asked elsewhere: here is one that was made, from the same
-    table of contents.
+    """A shown diagnosis is read from its stored tables.
+
+    Other tests cover the diagnosis itself. This one is made up from the same tables.
     """
     from tests.report.test_diagnosis_page import diagnosed
 

@@ -1,4 +1,4 @@
-"""The notebook runs from its first cell to its last, and what it shows is so."""
+"""The notebook runs from its first cell to its last, and its statements hold."""
 
 import re
 import runpy

@@ -7,8 +7,9 @@ import pandas as pd
 
 
 def error_bars(shares: pd.DataFrame) -> np.ndarray:
-    """Return distances of the interval ends from the shares, (2, K), as Matplotlib
-    draws error bars.
+    """Return distances of the interval ends from the shares, (2, K).
+
+    Matplotlib draws error bars from them.
     """
     ends = shares[["low", "high"]].to_numpy().T
     return np.abs(ends - shares["share"].to_numpy())

@@ -1,9 +1,8 @@
-"""Studies: independent jobs, each kept on disk as soon as it is done; then tables,
-pictures and a sentence.
+"""Studies: independent jobs, then tables, pictures and a sentence.
 
-A job whose result lies in the study's folder is not run again. The same command
-therefore continues a study that was interrupted, and extends one that asks for more
-rows.
+Each result is kept on disk as soon as it is done. A job whose result lies in the
+study's folder is not run again. The same command therefore continues a study that was
+interrupted, and extends one that asks for more rows.
 """
 
 from __future__ import annotations
@@ -43,7 +42,10 @@ SINGLE_THREAD = {
 
 
 class StudyJob(ABC):
-    """One job of a study. It runs in a process of its own and can be pickled."""
+    """One job of a study.
+
+    It runs in a process of its own and can be pickled.
+    """
 
     @property
     @abstractmethod
@@ -77,15 +79,19 @@ class Study(ABC):
 
     @abstractmethod
     def jobs(self, config: Config, folder: Path) -> Sequence[StudyJob]:
-        """Return all jobs, in the order of their rows. Raises UserError for settings
-        that cannot be used.
+        """Return all jobs, in the order of their rows.
+
+        Raises UserError for settings that cannot be used.
         """
 
     @abstractmethod
     def tables(
         self, config: Config, results: Sequence[tuple[Any, Any]]
     ) -> Mapping[str, pd.DataFrame]:
-        """Return the tables by name. results: pairs of a job and its result."""
+        """Return the tables by name.
+
+        `results` are pairs of a job and its result.
+        """
 
     @abstractmethod
     def draw(self, tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
@@ -97,8 +103,9 @@ class Study(ABC):
 
 
 def study_settings(name: str, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """Compose the settings of a study: those of the product with conf/study/<name>.yaml
-    on top.
+    """Compose the settings of a study.
+
+    They are those of the product with conf/study/<name>.yaml on top.
     """
     config = compose_settings(
         [f"hydra.searchpath=[{CONF.as_uri()}]", f"+study={name}", *overrides]
@@ -192,7 +199,7 @@ def result_path(job: StudyJob, folder: Path) -> Path:
 
 
 def stored_result(job: StudyJob, folder: Path) -> Any:
-    """Return the result of a job, read from the study's folder or made and kept there."""
+    """Return the stored result of a job, or run the job and keep its result."""
     path = result_path(job, folder)
     if not path.exists():
         write_text(path, json.dumps(job()))
@@ -203,8 +210,9 @@ def stored_result(job: StudyJob, folder: Path) -> Any:
 def worker_pool(
     processes: int, calls_per_process: int | None = None
 ) -> Iterator[ProcessPoolExecutor]:
-    """Open a pool of single-threaded processes that end with this one. processes: 0 for
-    one per core.
+    """Open a pool of single-threaded processes that end with this one.
+
+    `processes` is 0 for one per core.
     """
     # Numba's threads do not survive a fork
     context = multiprocessing.get_context("spawn")
@@ -225,7 +233,7 @@ def worker_pool(
 
 
 def end_with_parent() -> None:
-    """End this process when its parent ends, however that was killed."""
+    """End this process when its parent ends, however the parent was killed."""
     threading.Thread(target=_exit_after_parent, daemon=True).start()
 
 

@@ -1,4 +1,7 @@
-"""What causes mean: absent they change nothing, present they act as the library's do."""
+"""Meaning of causes.
+
+Absent causes change nothing. Present ones act as the library's do.
+"""
 
 import numpy as np
 import pytest
@@ -82,7 +85,10 @@ def plain(scene):
 
 @pytest.fixture(scope="module")
 def modelled(scene):
-    """Return a function: the points that the model sees with effects, (F, S, 2)."""
+    """Return a function that gives the points that the model sees, (F, S, 2).
+
+    Its arguments are effects.
+    """
     [cast] = scene.casts
     string = String(
         0.3,
@@ -106,7 +112,10 @@ def modelled(scene):
 
 
 def hide(cause, plain):
-    """Draw circumstances; not all seeds have a place for a cause."""
+    """Draw circumstances of a cause.
+
+    Some seeds have no place for a cause.
+    """
     for seed in range(200):
         hidden = cause.hide(np.random.default_rng(seed), plain)
         if hidden is not None:

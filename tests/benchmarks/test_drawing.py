@@ -1,4 +1,4 @@
-"""Synthetic datasets: what a seed means, and that the ground truth is true."""
+"""Synthetic datasets: what a seed means, and whether the ground truth is true."""
 
 from collections import Counter
 from dataclasses import replace
@@ -83,7 +83,7 @@ def refit_base(scene, points):
 
 
 def true_points(dataset):
-    """Return what is seen without noise, (N, S, 2) [m]."""
+    """Return the points that are seen without noise, (N, S, 2) [m]."""
     [cause] = dataset.truth.causes
     return dataset.scene.observe_all(cause.settings, Fidelity.FINAL)
 
@@ -177,7 +177,10 @@ def test_noise_is_what_the_truth_says(drifting):
 
 
 def test_a_cause_is_as_large_as_the_truth_says(drifting):
-    """The base is fitted again by other means, to what is really seen."""
+    """The size in the truth agrees with a separate fit of the base.
+
+    The fit is to noiseless points.
+    """
     left = tip_rms(refit_base(drifting.scene, true_points(drifting)))
     assert left == pytest.approx(drifting.truth.causes[0].size_m, rel=0.25)
 

@@ -1,4 +1,7 @@
-"""The nodal rod alone: rest, waves, energy, order, and SciPy. It compiles for 15 s."""
+"""The nodal rod alone: rest, waves, energy, order of convergence, and SciPy.
+
+It compiles for 15 s.
+"""
 
 import numpy as np
 import pytest
@@ -35,7 +38,7 @@ def still_hand(theta):
 
 
 def swing(until=0.5, reach=0.1, turn=0.8):
-    """Move the hand for a fifth of a second, with the least jerk, and stop it."""
+    """Move the hand for a fifth of a second with the least jerk, and stop it."""
     t = np.linspace(0, until, round(until / 0.005) + 1)
     x = np.clip((t - 0.02) / 0.2, 0, 1)
     progress = 10 * x**3 - 15 * x**4 + 6 * x**5
@@ -52,7 +55,7 @@ def grasp_angle(motion, path):
 def energy(motion, path):
     """Return kinetic and potential energy over mass per length, (K,) [m3/s2].
 
-    From the definitions of stretch and turn.
+    They follow from the definitions of stretch and turn.
     """
     mesh, rod = motion.mesh, motion.mesh.rod
     q, v = motion.q, motion.v
@@ -129,7 +132,7 @@ def test_energy_stays_without_losses_and_never_rises_with_them():
 
 
 def test_a_rod_that_winds_about_its_grasp_is_turned_back_by_all_of_it():
-    """The energy of the grasp's spring goes with an angle of more than half a turn."""
+    """The energy of the grasp's spring counts angles beyond half a turn in full."""
     path, rod = swing(turn=5.5), LOSSLESS._replace(gravity_y=0.0)
     motion = simulate_rod(rod, path, 8, 1e-4)
     kept = energy(motion, path)[2300:]  # the hand has stopped

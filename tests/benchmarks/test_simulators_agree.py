@@ -41,7 +41,7 @@ def largest_distance(one, other):
     ],
 )
 def test_pyelastica_agrees_with_the_nodal_rod(path, changes):
-    """They share outer forces alone."""
+    """PyElastica and the nodal rod agree, although they share outer forces alone."""
     pytest.importorskip("elastica")
     rod = PLAIN._replace(**changes)
     nodal = swing("nodal", rod, path)
@@ -65,7 +65,10 @@ def test_pyelastica_agrees_with_the_nodal_rod(path, changes):
     ],
 )
 def test_the_own_kernel_agrees_with_the_nodal_rod(path, changes):
-    """A plain rod moves alike, and a cause outside the library moves both alike."""
+    """Both simulators move a plain rod alike.
+
+    They also move a rod with a cause outside the library alike.
+    """
     rod = PLAIN._replace(**changes)
     nodal, own = swing("nodal", rod, path), swing("own_kernel", rod, path)
     assert largest_distance(nodal, own) < 1e-3

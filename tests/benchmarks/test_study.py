@@ -1,6 +1,4 @@
-"""The engine of studies: what one job that fails costs, and what a study that goes on
-makes.
-"""
+"""The engine of studies: a job that fails, and a study that continues."""
 
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -56,7 +54,7 @@ class Doubling(Study):
 
 @contextmanager
 def here(processes, calls):
-    """Workers that are this very process."""
+    """Provide workers that are the calling process."""
 
     class Pool:
         def submit(self, function, *given):

@@ -1,5 +1,7 @@
-"""Who may know whom: data nobody, stages data, hardware the model; the shell alone
-knows Hydra.
+"""Allowed imports between rooms.
+
+Data imports nothing of ours, stages import data, hardware imports the model, and only
+the shell imports Hydra.
 """
 
 import ast
@@ -21,7 +23,7 @@ GUARDED = set(ALLOWED) | {"hydra", "omegaconf", "serial", "dynamixel_sdk"}
 
 
 def imported(file: Path) -> set[str]:
-    """Rooms and packages of all that a file imports, wherever in it."""
+    """Return rooms and packages of everything that a file imports, wherever in it."""
     nodes = list(ast.walk(ast.parse(file.read_text())))
     plain = {
         alias.name
@@ -54,8 +56,10 @@ def test_hardware_knows_nothing_of_the_stages_but_the_model_and_what_a_device_mu
 
 
 def test_no_module_knows_one_that_knows_it():
-    """Imports for types and those inside functions count: what cannot be read alone
-    cannot be understood alone.
+    """No cycle of imports exists between modules.
+
+    Imports for types and those inside functions count: modules that need one another
+    cannot be understood one at a time.
     """
     files = {
         file: name(file) for room in ALLOWED for file in (ROOT / room).rglob("*.py")
@@ -73,9 +77,10 @@ def test_no_module_knows_one_that_knows_it():
 
 
 def test_the_picture_of_the_rooms_shows_what_they_import():
-    """Arrows that follow from others are left out, and those of the shell are not all
-    imports. A room that is not drawn is a stage of one's own: none of ours stands on
-    it.
+    """The picture of the rooms shows their imports.
+
+    Arrows that follow from others are left out, and those of the shell are not all
+    imports. A room that is not drawn is a user's own stage; none of ours may import it.
     """
     arrows = re.findall(
         r"^    (.+) --> (.+)$", (ROOT / "stages" / "README.md").read_text(), re.M
@@ -112,8 +117,9 @@ def test_the_picture_of_the_rooms_shows_what_they_import():
 
 
 def room_of(parts):
-    """A folder beneath `stages`, or a room of the first floor; None for a file of its
-    own in `stages`.
+    """Return the room of a file: a folder beneath `stages` or at the top level.
+
+    It is None for a file directly in `stages`.
     """
     if parts[0] != "stages":
         return parts[0]
@@ -123,7 +129,7 @@ def room_of(parts):
 
 
 def imports_of(file: Path) -> set[str]:
-    """Our modules that a file imports from."""
+    """Return our modules that a file imports from."""
     nodes = [
         node
         for node in ast.walk(ast.parse(file.read_text()))
@@ -135,22 +141,23 @@ def imports_of(file: Path) -> set[str]:
 
 
 def beneath(known: dict, room: str) -> set[str]:
-    """All that a room stands on, however far."""
+    """Return all rooms that a room imports, directly or indirectly."""
     return set().union(
         *({one} | beneath(known, one) for one in known.get(room, set()) - {room})
     )
 
 
 def name(file: Path) -> str:
-    """A module's name."""
+    """Return a module's name."""
     return ".".join(
         ("stringcast", *file.relative_to(ROOT).with_suffix("").parts)
     ).removesuffix(".__init__")
 
 
 def modules_in(file: Path, modules: set[str]) -> set[str]:
-    """Those of our modules that a file imports, wherever in it; `from package import
-    module` is of the module.
+    """Return our modules that a file imports, wherever in it.
+
+    `from package import module` counts as an import of the module.
     """
     nodes = [
         node

@@ -1,6 +1,4 @@
-"""Pictures of a board by a camera that is known: a pinhole, a lens, light, blur and
-noise.
-"""
+"""Pictures of a board by a known camera: a pinhole, a lens, light, blur and noise."""
 
 from functools import cache
 
@@ -19,8 +17,9 @@ SQUARE = 48  # pixels of a square of the texture
 
 
 def pose(tilt_x, tilt_y, roll, across, down, distance):
-    """Turn and place of a board [rad], [m]: its middle at (across, down) of the
-    picture, -1 to 1, so far away.
+    """Return the rotation [rad] and position [m] of a board.
+
+    Its middle is at (across, down) of the picture, from -1 to 1, at the given distance.
     """
     turn = (
         cv2.Rodrigues(np.array([tilt_x, 0, 0]))[0]
@@ -34,8 +33,9 @@ def pose(tilt_x, tilt_y, roll, across, down, distance):
 
 @cache
 def looking(lens):
-    """Directions (rows, columns, 3) of all fine pixels; every eighth is worked out,
-    between them it is smooth.
+    """Return the directions (rows, columns, 3) of all fine pixels.
+
+    Every eighth is computed. Interpolation between them is smooth.
     """
     fine = [(np.arange(side * FINER) + 0.5) / FINER - 0.5 for side in SIZE]
     coarse = [np.append(every[::8], every[-1]) for every in fine]
@@ -48,8 +48,9 @@ def looking(lens):
 
 
 def picture(turn, place, rng, lens=LENS, board=BOARD, blur=0.6, noise=3.0):
-    """What the camera sees. blur: of the optics [px]; noise: of the sensor [grey
-    levels].
+    """Render the camera's picture.
+
+    `blur` is that of the optics [px]; `noise` is that of the sensor [grey levels].
     """
     # from the board (x, y, 1) to directions
     flat = np.column_stack([turn[:, :2], place])

@@ -1,5 +1,7 @@
-"""Boards rendered by a known camera: it comes back within the stated uncertainty, or
-the set is refused, with why.
+"""Calibration from boards that a known camera rendered.
+
+The camera is recovered within the stated uncertainty, or the set is refused with the
+reason.
 """
 
 from dataclasses import replace
@@ -57,8 +59,9 @@ def made(pictures, flat, board=BOARD, **changed):
 
 
 def true_pixels(world):
-    """Where the true lens sees points of the world (N, 2), by way of the board and
-    OpenCV.
+    """Return where the true lens sees points of the world (N, 2).
+
+    They are computed by way of the board and OpenCV.
     """
     turn, place = FLAT
     c, s = np.cos(PLACE.turn), np.sin(PLACE.turn)
@@ -122,7 +125,7 @@ def test_the_plane_is_where_the_board_was_held(clean):
 
 
 def _distance():
-    """From the lens along its axis to the board."""
+    """Return the distance from the lens along its axis to the board."""
     turn, place = FLAT
     return turn[:, 2] @ place / turn[2, 2]
 
@@ -139,7 +142,7 @@ def test_blur_and_noise_cost_accuracy_and_are_told(clean, blur, noise):
 
 
 def seen_exactly(rng, sigma, lens=LENS, poses=TILTED):
-    """Views without pictures: all corners, with noise [px]."""
+    """Return views without pictures: all corners, with noise [px]."""
     views = []
     for number, each in enumerate(poses):
         turn, place = pose(*each)
@@ -208,7 +211,7 @@ def test_a_half_of_the_picture_that_no_corner_covers_is_named(pictures):
 
 
 def test_one_view_that_does_not_fit_is_named(pictures):
-    """The board was bent, or shaken while the rows were read: no pinhole sees that."""
+    """A view of a bent or shaken board, which no pinhole camera sees, is named."""
     tilts, flat = pictures
     across, down = np.meshgrid(*(np.arange(side, dtype=np.float32) for side in SIZE))
     bent = cv2.remap(
@@ -252,7 +255,10 @@ def test_a_board_of_other_dimensions_is_recognised(pictures, kind):
 
 
 def test_corners_on_one_line_do_not_fix_a_board(pictures):
-    """The rest is hidden: ten corners, more than enough, from which no pose follows."""
+    """Ten visible corners on one line are refused.
+
+    No pose follows from them.
+    """
     strip = cv2.copyMakeBorder(
         BOARD.image(40)[:, :80], 20, 20, 280, 280, cv2.BORDER_CONSTANT, value=255
     )

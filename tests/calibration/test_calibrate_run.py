@@ -1,5 +1,6 @@
-"""The experiment from its settings to camera.yaml and the page, and what another
-experiment makes of it.
+"""The calibration experiment, from its settings to camera.yaml and the page.
+
+Another experiment then uses its result.
 """
 
 import io
@@ -31,7 +32,7 @@ SILENT = Terminal(quiet=True)
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """Pictures of the tilted board, and of the board in the plane of motion."""
+    """Return pictures of the tilted board, and of the board in the plane of motion."""
     rng, top = np.random.default_rng(0), tmp_path_factory.mktemp("pictures")
     for name, pictures in {
         "tilted": tilted(rng),

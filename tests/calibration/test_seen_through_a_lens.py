@@ -1,5 +1,6 @@
-"""A string filmed through a lens, by a camera that is tilted: read as well as without,
-if the camera is known.
+"""A string filmed through a lens by a tilted camera.
+
+It is read as accurately as without the lens, if the camera is known.
 """
 
 from dataclasses import replace
@@ -35,7 +36,7 @@ READ = {
 
 @pytest.fixture(scope="module")
 def trial(arm):
-    """A swing filmed by the bent camera, and where the string was."""
+    """Film a swing by the camera with a lens; return it with the true string."""
     bench = VirtualBench(arm, BENT, specimen("B"), seed=3)
     bench.look = replace(bench.look, string_width=0.008)
     made = execute(
@@ -45,7 +46,7 @@ def trial(arm):
 
 
 def off(trial, arm, camera):
-    """Distance of the tips read from the true ones, (F,) [m]."""
+    """Return the distance of the tips read from the true ones, (F,) [m]."""
     made, true, length = trial
     film = Film(made.frames["t"].to_numpy(), made.images, arm=made.arm)
     readings = extract(

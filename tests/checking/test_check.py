@@ -1,5 +1,7 @@
-"""A clean dataset with each kind of dirt: the right finding, naming file, field and
-remedy; and nothing for clean ones.
+"""A clean dataset with each kind of mistake.
+
+Each mistake gives the right finding, which names file, field and remedy. Clean datasets
+give none.
 """
 
 import json
@@ -34,7 +36,7 @@ AS_A_RUN = read_measurements(SAMPLE, [])  # with the arm and camera of the confi
 
 
 class Dirty:
-    """The sample's tables, to be spoilt and written."""
+    """Tables of the sample, to be changed and written."""
 
     def __init__(self):
         arm, points = (
@@ -56,7 +58,7 @@ class Dirty:
         return self.about["string"]["length"]
 
     def with_poses(self):
-        """Poses of the grasp instead of joint angles."""
+        """Replace joint angles by poses of the grasp."""
         pose = AS_A_RUN.arm.grasp_pose(self.arm[ANGLES].to_numpy())
         self.grasp = self.arm[["trial", "t"]].assign(
             x=pose[:, 0], y=pose[:, 1], theta=pose[:, 2]
@@ -78,7 +80,7 @@ def dirty():
 
 
 def looked_at(folder):
-    """As the command does, without composing the configuration anew."""
+    """Check as the command does, without composing the configuration again."""
     data = dataset.read_dataset(folder)
     links = data.metadata.get("arm", {}).get("links", AS_A_RUN.arm.links)
     length = data.metadata.get("string", {}).get("length", 0.3)
@@ -162,7 +164,7 @@ def unknown_arm(dirty):
 
 
 def undescribed(dirty):
-    """Of the configured arm, as nobody can know."""
+    """Remove the description of the configured arm."""
     del dirty.about["arm"]
 
 
@@ -310,8 +312,9 @@ AT_THE_TIP = (
 
 @pytest.mark.parametrize("kind", AT_THE_TIP)
 def test_tips_alone_are_enough_to_refuse_it(dirty, tmp_path, kind):
-    """With the tip alone another mistake may explain it too; that something is wrong is
-    certain.
+    """The tip alone suffices to refuse the dataset.
+
+    Another mistake may explain it too, but the presence of a mistake is certain.
     """
     spoil, _, _ = CERTAIN[kind]
     dirty.points = dirty.points[dirty.points["s"] > 0.99 * dirty.length].reset_index(
@@ -386,7 +389,7 @@ def no_length(dirty):
 
 
 def turned(dirty):
-    """All of it upside down: consistent, but the string rests above the hand."""
+    """Turn everything upside down: consistent, but the string rests above the hand."""
     dirty.with_poses()
     for table in ("grasp", "points"):
         getattr(dirty, table)["y"] *= -1
@@ -411,7 +414,7 @@ def two_frames(dirty):
 
 
 def beyond(dirty):
-    """Of one trial, and not at its beginning."""
+    """Enlarge the arc lengths of one trial after its beginning."""
     late = (dirty.points["trial"] == "t03") & (
         dirty.points["t"] > dirty.points["t"].min() + 0.3
     )
@@ -554,7 +557,7 @@ def strays(dirty):
 
 
 def commas(dirty):
-    """Lines that end with a comma, as some programs write them, and names with blanks."""
+    """End lines with a comma, and put blanks into names, as some programs do."""
     dirty.commas = True
 
 
@@ -602,7 +605,7 @@ def from_its_start(table):
 def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(
     dirty, tmp_path, share
 ):
-    """Fewer points, fewer frames, the tip alone: not suspicious."""
+    """Fewer points, fewer frames, or the tip alone are not suspicious."""
     kept = dirty.points["s"] >= (1 - 1e-9) * dirty.length * share
     dirty.points = dirty.points[kept]
     assert found(dirty.write(tmp_path)) == []
@@ -621,9 +624,11 @@ def test_every_check_can_find_something():
 def test_where_two_units_fit_the_fall_decides_and_both_are_said(
     dirty, tmp_path, share, unit, size, slow
 ):
-    """Of a whole string and of its tip: 0.304 m in cm would be 30 mm if these were mm,
-    and half that string in mm, which moves in the square root of half the time, 1.52 m
-    if these were cm.
+    """Where two units fit, the fall decides, and both are reported.
+
+    The test uses a whole string and its tip alone. 0.304 m in cm would be 30 mm if read
+    in mm. Half that string in mm moves in the square root of half the time. It would be
+    1.52 m if read in cm.
     """
     dirty.with_poses()
     dirty.points = dirty.points[dirty.points["s"] >= share * (1 - 1e-9) * dirty.length]
@@ -645,7 +650,10 @@ def test_where_two_units_fit_the_fall_decides_and_both_are_said(
 def test_a_string_that_falls_as_nothing_does_is_told(
     dirty, tmp_path, times, lengths, said
 ):
-    """A film of 200 frames a second played at 25, and all lengths in decimetres."""
+    """A string that falls impossibly is reported.
+
+    The film has 200 frames a second played at 25, and all lengths are in decimetres.
+    """
     for table in (dirty.with_poses().grasp, dirty.points):
         table["t"] *= times
         table[["x", "y"]] *= lengths
@@ -811,8 +819,11 @@ def test_what_the_trials_can_tell_is_said_where_it_is_asked(
 
 @pytest.mark.long
 def test_what_the_sample_can_tell(called):
-    """Half a metre of string, thousands of readings: of an offset of the camera, half a
-    millimetre, for less does not count; and of the clocks, a small part of a frame.
+    """The sample reveals small offsets.
+
+    It has half a metre of string and thousands of readings. It shows a camera offset of
+    half a millimetre, since smaller ones do not matter, and a small part of a frame in
+    the clocks.
     """
     done = called(
         "check", SAMPLE, "--effects", "--json", "diagnose.excluded_effects=[wind]"

@@ -1,5 +1,6 @@
-"""Clocks of arm and camera are laid over one another by the motion: of all of a string,
-and of its tip alone.
+"""Alignment of the clocks of arm and camera by the motion.
+
+It uses all of a string, or its tip alone.
 """
 
 from dataclasses import replace
@@ -48,8 +49,10 @@ def test_each_trial_may_have_a_shift_of_its_own():
 def test_clocks_that_begin_anew_with_each_trial_are_laid_to_a_frame_but_where_the_string_hangs_slack(
     tip_alone,
 ):
-    """In t01 the hand goes towards the tip at first, so that for 25 ms nothing says
-    that it is late.
+    """Clocks that restart with each trial are aligned to a frame for a taut string.
+
+    In t01 the hand moves towards the tip at first, so that for 25 ms nothing shows that
+    it is late.
     """
     own = {seen.name: -10.0 * number for number, seen in enumerate(TRIALS)}
     found = estimate_time_shifts(

@@ -1,5 +1,4 @@
-"""Errors of the clock offset that alignment estimates: `python3 tasks.py study
-alignment`.
+"""Errors of the clock offset: `python3 tasks.py study alignment`.
 
 Writes results/offsets.parquet. Most rows are of points of the hand with a noise of 0.7
 mm, some of films of the virtual lab.
@@ -76,7 +75,7 @@ OFFSETS = Table(
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Draw, align, keep what came out, and say it."""
+    """Draw and align datasets, store the errors, and print a summary."""
     parser = argparse.ArgumentParser(
         "python3 tasks.py study alignment", description=__doc__
     )
@@ -112,27 +111,27 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def configured(kind, path):
-    """An object of the default settings."""
+    """Return an object of the default settings."""
     block = yaml.safe_load((ROOT / "conf" / path).read_text())
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in block.items()})
 
 
 def laid(fps: float) -> Model:
-    """Arm, camera and string of the default settings."""
+    """Return arm, camera and string of the default settings."""
     camera = replace(configured(Camera, "camera/highspeed.yaml"), fps=fps)
     return Model(String(0.3), configured(Arm, "arm/paper.yaml"), camera)
 
 
 @cache
 def swung(seed: int) -> Motion:
-    """A motion of the default settings."""
+    """Draw a motion."""
     block = yaml.safe_load((ROOT / "conf/excite/sines.yaml").read_text())
     given = {name: value for name, value in block.items() if name != "_target_"}
     return excite(laid(RATES[0]), (), seed=seed, **given)
 
 
 def drawn(seed: int) -> dict[str, float]:
-    """A misalignment."""
+    """Draw a misalignment."""
     rng = np.random.default_rng([seed, 7])
     sizes = {OFFSET: 0.02, "camera_rotation.angle": 0.03, "pixel_scale.excess": 0.02}
     sizes |= {"camera_offset.x": 0.015, "camera_offset.y": 0.015}
@@ -140,7 +139,7 @@ def drawn(seed: int) -> dict[str, float]:
 
 
 def pointed(noise: str, fps: float, seed: int) -> dict[str, object]:
-    """From points."""
+    """Align by observed points."""
     correlation, readout = NOISES[noise]
     bench, true = Stand(laid(fps), swung(seed), seed), drawn(seed)
     seen = bench.observation(
@@ -163,7 +162,7 @@ def pointed(noise: str, fps: float, seed: int) -> dict[str, object]:
 
 
 def filmed(fps: float, seed: int) -> dict[str, object]:
-    """From frames, with a string in the hand."""
+    """Align by frames with a string in the hand."""
     true = drawn(seed)
     hidden: dict[str, dict[str, float]] = {}
     for name in sorted(true):
@@ -196,7 +195,7 @@ def row(
     measured: pd.DataFrame,
     plain: float,
 ) -> dict[str, object]:
-    """A row of OFFSETS."""
+    """Return a row of OFFSETS."""
     found = measured.set_index("name").loc[OFFSET]
     effects = sorted({n.split(".")[0] for n in measured[measured["found"]]["name"]})
     beyond = [
@@ -217,7 +216,7 @@ def row(
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
-    """Errors [ms] and how often the intervals hold, for each kind."""
+    """Summarise errors [ms] and how often the intervals hold, for each kind."""
     error = (table["found"] - table["hidden"]) * 1e3
     told = table.assign(
         error=error.abs(),

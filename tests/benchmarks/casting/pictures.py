@@ -1,5 +1,6 @@
-"""The picture of a casting study: hits over casts, prediction errors, and whether
-predicted chances hold.
+"""The picture of a casting study.
+
+It shows hits over casts, prediction errors, and whether predicted chances hold.
 """
 
 from __future__ import annotations
@@ -20,7 +21,10 @@ MARKERS = "os^Dv<>"  # of methods; colours repeat after the fourth
 
 
 def draw_hits(tables: Mapping[str, pd.DataFrame], path: Path) -> None:
-    """Draw shares of hits and prediction errors over casts. tables: of `score_casts`."""
+    """Draw shares of hits and prediction errors over casts.
+
+    `tables` are those of `score_casts`.
+    """
     rates = tables["rates"]
     cases = [ALL_CASES, *(case for case in rates["case"].unique() if case != ALL_CASES)]
     rows = -(-(len(cases) + 2) // PANELS_PER_ROW)

@@ -1,9 +1,8 @@
-"""An executor that casts on the virtual lab and measures points instead of filming,
-which takes less time.
+"""An executor that casts on the virtual lab and measures points without filming.
 
-The lab's string differs from the model's (40 points, another integrator). Its arm has a
-velocity loop and repeats itself only approximately. Only the camera's picture is left
-out: points have the noise of extraction.
+This takes less time than filming. The lab's string differs from the model's (40 points,
+another integrator). Its arm has a velocity loop and repeats itself only approximately.
+Only the camera's picture is left out: points have the noise of extraction.
 """
 
 from __future__ import annotations
@@ -89,8 +88,9 @@ class PointExecutor:
         return measure_points(self.benches[step.number], t, self.noise, rng)
 
     def true_outcome(self, number: int, duration: float) -> HitResult:
-        """Return the true outcome of a cast, whatever was measured of it. duration: of
-        its movement [s].
+        """Return the true outcome of a cast, whatever was measured of it.
+
+        `duration` is that of its movement [s].
         """
         t = np.arange(0, duration + TRUTH_STEP_S, TRUTH_STEP_S)
         bench = self.benches[number]
@@ -100,7 +100,7 @@ class PointExecutor:
         )
 
     def publish(self, iterations: list[Iteration]) -> None:
-        """Do nothing: the casts of a job are no dataset."""
+        """Do nothing, because the casts of a job are no dataset."""
 
 
 def measure_points(
@@ -108,7 +108,7 @@ def measure_points(
 ) -> Points:
     """Return the points that extraction would read of a lab's string at times (F,) [s].
 
-    noise: standard deviation of a coordinate [m].
+    `noise` is the standard deviation of a coordinate [m].
     """
     seen = bench.camera_view(bench.string_at, t)
     return string_as_points(
@@ -119,8 +119,9 @@ def measure_points(
 def string_as_points(
     bench: VirtualBench, t: np.ndarray, string: np.ndarray, sigma: float
 ) -> Points:
-    """Return a lab's string (F, n, 2) [m] at times (F,) [s] as points. sigma: stated of
-    a coordinate [m].
+    """Return a lab's string (F, n, 2) [m] at times (F,) [s] as points.
+
+    `sigma` is the stated uncertainty of a coordinate [m].
     """
     string = string[:, ::-MARKER_SPACING][:, ::-1]
     s = bench.specimen.string().arc_lengths()[::-MARKER_SPACING][::-1]

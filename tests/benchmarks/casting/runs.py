@@ -1,5 +1,6 @@
-"""One run of a casting study: a string of the virtual lab, cast at a target by one
-method, from one seed.
+"""One run of a casting study.
+
+One method casts a string of the virtual lab at a target, from one seed.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ TRAINING_STAGES = ("generate", "execute", "extract")
 def run_settings(
     config: Config, case: Config, method: Config, seed: int, casts: int
 ) -> dict[str, Any]:
-    """Return the settings of one run: those of the study, changed by the case and by
-    the method.
+    """Return the settings of a run.
+
+    They are those of the study, changed by the case and by the method.
     """
     settings = {
         name: value
@@ -54,7 +56,10 @@ def run_settings(
 
 
 def merge_change(block: Any, change: Any) -> Any:
-    """Return a settings block with a change. Another stage replaces the whole block."""
+    """Merge a change into a settings block.
+
+    A change to another stage replaces the whole block.
+    """
     if (
         not (isinstance(change, Mapping) and isinstance(block, Mapping))
         or "_target_" in change
@@ -111,7 +116,7 @@ def run_casts(
 
 
 def perform_training(executor: PointExecutor, count: int) -> list[Iteration]:
-    """Perform training casts, each as if nothing were known of the string."""
+    """Perform training casts, each planned without knowledge of the string."""
     history = History(executor)
     for _ in range(count):
         current = history.begin_iteration()
@@ -123,8 +128,9 @@ def perform_training(executor: PointExecutor, count: int) -> list[Iteration]:
 
 
 def diagnosed_model(experiment: Experiment, casts: list[Iteration]) -> dict[str, Any]:
-    """Return the settings of the model of a diagnosis of the casts, as `model_from=<its
-    folder>` gives them.
+    """Return the settings of the model of a diagnosis of the casts.
+
+    They are those that `model_from=<its folder>` gives.
     """
     copies = [*casts[:-1], replace(casts[-1], artifacts=dict(casts[-1].artifacts))]
     history = History(PointExecutor(experiment, noise=0.0), copies)
@@ -169,7 +175,7 @@ def cast_row(
 
 
 class ReferenceCasts:
-    """Casts that nothing is fitted to, on which the tip is predicted."""
+    """Casts that are excluded from fits, on which the tip is predicted."""
 
     def __init__(self, experiment: Experiment, bench: VirtualBench) -> None:
         self.model = experiment.model
@@ -188,9 +194,7 @@ class ReferenceCasts:
         self.tips = bench.model.simulate_string(self.motion, values, self.times).tip
 
     def prediction_error(self, values: Mapping[str, float]) -> float:
-        """Return the root mean square distance of the predicted tip from the true one
-        [m].
-        """
+        """Return the rms distance of the predicted tip from the true one [m]."""
         parameters = np.repeat(self.model.values(values)[None], REFERENCE_CASTS, axis=0)
         tips = self.model.simulate_string(self.motion, parameters, self.times).tip
         return float(np.sqrt(np.mean(np.sum((tips - self.tips) ** 2, axis=-1))))

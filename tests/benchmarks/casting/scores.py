@@ -1,5 +1,6 @@
-"""Scores of a casting study: how many runs have hit after how many casts, and whether
-predicted chances hold.
+"""Scores of a casting study.
+
+How many runs have hit after how many casts, and whether predicted chances hold.
 """
 
 from __future__ import annotations
@@ -102,8 +103,10 @@ TABLES = {table.name: table for table in (CASTS, RATES, NEEDED, LEARNED, CALIBRA
 
 
 def score_casts(casts: pd.DataFrame, max_casts: int) -> dict[str, pd.DataFrame]:
-    """Return all tables. casts: as CASTS, where runs may lack columns. max_casts: of a
-    run.
+    """Return all tables.
+
+    `casts` is table CASTS, in which runs may lack columns. `max_casts` is the number of
+    casts of a run.
     """
     casts = CASTS.check(
         casts.reindex(columns=[column.name for column in CASTS.columns])

@@ -22,8 +22,10 @@ Count = Annotated[int, Field(ge=1)]
 
 @dataclass(frozen=True)
 class TrainingCasts:
-    """casts: how many. generate: settings of the stage that plans them. target: what
-    they are aimed at.
+    """The training casts of a run.
+
+    `casts` is their number, `generate` holds the settings of the stage that plans them,
+    and `target` is their target.
     """
 
     casts: Annotated[int, Field(ge=0)]
@@ -35,9 +37,10 @@ class TrainingCasts:
 class CastingSettings:
     """Settings of a casting study.
 
-    seeds: how many, from `first`, the same for all methods. casts: of a run, at most.
-    processes: 0 for one per core. noise: standard deviation of a measured coordinate
-    [m]. methods, cases: changes of settings.
+    `seeds` is the number of seeds from `first`, the same for all methods. `casts` is
+    the largest number of casts in a run. `processes` is 0 for one per core. `noise` is
+    the standard deviation of a measured coordinate [m]. `methods` and `cases` change
+    settings.
     """
 
     seeds: Count
@@ -52,7 +55,10 @@ class CastingSettings:
 
 @dataclass(frozen=True)
 class RunJob(StudyJob):
-    """A case, a method and a seed. config: settings of the study."""
+    """A case, a method and a seed.
+
+    `config` holds the settings of the study.
+    """
 
     case: str
     method: str
@@ -84,7 +90,7 @@ class CastingStudy(Study):
     BLOCK, GROWING = "casting", ("seeds", "first", "processes")
 
     def jobs(self, config: Config, folder: Path) -> list[RunJob]:
-        """Return the jobs: for each seed all cases, each by all methods."""
+        """Return the jobs: for each seed all cases, each with all methods."""
         settings = build_dataclass(
             CastingSettings,
             config[self.BLOCK],
@@ -102,7 +108,7 @@ class CastingStudy(Study):
     def tables(
         self, config: Config, results: Sequence[tuple[Any, Any]]
     ) -> Mapping[str, pd.DataFrame]:
-        """Return table CASTS and what is counted from it."""
+        """Return table CASTS and the tables counted from it."""
         rows = []
         for job, casts in results:
             rows += [

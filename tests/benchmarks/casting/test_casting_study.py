@@ -1,4 +1,4 @@
-"""The hit study: what its executor measures, and what its tables count."""
+"""The casting study: what its executor measures, and what its tables count."""
 
 import json
 from dataclasses import replace
@@ -81,7 +81,9 @@ def test_runs_of_several_versions_of_the_code_are_named():
 
 
 def test_hits_are_counted_by_run():
-    """Two cases share a seed, which does not make them one run; a run that never hits
+    """Hits are counted for each run.
+
+    Two cases share a seed, which does not make them one run. A run that never hits
     counts in every row.
     """
     rows = [
@@ -157,7 +159,7 @@ def test_a_case_says_only_what_differs_and_another_stage_comes_whole():
 
 
 def test_ways_of_learning_differ_in_their_motions_alone():
-    """But for the paper's, all methods of the study have one string and one estimation."""
+    """All methods but the paper's share one string and one estimation."""
     config = study_settings("learning")
     study = config["casting"]
     ways = {
@@ -184,9 +186,7 @@ def test_ways_of_learning_differ_in_their_motions_alone():
 
 @pytest.fixture
 def turned():
-    """An executor whose bench has a camera that is rolled by more than the target is
-    wide.
-    """
+    """Return an executor whose camera is rolled by more than the target's width."""
     config = OmegaConf.to_container(
         OmegaConf.create(compose_settings(["+experiment=quick"])), resolve=True
     )
@@ -225,7 +225,9 @@ def test_training_casts_are_first_casts_that_differ_and_are_the_same_again(turne
 def test_a_diagnosis_of_the_training_casts_makes_the_model_that_casts(
     turned, monkeypatch
 ):
-    """What is asked is what the training casts showed; what is said is laid over the
+    """The diagnosed model of the training casts replaces the method's model.
+
+    The diagnosis uses what the training casts showed. Its model is merged into the
     settings of the method.
     """
     said = {

@@ -1,4 +1,4 @@
-"""The answer of a diagnosis, and whether it is right: one synthetic dataset at a time."""
+"""The answer of a diagnosis to one synthetic dataset, and whether it is right."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ CauseGroup = frozenset[str]  # look-alikes that the data cannot distinguish
 
 
 def named_groups(row: Row) -> list[CauseGroup]:
-    """Return the named causes in their order, each as the group of its look-alikes."""
+    """Return the named causes in order, each as the group of its look-alikes."""
     diagnosis, synonyms = row["diagnosis"], row["truth"].get("alike", {})
     look_alikes = []
     for group in diagnosis.get("indistinguishable") or []:
@@ -61,8 +61,10 @@ def count_found(row: Row) -> int:
 
 
 def answer_name(row: Row) -> str:
-    """Return the answer in a word: the true cause if it is in the first group, else the
-    first named or the verdict.
+    """Return the answer in a word.
+
+    It is the true cause if that is in the first group, else the first named cause or
+    the verdict.
     """
     groups, verdict = named_groups(row), str(row["diagnosis"]["verdict"])
     if not groups:
@@ -77,8 +79,9 @@ def answer_name(row: Row) -> str:
 
 
 def cause_probabilities(row: Row) -> dict[str, float]:
-    """Return probabilities by cause. What is missing to one goes to the verdict `none`
-    or `unknown`.
+    """Return probabilities by cause.
+
+    The remainder to one goes to the verdict `none` or `unknown`.
     """
     diagnosis, synonyms = row["diagnosis"], row["truth"].get("alike", {})
     probabilities = {}

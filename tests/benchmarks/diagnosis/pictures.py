@@ -20,8 +20,9 @@ KINDS = ("effect", "none", "outside")
 
 
 def draw_pictures(tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:
-    """Write `confusion.png` and `overview.png`, and return their paths. tables: of
-    `score_rows`.
+    """Write `confusion.png` and `overview.png`, and return their paths.
+
+    `tables` are those of `score_rows`.
     """
     figures = {"confusion": draw_confusion, "overview": draw_overview}
     folder.mkdir(parents=True, exist_ok=True)

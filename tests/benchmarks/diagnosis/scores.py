@@ -1,5 +1,6 @@
-"""Scores of a diagnosis study, as tables: the answer to each dataset, and how often
-answers are right.
+"""Scores of a diagnosis study, as tables.
+
+They hold the answer to each dataset, and how often answers are right.
 """
 
 from __future__ import annotations
@@ -189,7 +190,10 @@ TABLES = {
 
 
 def score_rows(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
-    """Return every table of TABLES, by name. rows: of `DatasetJob`, at least one."""
+    """Return every table of TABLES, by name.
+
+    `rows` are those of `DatasetJob`, at least one.
+    """
     two_sided = set()
     for effect in effects_by_name().values():
         two_sided |= {
@@ -225,8 +229,9 @@ def score_rows(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
 
 
 def diagnosis_row(row: Row, two_sided: Set[str]) -> dict[str, object]:
-    """Return one row of DIAGNOSES. two_sided: names of parameters whose interval has
-    two ends.
+    """Return one row of DIAGNOSES.
+
+    `two_sided` names the parameters whose interval has two ends.
     """
     truth, diagnosis, groups = row["truth"], row["diagnosis"], named_groups(row)
     rms = (diagnosis.get("gain") or {}).get("rms_m") or {}
@@ -332,10 +337,10 @@ def count_calibration(diagnoses: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFra
 
 
 def calibration_error(p: np.ndarray, correct: np.ndarray) -> float:
-    """Return the expected calibration error of probabilities p (N,) of answers that
-    were right or not (N,).
+    """Return the expected calibration error of probabilities p (N,).
 
-    NaN for none. Reference: Naeini, Cooper and Hauskrecht (2015).
+    It compares them with answers that were right or not (N,), and is NaN for none.
+    Reference: Naeini, Cooper and Hauskrecht (2015).
     """
     if len(p) == 0:
         return float("nan")

@@ -34,8 +34,9 @@ WHERE = "tests/benchmarks/conf/study/diagnosis.yaml"
 class DiagnosisSettings:
     """Settings of the study.
 
-    datasets: how many, from seed `first`. processes: 0 for one per core. simulator: the
-    reference simulator. kind: of all datasets, instead of each seed's own.
+    `datasets` is their number, from seed `first`. `processes` is 0 for one per core.
+    `simulator` is the reference simulator. `kind` applies to all datasets, instead of
+    each seed's own.
     """
 
     datasets: Annotated[int, Field(ge=1)]
@@ -60,8 +61,9 @@ class DatasetJob(StudyJob):
         return f"{self.seed:05d}"
 
     def __call__(self) -> dict[str, Any]:
-        """Return the row. A diagnosis that raises is a wrong answer and must not stop
-        the others.
+        """Return the row.
+
+        A diagnosis that raises is a wrong answer and must not stop the others.
         """
         folder = self.folder / "datasets" / self.name
         truth_file = self.folder / "truth" / f"{self.name}.json"
@@ -85,7 +87,7 @@ class DatasetJob(StudyJob):
 
 @dataclass(frozen=True)
 class DiagnosisStudy(Study):
-    """Synthetic datasets, diagnosed and only then compared with the ground truth."""
+    """Synthetic datasets, diagnosed and then compared with the ground truth."""
 
     TABLES = TABLES
     BLOCK, GROWING = "diagnosis", ("datasets", "first", "processes")
@@ -103,7 +105,7 @@ class DiagnosisStudy(Study):
     def tables(
         self, config: Config, results: Sequence[tuple[Any, Any]]
     ) -> Mapping[str, pd.DataFrame]:
-        """Return table DIAGNOSES and what is counted from it."""
+        """Return table DIAGNOSES and the tables counted from it."""
         return score_rows([row for _, row in results])
 
     def draw(self, tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
@@ -124,8 +126,9 @@ class DiagnosisStudy(Study):
 
 
 def diagnosis_document(folder: Path, config: Config) -> Mapping[str, Any]:
-    """Return the diagnosis.json of a dataset. config: settings of the run; the dataset
-    adds its own.
+    """Return the diagnosis.json of a dataset.
+
+    `config` holds the settings of the run; the dataset adds its own.
     """
     diagnosis = diagnose_dataset(folder, config)
     document: Mapping[str, Any] = json.loads(diagnosis.finding["diagnosis"].iloc[0])
@@ -133,8 +136,9 @@ def diagnosis_document(folder: Path, config: Config) -> Mapping[str, Any]:
 
 
 def diagnose_dataset(folder: Path, config: Config) -> Diagnosis:
-    """Return the diagnosis of a dataset. config: settings of the run; the dataset adds
-    its own.
+    """Return the diagnosis of a dataset.
+
+    `config` holds the settings of the run; the dataset adds its own.
     """
     settings = inherit_settings(
         OmegaConf.create({**config, "trials": str(folder)}), set()

@@ -1,5 +1,6 @@
-"""Scores of a blind study, from rows made by hand, and rows made by a study in
-miniature.
+"""Scores of a blind study.
+
+Some are of rows made by hand, others of a small study.
 """
 
 import json
@@ -49,8 +50,10 @@ def row(
     seed=0,
     **parameters,
 ):
-    """causes: (name, probability). parameters: name=(true, low, high), dots written as
-    two underscores.
+    """Return a row of a diagnosis study.
+
+    `causes` holds pairs (name, probability). `parameters` maps a name to (true, low,
+    high); dots are written as two underscores.
     """
     stated = {n.replace("__", "."): p for n, p in parameters.items()}
     intervals = {
@@ -162,8 +165,10 @@ def test_the_probability_of_an_answer():
 
 
 def test_exact_intervals():
-    """Clopper and Pearson: none of 60 is below 1 - 0.025^(1/60) = 5.96 %; Table of 95 %
-    limits for 9 of 10.
+    """Exact intervals are those of Clopper and Pearson.
+
+    None of 60 is below 1 - 0.025^(1/60) = 5.96 %. The 95 % limits for 9 of 10 are from
+    their table.
     """
     none = share_with_interval(pd.Series([False] * 60))
     assert (none["share"], none["low"]) == (0, 0)
@@ -173,8 +178,10 @@ def test_exact_intervals():
 
 
 def test_calibration_error_by_hand():
-    """0.9 said four times and right three times is off by 0.15; 0.5 said twice and
-    right once is not off.
+    """The calibration error is the one computed by hand.
+
+    A stated 0.9 that is right three times of four is off by 0.15. A stated 0.5 that is
+    right once in two is not off.
     """
     p, right = np.array([0.9] * 4 + [0.5] * 2), np.array([1, 1, 1, 0, 1, 0])
     assert calibration_error(p, right) == pytest.approx(0.15 * 4 / 6)
@@ -250,7 +257,7 @@ def test_pictures_are_drawn_even_of_one_row(tmp_path):
 
 
 def draw_guess(seed, folder, truth_file):
-    """A seed to be guessed."""
+    """Draw a seed that a job guesses."""
     folder.mkdir(parents=True)
     (folder / "points").write_text("." * seed)
     hidden = ["wind"] * (seed % 2)
@@ -260,7 +267,7 @@ def draw_guess(seed, folder, truth_file):
 
 
 def looked(folder):
-    """Notes that it ran; refuses to run twice, and to be wrong."""
+    """Record that the job ran, and raise if it runs twice or guesses wrongly."""
     (folder.parent / f"ran-{folder.name}").touch(exist_ok=False)
     seed = len((folder / "points").read_text())
     if seed == 4:
@@ -308,7 +315,7 @@ def test_a_diagnosis_that_fails_is_a_wrong_answer(tmp_path):
 
 
 def test_a_synthetic_dataset_that_hides_nothing(tmp_path):
-    """The ground truth, read after a diagnosis that finds nothing."""
+    """A diagnosis that finds nothing agrees with a ground truth without causes."""
     made = draw_and_diagnose(
         1,
         tmp_path,

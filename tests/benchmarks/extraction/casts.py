@@ -81,13 +81,13 @@ def perform(
 
 
 def _fastest_hand(arm: Arm, angles: np.ndarray, velocities: np.ndarray) -> float:
-    """Largest speed of the hand [m/s]."""
+    """Return the largest speed of the hand [m/s]."""
     velocity = arm.grasp_velocity(angles, velocities)[:, :2]
     return float(np.linalg.norm(velocity, axis=-1).max())
 
 
 def _is_possible(arm: Arm, angles: np.ndarray) -> bool:
-    """Whether a motion keeps the arm's limits, and the hand is about as fast as wanted."""
+    """Return whether a motion keeps the arm's limits at about the wanted hand speed."""
     commanded = arm.commanded_velocities(angles)
     hand = _fastest_hand(arm, angles, commanded)
     accelerations = np.abs(np.diff(commanded, axis=0)) / arm.tick

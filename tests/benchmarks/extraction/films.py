@@ -26,8 +26,9 @@ Extract = Callable[[Footage, Camera], Points]
 
 @dataclass(frozen=True)
 class StagedCast:
-    """One cast of one string, ready to be filmed. reported_angles: what the arm
-    reports, table ARM.
+    """One cast of one string, ready to be filmed.
+
+    `reported_angles` is what the arm reports, table ARM.
     """
 
     string: str
@@ -78,8 +79,9 @@ def film_cast(cast: StagedCast, level: ConditionLevel) -> tuple[Footage, Shot]:
 def read_cast(
     cast: StagedCast, level: ConditionLevel, extract: Extract
 ) -> tuple[Points, Shot]:
-    """Film a cast under a condition and extract its points; return them and the true
-    string.
+    """Film a cast under a condition and extract its points.
+
+    Returns the points and the true string.
     """
     footage, shot = film_cast(cast, level)
     return extract(footage, shot.camera), shot

@@ -1,5 +1,4 @@
-"""Real footage, strips and photographs: `python3 tasks.py study footage FOLDER TABLE`
-reads it.
+"""Reading of real footage: `python3 tasks.py study footage FOLDER TABLE`.
 
 FOLDER holds l4dc_strip_video (films of strips with the points their authors tracked)
 and tudelft_cable_fr3/frames (photographs of a black cable before a white arm). TABLE is
@@ -63,8 +62,9 @@ MEASURED = Table(
 def strip(
     folder: Path, name: str, every: int = EVERY
 ) -> tuple[Footage, Camera, pd.DataFrame]:
-    """A film, every so many frames of it, its camera and the table of published points.
-    name: such as 75mm_2.
+    """Read every so many frames of a film, its camera and the published points.
+
+    `name` is a name such as 75mm_2.
     """
     table = pd.read_parquet(folder / "points.parquet").query("trial == @name")
     film, t = Video(folder / "videos" / f"{name}.mp4"), np.sort(table["t"].unique())
@@ -87,7 +87,10 @@ def strip(
 
 
 def strip_row(folder: Path, name: str) -> dict[str, object]:
-    """The row of a film of a strip: points read against those that its authors tracked."""
+    """Return the row of a film of a strip.
+
+    It compares the points that are read with those that the authors tracked.
+    """
     footage, camera, table = strip(folder, name)
     length = int(name.partition("mm")[0]) / 1e3
     found = extract(footage, camera, string_length=length, **SETTINGS, **STRIP)
@@ -124,7 +127,7 @@ def _read(found: Points) -> dict[str, object]:
 
 
 def photograph_row(folder: Path, name: str, length: float) -> dict[str, object]:
-    """The row of a single photograph of a dark cable before a bright arm."""
+    """Return the row of a single photograph of a dark cable before a bright arm."""
     known = {
         one["name"]: one
         for one in json.loads((folder / "frames.json").read_text(encoding="utf-8"))

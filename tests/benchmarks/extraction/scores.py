@@ -1,8 +1,8 @@
-"""How far what was read is from what was so: a row a frame, and shares by condition.
+"""Errors of what was read: a row for each frame, and shares by condition.
 
 A frame is wrong when it was accepted and its line, a place on it or its tip is off by
-more than WRONG_PX, or its line or tip by more than WRONG_SIGMAS of what was stated. A
-wrong frame does harm; a refused one only costs.
+more than WRONG_PX, or its line or tip by more than WRONG_SIGMAS of the stated
+uncertainty. A wrong frame does harm; a refused one only costs data.
 """
 
 from __future__ import annotations
@@ -162,8 +162,9 @@ def count_shares(frames: pd.DataFrame) -> pd.DataFrame:
 
 
 def refusal_reasons(frames: pd.DataFrame) -> str:
-    """Return reasons of refusals and how often each was given. frames: with a column
-    `reason`, empty if read.
+    """Count the reasons of refusals.
+
+    `frames` has a column `reason`, which is empty if the frame was read.
     """
     counts = frames.loc[frames["reason"] != "", "reason"].value_counts()
     return "; ".join(f"{reason} ({count})" for reason, count in counts.items())

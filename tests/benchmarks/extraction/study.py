@@ -1,6 +1,4 @@
-"""The extraction study: casts filmed under every condition, read, and compared with the
-truth.
-"""
+"""The extraction study: casts filmed under every condition, read, and scored."""
 
 from __future__ import annotations
 
@@ -39,8 +37,10 @@ WHERE = "tests/benchmarks/conf/study/extraction.yaml"
 
 @dataclass(frozen=True)
 class ExtractionSettings:
-    """casts: of each string, from the run's seed. frames: of each cast. processes: 0
-    for one per core.
+    """Settings of the study.
+
+    `casts` is the number for each string, from the run's seed. `frames` is the number
+    for each cast. `processes` is 0 for one per core.
     """
 
     casts: Annotated[int, Field(ge=1)]
@@ -128,10 +128,9 @@ class ExtractionStudy(Study):
 
 
 def draw_shares(shares: pd.DataFrame, path: Path) -> None:
-    """Draw what was read, refused and wrong at each condition and severity, and the
-    errors of what was read.
+    """Draw shares of read, refused and wrong frames, and errors of those read.
 
-    shares: table SHARES.
+    Each condition and severity has its own place. `shares` is table SHARES.
     """
     with plt.style.context(STYLE_SHEET):
         figure, (left, right) = plt.subplots(

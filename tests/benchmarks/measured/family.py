@@ -1,5 +1,4 @@
-"""Families of strings that others measured, each string written as a dataset in our
-format.
+"""Families of strings that others measured, each string as a dataset in our format.
 
 A family's folder holds several strings side by side. The settings say what its tables
 do not: which trials belong to a string, which begin moving, the noise of a marker, the
@@ -85,8 +84,9 @@ class Family:
         folder: Path,
         origin: Mapping[str, Any],
     ) -> None:
-        """Write the dataset of one string; dataset.yaml comes last. source: folder of
-        all families.
+        """Write the dataset of one string; dataset.yaml comes last.
+
+        `source` is the folder of all families.
         """
         for table in (GRASP, POINTS):
             rows = pd.read_parquet(source / self.folder / f"{table.name}.parquet")

@@ -1,5 +1,6 @@
-"""The study's picture: errors of each set of effects, and the tip error over time in
-held-out trials.
+"""The study's picture.
+
+It shows errors of each set of effects, and the tip error over time in held-out trials.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ PANELS_PER_ROW = 4
 def draw_sets(
     table: pd.DataFrame, held_out: Mapping[tuple[str, str], pd.DataFrame], path: Path
 ) -> None:
-    """Draw errors of all fits. table: SETS. held_out: table PREDICTED by string and
-    set.
+    """Draw errors of all fits.
+
+    `table` is SETS. `held_out` is table PREDICTED by string and set.
     """
     trials: list[tuple[str, str]] = []
     for (string, _), rows in held_out.items():

@@ -106,8 +106,9 @@ def score_fit(experiment: Experiment, result: RunResult) -> dict[str, Any]:
 
 
 def predicted_points(run: Path) -> pd.DataFrame:
-    """Return table PREDICTED of all trials that a run has predicted, empty if it has
-    none.
+    """Return table PREDICTED of all trials that a run has predicted.
+
+    It is empty if there are none.
     """
     paths = sorted(run.glob("iterations/*/prediction/predicted.parquet"))
     tables = [store.read_table(PREDICTED, path) for path in paths]

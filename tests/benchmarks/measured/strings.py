@@ -1,5 +1,4 @@
-"""Diagnosis of strings that others measured: `python3 tasks.py study strings
-../shared/measured`.
+"""Diagnosis of measured strings: `python3 tasks.py study strings ../shared/measured`.
 
 Writes results/strings.parquet, a row for each string, and the diagnosis of each to
 --out. Takes a quarter of an hour of a core for each string, or more. Rows of strings
@@ -143,8 +142,9 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def families_with_all_trials() -> list[Family]:
-    """Return the families of the study with all trials, frames and points: nothing is
-    held out.
+    """Return the families of the study with all trials, frames and points.
+
+    Nothing is held out.
     """
     settings = build_dataclass(
         MeasuredSettings,
@@ -224,8 +224,9 @@ def summarise(document: Mapping[str, Any], diagnosis: Diagnosis) -> dict[str, An
 
 
 def released_tip_rms(residuals: pd.DataFrame, model: str) -> float:
-    """Return the rms distance of the outermost point in released trials [m]; NaN where
-    there are none.
+    """Return the rms distance of the outermost point in released trials [m].
+
+    It is NaN without such trials.
     """
     is_tip = residuals["s"] == residuals["s"].max()
     tip = residuals[residuals["trial"].str.startswith(RELEASED) & is_tip]

@@ -1,5 +1,6 @@
-"""The measured study: every set of effects fitted to every string, each fit kept as an
-ordinary run.
+"""The measured study: every set of effects fitted to every string.
+
+Each fit is kept as an ordinary run.
 """
 
 from __future__ import annotations
@@ -31,8 +32,10 @@ WHERE = "tests/benchmarks/conf/study/measured.yaml"
 
 @dataclass(frozen=True)
 class MeasuredSettings:
-    """source: folder of all families. processes: 0 for one per core. strings: names,
-    all if empty.
+    """Settings of the study.
+
+    `source` is the folder of all families. `processes` is 0 for one per core. `strings`
+    holds names, and is empty for all.
     """
 
     source: str
@@ -43,8 +46,9 @@ class MeasuredSettings:
 
 @dataclass(frozen=True)
 class FitJob(StudyJob):
-    """A set of effects and the string that it is fitted to. config: settings of the
-    study, folder: its own.
+    """A set of effects and the string that it is fitted to.
+
+    `config` holds the settings of the study, `folder` is the study's folder.
     """
 
     family: str
@@ -85,7 +89,10 @@ class FitJob(StudyJob):
 
 
 def run_folder(folder: Path, string: str, effect_set: str) -> Path:
-    """Return the run folder of a fit. folder: the study's."""
+    """Return the run folder of a fit.
+
+    `folder` is the study's.
+    """
     return folder / "fits" / f"{string}-{effect_set.replace(' ', '_')}"
 
 
@@ -98,9 +105,7 @@ class MeasuredStudy(Study):
     CALLS_PER_PROCESS = 1  # so that the processor time of a row is that of its own fit
 
     def jobs(self, config: Config, folder: Path) -> list[FitJob]:
-        """Write the datasets of all strings, and return the fits of all sets of effects
-        to them.
-        """
+        """Write the datasets of all strings, and return the fits of all sets."""
         settings = build_dataclass(
             MeasuredSettings, config[self.BLOCK], self.BLOCK, WHERE
         )
@@ -175,8 +180,9 @@ def millimetre_range(values: pd.Series) -> str:
 
 
 def fit_settings(job: FitJob, dataset: Path) -> dict[str, Any]:
-    """Return the settings of the run `+experiment=estimate trials=<dataset>` with those
-    of family and set.
+    """Return the settings of a run `+experiment=estimate trials=<dataset>`.
+
+    Those of the family and the set are merged in.
     """
     family = job.config["measured"]["families"][job.family]
     settings = (

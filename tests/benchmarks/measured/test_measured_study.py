@@ -1,5 +1,7 @@
-"""Strings that others measured: read as they say, fitted as a person would do it by
-hand, and counted once.
+"""Strings that others measured.
+
+They are read as their authors describe them, fitted as a person would by hand, and
+counted once.
 """
 
 import json
@@ -79,7 +81,7 @@ def test_every_string_is_read_with_all_its_trials(tmp_path):
 
 
 def put(folder):
-    """A cable as the study finds it: pulled aside and let go, and shaken by the hand."""
+    """Write a cable as the study finds it: released, and shaken by the hand."""
     t = np.arange(0, 0.6, 1 / 30)
     tables = {"grasp": [], "points": []}
     for trial in ("release_red", "drive_red"):
@@ -127,7 +129,7 @@ def put(folder):
 
 @pytest.fixture
 def config(tmp_path):
-    """Settings of a study of one string, whose fits are poor and quick."""
+    """Return settings of a study of one string with rough, quick fits."""
     source = tmp_path / "source"
     source.mkdir()
     put(source)
@@ -149,7 +151,7 @@ def config(tmp_path):
 
 
 def test_a_set_is_fitted_as_a_person_would_do_it_by_hand(config, tmp_path):
-    """The same settings, down to the last: the same numbers."""
+    """A fit of the study equals a fit by hand with the same settings."""
     (tmp_path / "dataset").mkdir()
     (tmp_path / "dataset" / "dataset.yaml").write_text(
         "format: 1\nstring: {length: 0.2, mass: 0.2, tip_mass: 0.01}\n"
@@ -182,7 +184,7 @@ def test_a_set_is_fitted_as_a_person_would_do_it_by_hand(config, tmp_path):
 def test_a_study_counts_what_was_fitted_and_what_was_predicted(
     config, tmp_path, monkeypatch
 ):
-    """And makes nothing again that is there."""
+    """A study counts fitted and predicted trials, and repeats no existing run."""
     folder = tmp_path / "study"
     quick = compose_settings(["estimate=random_search"])["estimate"] | {
         "candidates": 8,
@@ -218,7 +220,7 @@ def test_a_study_counts_what_was_fitted_and_what_was_predicted(
 
 
 class Here:
-    """Workers that are this very process."""
+    """Workers that are the calling process."""
 
     def __init__(self, processes, lives):
         pass

@@ -1,4 +1,4 @@
-"""What may be hidden: causes, their circumstances, and what the library calls them.
+"""Causes that may be hidden, their circumstances, and their names in the library.
 
 A cause grows from absent to full; its size is searched later, in millimetres at the
 tip. Its settings are fields of `Rod`, `HandFaults` and `CameraFaults`, by name with
@@ -72,7 +72,7 @@ class Cause:
     size_factor: float = 1.0
 
     def hide(self, rng: np.random.Generator, trials: PlainTrials) -> HiddenCause | None:
-        """Draw circumstances that fit the trials; None where there are none."""
+        """Draw circumstances that fit the trials, or None where there are none."""
         trial = int(rng.integers(len(trials.times)))
         ends = self.draw_ends(rng, trials, trial)
         if ends is None:
@@ -84,7 +84,7 @@ class Cause:
 class HiddenCause:
     """A cause in its circumstances, between absent and full.
 
-    only_trial: number of the one trial in which it acts, None for all.
+    `only_trial` is the number of the one trial in which it acts, None for all.
     """
 
     cause: Cause

@@ -77,7 +77,7 @@ class Plan:
     def draw_causes(self, rng: np.random.Generator, skipped: int) -> list[Cause]:
         """Choose the causes: single ones in turn, several at random.
 
-        skipped: number of causes whose turn it is, but which do not suit.
+        `skipped` is the number of causes whose turn it is, but which do not suit.
         """
         causes = {cause.name: cause for cause in self.simulator.causes}
         if self.cause_names is not None:
@@ -420,7 +420,8 @@ def _merge(settings: Sequence[dict[str, float]]) -> dict[str, float]:
 def correlated_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     """Draw noise of unit variance, correlated along the string and in time.
 
-    shape: (F, S, 2). A point shares noise with its neighbour and with the frame before.
+    `shape` is (F, S, 2). A point shares noise with its neighbour and with the frame
+    before.
     """
     along, before = rng.uniform(0.0, 0.5), rng.uniform(0.0, 0.4)
     white = rng.standard_normal((shape[0], shape[1] + 1, shape[2]))

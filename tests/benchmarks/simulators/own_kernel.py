@@ -118,7 +118,7 @@ class OwnKernel(Simulator):
 def make_string(length: float, fidelity: Fidelity, with_all_effects: bool) -> String:
     """Return a string of second order in its mesh.
 
-    with_all_effects: with every effect on the string that may be hidden, so that one
+    `with_all_effects` adds every effect on the string that may be hidden, so that one
     compiled loop serves them all.
     """
     effects = PAPER_EFFECTS

@@ -82,8 +82,9 @@ class MassPoints:
 
 
 def _cubic_weights(place: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first of four neighbours (M,) on a grid, and Lagrange's weights (4,
-    M).
+    """Return the first of four neighbours (M,) on a grid, and their weights (4, M).
+
+    The weights are Lagrange's.
     """
     first = np.clip(np.floor(place).astype(int) - 1, 0, count - 4)
     x = place - first
@@ -99,7 +100,7 @@ def _cubic_weights(place: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
 class Extrapolated:
     """The limit of two meshes of a method of second order (Richardson).
 
-    ratio: of their numbers of elements.
+    `ratio` is that of their numbers of elements.
     """
 
     coarse: StringMotion
@@ -140,7 +141,10 @@ class PyElastica(Nodal):
         return Extrapolated(coarse_motion, fine_motion, fine / coarse)
 
     def _simulate_once(self, rod: Rod, path: GraspPath, elements: int) -> MassPoints:
-        """Simulate a mesh, or return the kept motion: both fidelities use one mesh."""
+        """Simulate a mesh, or return the kept motion.
+
+        Both fidelities use one mesh.
+        """
         key = rod, path.pose.c.tobytes()
         if self._last[0] != key:
             self._last = (key, {})
@@ -224,7 +228,7 @@ def _run(
 ) -> np.ndarray:
     """Return positions of mass points (K, N + 1, 2).
 
-    hand: (2 K steps_per_sample + 1, 8), every half step.
+    `hand` (2 K steps_per_sample + 1, 8) is given at every half step.
     """
     force_arguments = (
         cosserat.position_collection,
@@ -369,8 +373,8 @@ def _update_velocities(
 ) -> None:
     """Update the velocities (3, N + 1), but for the hand's.
 
-    tension: (N,) of dampers along the string. inner: (3, N + 1) forces. outer: (2,
-    N + 1), to work in.
+    `tension` (N,) is that of dampers along the string. `inner` (3, N + 1) holds forces.
+    `outer` (2, N + 1) is working space.
     """
     _outer_forces(t, x, v, tangents, segment, rod, outer)
     for c in range(2):
@@ -402,9 +406,9 @@ def _update_rotation_rates(
 ) -> None:
     """Update the rates of rotation (N,).
 
-    turn: of the first section from the grasp's direction [rad]. torque: (N,), to which
-    the grasp's is added. passed_on: share of the grasp's moment that the half element
-    before the first section passes on.
+    `turn` is that of the first section from the grasp's direction [rad]. The grasp's
+    torque is added to `torque` (N,). `passed_on` is the share of the grasp's moment
+    that the half element before the first section passes on.
     """
     torque[0] -= passed_on * grasp_moment(turn, 0.0, t, rod)
     omega += dt * torque / inertia
@@ -421,7 +425,7 @@ def _damp_rotation(
     """Apply dampers implicitly to rates of rotation (N,) [rad/s].
 
     The first section is damped against the hand, each other against its neighbour.
-    first, between: shares of the rate that a step takes away.
+    `first` and `between` are shares of the rate that a step removes.
     """
     ahead = np.empty_like(omega)
     last = len(omega) - 1

@@ -98,7 +98,7 @@ class Rod(NamedTuple):
 
     @property
     def record(self) -> np.void:
-        """The rod as a NumPy record, which compiled code takes."""
+        """Return the rod as a NumPy record, which compiled code takes."""
         dtype = [(name, float) for name in self._fields]
         record: np.void = np.array([tuple(self)], dtype=dtype)[0]
         return record
@@ -114,7 +114,7 @@ class Rod(NamedTuple):
         return Rod(length, **material)
 
     def paper_parameters(self) -> dict[str, float]:
-        """Return the paper's parameters; the inverse of `from_paper_parameters`."""
+        """Return the paper's parameters, the inverse of `from_paper_parameters`."""
         segment = self.length / 9
         per_point = {}
         for name, (field, power) in PAPER_PARAMETERS.items():

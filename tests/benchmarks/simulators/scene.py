@@ -27,8 +27,8 @@ Record = TypeVar("Record", bound=NamedTuple)
 class Fidelity(Enum):
     """Meshes and steps, from coarse to fine.
 
-    SEARCH: for sizes of causes. SCREENING: with SEARCH, for the choice of casts. CHECK:
-    for the numerical error of FINAL, with which measurements are made.
+    SEARCH serves sizes of causes. SCREENING, with SEARCH, serves the choice of casts.
+    CHECK serves the numerical error of FINAL, with which measurements are made.
     """
 
     SEARCH = auto()
@@ -50,8 +50,9 @@ class StringMotion(Protocol):
 class Simulator(ABC):
     """A way to simulate a string, and the causes that it can hide.
 
-    screening_tolerance: largest distance [m] of the tip between SEARCH and SCREENING in
-    a cast that is chosen, for such casts are likely to be simulated accurately.
+    `screening_tolerance` is the largest distance [m] of the tip between SEARCH and
+    SCREENING in a cast that is chosen. Such casts are likely to be simulated
+    accurately.
     """
 
     screening_tolerance: ClassVar[float]
@@ -133,7 +134,8 @@ class Scene:
     ) -> np.ndarray:
         """Return the points of all frames of all casts without noise, (N, S, 2) [m].
 
-        only_cast: number of the one cast in which the settings hold, if not in all.
+        `only_cast` is the number of the one cast in which the settings hold, if not in
+        all.
         """
         fields = []
         for number, cast in enumerate(self.casts):
@@ -162,7 +164,10 @@ class Scene:
 
     @cached_property
     def base_slopes(self) -> np.ndarray:
-        """Displacements by a small change of each base parameter, (P, N, S, 2) [m]."""
+        """Return displacements by a small change of each base parameter.
+
+        They have shape (P, N, S, 2) [m].
+        """
         plain = self.observe_all({}, Fidelity.SEARCH)
         slopes = []
         for name in BASE_FIELDS:

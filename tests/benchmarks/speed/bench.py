@@ -1,8 +1,9 @@
 """Speed of the string engine and of a diagnosis: `python3 tasks.py bench`.
 
-The engine, MuJoCo and PyElastica simulate the same cord at nearly equal tip errors, one or many at
-a time, on one core. Models are built and compiled before the clock starts. Contenders take turns;
-their ratios within one run count, for machines differ and are shared. Seconds are processor time.
+The engine, MuJoCo and PyElastica simulate the same cord at nearly equal tip errors, one
+or many at a time, on one core. Models are built and compiled before the clock starts.
+Contenders take turns; their ratios within one run count, for machines differ and are
+shared. Seconds are processor time.
 
 `bench diagnosis` diagnoses data/sample alone, which needs no peer.
 """
@@ -135,7 +136,10 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def simulation_table(accuracy: int, rounds: int) -> Table:
-    """Return a table of simulation speeds. accuracy: which of each contender's resolutions."""
+    """Return a table of simulation speeds.
+
+    `accuracy` says which of each contender's resolutions is used.
+    """
     seconds = time_contenders((ENGINE, *PEERS), accuracy, rounds)
     title = f"Simulations of {TIMES[-1]} s, tip error below {(3, 1)[accuracy]} mm"
     table = Table(title=f"{title} (median and range of {rounds} rounds, one core)")
@@ -167,7 +171,10 @@ def simulation_table(accuracy: int, rounds: int) -> Table:
 def time_contenders(
     contenders: Sequence[Contender], accuracy: int, rounds: int
 ) -> pd.DataFrame:
-    """Return processor seconds, a row a round, a column a contender and count."""
+    """Return processor seconds, with a row for each round.
+
+    A column is a contender and a count.
+    """
     rows = []
     for _ in range(rounds):
         row = {}
@@ -187,7 +194,7 @@ def median_and_range(values: pd.Series) -> str:
 
 
 def diagnosis_line() -> str:
-    """Diagnose data/sample on one thread; return seconds, memory and verdict in a line."""
+    """Diagnose data/sample on one thread; return time, memory and verdict in a line."""
     with tempfile.TemporaryDirectory() as folder:
         started = time.perf_counter()
         words = (

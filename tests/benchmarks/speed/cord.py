@@ -1,9 +1,10 @@
 """The cord that the engine and its peers simulate, and the motion of the hand.
 
-The cord is string B of the virtual lab, clamped in the hand and without air. A chain of mass
-points, a chain of hinges and a Cosserat rod can then be the same cord: the same mass, bending
-stiffness and bending damping. They converge to nearly the same motion; hinges do not stretch and
-rods shear. So each is judged by the limit that it converges to.
+The cord is string B of the virtual lab, clamped in the hand and without air. A chain of
+mass points, a chain of hinges and a Cosserat rod can then be the same cord: the same
+mass, bending stiffness and bending damping. They converge to nearly the same motion;
+hinges do not stretch and rods shear. So each is judged by the limit that it converges
+to.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class Cord:
 
     @property
     def radius(self) -> float:
-        """Radius of a round cord of this EA and EI [m]."""
+        """Return the radius of a round cord of this EA and EI [m]."""
         return 2 * float(np.sqrt(self.bending / self.axial))
 
 
@@ -68,7 +69,7 @@ def hand_pose(t: np.ndarray) -> np.ndarray:
 
 
 def hanging_depth(s: np.ndarray) -> np.ndarray:
-    """Return the depth below the hand of points at arc length s [m] when the cord hangs [m]."""
+    """Return the depth below the hand of points at arc length s [m] at rest."""
     return s + GRAVITY / CORD.axial * (CORD.length * s - s**2 / 2)
 
 

@@ -47,7 +47,10 @@ LINK = """
 
 @dataclass(frozen=True)
 class Chain:
-    """links: how many. step: [s], a whole part of a camera frame."""
+    """A chain of rigid links.
+
+    `links` is their number. `step` [s] is a whole part of a camera frame.
+    """
 
     links: int
     step: float
@@ -56,7 +59,10 @@ class Chain:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """Compiled model; its positions are the carriage's pose and the hinges' angles."""
+        """Return the compiled model.
+
+        Its positions are the carriage's pose and the hinges' angles.
+        """
         length = CORD.length / self.links
         chain = "".join(self._link(i, length) for i in range(self.links))
         chain += f'<site name="tip" pos="{length} 0 0"/>' + "</body>" * self.links
@@ -70,7 +76,7 @@ class Chain:
         )
 
     def _link(self, i: int, length: float) -> str:
-        """One link; the hinge at the clamp has only half a link to bend."""
+        """Add one link; the hinge at the clamp has only half a link to bend."""
         cell = length / 2 if i == 0 else length
         return LINK.format(
             start=0.0 if i == 0 else length,
@@ -83,10 +89,10 @@ class Chain:
 
     @cached_property
     def forces(self) -> np.ndarray:
-        """Forces (1, steps + 1, 3) that move the carriage from pose to pose.
+        """Return forces (1, steps + 1, 3) that move the carriage from pose to pose.
 
-        M (p_+1 - 2 p + p_-1) / dt^2. There is one step more than the time takes, because
-        a sensor reports the moment at which a step begins.
+        They are M (p_+1 - 2 p + p_-1) / dt^2. There is one step more than the time
+        takes, because a sensor reports the moment at which a step begins.
         """
         steps = round(TIMES[-1] / self.step)
         poses = hand_pose(np.arange(-1, steps + 2) * self.step)
@@ -94,7 +100,7 @@ class Chain:
 
     @cached_property
     def start(self) -> np.ndarray:
-        """State of the chain at rest in the hand, straight down."""
+        """Return the state of the chain at rest in the hand, straight down."""
         data = mujoco.MjData(self.model)
         data.qpos[:3] = hand_pose(0.0)
         kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -103,9 +109,9 @@ class Chain:
         return state
 
     def prepare_rollout(self, count: int) -> Callable[[], np.ndarray]:
-        """Compile the model; return what simulates `count` cords on one thread.
+        """Compile the model; return a function that simulates cords on one thread.
 
-        It returns their tips at TIMES, (count, F, 2) [m].
+        It simulates `count` cords and returns their tips at TIMES, (count, F, 2) [m].
         """
         model, forces = self.model, self.forces
         data = [mujoco.MjData(model)]

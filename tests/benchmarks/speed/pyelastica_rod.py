@@ -1,8 +1,8 @@
 """The cord in PyElastica: several Cosserat rods in one simulator, for speed.
 
 The first element is centred on the clamp, so that the rod is clamped where the cord is,
-and not half an element further. Bending damping, which PyElastica has not, is a couple
-of ours.
+and not half an element further. PyElastica has no bending damping; a couple of our own
+adds it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Simulator(
 
 
 class Hand(elastica.ConstraintBase):
-    """Holds the middle of the first element at the pose of each step."""
+    """A constraint of the middle of the first element to the pose of each step."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class Hand(elastica.ConstraintBase):
         self.poses, self.rates, self.every, self.half = poses, rates, step / 2, half
 
     def constrain_values(self, system: Any, time: float) -> None:
-        """First node and first element's directors."""
+        """Constrain the first node and the first element's directors."""
         x, y, theta = self.poses[min(round(time / self.every), len(self.poses) - 1)]
         c, s = np.cos(theta), np.sin(theta)
         system.position_collection[:, 0] = (x - self.half * c, y - self.half * s, 0.0)
@@ -55,7 +55,7 @@ class Hand(elastica.ConstraintBase):
         )
 
     def constrain_rates(self, system: Any, time: float) -> None:
-        """Their velocities."""
+        """Constrain the velocities of the first node and element."""
         x, y, theta = self.rates[min(round(time / self.every), len(self.rates) - 1)]
         now = self.poses[min(round(time / self.every), len(self.poses) - 1), 2]
         c, s = np.cos(now), np.sin(now)
@@ -71,12 +71,12 @@ class BendingDamping(elastica.NoForces):
     """A couple proportional to the rate of curvature, about the normal of the plane."""
 
     def __init__(self, damping: float) -> None:
-        """damping: [N m^2 s]."""
+        """Set the damping [N m^2 s]."""
         super().__init__()
         self.damping = damping
 
     def apply_torques(self, system: Any, time: float = 0.0) -> None:
-        """Add it to both elements that meet at a node."""
+        """Add the couple to both elements that meet at a node."""
         couple = (
             self.damping
             * np.diff(system.omega_collection[0])
@@ -99,7 +99,7 @@ class Rods:
     def prepare_rollout(
         self, count: int, duration: float = float(TIMES[-1])
     ) -> Callable[[], np.ndarray]:
-        """Assemble `count` rods; return what simulates them together, once.
+        """Assemble `count` rods; return a function that simulates them together, once.
 
         It returns their tips at TIMES up to `duration` [s], (count, F, 2) [m].
         """
@@ -142,7 +142,7 @@ class Rods:
         return simulator, rods
 
     def _rod(self, length: float) -> Any:
-        """One rod as the cord hangs at first: straight down, stretched by its weight."""
+        """Make a rod that hangs straight down, stretched by its weight."""
         area = np.pi * CORD.radius**2
         modulus = CORD.axial * CORD.mass / area
         s = (np.arange(self.elements + 1) - 0.5) * length

@@ -1,4 +1,7 @@
-"""The speed benchmark in small, without peers unless they are installed. Nothing is timed here."""
+"""The speed benchmark in small.
+
+Peers are included only if they are installed. Nothing is timed here.
+"""
 
 import subprocess
 

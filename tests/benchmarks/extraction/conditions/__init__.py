@@ -1,5 +1,6 @@
-"""Real conditions, rendered: each makes a film harder to read in one way, at two or
-three severities.
+"""Real conditions, rendered.
+
+Each makes a film harder to read in one way, at two or three severities.
 """
 
 from __future__ import annotations

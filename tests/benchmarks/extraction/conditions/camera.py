@@ -1,5 +1,7 @@
-"""Camera: how it stands, how long it looks, what its sensor adds, and what is left of
-frames stored with loss.
+"""Conditions of the camera.
+
+They concern its pose, its exposure, the noise of its sensor, and frames stored with
+loss.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ class LongExposure(Condition):
     share: float
 
     def change_scene(self, shot: Shot) -> Shot:
-        """The shot by a camera that is told of its exposure."""
+        """Return the shot by a camera that knows its exposure."""
         return replace(
             shot, camera=replace(shot.camera, exposure=self.share / shot.camera.fps)
         )
@@ -34,14 +36,15 @@ class LongExposure(Condition):
 
 @dataclass(frozen=True)
 class CroppedView(Condition):
-    """The picture ends where the tip is for `share` of the film: it shows no more than
-    that of the room's height.
+    """The picture ends where the tip is for `share` of the film.
+
+    It shows no more than that share of the room's height.
     """
 
     share: float
 
     def change_scene(self, shot: Shot) -> Shot:
-        """Fewer rows; the world stays where it is."""
+        """Return the shot with fewer rows of the same world."""
         tips = shot.camera.pixels(shot.truth[:, -1])[:, 1]
         rows = int(np.clip(np.quantile(tips, 1 - self.share), 64, shot.camera.height))
         return replace(
@@ -56,21 +59,23 @@ class SensorNoise(Condition):
     sigma: float
 
     def change_scene(self, shot: Shot) -> Shot:
-        """The shot taken with another sensor."""
+        """Return the shot taken with another sensor."""
         return replace(shot, look=replace(shot.look, noise=self.sigma))
 
 
 @dataclass(frozen=True)
 class CameraShake(Condition):
-    """The camera trembles: the picture is shifted by chance in each frame, one sigma in
-    u and in v [px].
+    """The camera trembles.
+
+    The picture is shifted at random in each frame, with one sigma in u and in v [px].
     """
 
     sigma: float
 
     def change_light(self, frame: np.ndarray, moment: ExposureMoment) -> np.ndarray:
-        """The frame shifted as the camera shook. The truth stays: nobody measured where
-        the camera was.
+        """Return the frame shifted as the camera shook.
+
+        The truth stays, because nobody measured where the camera was.
         """
         across, down = moment.rng.normal(0, self.sigma, 2)
         shift = np.array([[1, 0, across], [0, 1, down]])
@@ -91,7 +96,7 @@ class HotPixels(Condition):
     seed: int = 3
 
     def change_light(self, frame: np.ndarray, moment: ExposureMoment) -> np.ndarray:
-        """The frame with hot pixels of random brightness."""
+        """Return the frame with hot pixels of random brightness."""
         place = np.random.default_rng(self.seed).integers(0, frame.size, self.count)
         lit = place[moment.rng.uniform(size=self.count) < 0.5]
         hot = frame.copy()
@@ -101,14 +106,14 @@ class HotPixels(Condition):
 
 @dataclass(frozen=True)
 class JpegCoding(Condition):
-    """Each frame as JPEG of a quality from 1 to 100."""
+    """Each frame is coded as JPEG of a quality from 1 to 100."""
 
     quality: int
 
     def change_stored_images(
         self, images: Sequence[np.ndarray], fps: float
     ) -> Sequence[np.ndarray]:
-        """The images after each was coded as JPEG."""
+        """Return the images after each was coded as JPEG."""
         packed = (
             cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, self.quality])[1]
             for image in images
@@ -121,14 +126,15 @@ class JpegCoding(Condition):
 
 @dataclass(frozen=True)
 class VideoCoding(Condition):
-    """The film as MPEG-4 video (mp4v), in which frames are predicted from those before
-    them.
+    """The film is coded as MPEG-4 video (mp4v).
+
+    The codec predicts frames from earlier ones.
     """
 
     def change_stored_images(
         self, images: Sequence[np.ndarray], fps: float
     ) -> Sequence[np.ndarray]:
-        """The images after they were written to a video file and read again."""
+        """Return the images after they were written to a video file and read again."""
         with tempfile.TemporaryDirectory() as folder:
             path = str(Path(folder) / "film.mp4")
             writer = cv2.VideoWriter(

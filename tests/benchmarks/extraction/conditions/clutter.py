@@ -16,8 +16,9 @@ from tests.benchmarks.extraction.conditions.condition import (
 
 @dataclass(frozen=True)
 class Cables(Condition):
-    """A wall full of lines as wide as the string, half of them darker, half brighter by
-    up to `levels`.
+    """A wall full of lines as wide as the string.
+
+    Half of them are darker and half brighter, by up to `levels`.
     """
 
     levels: float
@@ -25,7 +26,7 @@ class Cables(Condition):
     seed: int = 5
 
     def change_scene(self, shot: Shot) -> Shot:
-        """Lines through random points of the wall."""
+        """Draw lines through random points of the wall."""
         rng, wall = np.random.default_rng(self.seed), shot.wall.copy()
         share = np.linspace(0, 1, 40)[:, None]
         for number in range(self.count):
@@ -43,15 +44,16 @@ class Cables(Condition):
 
 @dataclass(frozen=True)
 class ArmCable(Condition):
-    """A cable of the arm itself, which moves with it: from elbow to hand behind the
-    arm, sagging by `sag` [m].
+    """A cable of the arm itself, which moves with it.
+
+    It runs from elbow to hand behind the arm and sags by `sag` [m].
     """
 
     brightness: float
     sag: float = 0.12
 
     def change_background(self, wall: np.ndarray, moment: ExposureMoment) -> np.ndarray:
-        """A parabola between the joints, as wide as the string."""
+        """Draw a parabola between the joints, as wide as the string."""
         first, last = moment.joints.mean(axis=0)[[1, -2]]
         share = np.linspace(0, 1, 40)[:, None]
         line = (

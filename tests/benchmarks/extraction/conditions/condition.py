@@ -40,8 +40,10 @@ class Shot:
 
 @dataclass(frozen=True)
 class ExposureMoment:
-    """One exposure. joints: (K, J + 1, 2), strings: (K, n, 2) while the shutter is open
-    [m]; rng: its chance.
+    """The state of the scene while the shutter is open.
+
+    `joints` (K, J + 1, 2) and `strings` (K, n, 2) are in metres. `rng` is its source of
+    chance.
     """
 
     shot: Shot
@@ -53,8 +55,9 @@ class ExposureMoment:
 
 
 class Condition:
-    """One thing that makes a film harder to read. Each member is frozen data and
-    changes what it needs to.
+    """One thing that makes a film harder to read.
+
+    Each member is frozen data and overrides the methods that it needs.
     """
 
     def change_scene(self, shot: Shot) -> Shot:
@@ -62,24 +65,31 @@ class Condition:
         return shot
 
     def change_background(self, wall: np.ndarray, moment: ExposureMoment) -> np.ndarray:
-        """Change the background of one frame. wall: (height, width) float32."""
+        """Change the background of one frame.
+
+        `wall` is (height, width) float32.
+        """
         return wall
 
     def change_light(self, frame: np.ndarray, moment: ExposureMoment) -> np.ndarray:
-        """Change the light that falls on the sensor. frame: (height, width) float32."""
+        """Change the light that falls on the sensor.
+
+        `frame` is (height, width) float32.
+        """
         return frame
 
     def change_stored_images(
         self, images: Sequence[np.ndarray], fps: float
     ) -> Sequence[np.ndarray]:
-        """Change what is left of the film when it is read again. images: F of (height,
-        width) uint8.
+        """Change the film as it is read again from storage.
+
+        `images` are F images (height, width) uint8.
         """
         return images
 
 
 def prepare_shot(bench: VirtualBench, t: np.ndarray) -> Shot:
-    """The shot of the last performed motion on a bench, at times t (F,) [s]."""
+    """Prepare the shot of a bench's last performed motion at times t (F,) [s]."""
     # an exposure reaches half of an interval beyond its frame's time at most
     margin = 0.6 / bench.camera.fps
     times = np.arange(t[0] - margin, t[-1] + margin, SHOT_STEP_S)
@@ -98,8 +108,9 @@ def prepare_shot(bench: VirtualBench, t: np.ndarray) -> Shot:
 def film_shot(
     shot: Shot, conditions: Sequence[Condition], seed: int
 ) -> Sequence[np.ndarray]:
-    """Frames of a staged shot, F uint8 images (height, width). seed: of all chance in
-    them.
+    """Film a staged shot as F uint8 images (height, width).
+
+    `seed` determines all chance in them.
     """
     images = []
     for number in range(len(shot.frame_times)):
@@ -119,7 +130,10 @@ def film_shot(
 
 
 def open_shutter(shot: Shot, number: int, seed: int) -> ExposureMoment:
-    """Arm and string while the shutter is open, at moments about a pixel apart."""
+    """Return arm and string while the shutter is open.
+
+    The moments are about a pixel apart.
+    """
     t, half = shot.frame_times[number], shot.camera.exposure / 2
     ends = interpolate(np.array([t - half, t + half]), shot.times, shot.strings)
     blur = np.linalg.norm(ends[1] - ends[0], axis=-1).max() * shot.camera.px_per_m
@@ -136,8 +150,9 @@ def open_shutter(shot: Shot, number: int, seed: int) -> ExposureMoment:
 
 
 def interpolate(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values at other times, linear between. t: (F,), times: (M,), values: (M, ...).
-    Returns (F, ...).
+    """Interpolate values linearly at other times.
+
+    t has shape (F,), times (M,), values (M, ...), and the result (F, ...).
     """
     after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
     share = np.clip((t - times[after - 1]) / (times[after] - times[after - 1]), 0, 1)

@@ -1,4 +1,6 @@
-"""Light: a lamp at one side, a lamp that flickers, the arm's shadow, a string like its
+"""Conditions of light.
+
+A lamp at one side, a lamp that flickers, the arm's shadow, and a string like its
 background.
 """
 
@@ -19,25 +21,26 @@ from tests.benchmarks.extraction.conditions.condition import (
 
 @dataclass(frozen=True)
 class Gradient(Condition):
-    """A lamp on the left: by `fall` less light at the right edge."""
+    """A lamp on the left, with less light at the right edge by `fall`."""
 
     fall: float
 
     def change_light(self, frame: np.ndarray, moment: ExposureMoment) -> np.ndarray:
-        """The frame, darker and darker to the right."""
+        """Darken the frame towards the right."""
         return frame * np.linspace(1, 1 - self.fall, frame.shape[1], dtype=np.float32)
 
 
 @dataclass(frozen=True)
 class Flicker(Condition):
-    """A lamp on the mains: brightness swings by `share` at twice `mains` [Hz]."""
+    """A lamp on the mains, whose brightness swings by `share` at twice `mains` [Hz]."""
 
     share: float
     mains: float = 50.0
 
     def change_light(self, frame: np.ndarray, moment: ExposureMoment) -> np.ndarray:
-        """The frame, brighter or darker as a whole. The mains are never exactly at
-        their frequency.
+        """Change the brightness of the whole frame.
+
+        The mains are never exactly at their frequency.
         """
         return frame * (
             1 + self.share * np.sin(2 * np.pi * 2 * 1.013 * self.mains * moment.t + 0.5)
@@ -46,8 +49,9 @@ class Flicker(Condition):
 
 @dataclass(frozen=True)
 class Shadow(Condition):
-    """The arm's hard shadow on the wall takes `depth` of its light, `right` and `down`
-    of the arm [m].
+    """The arm's hard shadow on the wall.
+
+    It takes `depth` of the wall's light, `right` and `down` of the arm [m].
     """
 
     depth: float
@@ -55,7 +59,7 @@ class Shadow(Condition):
     down: float = 0.06
 
     def change_background(self, wall: np.ndarray, moment: ExposureMoment) -> np.ndarray:
-        """The wall with the shadow, as wide as the arm."""
+        """Darken the wall by a shadow as wide as the arm."""
         fallen = moment.joints.mean(axis=0) + np.array([self.right, -self.down])
         return wall * (
             1
@@ -66,12 +70,12 @@ class Shadow(Condition):
 
 @dataclass(frozen=True)
 class Contrast(Condition):
-    """A string only so many grey levels brighter than the wall is on average."""
+    """A string that is only a few grey levels brighter than the wall on average."""
 
     levels: float
 
     def change_scene(self, shot: Shot) -> Shot:
-        """The shot of a string that looks otherwise."""
+        """Return the shot of a string of another brightness."""
         return replace(
             shot, look=replace(shot.look, string=shot.look.background + self.levels)
         )
@@ -79,8 +83,9 @@ class Contrast(Condition):
 
 @dataclass(frozen=True)
 class Blobs(Condition):
-    """A cloud of dust or a reflection that drifts by: round, bright by `levels`, out of
-    focus, `count` of them.
+    """A cloud of dust or a reflection that drifts by.
+
+    It consists of `count` round blobs out of focus, brighter by `levels`.
     """
 
     count: int
@@ -88,7 +93,7 @@ class Blobs(Condition):
     radius: float = 5.0  # [px]
 
     def change_light(self, frame: np.ndarray, moment: ExposureMoment) -> np.ndarray:
-        """The frame with blobs of light, elsewhere in each."""
+        """Add blobs of light to the frame, at other places in each."""
         spots = np.zeros(frame.shape, np.float32)
         rows, columns = (
             moment.rng.integers(0, size, self.count) for size in frame.shape

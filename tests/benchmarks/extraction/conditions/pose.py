@@ -1,4 +1,4 @@
-"""Pose: how the string lies, whatever its motion. The truth goes along."""
+"""Conditions of the string's pose, which also change the truth."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ from tests.benchmarks.extraction.conditions.condition import (
 
 @dataclass(frozen=True)
 class BeforeArm(Condition):
-    """The string turned about the grasp, so that its tip lies `angle` [rad] from the
-    last link: in front of the arm.
+    """The string turned about the grasp, in front of the arm.
+
+    Its tip lies `angle` [rad] from the last link.
     """
 
     angle: float
 
     def change_scene(self, shot: Shot) -> Shot:
-        """The shot with the string turned about the grasp at every moment, to lie at
-        `angle` to the last link.
+        """Return the shot with the string turned about the grasp at every moment.
+
+        It lies at `angle` to the last link.
         """
         grasp = shot.strings[:, :1]
         wanted = _directions(shot.joints[:, -2] - shot.joints[:, -1]) + self.angle
@@ -37,10 +39,10 @@ class BeforeArm(Condition):
 
 @dataclass(frozen=True)
 class BehindArm(BeforeArm):
-    """The string passing behind the arm, which hides it."""
+    """A string that passes behind the arm, which hides it."""
 
     def change_light(self, frame: np.ndarray, moment: ExposureMoment) -> np.ndarray:
-        """The frame with the arm drawn over the string."""
+        """Draw the arm over the string."""
         shot = moment.shot
         arm = np.mean(
             [
@@ -54,15 +56,17 @@ class BehindArm(BeforeArm):
 
 @dataclass(frozen=True)
 class StringLoop(Condition):
-    """A loop in the middle of the string, made of `length` [m] of it: it crosses itself
-    at about a right angle.
+    """A loop in the middle of the string, made of `length` [m] of it.
+
+    The string crosses itself at about a right angle.
     """
 
     length: float
 
     def change_scene(self, shot: Shot) -> Shot:
-        """The string's own direction plus that of a loop: 45 degrees away, 270 back, 45
-        on, each gently.
+        """Add the directions of a loop to those of the string.
+
+        They turn smoothly 45 degrees away, 270 back, and 45 on.
         """
         pieces = np.repeat(np.diff(shot.strings, axis=1) / 4, 4, axis=1)
         s = np.cumsum(np.linalg.norm(pieces, axis=-1).mean(axis=0))
@@ -78,11 +82,11 @@ class StringLoop(Condition):
 
 
 def _directions(vectors: np.ndarray) -> np.ndarray:
-    """Angles from +x [rad]. vectors: (..., 2)."""
+    """Return angles from +x [rad] of vectors (..., 2)."""
     return np.asarray(np.arctan2(vectors[..., 1], vectors[..., 0]))
 
 
 def _rotations(angle: np.ndarray) -> np.ndarray:
-    """Rotations, (..., 2, 2)."""
+    """Return rotations (..., 2, 2)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.moveaxis(np.array([[c, -s], [s, c]]), (0, 1), (-2, -1))

@@ -90,7 +90,7 @@ def add_element_forces(
 ) -> None:
     """Add the forces on element e's coordinates to `force` (D, 2), and those at ends.
 
-    hand: (8,) as `GraspPath.states`. memory: (E, G, 2), to which the new states go.
+    `hand` (8,) is as in `GraspPath.states`. The new states go to `memory` (E, G, 2).
     """
     q, v = state.q, state.v
     for g in range(len(elements.weights)):

@@ -22,7 +22,7 @@ GAUSS_POINTS = 4  # exact for the mass matrix of even density, of degree 6
 def hermite(place: np.ndarray, element: float) -> np.ndarray:
     """Return shape functions and two derivatives by arc length, (M, 3, 4).
 
-    place: (M,) in [0, 1]. element: its length [m].
+    `place` (M,) is in [0, 1]. `element` is its length [m].
     """
     x, h = place, element
     value = np.stack(
@@ -100,13 +100,16 @@ class Mesh:
 
     @cached_property
     def weight(self) -> np.ndarray:
-        """Gravity on the coordinates over nominal mass per length, (D, 2) [m2/s2]."""
+        """Return gravity on the coordinates over nominal mass per length.
+
+        It has shape (D, 2) [m2/s2].
+        """
         gravity = [self.rod.gravity_x, self.rod.gravity_y]
         return np.outer(self.mass[:, ::2].sum(axis=1), gravity)
 
     @property
     def as_elements(self) -> Elements:
-        """The elements as compiled code takes them."""
+        """Return the elements as compiled code takes them."""
         return Elements(self.shapes, self.weights, self.places, self.mass, self.weight)
 
     def position_weights(self, arc: np.ndarray) -> np.ndarray:

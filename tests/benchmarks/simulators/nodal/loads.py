@@ -37,7 +37,7 @@ def bending_moment(
 ) -> float:
     """Return the bending moment [m3/s2] of a turn [1/m] and its rate.
 
-    friction: Bouc and Wen's state [1]. relaxing: Zener's state [1/m].
+    `friction` is Bouc and Wen's state [1], `relaxing` is Zener's state [1/m].
     """
     bent = turn - rod.rest_curvature
     hardening = math.sqrt(1.0 + abs(rod.hardening) * bent * bent)
@@ -194,7 +194,7 @@ def tip_force(
 def grasp_moment(turn: float, rate: float, t: float, rod: Rod) -> float:
     """Return the moment [m3/s2] that holds the first tangent.
 
-    turn: its angle from the grasp's direction [rad].
+    `turn` is its angle from the grasp's direction [rad].
     """
     remaining = math.exp(-rod.grasp_loss * max(t - rod.grasp_loss_from, 0.0))
     return remaining * (rod.grasp_stiffness * turn + rod.grasp_damping * rate)

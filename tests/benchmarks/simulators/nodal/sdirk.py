@@ -205,7 +205,8 @@ def integrate(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return coordinates and rates at every step from rest, (K + 1, D, 2) each.
 
-    They are NaN from where a step fails. hand: (K, 3, 8) at the stages of each step.
+    They are NaN from where a step fails. `hand` (K, 3, 8) is at the stages of each
+    step.
     """
     steps, coordinates = len(hand), len(q)
     v = np.zeros_like(q)
