@@ -74,7 +74,8 @@ def main(arguments: Sequence[str]) -> int:
             settings = settings_for_data(
                 options.folder, options.settings, "+experiment=diagnose"
             )
-            overview["effects"] = effects.detectable_effects(settings)
+            limits, not_tried = effects.detectable_effects(settings)
+            overview |= {"effects": limits, "effects_not_tried": not_tried}
         if report is not None:
             write_text(report, check_report(checked, overview))
     except (DataError, UserError, HydraException, OmegaConfBaseException) as error:
@@ -204,6 +205,8 @@ def print_overview(overview: Mapping[str, Any], console: Terminal) -> None:
     if overview.get("effects"):
         table = effect_table(overview["effects"])
         console.print(table, DETECTION_NOTE, highlight=False)
+        for name, reason in overview["effects_not_tried"].items():
+            console.print(f"Not tried: {name} ({reason}).", highlight=False)
 
     counts = []
     for severity in SEVERITY_COLOURS:

@@ -19,13 +19,16 @@ from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.diagnose.identifiability import DetectionLimit, detection_limits
 from stringcast.stages.diagnose.preparation import prepare_data, usable_trials
-from stringcast.stages.diagnose.proposals import candidate_effects
+from stringcast.stages.diagnose.proposals import effects_left_out
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.estimate.trim import trim_at_contact
+from stringcast.stages.model.effect import is_position_dependent
 from stringcast.stages.model.library import effects_by_name
 
 
-def detectable_effects(settings: Mapping[str, Any]) -> list[dict[str, Any]]:
+def detectable_effects(
+    settings: Mapping[str, Any],
+) -> tuple[list[dict[str, Any]], dict[str, str]]:
     """Return what a diagnosis of stored trials could find of each effect.
 
     A bar on the terminal shows the progress.
@@ -37,8 +40,10 @@ def detectable_effects(settings: Mapping[str, Any]) -> list[dict[str, Any]]:
 
     Returns
     -------
-    list of dict
+    limits : list of dict
         JSON-able rows, one for each size of an effect.
+    not_tried : dict
+        Reasons by name of the other effects of the library.
 
     Raises
     ------
@@ -72,12 +77,16 @@ def detectable_effects(settings: Mapping[str, Any]) -> list[dict[str, Any]]:
             options["starts"],
             lambda share: progress(0.7 * share),
         )
-        candidates = candidate_effects(
+        library = effects_by_name()
+        not_tried = effects_left_out(
             prepared.base_fit.hypothesis.model,
-            effects_by_name(),
+            library,
             prepared.data.trials,
             options["excluded_effects"],
         )
+        candidates = [
+            effect for name, effect in library.items() if name not in not_tried
+        ]
         limits = detection_limits(
             prepared,
             candidates,
@@ -85,7 +94,11 @@ def detectable_effects(settings: Mapping[str, Any]) -> list[dict[str, Any]]:
             experiment.seed,
             lambda share: progress(0.7 + 0.3 * share),
         )
-    return [detection_row(limit) for limit in limits]
+    for effect in candidates:
+        if is_position_dependent(effect):
+            not_tried[effect.name] = "no smallest size: it depends on the place"
+    rows = [detection_row(limit) for limit in limits]
+    return rows, dict(sorted(not_tried.items()))
 
 
 def detection_row(limit: DetectionLimit) -> dict[str, Any]:

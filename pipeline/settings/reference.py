@@ -132,7 +132,7 @@ def effect_lines(effect: type[Effect]) -> list[str]:
     """Describe an effect, with the ranges and units of its parameters below."""
     first_line = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())
     sentence = re.split(r"\. (?=[A-Z])", first_line)[0].removesuffix(".")
-    excluded = " Not a candidate." if effect.excluded_from_search else ""
+    excluded = " Not a candidate." if effect.exclusion_reason else ""
     lines = [f"{effect.name}: {sentence}.{excluded}"]
 
     names_by_range: dict[str, list[str]] = {}

@@ -18,7 +18,11 @@ from stringcast.stages.inference.laplace import Fit, mean_discrepancy
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import Effect, StringEffect, amplitude_parameters
-from stringcast.stages.model.engine.stability import load_sum
+from stringcast.stages.model.engine.stability import (
+    DEFAULT_ARGUMENTS,
+    load_sum,
+    vector_slot_sum,
+)
 from stringcast.stages.model.parameter import Parameter, parameter_values
 
 LOG2_CANDIDATES = 13
@@ -65,6 +69,22 @@ class ContactCandidates:
 
     def sample(self) -> np.ndarray:
         """Sample plausible exponents (C, P) anywhere in the range."""
+        return self._most_plausible(self._sample_range())
+
+    def act_everywhere(self) -> bool:
+        """Tell whether the effect acts wherever its place is.
+
+        Then it is no contact but a field, such as a spring to a fixed point.
+        """
+        chi = self._sample_range()[:CANDIDATES_PER_BATCH]
+        fractions = []
+        for path in self.string_paths:
+            fractions.append(self._force_is_nonzero(chi, path).mean(axis=1))
+        least = np.mean(fractions, axis=0).min()
+        return bool(least >= MAX_TOUCHED_FRACTION)
+
+    def _sample_range(self) -> np.ndarray:
+        """Sample exponents (C, P) evenly, at the initial size."""
         indices = self.parameter_indices
         amplitude = indices[0]
         chi = np.repeat(self.start[None], 2**LOG2_CANDIDATES, axis=0)
@@ -72,7 +92,7 @@ class ContactCandidates:
         chi[:, indices] = sobol.random_base2(LOG2_CANDIDATES)
         absent = self.start[amplitude]
         chi[:, amplitude] = absent + INITIAL_SIZE_FRACTION * (1 - absent)
-        return self._most_plausible(chi)
+        return chi
 
     def sample_near(
         self,
@@ -128,8 +148,11 @@ class ContactCandidates:
             values = parameter_values(parameters, batch)
             material = string.material(values[:, : len(string.parameters)])
             only_this = string.with_only_effects((effect,), material)
-            force = load_sum(*only_this, arguments)
-            is_nonzero.append(np.any(force != 0, axis=-1))
+            known = DEFAULT_ARGUMENTS | arguments
+            vectors = [load_sum(*only_this, arguments)]
+            for slot in ("acceleration", "flow"):
+                vectors.append(vector_slot_sum(*only_this, slot, known))
+            is_nonzero.append(np.any(np.concatenate(vectors, axis=-1) != 0, axis=-1))
         return np.concatenate(is_nonzero)
 
 

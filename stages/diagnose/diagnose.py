@@ -59,7 +59,7 @@ from stringcast.stages.diagnose.preparation import (
     usable_trials,
 )
 from stringcast.stages.diagnose.prepared_data import PreparedData
-from stringcast.stages.diagnose.proposals import candidate_effects
+from stringcast.stages.diagnose.proposals import candidate_effects, effects_left_out
 from stringcast.stages.diagnose.rules import Criteria, VerdictNumbers, has_evidence
 from stringcast.stages.diagnose.verdict import (
     Judgement,
@@ -558,6 +558,21 @@ def build_diagnosis(
     )
 
 
+def effects_not_tried(
+    settings: DiagnosisSettings, state: SelectionState
+) -> dict[str, str]:
+    """Return the reason for each effect of the library that was not tried, by name."""
+    library = effects_by_name()
+    base = state.prepared.base_fit.hypothesis.model
+    trials = state.prepared.data.trials
+    reasons = effects_left_out(base, library, trials, settings.excluded_effects)
+    if state.steps:
+        proposed = {proposal.effect.name for proposal in state.steps[0].proposals}
+        for name in library.keys() - reasons.keys() - proposed:
+            reasons[name] = "it can do nothing in these trials"
+    return dict(sorted(reasons.items()))
+
+
 def _finding_table(
     trials: TrialsByUse,
     settings: DiagnosisSettings,
@@ -589,6 +604,7 @@ def _finding_table(
         unexplained,
         experiment.next_experiment,
         uncertainty,
+        effects_not_tried(settings, shown),
     )
     sentences = (verdict_sentence(judgement, causes), unexplained["sentence"])
     intervals = uncertainty["extended"]["intervals"]

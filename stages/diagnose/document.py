@@ -33,6 +33,7 @@ def diagnosis_document(
     unexplained: Mapping[str, Any],
     next_experiment: Mapping[str, Any] | None,
     uncertainty: Mapping[str, Mapping[str, Any]],
+    not_tried: Mapping[str, str],
 ) -> dict[str, Any]:
     """Assemble the document diagnosis.json.
 
@@ -42,6 +43,8 @@ def diagnosis_document(
         Tables CAUSES and HELD_OUT.
     uncertainty : dict
         Intervals and correlations of parameters, of `base` and `extended` model.
+    not_tried : mapping
+        Reasons by name of the effects that were no candidates.
     """
     verdict = judgement.verdict
     used = [trial.name for trial in prepared.data.trials]
@@ -58,6 +61,9 @@ def diagnosis_document(
         "interrupted": judgement.interrupted,
         "causes": [cause_document(causes, name) for name in verdict.causes],
         "alternatives": _alternatives(judgement),
+        "not_tried": [
+            {"effect": name, "reason": reason} for name, reason in not_tried.items()
+        ],
         "indistinguishable": [list(group) for group in verdict.lookalike_groups],
         "base": {"parameters": judgement.base_fit.values, **uncertainty["base"]},
         "extended": uncertainty["extended"],

@@ -96,22 +96,39 @@ def candidate_effects(
     excluded : sequence of str
         Names of effects that cannot be active.
     """
+    left_out = effects_left_out(base, library, trials, excluded)
+    return [effect for name, effect in library.items() if name not in left_out]
+
+
+def effects_left_out(
+    base: Model,
+    library: Mapping[str, type[Effect]],
+    trials: Sequence[PreparedTrial],
+    excluded: Sequence[str] = (),
+) -> dict[str, str]:
+    """Return the reason for each effect that is no candidate, by name.
+
+    Parameters as of `candidate_effects`.
+    """
     has_no_joints = any(isinstance(trial.motion, HandMotion) for trial in trials)
-    candidates = []
-    for effect in library.values():
-        is_excluded = (
-            effect in base.effects
-            or effect.name in excluded
-            or effect.excluded_from_search
-            or issubclass(effect, ModelChange)
-        )
-        if issubclass(effect, CameraEffect) and base.camera.lens:
-            is_excluded |= effect.corrected_by_calibration
-        if issubclass(effect, HandEffect) and has_no_joints:
-            is_excluded |= "grasp" not in effect.laws()  # it acts on joints
-        if not is_excluded:
-            candidates.append(effect)
-    return candidates
+    reasons = {}
+    for name, effect in library.items():
+        reason = ""
+        if effect in base.effects:
+            reason = "it is part of the base model"
+        elif name in excluded:
+            reason = "diagnose.excluded_effects names it"
+        elif effect.exclusion_reason:
+            reason = effect.exclusion_reason
+        elif issubclass(effect, ModelChange):
+            reason = "it is a numerical error, which is computed"
+        elif issubclass(effect, CameraEffect) and effect.corrected_by_calibration:
+            reason = "the calibrated lens corrects it" if base.camera.lens else ""
+        elif issubclass(effect, HandEffect) and "grasp" not in effect.laws():
+            reason = "it acts on joints, which no trial states" if has_no_joints else ""
+        if reason:
+            reasons[name] = reason
+    return reasons
 
 
 def propose_causes(
@@ -240,6 +257,9 @@ def _propose_contact(
 ) -> Proposal | None:
     """Propose an effect that depends on place, such as a plane that the string hits.
 
+    One that acts wherever its place is, such as a spring to a fixed point, is proposed
+    as those that do not depend on place.
+
     Candidates touch the string when it departs from the fit. The search goes closer
     about those that explain most until shortly after: what happens later depends on
     everything. The fitted parameters stay.
@@ -247,6 +267,8 @@ def _propose_contact(
     hypothesis = linear.parent.hypothesis.with_cause(effect)
     rng = np.random.default_rng(seed)
     contacts = contact_candidates(linear.data, linear.parent, hypothesis, seed)
+    if contacts.act_everywhere():
+        return _propose_global_effect(linear, effect, seed)
     end_times = contacts.departure_times + CONTACT_DELAY_S
     chi = contacts.sample()
     tried = []

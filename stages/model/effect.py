@@ -110,10 +110,8 @@ class Effect(ABC):
         Properties of the laws, which tests check on samples.
     law_names : tuple of str
         Names that a law may have.
-    excluded_from_search : bool
-        A diagnosis does not look for it: an obstacle, for which anybody's touch would
-        be taken, what `align` measures beforehand, or what looks like another that is
-        looked for.
+    exclusion_reason : str
+        Why a diagnosis does not look for it; empty if it does.
     varies_between_trials : bool
         It comes with how the string was picked up or handled before, and may differ
         from trial to trial.
@@ -127,7 +125,7 @@ class Effect(ABC):
     reference: ClassVar[str]
     invariants: ClassVar[tuple[Invariant, ...]] = ()
     law_names: ClassVar[tuple[str, ...]] = ()
-    excluded_from_search: ClassVar[bool] = False
+    exclusion_reason: ClassVar[str] = ""
     varies_between_trials: ClassVar[bool] = False
     order: ClassVar[int] = 0
 

@@ -10,11 +10,19 @@ from synthetic_trials import simulate_trial, swing_angles, true_exponents
 from stringcast.stages.diagnose.contact_search import contact_candidates
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
-from stringcast.stages.diagnose.proposals import candidate_effects, propose_causes
+from stringcast.stages.diagnose.proposals import (
+    candidate_effects,
+    effects_left_out,
+    propose_causes,
+)
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.prepared_trial import prepare_trial
-from stringcast.stages.model.library import effects_by_name, find_effects
+from stringcast.stages.model.library import (
+    EFFECTS_VARIABLE,
+    effects_by_name,
+    find_effects,
+)
 from stringcast.stages.model.parameter import parameter_values
 
 PLACES = np.array([8, 14, 20])
@@ -74,7 +82,7 @@ def test_active_and_excluded_effects_are_no_candidates(model, trials):
     heavier = model.with_effects(*find_effects(["tip_mass"]))
     assert names - candidate_names(heavier, trials) == {"tip_mass"}
     for effect in effects_by_name().values():
-        assert not (effect.excluded_from_search and effect.name in names)
+        assert not (effect.exclusion_reason and effect.name in names)
 
 
 def test_no_plane_stands_where_the_hand_moves(arm, model, trials):
@@ -118,3 +126,63 @@ def test_a_plane_is_found_that_one_trial_touches_late(arm, model):
     assert (clearance[0] > 0).all()
     first = data.trials[1].times[(clearance[1] < 0).argmax(axis=1)]
     assert (first > 0.5).all()
+
+
+TETHER = """
+from stringcast.stages.model.effect import Parameter, StringEffect
+
+
+class Tether(StringEffect):
+    name = "tether"
+    parameters = (
+        Parameter("strength", "1/s2", "pull over mass and distance", 0.0, 60.0, 0.0),
+    )
+    reference = "Hooke's law"
+
+    @staticmethod
+    def describe(values):
+        return "a spring pulls to the point (0.4, 0.5)"
+
+    @staticmethod
+    def acceleration(x, y, strength):
+        return -strength * (x - 0.4), -strength * (y - 0.5)
+"""
+
+
+def test_a_field_of_a_user_is_proposed_like_wind(arm, model, tmp_path, monkeypatch):
+    """It depends on the place, but acts everywhere: it is no contact."""
+    (tmp_path / "tether.py").write_text(TETHER)
+    monkeypatch.setenv(EFFECTS_VARIABLE, str(tmp_path))
+    (tether,) = find_effects(["tether"])
+    base = Hypothesis(model)
+    pulled = base.with_cause(tether)
+    truth = TRUTH | {"tether.strength": 15.0}
+    trials = simulate_swings(arm, model, pulled.model, truth, 0.6)
+    data = attach_discrepancy_model(trials, base, true_exponents(base, TRUTH))
+    parent = evaluate_fit(data, base, true_exponents(base, TRUTH))
+    (proposal,) = propose_causes(data, parent, [tether], 0)
+    fit = fit_hypothesis(
+        data, proposal.hypothesis, proposal.starts, parent.scale_indices
+    )
+    assert fit.log_evidence - parent.log_evidence > 50
+    assert fit.values["tether.strength"] == pytest.approx(15.0, rel=0.1)
+
+
+def test_every_effect_is_proposed_or_has_a_reason(arm, model):
+    """None of the library is silently out of a diagnosis's reach."""
+    trials = simulate_swings(arm, model, model, TRUTH, 0.6)
+    base = Hypothesis(model)
+    chi = true_exponents(base, TRUTH)
+    data = attach_discrepancy_model(trials, base, chi)
+    parent = evaluate_fit(data, base, chi)
+    library = effects_by_name()
+    left_out = effects_left_out(model, library, trials)
+    assert {*left_out} <= {effect.name for effect in model.effects} | {
+        "box_contact",
+        "resolution",
+    }
+    candidates = candidate_effects(model, library, trials)
+    proposed = {
+        proposal.effect.name for proposal in propose_causes(data, parent, candidates, 0)
+    }
+    assert proposed | {*left_out} == {*library}

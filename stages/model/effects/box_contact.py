@@ -28,7 +28,9 @@ class BoxContact(StringEffect):
     """
 
     name = "box_contact"
-    excluded_from_search = True
+    exclusion_reason = (
+        "it is an obstacle, for which the touch of any body would be taken"
+    )
     parameters = (
         Parameter(
             "stiffness",

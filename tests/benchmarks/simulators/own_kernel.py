@@ -146,7 +146,7 @@ def hideable_effects() -> list[type[Effect]]:
     for effect in effects_by_name().values():
         is_base = (
             effect in PAPER_EFFECTS
-            or effect.excluded_from_search
+            or bool(effect.exclusion_reason)
             or effect is EqualPoints
         )
         if effect.parameters and not is_base:

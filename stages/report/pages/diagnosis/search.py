@@ -79,6 +79,10 @@ def search_section(record: DiagnosisRecord) -> Section:
         caption = "1: indistinguishable in these data; 0: nothing in common."
         parts.append(Card("Similar effects", [table, Text(caption, "caption")]))
 
+    if record.document["not_tried"]:
+        untried = _untried_table(record.document["not_tried"])
+        parts.append(Card("Effects that were not tried", [untried]))
+
     # the base model first, then by evidence
     is_base = diagnosis.hypotheses["causes"] == ""
     ranked = diagnosis.hypotheses.assign(is_base=is_base).sort_values(
@@ -92,6 +96,12 @@ def search_section(record: DiagnosisRecord) -> Section:
     tables.append(Text(HYPOTHESES_CAPTION, "caption"))
     parts.append(Card("Fitted hypotheses", tables))
     return Section("Search", parts)
+
+
+def _untried_table(not_tried: Sequence[Mapping[str, str]]) -> Table:
+    """Tabulate the effects of the library that were no candidates, and why."""
+    rows = [[Cell(row["effect"], "code"), Cell(row["reason"])] for row in not_tried]
+    return Table(("effect", "reason"), rows)
 
 
 def _entries_table(entries: pd.DataFrame) -> Table:
