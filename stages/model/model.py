@@ -28,7 +28,8 @@ from stringcast.stages.model.effect import (
 )
 from stringcast.stages.model.engine.simulate import StringMotion, simulate
 from stringcast.stages.model.hand import HandEffectValues, HandMotion, JointMotion
-from stringcast.stages.model.parameter import Parameter, Parametrised
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.parametrised import Parametrised
 from stringcast.stages.model.state import StringState
 from stringcast.stages.model.string import String
 

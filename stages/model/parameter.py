@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from stringcast.stages.model.effect import Effect
 
 
 @dataclass(frozen=True)
@@ -80,37 +74,6 @@ class Parameter:
             return slope
         power = np.asarray(chi) ** (self.root - 1)
         return (self.high - self.low) * self.root * power
-
-
-class Parametrised:
-    """A string or a model: what has parameters."""
-
-    @property
-    @abstractmethod
-    def parameters(self) -> tuple[Parameter, ...]:
-        """All of them, with qualified names."""
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Qualified names of the parameters."""
-        return tuple(p.name for p in self.parameters)
-
-    def values_of(
-        self, effect: type[Effect], values: np.ndarray
-    ) -> dict[str, np.ndarray]:
-        """Return an effect's parameters by their own names, (...), of all (..., P)."""
-        parameters = {}
-        for parameter in effect.parameters:
-            place = self.names.index(effect.qualified_name(parameter))
-            parameters[parameter.name] = values[..., place]
-        return parameters
-
-    def values(self, named: Mapping[str, float]) -> np.ndarray:
-        """Return values in the order of `parameters`, (P,).
-
-        A parameter that is not named takes its start value.
-        """
-        return np.array([named.get(p.name, p.start) for p in self.parameters])
 
 
 def parameter_values(parameters: Sequence[Parameter], chi: np.ndarray) -> np.ndarray:

@@ -41,7 +41,8 @@ from stringcast.stages.model.engine.law_slots import (
     law_arguments,
     select_arguments,
 )
-from stringcast.stages.model.parameter import Parameter, Parametrised
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.parametrised import Parametrised
 
 # 30 um of 300 mm, far finer than any string converges at; stiffness and steps go with
 # its square.
