@@ -1,4 +1,4 @@
-"""Print the tables of convergence of the page on the model.
+"""Tables of convergence for the page on the model.
 
 Run `python -m tests.convergence.table`.
 """
@@ -165,8 +165,8 @@ def by_tolerance() -> list[list[str]]:
 def paper_motions(letter: str) -> Iterator[HandMotion]:
     """Yield the motions that the paper's generator finds for a string.
 
-    Of each of its targets, from four seeds: the first motion of an experiment, by the
-    smallest parameters, and one by the true ones.
+    For each of its targets, from four seeds, these are the first motion of an
+    experiment, by the smallest parameters, and one by the true parameters.
     """
     true = KnownString({"parameter_values": specimen(letter)})
     paper = yaml.safe_load(Path("conf/experiment/paper.yaml").read_text())
@@ -234,7 +234,7 @@ def _converged(hand: HandMotion, named: dict) -> np.ndarray:
 def check() -> list[list[str]]:
     """Compare the reference of `by_step` with an explicit method of fourth order.
 
-    Only where that is practical.
+    The comparison is made only where it is practical.
     """
     rows = []
     for points, kind in ((10, "A"), (25, "A"), (25, "D, limp")):

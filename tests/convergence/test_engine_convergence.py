@@ -1,4 +1,4 @@
-"""Errors shrink as they should, in the step and in the number of points."""
+"""Convergence orders in the step and in the number of points."""
 
 from itertools import pairwise
 
@@ -53,7 +53,10 @@ def order(errors: list[float], factor: float) -> float:
     "integrator", [SemiImplicitEuler(), ImplicitLeapfrog(), RungeKutta4()]
 )
 def test_order_in_the_step(integrator):
-    """Steps of 1/1.2^k ticks: each halving divides the error by 2^order."""
+    """Halving the step divides the error by 2^order.
+
+    Steps are 1/1.2^k ticks.
+    """
     exact = tip(integrator=RungeKutta4(), largest_step=4e-6)
     start = {1: 2.4e-5, 2: 5e-4, 4: 3.2e-4}[integrator.order]
     levels = [1.2**-0, 1.2**-4, 1.2**-8]
@@ -65,7 +68,7 @@ def test_order_in_the_step(integrator):
 
 
 def differences(**settings) -> list[float]:
-    """Largest tip distance between n and twice as many segments."""
+    """Return the largest tip distance between n and twice as many segments."""
     tips = [
         tip(points=n, integrator=RungeKutta4(), **settings) for n in (11, 21, 41, 81)
     ]
@@ -73,7 +76,10 @@ def differences(**settings) -> list[float]:
 
 
 def test_second_order_in_the_number_of_points():
-    """With the second-order lumping; the paper's equal points are only first order."""
+    """The second-order lumping converges to second order in the number of points.
+
+    The paper's equal points are only of first order.
+    """
     fine, paper = differences(tip_cell=0.5, grasp_cell=0.5), differences()
     assert order(fine[1:], 2) > 1.7
     assert 0.7 < order(paper[1:], 2) < 1.3
@@ -81,9 +87,9 @@ def test_second_order_in_the_number_of_points():
 
 
 def test_a_damped_string_in_a_clamp_is_of_second_order_too():
-    """Its half cell beside the clamp is damped as the rest is.
+    """The half cell next to the clamp is damped as the rest of the string is.
 
-    Although a clamp that does not turn damps nothing.
+    This holds although a clamp that does not turn damps nothing.
     """
     settings = {
         "tip_cell": 0.5,

@@ -1,4 +1,4 @@
-"""Stiff strings: steps are stable, and as accurate as small explicit steps."""
+"""Steps of stiff strings are stable, and as accurate as small explicit steps."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def implicit(step: float, points: int, length: float = 0.3) -> String:
 
 @pytest.mark.parametrize("points", [10, 25, 60])
 def test_every_corner_of_table_3_stays_finite_and_whole(points):
-    """All 256 corners and as many strings within.
+    """All 256 corners, and as many strings within, stay finite.
 
     The explicit step rejects some as impractical at 60 points. Strings with k_s over
     1e5 reach 1.30 lengths at most, as with small explicit steps. Softer ones that are
@@ -76,9 +76,9 @@ def test_every_corner_of_table_3_stays_finite_and_whole(points):
 
 
 def test_strong_damping_at_many_points_as_near_as_small_steps():
-    """25 points at the top of c_s and c_h: the explicit step is 3 us.
+    """A step of half a millisecond is within 0.1 mm of small explicit steps.
 
-    Half a millisecond is within 0.1 mm of it.
+    The string has 25 points at the top of c_s and c_h, where the explicit step is 3 us.
     """
     string = implicit(5e-4, 25)
     values = string.values(DAMPED)[None]
@@ -150,9 +150,9 @@ def test_the_coefficients_of_the_arc_tangent_are_those_of_the_fit(numbers, limit
 
 
 def test_undamped_stiff_modes_do_not_grow():
-    """A stiff string without damping is pushed once.
+    """The tip of an undamped stiff string that is pushed once does not speed up.
 
-    After 2 s its tip moves no faster than after 0.5 s.
+    After 2 s it moves no faster than after 0.5 s.
     """
     string = implicit(5e-4, 25)
     t = np.arange(0, 2.5, 0.005)

@@ -36,7 +36,7 @@ def write_slow_casts(
     ----------
     folder : for the dataset
     arm, camera : of the lab
-    settings : of what is hidden, by name
+    settings : of the hidden causes, by name
     only_cast : number of the one cast in which it acts, None for both
     """
     rng = np.random.default_rng(SEED)

@@ -42,7 +42,7 @@ def sample_curve(arm, control, seconds):
 def simulate_trial(name, arm, model, values, angles, places, rng):
     """Simulate a trial with noisy points at the mass points of given numbers.
 
-    angles: joint angles, one row a tick.
+    `angles` holds joint angles, one row a tick.
     """
     t = arm.tick * np.arange(len(angles))
     motion = resample_joint_motion(t, angles)

@@ -1,4 +1,4 @@
-"""Which effects are candidates, and where those that depend on place may act."""
+"""Candidate effects, and where those that depend on place may act."""
 
 from dataclasses import replace
 
@@ -98,7 +98,10 @@ def test_no_plane_stands_where_the_hand_moves(arm, model, trials):
 
 
 def test_a_plane_is_found_that_one_trial_touches_late(arm, model):
-    """It stands 2 cm in the path of the second swing, in the last 0.05 s."""
+    """A plane in the path of the second swing is found.
+
+    It stands 2 cm in the path, in the last 0.05 s.
+    """
     base = Hypothesis(model)
     touching = base.with_cause(effects_by_name()["contact"])
     truth = dict.fromkeys(touching.model.names, 0.0) | TRUTH | PLANE

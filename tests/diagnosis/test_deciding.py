@@ -1,4 +1,4 @@
-"""Which motion is proposed to distinguish look-alikes, and what is stated about it."""
+"""The motion proposed to distinguish look-alikes, and the statements about it."""
 
 from dataclasses import replace
 
@@ -121,7 +121,7 @@ def propose(rivals):
 
 
 def is_allowed(arm, obstacles, curves):
-    """Whether each motion respects the limits and avoids the obstacles."""
+    """Return whether each motion respects the limits and avoids the obstacles."""
     sampled = curves.sample(arm.tick, float(curves.duration.max()))
     return arm_faults(arm, obstacles, *sampled) == ""
 
@@ -136,7 +136,10 @@ def test_motions_respect_limits_and_avoid_obstacles(model, curves):
 
 
 def test_lagging_joints_arrive_at_the_end_of_their_motion(model, curves):
-    """A hand that stops short would wrongly distinguish a lag from an offset."""
+    """Lagging joints arrive at the end of their motion.
+
+    A hand that stops short would wrongly distinguish a lag from an offset.
+    """
     arm = model.arm
     curve = select_curve(curves, 2)
     trial = synthetic_trial(model, curve, TIP_ONLY, DESIGN)
@@ -149,7 +152,10 @@ def test_lagging_joints_arrive_at_the_end_of_their_motion(model, curves):
 
 
 def test_no_part_of_the_string_crosses_an_obstacle(model, rivals, curves):
-    """Not even if only the tip is measured, which passes by it."""
+    """No part of the string crosses an obstacle, even if only the tip is measured.
+
+    The tip alone passes next to it.
+    """
     trials = []
     for number in range(3):
         curve = select_curve(curves, number)

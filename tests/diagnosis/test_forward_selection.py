@@ -138,8 +138,9 @@ def test_noise_is_separated_from_large_smooth_motion(trial):
     ("has_mass", "is_accepted"), [((1, 1, 1), True), ((1, 0, 0), False)]
 )
 def test_a_cause_that_one_trial_supports_needs_the_others(arm, has_mass, is_accepted):
-    """The first trial supports a tip mass, and its fit to all misfits the others.
+    """A cause that one trial supports is accepted only if the others predict it.
 
+    The first trial supports a tip mass, and its fit to all trials misfits the others.
     Fitted to the others alone, they show the mass if they have it.
     """
     base = Hypothesis(with_second_order_mesh(ordinary(arm)))
@@ -166,7 +167,10 @@ def test_a_cause_that_one_trial_supports_needs_the_others(arm, has_mass, is_acce
 
 
 def test_a_trial_that_diverges_has_a_finite_likelihood(trial):
-    """No parameter moves it: there is no smooth discrepancy."""
+    """A trial that diverges has a finite likelihood.
+
+    No parameter moves it, so there is no smooth discrepancy.
+    """
     no_shapes = np.zeros((2 * len(trial.s), 0))
     discrepancy = Discrepancy.for_trial(trial, np.zeros(FRAMES), no_shapes)
     assert not discrepancy.variance.any()
@@ -202,7 +206,7 @@ def diagnose_few_effects(model, trials, monkeypatch, **settings):
 
 
 def simulate_casts(arm, camera, truth):
-    """Simulate three casts of half a second, on a mesh that does not show.
+    """Simulate three casts of half a second, on a mesh whose error is negligible.
 
     Faster ones would be chaotic and excluded.
     """

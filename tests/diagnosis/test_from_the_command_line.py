@@ -1,4 +1,4 @@
-"""A diagnosis by its command, and experiments with the model that it extends."""
+"""A diagnosis by its command, and experiments with the extended model."""
 
 import json
 

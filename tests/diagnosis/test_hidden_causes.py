@@ -1,4 +1,4 @@
-"""Diagnoses of datasets that hide something, or nothing."""
+"""Diagnoses of datasets that hide causes or nothing."""
 
 import pytest
 
@@ -13,7 +13,7 @@ JUMP = {"camera.jump": 0.02, "camera.jump_when": 0.35}
 
 @pytest.fixture
 def diagnose(arm, camera, tmp_path):
-    """Return a function that diagnoses two slow casts, which hide settings."""
+    """Return a function that diagnoses two slow casts with hidden settings."""
 
     def observe_and_diagnose(hidden, only_cast=None):
         write_slow_casts(tmp_path / "data", arm, camera, hidden, only_cast)
@@ -54,7 +54,10 @@ def test_an_effect_that_is_drawn_is_found_with_its_size(tmp_path):
 
 
 def test_nothing_is_named_where_nothing_is_hidden(diagnose):
-    """Ten points of Eq. 1 are too few for this string: that alone may be named."""
+    """Nothing is named where nothing is hidden, except perhaps the mesh.
+
+    Ten points of Eq. 1 are too few for this string.
+    """
     document = diagnose({})
     assert {cause["effect"] for cause in document["causes"]} <= {"resolution"}
     assert document["verdict"] in ("none", "effect")

@@ -1,4 +1,4 @@
-"""What trials can show: against known answers, and against simulated data."""
+"""Identifiability of effects, against known answers and simulated data."""
 
 from dataclasses import replace
 
@@ -102,7 +102,10 @@ def test_the_tip_shift_at_the_limit_is_that_of_a_simulation(prepared, limits, na
 
 @pytest.mark.parametrize(("factor", "is_evident"), [(0.5, False), (2.0, True)])
 def test_an_effect_is_evident_from_the_limit_on(arm, model, limits, factor, is_evident):
-    """In most of five sets of trials with it, by fits without it and with it."""
+    """An effect is evident from the limit on in most of five sets of trials.
+
+    The trials contain it, and are fitted without it and with it.
+    """
     base = Hypothesis(model)
     windy = base.with_cause(Wind)
     strength = factor * limits["wind.along_x"].detectable_value
@@ -129,7 +132,10 @@ def test_a_limit_also_needs_the_smallest_tip_shift(prepared, limits):
 
 
 def test_look_alikes_are_named_and_others_are_not(limits):
-    """A lag is a delay in slow motion; wind and a camera offset differ from both."""
+    """Look-alikes are named, and other effects are not.
+
+    A lag is a delay in slow motion; wind and a camera offset differ from both.
+    """
     assert limits["arm_lag.time_constant"].lookalikes == ("time_offset",)
     assert limits["time_offset.offset"].lookalikes == ("arm_lag",)
     for name in ("camera_offset.x", "camera_offset.y", "wind.along_x", "wind.along_y"):

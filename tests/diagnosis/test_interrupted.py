@@ -1,4 +1,4 @@
-"""A diagnosis that is interrupted reports what it knows, and names nothing."""
+"""An interrupted diagnosis reports its results so far, and names nothing."""
 
 import json
 from types import SimpleNamespace
@@ -40,7 +40,10 @@ def test_accepted_causes_are_reported_and_none_is_named(arm, camera, monkeypatch
 
 
 def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
-    """Of two that were accepted, the first was not needed in addition to the second."""
+    """A cause that was dropped is not reported.
+
+    Of two that were accepted, the first was not needed in addition to the second.
+    """
     hypotheses = {}
     for names in (("a",), ("a", "b"), ("b",)):
         hypothesis = SimpleNamespace(cause_names=names, base=None, causes=names)

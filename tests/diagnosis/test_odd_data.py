@@ -1,4 +1,4 @@
-"""Rare data: unusable trials, trials that begin moving, and numbers that are missing."""
+"""Rare data: unusable trials, trials that begin moving, and missing numbers."""
 
 import json
 from dataclasses import replace
@@ -68,7 +68,7 @@ def points_table(t, points):
 
 
 def test_unusable_trials_are_rejected_with_the_reason(model, moving_trial):
-    """The others are diagnosed all the same."""
+    """Unusable trials are rejected with the reason, and the others are diagnosed."""
     points = moving_trial.points
     unread = replace(moving_trial, trial="t1", points=points.assign(valid=False))
     short = replace(moving_trial, trial="t2", points=points[points["t"] < 0.211])
@@ -80,7 +80,10 @@ def test_unusable_trials_are_rejected_with_the_reason(model, moving_trial):
 
 
 def test_matching_rate_uses_the_initial_state_of_the_whole_trial(model, moving_trial):
-    """Some twenty frames of a trial are too far apart to estimate it from."""
+    """The matching rate uses the initial state of the whole trial.
+
+    Some twenty frames of a trial are too far apart to estimate the state from.
+    """
     count = thin_frames(moving_trial).points["t"].nunique()
     assert RATED_FRAMES <= count < 2 * RATED_FRAMES
     trial = prepare_trial(model, moving_trial)
@@ -116,7 +119,10 @@ def test_gain_has_all_blocks_even_if_nothing_was_left_out():
 
 
 def test_gain_is_valid_json():
-    """One trial has no standard error, a rejected run no matching rate."""
+    """The gain is valid JSON without its undefined numbers.
+
+    One trial has no standard error, a rejected run no matching rate.
+    """
     one_trial = held_out_rows(E_extended=[np.nan, np.nan])[:1]
     document = replace_non_finite(gain_document(one_trial))
     json.dumps(document, allow_nan=False)

@@ -1,4 +1,7 @@
-"""Trials of other simulations than the diagnosis' own: equal mass points, as in Eq. 1."""
+"""Trials of other simulations than the diagnosis' own.
+
+Their mass points are equal, as in Eq. 1.
+"""
 
 from dataclasses import replace
 
@@ -24,7 +27,7 @@ def chain(arm):
 
 
 def diagnose_swings(arm, configured, true_model, values, seed):
-    """Diagnose two swings of a string whose points are all mass points but one."""
+    """Diagnose two swings of a string measured at all mass points but one."""
     rng = np.random.default_rng(seed)
     places = np.arange(1, true_model.string.points)
     trials = []
@@ -38,14 +41,20 @@ def diagnose_swings(arm, configured, true_model, values, seed):
 
 
 def test_the_configured_mesh_itself_is_no_cause(arm, chain):
-    """It differs from a string without mass points by ten standard deviations."""
+    """The configured mesh itself is no cause.
+
+    It differs from a string without mass points by ten standard deviations.
+    """
     diagnosis = diagnose_swings(arm, chain, chain, TRUTH, 0)
     assert diagnosis.verdict == "none", diagnosis.sentence
 
 
 @pytest.mark.long
 def test_a_cause_on_the_configured_mesh_has_its_size_there(arm, chain):
-    """On a fine mesh the tip would seem heavier by half a segment, 5.6 %."""
+    """A cause on the configured mesh has its size on that mesh.
+
+    On a fine mesh the tip would seem heavier by half a segment, 5.6 %.
+    """
     heavy = chain.with_effects(TipMass)
     truth = TRUTH | {"tip_mass.ratio": 0.1}
     diagnosis = diagnose_swings(arm, chain, heavy, truth, 1)
@@ -57,7 +66,10 @@ def test_a_cause_on_the_configured_mesh_has_its_size_there(arm, chain):
 
 @pytest.mark.long
 def test_a_chain_of_other_points_is_a_cause(arm, chain):
-    """Its last point has half a segment too much: a tip mass may look alike."""
+    """A chain of another number of points is a cause.
+
+    Its last point has half a segment too much, so a tip mass may look alike.
+    """
     other = replace(chain, string=replace(chain.string, points=30))
     diagnosis = diagnose_swings(arm, chain, other, TRUTH, 2)
     assert diagnosis.verdict in ("effect", "ambiguous"), diagnosis.sentence

@@ -1,4 +1,4 @@
-"""Posterior probabilities in the place of each cause, and how look-alikes are swapped."""
+"""Posterior probabilities in the place of each cause, and swaps of look-alikes."""
 
 from types import SimpleNamespace
 
@@ -34,7 +34,10 @@ class Scaled:
 
 @pytest.mark.parametrize("weights", [(1.0, 1.0), (0.5, 1.5)])
 def test_small_effects_are_as_likely_as_a_dense_covariance_says(weights):
-    """A trial that counts half has twice the variance."""
+    """The probabilities of small effects are those of a dense covariance.
+
+    A trial of half weight has twice the variance.
+    """
     rng, sizes = np.random.default_rng(0), np.array([1.0, 3.0])
     slopes, small = (
         [rng.standard_normal((rows, 20)) * scale for _ in range(2)]
@@ -99,7 +102,10 @@ def swap(monkeypatch, by_fit, fit):
 
 
 def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch):
-    """The second cause's look-alike is likelier, then none in the place of the first."""
+    """Look-alikes are followed, each with its own numerical error.
+
+    The second cause's look-alike is likelier, then none in the place of the first.
+    """
     fits = {
         "one": named_fit("one", "a", "x"),
         "two": named_fit("two", "b", "x"),
@@ -121,7 +127,10 @@ def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch)
 
 
 def test_look_alikes_that_follow_each_other_end_in_what_the_model_holds(monkeypatch):
-    """Each is likelier in the place of the other."""
+    """Look-alikes that follow each other end in the causes that the model holds.
+
+    Each is likelier in the place of the other.
+    """
     fits = {name: named_fit(name, name) for name in "ab"}
     by_fit = {}
     for name, other in ("ab", "ba"):
@@ -154,7 +163,10 @@ def test_a_look_alike_within_the_credible_set_is_no_reason_to_change(monkeypatch
 def test_what_one_trial_says_against_the_others_is_not_certain(
     by_trial, is_certain, monkeypatch
 ):
-    """All gain 80, which without the bootstrap is certain."""
+    """A cause that one trial supports against the others is not certain.
+
+    All gain 80, which without the bootstrap is certain.
+    """
     monkeypatch.setattr(
         posteriors,
         "background_log_evidence_gains",
@@ -212,7 +224,10 @@ SET_AND_SOFTENING = ({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1})
 def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
     probabilities, evidence, causes, monkeypatch
 ):
-    """In the place of a tilt and a play without evidence."""
+    """The likeliest effects remain if they have more evidence together.
+
+    They stand in the place of a tilt and a play without evidence.
+    """
 
     def fit(*causes, evidence=0.0):
         hypothesis = SimpleNamespace(base=None, causes=causes)

@@ -53,7 +53,7 @@ def model(arm):
 
 
 def make_trial(model, frame, s, points, times=T):
-    """Make a trial of which only times and places matter, with points (n, 2) [m]."""
+    """Make a trial with points (n, 2) [m], of which only times and places matter."""
     sigma = np.full(len(s), STATED_SIGMA_M)
     return PreparedTrial("t", model, None, times, frame, s, points, sigma)
 
@@ -76,7 +76,10 @@ def trials(arm, model):
 
 @pytest.mark.parametrize("kind", ["wandering", "dense", "occluded"])
 def test_noise_is_separated_from_misfit_wherever_points_are(model, kind):
-    """A traced line has irregular points, some closer than a millimetre."""
+    """Noise is separated from misfit for any spacing of points.
+
+    A traced line has irregular points, some closer than a millimetre.
+    """
     rng = np.random.default_rng(1)
     grid = np.linspace(0.02, 0.3, 600 if kind == "dense" else 15)
     frame = np.repeat(np.arange(len(T)), len(grid))
@@ -95,9 +98,10 @@ def test_noise_is_separated_from_misfit_wherever_points_are(model, kind):
 
 
 def test_outliers_are_removed_and_hardly_any_other_point(model):
-    """The model itself is off by far more.
+    """Outliers are removed, and hardly any other point.
 
-    Smooth motion follows an outlier a little, and its neighbours stay.
+    The model itself is off by far more. Smooth motion follows an outlier a little, and
+    its neighbours stay.
     """
     rng = np.random.default_rng(2)
     s = np.tile(S, len(T))
@@ -115,7 +119,10 @@ def test_outliers_are_removed_and_hardly_any_other_point(model):
 
 
 def test_a_trial_of_scattered_points_is_not_emptied(model):
-    """A tracker lost the tip in all six frames."""
+    """A trial of scattered points is not emptied.
+
+    A tracker lost the tip in all six frames.
+    """
     frame = np.arange(6)
     points = 0.05 * np.random.default_rng(3).standard_normal((6, 2))
     trial = make_trial(model, frame, np.full(6, 0.3), points, times=frame / 30)
@@ -148,7 +155,10 @@ def test_rest_at_the_end_is_trimmed(swinging_trial, damped_swing):
 
 
 def test_rest_is_that_at_the_end(swinging_trial):
-    """For most of the time the string rests elsewhere."""
+    """The rest position is that at the end of the trial.
+
+    For most of the time the string rests elsewhere.
+    """
     trial = swinging_trial
     is_early = trial.times[trial.frame] < 6.0
     moved = replace(trial, points=trial.points + 0.1 * is_early[:, None])
@@ -179,7 +189,10 @@ def prepared(model, trials):
 def test_a_chaotic_trial_is_excluded_with_its_part_of_the_fit(
     prepared, uncertainties_mm, chaotic
 ):
-    """Two other trials must remain."""
+    """A chaotic trial is excluded with its part of the fit.
+
+    Two other trials must remain.
+    """
     uncertainty_m = np.array(uncertainties_mm) / 1e3
     uncertain = replace(prepared, discretisation_uncertainty_m=uncertainty_m)
     kept = exclude_chaotic_trials(uncertain, TOLERANCE_M)
@@ -201,7 +214,10 @@ def test_outliers_that_a_better_fit_explains_are_restored(prepared):
 
 
 def test_one_trial_of_another_string_does_not_lead_the_search_astray(arm, model):
-    """Three trials are of one string, the fourth of one four times as stiff."""
+    """One trial of another string does not mislead the search.
+
+    Three trials are of one string, the fourth of one four times as stiff.
+    """
     stiff = TRUTH | {"bending_stiffness": 4 * TRUTH["bending_stiffness"]}
     data = TrialData(simulate_swings(arm, model, [TRUTH] * 3 + [stiff]))
     likelihood = Likelihood(data, model)
@@ -245,7 +261,10 @@ def test_a_range_is_widened_only_if_the_data_need_it(model, prepared):
 
 
 def test_mesh_correction_follows_the_error_as_parameters_move(model, trials):
-    """Friction slips at 0.02 /m, then at 0.03 /m, elsewhere on a coarse string."""
+    """The mesh correction follows the error as parameters move.
+
+    Friction slips at 0.02 /m, then at 0.03 /m, elsewhere on a coarse string.
+    """
     hypothesis = Hypothesis(model.with_effects(MaxwellSlip))
     truth = TRUTH | {"maxwell_slip.cap": 2e-3, "maxwell_slip.slip": 0.02}
     chi = true_exponents(hypothesis, truth)

@@ -1,4 +1,4 @@
-"""Which fits are compared, which causes are accepted, and which leave again."""
+"""Comparison of fits, and acceptance and removal of causes."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -64,7 +64,10 @@ def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
 def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
     gains, is_accepted, monkeypatch
 ):
-    """Without it one trial is explained at the cost of the other."""
+    """A cause is accepted if each trial predicts the other.
+
+    Without it one trial is explained at the cost of the other.
+    """
     parent = SimpleNamespace(
         log_evidence=0.0, log_likelihood_by_trial=np.zeros(2), gains=(0.0, 0.0)
     )
@@ -100,7 +103,10 @@ def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
 def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
     gains, remaining, monkeypatch
 ):
-    """One chaotic trial is predicted badly, by 23,000 of the log-likelihood."""
+    """One trial does not outvote the others on which causes are removed.
+
+    One chaotic trial is predicted badly, by 23,000 of the log-likelihood.
+    """
     wind = SimpleNamespace(name="wind")
     trials = [SimpleNamespace(name=f"t{k}") for k in range(5)]
     prepared = SimpleNamespace(data=SimpleNamespace(trials=trials))

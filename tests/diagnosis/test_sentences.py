@@ -1,4 +1,4 @@
-"""What is remarked on a cause in addition to its values."""
+"""Remarks on a cause in addition to its values."""
 
 from types import SimpleNamespace
 

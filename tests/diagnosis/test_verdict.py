@@ -1,4 +1,4 @@
-"""The verdict as a pure function of a few numbers, and how these are measured."""
+"""The verdict as a pure function of a few numbers, and their measurement."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -144,7 +144,10 @@ def test_look_alikes_stand_in_groups():
 
 
 def test_causes_are_named_before_they_are_confirmed():
-    """Held-out trials are only searched if no cause is named in the others."""
+    """Causes are named before they are confirmed.
+
+    Held-out trials are only searched if no cause is named in the others.
+    """
     assert name_causes(replace(FOUND, trials=1), CRITERIA).causes == ("wind",)
 
 

@@ -1,4 +1,4 @@
-"""Which trials are searched, and whether they confirm what is found."""
+"""Choice of the trials that are searched, and confirmation of what is found."""
 
 from types import SimpleNamespace
 
@@ -27,7 +27,10 @@ from stringcast.stages.model.library import effects_by_name
 def test_causes_that_predict_no_trial_left_out_are_not_named(
     arm, monkeypatch, predicts, verdict
 ):
-    """Joints that turn 3 % further than they say."""
+    """Causes that predict no trial left out are not named.
+
+    The joints turn 3 % further than they report.
+    """
     monkeypatch.setattr(module, "improves_predictions", lambda base, extended: predicts)
     real = with_second_order_mesh(ordinary(arm))
     real = real.with_effects(effects_by_name()["joint_gain"]).with_segments(80)
@@ -49,7 +52,10 @@ def test_causes_that_predict_no_trial_left_out_are_not_named(
 def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
     uncertainty_m, kept_each_time, rejected, monkeypatch
 ):
-    """The third trial is chaotic without a cause, and so uncertain with one [m]."""
+    """A trial that is resolved only with causes is searched as well.
+
+    The third trial is chaotic without a cause, and so uncertain with one [m].
+    """
     kept = []
 
     def prepare(model, observations, tolerance_m, rng, starts, progress, keep):

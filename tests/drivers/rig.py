@@ -80,10 +80,10 @@ def events(log):
 
 
 def standstill(log, since, within=5.0):
-    """Wait until the arm stands for good.
+    """Wait until the arm stands still.
 
-    Returns seconds on the device's clock since the first event named `since`; None if
-    the arm never stands.
+    Returns seconds on the device's clock since the first event named `since`, or None
+    if the arm never stands still.
     """
     end = time.monotonic() + within
     while time.monotonic() < end:

@@ -11,11 +11,12 @@ from stringcast.hardware.camera.device import MAX_BUFFERED_FRAMES
 class Sensor:
     """A replacement of cv2.VideoCapture; frame k is exposed at `begun` + k / fps.
 
-    lost: numbers never delivered. again: numbers replaced by the frame before. held:
-    delay of a number [s]. dies: the first number that does not come. stamps: whether
-    times of exposure are reported. obeys: what becomes of a property that is set. size:
-    (width, height), whatever is requested. quiet: without noise. decoding: time to
-    decode a frame of this number [s]. damaged: numbers that cannot be decoded.
+    `lost` holds numbers that are never delivered, `again` numbers replaced by the frame
+    before, and `held` the delay of a number [s]. `dies` is the first number that does
+    not come. `stamps` says whether times of exposure are reported. `obeys` says what a
+    property becomes when it is set. `size` is (width, height), whatever is requested.
+    `quiet` leaves out the noise. `decoding` gives the time to decode a frame of a
+    number [s]. `damaged` holds numbers that cannot be decoded.
     """
 
     def __init__(
@@ -98,7 +99,7 @@ class Sensor:
         return True, self.seen.copy()
 
     def picture(self, number):
-        """Noise, and in the first eight pixels of two rows the number."""
+        """Return noise with the number in the first eight pixels of two rows."""
         image = np.full((*self.size[::-1], 3), 100, np.uint8)
         if not self.quiet:
             image += self.rng.integers(0, 20, image.shape, dtype=np.uint8)

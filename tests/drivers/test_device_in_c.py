@@ -40,7 +40,7 @@ WATCHED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """Compile the device with one of its two mains; the program's path."""
+    """Compile the device with one of its two mains; return the program's path."""
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler")
@@ -62,7 +62,7 @@ def built(tmp_path_factory):
 
 
 def in_python(data):
-    """As pipe.c: a byte at a time, 1 ms after every delimiter."""
+    """Answer as pipe.c does: a byte at a time, with 1 ms after every delimiter."""
     firmware, out, now = Firmware(), b"", 0
     for byte in data:
         firmware.tick(now)
@@ -172,7 +172,7 @@ def test_c_answers_fuzzed_bytes_as_python_does(built, seed):
     ],
 )
 def test_a_device_that_is_wrong_is_found_out(tmp_path, right, wrong):
-    """Control: without checksum, a limit or the watchdog, fuzzed bytes differ."""
+    """Without checksum, a limit or the watchdog, fuzzed bytes give other answers."""
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler")
@@ -210,7 +210,7 @@ def test_the_real_driver_moves_the_device_in_c(port):
 
 
 def held(wire, number, within=5.0):
-    """Why the device did not follow a command, as its answer says."""
+    """Return why the device did not follow a command, as its answer says."""
     end = time.monotonic() + within
     while time.monotonic() < end:
         for answer in wire.answers():

@@ -70,7 +70,11 @@ def bus(log, *options):
 
 
 def test_packets_are_those_of_the_makers_library():
-    """The library computes CRC and stuffing by tables; ours goes bit by bit."""
+    """Packets are those of the maker's library.
+
+    The library computes CRC and stuffing by tables; our driver computes them bit by
+    bit.
+    """
     library = sdk.Protocol2PacketHandler()
     rng = np.random.default_rng(0)
     for size in (1, 10, 60):
@@ -160,11 +164,11 @@ def test_a_fault_of_the_bus_ends_with_the_arm_at_rest_and_one_error(log, kind):
 
 
 class Interrupted(VelocityArm):
-    """A driver whose user loses patience in mid-movement."""
+    """A driver that the user interrupts in mid-movement."""
 
     @property
     def latch_reason(self):
-        """Asked before each velocity."""
+        """The reason to stop, which is read before each velocity."""
         if self.is_moving and self.wire.command_number > 20:
             raise KeyboardInterrupt
         return self.why
@@ -268,7 +272,7 @@ def serve_servos(servos):
 class Deaf(Emulated):
     """A servo that acknowledges writes to some registers and keeps the old value.
 
-    written: addresses, in order.
+    `written` holds addresses, in order.
     """
 
     keeps: tuple[int, ...] = ()
@@ -375,7 +379,10 @@ def test_velocities_beyond_the_limit_never_reach_a_servo_and_nothing_does_before
 
 
 def test_the_device_keeps_its_limits_against_any_bytes():
-    """The servo refuses goals beyond its limit and approaches others by its profile."""
+    """The device keeps its limits against any bytes.
+
+    The servo refuses goals beyond its limit and approaches others by its profile.
+    """
     servo = Emulated()
     for register, value in (
         (OPERATING_MODE, 1),

@@ -30,7 +30,7 @@ CONTROLS = {"AUTO_EXPOSURE": 1, "EXPOSURE": 10, "GAIN": 2}
 
 @pytest.fixture
 def plugged(monkeypatch):
-    """Plugs a sensor in; gives the camera that films it."""
+    """Return a function that connects a sensor and returns the camera filming it."""
 
     def plug(sensor, most_lost=0.02, delay=0.0, **device):
         monkeypatch.setattr(
@@ -73,9 +73,10 @@ def test_frames_have_the_times_at_which_they_were_exposed(plugged, stamps):
 
 
 def test_the_time_that_decoding_takes_is_none_of_the_exposures(plugged):
-    """Decoding takes 4 or 12 ms, as with MJPG.
+    """The time of decoding is not part of the exposure times.
 
-    Old frames of the driver are dropped although they are slow to decode as well.
+    Decoding takes 4 or 12 ms, as with MJPG. Old frames of the driver are dropped
+    although they are slow to decode as well.
     """
     sensor = Sensor()
     sensor.decoding = lambda number: 0.004 + 0.008 * (number % 2)
@@ -168,7 +169,10 @@ def test_whatever_goes_wrong_while_a_frame_is_taken_is_told(
 def test_an_image_that_cannot_be_made_grey_ends_the_film_with_the_reason(
     plugged, monkeypatch
 ):
-    """Neither thread may wait forever for the other."""
+    """An image that cannot be made grey ends the film with the reason.
+
+    Neither thread may wait forever for the other.
+    """
     monkeypatch.setattr(filming, "QUEUE_FRAMES", 1)
     sensor = Sensor()
     with plugged(sensor) as camera:
@@ -393,7 +397,10 @@ def test_numbers_come_back_from_jittered_times(jitter, heavy, lost, wrong):
 
 
 def test_a_counter_that_poses_as_a_clock_is_not_believed():
-    """Stamps made of frame numbers and a nominal period would hide dropped frames."""
+    """Stamps made of frame numbers and a nominal period are rejected.
+
+    They would hide dropped frames.
+    """
     t = np.delete(np.arange(100), [30, 31, 32, 33]) * 0.005
     frames = [
         Frame(5.0 + at, (k + 1) * 0.005, np.full((2, 2), k, np.uint8))
@@ -406,9 +413,10 @@ def test_a_counter_that_poses_as_a_clock_is_not_believed():
 
 @pytest.mark.parametrize("clock", [np.nan, 100.0])
 def test_late_frames_are_put_where_they_were_exposed(clock):
-    """Frames come 30 ms after their exposure, every fifth 13 ms later.
+    """Late frames are dated to their exposure.
 
-    Late is not lost. clock: by which the source stamps them, if it does.
+    Frames come 30 ms after their exposure, every fifth 13 ms later. A late frame is not
+    a lost one. `clock` is that by which the source stamps them, if it does.
     """
     due = np.arange(40) * 0.02
     held = np.where(np.arange(40) % 5 == 3, 0.013, 0.0)

@@ -41,7 +41,7 @@ def now(monkeypatch):
 class Timed(Script):
     """A wire that records when each command was sent.
 
-    late: seconds by which each answer comes after its command, by its number.
+    `late` gives the seconds by which each answer comes after its command, by number.
     """
 
     def __init__(self, now, late=lambda number: 0.0):
@@ -121,7 +121,10 @@ def test_nobody_waits_where_all_have_answered(now):
 
 
 def test_answers_are_looked_at_even_where_the_loop_is_late(now):
-    """A loop behind its ticks must not count an answering device as silent."""
+    """Answers are read even where the loop is late.
+
+    A loop behind its ticks must not count an answering device as silent.
+    """
 
     def stall(answer):
         now.now += 0.02
@@ -137,7 +140,10 @@ def test_answers_are_looked_at_even_where_the_loop_is_late(now):
     ("speed", "ticks"), [(0.0, 1), (1.5, 1), (1.6, 2), (3.0, 2), (4.6, 4), (-4.6, 4)]
 )
 def test_it_slows_to_rest_as_the_acceleration_asks_tick_by_tick(now, speed, ticks):
-    """300 rad/s2 in 5 ms are 1.5 rad/s; the fastest joint says how long it takes."""
+    """It slows to rest tick by tick, as the acceleration limit asks.
+
+    300 rad/s2 in 5 ms are 1.5 rad/s; the fastest joint determines the duration.
+    """
     wire = Timed(now)
     wire.spoil = lambda answer: None if answer.number >= 0 else answer
     wire.send = lambda speeds: (Script.send(wire, speeds), wire.at.append(now.now))[0]
@@ -176,14 +182,21 @@ def after(leap, between=0.005, **how):
 def test_an_encoder_may_turn_twice_as_fast_as_the_arm_and_by_its_noise(
     between, most, sign
 ):
-    """2 x 20 rad/s over the time between, a tick at least, and 0.02 rad."""
+    """An encoder may turn at twice the arm's speed plus its noise.
+
+    That is 2 x 20 rad/s over the time between, a tick at least, and 0.02 rad.
+    """
     assert after(sign * (most - 1e-6), between) == ""
     assert after(sign * (most + 1e-6), between) == "the encoder of joint 3 jumped"
 
 
 @pytest.mark.parametrize("jump", [1, 2, 3])
 def test_a_jump_shows_among_answers_that_came_at_once(jump):
-    """As where this computer was late: a look each tick is not a look at each answer."""
+    """A jump shows among answers that came at once.
+
+    This happens where the computer was late: a look at each tick is not a look at each
+    answer.
+    """
     log = reserve_log(np.zeros(3), np.zeros((5, 3)), ARM.tick)
     log.device_time[:4], log.angles[:4], log.last_checked, log.last_answered = (
         7.0 + 0.005 * np.arange(4),
@@ -255,7 +268,7 @@ def arm(wire, **changed):
 
 
 class Slow(Script):
-    """A round trip takes these times [s], in turn."""
+    """A wire whose round trips take these times [s], in turn."""
 
     def __init__(self, now, trips):
         super().__init__()
@@ -316,7 +329,10 @@ def test_it_waits_for_the_string_after_it_went_to_a_pose(now):
 def test_a_way_takes_as_long_as_its_speed_asks_and_at_least_twenty_ticks(
     now, way, ticks
 ):
-    """A way of less than a quarter of the tolerance is none."""
+    """A path takes as long as its speed asks, and at least twenty ticks.
+
+    A path of less than a quarter of the tolerance is none.
+    """
     wire = Timed(now)
     arm(wire).move_to((0.0, 0.0, way))
     assert len(wire.sent) == (ticks + 1 if ticks else 0)
@@ -427,7 +443,10 @@ ANYWHERE = Workspace((-9.0, -9.0), (9.0, 9.0))
 
 
 def refused(limits, angles, workspace=ANYWHERE):
-    """Which limit is said to be left, and when [s]; empty where none is."""
+    """Return the limit that is said to be left, and when [s].
+
+    The result is empty where none is left.
+    """
     try:
         check_movement(ARM.__class__(**{**vars(ARM), **limits}), workspace, angles)
     except HardwareError as error:

@@ -1,4 +1,4 @@
-"""Every comparison of guard and start check fails safe for NaN, without real clocks."""
+"""Comparisons of guard and start check fail safe for NaN, without real clocks."""
 
 import math
 import struct

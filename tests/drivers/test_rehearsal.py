@@ -1,4 +1,4 @@
-"""Rehearsals move nothing, slowly, or only an emulator, and no model is updated."""
+"""Rehearsals move nothing, move slowly, or move an emulator, and update no model."""
 
 import subprocess
 from dataclasses import replace

@@ -1,4 +1,7 @@
-"""Runs that are interrupted while the arm moves: it stops, and the run can resume."""
+"""Runs that are interrupted while the arm moves.
+
+The arm stops, and the run can resume.
+"""
 
 import json
 import os
@@ -26,7 +29,7 @@ SMALL = (
 def interrupt_command(number, record, *arguments):
     """Send a signal to a command once the arm moves; return exit status and output.
 
-    record: file of the emulator, whose arm stands in the end.
+    `record` is the file of the emulator, whose arm is still in the end.
     """
     record.unlink(missing_ok=True)
     command = [sys.executable, "-m", "pipeline", *arguments]

@@ -30,7 +30,7 @@ def port(tmp_path):
 
 @pytest.fixture
 def film(tmp_path):
-    """Eight seconds at 100 frames a second, each with its number in bits."""
+    """Return eight seconds of film at 100 Hz, each frame with its number in bits."""
     path = tmp_path / "film.avi"
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
     for number in range(800):
@@ -91,7 +91,10 @@ def test_a_trial_comes_back_whole_and_on_one_clock(port, film):
 
 
 def test_the_camera_is_told_when_the_arm_began_to_move(port, film, monkeypatch):
-    """Pings and checks between request and motion differ in length."""
+    """The camera learns when the arm began to move.
+
+    Pings and checks between request and motion differ in length.
+    """
     sent, told = [], []
     send = SerialWire.send
 
@@ -122,7 +125,10 @@ def test_the_camera_is_told_when_the_arm_began_to_move(port, film, monkeypatch):
 def test_a_camera_that_dies_on_the_way_leaves_the_arm_at_rest_and_an_invalid_trial(
     tmp_path, film
 ):
-    """The film ends before the movement does, as when a cable is pulled."""
+    """A camera that dies on the way leaves an invalid trial and the arm at rest.
+
+    The film ends before the movement does, as when a cable is pulled.
+    """
     images = film.images()[:30]
 
     class Short(PlayedSource):

@@ -1,4 +1,7 @@
-"""The real driver against a device on a real pseudo-terminal, well and ill."""
+"""The real driver against a device on a real pseudo-terminal.
+
+The device works well, or has faults.
+"""
 
 import os
 import random
@@ -72,7 +75,10 @@ def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
 
 
 def test_measured_angles_are_put_at_the_moment_they_were_measured():
-    """The device clock is 7 s ahead, and answers are delayed by 0.3 to 9 ms."""
+    """Measured angles are dated to the moment at which they were measured.
+
+    The device clock is 7 s ahead, and answers are delayed by 0.3 to 9 ms.
+    """
     rng = np.random.default_rng(1)
     log = reserve_log(np.zeros(3), np.ones((400, 3)), 0.005)
     log.sent = log.due + 1e-4

@@ -59,7 +59,7 @@ class Script:
 
 
 def after(number, change):
-    """Spoil the answers from a number on."""
+    """Return a function that spoils the answers from a number on."""
     return lambda answer: change(answer) if answer.number >= number else answer
 
 
@@ -156,7 +156,10 @@ def test_any_exception_on_the_way_latches_stops_and_closes(error):
 
 @pytest.mark.parametrize("way", ["latch", "stop", "close"])
 def test_a_way_out_that_fails_keeps_none_of_the_others_from_being_taken(way):
-    """And signals do again what they did before."""
+    """A stop method that fails prevents none of the others.
+
+    Afterwards signals have their former handlers.
+    """
     before = signal.getsignal(signal.SIGINT)
     wire = Script(after(20, lambda answer: 1 // 0))
     setattr(wire, way, lambda: (wire.said.append(way), {}["broken"]))
@@ -198,7 +201,10 @@ def test_the_loop_leaves_the_process_as_it_found_it(priority):
 
 
 def test_angles_have_the_time_in_the_middle_of_the_quickest_exchanges():
-    """Every second answer is 6 ms late, which must not shift the clock."""
+    """Angles have the time in the middle of the quickest exchanges.
+
+    Every second answer is 6 ms late, which must not shift the clock.
+    """
     log = reserve_log(np.zeros(3), np.zeros((40, 3)), 0.005)
     log.sent, log.speeds_sent, log.angles = log.due, log.commanded, np.zeros((40, 3))
     log.device_time = 7.0 + log.sent + 0.001

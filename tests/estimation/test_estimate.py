@@ -1,5 +1,6 @@
-"""Matching rate and estimation: the equations to the letter, and known parameters
-recovered.
+"""Matching rate and estimation.
+
+The equations are implemented literally, and known parameters are recovered.
 """
 
 import numba
@@ -43,7 +44,7 @@ TRUTH = {
 
 
 def observed(seed, noise=7e-4, name="t01"):
-    """A swing of a known string, seen as points with noise."""
+    """Simulate a swing of a known string, seen as points with noise."""
     rng = np.random.default_rng(seed)
     t = np.arange(0, 1.0, 0.005)
     a, b, c = rng.uniform(0.5, 1.5, 3)
@@ -99,7 +100,9 @@ def test_matching_rate_is_equations_5_and_6():
 
 
 def test_targets_are_the_dilated_images_and_the_weights_of_equation_6(arm, camera):
-    """w_i = 1 + (i - 1) delta_w, maps dilated by step_px at a time: E of a candidate,
+    """Targets are the dilated images, and the weights those of Equation 6.
+
+    w_i = 1 + (i - 1) delta_w, with maps dilated by step_px at a time: E of a candidate,
     word for word.
     """
     model, matching = Model(STRING, arm, camera), Matching(6, 2, 3.0, 0.5)
@@ -174,7 +177,10 @@ def test_cma_es_looks_closer_with_every_manipulation(arm, camera):
 
 
 def test_candidates_narrow_as_equation_4_says(arm, camera):
-    """Within chi_0 / M beta^m of the best so far, and reaching near that bound."""
+    """Candidates narrow as Equation 4 says.
+
+    They stay within chi_0 / M beta^m of the best so far, and reach near that bound.
+    """
     settings = {
         "candidates": 400,
         "chi_0": 0.5,
@@ -255,9 +261,11 @@ def test_cma_es_brings_the_string_to_the_points(arm, camera):
 
 
 def test_least_squares_recovers_known_parameters_within_its_intervals(arm, camera):
-    """Every fit reaches the noise floor, and intervals hold the truth: 94.7 % of 320
-    did, measured over 40 seeds from starts beside it; of the 80 here, a wrong
-    covariance or a fit short of its minimum loses more.
+    """Least squares recovers known parameters within its intervals.
+
+    Every fit reaches the noise floor, and intervals hold the truth. Over 40 seeds from
+    starts near the truth, 94.7 % of 320 did. A wrong covariance, or a fit that stops
+    before its minimum, loses more of the 80 here.
     """
     settings = {"starts": 8, "screening": 128, "iterations": 20, "matching": MATCHING}
     inside, determined = [], []
@@ -284,7 +292,10 @@ def test_least_squares_recovers_known_parameters_within_its_intervals(arm, camer
 
 
 def test_what_the_data_cannot_determine_is_said(arm, camera):
-    """A string at rest says nothing of damping or air."""
+    """A parameter that the data cannot determine is reported.
+
+    A string at rest says nothing of damping or air.
+    """
     still = observed(1)
     start = still.grasp.iloc[:1]
     rest = pd.concat([start] * 100, ignore_index=True).assign(t=np.arange(100) * 0.005)

@@ -1,5 +1,7 @@
-"""Effects in estimation and generation: found where they are, added from elsewhere,
-free where absent.
+"""Effects in estimation and generation.
+
+Present effects are found, known ones are added from elsewhere, and absent ones cost
+nothing.
 """
 
 from dataclasses import replace
@@ -82,7 +84,7 @@ class Magnet(StringEffect):
 
 
 def observed(model, size, noise=7e-4):
-    """A swing as the camera of a model reports it, with noise."""
+    """Simulate a swing with noise, as the camera of a model reports it."""
     t = T[::4] + 0.0013
     seen = model.simulate_observation(
         resample_hand_motion(T, POSE), model.values(TRUTH | size)[None], t
@@ -109,7 +111,7 @@ def observed(model, size, noise=7e-4):
 
 
 def recovered(model, observation):
-    """The estimate, by name."""
+    """Return the estimate by name."""
     settings = {"starts": 2, "screening": 128, "iterations": 16, "matching": MATCHING}
     found = least_squares.estimate(
         model, [observation], None, seed=0, manipulation=1, **settings
@@ -118,8 +120,10 @@ def recovered(model, observation):
 
 
 def test_effects_of_three_worlds_are_recovered_together(arm, camera):
-    """A weight at the tip, clocks 8 ms apart, a rolled camera, at 0.7 mm of noise:
-    within their intervals or 3 %.
+    """Effects of three kinds are recovered together.
+
+    A weight at the tip, clocks 8 ms apart and a rolled camera, at 0.7 mm of noise, are
+    found within their intervals or 3 %.
     """
     size = {
         "tip_mass.ratio": 0.2,
@@ -139,8 +143,10 @@ def test_effects_of_three_worlds_are_recovered_together(arm, camera):
 
 
 def test_joints_that_lag_arrive_though_the_log_ends_with_the_motion(arm, camera):
-    """Filmed for longer than logged: else the arm would stop short for ever, by 2 mm
-    here.
+    """Joints that lag arrive at their goal, although the log ends with the motion.
+
+    The film is longer than the log. Otherwise the arm would stop short for ever, by 2
+    mm here.
     """
     t = T[T < 0.3]
     braking = np.array([0.3, 0.5, 0.2]) * (1 - (t / t[-1] - 1) ** 2)[:, None]
@@ -162,8 +168,10 @@ def test_joints_that_lag_arrive_though_the_log_ends_with_the_motion(arm, camera)
 
 
 def test_what_is_known_of_an_effect_is_refined_and_not_sought_all_over(arm, camera):
-    """A dry friction anywhere in its range would ask for a hundred times as many steps
-    as one where it is known.
+    """A known effect is refined from its known value.
+
+    A dry friction anywhere in its range would need a hundred times as many steps as one
+    near its known value.
     """
     heavy = Model(STRING, arm, camera).with_effects(*find_effects(["tip_mass"]))
     known = replace(heavy, start_values={"tip_mass.ratio": 0.17})
@@ -246,7 +254,10 @@ def test_without_effects_the_model_is_the_string_to_the_bit(arm, camera):
 
 
 def test_generation_knows_a_hand_that_lags(arm, camera):
-    """What is hit is hit by the model with the lag, and not by the one without."""
+    """Generation uses the model with the lagging hand.
+
+    The motion hits in the model with the lag, and not in the one without.
+    """
     model = Model(STRING, arm, camera).with_effects(
         *find_effects(["arm_lag", "tip_mass"])
     )

@@ -1,5 +1,6 @@
-"""Trials of a string whose hinges stick and slip, let go after a handling that nobody
-saw.
+"""Trials of a string whose hinges stick and slip.
+
+It was released after a handling that nobody saw.
 """
 
 from dataclasses import replace
@@ -62,8 +63,9 @@ def model(arm, camera):
 
 
 def released(aside, let_back, seed):
-    """A string let go at rest where it was bent aside by so many radians, its hinges
-    let back so far: a trial.
+    """Make a trial of a string released at rest where it was bent aside.
+
+    It was bent by a number of radians, and its hinges were let back by a share of that.
     """
     start = StringState(
         0.0,
@@ -100,9 +102,11 @@ def released(aside, let_back, seed):
 
 
 def test_hinges_let_back_push_the_other_way():
-    """Pulled far beyond their slip they push home with all their cap; let back half of
-    the way with nothing, and all of the way from home. The tip's way in the first 0.15
-    s tells so, evenly.
+    """Hinges that are let back push the other way.
+
+    Pulled far beyond their slip they push home with all their cap. Let back half of the
+    way they push with nothing, and let back all of the way they push away from home.
+    The tip's displacement in the first 0.15 s shows it, in equal steps.
     """
     hand = resample_hand_motion(T[:10], GRASP[:10])
     angle = -np.pi / 2 + 0.6 * np.sin(np.pi / 2 * MIDDLE / LENGTH)
@@ -145,9 +149,12 @@ def test_it_is_one_more_thing_that_nobody_knows(model):
 
 
 def test_a_law_with_memory_is_recovered_within_its_intervals(model):
-    """Three trials, each let back otherwise. Of ten such draws of noise the intervals
-    of cap and slip held the truth 19 times of 20; those of all ten parameters 86 of
-    100, too few: what a beginning costs them is not all counted.
+    """A law with memory is recovered within its intervals.
+
+    The three trials are each let back by another amount. Over ten such draws of noise
+    the intervals of cap and slip held the truth 19 times of 20. Those of all ten
+    parameters held it 86 times of 100, too few, because the uncertainty from initial
+    states is not counted in full.
     """
     trials = [
         released(aside, back, seed)

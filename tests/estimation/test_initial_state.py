@@ -1,5 +1,6 @@
-"""From noisy first frames to the state of a string, and estimation from trials that
-begin in motion.
+"""The state of a string from noisy first frames.
+
+Estimation from trials that begin in motion uses it.
 """
 
 from dataclasses import replace
@@ -67,8 +68,9 @@ def model(arm, camera):
 
 
 def released(turn, places, fps, noise, seed=0, until=0.6, string=STRING):
-    """A hand that holds still and a string let go in SHAPE: points (F, M, 2) [m] with
-    noise, and the tables.
+    """Release a string in SHAPE from a hand that holds still.
+
+    Returns points (F, M, 2) [m] with noise, and the tables.
     """
     t = np.arange(0, until, 1 / fps)
     grasp = np.repeat(POSE[None], len(t), axis=0)
@@ -101,8 +103,9 @@ def observed(t, seen, places, **more):
 
 
 def found(turn, where, fps, noise, seed=0, outlier=0.0):
-    """State recovered from the first frames, and how far places and velocities of
-    segments' ends are off, mean.
+    """Recover the state from the first frames.
+
+    Returns it with the mean errors of places and velocities of segments' ends.
     """
     places = PLACES[where]
     t, seen = released(turn, places, fps, noise, seed)
@@ -143,7 +146,10 @@ def _moved(angle, rate):
     ],
 )
 def test_the_first_frames_give_the_state(where, fps, noise, place, velocity):
-    """One let go at rest is at rest to the last digit; one in motion is not."""
+    """The first frames give the state.
+
+    A string released at rest is at rest to the last digit; one in motion is not.
+    """
     for seed in range(6):
         state, places, _ = found(0 * TURN, where, fps, noise, seed)
         assert np.all(state.rate == 0.0)
@@ -155,7 +161,11 @@ def test_the_first_frames_give_the_state(where, fps, noise, place, velocity):
 
 
 def test_an_outlier_in_the_first_frames_does_no_harm():
-    """60 mm off in the second frame; as good as without: 0.4 mm, 0.10 m/s."""
+    """An outlier in the first frames does no harm.
+
+    It is 60 mm off in the second frame. The errors are those without it: 0.4 mm, 0.10
+    m/s.
+    """
     state, places, velocities = found(TURN, "line", 200, 7e-4, outlier=0.06)
     assert state.rate[-1] > 2.0
     assert places < 0.6e-3
@@ -163,8 +173,10 @@ def test_an_outlier_in_the_first_frames_does_no_harm():
 
 
 def test_a_turn_counts_from_the_grasp():
-    """A string wound once round, and a hand that has turned before, keep their
-    directions continuous.
+    """A turn counts from the grasp.
+
+    A string wound once round, and a hand that has turned before, keep their directions
+    continuous.
     """
     pose = np.array([0.0, 0.0, 2 * np.pi + 0.3])
     angle = pose[2] + 7.0 * MIDDLE / LENGTH
@@ -199,8 +211,10 @@ def test_a_string_too_little_seen_is_refused(model):
 def test_the_motion_that_follows_corrects_the_state(
     model, where, fps, noise, worst, turn
 ):
-    """With the true parameters the residual is noise: from 2.9 to 1.0 mm, with two
-    markers at 30 Hz from 15.8 to 3.9.
+    """The motion that follows corrects the state.
+
+    With the true parameters the residual is noise. It falls from 2.9 to 1.0 mm, and
+    with two markers at 30 Hz from 15.8 to 3.9.
     """
     t, seen = released(turn, PLACES[where], fps, noise)
     trial = observed(t, seen, PLACES[where], starts_moving=True)
@@ -215,8 +229,10 @@ def test_the_motion_that_follows_corrects_the_state(
 
 
 def test_a_state_stays_where_the_string_cannot_be_simulated(model):
-    """With parameters that tear the string nothing is known of what another beginning
-    would do.
+    """A state stays unchanged where the string cannot be simulated.
+
+    With parameters that tear the string, the effect of another initial state is
+    unknown.
     """
     t, seen = released(TURN, PLACES["two"], 30, 3e-3)
     ready = prepare_trial(model, observed(t, seen, PLACES["two"], starts_moving=True))
@@ -230,9 +246,10 @@ def test_a_state_stays_where_the_string_cannot_be_simulated(model):
 
 
 def test_a_dataset_that_begins_moving_is_estimated(model, tmp_path):
-    """From disk to parameters: 1.09 mm are left, where noise is 0.99 mm, and k_h is 2 %
-    low. Begun at rest it would be 114 mm off; from the first frames alone 1.5 mm, and
-    k_h 5 % low.
+    """A dataset that begins moving is estimated, from disk to parameters.
+
+    The residual is 1.09 mm, where noise is 0.99 mm, and k_h is 2 % low. With a start at
+    rest it would be 114 mm; from the first frames alone 1.5 mm, and k_h 5 % low.
     """
     t, seen = released(TURN, PLACES["eleven"], 200, 7e-4)
     given = observed(t, seen, PLACES["eleven"])

@@ -1,5 +1,6 @@
-"""What a fitted model predicts of a trial that nothing was fitted to, and what of that
-trial it may look at.
+"""Predictions of a fitted model for a trial that nothing was fitted to.
+
+They may use only some of that trial.
 """
 
 from dataclasses import replace
@@ -60,8 +61,9 @@ NOISE = 3e-4
 
 @pytest.fixture
 def model(arm, camera):
-    """With the laws of `known_answers/test_clamp.py`, absent by their values: there is
-    one loop to compile for both.
+    """Return a model with the laws of `known_answers/test_clamp.py`.
+
+    Their values make them absent, so that one loop is compiled for both modules.
     """
     return Model(STRING, arm, camera).with_effects(
         *find_effects(["density_taper", "rest_curvature", "tip_mass"])
@@ -69,8 +71,9 @@ def model(arm, camera):
 
 
 def driven(model, values, name="driven", start=None):
-    """A trial whose hand begins to move after a while, or whose string begins in a
-    state; with the noise of points.
+    """Simulate a trial with the noise of points.
+
+    Its hand begins to move after a while, or its string begins in a state.
     """
     reach = 0.1 * np.sin(9 * np.maximum(T - MOVES, 0.0)) if start is None else 0 * T
     pose = np.stack([reach, 0 * T, np.full_like(T, -np.pi / 2)], axis=-1)
@@ -104,7 +107,7 @@ def driven(model, values, name="driven", start=None):
 
 
 def fitted(model, **values):
-    """An estimate that holds these values."""
+    """Return an estimate that holds these values."""
     rows = [
         {
             "name": p.name,
@@ -128,8 +131,9 @@ def fitted(model, **values):
 
 
 def test_a_set_of_another_recording_is_read_where_the_string_rests(model):
-    """Two numbers, of which nothing tells but the frames before the hand moves; all
-    else is as estimated.
+    """The rest shape of another recording is read from its frames before the motion.
+
+    Only these frames determine its two numbers. All else is as estimated.
     """
     other = {"rest_curvature.curvature": -2.0, "rest_curvature.slope": -8.0}
     trial, estimate = driven(model, other), fitted(model)
@@ -186,7 +190,7 @@ def test_of_one_that_begins_moving_only_its_beginning_is_fitted(model):
 
 
 class Recorder:
-    """An executor that makes nothing, and notes what each step may look at."""
+    """An executor that makes nothing, and records the inputs of each step."""
 
     def __init__(self):
         self.seen = []
@@ -213,7 +217,7 @@ class Recorder:
 
 
 class Settings:
-    """As much of a world as estimation from stored trials asks for."""
+    """The settings that estimation from stored trials needs."""
 
     def __init__(self, model, trials_used, trials):
         self.model, self.arm, self.camera, self.string = (

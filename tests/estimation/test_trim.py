@@ -1,4 +1,4 @@
-"""What a string does once it has touched an obstacle is not learned from."""
+"""Frames after a string has touched an obstacle are excluded from estimation."""
 
 import numpy as np
 import pandas as pd
@@ -12,7 +12,7 @@ WALL = Box(0.5, 0.0, 0.02, 1.0)
 
 
 def going_right(step, frames=20):
-    """A hanging string that goes right by `step` [m] from frame to frame."""
+    """Return a hanging string that moves right by `step` [m] from frame to frame."""
     t, s = np.meshgrid(0.005 * np.arange(frames), S, indexing="ij")
     x = step * np.round(t / 0.005)
     points = pd.DataFrame(
@@ -26,7 +26,9 @@ def last_x(observation):
 
 
 def test_a_trial_ends_before_it_touches():
-    """At 30 mm from frame to frame: 480 mm is within 10 mm of the wall's face at 490
+    """A trial ends before the string touches the wall.
+
+    It moves 30 mm from frame to frame: 480 mm is within 10 mm of the wall's face at 490
     mm, 450 mm is not.
     """
     assert last_x(trim_at_contact(going_right(0.03), [WALL])) == 0.03 * 15
@@ -34,7 +36,10 @@ def test_a_trial_ends_before_it_touches():
 
 
 def test_what_passes_between_two_frames_has_touched_too():
-    """A thin wall, and 150 mm from frame to frame."""
+    """A string that passes a thin wall between two frames has touched it.
+
+    It moves 150 mm from frame to frame.
+    """
     assert (
         last_x(trim_at_contact(going_right(0.15), [Box(0.525, 0.0, 0.002, 1.0)]))
         == 0.15 * 3

@@ -1,5 +1,7 @@
-"""The string in MuJoCo moves as ours does: to a fiftieth of a millimetre where it
-hardly stretches, else to its stretch.
+"""The string in MuJoCo moves as ours does.
+
+They agree to a fiftieth of a millimetre where the string hardly stretches, else to its
+stretch.
 """
 
 import xml.etree.ElementTree as ET
@@ -59,8 +61,9 @@ def tips_of_ours(model, values):
 
 
 def tips_of_theirs(mujoco, model, values):
-    """Moved as the benchmark moves its chain: the carriage is pushed so that it lands
-    on its poses.
+    """Simulate the chain in MuJoCo and return its tips.
+
+    As in the benchmark, forces push the carriage so that it arrives at its poses.
     """
     theirs = mujoco.MjModel.from_xml_string(build_mjcf(model, values, MASS, STEP))
     data, steps = mujoco.MjData(theirs), round(TIMES[-1] / STEP)
@@ -148,7 +151,10 @@ def test_the_command_writes_a_chain_and_a_card(tmp_path, capsys):
 
 
 def test_a_card_of_casts_has_the_intervals_that_they_found(tmp_path):
-    """Of a search on E there are none, and none are made up."""
+    """A card of casts has the estimated intervals.
+
+    A search on E gives none, and none are made up.
+    """
     done = pipeline(
         "+experiment=quick",
         "estimate=least_squares",

@@ -1,7 +1,7 @@
-"""The string read under real conditions: what must be read is, and what is wrong is
-refused with the reason.
+"""The string read under real conditions.
 
-Measured with 12 frames a film of string A, alone: about 25 s in all.
+Readable frames are read, and wrong lines are refused with the reason. Measured with 12
+frames a film of string A, alone: about 25 s in all.
 """
 
 from functools import partial
@@ -56,12 +56,12 @@ MUST = {  # severities that must be read, as counted from 1
 
 @pytest.fixture(scope="module")
 def cast(arm, camera):
-    """A cast of string A, 12 frames of it."""
+    """Perform a cast of string A with 12 frames."""
     return perform_cast("A", specimen("A"), arm, camera, frames=12, seed=0)
 
 
 def scored(cast, condition, severity, **changed):
-    """Table FRAMES of the cast filmed under a condition and read."""
+    """Return table FRAMES of the cast filmed under a condition and read."""
     cell = ConditionLevel(condition, severity, CONDITIONS[condition][severity - 1])
     return compare_frames(
         cast, cell, *read_cast(cast, cell, partial(extract, **SETTINGS | changed))
@@ -70,8 +70,10 @@ def scored(cast, condition, severity, **changed):
 
 @pytest.mark.parametrize("condition", MUST)
 def test_what_can_be_read_is_read_and_right(cast, condition):
-    """At least 10 of 12 frames, none wrong, half of them within 0.4 px (0.06 to 0.2 in
-    the recorded study, of 24 frames a film).
+    """Readable frames are read correctly.
+
+    At least 10 of 12 frames are read, none is wrong, and half are within 0.4 px. The
+    recorded study, with 24 frames a film, has 0.06 to 0.2 px.
     """
     frames = scored(cast, condition, MUST[condition])
     assert frames["read"].sum() >= 10
@@ -100,9 +102,11 @@ def test_what_cannot_be_read_is_refused_with_the_reason(
 def test_a_wrong_line_is_refused_and_would_be_accepted_without_the_quality_checks(
     cast, monkeypatch
 ):
-    """Three films that mislead. Measured: of 36 frames, 3 lines 8 px off and more
-    without the quality checks and none with them; with them one tip is 3.6 px off,
-    where wall that was in shadow lies beyond it.
+    """The quality checks refuse wrong lines that would otherwise be accepted.
+
+    Three films mislead. Of 36 frames, 3 lines are 8 px off and more without the quality
+    checks and none with them. With them one tip is 3.6 px off, where wall that was in
+    shadow lies beyond it.
     """
     films = [("cluttered wall", 3), ("arm's shadow", 2), ("drifting dust", 2)]
     checked = pd.concat([scored(cast, *one) for one in films])
@@ -127,8 +131,10 @@ def test_a_tip_out_of_view_is_never_read(cast):
 
 
 def test_a_film_is_steadied_to_a_tenth_of_a_pixel(cast):
-    """Against where the camera really looked; scatter of 0.07 px was measured, beside
-    the offset common to all frames.
+    """A film is stabilised to a tenth of a pixel.
+
+    The reference is where the camera really looked. A scatter of 0.07 px was measured,
+    besides the offset common to all frames.
     """
     shaken = film_shot(cast.shot, [CameraShake(2.0)], seed=1)
     steady, sway = stabilise_film(shaken)
@@ -154,8 +160,10 @@ def test_flicker_is_measured_and_a_steady_film_is_left_alone(cast):
 
 
 def test_the_wall_behind_a_passing_shadow_is_bright():
-    """Dark in a fifth of the frames: without the look at what is wide it would be dark
-    in the scene.
+    """The wall behind a passing shadow is bright in the scene.
+
+    It is dark in a fifth of the frames. Without the check of wide areas it would be
+    dark in the scene.
     """
     stack = np.full((20, 40, 40), 60, np.uint8)
     stack[3:7, :, 10:24] = 30
@@ -177,8 +185,9 @@ def test_quality_measures_are_what_they_say():
 
 
 def test_conditions_move_the_truth_along(cast):
-    """A loop and a turn change directions, not lengths; what is filmed is what the
-    truth says.
+    """Conditions change the truth with the picture.
+
+    A loop and a turn change directions, not lengths, and the film shows the truth.
     """
     for condition in (StringLoop(0.12), BeforeArm(0.5)):
         posed = condition.change_scene(cast.shot)
@@ -192,8 +201,9 @@ def test_conditions_move_the_truth_along(cast):
 
 
 def test_scores_say_how_far_off_a_line_is(cast, tmp_path):
-    """Points moved by 4 px along u, and a tip that is right: wrong, by as much as it
-    was moved.
+    """Scores state how far off a line is.
+
+    Points moved by 4 px along u, with a correct tip, are wrong by that distance.
     """
     cell = ConditionLevel("plain", 1, ())
     found, shot = read_cast(cast, cell, partial(extract, **SETTINGS))

@@ -1,4 +1,4 @@
-"""The string read from frames, against where it truly was."""
+"""The string read from frames, compared with where it truly was."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,10 @@ STRIPS = (
 
 
 def misses(points, trial, true, camera):
-    """Distance of each point from the true curve [px], by frame; and of the tips [px]."""
+    """Return distances of the points from the true curve, by frame, and of the tips.
+
+    Both are in pixels.
+    """
     t = trial.frames["t"].to_numpy()
     s = np.linspace(0, 1, true.shape[1])
     fine = np.linspace(0, 1, 601)
@@ -50,8 +53,10 @@ def misses(points, trial, true, camera):
 
 @pytest.mark.parametrize("name", ["A", "D"])
 def test_centreline_and_tip_on_the_virtual_lab(filmed, arm, camera, name):
-    """Within 1 px RMS and 3 px at the tip on at least 98 % of all frames, readable or
-    not.
+    """Centreline and tip are read within their limits on the virtual lab.
+
+    The limits are 1 px RMS, and 3 px at the tip, on at least 98 % of all frames,
+    readable or not.
     """
     trial, true = filmed(name)
     found = extract(
@@ -77,8 +82,9 @@ def test_centreline_and_tip_on_the_virtual_lab(filmed, arm, camera, name):
     ],
 )
 def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
-    """The same limits at 26 m/s: blur of 9 px, tips in front of the arm and along its
-    outline.
+    """Fast casts are read within the same limits.
+
+    At 26 m/s blur is 9 px, and tips are in front of the arm and along its outline.
 
     Measured on A to D: line 100 %, tip 98.2 to 100 % of frames; tips 0.92 to 1.00 sigma
     of a coordinate off. Reading where the mask ends, as for a string at rest, leaves
@@ -143,8 +149,10 @@ def test_what_cannot_be_read_is_refused_with_the_reason(filmed, arm, camera):
 
 
 def test_a_tip_beyond_the_picture_is_not_guessed(filmed, arm, camera):
-    """Nearly all of the string is seen, as long as it may be: but the end of what is
-    seen is the picture's.
+    """A tip beyond the picture is not guessed.
+
+    Nearly all of the string's length is seen, but the visible end is the picture's
+    edge.
     """
     trial, true = filmed("A", duration=0.2)
     height = int(camera.pixels(true[0, -1])[1]) - 5
@@ -161,7 +169,10 @@ def test_a_tip_beyond_the_picture_is_not_guessed(filmed, arm, camera):
 
 @pytest.mark.parametrize("step", [1, 2, 3])
 def test_score_map_is_repeated_dilation(step):
-    """IV-B word for word: dilate, and score one less each time."""
+    """The score map is repeated dilation.
+
+    This is Section IV-B word for word: dilate, and score one less each time.
+    """
     mask = rasterise(np.array([[10.0, 12.0], [30.0, 40.0], [55.0, 20.0]]), (64, 80), 2)
     literal = np.zeros(mask.shape, int)
     grown = mask.copy()
@@ -212,8 +223,10 @@ def test_real_footage_agrees_with_its_table(name, length):
 
 
 def test_a_string_drawn_by_its_own_weight_has_its_arc_lengths_where_they_are():
-    """Hung up, a string of stiffness EA and weight w is longer by w (s L - s^2 / 2) /
-    EA down to s.
+    """A string stretched by its own weight has correct arc lengths.
+
+    Hung up, a string of stiffness EA and weight w is longer by w (s L - s^2 / 2) / EA
+    down to s.
     """
     s, stretch = np.linspace(0, 0.3, 31), 0.8
     hung = s + stretch * (0.3 * s - s**2 / 2)

@@ -1,5 +1,6 @@
-"""A camera that stands still, and a wide strip that swings: what moves alone must not
-be taken for tremble.
+"""A camera that stands still, and a wide strip that swings.
+
+Motion of the strip alone must not be mistaken for camera shake.
 """
 
 import numpy as np
@@ -10,8 +11,9 @@ from stringcast.stages.extract.stabilise import StabilisedImages, stabilise_film
 
 
 def swinging(wall, width):
-    """A strip `width` px wide that swings by 12 px about its clamp before a wall, 24
-    frames.
+    """Draw 24 frames of a strip `width` px wide before a wall.
+
+    It swings by 12 px about its clamp.
     """
     rng, down = np.random.default_rng(2), np.linspace(0, 1, 30)
     for phase in np.linspace(0, 6 * np.pi, 24):
@@ -23,8 +25,10 @@ def swinging(wall, width):
 
 
 def test_a_strip_that_swings_is_no_tremble():
-    """Before a black wall the strip is all the texture there is. Believed whole, it
-    shook the picture by 3.4 px RMS; on real strips by 0.3 to 1 px.
+    """A strip that swings is not mistaken for camera shake.
+
+    Before a black wall the strip is all the texture there is. Without the check it
+    shook the picture by 3.4 px RMS, and on real strips by 0.3 to 1 px.
     """
     film = list(swinging(np.full((240, 320), 8.0), 40))
     steady, sway = stabilise_film(film)
@@ -33,8 +37,10 @@ def test_a_strip_that_swings_is_no_tremble():
 
 
 def test_a_tremble_behind_a_string_is_seen_all_the_same():
-    """A wall with texture, filmed by a camera that stands at 0, 1 and 2 px in turn.
-    Measured: within 0.06 px.
+    """Camera shake behind a string is detected.
+
+    The wall has texture, and the camera stands at 0, 1 and 2 px in turn. Measured:
+    within 0.06 px.
     """
     wall = gaussian_filter(np.random.default_rng(1).uniform(0, 100, (240, 330)), 3)
     views = [list(swinging(wall[:, 4 + at : 324 + at], 6)) for at in range(3)]

@@ -1,5 +1,6 @@
-"""The sigma that is stated is the error that is made: on rendered films against the
-truth, on real ones against time.
+"""The stated sigma is the true error.
+
+Rendered films are compared with the truth, real ones with their motion in time.
 """
 
 from functools import partial
@@ -29,7 +30,7 @@ STRIPS = (
 
 @pytest.fixture(scope="module")
 def casts(arm, camera):
-    """A cast of string A and one of D, 12 frames of each."""
+    """Perform a cast of string A and one of D, 12 frames of each."""
     return [
         perform_cast(name, specimen(name), arm, camera, frames=12, seed=0)
         for name in ("A", "D")
@@ -37,8 +38,9 @@ def casts(arm, camera):
 
 
 def off(cast, cell):
-    """Errors of both coordinates over the sigma stated, (F, 30, 2): against where each
-    point is on the true string.
+    """Return errors of both coordinates over the stated sigma, (F, 30, 2).
+
+    Each error is relative to the point's place on the true string.
     """
     found, shot = read_cast(cast, cell, partial(extract, **SETTINGS))
     share = np.linspace(0, 1, shot.truth.shape[1])
@@ -59,9 +61,11 @@ def off(cast, cell):
     [("plain", 1), ("sensor noise", 3), ("cluttered wall", 2)],
 )
 def test_the_stated_sigma_is_the_error_of_a_coordinate(casts, condition, severity):
-    """Standard deviation of the standardised error 0.7 to 1.4, of the line and of the
-    tip. Measured with 16 frames of each: 0.8 to 1.0. With the floors of 0.2 px on the
-    line and 0.5 px at the tip it was 0.4 to 0.6.
+    """The stated sigma is the error of a coordinate.
+
+    The standard deviation of the standardised error is 0.7 to 1.4, of the line and of
+    the tip. Measured with 16 frames of each: 0.8 to 1.0. With the floors of 0.2 px on
+    the line and 0.5 px at the tip it was 0.4 to 0.6.
     """
     cell = ConditionLevel(condition, severity, CONDITIONS[condition][severity - 1])
     errors = np.concatenate([off(cast, cell) for cast in casts])
@@ -71,8 +75,10 @@ def test_the_stated_sigma_is_the_error_of_a_coordinate(casts, condition, severit
 
 @pytest.mark.skipif(not STRIPS.exists(), reason="real footage is not here")
 def test_the_stated_sigma_is_the_scatter_in_time_on_real_strips():
-    """Third differences over four frames, in which a strip at 240 fps moves smoothly,
-    as errors of one. Measured over 410 and 470 frames: 0.65 to 0.8. The tip's was 2
+    """The stated sigma is the scatter in time on real strips.
+
+    Third differences over four frames, in which a strip at 240 fps moves smoothly, are
+    errors of one frame. Measured over 410 and 470 frames: 0.65 to 0.8. The tip's was 2
     (0.9 px of 0.5 stated).
     """
     footage, camera, table = real.strip(STRIPS, "75mm_2", every=1)
@@ -91,8 +97,10 @@ def test_the_stated_sigma_is_the_scatter_in_time_on_real_strips():
 
 
 def test_sigma_grows_where_nothing_is_seen():
-    """A tenth of the line hidden at its start: its length is unsure there, and at its
-    end no more for it.
+    """Sigma grows where nothing is seen.
+
+    A tenth of the line is hidden at its start. Its length is uncertain there, and its
+    end is not affected.
     """
     lost = np.arange(100) < 10
     seen, hidden = (
@@ -105,8 +113,10 @@ def test_sigma_grows_where_nothing_is_seen():
 
 
 def test_a_strip_that_never_leaves_its_pixels_is_no_scene():
-    """Covered as far as two thirds of its length: all of it is taken out of the scene,
-    and a bright spot apart is not.
+    """A strip that never leaves its pixels is removed from the scene.
+
+    It is covered as far as two thirds of its length, and all of it is removed. A
+    separate bright spot is not.
     """
     scene = np.full((200, 200), 10.0, np.float32)
     scene[:100, 90:110] = 90

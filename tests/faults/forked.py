@@ -1,8 +1,9 @@
-"""The command as a user gives it, with toy stages and all else real, each time in a
-child of this process: it begins at once. With disk.c preloaded, `python -m
-tests.faults.forked FOLDER run:N sweep:N` strikes the N-th operation that writes, or
-without :N each in turn, looks at what is left, goes on, compares, and prints what it
-struck.
+"""The command with toy stages, each time in a child of this process.
+
+A child begins at once, and everything but the stages is real. With disk.c preloaded,
+`python -m tests.faults.forked FOLDER run:N sweep:N` strikes the N-th operation that
+writes. Without :N it strikes each in turn. It then checks what is left, continues the
+run, compares, and prints what it struck.
 """
 
 import errno
@@ -44,25 +45,25 @@ CHANCE = ["attempts", "seconds", "host"]  # of a job: no two sweeps have them al
 
 
 class Run:
-    """One cast."""
+    """A run of one cast."""
 
     arguments = (*TINY, "max_casts=1")
 
     def again(self, folder):
-        """The command that makes it, or goes on with it."""
+        """Return the command that starts or continues the run."""
         return (*self.arguments, f"hydra.run.dir={folder}")
 
     def look(self, folder, whole):
-        """Nothing that is left is half done."""
+        """Check that nothing that is left is half done."""
         look_at_what_is_left(folder, whole)
 
     def made(self, folder):
-        """All that it leaves, in a form that is the same each time."""
+        """Return all results in a form that is the same each time."""
         return contents(folder)
 
 
 class Sweep:
-    """Two jobs of one cast each, from which nothing is estimated."""
+    """A sweep of two jobs of one cast each, from which nothing is estimated."""
 
     arguments = (
         "--multirun",
@@ -74,7 +75,7 @@ class Sweep:
     )
 
     def again(self, folder):
-        """The command that makes it, or goes on with it."""
+        """Return the command that starts or continues the sweep."""
         return (
             *self.arguments,
             f"hydra.sweep.dir={folder}",
@@ -82,7 +83,9 @@ class Sweep:
         )
 
     def look(self, folder, whole):
-        """Every job's entry can be read, every run is whole as far as it has come, a
+        """Check what is left.
+
+        Every job's entry can be read, every run is whole as far as it has come, and a
         table is whole.
         """
         for entry in Ledger(folder).jobs():
@@ -97,7 +100,7 @@ class Sweep:
             assert len(pd.read_parquet(folder / "sweep.parquet")) == 2
 
     def made(self, folder):
-        """Runs, and the table less chance."""
+        """Return the runs, and the table without its random parts."""
         runs = {
             name: digest
             for name, digest in contents(folder).items()
@@ -113,13 +116,16 @@ def toy_experiment(*given):
 
 
 def process(attempt, entry, log, threads):
-    """A job's process, for `Attempt._process`."""
+    """Make a job's process, for `Attempt._process`."""
     place = f"hydra.run.dir={attempt.folder / attempt.key}"
     return ended(start([*entry.overrides, "hydra.mode=RUN", place], log.fileno()))
 
 
 def start(arguments, to):
-    """A child that gives the command; what it says goes to the file of this number."""
+    """Start a child that gives the command.
+
+    Its output goes to the file of this number.
+    """
     child = os.fork()
     if child:
         return child
@@ -135,7 +141,10 @@ def start(arguments, to):
 
 
 def status(arguments):
-    """Exit status of the command, given in this process; says what it would."""
+    """Give the command in this process and return its exit status.
+
+    Its messages are printed.
+    """
     GlobalHydra.instance().clear()
     HydraConfig.instance().cfg = None
     LazyLauncher.current = None
@@ -154,14 +163,17 @@ def ended(child):
 
 
 def command(arguments, beside):
-    """Exit status and words of the command. beside: a file for the words."""
+    """Return the exit status and output of the command.
+
+    `beside` is a file for the output.
+    """
     with beside.open("wb") as file:
         code = ended(start(arguments, file.fileno()))
     return code, beside.read_text()
 
 
 def strike(kind, folder, n, whole):
-    """The operation that was struck; None where there are fewer than n."""
+    """Strike an operation and return it, or None where there are fewer than n."""
     number, lasts = ERRORS[n % len(ERRORS)]
     count = folder.with_suffix(".count")
     count.write_bytes(bytes(4096))
@@ -197,8 +209,10 @@ def strike(kind, folder, n, whole):
 
 
 def main(place, *asked):
-    """Strike. place: a folder. asked: `run:N`, `sweep:N`; without N each operation in
-    turn.
+    """Strike operations in a folder.
+
+    `place` is the folder. `asked` is `run:N` or `sweep:N`; without N each operation is
+    struck in turn.
     """
     struck, whole = {}, {}
     for name, _, number in (word.partition(":") for word in asked):
@@ -216,8 +230,9 @@ def main(place, *asked):
 
 
 def struck_by(place, *asked):
-    """What `main` struck in a process with disk.c preloaded, {name: [operation]}; fails
-    with its words.
+    """Run `main` in a process with disk.c preloaded, and return what it struck.
+
+    The result is {name: [operation]}. A failure shows the process's output.
     """
     if sys.platform != "linux" or shutil.which("cc") is None:
         pytest.skip("needs Linux and a C compiler (cc)")

@@ -1,5 +1,6 @@
-"""Kill real processes, with SIGKILL, at random moments; go on until the run has ended,
-and compare.
+"""Kill real processes at random moments with SIGKILL.
+
+The run is continued until it has ended, and its result is compared.
 """
 
 import os
@@ -13,7 +14,7 @@ from tests.faults.toy import contents, toy_run
 
 
 class Forked:
-    """A run of toy stages in a child of this process: it begins at once."""
+    """A run of toy stages in a child of this process, which begins at once."""
 
     def __init__(self, here):
         self.here = here
@@ -30,7 +31,7 @@ class Forked:
         return child
 
     def ended(self, child):
-        """The exit status; None while it runs."""
+        """Return the exit status, or None while it runs."""
         pid, status = os.waitpid(child, os.WNOHANG)
         return None if pid == 0 else os.waitstatus_to_exitcode(status)
 
@@ -40,7 +41,10 @@ class Forked:
 
 
 def ended_by(run, process, moment):
-    """Let a process run until a moment [s] after now, then kill it; its exit status."""
+    """Let a process run until a moment [s] after now, then kill it.
+
+    Returns its exit status.
+    """
     until = time.monotonic() + moment
     while (status := run.ended(process)) is None and time.monotonic() < until:
         time.sleep(0.002)
@@ -48,10 +52,11 @@ def ended_by(run, process, moment):
 
 
 def round_of(run, folder, whole, rng, span):
-    """Kill a run again and again until it gets to its end; a row for each process.
-    span: how long a whole one lasts [s].
+    """Kill a run again and again until it ends; return a row for each process.
 
-    Each life may last a little longer than the one before, so that there is an end.
+    `span` is the duration of a whole run [s].
+
+    Each process may last a little longer than the one before, so that there is an end.
     """
     rows = []
     status = None
@@ -69,8 +74,9 @@ def round_of(run, folder, whole, rng, span):
 
 
 def rounds(run, folder, seed, numbers):
-    """Rounds of these numbers, each in a folder of its own; the uninterrupted run is
-    made, and timed, first.
+    """Run rounds of these numbers, each in a folder of its own.
+
+    The uninterrupted run is made, and timed, first.
     """
     rng = np.random.default_rng(seed)
     begun = time.monotonic()

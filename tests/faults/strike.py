@@ -1,5 +1,6 @@
-"""Strike a whole small run at its n-th file operation, look at what is left, go on, and
-look at what comes out.
+"""Strike a whole small run at its n-th file operation.
+
+What is left is checked, the run is continued, and its result is compared.
 """
 
 import errno
@@ -21,7 +22,10 @@ STEPS = {
 
 
 class Killed(BaseException):
-    """Stands for a kill: nobody catches it, and nothing works after it."""
+    """An exception that stands for a kill: nobody catches it.
+
+    Nothing works after it.
+    """
 
 
 KINDS = {  # what strikes, and whether it lasts until the run is begun again
@@ -33,8 +37,9 @@ KINDS = {  # what strikes, and whether it lasts until the run is begun again
 
 
 class Faults:
-    """File operations counted; the n-th fails, and all after it if the fault lasts. A
-    failing write gets half done.
+    """A counter of file operations that lets the n-th fail.
+
+    All later ones fail too if the fault lasts. A failing write gets half done.
     """
 
     def __init__(self, patch, n, error, lasts):
@@ -50,7 +55,7 @@ class Faults:
 
     @property
     def struck(self):
-        """The operation that failed; None where there were fewer."""
+        """The operation that failed, None where there were fewer."""
         return self.done[self.n] if len(self.done) > self.n else None
 
     def failing(self, name, real):
@@ -61,7 +66,7 @@ class Faults:
         return operation
 
     def count(self, name):
-        """Note an operation; raise if it is its turn."""
+        """Count an operation, and raise if it is its turn."""
         self.done.append(name)
         at = len(self.done) - 1
         # removing never raises one
@@ -97,10 +102,12 @@ class File:
 
 
 def strike(patch_context, n, kind, here, folder, whole):
-    """The operation that was struck; None where there are fewer than n. Fails where
-    anything was lost or half done.
+    """Strike an operation and return it, or None where there are fewer than n.
 
-    patch_context: monkeypatch.context. whole: contents of the uninterrupted run.
+    Fails where anything was lost or half done.
+
+    `patch_context` is monkeypatch.context. `whole` holds the contents of the
+    uninterrupted run.
     """
     error, lasts = KINDS[kind]
     with patch_context() as patch:
@@ -128,7 +135,7 @@ def strike(patch_context, n, kind, here, folder, whole):
 
 
 def finished(folder: Path):
-    """Steps whose folder has its name."""
+    """Return the steps whose folder has its final name."""
     return [
         STEPS[p.name]
         for p in folder.glob("iterations/*/*")
@@ -137,8 +144,10 @@ def finished(folder: Path):
 
 
 def look_at_what_is_left(folder, whole):
-    """Every step that has its name is whole, every file says what it should, run.json
-    stands only over a whole run.
+    """Check what an interrupted run left.
+
+    Every step with its final name is whole, every file has its stated content, and
+    run.json exists only for a whole run.
     """
     left = contents(folder) if folder.exists() else {}
     left.pop("failed.txt", None)

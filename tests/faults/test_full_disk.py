@@ -1,7 +1,8 @@
-"""No room left, or no right to write, at any operation of a whole run with its report,
-or of a sweep: one clear error with file and remedy, nothing half done, and the same
-result once there is room. Measured: a strike takes 2 s of a core; a run of one cast has
-190 operations, a sweep of two jobs 260.
+"""No room left, or no right to write, at any operation of a run or sweep.
+
+There is one clear error with file and remedy, and nothing is half done. The result is
+the same once there is room. Measured: a strike takes 2 s of a core; a run of one cast
+has 190 operations, a sweep of two jobs 260.
 """
 
 import pytest

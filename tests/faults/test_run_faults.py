@@ -1,5 +1,6 @@
-"""Whole runs survive every fault at every file operation: nothing half-written counts,
-nothing finished is lost.
+"""Whole runs survive every fault at every file operation.
+
+Nothing half-written counts, and nothing finished is lost.
 """
 
 import ast
@@ -37,15 +38,16 @@ CLOCKS = {
 
 @pytest.fixture(autouse=True)
 def _in_memory(monkeypatch):
-    """Nothing here asks whether a power cut is survived (tests/store does): no waiting
-    for the disk.
+    """Skip waiting for the disk.
+
+    Power cuts are tested in tests/store.
     """
     monkeypatch.setattr(os, "fsync", lambda handle: None)
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """What an uninterrupted run of two casts leaves."""
+    """Return what an uninterrupted run of two casts leaves."""
     folder = tmp_path_factory.mktemp("whole")
     assert toy_run(folder, toy_experiment())[0] == [*STEPS.values()] * 2
     return contents(folder)
@@ -55,7 +57,11 @@ def whole(tmp_path_factory):
 def test_a_run_goes_on_to_the_same_result_whichever_operation_fails(
     tmp_path, monkeypatch, every
 ):
-    """Every operation of a cast, or every eleventh, the four kinds of fault in turn."""
+    """A run continues to the same result whichever operation fails.
+
+    It covers every operation of a cast, or every eleventh, with the four kinds of fault
+    in turn.
+    """
     here, struck = toy_experiment(1, mode=Cast(("generate", "execute", "extract"))), []
     toy_run(tmp_path / "whole", here)
     unharmed = contents(tmp_path / "whole")
@@ -102,8 +108,10 @@ def test_a_table_cut_short_is_made_again_and_nothing_else(tmp_path, whole):
 def test_a_finished_run_that_is_gone_on_with_never_shows_fewer_trials(
     tmp_path, whole, monkeypatch
 ):
-    """Killed at any operation: its dataset is the same (at first it was written anew,
-    beginning with one trial).
+    """A finished run that is continued never shows fewer trials.
+
+    Killed at any operation, its dataset is the same. At first it was written again,
+    beginning with one trial.
     """
     toy_run(tmp_path / "run", toy_experiment())
     for n in range(2, 30, 3):
@@ -118,7 +126,10 @@ def test_a_finished_run_that_is_gone_on_with_never_shows_fewer_trials(
 
 
 def test_a_run_that_fails_says_why_and_does_not_pass_for_ended(tmp_path):
-    """run.json goes before the first step that it no longer describes."""
+    """A run that fails states the reason, and does not count as finished.
+
+    run.json is removed before the first step that it no longer describes.
+    """
     here = toy_experiment()
     toy_run(tmp_path / "run", here)
     (tmp_path / "run" / "iterations/02/estimate/fit.parquet").unlink()
@@ -161,8 +172,10 @@ def test_two_runs_do_not_share_a_folder_and_a_dead_one_holds_nothing(tmp_path):
 
 
 def test_no_clock_decides_anything(tmp_path, monkeypatch, whole):
-    """The clock jumps by years in both directions at every look, and every file gets a
-    time at random.
+    """No clock affects the result.
+
+    The clock jumps by years in both directions at every look, and every file gets a
+    random time.
     """
     rng = np.random.default_rng(1)
 
@@ -228,8 +241,9 @@ with run_folder.exclusive_access(Path(sys.argv[1])):
 
 @pytest.mark.parametrize("working", [True, False])
 def test_a_run_that_is_refused_takes_nothing_of_another(tmp_path, working):
-    """Two runs on one folder: the other works in it, or was killed before it had made
-    anything.
+    """A refused run leaves the folder of another run unchanged.
+
+    The other works in the folder, or was killed before it had made anything.
     """
     command = [sys.executable, "-c", HOLDING, str(tmp_path)]
     other = subprocess.Popen(

@@ -1,4 +1,4 @@
-"""Nothing half-written is ever read as whole, wherever it stops."""
+"""Nothing half-written is ever read as whole, wherever the writing stops."""
 
 import errno
 import signal
@@ -20,11 +20,14 @@ OPERATIONS = ("make_folder", "write", "sync_folder", "rename")
 
 
 class Killed(BaseException):
-    """Stands for a kill: nobody catches it, and nothing is tidied after it."""
+    """An exception that stands for a kill: nobody catches it.
+
+    Nothing is tidied after it.
+    """
 
 
 def points(value):
-    """An artifact of three tables, each of which holds `value`."""
+    """Make an artifact of three tables, each of which holds `value`."""
     return Points(
         pd.DataFrame(
             {
@@ -53,7 +56,7 @@ def points(value):
 
 
 def value_of(folder):
-    """The one value of a stored artifact; fails where its tables disagree."""
+    """Return the one value of a stored artifact; fail where its tables disagree."""
     back = store.load(Points, folder)
     (value,) = {
         *back.points["x"],
@@ -64,7 +67,7 @@ def value_of(folder):
 
 
 def trial(frames=3):
-    """A trial with images of noise."""
+    """Make a trial with images of noise."""
     images = [
         np.random.default_rng(i).integers(0, 255, (8, 9)).astype(np.uint8)
         for i in range(frames)
@@ -85,8 +88,9 @@ def trial(frames=3):
 
 
 def fail_at(patch, n, error):
-    """Let the n-th file operation fail, every second write halfway; after a kill none
-    works. Returns those done.
+    """Let the n-th file operation fail, every second write halfway.
+
+    After a kill no operation works. Returns the operations that were done.
     """
     done = []
 
@@ -110,8 +114,9 @@ def fail_at(patch, n, error):
 
 
 def faults(monkeypatch, error, write):
-    """Call write(n) with the n-th operation failing, for every n until none fails;
-    yields n, that operation, what was raised.
+    """Call write(n) with the n-th operation failing, for every n until none fails.
+
+    Yields n, the operation, and what was raised.
     """
     for n in range(40):
         stopped = None

@@ -1,5 +1,6 @@
-"""Whole small runs: the real pipeline with toy stages, whose numbers hang on all that
-they are given.
+"""Whole small runs: the real pipeline with toy stages.
+
+The numbers of the stages depend on all their inputs.
 """
 
 import hashlib
@@ -45,8 +46,11 @@ def composed(*overrides):
 
 
 def toy_experiment(casts=2, pause=0.0, estimate_by=None, mode=None, **changed):
-    """casts: manipulations. pause: how long each stage takes [s]. estimate_by: instead
-    of the toy estimation. mode: instead of casting. changed: settings, whole blocks.
+    """Return the settings of a toy experiment.
+
+    `casts` is the number of manipulations. `pause` is the duration of each stage [s].
+    `estimate_by` replaces the toy estimation, and `mode` the casting. `changed` holds
+    settings as whole blocks.
     """
     whole = composed(*TINY, f"max_casts={casts}")
     stages = STAGES if estimate_by is None else STAGES | {"estimate": estimate_by}
@@ -69,7 +73,7 @@ def slow(stage, pause):
 
 
 def number(*given):
-    """A number in 0..1 that hangs on everything given."""
+    """Return a number in 0..1 that depends on all arguments."""
     said = repr(
         [g.to_numpy().tolist() if isinstance(g, pd.DataFrame) else g for g in given]
     )
@@ -77,7 +81,10 @@ def number(*given):
 
 
 def rows(table, count=2, **columns):
-    """A table of the right columns: what is not given is zero, false or empty."""
+    """Return a table of the right columns.
+
+    Columns that are not given are zero, false or empty.
+    """
     zero = {"float": 0.0, "int": 0, "bool": False, "text": "", "bytes": b""}
     return pd.DataFrame(
         {c.name: columns.get(c.name, [zero[c.kind]] * count) for c in table.columns}
@@ -156,8 +163,9 @@ STAGES = {
 
 
 def toy_run(folder, here):
-    """A whole run but for the report's pictures; what was made, in order, and what was
-    said.
+    """Perform a whole run without the report's pictures.
+
+    Returns what was made, in order, and what was printed.
     """
     CALLS.clear()
     drawn = report.write_report
@@ -173,7 +181,7 @@ def toy_run(folder, here):
 
 
 def contents(folder):
-    """Content hashes of all that a run leaves, by path."""
+    """Return content hashes of all that a run leaves, by path."""
     # which tells the time
     files = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != LOG_FILE)
     shown = [

@@ -1,5 +1,6 @@
-"""Measured data of others: nothing in them blocks, fills the memory, leaves its folder
-or steers the terminal.
+"""Measured data of others.
+
+Nothing in them blocks, fills the memory, leaves its folder or controls the terminal.
 """
 
 import io
@@ -34,7 +35,7 @@ BOMB = "a: &a [1, 2]\n" + "".join(
 
 
 def lens(**changed):
-    """A dataset.yaml with a lens."""
+    """Return the text of a dataset.yaml with a lens."""
     known = {
         "focal": "[500, 500]",
         "centre": "[320, 240]",
@@ -211,7 +212,7 @@ def test_a_table_too_large_for_memory_is_refused_unread(tmp_path, monkeypatch):
 
 
 def stored(folder, **columns):
-    """A dataset whose points have these columns, too, or instead."""
+    """Store a dataset whose points have these columns in addition or instead."""
     given(folder, {"string": {"length": 0.3}}, grasp=grasp())
     whole = {name: pa.array(values) for name, values in points().items()} | columns
     pq.write_table(pa.table(whole), folder / "points.parquet")
@@ -258,7 +259,10 @@ def test_columns_that_are_too_many_or_there_twice_are_refused(tmp_path, monkeypa
 
 
 def test_a_first_line_without_an_end_is_refused_unread(tmp_path):
-    """Pandas took over a minute to tell two million names apart."""
+    """A first line without an end is refused unread.
+
+    Pandas took over a minute to distinguish two million names.
+    """
     given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     (tmp_path / "points.csv").write_bytes(b"trial,t,s,x,y," + b"a," * 100_000)
     with pytest.raises(DataError, match=r"points\.csv: its first line does not end"):
@@ -298,7 +302,10 @@ def test_times_that_are_no_times_are_left_out(tmp_path):
 
 
 def test_a_sigma_below_an_atom_is_left_out(tmp_path):
-    """Its square is nought, and nothing can be weighed by it."""
+    """A sigma smaller than an atom is omitted.
+
+    Its square underflows to zero, so that it gives no weight.
+    """
     given(
         tmp_path,
         {"string": {"length": 0.3}},
@@ -419,7 +426,7 @@ def test_what_we_write_ourselves_can_be_read(tmp_path):
 
 
 def huge_png(side):
-    """A PNG of `side` x `side` pixels, of which only the header is there."""
+    """Return a PNG of `side` x `side` pixels that consists of the header alone."""
     head = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
     chunks = ((13, head), (0, b"IDAT"), (0, b"IEND"))
     whole = [
@@ -486,7 +493,10 @@ def test_index_lists_what_is_foreign_as_damaged_or_as_text(tmp_path, capsys):
 
 
 def test_a_long_text_that_every_row_repeats_is_held_once(tmp_path):
-    """50 kB on the disk, 400 MB if each row had a copy."""
+    """A long text that every row repeats is held once.
+
+    It takes 50 kB on the disk, and would take 400 MB if each row had a copy.
+    """
     long_text = "x" * 2**20
     given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     pd.concat([points()] * 8).assign(remark=long_text).to_parquet(

@@ -1,4 +1,4 @@
-"""Runs of others, damaged or made to harm: what the commands say of them."""
+"""Runs of others, damaged or malicious, and the answers of the commands."""
 
 import json
 
@@ -60,7 +60,10 @@ def test_a_footer_of_another_shape_is_one_error(run, capsys, footer):
 def test_a_folder_elsewhere_that_a_footer_names_is_not_read(
     run, capsys, monkeypatch, tmp_path
 ):
-    """Of `/usr`, it would take hours."""
+    """A folder elsewhere that a footer names is not read.
+
+    Reading `/usr` would take hours.
+    """
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "file").write_text("private")

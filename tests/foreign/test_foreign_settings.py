@@ -1,4 +1,4 @@
-"""Settings in folders of others choose among what the project has, and run nothing."""
+"""Settings of others choose among the project's options, and run nothing."""
 
 import json
 import os
@@ -31,7 +31,7 @@ from stringcast.stages.model.engine import module_cache
 
 
 class Touch:
-    """What a pickle does when it is read."""
+    """The action of a pickle when it is read."""
 
     def __init__(self, path):
         self.path = str(path)
@@ -46,7 +46,7 @@ def canary(tmp_path):
 
 
 def poisons(canary):
-    """Settings by their place, each of which makes `canary` where it is followed."""
+    """Return settings by place; each would make `canary` if it were followed."""
     pickled = canary.with_suffix(".npy")
     pickled.write_bytes(pickle.dumps(Touch(canary)))
     return {
@@ -181,7 +181,10 @@ def test_an_extended_model_of_another_shape_is_refused(tmp_path, said, message):
     ],
 )
 def test_what_would_fill_the_memory_or_is_no_number_is_refused(words, message):
-    """2 TB were asked for, and loops of 3000 effects compiled until Python gave up."""
+    """Values that would fill the memory or are no number are refused.
+
+    2 TB were requested, and loops of 3000 effects compiled until Python gave up.
+    """
     with pytest.raises(UserError, match=message):
         prepare_experiment(resolved(*words), lambda block: block)
 
@@ -197,7 +200,10 @@ def test_what_is_known_is_finite():
 
 
 def test_lines_of_the_log_do_not_go_through_a_link(tmp_path):
-    """A run of others could have them added to any file of ours."""
+    """Lines of the log are not written through a link.
+
+    A run of others could have them added to any file of ours.
+    """
     precious, run = tmp_path / "precious", tmp_path / "run"
     run.mkdir()
     precious.write_text("mine")
@@ -213,7 +219,10 @@ def test_lines_of_the_log_do_not_go_through_a_link(tmp_path):
 
 @pytest.mark.parametrize("name", ["iterations", "iterations/01/trial", "config.json"])
 def test_a_run_that_holds_a_link_is_refused(tmp_path, name):
-    """Steps could be written through it, and folders be removed."""
+    """A run that holds a link is refused.
+
+    Steps could be written through it, and folders be removed.
+    """
     run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
     (elsewhere / "images").mkdir(parents=True)
     (run / name).parent.mkdir(parents=True)
@@ -228,7 +237,10 @@ def test_a_run_that_holds_a_link_is_refused(tmp_path, name):
 
 
 def test_no_setting_of_a_run_names_a_file_to_write(tmp_path):
-    """The emulator's own record was one, and `resume` wrote over any file of ours."""
+    """No setting of a run names a file to write.
+
+    The emulator's own record was one, and `resume` wrote over any file of ours.
+    """
     precious = tmp_path / "precious"
     precious.write_text("mine")
     config = resolved("hardware=emulator")
@@ -330,8 +342,9 @@ def test_resume_of_a_real_arm_asks_for_a_word(settings, tmp_path):
 
 @pytest.fixture
 def shared_folder(tmp_path, monkeypatch):
-    """Where temporary files go, and the folder of ours that anybody could have made
-    there.
+    """Return the folder of our compiled code among temporary files.
+
+    Other users could have made it first.
     """
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr("getpass.getuser", lambda: "ann")
@@ -363,7 +376,7 @@ def test_machine_code_of_others_is_not_run(shared_folder, tmp_path, monkeypatch,
 
 
 def test_numpy_would_have_run_the_pickle(canary):
-    """The control: the poison is one."""
+    """NumPy would have run the pickle, which proves that the poison works."""
     np.load(poisons(canary)["generate"]["file"], allow_pickle=True)
     assert canary.exists()
 

@@ -1,10 +1,11 @@
-"""Hydra is the version whose refusals were tried: another may call anything, or refuse
-more.
+"""Hydra is the version whose refusals were tested.
+
+Another version may call anything, or refuse more.
 
 Classes of foreign settings come from fixed lists
-(`pipeline/settings/allowed_callables.py`), so that this list is the second wall and not
-the first. What it does not hold is asked too: the day it does, or no longer holds the
-rest, the pin is looked at again.
+(`pipeline/settings/allowed_callables.py`), so that this list is the second defence and
+not the first. Its gaps are tested too. When it closes a gap, or no longer holds the
+rest, the pin must be reconsidered.
 """
 
 import tomllib
@@ -19,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def pinned() -> str:
-    """What pyproject.toml asks for."""
+    """Return the version that pyproject.toml pins."""
     asked = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
         "project"
     ]["dependencies"]
@@ -44,5 +45,8 @@ def test_hydra_refuses_what_runs_a_command(target):
     "target", ["numpy.load", "pathlib.Path.write_text", "builtins.open"]
 )
 def test_hydra_alone_would_not_do(target):
-    """These it would call, with whatever a file says: why fixed lists come first."""
+    """Hydra alone would not suffice.
+
+    It would call these whatever a file says, so fixed lists come first.
+    """
     instantiate({"_target_": target, "_partial_": True})

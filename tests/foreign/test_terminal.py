@@ -1,5 +1,6 @@
-"""Text that others wrote never steers the terminal: escape sequences in names come out
-spelt.
+"""Text of others never controls the terminal.
+
+Escape sequences in names are spelt out.
 """
 
 import ast
@@ -62,7 +63,10 @@ def test_a_bar_moves_and_its_name_does_not_steer():
 
 
 def test_all_that_is_shown_is_shown_there():
-    """No other console; and what commands print is spelt, or JSON."""
+    """All output goes through one console.
+
+    There is no other console, and what commands print is spelt out, or JSON.
+    """
     for file in (ROOT / "pipeline").rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""

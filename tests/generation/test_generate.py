@@ -1,4 +1,4 @@
-"""Motions: what the paper prescribes, what the arm allows, and that they hit."""
+"""Motions: the paper's prescription, the arm's limits, and their hits."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ TARGET = Box(0.4, 0.7, 0.02, 0.04)
 
 
 def generate(*given, seed, **settings):
-    """As a run does it, with settings side by side."""
+    """Generate a motion as a run does, with settings as keywords."""
     return bind_stage(
         {"_target_": "stages.generate.generate.generate"} | settings, "generate", "here"
     )(*given, seed=seed)
@@ -106,7 +106,10 @@ def test_control_points_follow_equation_2_and_later_ones_stay_near(arm):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
-    """Checked again from the commands alone, with another sampling."""
+    """A motion hits in simulation within every limit.
+
+    It is checked again from the commands alone, with another sampling.
+    """
     wall = Box(0.6, 0.35, 0.05, 0.3)  # in the way of most
     motion = generate(
         Model(STRING, arm, camera),
@@ -179,7 +182,9 @@ def test_of_several_hits_the_one_that_stays_longest_is_taken(arm, camera):
 
 
 def test_where_no_slight_change_of_the_last_motion_hits_any_motion_may(arm, camera):
-    """Changes of one part in a million stay where the last motion went, 0.5 m from this
+    """If no slight change of the last motion hits, any motion may be chosen.
+
+    Changes of one part in a million stay where the last motion went, 0.5 m from this
     target.
     """
     model = Model(STRING, arm, camera)

@@ -1,5 +1,6 @@
-"""Motions chosen under uncertainty: what is predicted holds, and many strings count for
-more than one.
+"""Motions chosen under uncertainty.
+
+Predictions hold, and many possible strings count for more than one.
 """
 
 from dataclasses import replace
@@ -81,22 +82,23 @@ COMMON = {
 
 
 def likeliest(*given, seed, **settings):
-    """As a run does it, with settings side by side."""
+    """Choose the likeliest motion as a run does, with settings as keywords."""
     return bind_stage(
         {"_target_": "stages.generate.robust.generate"} | settings, "generate", "here"
     )(*given, seed=seed)
 
 
 def first_come(*given, seed, **settings):
-    """The same without regard to what is not known."""
+    """Choose a motion in the same way, without regard to the uncertainty."""
     return bind_stage(
         {"_target_": "stages.generate.generate.generate"} | settings, "generate", "here"
     )(*given, seed=seed)
 
 
 def known(*strings, rms=0.0):
-    """An estimate whose trials leave exactly these strings possible, the first of them
-    the best.
+    """Return an estimate whose trials leave exactly these strings possible.
+
+    The first of them is the best.
     """
     best = COMMON | strings[0]
     parameters = pd.DataFrame({"name": list(best), "value": list(best.values())})
@@ -111,8 +113,9 @@ def known(*strings, rms=0.0):
 
 
 def performed(model, motion, values):
-    """Strings (K, F, n, 2) under the commands as they are sent, sampled anew; and the
-    times.
+    """Simulate strings (K, F, n, 2) under the commands as they are sent.
+
+    They are sampled again. Returns the times, too.
     """
     commands = motion.commands
     joints = resample_joint_motion(
@@ -129,12 +132,16 @@ def model(arm, camera):
 
 @pytest.fixture(scope="module")
 def blind(model):
-    """The first motion, with nothing known of the string."""
+    """Choose the first motion with nothing known of the string."""
     return likeliest(model, TARGET, (), None, None, seed=3, **SETTINGS)
 
 
 def test_the_chance_predicted_is_the_share_that_is_found(model, blind):
-    """By 400 other draws of the prior, from the commands as sent, with a finer look."""
+    """The predicted chance is the observed share of hits.
+
+    The share is counted over 400 other draws of the prior, from the commands as sent,
+    with a finer sampling.
+    """
     values = sample_uncertainty(
         model, None, NONE, 400, np.random.default_rng(99)
     ).values
@@ -155,8 +162,10 @@ def test_the_chance_predicted_is_the_share_that_is_found(model, blind):
 
 
 def test_a_motion_meets_more_draws_than_are_simulated_together(model, blind):
-    """As many as anybody wants to state a chance from; and what becomes of the first is
-    as without the others.
+    """A motion is tested on more draws than are simulated together.
+
+    The number suffices to state a chance, and the results of the first draws do not
+    depend on the others.
     """
     many = sample_uncertainty(
         model, None, NONE, BATCH_SIZE + 3, np.random.default_rng(8)
@@ -171,7 +180,9 @@ def test_a_motion_meets_more_draws_than_are_simulated_together(model, blind):
 
 
 def test_two_strings_count_for_more_than_the_better_known_one(model):
-    """The trials leave a soft and a stiff string, equally likely. A motion made for the
+    """Two possible strings count for more than the better known one.
+
+    The trials leave a soft and a stiff string, equally likely. A motion made for the
     soft one alone hits with half a chance at most unless by luck; one that is made for
     both hits both.
     """
@@ -212,8 +223,10 @@ def test_a_certain_string_is_hit_as_plain_generation_promises(model):
 
 
 def test_what_touches_an_obstacle_first_does_not_hit(model):
-    """A wall under the target: strings that are said to hit reach it before they touch
-    the wall, looked at anew.
+    """A string that touches an obstacle first does not hit.
+
+    A wall stands under the target. A separate check confirms that strings said to hit
+    reach the target before they touch the wall.
     """
     wall = Box(0.6, 0.35, 0.03, 0.3)
     target = Box(0.75, 0.55, 0.06, 0.06)
@@ -236,8 +249,10 @@ def test_what_touches_an_obstacle_first_does_not_hit(model):
 
 
 def test_what_comes_after_a_touch_does_not_count(model):
-    """A wall that some strings swing into: how near they came until then, looked at
-    anew.
+    """What comes after a touch does not count.
+
+    Some strings swing into a wall. A separate check computes how near they came until
+    then.
     """
     wall, free = (
         Box(0.6, 0.35, 0.03, 0.3),
@@ -260,8 +275,10 @@ def test_what_comes_after_a_touch_does_not_count(model):
 
 
 def test_an_arm_that_touches_something_does_not_hit_even_afterwards(model):
-    """A post where the hand is at the end, and nowhere near before: the string has hit
-    long since.
+    """An arm that touches an obstacle does not hit, even if it touches after the hit.
+
+    A post stands where the hand is at the end, and nowhere near before. The string has
+    hit long before that.
     """
     motion = likeliest(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
     joints = model.arm.joint_positions(motion.commands[["q1", "q2", "q3"]].to_numpy())
@@ -308,8 +325,10 @@ def test_a_seed_gives_one_motion_whatever_the_threads(model, blind):
 
 
 def test_draws_are_what_is_known(model):
-    """Before a trial the whole range, but for what is known; after it the estimate's
-    draws, and its misfit as uncertainty.
+    """Draws represent what is known.
+
+    Before a trial they cover the whole range, except for what is known. After it they
+    are the estimate's draws, with its misfit as uncertainty.
     """
     rng = np.random.default_rng(0)
     names = model.names
@@ -368,7 +387,10 @@ def test_failures_say_why(model, monkeypatch):
 
 
 def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
-    """The cast will teach what the string is like."""
+    """A target too small to hit is still cast at.
+
+    The cast will teach what the string is like.
+    """
     tiny = SETTINGS | {"motions": 60, "cma_iterations": 0, "validation": 10}
     target, more = Box(0.4, 0.7, 1e-7, 1e-7), tiny | {"max_restarts": 2}
     motion, first = (
@@ -386,7 +408,9 @@ def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
 
 
 def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
-    """Only bending stiffness is unknown, and a string that hangs straight down does not
+    """A swing is informative, and a string that hangs straight down is not.
+
+    Only bending stiffness is unknown, and a string that hangs straight down does not
     show it.
     """
     rng = np.random.default_rng(0)

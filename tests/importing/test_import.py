@@ -56,7 +56,7 @@ def test_a_column_is_known_by_its_name(column):
 
 @pytest.fixture(scope="module")
 def sample():
-    """Angles and tips of two trials, times from 0."""
+    """Return angles and tips of two trials, with times from 0."""
     arm, points = (
         pd.read_parquet(SAMPLE / f"{name}.parquet") for name in ("arm", "points")
     )
@@ -101,7 +101,10 @@ def logs(folder, sample, clock=81.0, **how):
 def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(
     sample, called, tmp_path, monkeypatch
 ):
-    """Units come from the columns' names, clocks 81 s apart from the motion."""
+    """A robot's log and a tracker's table become the dataset that they record.
+
+    Units come from the columns' names, clocks 81 s apart from the motion.
+    """
     # which takes most of the time
     monkeypatch.setattr(
         "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
@@ -130,7 +133,10 @@ def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(
 
 
 def test_the_tutorial_goes_as_its_page_says(called, tmp_path, monkeypatch):
-    """Up to the diagnosis: what it imports, and what is said of that."""
+    """The tutorial runs as its page says, up to the diagnosis.
+
+    That covers what it imports, and what is reported of that.
+    """
     # which takes most of the time
     monkeypatch.setattr(
         "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
@@ -158,7 +164,10 @@ def test_the_tutorial_goes_as_its_page_says(called, tmp_path, monkeypatch):
 def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(
     sample, called, tmp_path, monkeypatch
 ):
-    """Millimetres, degrees and y down are detected from arm and string."""
+    """Other units and directions are detected and reported.
+
+    Arm and string reveal millimetres, degrees and y down.
+    """
     # which takes most of the time
     monkeypatch.setattr(
         "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
@@ -288,9 +297,10 @@ def test_names_of_a_person_come_first_with_sign_and_shift(tmp_path):
 
 
 def test_numbers_say_what_names_do_not(tmp_path):
-    """Times are scaled by their steps, angles by their range.
+    """Numbers show what names do not.
 
-    Dates become seconds; guesses of a tracker are not valid.
+    Times are scaled by their steps, angles by their range. Dates become seconds;
+    guesses of a tracker are not valid.
     """
     arm = table(
         tmp_path,
@@ -358,7 +368,10 @@ def test_deeplabcut_and_optitrack_are_known_by_their_first_line(tmp_path):
 
 
 def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_path):
-    """Two links of 0.3 m point right; points hang 0.1, 0.2 and 0.3 m below the hand."""
+    """Points lie along a hanging string, and other arms give poses.
+
+    Two links of 0.3 m point right; points hang 0.1, 0.2 and 0.3 m below the hand.
+    """
     arm = table(tmp_path, "arm.csv", t=T, q1=0.0, q2=0.0)
     hung = {
         f"p{n}_{axis}": 0.6 if axis == "x" else -depth

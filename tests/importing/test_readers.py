@@ -192,7 +192,7 @@ def test_deeplabcuts_hdf5_is_read_as_its_csv(tmp_path):
 
 
 class Canary:
-    """What a pickle calls."""
+    """The call that a pickle makes."""
 
     def __reduce__(self):
         return print, ("called",)

@@ -1,11 +1,12 @@
 """Random sets of casts from which a string's eight parameters are estimated.
 
-Four casts of a second and one that is held out. Even seeds are the virtual lab's
-strings A to D in turn, odd ones are draw_cast_set from the whole of the paper's ranges (Table
-3), limp and stiff, with next to no drag and with much. Places that are measured are the
-mass points of the fitted chain, with noise. Seeds below FIRST_FINER_SEED come from a chain like
-the one that is fitted, so that nothing but noise keeps a fit from the truth; those
-above from a finer one, whose difference no fit can explain.
+A set has four casts of a second and one that is held out. Even seeds are the virtual
+lab's strings A to D in turn. Odd ones are drawn by `draw_cast_set` from the whole of
+the paper's ranges (Table 3), limp and stiff, with next to no drag and with much.
+Measured places are the mass points of the fitted chain, with noise. Seeds below
+FIRST_FINER_SEED come from a chain like the one that is fitted, so that only noise
+separates a fit from the truth. Those above come from a finer one, whose difference no
+fit can explain.
 """
 
 from __future__ import annotations

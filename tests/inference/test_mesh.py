@@ -1,5 +1,7 @@
-"""The ladder of meshes: what it says of an error is the error, and what is found on it
-is the minimum.
+"""The ladder of meshes.
+
+Its estimated error is the true error, and its optimum is the minimum of the finest
+mesh.
 """
 
 import numpy as np
@@ -43,8 +45,10 @@ def test_a_rung_has_half_the_segments_and_half_as_many_steps_down_to_ten(given):
 
 
 def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(given):
-    """In the first 0.4 s of casts of string B 0.49 mm with 20 points, 0.12 with 39. And
-    as far as points without noise are from a chain of 77.
+    """The error of a mesh is of second order, and equals its distance from the truth.
+
+    In the first 0.4 s of casts of string B it is 0.49 mm with 20 points, 0.12 mm with
+    39. The truth is points without noise of a chain of 77.
     """
     chi = parameter_exponents(model().parameters, given.truth)
     meshes = [
@@ -62,8 +66,10 @@ def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(given)
 
 
 def test_horizons_begin_before_a_limp_string_swings_to_the_other_side(given):
-    """A quarter of the period of a hanging chain of 0.3 m, 4 pi / 2.405 sqrt(L/g) =
-    0.914 s.
+    """Horizons end before a limp string swings to the other side.
+
+    A quarter of the period of a hanging chain of 0.3 m is used, 4 pi / 2.405 sqrt(L/g)
+    = 0.914 s.
     """
     first, *others, last = horizons(likelihood(given, 20, 1e-3))
     assert first == pytest.approx(0.914 / 4, rel=1e-3)

@@ -1,5 +1,6 @@
-"""Noise of a camera whose readings are not independent: found beside motion, and
-counted for what it says.
+"""Noise of a camera whose readings are not independent.
+
+It is separated from motion, and correlated readings count for less.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ S = 0.3 * np.linspace(0.1, 1.0, PLACES_SEEN)
 
 @pytest.fixture
 def trial(arm, camera):
-    """A string in 120 frames: only times and places matter."""
+    """Return a string in 120 frames, of which only times and places matter."""
     frame, s = (a.ravel() for a in np.meshgrid(np.arange(FRAMES), S, indexing="ij"))
     grasp = np.repeat([[0.1, 0.4, -np.pi / 2]], FRAMES, axis=0)
     still = np.zeros((len(s), 2))
@@ -58,13 +59,17 @@ def trial(arm, camera):
 
 
 def along_string():
-    """Covariance of places in a frame, (n, n): each shares with its neighbour."""
+    """Return the covariance of places in a frame, (n, n).
+
+    Each place shares noise with its neighbour.
+    """
     return toeplitz([1.0, SHARE / (1 + SHARE**2), *np.zeros(PLACES_SEEN - 2)])
 
 
 def noisy(rng, count=1):
-    """Residuals over sigma, (count, n, 2): correlated along the string and with the
-    frame before.
+    """Draw residuals over sigma, (count, n, 2).
+
+    They are correlated along the string and with the frame before.
     """
     root = np.kron(
         np.linalg.cholesky(toeplitz(BEFORE ** np.arange(FRAMES))),
@@ -74,8 +79,9 @@ def noisy(rng, count=1):
 
 
 def of_places(covariance):
-    """Covariance (PLACES, PLACES) of orthonormal functions of place under one of points
-    (n, n).
+    """Return the covariance of orthonormal functions of place, (PLACES, PLACES).
+
+    It follows from a covariance of points (n, n).
     """
     place = place_functions(S, 0.3)
     inverse = np.linalg.pinv(
@@ -142,9 +148,10 @@ def test_sums_over_a_film_vary_as_a_dense_covariance_says(trial):
 
 
 def test_what_is_known_of_smooth_motion_is_as_sure_as_is_said(trial):
-    """Of 400 noises the amplitude of a smooth motion varies by one deviation where
-    their correlation is known, and by much more than is said where they are taken for
-    independent.
+    """The stated uncertainty of a smooth motion is its scatter.
+
+    Over 400 noises its amplitude varies by one stated deviation where their correlation
+    is known. Where they are taken for independent, it varies by much more than stated.
     """
     motion = np.repeat(
         (np.sin(9 * T[trial.frame]) * trial.s / 0.3)[:, None], 2, axis=1

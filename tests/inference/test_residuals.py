@@ -1,4 +1,4 @@
-"""Residuals of candidates: the same whether or not they were simulated lately."""
+"""Residuals of candidates are the same whether or not they were simulated recently."""
 
 from types import SimpleNamespace
 
@@ -17,7 +17,7 @@ PARAMETERS = (
 
 @pytest.fixture
 def simulated(monkeypatch):
-    """Data of two trials, and a list of how many candidates each simulation had."""
+    """Return data of two trials, and a list of the candidates in each simulation."""
     asked = []
 
     def away(model, trials, values):

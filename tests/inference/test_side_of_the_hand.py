@@ -1,5 +1,6 @@
-"""On which side of a hand that points up a string hangs before it moves: the first
-frames show it.
+"""The side of a hand that points up on which a string hangs before it moves.
+
+The first frames show it.
 """
 
 import numpy as np
@@ -44,8 +45,9 @@ def model(arm, camera):
 
 
 def observed(model, values, side, lean, places):
-    """A string that hangs to the left (1) or right (-1) of a hand that leans [rad] to
-    the other side.
+    """Simulate a string that hangs left (1) or right (-1) of a hand.
+
+    The hand leans [rad] to the other side.
     """
     grasp = GRASP + [0, 0, np.pi / 2 - side * lean]
     points = model.simulate_string(
@@ -73,7 +75,10 @@ def observed(model, values, side, lean, places):
 @pytest.mark.parametrize("where", PLACES)
 @pytest.mark.parametrize("lean", [-0.1, 0.0, 0.1])
 def test_a_trial_begins_on_the_side_that_its_first_frames_show(model, where, lean):
-    """Alone or beside one that begins on the other."""
+    """A trial begins on the side that its first frames show.
+
+    This holds alone, or together with one that begins on the other side.
+    """
     values = model.values(NAMED)[None]
     trials = [
         prepare_trial(model, observed(model, values, side, lean, PLACES[where]))

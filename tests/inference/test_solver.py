@@ -1,5 +1,6 @@
-"""Damped least squares of many runs: the minimum, within bounds, whatever the valley,
-and whoever runs beside.
+"""Damped least squares of many runs.
+
+It finds the minimum, within bounds, for any valley and any other runs.
 """
 
 from dataclasses import dataclass, field
@@ -31,8 +32,9 @@ TRUTH = np.array([3.0, 0.02])
 
 @dataclass
 class Decay:
-    """A level that decays by two rates, of which the data all but know the sum alone: a
-    valley bent in exponents.
+    """A level that decays by two rates.
+
+    The data determine hardly more than their sum: a valley bent in exponents.
     """
 
     parameters: tuple[Parameter, ...] = RATES
@@ -56,7 +58,7 @@ class Decay:
 
 
 class Torn(Decay):
-    """Where its first rate is above 5 it cannot be simulated."""
+    """A decay that cannot be simulated where its first rate is above 5."""
 
     def residuals(self, chi):
         torn = parameter_values(self.parameters, chi)[:, 0] > 5.0
@@ -64,7 +66,9 @@ class Torn(Decay):
 
 
 def test_the_bottom_of_a_bent_valley_is_reached_from_all_over():
-    """SciPy's trust region, straight in exponents, is not there after as many
+    """The bottom of a bent valley is reached from any start.
+
+    SciPy's trust region, straight in exponents, has not reached it after as many
     evaluations of the slopes.
     """
     starts = np.random.default_rng(0).uniform(0.05, 0.95, (8, 2))
@@ -89,8 +93,10 @@ def test_the_bottom_of_a_bent_valley_is_reached_from_all_over():
 
 @pytest.mark.parametrize("limit", [np.inf, 2.0])
 def test_the_minimum_within_bounds_is_scipys(limit):
-    """The best level is beyond its range, so that the rates make the best of its bound;
-    with outliers, and without.
+    """The minimum within bounds is SciPy's.
+
+    The best level is beyond its range, so that the rates are optimal at its bound. It
+    is tested with outliers, and without.
     """
     noise = np.random.default_rng(1).standard_normal(len(TIMES))
     noise[::9] += 30.0
@@ -121,8 +127,10 @@ def test_each_run_goes_its_own_way_whoever_runs_beside():
 
 
 def test_an_iteration_is_two_batches_and_runs_that_are_done_cost_nothing():
-    """Eight runs of two parameters: their residuals, then 8 x 2 differences, then 8 x 6
-    trial steps.
+    """An iteration is two batches, and runs that are finished cost nothing.
+
+    Eight runs of two parameters take their residuals, then 8 x 2 differences, then 8 x
+    6 trial steps.
     """
     problem = Decay()
     fit_least_squares(problem, np.full((8, 2), 0.5), 1)
@@ -146,7 +154,7 @@ def test_a_step_into_what_cannot_be_simulated_is_not_taken_and_a_slope_across_it
 
 
 class Blind(Decay):
-    """Of its third parameter nothing is seen."""
+    """A decay whose third parameter has no effect."""
 
     def residuals(self, chi):
         return Decay().residuals(chi[:, :2])
@@ -159,8 +167,9 @@ def test_a_direction_without_curvature_stays_put():
 
 
 def test_the_least_of_a_quadratic_in_a_box():
-    """Against a fine grid: what would pass a side stays on it, and the other makes the
-    best of that.
+    """The minimum of a quadratic in a box is that of a fine grid.
+
+    A parameter that would pass a side stays on it, and the other is optimal there.
     """
     normal, gradient = np.array([[2.0, 1.2], [1.2, 1.0]]), np.array([-3.0, -0.5])
     low, high = np.array([-1.0, -0.8]), np.array([1.0, 0.8])

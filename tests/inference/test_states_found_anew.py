@@ -1,4 +1,4 @@
-"""Trials that begin moving, in states that are found anew beside each fit."""
+"""Trials that begin moving, whose initial states are re-estimated with each fit."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ NOISE = 7e-4  # [m]
 
 @pytest.fixture(scope="module")
 def trial(arm, camera):
-    """A string let go, seen at eleven places."""
+    """Simulate a released string, seen at eleven places."""
     t, seen = released(TURN, PLACES["eleven"], 200, NOISE)
     return prepare_trial(
         Model(STRING, arm, camera),
@@ -50,15 +50,21 @@ def true(hypothesis):
 
 
 def begun(trial, *off):
-    """The trial in another state: its first modes off by so much."""
+    """Return the trial with another initial state.
+
+    Its first modes are off by the given amounts.
+    """
     return with_initial_amplitudes(
         trial, np.pad(np.array(off), (0, 2 * INITIAL_MODES - len(off)))
     )
 
 
 def test_a_state_far_off_is_found_from_how_the_string_moves(trial, hypothesis, true):
-    """Modes about it cannot tell what it does; about the one that is found, what is
-    left is noise. It counts from what the first frames say, wherever it was looked for.
+    """A distant initial state is found from the string's motion.
+
+    Modes about the distant state cannot explain the motion. About the state that is
+    found, the residual is noise. The evidence is relative to the state from the first
+    frames, wherever the search began.
     """
     far, told = (
         attach_discrepancy_model([each], hypothesis, true)

@@ -1,4 +1,4 @@
-"""What is white has a covariance of one; what a covariance promises, estimates keep."""
+"""Whitened residuals have unit covariance, and estimates keep stated covariances."""
 
 import numpy as np
 import pytest
@@ -9,8 +9,9 @@ from stringcast.stages.inference.whitening import LowRankWhitening
 
 
 def test_whitened_noise_is_white():
-    """Of V = 1 + U U', with columns that are all but the same: W V W' = 1, and W =
-    V^(-1/2).
+    """Whitened noise is white.
+
+    V = 1 + U U' has columns that are all but the same: W V W' = 1, and W = V^(-1/2).
     """
     rng = np.random.default_rng(0)
     columns = rng.standard_normal((30, 4)) * [10.0, 1.0, 0.1, 3.0]
@@ -31,10 +32,12 @@ def test_without_columns_nothing_is_taken():
 
 @pytest.mark.parametrize("blocks", [60, 12])
 def test_intervals_hold_where_neighbours_share_their_noise(blocks):
-    """Four parameters of 600 numbers, half of whose noise is that of their block, of
-    which some tell more than others. 95 % intervals hold the truth in 93 to 98 % of 300
-    repetitions (a sandwich's in 85 to 94); who takes all numbers for independent
-    promises a third of the variance at most.
+    """Intervals hold where neighbours share their noise.
+
+    Four parameters are estimated from 600 numbers, half of whose noise is that of their
+    block; some parameters are better determined than others. 95 % intervals hold the
+    truth in 93 to 98 % of 300 repetitions (a sandwich's in 85 to 94). If all numbers
+    are taken for independent, a third of the variance is stated at most.
     """
     rng = np.random.default_rng(0)
     block = np.repeat(np.arange(blocks), 600 // blocks)
@@ -64,8 +67,10 @@ def test_what_no_data_touches_is_as_wide_as_its_range():
 
 
 def test_outliers_that_count_less_widen_nothing():
-    """A slope through noise with one number ten times as far off as any: weighted by
-    Huber it is as sure as without.
+    """Outliers of small weight do not widen the interval.
+
+    A slope is fitted through noise with one number ten times as far off as any.
+    Weighted by Huber it is as certain as without.
     """
     rng = np.random.default_rng(2)
     slope, residual = np.full((1, 200), 20.0), rng.standard_normal(200)

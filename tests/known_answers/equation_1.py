@@ -39,9 +39,9 @@ def cast(
 ) -> np.ndarray:
     """Simulate mass points; return their positions at the ticks, (ticks, n, 2) [m].
 
-    start: (n, 2) at rest [m]. parameters: k_s, c_s, k_h, c_h, c_c1, c_c2, k_ph, c_ph,
-    per unit mass of one mass point. length: of a segment [m]. hand: see `path`.
-    Semi-implicit Euler.
+    `start` (n, 2) is at rest [m]. `parameters` are k_s, c_s, k_h, c_h, c_c1, c_c2,
+    k_ph, c_ph, per unit mass of one mass point. `length` is that of a segment [m].
+    `hand` is as in `path`. The integrator is semi-implicit Euler.
     """
     k_s, c_s, k_h, c_h, c_c1, c_c2, k_ph, c_ph = parameters
     n, (ticks, steps, _) = len(start), hand.shape
@@ -89,7 +89,7 @@ def cast(
 
 @njit(error_model="numpy", fastmath={"contract"}, inline="always")
 def _move(i, x, y, vx, vy, fx, fy, c_c1, c_c2, dt):  # type: ignore[no-untyped-def]
-    """One step of point i under its neighbours' forces, air (F_c) and gravity (F_g)."""
+    """Step point i under its neighbours' forces, air (F_c) and gravity (F_g)."""
     drag = c_c1 + c_c2 * np.sqrt(vx[i] * vx[i] + vy[i] * vy[i])
     vx[i] += dt * (fx - drag * vx[i])
     vy[i] += dt * (fy - drag * vy[i] - GRAVITY)

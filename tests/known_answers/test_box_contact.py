@@ -45,7 +45,7 @@ def thrown(start, end, gravity=0.0, **how):
 
 @pytest.fixture
 def inside():
-    """Points anywhere in the box but on its middle lines, (2, M)."""
+    """Return points anywhere in the box but on its middle lines, (2, M)."""
     rng = np.random.default_rng(0)
     half = np.array([[BOX["width"]], [BOX["height"]]]) / 2
     way = rng.uniform(0.02, 1, (2, 2000)) * rng.choice([-1, 1], (2, 2000))
@@ -67,7 +67,11 @@ def test_the_push_is_the_slope_of_its_potential_and_points_outwards(inside):
 
 
 def test_the_step_is_bounded_by_how_steep_the_push_is(inside):
-    """Largest eigenvalue of its slopes: the stiffness behind a side, and nowhere more."""
+    """The step is bounded by the steepness of the push.
+
+    The largest eigenvalue of its slopes is the stiffness behind a side, and smaller
+    everywhere else.
+    """
     x, y = inside
     h = 1e-7
     columns = [pushed(x + h, y) - pushed(x - h, y), pushed(x, y + h) - pushed(x, y - h)]
@@ -86,9 +90,10 @@ WAYS = {
 
 @pytest.mark.parametrize("side", WAYS)
 def test_a_bounce_off_a_side_gives_back_what_it_took(side):
-    """It is mirrored but for what the edge 20 mm away turns.
+    """A bounce off a side returns all of its energy.
 
-    1.5 mm deep, the way along the side changes by 0.03 m/s.
+    It is mirrored but for the turn by the edge 20 mm away. At 1.5 mm depth, the
+    velocity along the side changes by 0.03 m/s.
     """
     start, mirror = WAYS[side]
     end = thrown(start, 0.01, stiffness=1e6)
@@ -99,9 +104,10 @@ def test_a_bounce_off_a_side_gives_back_what_it_took(side):
 
 @pytest.mark.parametrize("side", WAYS)
 def test_with_loss_it_leaves_as_slowly_as_hunt_and_crossley_say(side):
-    """The integral of v dv / (1 - a v) over the depth gives logarithms.
+    """With loss the rebound is as slow as Hunt and Crossley say.
 
-    Along the side nothing is lost.
+    The integral of v dv / (1 - a v) over the depth gives logarithms. Along the side
+    nothing is lost.
     """
     start, mirror = WAYS[side]
     across = int(np.argmin(mirror))
@@ -115,7 +121,7 @@ def test_with_loss_it_leaves_as_slowly_as_hunt_and_crossley_say(side):
 
 
 def test_no_push_ever_pulls(inside):
-    """However fast a point leaves, and however lossy the box."""
+    """No push ever pulls, however fast a point leaves, and however lossy the box."""
     outwards = np.sign(inside - [[BOX["centre_x"]], [BOX["centre_y"]]])
     assert (pushed(*inside, *(20 * outwards), loss=0.5) == 0).all()
     assert (pushed(*inside, *(-20 * outwards), loss=0.5) * outwards >= 0).all()
@@ -123,7 +129,10 @@ def test_no_push_ever_pulls(inside):
 
 @pytest.mark.parametrize("offset", [-0.02, -0.004, 0.0, 0.001, 0.02])
 def test_a_bounce_off_an_edge_gives_back_what_it_took(offset):
-    """Thrown at the upper right edge at 45 degrees, beside it and right at it."""
+    """A bounce off an edge returns all of its energy.
+
+    Points are thrown at 45 degrees at the upper right edge and next to it.
+    """
     start = np.array([0.33 + 0.03 + offset, -0.15 + 0.03 - offset, -1.2, -1.2])
     out = thrown(start, 0.15)
     assert depth(*out[:2]) == 0
@@ -133,10 +142,12 @@ def test_a_bounce_off_an_edge_gives_back_what_it_took(offset):
 
 
 def test_steps_across_an_edge_keep_energy_to_second_order():
-    """Semi-implicit steps, as the engine's, of points aimed at an edge.
+    """Steps across an edge keep energy to second order.
 
-    The push has no jump anywhere on their way. With the true distance for the depth
-    the error fell by 2.0 a halving, and was 5 times larger at 0.1 ms.
+    Semi-implicit steps, as the engine's, move points that are aimed at an edge.
+
+    The push has no jump anywhere on their way. With the true distance for the depth the
+    error fell by 2.0 a halving, and was 5 times larger at 0.1 ms.
     """
     rng = np.random.default_rng(0)
     beside, turn, speed = (
@@ -158,14 +169,20 @@ def test_steps_across_an_edge_keep_energy_to_second_order():
 
 
 def test_a_mass_dropped_on_top_rests_at_the_depth_of_its_weight():
-    """Its depth is g / k, to the share 2 (depth / half the width)^2 = 0.05 %."""
+    """A mass dropped on top rests at the depth of its weight.
+
+    Its depth is g / k, to the share 2 (depth / half the width)^2 = 0.05 %.
+    """
     end = thrown([0.3, -0.149, 0.0, 0.0], 6.0, gravity=9.81, loss=0.5)
     assert -0.15 - end[1] == pytest.approx(9.81 / STIFFNESS, rel=2e-3)
     assert np.abs(end[2:]).max() < 1e-3
 
 
 def test_a_mass_that_slides_on_top_is_slowed_by_the_friction_coefficient():
-    """dv/dt = -mu g, less 1 % at speeds well above that of its smooth beginning."""
+    """A mass that slides on top is slowed by the friction coefficient.
+
+    dv/dt = -mu g, less 1 % at speeds well above that of its smooth beginning.
+    """
     start = [0.28, -0.15 - 9.81 / STIFFNESS, 0.8, 0.0]
     end = thrown(start, 0.04, gravity=9.81, friction=0.4)
     assert end[1] == pytest.approx(start[1], abs=1e-5)
@@ -218,7 +235,7 @@ def swung(boxes, t, **how):
 def ledger(points, t, boxes, stiffness):
     """Return the energy over the mass of a point, (F,) [m^2/s^2].
 
-    Of speed, height, stretch, bending and depth.
+    It is that of speed, height, stretch, bending and depth.
     """
     velocity = np.gradient(points, t, axis=0)
     segment = np.diff(points, axis=1)
@@ -244,7 +261,9 @@ def ledger(points, t, boxes, stiffness):
     ids=lambda how: next(iter(how), "neither"),
 )
 def test_a_string_swung_between_two_boxes_stays_outside_and_gains_no_energy(how):
-    """Its middle hangs up on one box, its tip bounces off the other.
+    """A string swung between two boxes stays outside and gains no energy.
+
+    Its middle is caught by one box, its tip bounces off the other.
 
     Neither is deeper than speed over frequency. Without loss the energy holds to 1.1e-4
     m^2/s^2 where the boxes store 0.2 and the swing has 10, velocities being differences

@@ -1,4 +1,4 @@
-"""A string that begins elsewhere moves as one held where it begins."""
+"""A string that begins elsewhere moves as one that is held where it begins."""
 
 import numpy as np
 import pytest
@@ -67,12 +67,12 @@ def clamped(points=15):
 
 
 def free(length):
-    """One that begins where it is stated."""
+    """Make a string that begins where it is stated."""
     return String(length, 15, (*PAPER_EFFECTS, *LAWS), **SECOND_ORDER)
 
 
 def values(string, **more):
-    """Of the same material, whatever the string's length."""
+    """Return values of the same material, whatever the string's length."""
     reference = string.length / LENGTH
     return string.values(
         {
@@ -85,9 +85,9 @@ def values(string, **more):
 
 @pytest.mark.parametrize("hidden", [0.012, -0.006])
 def test_a_hidden_length_is_a_longer_string_held_further_up(hidden):
-    """To 1 um at the tip.
+    """A hidden length is a longer string held further up, to 1 um at the tip.
 
-    Between, as its curve through the points of the longer one says.
+    Between points, the string is the curve through the points of the longer one.
     """
     along, across = 0.002, -0.003
     clamp = {"clamp.hidden": hidden, "clamp.along": along, "clamp.across": across}
@@ -108,9 +108,10 @@ def test_a_hidden_length_is_a_longer_string_held_further_up(hidden):
 
 
 def test_a_straight_string_passes_through_the_stated_grasp():
-    """It hangs down from 10 mm above.
+    """A straight string passes through the stated grasp.
 
-    Points are where they would be without, but for the stretch.
+    It hangs down from 10 mm above. Points are where they would be without the hidden
+    part, but for the stretch.
     """
     string = clamped()
     still = HandMotion(
@@ -126,7 +127,10 @@ def test_a_straight_string_passes_through_the_stated_grasp():
 
 
 def test_a_clamp_changes_nothing_beside_it():
-    """Not a bit of candidates in whose company one begins elsewhere."""
+    """A clamp changes no other candidate in the least.
+
+    One of the candidates that are simulated together begins elsewhere.
+    """
     string = clamped()
     some = [{}, {"clamp.hidden": 0.01}, {"clamp.across": 0.002}]
     together = simulate(
@@ -138,9 +142,10 @@ def test_a_clamp_changes_nothing_beside_it():
 
 
 def test_what_is_told_along_the_string_is_told_from_where_it_begins():
-    """Density that falls to the tip, rest curvature and a hanging weight.
+    """Properties along the string count from its physical beginning.
 
-    They act as in the longer string.
+    Density that falls to the tip, rest curvature and a hanging weight act as in the
+    longer string.
     """
     laws = {
         "density_taper.change": -0.3,
@@ -157,10 +162,12 @@ def test_what_is_told_along_the_string_is_told_from_where_it_begins():
 
 
 def test_a_motion_goes_on_from_a_state_that_is_told_from_the_stated_grasp():
-    """Held firmly, and started from its state after 0.1 s.
+    """A motion continues from a state that counts from the stated grasp.
 
-    Its tip is 0.29 mm off, 64 mm without the hidden part, whose shape follows from how
-    the string leaves it and from the clamp: bent evenly.
+    The string is held firmly, and started from its state after 0.1 s.
+
+    Its tip is 0.29 mm off, and 64 mm without the hidden part. The shape of that part
+    follows from how the string leaves it and from the clamp: it is bent evenly.
     """
     string = clamped(points=29)
     firm = {"grasp_stiffness": 500.0}

@@ -1,6 +1,6 @@
 """Each effect against a known answer.
 
-All in one model with every effect, one of them present.
+All are in one model, with one of them present.
 """
 
 from dataclasses import replace
@@ -55,7 +55,7 @@ PER_LENGTH = LENGTH / 9
 
 
 def at_rest(named, theta=-np.pi / 2, points=41, **settings):
-    """Angles (n - 1,) and lengths of the segments in static equilibrium."""
+    """Return angles (n - 1,) and lengths of the segments in static equilibrium."""
     string = String(
         LENGTH,
         points=points,
@@ -81,7 +81,7 @@ def swinging(named, offset, t, points=41, theta=-np.pi / 2):
 
 
 def frequency(t, x):
-    """Mean frequency [rad/s] from rising zero crossings, interpolated."""
+    """Return the mean frequency [rad/s] from rising zero crossings, interpolated."""
     up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
     crossing = t[up] - x[up] * (t[up + 1] - t[up]) / (x[up + 1] - x[up])
     return 2 * np.pi * (len(crossing) - 1) / (crossing[-1] - crossing[0])
@@ -93,7 +93,10 @@ def frequency(t, x):
 
 @pytest.mark.parametrize("ratio", [0.05, 0.5])
 def test_a_weight_at_the_tip_slows_a_pendulum(ratio):
-    """omega^2 = g / L (1/2 + m) / (1/3 + m)."""
+    """A weight at the tip slows a pendulum.
+
+    omega^2 = g / L (1/2 + m) / (1/3 + m).
+    """
     t = np.arange(0, 4, 0.005)
     offset = 1e-3 / (1 + np.exp(-(t - 0.3) / 0.05))
     x = swinging(ROD | {"tip_mass.ratio": ratio}, offset, t, points=21)[:, -1, 0] - 1e-3
@@ -103,9 +106,10 @@ def test_a_weight_at_the_tip_slows_a_pendulum(ratio):
 
 @pytest.mark.parametrize("taper", [-1.2, 1.2])
 def test_a_tapered_chain_swings_at_its_own_frequency(taper):
-    """(T x')' + omega^2 rho x = 0, T the weight beyond.
+    """A tapered chain swings at its own frequency.
 
-    By Ritz with polynomials that vanish at the grasp.
+    (T x')' + omega^2 rho x = 0, with T the weight beyond, is solved by Ritz with
+    polynomials that vanish at the grasp.
     """
     powers = np.arange(1, 9)
     rho = lambda z: 1 + taper * (z - 0.5)  # noqa: E731
@@ -127,7 +131,10 @@ def test_a_tapered_chain_swings_at_its_own_frequency(taper):
 
 
 def test_wind_holds_a_limp_string_at_an_angle():
-    """The tangent of the angle from the vertical is (C_c1 + C_c2 w) w / g."""
+    """Wind holds a limp string at an angle.
+
+    The tangent of the angle from the vertical is (C_c1 + C_c2 w) w / g.
+    """
     wind, c1, c2 = 1.7, 2.0, 0.5
     angles, _ = at_rest(
         LIMP | {"linear_drag": c1, "quadratic_drag": c2, "wind.along_x": wind}
@@ -138,7 +145,10 @@ def test_wind_holds_a_limp_string_at_an_angle():
 
 
 def test_wind_acts_more_across_a_string_than_along_it():
-    """Only the drag across holds it: tan of the angle is (1 + e) C_c1 w / g."""
+    """Wind acts more across a string than along it.
+
+    Only the drag across holds it: the tangent of the angle is (1 + e) C_c1 w / g.
+    """
     named = LIMP | {
         "linear_drag": 2.0,
         "wind.along_x": 1.7,
@@ -152,7 +162,10 @@ def test_wind_acts_more_across_a_string_than_along_it():
 
 @pytest.mark.parametrize("curvature", [3.0, -8.0])
 def test_a_stiff_string_with_a_set_rests_on_a_circle(curvature):
-    """Half the difference of both signs is free of gravity, which bends it by 2e-4."""
+    """A stiff string with a rest curvature rests on a circle.
+
+    Half the difference of both signs is free of gravity, which bends it by 2e-4.
+    """
     shapes = [
         at_rest(CLAMPED | {"rest_curvature.curvature": sign * curvature}, points=61)[0]
         for sign in (1, -1)
@@ -165,10 +178,10 @@ def test_a_stiff_string_with_a_set_rests_on_a_circle(curvature):
 
 @pytest.mark.parametrize("hardening", [-1e-3, 2e-3])
 def test_a_string_that_stiffens_hangs_as_the_elastica_with_its_law(hardening):
-    """Clamped level: dM/ds = -g (L - s) cos(theta).
+    """A string that stiffens hangs as the elastica with its law.
 
-    kappa'(s) is from the slope of the law. A clamped first segment of the chain is a
-    rod clamped at its middle.
+    Clamped level, it has dM/ds = -g (L - s) cos(theta), and kappa'(s) is from the slope
+    of the law. A clamped first segment of the chain is a rod clamped at its middle.
     """
     stiffness, first = 30.0 * PER_LENGTH**2, LENGTH / 240
 
@@ -206,9 +219,10 @@ def test_a_string_that_stiffens_hangs_as_the_elastica_with_its_law(hardening):
 
 @pytest.mark.parametrize("hardening", [-5e-3, -3e-4, 5e-3])
 def test_bending_moments_never_fall_however_soft_the_string_becomes(hardening):
-    """Softening comes near to stiffness / (2 sqrt(-hardening)).
+    """Bending moments never fall, however soft the string becomes.
 
-    A string that yields, and buckles nowhere.
+    Softening comes near to stiffness / (2 sqrt(-hardening)). The string yields, and
+    buckles nowhere.
     """
     k = np.arange(200.0)
     moment = k * (1 + NonlinearBending.hinge_stiffness(k, 1.0, hardening))
@@ -231,9 +245,9 @@ def test_bending_moments_never_fall_however_soft_the_string_becomes(hardening):
 def test_a_steep_moment_costs_an_implicit_step_nothing_and_is_what_small_steps_make_of_it(
     name, value
 ):
-    """A swing that would need 5 to 8 times the steps if it were explicit.
+    """An implicit step handles a steep moment as small explicit steps do.
 
-    Noise is 0.7 mm.
+    The swing would need 5 to 8 times the steps if it were explicit. Noise is 0.7 mm.
     """
     t = np.arange(0, 1.0, 0.005)
     pose = np.stack(
@@ -320,9 +334,10 @@ FLOOR = {"contact.stiffness": 2e4, "contact.height": -0.2}
 
 
 def test_a_floor_carries_what_lies_on_it():
-    """The floor pushes with the weight of the string that lies on it.
+    """A floor carries the part of the string that lies on it.
 
-    That is all but what still hangs from the hand, L - 0.2 to a few per cent.
+    The floor pushes with the weight of that part. It is all but what still hangs from
+    the hand, L - 0.2 to a few per cent.
     """
     angles, lengths = at_rest(
         LIMP | FLOOR | {"bending_stiffness": 0.05, "grasp_stiffness": 0.01},
@@ -338,9 +353,10 @@ def test_a_floor_carries_what_lies_on_it():
 
 
 def test_the_engine_leaves_a_string_on_the_floor_alone():
-    """Statics and dynamics know the same floor.
+    """The engine leaves a string at rest on the floor.
 
-    (A string straight above it would stand, but not for long.)
+    Statics and dynamics have the same floor. (A string straight above it would stand,
+    but not for long.)
     """
     t = np.linspace(0, 0.3, 61)
     named = (
@@ -361,9 +377,10 @@ def test_the_engine_leaves_a_string_on_the_floor_alone():
 
 @pytest.mark.parametrize(("loss", "tilt"), [(0.0, 0.0), (0.3, 0.0), (0.0, 1.1)])
 def test_a_bounce_gives_back_what_it_took_and_never_more(loss, tilt):
-    """A mass on the plane leaves without loss as fast as it came.
+    """A bounce returns the energy it took, and never more.
 
-    With loss it is slower, as Hunt and Crossley say.
+    A mass on the plane leaves without loss as fast as it came. With loss it is slower,
+    as Hunt and Crossley say.
     """
     normal = np.array([-np.sin(tilt), np.cos(tilt)])
     given = {"dt": 0.0, "stiffness": 2e4, "height": 0.1, "friction": 0.0, "loss": loss}
@@ -392,9 +409,10 @@ def test_a_bounce_gives_back_what_it_took_and_never_more(loss, tilt):
 def test_friction_brakes_a_hard_impact_by_its_share_and_turns_no_slide_round(
     dt, within
 ):
-    """At any step a mass loses friction times the impulse of the plane.
+    """Friction brakes a hard impact by its share, and reverses no slide.
 
-    That is friction times 20 m/s, or all the speed that it has.
+    At any step a mass loses friction times the impulse of the plane. That is friction
+    times 20 m/s, or all the speed that it has.
     """
     given = {
         "dt": dt,
@@ -418,9 +436,10 @@ def test_friction_brakes_a_hard_impact_by_its_share_and_turns_no_slide_round(
 
 
 def test_a_string_dropped_on_a_floor_gains_no_energy():
-    """The engine's own steps, while the hand is lowered.
+    """A string dropped on a floor gains no energy.
 
-    Height, speed, bending and floor together never rise again.
+    The engine's own steps are taken while the hand is lowered. Height, speed, bending
+    and floor together never rise again.
     """
     t = np.arange(0, 1.0, 0.001)
     string = String(LENGTH, effects=(*PAPER_EFFECTS, *MANY), points=10)
@@ -488,7 +507,10 @@ def test_lag_is_the_differential_equation_of_first_order(constant):
 
 
 def test_a_ramp_is_followed_at_a_distance():
-    """The distance u - y is v tau (1 - exp(-t / tau)), two candidates side by side."""
+    """A ramp is followed at a distance.
+
+    The distance u - y is v tau (1 - exp(-t / tau)), for two candidates together.
+    """
     ramp = np.maximum(T - 0.1, 0)[None, :, None] * np.ones(3) * 2.0
     real = ArmLag.joints(T, ramp, np.array([0.01, 0.05])[:, None, None])
     behind = ramp[:, -1, 0] - real[:, -1, 0]
@@ -496,9 +518,10 @@ def test_a_ramp_is_followed_at_a_distance():
 
 
 def test_a_hand_that_lags_arrives_while_it_rests():
-    """From its log's last sample on it nears its goal as exp(-t / tau).
+    """A hand that lags arrives while it rests.
 
-    No log is made longer than it takes.
+    From its log's last sample on it nears its goal as exp(-t / tau). No log is made
+    longer than it takes.
     """
     pose = np.stack([0.3 * T**2, 0 * T, 0 * T], axis=-1)
     motion = resample_hand_motion(T, pose)
@@ -518,9 +541,10 @@ def test_a_hand_that_lags_arrives_while_it_rests():
 
 
 def test_play_leaves_a_joint_where_it_is_at_reversals():
-    """It turns half its gap less to either side.
+    """Play leaves a joint where it is at reversals.
 
-    It stands still over a whole gap after each reversal.
+    It turns half its gap less to either side, and stands still over a whole gap after
+    each reversal.
     """
     wave, gaps = 0.2 * np.sin(2 * np.pi * T), (0.06, 0.0, 0.02)
     joints = Backlash.joints(
@@ -640,7 +664,10 @@ def views(*names):
     ],
 )
 def test_other_clocks_show_the_string_at_other_moments(name, size, there):
-    """Candidates each at times of their own, the same whatever the company."""
+    """Other clocks show the string at other moments.
+
+    Each candidate has times of its own, and is the same whatever the others.
+    """
     model, known, motion = views(name.split(".")[0])
     t = np.linspace(0.05, 0.9, 23)
     values = np.stack([model.values(known), model.values(known | {name: size})])
@@ -666,7 +693,10 @@ REAL = {
 
 @pytest.mark.parametrize("name", REAL)
 def test_cameras_that_are_not_what_they_are_taken_for(name):
-    """Pixels of the real camera, read with the one it is taken for."""
+    """Cameras that differ from their description are modelled.
+
+    Pixels of the real camera are read with the described one.
+    """
     model, known, motion = views(name.split(".")[0])
     t = np.linspace(0, 0.9, 7)
     values = model.values(known | {name: 0.08})[None]
@@ -691,9 +721,10 @@ def test_a_rolled_camera_turns_the_picture_about_its_middle():
 
 
 def test_a_rolling_shutter_shears_a_line_that_moves_sideways():
-    """Each point is seen where it is when its row is exposed.
+    """A rolling shutter shears a line that moves sideways.
 
-    That is right for points that cross rows, too.
+    Each point is seen where it is when its row is exposed. That is right for points
+    that cross rows, too.
     """
     law = effects_by_name()["rolling_shutter"].observe
     readout, stamped = np.full((1, 1, 1, 1), 0.01), np.full((1, 1, 1, 1), 0.25)
@@ -723,9 +754,10 @@ def test_a_rolling_shutter_shears_a_line_that_moves_sideways():
 
 
 def test_the_camera_knows_how_fast_the_string_goes():
-    """A rolling shutter shows the string at the moments of its rows.
+    """The camera accounts for the speed of the string.
 
-    To second order in the readout.
+    A rolling shutter shows the string at the moments of its rows, to second order in
+    the readout.
     """
     model, known, motion = views("rolling_shutter")
     t = np.linspace(0.1, 0.9, 9)
@@ -761,9 +793,10 @@ def test_more_mass_points_are_nearer_to_the_string():
 
 
 def test_the_last_of_equal_points_is_half_a_segment_too_much():
-    """A chain of Eq. 1 is one with half a point at its end.
+    """The last of equal points has half a segment too much mass.
 
-    Its excess is that of its number of points: mass and drag.
+    A chain of Eq. 1 is one with half a point at its end. The excess of its number of
+    points is in mass and drag.
     """
     equal, known, motion = views()
     half = replace(equal, string=replace(equal.string, tip_cell=0.5)).with_effects(

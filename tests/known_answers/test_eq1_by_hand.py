@@ -48,7 +48,10 @@ def simulated(values):
     ids=["B", "soft", "wide"],
 )
 def test_the_engine_is_equation_1_to_rounding(values):
-    """At every tick of a trial of 1.5 s; 9e-13 m measured."""
+    """The engine is Equation 1 to rounding.
+
+    At every tick of a trial of 1.5 s the difference is below 9e-13 m as measured.
+    """
     engine, path = simulated(values)
     by_hand = equation_1.cast(
         engine[0], values, STRING.segment_length, path, hand_motion().tick

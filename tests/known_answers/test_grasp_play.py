@@ -53,16 +53,20 @@ def still(theta):
 
 
 def test_it_hangs_at_rest_as_if_nothing_held_it():
-    """However the jaws lie, and stays there."""
+    """The rod hangs at rest as if nothing held it.
+
+    This holds for any direction of the jaws, and the rod stays there.
+    """
     values = HELD.values(ROD | {"grasp_play.cap": 0.2, "grasp_play.slip": 0.02})[None]
     tip = simulate(HELD, still(-1.0)[0], values, np.linspace(0, 1, 20)).tip[0]
     np.testing.assert_allclose(tip, np.tile([0.0, -LENGTH], (20, 1)), atol=1e-4)
 
 
 def test_it_swings_down_by_as_much_from_swing_to_swing():
-    """W (cos b - cos a) = cap (a + b - 2 slip) from one end a to the next, b.
+    """The rod's swing falls by the same amount each time.
 
-    That is nearly a straight line.
+    W (cos b - cos a) = cap (a + b - 2 slip) from one end a to the next, b. That is
+    nearly a straight line.
     """
     cap, slip, start = 0.02 * WEIGHT, 1e-3, 0.35
     hand, t = still(-np.pi / 2)

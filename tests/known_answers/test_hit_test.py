@@ -1,4 +1,7 @@
-"""Did the tip enter the box? Between frames too, and only where its way is known."""
+"""Whether the tip entered the box.
+
+Its path between frames counts, but only where it is known.
+"""
 
 import numpy as np
 import pandas as pd
@@ -64,9 +67,10 @@ def test_a_slow_camera_can_see_a_hit():
 
 
 def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
-    """A straight string of three points sweeps to the right.
+    """A string that touches an obstacle on its way has not hit.
 
-    A wall stands where it passes at t = 0.05.
+    A straight string of three points sweeps to the right. A wall stands where it passes
+    at t = 0.05.
     """
     t = np.arange(0, 0.1, 0.005)
     x = 0.5 + 4 * (t - 0.08)
@@ -89,9 +93,9 @@ def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
 
 
 def crossing(moment):
-    """Return a string whose tip enters the box between two fine times, 94 and 95.
+    """Return the test of a tip that enters the box between two fine times, 94 and 95.
 
-    It touches an obstacle at a given moment.
+    The string touches an obstacle at a given moment.
     """
     t = np.arange(201) * 0.0005
     rows = pd.DataFrame(

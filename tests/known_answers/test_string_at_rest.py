@@ -31,7 +31,10 @@ def at_rest(string: String, named: dict, theta: float):
 
 
 def test_a_hanging_string_stretches_by_the_weight_below():
-    """Continuum: elongation = mu g L^2 / (2 EA)."""
+    """A hanging string stretches by the weight below.
+
+    The elongation of the continuum is mu g L^2 / (2 EA).
+    """
     string = String(0.3, points=61, **SECOND_ORDER)
     soft = STIFF | {"axial_stiffness": 9e3}
     _, lengths = at_rest(string, soft, -np.pi / 2)
@@ -42,7 +45,10 @@ def test_a_hanging_string_stretches_by_the_weight_below():
 
 
 def test_the_papers_mass_points_carry_what_hangs_below_them():
-    """Eq. 1: segment i stretches by g (n - i) / k_s, all points of the same mass."""
+    """The paper's mass points carry what hangs below them.
+
+    In Eq. 1, segment i stretches by g (n - i) / k_s, with all points of the same mass.
+    """
     string = String(0.3, points=10)
     _, lengths = at_rest(string, STIFF | {"axial_stiffness": 9e3}, -np.pi / 2)
     below = np.arange(9, 0, -1)
@@ -50,7 +56,10 @@ def test_the_papers_mass_points_carry_what_hangs_below_them():
 
 
 def test_a_stiff_string_sags_like_a_cantilever():
-    """Small deflection of a clamped rod: mu g L^4 / (8 EI)."""
+    """A stiff string sags like a cantilever.
+
+    The small deflection of a clamped rod is mu g L^4 / (8 EI).
+    """
     string = String(0.3, points=81, **SECOND_ORDER)
     named = STIFF | {
         "bending_stiffness": 4e4,
@@ -65,9 +74,10 @@ def test_a_stiff_string_sags_like_a_cantilever():
 
 @pytest.mark.parametrize("lean", [0.0, 0.2])
 def test_from_a_hand_that_points_up_a_string_hangs_on_the_side_it_turns_to(lean):
-    """On either side, though one is the longer way.
+    """From a hand that points up, a string hangs on the side it turns to.
 
-    Of a hand as far off to the other side it is the mirror image.
+    It does so on either side, though one is the longer way. With a hand as far off to
+    the other side it is the mirror image.
     """
     string, named = (
         String(0.3, points=31, **SECOND_ORDER),
@@ -112,9 +122,10 @@ def test_a_limp_string_hangs_straight_down_whatever_the_grasp():
 @pytest.mark.parametrize("points", [10, 25, 60])
 @pytest.mark.parametrize("theta", [-np.pi / 2, 0.4, 1.5, 3.0])
 def test_the_engine_leaves_the_equilibrium_alone(points, theta, integrator):
-    """Statics and dynamics are written apart.
+    """The engine leaves the equilibrium alone.
 
-    Neither may know a force that the other does not.
+    Statics and dynamics are written apart. Neither may have a force that the other does
+    not.
     """
     string = String(0.3, points=points, integrator=integrator)
     t = np.linspace(0, 0.3, 61)
@@ -131,7 +142,10 @@ SLOPE = {"contact.height": -0.1, "contact.tilt": 0.3}
 
 
 def against(plane: dict, hardness: float, bending: float = 4.0) -> dict:
-    """Name the values of a string that leaves to the right, with a plane in its way."""
+    """Return the values of a string that leaves to the right.
+
+    A plane is in its way.
+    """
     return (
         STIFF
         | {
@@ -149,9 +163,10 @@ def against(plane: dict, hardness: float, bending: float = 4.0) -> dict:
 def test_the_engine_leaves_a_string_alone_that_leans_on_something(
     points, plane, hardness
 ):
-    """A thing as hard as a table gives way by less than a string stretches.
+    """The engine leaves a string that leans on something at rest.
 
-    Statics must balance it, or the string would fall.
+    A thing as hard as a table gives way by less than a string stretches. Statics must
+    balance it, or the string would fall.
     """
     string = String(
         0.3,
@@ -172,9 +187,10 @@ def test_the_engine_leaves_a_string_alone_that_leans_on_something(
 
 
 def test_a_floor_carries_what_the_hand_does_not():
-    """A limp string hangs under a hand 0.2 m above the floor.
+    """A floor carries what the hand does not.
 
-    What lies on the floor presses with its weight, and hardly sinks in.
+    A limp string hangs under a hand 0.2 m above the floor. The part on the floor
+    presses with its weight, and hardly sinks in.
     """
     string = String(0.3, points=61, effects=(*PAPER_EFFECTS, Contact), **SECOND_ORDER)
     named = against(FLOOR | {"contact.height": -0.2}, 1e7, bending=0.05)

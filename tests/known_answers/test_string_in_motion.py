@@ -30,7 +30,7 @@ def nudged(t: np.ndarray, offset: np.ndarray) -> HandMotion:
 
 
 def frequency(t: np.ndarray, x: np.ndarray) -> float:
-    """Mean frequency [rad/s] from rising zero crossings, interpolated."""
+    """Return the mean frequency [rad/s] from rising zero crossings, interpolated."""
     up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
     crossing = t[up] - x[up] * (t[up + 1] - t[up]) / (x[up + 1] - x[up])
     return 2 * np.pi * (len(crossing) - 1) / (crossing[-1] - crossing[0])
@@ -38,7 +38,11 @@ def frequency(t: np.ndarray, x: np.ndarray) -> float:
 
 @pytest.mark.parametrize("mode", [1, 2])
 def test_a_hanging_chain_swings_at_the_zeros_of_bessels_function(mode):
-    """omega_k = j_{0,k} / 2 sqrt(g / L): drive at the mode, let go, and count."""
+    """A hanging chain swings at the zeros of Bessel's function.
+
+    omega_k = j_{0,k} / 2 sqrt(g / L). The hand drives the mode and stops, and
+    oscillations are counted.
+    """
     string = String(0.3, points=60, tip_cell=0.5, grasp_cell=0.5)
     expected = jn_zeros(0, mode)[-1] / 2 * np.sqrt(9.81 / 0.3)
     t = np.arange(0, 8, 0.005)
@@ -52,7 +56,10 @@ def test_a_hanging_chain_swings_at_the_zeros_of_bessels_function(mode):
 
 
 def test_a_rigid_string_on_a_free_hinge_is_a_physical_pendulum():
-    """omega^2 = (3 / 2) g / L for a thin rod."""
+    """A rigid string on a free hinge is a physical pendulum.
+
+    omega^2 = (3 / 2) g / L for a thin rod.
+    """
     string = String(0.3, points=40, tip_cell=0.5)
     stiff = QUIET | {"bending_stiffness": 400.0, "bending_damping": 0.05}
     t = np.arange(0, 6, 0.005)
@@ -71,7 +78,10 @@ def test_a_rigid_string_on_a_free_hinge_is_a_physical_pendulum():
 
 
 def test_air_brings_a_falling_string_to_terminal_speed():
-    """(C_c1 + C_c2 v) v = g; the hand falls with it."""
+    """Air brings a falling string to terminal speed.
+
+    (C_c1 + C_c2 v) v = g; the hand falls with it.
+    """
     string = String(0.3, points=10)
     c1, c2 = 2.0, 1.5
     speed = (-c1 + np.sqrt(c1**2 + 4 * c2 * 9.81)) / (2 * c2)
@@ -87,9 +97,10 @@ def test_air_brings_a_falling_string_to_terminal_speed():
 
 
 def test_the_hinge_at_the_grasp_stays_continuous_through_full_turns():
-    """A hand that turns three times winds up the hinge evenly.
+    """The hinge at the grasp stays continuous through full turns.
 
-    Nothing is different at a multiple of pi.
+    A hand that turns three times winds up the hinge evenly. Nothing is different at a
+    multiple of pi.
     """
     string = String(0.3, points=10)
     named = QUIET | {
@@ -117,7 +128,7 @@ def test_the_hinge_at_the_grasp_stays_continuous_through_full_turns():
 def energy(string: String, points: np.ndarray, dt: float, named: dict) -> np.ndarray:
     """Return the energy over the mass of one point, (F,) [J/kg].
 
-    Kinetic, elastic, bending and potential energy of all points.
+    It is the kinetic, elastic, bending and potential energy of all points.
     """
     velocity = np.gradient(points, dt, axis=0)
     segment = np.diff(points, axis=1)
@@ -200,7 +211,7 @@ def test_runs_that_do_not_stay_finite_are_rejected_and_leave_the_others_alone():
 def test_what_is_lost_later_does_not_matter_before():
     """A candidate is judged by its own times alone.
 
-    Others beside it may be simulated for longer.
+    Others beside it may be simulated for longer, and diverge there.
     """
     t = np.arange(0, 1.5, 0.005)
     hand, string = nudged(t, np.where(t < 1.0, 0.02 * np.sin(6 * t), 1e5)), String(0.3)

@@ -53,7 +53,10 @@ SWUNG = HELD + np.stack(
 
 
 def state_of(points, number, tick=T[1]):
-    """State at a frame of points (F, n, 2), by central differences of fourth order."""
+    """Return the state at a frame of points (F, n, 2).
+
+    Central differences are of fourth order.
+    """
     vector = np.diff(points, axis=1)
     angle = np.unwrap(
         np.unwrap(np.arctan2(vector[..., 1], vector[..., 0]), axis=0), axis=1
@@ -69,9 +72,10 @@ def state_of(points, number, tick=T[1]):
     "integrator", [SemiImplicitEuler(), RungeKutta4(), ImplicitLeapfrog()]
 )
 def test_a_rod_let_go_swings_as_a_pendulum(integrator, speed):
-    """The angle is a cos(w t) + b / w sin(w t), w^2 = (3 / 2) g / L.
+    """A released rod swings as a pendulum.
 
-    Of a thin rod; it is 0.7 % off at most, as its frequency is.
+    The angle is a cos(w t) + b / w sin(w t), w^2 = (3 / 2) g / L, as of a thin rod. It
+    is 0.7 % off at most, as its frequency is.
     """
     string = replace(FINE, points=20, integrator=integrator)
     start = StringState(
@@ -90,9 +94,10 @@ def test_a_rod_let_go_swings_as_a_pendulum(integrator, speed):
     "integrator", [SemiImplicitEuler(), RungeKutta4(), ImplicitLeapfrog()]
 )
 def test_a_motion_goes_on_from_any_of_its_states(integrator):
-    """Midway through a swing at 3 m/s; 0.15 mm are the strain that a state has not.
+    """A motion continues from any of its states.
 
-    Begun at rest it would be 363 mm off.
+    The state is midway through a swing at 3 m/s; 0.15 mm are the strain that a state
+    does not hold. With a start at rest it would be 363 mm off.
     """
     string = replace(FINE, integrator=integrator)
     hand, values = resample_hand_motion(T, SWUNG), string.values(SOFT)[None]
@@ -103,9 +108,10 @@ def test_a_motion_goes_on_from_any_of_its_states(integrator):
 
 
 def test_a_step_begins_where_its_velocities_are():
-    """Steps of 0.5 ms and twice that are of second order.
+    """A step begins where its velocities are.
 
-    They are 2.8 and 8.6 um off; 295 and 540 without the half step back.
+    Steps of 0.5 ms and twice that are of second order. They are 2.8 and 8.6 um off; 295
+    and 540 without the half step back.
     """
     hand, values = resample_hand_motion(T, HELD), FINE.values(SOFT)[None]
     start = StringState(
@@ -120,9 +126,10 @@ def test_a_step_begins_where_its_velocities_are():
 
 
 def test_the_state_is_of_the_cameras_clock():
-    """A camera whose clock is off sees the same release.
+    """The state is given by the camera's clock.
 
-    At the same times of its own clock; the hand moves at others.
+    A camera whose clock is off sees the same release at the same times of its own
+    clock. The hand moves at others.
     """
     model = Model(FINE, None, None).with_effects(TimeOffset)
     start = StringState(0.3, np.array([0.0, 0.3]), np.array([-1.5, -0.8]), np.zeros(2))

@@ -1,6 +1,6 @@
-"""Every effect of the library keeps what it declares.
+"""Every effect of the library keeps its declared properties.
 
-Invariants, zero, units, gradient, words, picture.
+They are invariants, zero, units, gradient, words and picture.
 """
 
 import re
@@ -131,9 +131,9 @@ def drawn(parameter: Parameter, rng: np.random.Generator, size: int) -> np.ndarr
 
 
 def arguments_of_string(effect, rng):
-    """Sample all that a law can take.
+    """Sample all arguments that a law can take.
 
-    Its slot's arguments, the paper's parameters, its own.
+    They are its slot's arguments, the paper's parameters, and its own.
     """
     sizes = {
         "curvature": 30.0,
@@ -182,7 +182,7 @@ def samples(effect, seed):
 
 
 def law_of(effect, name):
-    """Return the law as a function of all samples, its value an array."""
+    """Return the law as a function of all samples, with an array as its value."""
     law = effect.laws()[name]
     return lambda known: np.asarray(law(**{a: known[a] for a in law_arguments(law)}))
 
@@ -249,7 +249,7 @@ ELSEWHERE = {
 def exponents(unit: str) -> np.ndarray:
     """Return the powers of metre and second in a unit like 'N s2/(m kg)'.
 
-    Mass cancels in all of ours.
+    Mass cancels in all units of ours.
     """
     known = {
         "m": (1, 0, 0),
@@ -267,7 +267,7 @@ def exponents(unit: str) -> np.ndarray:
 
 
 def scales(effect) -> list[tuple[float, float]]:
-    """Sizes of the new metre and second."""
+    """Return sizes of the new metre and second."""
     if effect.name not in CONSTANTS:
         return [(1 / 3.0, 1.0), (1.0, 1 / 7.0)]
     metre, second = exponents(CONSTANTS[effect.name])
@@ -323,7 +323,7 @@ def test_laws_do_not_depend_on_the_units_they_are_measured_in(effect, law):
 def swung(arm, camera):
     """Simulate a swing by the plain model and by one with every effect.
 
-    Both at the base values.
+    Both have their base values.
     """
     plain = Model(String(0.3), arm, camera)
     motion = swing()
@@ -344,9 +344,10 @@ def test_absent_is_present_with_zero(swung):
     "parameter", [e.qualified_name(p) for e in ADDED for p in e.parameters]
 )
 def test_every_parameter_moves_the_string_smoothly(swung, parameter):
-    """Central differences in exponents agree with those of half the step.
+    """Every parameter moves the string smoothly.
 
-    The step is a tenth of the range; differences are not zero.
+    Central differences in exponents agree with those of half the step. The step is a
+    tenth of the range; differences are not zero.
     """
     _, full, motion, t = swung
     place = full.names.index(parameter)
@@ -368,9 +369,10 @@ def test_every_parameter_moves_the_string_smoothly(swung, parameter):
 
 
 def test_strings_with_every_effect_at_once_stay_finite(swung):
-    """Anywhere in all ranges, on a floor and a box below the hand.
+    """Strings with every effect at once stay finite.
 
-    The step's bound covers every active force.
+    Parameters are anywhere in all ranges, on a floor and a box below the hand. The
+    step's bound covers every active force.
     """
     _, full, motion, t = swung
     rng = np.random.default_rng(0)
@@ -384,7 +386,10 @@ def test_strings_with_every_effect_at_once_stay_finite(swung):
 
 
 def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swung):
-    """It may lie behind a plane that takes from what strikes it, or inside a box."""
+    """The bound of the step does not depend on the origin.
+
+    The origin may lie behind a plane that absorbs impacts, or inside a box.
+    """
     _, full, _, _ = swung
     behind, before = (
         {"contact.height": 0.4, "box_contact.centre_x": 0.0},
@@ -433,7 +438,10 @@ def test_effects_speak_and_draw(effect):
     ("stiffness", "said"), [(140.0, "sinks 70 mm into it"), (1e5, "turned 0 degrees")]
 )
 def test_a_plane_that_nobody_would_call_one_is_said_to_be_soft(stiffness, said):
-    """A mass sinks to the depth d with m g = k d."""
+    """A plane that is unusually soft is reported as soft.
+
+    A mass sinks to the depth d with m g = k d.
+    """
     known = {"stiffness": stiffness, "height": -0.2, "tilt": 0.0}
     assert LIBRARY["contact"].describe(known).endswith(said)
 
@@ -456,9 +464,10 @@ def test_parameters_have_bounds_around_their_absence(effect):
 
 
 def test_arguments_of_laws_are_known():
-    """A law may take arguments of four kinds.
+    """Arguments of laws are known.
 
-    Its slot's, the paper's parameters, its own, and what it derives.
+    A law may take arguments of four kinds: its slot's, the paper's parameters, its own,
+    and derived ones.
     """
     for effect, law in LAWS:
         if law in SLOTS:
@@ -473,9 +482,10 @@ def test_arguments_of_laws_are_known():
 
 
 def test_effects_act_as_they_stand_in_the_world_whatever_is_named_first(swung):
-    """Gears play behind the motor.
+    """Effects act in their physical order, whatever is named first.
 
-    Where that turns 10 % too far, a joint is half its gap behind the end, not 0.55.
+    Gears play behind the motor. Where that turns 10 % too far, a joint is half its gap
+    behind the end, not 0.55.
     """
     plain, _, motion, _ = swung
     gain, play = LIBRARY["joint_gain"], LIBRARY["backlash"]

@@ -19,9 +19,10 @@ from stringcast.stages.model.string import (
 
 
 def test_the_loop_can_be_printed(capsys):
-    """The printed text is a Python module.
+    """The loop can be printed.
 
-    The compiled loop for the paper's forces and the effects named.
+    The printed text is a Python module: the compiled loop for the paper's forces and
+    the effects named.
     """
     print_loop([])
     paper = capsys.readouterr().out
@@ -61,9 +62,10 @@ def test_effects_without_a_memory_share_a_loop_and_those_with_one_have_their_own
 
 
 def test_what_is_compiled_together_changes_nothing_where_it_is_absent(monkeypatch):
-    """Four effects of a size each, and the other three absent.
+    """An effect that is compiled but absent changes nothing.
 
-    In the loop of all, and in loops of their own.
+    Four effects have a size each, and the other three are absent. The loop of all
+    agrees with loops of their own.
     """
     times = np.arange(0, 0.5, 0.005)
     wave = 0.3 * np.sin(2 * np.pi * times / 0.5) ** 2

@@ -1,4 +1,4 @@
-"""The page that tells how to write a law: its code is run as it stands there."""
+"""The page on how to write a law, whose code is run as it is printed."""
 
 import re
 from dataclasses import replace

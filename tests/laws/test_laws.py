@@ -11,9 +11,9 @@ PARAMETERS = {
 
 
 def test_units_in_the_kernel_are_those_of_equation_1():
-    """At n = 10 a law's material form is the paper's force.
+    """Units in the kernel are those of Equation 1.
 
-    Per unit mass of a mass point.
+    At n = 10 a law's material form is the paper's force per unit mass of a mass point.
     """
     string = String(0.3)
     values = string.values(PARAMETERS)
@@ -33,7 +33,10 @@ def test_units_in_the_kernel_are_those_of_equation_1():
 
 @pytest.mark.parametrize("points", [10, 25])
 def test_the_papers_view_is_exact_at_its_own_n(points):
-    """reference_points == points: what is given per mass point is what acts on it."""
+    """The paper's units are exact at its own n.
+
+    With reference_points == points, what is given per mass point is what acts on it.
+    """
     string = String(0.3, points=points, reference_points=points)
     same = string.material(string.start_values()) / string.segment_length ** np.array(
         [p.length_power for p in string.parameters]

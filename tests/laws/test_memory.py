@@ -70,7 +70,10 @@ def moments(name, path, lapse=1e-3, **values):
 
 
 def work(path, moment):
-    """Done on the hinge until each step: the moment holds over the change that made it."""
+    """Return the work done on the hinge until each step.
+
+    The moment holds over the change that made it.
+    """
     return np.cumsum(moment * np.diff(path, prepend=0.0))
 
 
@@ -82,7 +85,10 @@ def test_every_law_with_memory_is_asked_here():
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_no_path_gets_more_out_of_a_hinge_than_it_put_in(name, seed):
-    """Where it holds nothing at first, all that was done on it is stored or lost."""
+    """No path gets more energy out of a hinge than it put in.
+
+    It holds nothing at first, so all work done on it is stored or lost.
+    """
     rng = np.random.default_rng(seed)
     path = np.cumsum(SLIP * rng.normal(size=300) * rng.choice([0.02, 0.3, 2.0]))
     done = work(path, moments(name, path))
@@ -101,7 +107,7 @@ def test_a_loop_of_a_slip_has_the_area_of_its_parallelogram(wide, name):
 
 
 def test_a_slip_turns_back_on_its_virgin_curve_twice_as_large():
-    """Masing's rule."""
+    """A slip turns back on its virgin curve twice as large (Masing's rule)."""
     x = SLIP * np.linspace(0, 1.5, 301)
     virgin = moments("maxwell_slip", x)
     back = moments(
@@ -187,7 +193,10 @@ MILD = {
     ],
 )
 def test_a_string_moves_the_same_whoever_integrates_it(name, arm, motion):
-    """And at a twentieth of the step. What it holds moves its tip by more than 5 mm."""
+    """A string moves the same with any integrator, and at a twentieth of the step.
+
+    Its memory moves its tip by more than 5 mm.
+    """
     model = ordinary(arm).with_effects(effects_by_name()[name])
     values = {f"{name}.{key}": value for key, value in MILD[name].items()}
     exact = tip(model, motion, values, RungeKutta4(), 5e-5)
@@ -206,9 +215,10 @@ def test_a_string_moves_the_same_whoever_integrates_it(name, arm, motion):
 
 
 def test_a_string_that_hangs_at_rest_holds_nothing(arm):
-    """It hangs as without friction, and stays there.
+    """The hinges of a string that hangs at rest hold no moment.
 
-    Started in equilibrium, or released there.
+    It hangs as without friction, and stays there, started in equilibrium or released
+    there.
     """
     model = ordinary(arm).with_effects(effects_by_name()["maxwell_slip"])
     still = resample_joint_motion(
@@ -232,9 +242,10 @@ def test_a_string_that_hangs_at_rest_holds_nothing(arm):
 
 
 def test_pulled_aside_within_its_slip_a_string_is_only_stiffer(arm):
-    """A string that begins elsewhere was pulled there slowly.
+    """A string pulled aside within its slip is only stiffer.
 
-    While it sticks, a stop adds cap / slip to the stiffness.
+    A string that begins elsewhere was pulled there slowly. While it sticks, a stop adds
+    cap / slip to the stiffness.
     """
     string = ordinary(arm).with_effects(effects_by_name()["maxwell_slip"]).string
     down = HandMotion(
@@ -292,9 +303,9 @@ def test_laws_take_what_their_slots_give():
 
 
 def test_several_of_a_kind_are_named_by_numbers(arm):
-    """Two slips in parallel are one of their sum.
+    """Several effects of a kind are named by numbers.
 
-    Where they slip at the same curvature.
+    Two slips in parallel are one of their sum where they slip at the same curvature.
     """
     both = ordinary(arm).with_effects(*find_effects(["maxwell_slip", "maxwell_slip_2"]))
     assert {"maxwell_slip.cap", "maxwell_slip_2.cap"} <= set(both.names)

@@ -1,6 +1,7 @@
 """Laws with memory in motion.
 
-Against mechanics, an independent integration of a rod, and smaller steps.
+They are compared with mechanics, an independent integration of a rod, and smaller
+steps.
 """
 
 from dataclasses import replace
@@ -48,7 +49,7 @@ FREQUENCY = np.sqrt(STIFFNESS / SEGMENT**4)
 def let_go(string, material, shape, t, theta=0.0):
     """Return the points (F, n, 2) of a string released from given angles.
 
-    Before a hand at rest at 0.
+    Its hand is at rest at 0.
     """
     hand = HandMotion(
         0.0, 0.005, np.tile([0.0, 0.0, theta], (1, len(t), 1)), np.zeros((1, len(t), 3))
@@ -68,7 +69,7 @@ def let_go(string, material, shape, t, theta=0.0):
 
 
 def bent(named, curvature, seconds=2.0, string=HINGE):
-    """Curvature of the one hinge over time, let go from there."""
+    """Release the one hinge from a curvature; return its curvature over time."""
     t = np.arange(0, seconds, 0.005)
     material = FIRM | {"bending_stiffness": STIFFNESS} | named
     points = let_go(string, material, [0.0, curvature * SEGMENT], t)
@@ -90,9 +91,10 @@ def turns(t, x):
 
 @pytest.mark.parametrize("name", ["maxwell_slip", "dahl_friction"])
 def test_under_a_cap_swings_become_smaller_by_as_much_each_time(name):
-    """By 2 cap / stiffness, less what the slip curvature gives back.
+    """Under a cap each swing is smaller than the last by the same amount.
 
-    From the energy at one end of a swing and the next.
+    The amount is 2 cap / stiffness, less what the slip curvature gives back. It follows
+    from the energy at one end of a swing and the next.
     """
     start, cap, slip = 6.0, 0.25 * STIFFNESS, 0.02
     t, curvature = bent({f"{name}.cap": cap, f"{name}.slip": slip}, start, 4.0)
@@ -109,9 +111,10 @@ def test_under_a_cap_swings_become_smaller_by_as_much_each_time(name):
 
 
 def test_a_hinge_that_sticks_swings_faster_than_one_that_slips():
-    """With K = 3 B it is twice as fast.
+    """A hinge that sticks swings faster than one that slips.
 
-    A swing of a hundred times the slip curvature is as slow as without.
+    With K = 3 B it is twice as fast. A swing of a hundred times the slip curvature is
+    as slow as without.
     """
     slip = 0.05
     named = {"maxwell_slip.cap": 3 * STIFFNESS * slip, "maxwell_slip.slip": slip}
@@ -136,7 +139,7 @@ def test_a_hinge_that_sticks_swings_faster_than_one_that_slips():
     "name", ["maxwell_slip", "dahl_friction", "standard_linear_solid"]
 )
 def test_half_the_step_is_half_as_far_off_and_a_tenth_a_tenth(name, integrator, step):
-    """First order at least."""
+    """Half the step is half as far off, and a tenth a tenth: at least first order."""
     values = (
         {"stiffness": STIFFNESS, "relaxation": 0.1}
         if "solid" in name
@@ -192,8 +195,8 @@ def stop(rate, held, limit):
 def rates(theta, named):
     """Return the rates of a rod's state by Lagrange's equations in the links' angles.
 
-    Of angles of three massless links with points at their ends (3), their rates (3),
-    and the memory of two hinges (2, 2, 2) and of the grasp (1).
+    The state holds angles of three massless links with points at their ends (3), their
+    rates (3), and the memory of two hinges (2, 2, 2) and of the grasp (1).
     """
     length = LENGTH / 3
     carried = length * np.arange(3, 0, -1)  # [m] mass at and beyond each link's end
@@ -268,9 +271,10 @@ def independent(shape, t, theta, named):
 
 @pytest.mark.parametrize("law", [*MEMORY, "all"])
 def test_a_rod_that_somebody_else_integrates_moves_the_same(law):
-    """Within 0.05 mm, of which most is the stretch that it lacks.
+    """An independently integrated rod moves the same within 0.05 mm.
 
-    Memory moves the tip by more than 5 mm.
+    Most of the difference is the stretch that it does not have. Memory moves the tip by
+    more than 5 mm.
     """
     absent = (
         HELD
@@ -329,9 +333,10 @@ class CreepingSlip(StringEffect):
 def test_a_law_with_memory_is_one_file_of_which_twelve_lines_are_the_law(
     tmp_path, monkeypatch
 ):
-    """Nothing else is edited.
+    """A law with memory is one file of which twelve lines are the law.
 
-    It is found, runs, is absent at zero, and damps a swing.
+    Nothing else is edited. The law is found, runs, is absent at zero, and damps a
+    swing.
     """
     assert len([line for line in LAW.splitlines() if line.strip()]) <= 12
     (tmp_path / "creeping_slip.py").write_text(FILE)

@@ -1,4 +1,4 @@
-"""What every force must respect: no place, direction, handedness or company is special."""
+"""Symmetries of every force: no place, direction, handedness or company is special."""
 
 import numba
 import numpy as np
@@ -66,9 +66,10 @@ def test_without_weight_no_direction_is_special(turn):
 
 
 def test_inner_forces_do_not_push_the_string_as_a_whole():
-    """Weightless and airless, a string is drawn along behind the hand.
+    """Inner forces do not push the string as a whole.
 
-    It ends straight and follows at the hand's speed.
+    Weightless and airless, a string is drawn along behind the hand. It ends straight
+    and follows at the hand's speed.
     """
     string = String(0.3, effects=WEIGHTLESS)
     t = np.arange(0, 0.8, 0.005)
@@ -90,9 +91,10 @@ def test_inner_forces_do_not_push_the_string_as_a_whole():
 
 
 def test_a_string_that_turns_with_the_hand_is_not_bent_by_the_grasp():
-    """Weightless and airless, it is spun about the grasp at a constant rate.
+    """A string that turns with the hand is not bent by the grasp.
 
-    It points where the grasp does.
+    Weightless and airless, it is spun about the grasp at a constant rate. It points
+    where the grasp does.
     """
     string = String(0.3, effects=WEIGHTLESS)
     t = np.arange(0, 1.5, 0.005)
@@ -140,9 +142,10 @@ def test_candidates_do_not_notice_each_other_nor_the_threads(integrator):
     ],
 )
 def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, integrator):
-    """It is compiled after a thousand runs.
+    """The loop for one candidate equals that of many to the bit.
 
-    A result must not depend on how many there were before.
+    It is compiled after a thousand runs. A result must not depend on how many there
+    were before.
     """
     string = String(0.3, points=15, integrator=integrator)
     rng = np.random.default_rng(1)
@@ -156,7 +159,10 @@ def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, inte
 
 
 def test_only_the_paper_s_forces_are_ever_alone(monkeypatch):
-    """With others the compiler rounds some sums otherwise in one lane."""
+    """Only the paper's forces are ever simulated alone.
+
+    With others the compiler rounds some sums otherwise in one lane.
+    """
     monkeypatch.setattr(batching, "RUNS_BEFORE_SINGLE_LANE", 0)
     string = String(0.3, effects=(*PAPER_EFFECTS, MaxwellSlip))
     assert (

@@ -1,4 +1,7 @@
-"""Work in pieces: each is done once, and nobody waits for a thread that is elsewhere."""
+"""Parallel work in pieces.
+
+Each is done once, and nobody waits for a thread that is busy.
+"""
 
 import os
 import threading

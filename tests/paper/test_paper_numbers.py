@@ -1,5 +1,7 @@
-"""The paper's numbers: whole, with their places, and those that the configuration is
-said to take from the paper.
+"""The paper's numbers.
+
+They are complete, with their places, and include those that the configuration takes
+from the paper.
 """
 
 import pandas as pd

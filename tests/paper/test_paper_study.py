@@ -1,6 +1,7 @@
-"""The study of the paper's experiments on runs made up by hand: what counts as a hit,
-and when; that it grows and goes on; and that tables, figures and page are made of what
-runs leave.
+"""The study of the paper's experiments on runs made up by hand.
+
+It tests what counts as a hit, and when; that the study grows and continues; and that
+tables, figures and page are made from the runs.
 """
 
 import json
@@ -25,8 +26,10 @@ INF = np.inf
 
 
 def runs(**hits):
-    """Table RUNS: for each experiment the manipulations in which its runs hit, in the
-    order of their seeds.
+    """Return table RUNS.
+
+    For each experiment it holds the manipulations in which its runs hit, in the order
+    of their seeds.
     """
     rows = [
         {
@@ -49,7 +52,7 @@ def runs(**hits):
 
 
 def test_hit_rates_and_their_intervals_are_those_of_the_books():
-    """Clopper and Pearson's intervals of 1, 3 and 4 of 4."""
+    """Hit rates have Clopper and Pearson's intervals of 1, 3 and 4 of 4."""
     table = scores.rate_table(runs(wall=[1, 2, 2, 5])).set_index("within")
     assert table["right"].to_dict() == {1: 1, 2: 3, 3: 3, 4: 3, 5: 4}
     assert (table["count"] == 4).all()
@@ -90,8 +93,10 @@ def test_the_nine_are_counted_together_and_nothing_else_with_them():
 
 
 def test_the_median_bears_runs_that_never_hit():
-    """Of six values the least and the largest hold the median with 1 - 2 / 64 = 97 %,
-    of five with 94 %: no interval.
+    """The median tolerates runs that never hit.
+
+    Of six values the least and the largest hold the median with 1 - 2 / 64 = 97 %, of
+    five with 94 %: no interval.
     """
     six = scores.median_with_interval(np.array([INF, 1, 2, 2, 3, INF]))
     assert (six["median"], six["low"], six["high"]) == (2, 1, INF)
@@ -121,13 +126,13 @@ S = np.linspace(0, 0.3, 10)
 
 
 def strings(lift):
-    """A straight string that hangs, and rises with time."""
+    """Return a straight string that hangs, and rises with time."""
     t, s = (a.ravel() for a in np.meshgrid(T, S, indexing="ij"))
     return pd.DataFrame({"t": t, "s": s, "x": 0.5 + 0 * s, "y": 0.8 - s + lift * t})
 
 
 def leave_run(place, hits):
-    """What a run leaves whose casts hit or not."""
+    """Write the files of a run whose casts hit or not."""
     config = compose_settings(
         ["+experiment=paper", "obstacles=wall", "target=at_900_500"]
     )
@@ -175,8 +180,9 @@ shutil.copytree(template, place)
 
 @pytest.fixture
 def study(tmp_path):
-    """Three runs asked for: the first hits in its second cast, the second not in five,
-    the third fails.
+    """Return the ledger and command of a study of three runs.
+
+    The first hits in its second cast, the second not in five, the third fails.
     """
     leave_run(tmp_path / "0", [False, True])
     leave_run(tmp_path / "1", [False] * 5)

@@ -1,4 +1,4 @@
-"""Experiments about trials of others, with a small camera."""
+"""Experiments on measured trials, with a small camera."""
 
 from pathlib import Path
 
@@ -16,7 +16,10 @@ SMALL = (
 
 
 def about(trials: Path, *overrides: str) -> Experiment:
-    """An experiment ready to be performed. overrides: as on the command line."""
+    """Return an experiment ready to be performed.
+
+    `overrides` are those of the command line.
+    """
     asked = OmegaConf.create(
         compose_settings([*overrides, f"trials={trials}", "string.length=0.33", *SMALL])
     )

@@ -1,5 +1,6 @@
-"""The command as a user gives it: runs, resumes, estimates again, sweeps, and refuses
-clearly.
+"""The command as a user gives it.
+
+It runs, resumes, estimates again, sweeps, and refuses clearly.
 """
 
 import json
@@ -27,7 +28,7 @@ EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
-    """A finished smoke run."""
+    """Perform a smoke run."""
     folder = tmp_path_factory.mktemp("runs") / "quick"
     done = pipeline(
         "-v", "+experiment=quick", "max_casts=2", *MISSED, f"hydra.run.dir={folder}"
@@ -53,8 +54,10 @@ def same(a, b):
 def test_what_is_found_does_not_depend_on_how_many_cores_there_are(
     monkeypatch, called, tmp_path
 ):
-    """Sums of long columns by several threads differ in their last digit, and a fit
-    that stops a step later by more.
+    """Results do not depend on the number of cores.
+
+    Sums of long columns by several threads differ in their last digit. A fit that stops
+    a step later differs by more.
     """
     for words, place in (
         (["seed=1"], "stringcast.pipeline.run.single_run.main"),
@@ -96,7 +99,10 @@ def test_a_run_leaves_everything_on_disk(quick):
 
 
 def test_the_second_motion_is_the_first_slightly_changed(quick):
-    """III: the same start, and control points near the last ones."""
+    """The second motion is the first slightly changed, as Section III says.
+
+    It has the same start, and control points near the last ones.
+    """
     first, second = (
         pd.read_parquet(quick / f"iterations/{n}/motion/commands.parquet")
         for n in ("01", "02")
@@ -134,8 +140,10 @@ def test_every_number_has_its_unit_and_every_file_its_origin(quick):
 
 
 def test_an_interrupted_run_goes_on_to_the_same_result(quick, called, tmp_path):
-    """As if killed in the middle: later artifacts gone, one half-written aside. On
-    another number of threads, too.
+    """An interrupted run continues to the same result.
+
+    As if killed in the middle, later artifacts are missing, and one is half written
+    under another name. It continues on another number of threads, too.
     """
     part = tmp_path / "part"
     shutil.copytree(quick, part)
@@ -189,7 +197,9 @@ def test_estimation_again_from_stored_trials_is_bit_identical(quick, called, tmp
 def test_points_are_made_of_frames_where_only_frames_were_stored(
     quick, called, tmp_path
 ):
-    """Somebody's dataset of pictures and joint angles: the same pictures give the same
+    """Points are extracted from frames where only frames were stored.
+
+    The dataset of others has pictures and joint angles. The same pictures give the same
     points.
     """
     theirs = tmp_path / "theirs"
@@ -343,7 +353,9 @@ def test_a_refused_command_ends_with_its_error_and_a_status(overrides, tmp_path)
 def test_stored_trials_keep_their_settings_but_for_what_is_given(
     quick, called, tmp_path
 ):
-    """A part of a block given on the command line must not bring back the rest of its
+    """Stored trials keep their settings except for those that are given.
+
+    A part of a block given on the command line must not restore the rest of its
     defaults.
     """
     about = tmp_path / "trials"
@@ -374,7 +386,10 @@ def test_stored_trials_keep_their_settings_but_for_what_is_given(
 
 
 def test_a_measured_string_is_as_long_as_it_is_however_it_is_simulated(quick, tmp_path):
-    """Also a run of ours; what the command line says of the length itself stands."""
+    """A measured string keeps its length, however it is simulated.
+
+    This includes a run of ours. A length on the command line takes precedence.
+    """
     (tmp_path / "dataset.yaml").write_text("format: 1\nstring: {length: 0.45}\n")
 
     def used(folder, *more):
@@ -440,7 +455,7 @@ def test_a_damaged_trial_is_named(quick, called, tmp_path):
 
 
 def composed(*overrides):
-    """The world of a configuration."""
+    """Return the settings of a configuration."""
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 

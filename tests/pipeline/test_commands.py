@@ -1,5 +1,6 @@
-"""verify, why, diff, lineage, index and resume: what they say of whole, changed,
-damaged and unfinished runs.
+"""The commands verify, why, diff, lineage, index and resume.
+
+They describe whole, changed, damaged and unfinished runs.
 """
 
 import json
@@ -34,7 +35,7 @@ PAGE = Path(commands.__file__).with_name("README.md")
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """A folder of runs: a whole one of two casts, and another with another seed."""
+    """Perform a whole run of two casts, and another with another seed."""
     outputs = tmp_path_factory.mktemp("outputs")
     patch = pytest.MonkeyPatch()
     patch.setattr(os, "fsync", lambda handle: None)
@@ -46,12 +47,12 @@ def finished(tmp_path_factory):
 
 @pytest.fixture
 def run(finished, tmp_path):
-    """A copy of the whole run, to spoil."""
+    """Copy the whole run, to be damaged."""
     return shutil.copytree(finished / "day" / "a", tmp_path / "run")
 
 
 def asked(capsys, *command):
-    """The exit status of a command, and what it said, on one line."""
+    """Return the exit status of a command, and its output on one line."""
     status = shell.run_command(command[0], [str(word) for word in command[1:]])
     said = capsys.readouterr()
     return status, re.sub(r"\s+", " ", said.out + said.err)
@@ -67,7 +68,7 @@ def verified(run, tmp_path, here):
 
 
 def change(run, step, table, column, row, value):
-    """Another value in a stored table, with the same origin."""
+    """Change a value in a stored table, with the same origin."""
     file = run / "iterations" / step / f"{table.name}.parquet"
     frame = store.read_table(table, file)
     frame.loc[row, column] = value(frame.loc[row, column])
@@ -135,7 +136,10 @@ def aligned(model, observations, films, *, progress):
 
 
 def test_a_run_without_points_is_verified_too(tmp_path):
-    """An alignment films the arm, and reads no string: there is no dataset of it."""
+    """A run without points is verified, too.
+
+    An alignment films the arm, and reads no string, so it has no dataset.
+    """
     mode = Batch(stage="align", reading=(), again=False, first=("generate", "execute"))
     here = toy_experiment(1, mode=mode)
     here = replace(here, stages={**here.stages, "align": aligned})
@@ -150,7 +154,7 @@ def test_a_run_without_points_is_verified_too(tmp_path):
 
 
 def real_arm():
-    """The toy world with an arm that is not the virtual lab's."""
+    """Return the toy experiment with an arm that is not the virtual lab's."""
     here = toy_experiment()
     hardware = {**here.config["hardware"], "_target_": "hardware.serial.lab.open_lab"}
     return toy_experiment(hardware=hardware)
@@ -309,8 +313,10 @@ def test_lineage_goes_back_to_the_first_motion_and_notices_what_changed(run, cap
 
 @pytest.fixture
 def many(finished, tmp_path):
-    """Runs that ended, failed, were interrupted, are damaged, stale, and of a version
-    without a setting.
+    """Return runs in many states.
+
+    They ended, failed, were interrupted, are damaged, stale, or of a version without a
+    setting.
     """
     outputs = shutil.copytree(finished, tmp_path / "outputs")
     for name in ("failed", "interrupted", "damaged", "stale", "old"):
@@ -404,7 +410,7 @@ def test_every_command_has_a_help_and_is_listed(capsys):
 
 
 def blocks(language):
-    """The examples of the page, in their order."""
+    """Return the examples of the page, in their order."""
     return re.findall(rf"```{language}\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 
@@ -435,7 +441,10 @@ def test_the_examples_of_the_page_run_in_duckdb(
 
 @pytest.mark.parametrize("mode", [Calibrate()])
 def test_a_study_has_no_steps_to_ask_for(mode, tmp_path):
-    """Its trials, where it has any, are not read as a dataset."""
+    """A study has no steps to be asked for.
+
+    Its trials, where it has any, are not read as a dataset.
+    """
     study = toy_experiment(mode=mode, trials=str(tmp_path))
     with pytest.raises(
         UserError,
@@ -445,8 +454,10 @@ def test_a_study_has_no_steps_to_ask_for(mode, tmp_path):
 
 
 def test_stored_trials_are_looked_for_where_they_were_named(tmp_path, monkeypatch):
-    """A run lies elsewhere than its `trials`, which may be named from the folder where
-    the command was given.
+    """Stored trials are looked for where they were named.
+
+    A run lies elsewhere than its `trials`, which may be named relative to the folder
+    where the command was given.
     """
     monkeypatch.chdir(tmp_path)
     for name in ("data/arm.csv", "run/iterations/01/points/points.csv", "secret"):

@@ -1,8 +1,9 @@
-"""Deciding with a bench attached: what a diagnosis proposes is performed, filmed and
-diagnosed with all the rest.
+"""Decisions with a bench attached.
 
-The diagnosis itself is replaced by one that proposes a swing until it has seen it: here
-only the shell is asked.
+A motion that a diagnosis proposes is performed, filmed and diagnosed with all the rest.
+
+The diagnosis itself is replaced by one that proposes a swing until it has seen it,
+because only the orchestration is tested here.
 """
 
 import json
@@ -22,7 +23,7 @@ SEEN = []  # names of the trials of each diagnosis made
 
 
 def proposing(model, observations, rejected, held_out, obstacles, *, seed, progress):
-    """A diagnosis that wants a swing until it has seen one performed."""
+    """Return a diagnosis that proposes a swing until one was performed."""
     SEEN.append([o.trial for o in observations])
     wanted = not any(o.trial.startswith("performed") for o in observations)
     text = {

@@ -1,5 +1,6 @@
-"""A whole run with the arm disabled: every step but estimation, and its trial is
-refused wherever it is read.
+"""A whole run with the arm disabled.
+
+It runs every step but estimation, and its trial is refused wherever it is read.
 """
 
 import json
@@ -60,7 +61,7 @@ def test_nothing_is_learned_from_a_rehearsal(called, tmp_path):
 
 
 class Absent:
-    """A device that is not there."""
+    """A device that is not connected."""
 
     def __init__(self, words):
         self.words = words

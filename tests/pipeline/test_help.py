@@ -1,5 +1,6 @@
-"""Every setting that the help lists says what it means, or belongs to a block that
-does; numbers in a unit say it.
+"""Every setting of the help is described by itself or by its block.
+
+Numbers in a unit state it.
 """
 
 import re
@@ -49,7 +50,10 @@ def test_lengths_times_and_angles_have_units():
 
 
 def test_the_reference_is_what_it_would_be_made_now():
-    """Else: python -m pipeline.settings.reference."""
+    """The reference page is current.
+
+    If it is not, run: python -m pipeline.settings.reference.
+    """
     assert reference.reference_page() == reference.PAGE_FILE.read_text(encoding="utf-8")
 
 

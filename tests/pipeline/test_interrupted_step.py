@@ -1,5 +1,6 @@
-"""Ctrl-C while a stage works: what it knows then is kept and shown, and made again by
-who goes on.
+"""Ctrl-C while a stage works.
+
+Its results so far are kept and shown, and made again when the run continues.
 """
 
 import json
@@ -21,7 +22,10 @@ from tests.pipeline.small import about
 
 @pytest.fixture(autouse=True)
 def heard():
-    """SIGINT as in a terminal: what a shell starts in the background is deaf to it."""
+    """Handle SIGINT as in a terminal.
+
+    A process that a shell starts in the background ignores it.
+    """
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -53,12 +57,12 @@ def said(**more):
 
 
 def whole(*given, **more) -> Diagnosis:
-    """Ends when all was asked."""
+    """Return a finished diagnosis."""
     return said(interrupted=False)
 
 
 def patient(*given, **more) -> Diagnosis:
-    """Ends with what it knows."""
+    """Return an unfinished diagnosis when interrupted."""
     try:
         signal.raise_signal(signal.SIGINT)
     except InterruptRequest:
@@ -67,7 +71,7 @@ def patient(*given, **more) -> Diagnosis:
 
 
 def hasty(*given, **more) -> Diagnosis:
-    """Lets it pass."""
+    """Let the interruption pass."""
     signal.raise_signal(signal.SIGINT)
     raise AssertionError("nobody interrupted it")
 

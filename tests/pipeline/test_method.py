@@ -51,7 +51,10 @@ def test_a_plain_cast_is_the_robust_one(words):
 
 
 def test_what_can_be_pasted_is_on_one_line_of_any_terminal(tmp_path):
-    """A path that is broken by the terminal's width is none."""
+    """A text to be pasted is on one line of any terminal.
+
+    A path that the terminal's width breaks cannot be pasted.
+    """
     folder = tmp_path / ("a-long-name-of-a-folder-" * 4)
     out = Terminal(file=io.StringIO(), width=80)
     print_summary(RunResult(folder, (), "The tip reached the target."), out)
@@ -78,7 +81,10 @@ def test_what_a_run_says_is_not_cut(tmp_path, said):
 
 
 def test_packages_are_installed_for_the_interpreter_that_lacks_them():
-    """`pip` alone may be another's."""
+    """Packages are installed for the interpreter that lacks them.
+
+    `pip` alone may belong to another interpreter.
+    """
     said = with_program_name("h5py is needed: pip install h5py")
     assert re.fullmatch(r"h5py is needed: \S*python\S* -m pip install h5py", said)
     assert with_program_name(said) == said

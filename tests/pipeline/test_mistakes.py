@@ -1,6 +1,4 @@
-"""What people type when they mean something else is answered by one line, with the
-command to paste.
-"""
+"""Mistyped commands are answered by one line, with the command to paste."""
 
 import re
 import shlex

@@ -1,5 +1,6 @@
-"""What `new` and `template` write works as it is: settings compose, an effect keeps its
-own laws, a dataset is read.
+"""Output of `new` and `template` works as it is.
+
+Settings compose, an effect keeps its own laws, and a dataset is read.
 """
 
 import numpy as np

@@ -1,5 +1,7 @@
-"""A stage is one folder and one group of settings: as `new stage` writes it, put into a
-copy of the package, it is found, run, kept and shown.
+"""A stage is one folder and one group of settings.
+
+As `new stage` writes it, put into a copy of the package, it is found, run, kept and
+shown.
 """
 
 import inspect
@@ -30,7 +32,7 @@ ASKED = (
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory):
-    """A copy of the package, with the stage put into it."""
+    """Return a copy of the package, with the stage put into it."""
     site = tmp_path_factory.mktemp("site")
     shutil.copytree(ROOT / "pipeline" / "api", site / "stringcast")
     shutil.copytree(ROOT / "hydra_plugins", site / "hydra_plugins")
@@ -48,7 +50,7 @@ def package(tmp_path_factory):
 
 
 def said(package, *words):
-    """Exit status and output of a command of the copy."""
+    """Return the exit status and output of a command of the copy."""
     around = os.environ | {"PYTHONPATH": str(package)}
     call = [sys.executable, "-m", "stringcast", *map(str, words)]
     done = subprocess.run(
@@ -78,8 +80,10 @@ def test_a_new_stage_is_a_folder_and_a_group_of_settings(package, tmp_path):
 
 
 def test_every_stage_says_what_is_so():
-    """Names that are text name functions; a stage takes what it asks for, and uses
-    settings that there are.
+    """The declarations of every stage are true.
+
+    Their function names exist, a stage takes the inputs it declares, and the settings
+    it uses exist.
     """
     settings, folders = compose_settings(), {}
     for name, stage in stages().items():

@@ -1,5 +1,6 @@
-"""The folders of a clone are one package: a wheel holds all of it, nothing of its own
-name beside it, and runs anywhere.
+"""The folders of a clone are one package.
+
+A wheel holds all of it, installs nothing else, and runs anywhere.
 """
 
 import ast
@@ -26,7 +27,7 @@ LEFT_OUT = (
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """A folder in which the wheel is unpacked, as site-packages are."""
+    """Return a folder in which the wheel is unpacked, as in site-packages."""
     folder = tmp_path_factory.mktemp("wheel")
     clone = folder / "clone"
     subprocess.run(["git", "clone", "-q", ROOT, clone], check=True)
@@ -66,8 +67,10 @@ def test_all_that_a_clone_holds_is_in_the_one_package(site):
 
 
 def test_what_is_installed_runs_in_any_folder(site, tmp_path):
-    """Ahead of this clone on the path: settings composed from the package, a command's
-    answer, no folder of ours needed.
+    """The installed package runs in any folder.
+
+    It stands ahead of this clone on the path. Settings compose from it, a command
+    answers, and no folder of ours is needed.
     """
     where = os.environ | {
         "PYTHONPATH": str(site),
@@ -118,7 +121,10 @@ def test_the_clone_runs_as_itself_and_not_as_another(tmp_path):
 
 
 def test_rooms_are_imported_by_the_name_of_the_package_alone():
-    """`stages.model` beside `stringcast.stages.model` would be two modules of one file."""
+    """Rooms are imported by the name of the package alone.
+
+    `stages.model` and `stringcast.stages.model` would be two modules of one file.
+    """
     for file in [
         path for room in (*ROOMS, "tests") for path in (ROOT / room).rglob("*.py")
     ]:

@@ -1,8 +1,9 @@
-"""Every command of every page is run and does what the page says: those of a second or
-two that no other test runs by default, all others by `test --all`. Where the page's own
-command takes over ten minutes it is run at a smaller size, as `less` says. What is run
-by another test, or needs a device, a person or another machine, stands in one list with
-its reason: `pytest -rs` prints it.
+"""Every command of every page is run and does what the page says.
+
+Commands of a second or two that no other test runs are run by default, all others by
+`test --all`. Where the page's own command takes over ten minutes it is run at a smaller
+size, as `less` says. Commands that are run by another test, or need a device, a person
+or another machine, stand in one list with the reason: `pytest -rs` prints it.
 """
 
 import os
@@ -38,9 +39,11 @@ PAPER = (
 
 @dataclass(frozen=True)
 class Run:
-    """How a command of a page is run. says: a pattern of what it prints. leaves: files
-    of its folder. rows: of a table there. less: words that make it smaller. of: what is
-    put in for outputs/... long: over 20 s, or run by default elsewhere.
+    """A way to run a command of a page.
+
+    `says` is a pattern of what it prints. `leaves` are files of its folder. `rows` is
+    the number of rows of a table there. `less` are words that make it smaller. `of`
+    replaces outputs/... . `long` means over 20 s, or run by default elsewhere.
     """
 
     says: str = ""
@@ -197,7 +200,7 @@ ELSEWHERE = {  # which test runs it, or why none can
 
 
 def shown():
-    """Every command of every page, as it stands there, less what is said behind a #."""
+    """Return every command of every page as printed, without comments behind a #."""
     found = set()
     for page in pages():
         for line in (ROOT / page).read_text(encoding="utf-8").splitlines():
@@ -226,12 +229,12 @@ def test_what_is_run_elsewhere_or_nowhere(command):
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A folder in which runs are made once and looked at by all: `made` knows how."""
+    """Return a folder in which `made` makes runs once for all tests."""
     return tmp_path_factory.mktemp("pages")
 
 
 def asked(words, cwd=ROOT):
-    """The command's exit status and words, in one line."""
+    """Return the command's exit status and output, in one line."""
     around = os.environ | {"PYTHONPATH": str(cwd / ".package")}
     command = [sys.executable, "-m", *words]
     done = subprocess.run(
@@ -241,8 +244,9 @@ def asked(words, cwd=ROOT):
 
 
 def copied(folder):
-    """The last commit of the project in a folder, for commands that rewrite what was
-    recorded.
+    """Copy the last commit of the project into a folder.
+
+    Commands that overwrite recorded files run there.
     """
     subprocess.run(["git", "clone", "-q", ROOT, folder], check=True)
     package = folder / ".package" / "stringcast"
@@ -256,8 +260,9 @@ def copied(folder):
 
 
 def made(place, name):
-    """What a reader has before a page's command is given: a cast, a diagnosis, an
-    alignment, measurements, pictures.
+    """Make the input that a reader has before a page's command is given.
+
+    It is a cast, a diagnosis, an alignment, measurements or pictures.
     """
     folder = place / name
     if folder.exists():
@@ -283,7 +288,7 @@ def made(place, name):
 
 
 def photographed(folder):
-    """Pictures and a film of a tilted board, and one of it in the plane."""
+    """Draw pictures and a film of a tilted board, and one of it in the plane."""
     rng = np.random.default_rng(0)
     (folder / "tilted").mkdir(parents=True)
     (folder / "flat").mkdir()
@@ -307,7 +312,7 @@ def photographed(folder):
 
 
 def filled(command, run, place, out):
-    """Words of the command, with what a reader puts in."""
+    """Return the words of the command, with a reader's values filled in."""
     words = shlex.split(f"{command} {run.less}")
     needed = re.search(r"outputs/\.\.\.|<|tilted|outputs/gallery/|trials=mine", command)
     folder = made(place, run.of) if needed else place

@@ -1,6 +1,7 @@
-"""Every call of the pipeline that a page shows is one: its settings compose, or it is a
-command that there is. Those that need no run to be there, and take a second or two, are
-run, and say what the page says.
+"""Every call of the pipeline that a page shows is valid.
+
+Its settings compose, or its command exists. Calls that need no existing run, and take a
+second or two, are run, and print what the page says.
 """
 
 import re
@@ -33,8 +34,9 @@ def pages():
 
 
 def calls():
-    """Page and arguments of every call in a code line or between backquotes, less what
-    is said behind a #.
+    """Return page and arguments of every call in a code line or between backquotes.
+
+    Comments behind a # are left out.
     """
     for page in pages():
         for line in (ROOT / page).read_text(encoding="utf-8").splitlines():
@@ -46,7 +48,7 @@ def calls():
 
 
 def first_of(override):
-    """An override, or the first of those that a sweep of it would give."""
+    """Return an override, or the first of those that a sweep of it would give."""
     parsed = OverridesParser.create().parse_override(override)
     if not parsed.is_sweep_override():
         return override
@@ -79,7 +81,10 @@ def test_what_a_page_calls_can_be_called(page, given):
 
 
 def code(page):
-    """Lines of code of a page, each with the Python and the package of these tests."""
+    """Return lines of code of a page.
+
+    Each runs with the Python and the package of these tests.
+    """
     lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
     calls = (
         (".venv/bin/python -m pipeline", ".venv/bin/python -m stringcast"),
@@ -91,7 +96,11 @@ def code(page):
 
 
 def test_the_first_ten_minutes_go_as_the_page_says(tmp_path):
-    """All of data/README.md up to the diagnosis, in an empty folder beside the sample."""
+    """The first ten minutes run as the page says.
+
+    All of data/README.md up to the diagnosis is run in an empty folder beside the
+    sample.
+    """
     (tmp_path / "data").symlink_to(ROOT / "data")
     lines = code("data/README.md")
     first, last = (

@@ -1,4 +1,4 @@
-"""The wiring of stages: what is refused, what acts, and what becomes stale."""
+"""The wiring of stages: refusals, effects of settings, and stale results."""
 
 from dataclasses import dataclass, replace
 
@@ -40,7 +40,7 @@ def run_smooth(call, points):
 
 @pytest.fixture
 def smooth(monkeypatch):
-    """A stage of a user, between extraction and estimation."""
+    """Register a stage of a user, between extraction and estimation."""
     monkeypatch.setitem(stages(), "smooth", SMOOTH)
     monkeypatch.setattr(spec, "toy_smooth", run_smooth, raising=False)
 
@@ -203,7 +203,7 @@ class Chain(Stepwise):
 
 
 def run_node(call, **inputs):
-    """Make a number of a setting and of all inputs."""
+    """Compute a number from a setting and all inputs."""
     name = call.by()
     MADE.append(name)
     value = number(
@@ -219,7 +219,10 @@ MADE = []
 
 @st.composite
 def random_graphs(draw):
-    """Sources of each node, all of them earlier nodes, and the node that changes."""
+    """Draw the sources of each node, and the node that changes.
+
+    All sources are earlier nodes.
+    """
     count = draw(st.integers(2, 7))
     sources = []
     for node in range(count):

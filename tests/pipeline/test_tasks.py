@@ -11,7 +11,10 @@ import tasks
 def test_any_command_that_does_not_end_with_0_fails(
     monkeypatch, code, command, arguments
 ):
-    """A negative code is a signal's; pytest ends with 5 where it ran no test."""
+    """Any command that does not end with 0 fails.
+
+    A negative code is a signal's; pytest ends with 5 where it ran no test.
+    """
     monkeypatch.setattr(
         tasks, "run_module", lambda name, *_, **__: code if name == command else 0
     )

@@ -1,5 +1,6 @@
-"""What dataset.yaml says was weighed is known: it hangs at the tip of the model, and is
-not fitted.
+"""A weight that dataset.yaml states is known.
+
+It hangs at the tip of the model, and is not fitted.
 """
 
 import pytest

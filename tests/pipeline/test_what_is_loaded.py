@@ -1,5 +1,6 @@
-"""Who asks does not wait for what only a run needs: by the names of modules, for times
-differ from machine to machine.
+"""A command does not load packages that only a run needs.
+
+Names of modules are tested, because times differ from machine to machine.
 """
 
 import subprocess
@@ -24,7 +25,7 @@ print("loaded:", *sorted({name.partition(".")[0] for name in sys.modules}))
 
 
 def loaded(*words):
-    """Packages that a command has loaded when it ends."""
+    """Return the packages that a command has loaded when it ends."""
     command = [sys.executable, "-c", SHOWN, *map(str, words)]
     asked = subprocess.run(
         command, cwd=ROOT, capture_output=True, text=True, check=True

@@ -1,5 +1,6 @@
-"""Chromium without a window, asked through a pipe: no driver, no network, nothing to
-install but the browser.
+"""Chromium without a window, controlled through a pipe.
+
+It needs no driver and no network, and only the browser must be installed.
 """
 
 import json
@@ -22,8 +23,9 @@ def find_chromium():
 
 
 class Browser:
-    """One page at a time. faults: what its console and its policy complained of, as
-    text.
+    """A browser with one page at a time.
+
+    `faults` holds the complaints of its console and its policy, as text.
     """
 
     def __init__(self, to, said):

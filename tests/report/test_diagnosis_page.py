@@ -1,4 +1,6 @@
-"""The page of a diagnosis: every verdict, whole in itself, numbers as they are in the
+"""The page of a diagnosis.
+
+It shows every verdict, is complete in itself, and has numbers as they are in the
 artifact.
 """
 
@@ -85,8 +87,9 @@ UNCERTAIN = {"intervals": {}, "correlations": []}
 # --- a plausible diagnosis, without one being made
 # ------------------------------------------
 def measured(off=0.004, trials=2, frames=30):
-    """A straight string that swings; the base model is off to its right by `off` s/L,
-    growing with time and trial.
+    """Return a straight string that swings.
+
+    The base model is off to its right by `off` s/L, growing with time and trial.
     """
     rng = np.random.default_rng(1)
     t, s = (a.ravel() for a in np.meshgrid(np.arange(frames) * 0.01, S, indexing="ij"))
@@ -182,8 +185,9 @@ def displaced():
 
 
 def diagnosed(verdict, names=(), sentence="So it is.", **tables):
-    """A diagnosis with everything that its verdict comes with; tables take the place of
-    its own.
+    """Return a diagnosis with everything that its verdict comes with.
+
+    Tables that are given replace its own.
     """
     causes = caused(names)
     document = {
@@ -285,7 +289,7 @@ def model(arm, camera):
 
 @pytest.fixture(scope="module")
 def write(model):
-    """The page of a diagnosis."""
+    """Return a function that writes the page of a diagnosis."""
     origin = {
         "seed": 7,
         "code": {"commit": "0123456789abcdef"},
@@ -319,7 +323,7 @@ def pages(written):
 
 @pytest.fixture
 def worded(write, undrawn):
-    """The page of a diagnosis whose pictures are empty, but for their words."""
+    """Return `write` with pictures that are empty except for their words."""
     return write
 
 
@@ -348,7 +352,10 @@ class Page(HTMLParser):
             self.words.append(data)
 
     def explored(self):
-        """Films and charts, as strict as JSON.parse, which refuses NaN."""
+        """Return films and charts, parsed without NaN.
+
+        JSON.parse refuses NaN, too.
+        """
         data = [
             json.loads(text, parse_constant=pytest.fail)
             for text in self.scripts
@@ -490,7 +497,7 @@ def test_every_picture_has_words_and_follows_the_theme(pages, verdict):
     ("verdict", "count"), [("none", 2), ("effect", 5), ("pair", 7), ("unknown", 4)]
 )
 def test_what_is_drawn(pages, verdict, count):
-    """Maps and sizes; and with causes more maps, laws and promises."""
+    """A page has maps and sizes, and with causes more maps, laws and predictions."""
     assert len(pages[verdict].pictures()) == count, [
         p["alt"] for p in pages[verdict].pictures()
     ]
@@ -618,7 +625,10 @@ def test_a_search_is_described_where_there_was_one(worded):
 
 
 def test_no_two_words_on_a_map_lie_on_one_another(model, monkeypatch):
-    """Names of trials may be longer than a row is high."""
+    """No two words on a map overlap.
+
+    Names of trials may be longer than a row is high.
+    """
     monkeypatch.setattr(
         sys.modules[residual_maps.__module__], "svg_picture", lambda figure, alt: figure
     )
@@ -707,7 +717,10 @@ def test_frames_without_a_tip_say_nothing_of_it():
 
 
 def test_rms_of_noise_alone_is_the_noise_floor():
-    """Of both coordinates; 360 of them scatter by 4 %."""
+    """The rms of noise alone is the noise floor.
+
+    It is of both coordinates; 360 of them scatter by 4 %.
+    """
     assert trial_rms(measured(), "extended").to_numpy() == pytest.approx(
         np.sqrt(2) * SIGMA, rel=0.15
     )
@@ -795,8 +808,9 @@ def test_a_certain_cause_beside_look_alikes():
 
 
 def predicted(off=0.005):
-    """A straight string on two hypotheses, which are `off` apart at its tip at 0.2 s
-    and nowhere else.
+    """Return a straight string on two hypotheses.
+
+    They are `off` apart at its tip at 0.2 s and nowhere else.
     """
     t, s = (a.ravel() for a in np.meshgrid([0.0, 0.1, 0.2], S, indexing="ij"))
     away = np.where((t == 0.2) & (s == S[-1]), off, 0.0)
@@ -833,8 +847,10 @@ def test_the_motion_proposed_is_shown_where_the_hypotheses_are_farthest_apart(wo
 
 
 def test_a_trial_that_is_predicted_worse_is_said_to_be(worded):
-    """A plane that one trial alone reaches is no use elsewhere; nor is a false cause.
-    Both explain what they are fitted to, so nothing more is claimed.
+    """A trial that is predicted worse is reported.
+
+    A plane that one trial alone reaches is no use elsewhere; nor is a false cause. Both
+    explain the trials they are fitted to, so nothing more is claimed.
     """
     table = held_out()
 
@@ -859,7 +875,11 @@ def test_a_trial_that_is_predicted_worse_is_said_to_be(worded):
 
 
 def test_it_says_which_trials_the_gain_is_of(worded):
-    """Set aside, or left out of the fit in turn; and what is not known is no number."""
+    """The page names the trials of the gain.
+
+    They were held out, or left out of the fit in turn. An unknown rate is not given as
+    a number.
+    """
     turn = Page(worded(diagnosed("effect", ["tip_mass"]))).text
     assert "Each trial was predicted by both models fitted to the others." in turn
     assert "chosen from all trials" in turn

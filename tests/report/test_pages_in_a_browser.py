@@ -1,5 +1,6 @@
-"""Every page in a real Chromium without a network: nothing is complained of, and what
-can be touched answers.
+"""Every page in a real Chromium without a network.
+
+The browser complains of nothing, and interactive elements respond.
 """
 
 import json
@@ -85,7 +86,7 @@ def _names(kind):
 
 
 def texts(arm, camera):
-    """Every kind of page, of little."""
+    """Return every kind of page, with little content."""
     camera = replace(
         camera, width=320, height=320, px_per_m=170.0, origin_px=(125.5, 193.5)
     )
@@ -165,7 +166,10 @@ def texts(arm, camera):
 
 @pytest.fixture(scope="module")
 def pages(arm, camera, tmp_path_factory):
-    """Paths of the pages by name; their drawings are empty, which other tests look at."""
+    """Return paths of the pages by name.
+
+    Their drawings are empty, because other tests cover them.
+    """
     folder = tmp_path_factory.mktemp("pages")
     empty = SimpleNamespace(print_svg=lambda data, metadata: data.write("<svg></svg>"))
     with pytest.MonkeyPatch.context() as patch:
@@ -191,7 +195,7 @@ def opened(chromium, path, **how):
 
 
 def place(chromium, selector):
-    """Left, top, width and height of an element, brought into view [px]."""
+    """Return left, top, width and height of an element, scrolled into view [px]."""
     ask = f"(e => (e.scrollIntoView({{block: 'center'}}), e.getBoundingClientRect()))(document.querySelector('{selector}'))"
     return chromium.ask(f"(b => [b.x, b.y, b.width, b.height])({ask})")
 
@@ -224,8 +228,10 @@ def test_a_list_of_runs_says_on_a_phone_which_ended_how(chromium, pages):
 
 
 def test_what_is_pointed_at_in_one_curve_is_shown_in_all(chromium, pages):
-    """The string in the film, every curve of the cast and the clock; not those of the
-    other cast.
+    """A moment pointed at in one curve is shown in all.
+
+    It appears in the film's string, every curve of the cast, and the clock, but not in
+    those of the other cast.
     """
     page = opened(chromium, pages["cast"])
     before = page.ask("groups.map(g => g.members[0].index)")

@@ -1,5 +1,6 @@
-"""The page: whole in itself, drawn where things really are, and honest about what is
-missing.
+"""The page of a run.
+
+It is complete in itself, draws things where they really are, and says what is missing.
 """
 
 import base64
@@ -52,8 +53,9 @@ TARGET = Box(0.5, 0.75, 0.02, 0.04)
 # --- a plausible run, without an engine
 # ---------------------------------------------------
 def swing(t, lag):
-    """(F, n, 2) a string trailing the hand by an angle that grows with s, (F, 3) the
-    joint angles.
+    """Return a string (F, n, 2) and the joint angles (F, 3).
+
+    The string trails the hand by an angle that grows with s.
     """
     q = np.array([0.9, 0.5, 0.3]) + np.outer(
         np.sin(np.clip(t, 0, DURATION) * 5), [0.5, 0.4, -0.6]
@@ -136,7 +138,7 @@ def estimated(rng, t, symbols=STRING.parameters):
 
 
 def manipulation(arm, camera, number=1, hit=False, noise=6.0):
-    """A cast whose simulation after estimation is exactly what was filmed."""
+    """Return a cast whose simulation after estimation is exactly what was filmed."""
     rng = np.random.default_rng(number)
     t = np.arange(-0.1, DURATION + 0.1, 0.01)
     true, before = strings(arm, t, 0.9), strings(arm, t, 0.4 / number)
@@ -205,7 +207,7 @@ def manipulation(arm, camera, number=1, hit=False, noise=6.0):
 
 @pytest.fixture(scope="module")
 def small(camera):
-    """The default camera at a quarter of its size, with a lens that bends."""
+    """Return the default camera at a quarter of its size, with a lens that bends."""
     u, v = camera.origin_px
     sizes = {
         "width": camera.width // 4,
@@ -248,7 +250,7 @@ def record(arm, small):
 # --- reading the page
 # ---------------------------------------------------------------------
 class Page(HTMLParser):
-    """Elements, text a person sees, scripts; raises where tags do not nest."""
+    """Elements, text a person sees, and scripts; raises where tags do not nest."""
 
     def __init__(self, text):
         super().__init__()
@@ -282,7 +284,10 @@ class Page(HTMLParser):
         return [attributes for name, attributes in self.elements if name == tag]
 
     def explored(self):
-        """Films and charts, as strict as JSON.parse, which refuses NaN."""
+        """Return films and charts, parsed without NaN.
+
+        JSON.parse refuses NaN, too.
+        """
         data = [
             json.loads(text, parse_constant=pytest.fail)
             for text in self.scripts
@@ -322,7 +327,10 @@ def test_nothing_is_loaded_from_elsewhere(page):
 
 
 def test_the_policy_admits_two_scripts_and_no_other(page):
-    """A wrong hash would silently leave films and curves dead."""
+    """The policy admits two scripts and no other.
+
+    A wrong hash would silently disable films and curves.
+    """
     policy = next(m["content"] for m in page.all("meta") if "http-equiv" in m)
     digests = [
         base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
@@ -368,7 +376,7 @@ def test_every_colour_of_a_figure_has_a_dark_side(page):
 
 
 def test_no_label_is_cut_off(record, monkeypatch):
-    """Nor does a legend lie on the axes."""
+    """No label is cut off, and no legend covers the axes."""
     figures, drawn = [], FigureCanvasSVG.print_svg
     monkeypatch.setattr(
         FigureCanvasSVG,
@@ -421,7 +429,7 @@ def test_what_data_say_cannot_become_code(arm, small):
 # --- things are where they really are
 # -------------------------------------------------------
 def shown(data):
-    """The player's frames as a browser shows them."""
+    """Yield the player's frames as a browser shows them."""
     for source in data["frames"]:
         image = cv2.imdecode(
             np.frombuffer(decoded(source), np.uint8), cv2.IMREAD_GRAYSCALE
@@ -432,7 +440,10 @@ def shown(data):
 
 
 def brightness(images, lines, shift=0.0):
-    """Mean along the strings of the player, moved by `shift` of its pixels."""
+    """Return the mean brightness along the strings of the player.
+
+    The strings are moved by `shift` of its pixels.
+    """
     places = [
         (np.array(line)[None, 1:] + shift - 0.5).astype(np.float32) for line in lines
     ]
@@ -445,8 +456,10 @@ def brightness(images, lines, shift=0.0):
 
 
 def test_the_player_draws_the_simulation_on_the_filmed_string(record):
-    """The strings after estimation are the filmed ones: moved to any side, the film
-    under them is darker.
+    """The player draws the simulation on the filmed string.
+
+    The strings after estimation are the filmed ones: moved to any side, the film under
+    them is darker.
     """
     data = cast_film_data(record, record.casts[0], region_of_run(record))
     assert (
@@ -675,7 +688,10 @@ def test_estimation_alone_has_a_page(arm, small):
 # --- from one cast to ten
 # ---------------------------------------------------------------------
 def test_ten_casts_share_the_frames_of_the_animation(arm, small, undrawn):
-    """One and two casts are those of the tests above."""
+    """Ten casts share the frames of the animation.
+
+    One and two casts are covered by the tests above.
+    """
     page = Page(
         cast_page(
             record_of(arm, small, [manipulation(arm, small, i + 1) for i in range(10)])
@@ -689,8 +705,10 @@ def test_ten_casts_share_the_frames_of_the_animation(arm, small, undrawn):
 
 
 def test_a_page_of_five_noisy_casts_stays_small(arm, camera):
-    """1.5 MB: scripts, words and drawings are up to 0.65, the rest is what noise makes
-    large, here at its worst.
+    """A page of five noisy casts stays below 1.5 MB.
+
+    Scripts, words and drawings are up to 0.65 MB. The rest is what noise makes large,
+    here at its worst.
     """
     cast = manipulation(arm, camera, noise=25.0)
     record = record_of(arm, camera, [cast] * 5)
@@ -713,7 +731,7 @@ def test_the_closest_frame_is_always_among_the_chosen(record):
 
 
 def test_what_was_not_learnt_is_said_to_be(page):
-    """The parameter of index 2 is not determined."""
+    """A parameter that is not determined, here that of index 2, is reported as such."""
     names = [p.name.replace("_", " ") for p in STRING.parameters]
     starts = [page.text.rindex(f"{name} ") for name in names]
     words = [
@@ -724,8 +742,10 @@ def test_what_was_not_learnt_is_said_to_be(page):
 
 
 def test_curves_are_those_of_the_run(page, record):
-    """Gaps are gaps, times are those of the frames, and the curves of a cast are of
-    that cast.
+    """Curves are those of the run.
+
+    Gaps are gaps, times are those of the frames, and the curves of a cast are of that
+    cast.
     """
     _, charts = page.explored()
     titles = ("E_f [1]", "RMS [mm]", "angle [°]", "difference [°]")

@@ -1,5 +1,7 @@
-"""The page of a sweep: means and intervals as worked out by hand, every factor and
-failure shown, nothing from elsewhere.
+"""The page of a sweep.
+
+Means and intervals are as worked out by hand, every factor and failure is shown, and
+nothing is loaded from elsewhere.
 """
 
 import base64
@@ -29,8 +31,9 @@ STIFFNESS = ("bending_stiffness", "N m/(rad kg)")
 
 
 def swept(betas=(0.99, 0.995), targets=("near", "far"), seeds=(0, 1, 2, 3)):
-    """A table as the pipeline makes it; E grows with beta by 20 a unit, and far is
-    never hit.
+    """Return a table as the pipeline makes it.
+
+    E grows with beta by 20 a unit, and far is never hit.
     """
     rng = np.random.default_rng(0)
     rows = []
@@ -75,8 +78,10 @@ def record(table, given=("experiment", BETA, "target", "seed")):
 
 
 def test_intervals_are_those_of_the_books():
-    """Student's t for 1, 2, 3: 2 -+ 4.303 / sqrt 3. Wilson for 8 of 10: 0.490 to 0.943
-    (Newcombe 1998).
+    """Intervals are those of textbooks.
+
+    Student's t for 1, 2, 3 gives 2 -+ 4.303 / sqrt 3. Wilson for 8 of 10 gives 0.490 to
+    0.943 (Newcombe 1998).
     """
     assert arithmetic_mean(np.array([1.0, 2.0, 3.0])) == pytest.approx(
         (2.0, 2 - 2.4843, 2 + 2.4843), abs=1e-3
@@ -94,7 +99,10 @@ def test_hit_rate_of_all_or_none_is_not_certain():
 
 
 def test_seeds_are_what_is_repeated_not_jobs():
-    """Ten jobs of one seed say no more of chance than one: their mean is one value."""
+    """Seeds are the repetitions, and jobs are not.
+
+    Ten jobs of one seed say no more of chance than one: their mean is one value.
+    """
     table = swept(betas=np.linspace(0.9, 0.99, 10), targets=("near",), seeds=(0, 1))
     whole = mean_response(table, CASTS, ["target"]).iloc[0]
     assert (whole["seeds"], whole["jobs"]) == (2, 20)
@@ -147,8 +155,10 @@ def heading(page):
 
 
 def test_the_heading_is_what_was_found(undrawn):
-    """Near is always hit and far never; beta changes nothing of it. Of four seeds, by
-    Wilson: 0.51 to 1 and 0 to 0.49.
+    """The heading is the result.
+
+    Near is always hit and far never; beta changes nothing of it. With four seeds,
+    Wilson gives 0.51 to 1 and 0 to 0.49.
     """
     assert (
         heading(sweep_page(record(swept())))
@@ -198,8 +208,10 @@ def test_one_setting_one_seed_and_no_casts():
 
 
 def test_what_all_jobs_found_alike_is_drawn_without_a_warning():
-    """Where the mean of equal values differs from them by rounding, too: no axis of
-    powers of ten has such ends.
+    """A value that is equal in all jobs is drawn without a warning.
+
+    The mean of equal values may differ from them by rounding, and no axis of powers of
+    ten has such ends.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -207,8 +219,9 @@ def test_what_all_jobs_found_alike_is_drawn_without_a_warning():
 
 
 def reached():
-    """Three targets, two seeds each: hit in casts 1 and 3, hit by neither, and one
-    whose jobs failed.
+    """Return the table of three targets with two seeds each.
+
+    One is hit in casts 1 and 3, one is hit by neither, and the jobs of one failed.
     """
     rows = [
         (0.1, 0, "done", 1.0, 1.0),

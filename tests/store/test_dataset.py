@@ -1,4 +1,4 @@
-"""Datasets of others: points, frames or videos, with the dirt of the real world."""
+"""Datasets of others: points, frames or videos, with real-world faults."""
 
 import cv2
 import numpy as np

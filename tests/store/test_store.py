@@ -96,7 +96,10 @@ def test_the_same_content_has_the_same_bytes_and_hash_whenever_and_wherever(
 def test_a_file_is_hashed_piece_by_piece_as_it_was_hashed_whole(
     points, tmp_path, monkeypatch
 ):
-    """Stored origins hold hashes of whole files; pieces must give the same."""
+    """A file hashed piece by piece has the hash of the whole file.
+
+    Stored origins hold hashes of whole files.
+    """
     store.save(points, tmp_path / "a", {"seed": 1})
     (tmp_path / "a" / "film.mp4").write_bytes(bytes(range(256)) * 9)
     whole = hashlib.sha256()
@@ -119,7 +122,10 @@ def test_a_file_is_hashed_piece_by_piece_as_it_was_hashed_whole(
 def test_everything_is_on_the_disk_before_it_has_its_name(
     points, tmp_path, monkeypatch
 ):
-    """Files and folders are synced before the rename, in case of a power cut."""
+    """Everything is on the disk before it has its name.
+
+    Files and folders are synced before the rename, in case of a power cut.
+    """
     done = []
     true_sync, true_rename = os.fsync, os.replace
     monkeypatch.setattr(
@@ -178,7 +184,10 @@ def test_images_are_read_one_by_one_in_the_order_of_their_table(tmp_path):
 
 
 def test_what_is_looked_at_often_is_read_once_while_there_is_room(monkeypatch):
-    """With room for two of three images, the two looked at last are held."""
+    """Recent images are read once while there is room.
+
+    With room for two of three images, the two used last are held.
+    """
     pictures = [np.full((4, 5), i, np.uint8) for i in range(3)]
     read = []
 
@@ -217,7 +226,10 @@ def test_images_just_written_are_given_from_memory_once_and_then_read():
 
 
 def test_the_only_whole_copy_is_never_tidied_away(tmp_path, monkeypatch):
-    """A kill between two renames leaves the old copy under its other name only."""
+    """The only whole copy is never deleted.
+
+    A kill between two renames leaves the old copy under its other name only.
+    """
     path, kept = tmp_path / "a.txt", tmp_path / ".a.txt.0123abcd.replaced"
     kept.write_text("the only one")
 
@@ -276,7 +288,11 @@ def test_a_lock_is_held_by_one(tmp_path):
 
 @pytest.mark.parametrize("again", [False, True])
 def test_a_lock_whose_file_was_removed_meanwhile_is_none(tmp_path, monkeypatch, again):
-    """Removed by the process that held it until now, and perhaps made again by a third."""
+    """A lock whose file was removed meanwhile is not held.
+
+    It was removed by the process that held it until now, and perhaps made again by a
+    third.
+    """
     path = tmp_path / "lock"
 
     def late(file):

@@ -1,6 +1,8 @@
-"""The ledger and its launchers with a stand-in for the pipeline, so that a job takes a
-blink: what is killed, claimed twice, failed, or left is told apart and loses nothing.
-Measured: a stand-in takes 0.05 s, and each test a second or two.
+"""The ledger and its launchers, with a stand-in for the pipeline.
+
+A stand-in makes jobs quick. Jobs that were killed, claimed twice, failed, or left are
+distinguished, and nothing is lost. Measured: a stand-in takes 0.05 s, and each test a
+second or two.
 """
 
 import json
@@ -52,14 +54,14 @@ while given["seed"] == "4" and not (place.parents[0] / "told").exists():
 
 @pytest.fixture
 def stand_in(tmp_path):
-    """The command of a job."""
+    """Return the command of a job."""
     script = tmp_path / "stand_in.py"
     script.write_text(STAND_IN)
     return (sys.executable, "-S", str(script))
 
 
 def entered(folder, *seeds):
-    """A ledger of a job for each seed, and their keys."""
+    """Return a ledger of a job for each seed, and their keys."""
     ledger = Ledger(folder)
     jobs = [
         Job(seed, (f"seed={seed}",), {"seed": seed, "name": "stand_in"})
@@ -89,7 +91,10 @@ LAUNCHERS = {
 
 @pytest.fixture
 def cluster():
-    """A Ray cluster of two machines of two cores each, all on this one: its address."""
+    """Start a Ray cluster of two machines of two cores each, and return its address.
+
+    Both are on this machine.
+    """
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 
@@ -172,7 +177,7 @@ def attempt(folder, key, command):
 
 
 def until(true, limit=20.0):
-    """Wait until something is so."""
+    """Wait until a condition holds."""
     end = time.monotonic() + limit
     while not true():
         assert time.monotonic() < end
@@ -180,7 +185,7 @@ def until(true, limit=20.0):
 
 
 def begin(ledger, key, command):
-    """An attempt in a process of its own, once its job is at work."""
+    """Start an attempt in a process of its own, and wait until its job runs."""
     process = get_context("fork").Process(
         target=attempt, args=(ledger.folder, key, command)
     )
@@ -190,7 +195,7 @@ def begin(ledger, key, command):
 
 
 def working(script):
-    """Process ids of the stand-ins."""
+    """Return process ids of the stand-ins."""
     found = subprocess.run(
         ["pgrep", "-f", str(script)], capture_output=True, text=True, check=False
     ).stdout
@@ -200,7 +205,10 @@ def working(script):
 def test_a_killed_worker_leaves_its_job_claimed_until_the_job_has_ended_too(
     tmp_path, stand_in
 ):
-    """Else a second attempt would write into the folder of the first."""
+    """A killed worker leaves its job claimed until the job has ended, too.
+
+    Otherwise a second attempt would write into the folder of the first.
+    """
     ledger, (key,) = entered(tmp_path / "sweep", 4)
     worker = begin(ledger, key, stand_in)
     os.kill(worker.pid, signal.SIGKILL)
@@ -262,14 +270,15 @@ def test_two_sweeps_in_one_folder_run_each_job_once(tmp_path, stand_in):
 
 
 def every(folder, keys, command):
-    """What a sweep does: all that waits."""
+    """Attempt all waiting jobs, as a sweep does."""
     for key in Ledger(folder).reset_unfinished(keys, ()):
         attempt(folder, key, command)
 
 
 def whole_sweep(folder, keys, command, said):
-    """All that waits, then table and page, and how the command would end. said: a file
-    for its words.
+    """Run a whole sweep in this process, and end it as the command would.
+
+    All waiting jobs run, then table and page are made. `said` is a file for its output.
     """
     every(folder, keys, command)
     sweep = LedgerLauncher("", "", retry=False, warm_up_jobs=0)
@@ -281,7 +290,10 @@ def whole_sweep(folder, keys, command, said):
 def test_two_sweeps_in_one_folder_both_end_with_a_clear_sentence_and_a_whole_table(
     tmp_path, stand_in
 ):
-    """The first is at a job when the second comes, which ends before it."""
+    """Two sweeps in one folder both end with a clear sentence and a whole table.
+
+    The first is at a job when the second comes, which ends before it.
+    """
     ledger, keys = entered(tmp_path / "sweep", 4, 5, 6)
     first, second = (
         get_context("fork").Process(
@@ -318,8 +330,10 @@ def test_two_sweeps_in_one_folder_both_end_with_a_clear_sentence_and_a_whole_tab
 def test_killed_at_random_moments_nothing_is_lost_and_the_ledger_is_whole(
     tmp_path, stand_in
 ):
-    """A sweep of 24 jobs is killed with -9 up to 25 times, within 0.02 to 0.06 s, and
-    always goes on.
+    """A sweep killed at random moments loses nothing, and its ledger stays whole.
+
+    A sweep of 24 jobs is killed with -9 up to 25 times, within 0.02 to 0.06 s, and
+    always continues.
     """
     ledger, keys = entered(tmp_path / "sweep", *range(5, 29))
     kills = 0

@@ -1,6 +1,7 @@
-"""A sweep as a user gives it, with the real pipeline on a small measured trial: the
-same numbers whoever runs the jobs, only what is missing run again, failures kept. Jobs
-leave no page of their own: it would be most of their time.
+"""A sweep as a user gives it, with the real pipeline on a small measured trial.
+
+The numbers do not depend on who runs the jobs, only missing jobs are run again, and
+failures are kept. Jobs leave no page of their own: it would be most of their time.
 """
 
 import importlib.util
@@ -33,8 +34,9 @@ def sweep(folder, trials, threads, *overrides, betas="0.9,0.99", call=pipeline):
 
 @pytest.fixture(scope="module")
 def trials(tmp_path_factory, arm):
-    """One trial of somebody's: the arm at rest, the string swinging below it like a
-    stick.
+    """Write one trial of others.
+
+    The arm is at rest, and the string swings below it like a stick.
     """
     folder = tmp_path_factory.mktemp("trials")
     t, s = np.arange(0, 0.3, 0.01), np.linspace(0.03, 0.3, 10)
@@ -58,15 +60,16 @@ def trials(tmp_path_factory, arm):
 
 @pytest.fixture(scope="module")
 def swept(trials, tmp_path_factory):
-    """A sweep of three jobs on one thread, one of which is refused: (its folder, how
-    the command ended).
+    """Run a sweep of three jobs on one thread, one of which is refused.
+
+    Returns its folder, and how the command ended.
     """
     folder = tmp_path_factory.mktemp("sweep")
     return folder, sweep(folder, trials, 1, betas="0.9,1.5,0.99")
 
 
 def numbers(folder):
-    """Content of all that the steps of each job have made, by the job's key."""
+    """Return the content of all results of each job's steps, by the job's key."""
     return {
         place.parent.name: store.content_hash(place)
         for place in folder.glob("*/iterations")
@@ -142,7 +145,10 @@ def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(
 def test_the_numbers_are_the_same_to_the_bit_whoever_runs_the_jobs(
     launcher, swept, trials, tmp_path
 ):
-    """Here they have two threads each, there one."""
+    """The numbers are the same to the bit with any launcher.
+
+    These jobs have two threads each, the compared ones had one.
+    """
     if importlib.util.find_spec(PACKAGES[launcher]) is None:
         pytest.skip(f"needs {PACKAGES[launcher]}")
     alone, _ = swept

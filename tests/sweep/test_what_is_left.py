@@ -1,4 +1,4 @@
-"""What a sweep says while it runs, and what its runs leave on the disk."""
+"""Messages of a sweep while it runs, and files that its runs leave on the disk."""
 
 from types import SimpleNamespace
 

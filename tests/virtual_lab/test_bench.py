@@ -1,4 +1,4 @@
-"""The lab: what it reports and films is what happens in it."""
+"""The lab: its reports and films agree with what happens in it."""
 
 import numpy as np
 import pandas as pd
@@ -25,7 +25,10 @@ def test_the_velocity_loop_has_the_bandwidth_it_states():
 
 
 def test_the_string_is_drawn_where_it_is(camera):
-    """The centroid of brightness along rows, for a slanted still string."""
+    """The string is drawn where it is.
+
+    The centroid of brightness along rows shows it, for a slanted still string.
+    """
     look = Look(noise=0.0, texture=0.0, unevenness=0.0)
     string = np.stack([np.linspace(0.1, 0.15, 30), np.linspace(0.5, 0.2, 30)], axis=-1)
     wall = render_background(camera, look, 0)
@@ -82,7 +85,10 @@ HIDDEN = {
 
 
 def test_what_is_hidden_happens_and_what_is_reported_does_not_tell(arm, camera):
-    """Each world for itself: the string, the hand, the camera, the clocks."""
+    """Hidden effects happen, and reports do not reveal them.
+
+    String, hand, camera and clocks are tested in turn.
+    """
     from dataclasses import replace
 
     from conftest import specimen, swing
@@ -131,7 +137,11 @@ def test_hiding_what_is_not_known_is_refused():
 
 
 def test_the_string_bounces_off_the_obstacles(arm, camera):
-    """Two boxes: the string enters them by 3 mm at 4 to 6 m/s, instead of 47 and 52."""
+    """The string bounces off the obstacles.
+
+    There are two boxes: the string enters them by 3 mm at 4 to 6 m/s, instead of 47 and
+    52.
+    """
     from conftest import specimen, swing
 
     boxes = (Box(0.0, 0.85, 0.2, 0.2), Box(0.85, 0.4, 0.2, 0.2))
