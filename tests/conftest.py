@@ -53,9 +53,8 @@ TRUTH = {
 }
 
 
-# Files that take longest, first: side by side, what begins last should not be what ends
-# last. The diagnosis by command after that in the process, whose compiled kernels it
-# then finds.
+# Files that take longest come first, so that parallel workers end together. The
+# diagnosis by command follows the one in the process, whose compiled kernels it uses.
 LONGEST = (
     *(
         "drivers/test_filming",
@@ -184,17 +183,18 @@ def called(monkeypatch, capsys):
     def call(*words):
         capsys.readouterr()
         monkeypatch.setattr(sys, "argv", ["pipeline", *map(str, words)])
-        # as Hydra finds it when it is run
+        # as Hydra expects when the module is run
         monkeypatch.setattr(shell.main.__wrapped__, "__module__", "__main__")
-        monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # is set, and then put back
-        # of this process only if this command is one
+        # set here so that monkeypatch restores it
+        monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
+        # reset, because only a sweep sets it
         monkeypatch.setattr(LazyLauncher, "current", None)
         monkeypatch.chdir(ROOT)
         try:
             status = shell.cli()
         except SystemExit as stopped:
             status = stopped.code
-        # which Python would print
+        # the text of an exit, which Python would print
         said, words = capsys.readouterr(), status if isinstance(status, str) else ""
         return subprocess.CompletedProcess(
             sys.argv, 1 if words else status or 0, said.out, said.err + words

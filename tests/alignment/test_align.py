@@ -55,7 +55,7 @@ from stringcast.stages.report.pages.alignment import alignment_page
 from stringcast.stages.report.records import StageRecord
 from tests.alignment.stand import OFF, SWING, aligned_values, stand, still
 
-MISSED = 1.5  # half widths of a 95 % interval: one in 300 is further out by chance
+MISSED = 1.5  # half widths of a 95 % interval; one in 300 errors is larger by chance
 
 
 @pytest.fixture(scope="module")
@@ -82,8 +82,7 @@ def interval(made, name):
     return row["value"], (row["high"] - row["low"]) / 2
 
 
-# --- what is hidden is found
-# ---------------------------------------------------------------------------------------
+# --- hidden misalignment is found
 
 
 @pytest.mark.parametrize(
@@ -157,7 +156,6 @@ def test_noise_that_nobody_states_is_found(bench):
 
 
 # --- look-alikes
-# ---------------------------------------------------------------------------------------------------
 
 
 def test_a_lag_that_shows_is_told_from_the_offset(bench):
@@ -192,8 +190,7 @@ def test_a_lag_that_would_show_at_once_is_told_smaller_than_the_first_that_is_tr
     ) == pytest.approx(0.025e-3)
 
 
-# --- what cannot be told is refused
-# --------------------------------------------------------------------------------
+# --- undetermined values are refused
 
 
 def in_millimetres(o):
@@ -263,7 +260,7 @@ def test_points_that_the_joints_told_show_nothing(bench):
 def test_joints_that_turn_further_than_told_are_named(bench):
     seen = bench.observation(
         OFF | {"joint_gain.gain": 0.05}, sigma=3e-4, also=("joint_gain",)
-    )  # a lens hides most of it: 2.7 sigma are left
+    )  # a lens hides most of it, and leaves 2.7 sigma
     with pytest.raises(
         DataError, match="the joints turned more or less than they report"
     ):
@@ -271,7 +268,6 @@ def test_joints_that_turn_further_than_told_are_named(bench):
 
 
 # --- frames
-# --------------------------------------------------------------------------------------------------------
 
 
 LOOKS = {
@@ -325,8 +321,7 @@ def test_the_arm_is_read_in_frames(model, arm_is):
     assert "no: not significant" in page
 
 
-# --- what comes of it
-# ----------------------------------------------------------------------------------------------
+# --- use of the result
 
 
 def taken_over(model, made):
@@ -463,7 +458,6 @@ def test_the_tip_is_judged_where_it_is(model, later):
 
 
 # --- the motion
-# ----------------------------------------------------------------------------------------------------
 
 
 def hand_speed(arm, angles):

@@ -1,7 +1,7 @@
 # %% [markdown]
 # # From measured casts to a string, a prediction and a motion
 # A notebook as a plain script: editors and Jupytext show its cells (`jupytext --to
-# ipynb notebook.py`), and `tests/api/test_notebook.py` runs it. All is in metres,
+# ipynb notebook.py`), and `tests/api/test_notebook.py` runs it. Units are metres,
 # seconds and radians.
 
 # %%

@@ -128,7 +128,8 @@ def test_a_known_string_is_another_and_words_stand_above_it(motion, tmp_path):
     plain, heavy = (
         sc.simulate(string, motion, "string.points=10") for string in (None, again)
     )
-    assert heavy["s"].nunique() == 10  # a word on the call stands above what is known
+    # a setting of the call overrides the known string
+    assert heavy["s"].nunique() == 10
     assert sc.simulate(again, motion)["s"].nunique() == 12
     assert np.hypot(heavy["x"] - plain["x"], heavy["y"] - plain["y"]).max() > 5e-3
 

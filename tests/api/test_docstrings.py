@@ -5,7 +5,7 @@ from numpydoc.validate import validate
 
 import stringcast
 
-# no extended summary, See Also or Examples is required; names of types need no words
+# no extended summary, See Also or Examples is required, nor a text for each type
 OPTIONAL = {"ES01", "SA01", "EX01", "RT03", "YD01"}
 PUBLIC = [
     *stringcast.__all__,

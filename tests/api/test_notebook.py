@@ -20,6 +20,7 @@ def test_the_notebook_runs_and_shows_what_it_says(capsys):
         < 1.2 * known.loc["bending_stiffness", "high"]
     )
     millimetres = float(re.search(r"([\d.]+) mm root mean square", shown)[1])
-    assert 0.7 < millimetres < 4  # more than the noise, for the wind is not modelled
-    # [m], of a box of 20 by 40 mm that the tip crosses between two samples
+    # more than the noise, because the wind is not modelled
+    assert 0.7 < millimetres < 4
+    # distance [m] from a box of 20 by 40 mm that the tip crosses between two samples
     assert made["nearest"] < 0.04

@@ -75,7 +75,8 @@ def refit_base(scene, points):
         step = np.linalg.lstsq(slopes / scale, residual.ravel(), rcond=1e-8)[0] / scale
         changes = {}
         for name, change in zip(BASE_FIELDS, step, strict=True):
-            factor = np.clip(1 + 0.01 * change, 0.3, 3.0)  # slopes are of 1 %
+            # slopes are for changes of 1 %
+            factor = np.clip(1 + 0.01 * change, 0.3, 3.0)
             changes[name] = getattr(scene.rod, name) * factor
         scene = replace(scene, rod=scene.rod._replace(**changes), _motions={})
     residual = points - scene.observe_all({}, Fidelity.SCREENING)
@@ -110,7 +111,7 @@ def test_every_single_cause_has_its_turn(kind):
 def test_turns_of_a_kind_count_its_seeds():
     seeds = [seed for seed in range(40) if kind_of(seed) == "effect"]
     assert [turn_of(seed, "effect") for seed in seeds] == list(range(len(seeds)))
-    assert turn_of(1, "effect") == 1  # of a seed of another kind
+    assert turn_of(1, "effect") == 1  # seed 1 is of another kind
 
 
 def test_the_own_kernel_hides_every_effect_that_others_hide():
@@ -159,7 +160,7 @@ def test_a_dataset_can_be_read_and_does_not_tell(drifting, arm, tmp_path):
     scene = drifting.scene
     assert not dataset.rejection_reasons
     measured = CheckedDataset(dataset, arm, scene.camera, scene.rod.length)
-    assert collect_findings(measured) == []  # no false alarm
+    assert collect_findings(measured) == []  # this would be a false alarm
     assert 4 <= len(dataset.trials) <= 6
     for trial in dataset.trials.values():
         assert 12 <= trial.points["s"].nunique() <= 20

@@ -84,7 +84,7 @@ def test_a_hanging_rod_is_as_much_longer_as_its_weight_stretches_it():
 def test_a_rod_held_out_level_hangs_as_the_heavy_elastica_does(curvature):
     rod = PLAIN._replace(axial=1e5, bending=0.05, rest_curvature=curvature)
 
-    def elastica(s, y):  # angle, moment; beyond s hangs the weight of the rest
+    def elastica(s, y):  # angle and moment; the weight of the rest hangs beyond s
         weight = GRAVITY * (LENGTH - s) * np.cos(y[0])
         return np.stack([y[1] / rod.bending + curvature, weight])
 

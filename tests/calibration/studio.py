@@ -12,7 +12,7 @@ from stringcast.stages.calibrate.fit import lens_from_values
 BOARD = Board((8, 11), 0.024, 0.012, "DICT_4X4_50")  # conf/board/a4.yaml
 SIZE = (640, 480)
 LENS = lens_from_values([720.0, 716.0, 331.0, 233.0, -0.22, 0.09, 0.0012, -0.0008])
-FINER = 2  # rendered so much finer than the picture, then averaged
+FINER = 2  # factor by which rendering is finer than the picture, before averaging
 SQUARE = 48  # pixels of a square of the texture
 
 

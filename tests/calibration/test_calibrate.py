@@ -186,8 +186,7 @@ def test_the_covariance_has_the_deviations_that_opencv_gives():
     np.testing.assert_allclose(ours, theirs, rtol=0.02)
 
 
-# --- refused
-# ----------------------------------------------------------------------------------------------------------
+# --- refused sets
 
 
 def test_views_that_are_parallel_cannot_tell_the_focal_length():
@@ -287,8 +286,7 @@ def test_a_board_that_cannot_be_is_refused():
         Board((8, 11), 0.02, 0.015, "DICT_9X9")
 
 
-# --- the camera that comes of it
-# --------------------------------------------------------------------------------------
+# --- the calibrated camera
 
 
 def test_a_lens_without_distortion_squarely_before_the_plane_is_the_plain_camera():

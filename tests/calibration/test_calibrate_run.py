@@ -60,7 +60,7 @@ def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_pa
     here = settled(folders, "calibrate.place.corner=[0.1,0.2]")
     said = Terminal(file=io.StringIO(), width=1000)
     here.mode.perform(here, tmp_path, said)
-    # nobody need do anything for images
+    # stored images need no action by the user
     assert "Press Enter" not in said.file.getvalue()
     assert re.search(
         r"The camera is known: reprojection error 0\.\d+ px", said.file.getvalue()
@@ -148,7 +148,7 @@ def test_the_board_is_drawn_in_its_true_size(tmp_path):
     box = re.search(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+)", content)
     width, height = (float(side) / 72 * 0.0254 for side in box.groups())
     assert width == pytest.approx(8 * 0.024 + 0.016, abs=1e-5)
-    assert height < 0.297  # it fits on A4
+    assert height < 0.297  # the board fits on A4
     assert (
         detect_board(
             0,

@@ -42,7 +42,7 @@ class Dirty:
         arm, points = (
             pd.read_parquet(SAMPLE / f"{name}.parquet") for name in ("arm", "points")
         )
-        # a third of the points, three of the trials: it is quicker
+        # a third of the points and three trials make the test quicker
         few = np.sort(points["s"].unique())[::3]
         self.arm = arm[arm["trial"].isin(TRIALS)].reset_index(drop=True)
         self.points = points[
@@ -160,7 +160,7 @@ def arm_and_grasp(dirty):
 
 def unknown_arm(dirty):
     undescribed(dirty)
-    dirty.points["x"] -= 0.3  # as of an arm that stands elsewhere
+    dirty.points["x"] -= 0.3  # angles of an arm that stands elsewhere
 
 
 def undescribed(dirty):
@@ -288,7 +288,7 @@ def test_a_certain_error_is_named_with_its_remedy_and_nothing_runs_on_it(
         f.sentence for f in errors
     ]
     assert remedy in errors[0].remedy
-    # of which no advice on clocks or noise is given
+    # too little data give no advice on clocks or noise
     assert len(told) == 1 or kind not in TOO_LITTLE
     assert not dataset_overview(here)["usable"]
     with pytest.raises(DataError) as refused:
@@ -667,7 +667,8 @@ def test_a_string_that_falls_as_nothing_does_is_told(
 
 
 SQUARE = Lens((500.0, 500.0), (160.0, 120.0), (0.0, 0.0, 0.0, 0.0))
-PICTURES = {  # of 320 x 240 px; what is said of those that no camera takes
+# lenses for 320 x 240 px; the message where no camera takes such a picture
+PICTURES = {
     "ordinary": ({}, ""),
     "barrel": ({"distortion": -0.1}, ""),
     "lens": (
@@ -757,7 +758,8 @@ def test_a_page_shows_what_was_measured_and_found(dirty, called, undrawn, tmp_pa
     assert page.count("<img") == len(TRIALS)
     assert 'class="wide"' not in page, "on a phone the clocks would lie beyond the edge"
     assert "Trial t03: 129 frames of a string of 304 mm" in page
-    assert "://" not in page.replace("http://www.w3.org", "")  # it needs no network
+    # the page needs no network
+    assert "://" not in page.replace("http://www.w3.org", "")
     refused = called("check", tmp_path, "--report", tmp_path / "page.pdf")
     assert (refused.returncode, "must end in .html" in refused.stderr) == (2, True)
 
@@ -875,7 +877,7 @@ def half_a_line(folder):
     (folder / "dataset.yaml").write_text("format: 1\nstring: {length: 0.3\n")
 
 
-UNREAD = {  # file, field, and what the remedy says
+UNREAD = {  # file, field, and words of the remedy
     number_with_a_unit: ("dataset.yaml", "string.length", "Correct it"),
     half_a_line: ("dataset.yaml", "line 3", "Correct it"),
     other_column: ("arm.csv", "q1", "Add the column or rename yours"),

@@ -30,7 +30,7 @@ def late(seen, by, tip_alone):
 def test_a_shift_of_all_trials_is_found_to_a_frame(tip_alone):
     found = estimate_time_shifts([late(seen, 12.345, tip_alone) for seen in TRIALS])
     assert set(found) == {seen.name for seen in TRIALS}
-    # [s], of one frame
+    # the tolerance [s] is one frame
     assert all(shift == pytest.approx(-12.345, abs=0.005) for shift in found.values())
 
 

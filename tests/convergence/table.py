@@ -29,7 +29,7 @@ from stringcast.stages.model.engine.stability import steps_per_tick
 from stringcast.stages.model.hand import HandMotion, JointMotion, resample_joint_motion
 from stringcast.stages.model.string import String
 
-CANDIDATES = 64  # simulated side by side when time is taken
+CANDIDATES = 64  # number simulated together for the timing
 
 
 def loaded(path: str) -> dict:

@@ -35,8 +35,8 @@ def test_errors_that_shrink_like_a_power_are_found_exactly():
         result = 7.0 + 3.0 * step**order
         left = remaining_error(result[0] - result[1], result[1] - result[2], 2)
         assert left == pytest.approx(3.0 * step[1] ** order, rel=1e-9)
-    # faster than the method can be: not believed; not shrinking: nothing known; not
-    # moving: nothing left
+    # convergence faster than the method's order is not trusted; errors that do not
+    # shrink have no bound; equal results have no error
     assert remaining_error(np.array(16.0), np.array(1.0), 2) == pytest.approx(4 / 3)
     assert remaining_error(np.array(1.0), np.array(1.0), 2) == np.inf
     assert remaining_error(np.array(np.inf), np.array(np.inf), 2) == np.inf

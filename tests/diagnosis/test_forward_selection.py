@@ -52,7 +52,7 @@ BASE_VALUES = {
 EFFECTS = ("tip_mass", "density_taper", "time_offset", "arm_lag", "wind", "resolution")
 FRAMES = 25
 S = 0.3 * np.array([0.25, 0.5, 0.75, 1.0])
-CAST_SEGMENTS = 120  # of 30 segments the mesh would show, as 2 to 4 mm
+CAST_SEGMENTS = 120  # with 30 segments the mesh error would be 2 to 4 mm
 CAST_SHARES = (0.27, 0.5, 0.77, 1.0)  # measured places along the string
 CAST_AMPLITUDES = ((0.5, 0.3, 0.4), (-0.4, 0.5, 0.4), (0.6, -0.4, 0.4))  # [rad]
 

@@ -286,4 +286,5 @@ def test_mesh_correction_follows_the_error_as_parameters_move(model, trials):
         error = moved_residuals(corrected) - exact_residuals
         errors.append(np.sqrt(np.mean(error**2)))
     assert errors[1] < 0.5 * errors[0]
-    assert errors[0] > 0.01  # standard deviations: there is something to follow
+    # in standard deviations, so that the error is large enough to follow
+    assert errors[0] > 0.01

@@ -144,7 +144,7 @@ SIX = ["e0", "e1", "e2", "e3", "e4", "e5"]
     ("evidence", "angle", "expected"),
     [
         (50.0, 0.2, [*SIX, "e8"]),
-        (50.0, 1.0, SIX),  # it could explain three tenths of what the best does
+        (50.0, 1.0, SIX),  # it could explain three tenths of what the best cause does
         (1.0, 0.2, SIX),  # nothing is accepted
     ],
 )

@@ -32,7 +32,7 @@ NOTHING = VerdictNumbers(trials=4, base_misfit_probability=0.1, explained_fracti
 PAIR = ("wind", "clamp")
 
 TABLE = {
-    # numbers that differ, verdict, named causes
+    # changed numbers, verdict, named causes
     "a cause that explains enough": (FOUND, {}, "effect", ("wind",)),
     "with a look-alike": (FOUND, {"credible_sets": (PAIR,)}, "ambiguous", PAIR),
     "two causes, one look-alike": (
@@ -178,11 +178,11 @@ def test_remark_on_one_trial_states_what_it_would_be():
     [
         # a trial that is far off and stays so has one vote
         ((40.0, 4.0, 4.0, 4.0), (40.0, 0.1, 0.1, 0.1), 0.75),
-        # and so has one that alone is explained
+        # a trial that alone is explained has one vote
         ((40.0, 4.0, 4.0, 4.0), (1.0, 4.0, 4.0, 4.0), 0.25),
         # trials within the tolerance do not count
         ((4.0, 4.0, 1.0, 1.0), (0.1, 0.1, 1.5, 1.5), 1.0),
-        # what gets worse counts as what gets better
+        # a larger misfit counts as much as a smaller one
         ((4.0, 1.0), (0.1, 4.0), 0.03),
         # where all are within the tolerance, the largest misfit counts
         ((1.0, 0.5), (0.5, 0.5), 0.75),
@@ -199,7 +199,7 @@ def test_each_trial_has_one_vote_on_what_is_explained(before, after, share):
         ((20.0, 20.0), (5.0, 5.0), ("large", "small"), 0.94),
         ((20.0, 20.0), (16.0, 16.0), ("large", "small"), 0.36),
         ((20.0, 20.0), (5.0, 5.0), ("large", "small", "least"), 0.94),
-        # not asked where no more than the tolerance is left
+        # not computed where no more than the tolerance is left
         ((2.1, 2.2), (1.9, 1.9), ("large", "small"), 1.0),
     ],
 )

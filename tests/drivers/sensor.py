@@ -40,7 +40,8 @@ class Sensor:
             None,
             False,
         )
-        self.counting_from = None  # of the film, as tests number frames
+        # first number of the film, from which tests number frames
+        self.counting_from = None
         self.decoding, self.damaged = lambda number: 0.0, set()
 
     def isOpened(self):  # noqa: N802

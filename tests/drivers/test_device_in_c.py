@@ -34,7 +34,7 @@ STRICT = [
     "-Wconversion",
     "-Werror",
 ]
-# Every way into memory is watched where the compiler can.
+# Memory accesses are checked where the compiler supports it.
 WATCHED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 
@@ -157,7 +157,7 @@ def test_c_answers_fuzzed_bytes_as_python_does(built, seed):
     stream = fuzz(random.Random(seed))
     answered = in_python(stream)
     assert in_c(built("pipe"), stream) == answered
-    assert len(answered) > 1000  # it is a conversation, not silence
+    assert len(answered) > 1000  # the device answered
 
 
 @pytest.mark.parametrize(

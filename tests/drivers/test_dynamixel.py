@@ -51,7 +51,7 @@ SERVOS = (
     ServoSettings(3, 2048, 1),
 )
 EMULATOR = (sys.executable, "-m", "stringcast.hardware.dynamixel.emulator")
-PATIENCE = 15  # 0.3 s: a busy machine must not trip it
+PATIENCE = 15  # 0.3 s, so that a busy machine does not trip it
 SWINGS_OUT = 0.15
 
 
@@ -129,7 +129,7 @@ def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
     np.testing.assert_allclose(
         sent / VELOCITY_UNIT, np.rint(sent / VELOCITY_UNIT), atol=1e-9
     )
-    # Rounded to 0.024 rad/s, yet it adds up to the way that was asked for.
+    # Speeds are rounded to 0.024 rad/s, but add up to the requested displacement.
     assert np.abs(np.cumsum(sent - asked, axis=0)).max() <= VELOCITY_UNIT / 2 + 1e-9
     assert performance.arm["t"].is_monotonic_increasing
 
@@ -186,7 +186,7 @@ def test_an_emergency_stop_is_the_servos_own_latch_until_it_is_cleared(log):
         ):
             arm.perform(movement())
         assert "tripped" in {e["event"] for e in events(log)}
-        for _ in range(2):  # a refusal must not clear it on its way out
+        for _ in range(2):  # a refusal must not clear the latch when it exits
             with (
                 pytest.raises(
                     HardwareError, match=r"latched.*hardware\.dynamixel\.clear .* 1 2 3"
@@ -220,7 +220,7 @@ def test_silence_trips_the_watchdogs_and_the_driver_is_told(log):
         assert "watchdog" in arm.wire.answers()[0].hold_reason
         np.testing.assert_array_equal(arm.angles(), there)
         arm.wire.stop()
-        # a stop is not a clear
+        # a stop does not clear the watchdog
         assert arm.wire._read(SERVOS[0], BUS_WATCHDOG) == WATCHDOG_TRIPPED
 
 
@@ -335,7 +335,7 @@ def test_a_servo_that_does_not_hold_what_it_was_asked_is_refused_before_anything
             match=rf"servo 2 holds \d+ in register {register.address} where \d+ was",
         ):
             slow(port).__enter__()
-        until = time.monotonic() + 5.0  # the last words are not answered
+        until = time.monotonic() + 5.0  # the last commands are not answered
         while (
             any(servo.get(TORQUE_ENABLE) for servo in servos.values())
             and time.monotonic() < until
@@ -367,7 +367,7 @@ def test_velocities_beyond_the_limit_never_reach_a_servo_and_nothing_does_before
         assert plain.send(np.full(3, 1.0))[1].tolist() == [0.0, 0.0, 0.0]
         plain.set_limits(SLOW)
         _, carried = plain.send(np.array([1e6, -1e6, 1.0]))
-        plain.answers()  # they have read it when they answer
+        plain.answers()  # servos that answer have read the command
         told = [servo.get(GOAL_VELOCITY) for servo in servos.values()]
         plain.close()
     assert told == [

@@ -23,7 +23,7 @@ from stringcast.stages.check.frames import check_dropped_frames
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.camera import Camera
 
-# slow: a busy machine is late by some milliseconds
+# a slow camera, because a busy machine is late by some milliseconds
 CAMERA = Camera(32, 24, 50.0, (16.0, 12.0), 50.0)
 CONTROLS = {"AUTO_EXPOSURE": 1, "EXPOSURE": 10, "GAIN": 2}
 
@@ -89,8 +89,8 @@ def test_the_time_that_decoding_takes_is_none_of_the_exposures(plugged):
     truth = np.array(
         [sensor.exposed_at(number_in(image)) - begun for image in made.images]
     )
-    assert truth[0] > 0.02  # where frames that waited were kept: below 0
-    # measured with decoding counted in: 4 to 12 ms
+    assert truth[0] > 0.02  # it was negative where waiting frames were kept
+    # with decoding counted in, the errors were 4 to 12 ms
     np.testing.assert_allclose(made.t, truth, atol=2e-3)
     assert made.fault == ""
 
@@ -137,7 +137,7 @@ def test_a_camera_that_dies_says_when_and_the_film_is_not_trusted(plugged):
     made, _ = film(plugged(sensor), sensor)
     assert made.fault.startswith("the camera saw nothing after 0.2")
     assert 13 <= len(made.t) <= 15
-    assert made.summary["frames_dropped"] >= 24  # of 0.8 s
+    assert made.summary["frames_dropped"] >= 24  # in 0.8 s
 
 
 def test_a_camera_that_dies_before_the_first_frame_is_refused_before_anything_moves(
@@ -199,7 +199,7 @@ def test_a_device_that_hangs_is_let_go_of_once_it_does_not(plugged, monkeypatch)
         camera.stop(begun)
         taker = camera.film.threads[0]
     assert taker.is_alive()
-    assert not sensor.released  # it is being read
+    assert not sensor.released  # the sensor is being read
     taker.join(3.0)
     assert sensor.released
 
@@ -242,8 +242,7 @@ def test_a_host_that_is_too_slow_loses_frames_and_says_so(plugged, monkeypatch):
     assert made.summary["frames_dropped"] > 10
 
 
-# --- what a device is told
-# --------------------------------------------------------------------------------------------
+# --- settings of a device
 
 
 def test_controls_are_set_and_read_back(plugged):
@@ -323,8 +322,7 @@ def test_stills_are_taken_at_intervals_once_a_person_is_ready(plugged):
     assert 4 <= len(stills) <= 6
 
 
-# --- files that stand in for a device
-# ---------------------------------------------------------------------------------
+# --- files in place of a device
 
 
 def test_a_folder_and_a_video_are_played_at_the_cameras_rate(tmp_path):
@@ -356,8 +354,7 @@ def test_a_folder_without_images_and_images_of_another_size_are_refused(tmp_path
         FilmingCamera(CAMERA, ImageFolder(tmp_path), 0.0).__enter__()
 
 
-# --- the schedule, by numbers
-# -----------------------------------------------------------------------------------------
+# --- the schedule of frames
 
 
 def jittered_arrivals(rng, jitter, heavy, lost):
@@ -370,8 +367,8 @@ def jittered_arrivals(rng, jitter, heavy, lost):
     return n, np.maximum.accumulate(3.0 + (n + late) * 0.005015)
 
 
-# Shares measured with twenty seeds: 0, 0, 0.0010, 0.0032, 0.011; a frame later than its
-# successor is due, which itself was lost, cannot be told from it.
+# Shares measured with twenty seeds: 0, 0, 0.0010, 0.0032, 0.011. A frame that comes
+# after its lost successor is due cannot be distinguished from it.
 @pytest.mark.parametrize(
     ("jitter", "heavy", "lost", "wrong"),
     [

@@ -14,7 +14,7 @@ from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.execute.interfaces import HardwareError
 
-LOOK = 1e-6  # [s] that a look at the clock takes
+LOOK = 1e-6  # duration [s] of reading the clock
 
 
 @pytest.fixture
@@ -109,7 +109,7 @@ def test_answers_that_never_come_are_waited_for_no_longer_than_stated(now):
     assert list(log.pending_ticks.values()) == [3, 4]
     assert np.isnan(log.acknowledged[3:]).all()
     assert now.now - wire.at[-1] == pytest.approx(DRAIN_S, abs=5e-4)
-    # asleep, not watching the clock
+    # the loop sleeps instead of polling the clock
     assert now.slept.count(loop.POLL_S) > 0.9 * DRAIN_S / loop.POLL_S
     assert DRAIN_S == 0.05
 
@@ -260,7 +260,6 @@ def test_an_answer_that_was_overtaken_is_kept_but_is_not_the_latest(now):
 
 
 # --- the device
-# ---------------------------------------------------------------------------
 
 
 def arm(wire, **changed):
@@ -394,9 +393,8 @@ def test_a_movement_is_placed_in_time_by_its_first_command(now):
 
 
 # --- limits
-# -------------------------------------------------------------------------------
 
-BOUNDS = {  # of each setting: what is just allowed, and what is just not
+BOUNDS = {  # for each setting, a value that is just allowed, and one that is not
     "round_trip": ([1e-9], [0.0, -1.0]),
     "misses": ([1], [0]),
     "late": ([1e-9], [0.0]),
@@ -459,7 +457,7 @@ def refused(limits, angles, workspace=ANYWHERE):
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_the_speed_may_be_reached_and_not_more(joint, sign):
     assert refused(ROOMY, sign * swinging_angles(1.0005, joint)) == ()
-    # as it is fastest, in tick 19
+    # the joint is fastest in tick 19
     assert refused(ROOMY, sign * swinging_angles(1.0015, joint)) == ("arm.speed", 0.095)
 
 
@@ -483,7 +481,8 @@ def test_the_acceleration_may_be_reached_and_not_more():
 
 def test_the_hands_speed_may_be_reached_and_not_more():
     angles = swinging_angles(0.5, joint=0)
-    speed = ARM.commanded_velocities(angles)[:, 0].max() * ARM.reach  # outstretched
+    # the arm is outstretched
+    speed = ARM.commanded_velocities(angles)[:, 0].max() * ARM.reach
     for share, said in ((1.0005, ""), (1.0015, "arm.hand_speed")):
         found = refused({**ROOMY, "hand_speed": speed / share}, angles)
         assert (found[0] if found else "") == said

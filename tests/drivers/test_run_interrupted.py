@@ -15,7 +15,7 @@ from rig import events
 
 from stringcast.hardware.serial.rehearsal import LOG_VARIABLE
 
-# of the cores: others go by clocks beside it
+# a share of the cores, because parallel tests depend on clocks
 SHARED = os.environ | {"NUMBA_NUM_THREADS": str(share())}
 SMALL = (
     "+experiment=quick",

@@ -76,7 +76,7 @@ def test_a_trial_comes_back_whole_and_on_one_clock(port, film):
     assert len(trial.images) == len(t) >= 45
     assert trial.ticks["t_due"].iloc[20] == pytest.approx(0.0, abs=1e-9)
     turned = trial.arm.iloc[-1][list(JOINTS)] - trial.arm.iloc[0][list(JOINTS)]
-    # the arm goes on as told until it is told again
+    # the arm keeps its speed until the next command
     late = float((trial.ticks["t_sent"] - trial.ticks["t_due"]).max())
     fastest = float(np.abs(motion().commands[list(SPEEDS)]).to_numpy().max())
     np.testing.assert_allclose(turned, [0.5, -0.4, 0.6], atol=0.03 + fastest * late)
@@ -84,7 +84,7 @@ def test_a_trial_comes_back_whole_and_on_one_clock(port, film):
     np.testing.assert_array_equal(
         shown - shown[0], trial.frames["number"] - trial.frames["number"].iloc[0]
     )
-    # late as frames may come
+    # late frames have their true times
     np.testing.assert_allclose(np.diff(t), np.diff(shown) * 0.01, atol=1e-9)
     assert trial.link["frames_dropped"].iloc[0] == 0
     assert trial.link["valid"].iloc[0]
@@ -118,7 +118,7 @@ def test_the_camera_is_told_when_the_arm_began_to_move(port, film, monkeypatch):
     lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=film, **LINK)
     with pytest.raises(HardwareError, match="no frame came during the movement"):
         execute(motion(), lab.arm, Watch(CAMERA, film, 0.0), before=0.1, after=0.1)
-    # less than a tick, on a machine that may be busy
+    # less than a tick, even on a busy machine
     assert told[0] == pytest.approx(sent[0], abs=0.004)
 
 

@@ -35,8 +35,8 @@ from stringcast.hardware.serial.protocol import PROTOCOL_VERSION
 from stringcast.hardware.serial.wire import SerialWire
 from stringcast.stages.execute.interfaces import HardwareError
 
-# From the watchdog's last word to standstill: the wires swing out. Measured 0.05 s on
-# the device's own clock.
+# Time from the watchdog's last command to standstill, in which the arm swings out.
+# Measured 0.05 s on the device's own clock.
 SWINGS_OUT = 0.15
 SURVIVED = tuple(
     kind for kind in FAULT_KINDS if kind not in ("freeze", "unplug", "brownout", "jump")
@@ -49,7 +49,7 @@ def log(tmp_path):
 
 
 def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
-    # The device's clock and the host's numbers both go round on the way.
+    # The device's clock and the host's numbers both wrap around during the movement.
     with emulator(log, "--since", str(2**32 - 200_000)) as port:
         arm = driver(port)
         arm.wire.sequence = 2**16 - 80
@@ -67,7 +67,7 @@ def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
     )
     assert (ticks["t_sent"] >= ticks["t_due"]).all()
     answered = ticks.dropna(subset="t_acknowledged")
-    # a busy machine lets frames arrive together
+    # frames may arrive together on a busy machine
     assert (np.diff(answered["t_device"]) >= 0).all()
     assert np.ptp(answered["t_device"]) < 60.0
     assert performance.arm["t"].is_monotonic_increasing
@@ -115,7 +115,7 @@ def test_a_fault_of_one_frame_is_survived_and_accounted_for(log, kind):
 def test_a_fault_of_the_device_ends_with_the_arm_at_rest_and_one_error(log, kind):
     frame = random.Random(kind).randrange(5, 55)
     said = r"no answer|link is gone|does not answer|restarted|watchdog|jumped"
-    # so that what an encoder can truly report is little, also after a pause
+    # a slow arm, so that encoders can report only small changes, even after a pause
     slow = replace(ARM, speed=(3.0,) * 3)
     with emulator(log, "--fault", f"{kind}:{frame}") as port:
         with pytest.raises(HardwareError, match=said), driver(port, slow) as arm:

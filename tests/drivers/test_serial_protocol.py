@@ -219,7 +219,8 @@ def test_nothing_moves_before_limits_were_set():
     tell(device, FrameKind.HELLO, 1, (PROTOCOL_VERSION,))
     assert tell(device, FrameKind.VELOCITY, 2, POSE).state is DeviceState.CLAMPED
     assert device.target == (0.0, 0.0, 0.0)
-    assert limited(device, *LIMITS)[0] == 0.0  # nor are they set while it moves
+    # limits are not set while the device moves
+    assert limited(device, *LIMITS)[0] == 0.0
     tell(device, FrameKind.STOP, 3)
     assert limited(device, *LIMITS) == LIMITS
     assert tell(device, FrameKind.VELOCITY, 4, POSE).state is DeviceState.MOVING
@@ -249,7 +250,7 @@ def test_a_speed_beyond_the_limit_is_cut_and_told_until_the_host_has_stopped(
     firmware, speed
 ):
     sign = 1 if speed > 0 else -1
-    # 4 rad/s at 300 rad/s^2 over two ticks, 3 rad/s a command
+    # the limit is 4 rad/s, and 300 rad/s^2 over two ticks allow 3 rad/s a command
     for number in range(2, 6):
         state = tell(
             firmware, FrameKind.VELOCITY, number, (speed, 1.0, 0.0), 5000 * number

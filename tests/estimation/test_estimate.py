@@ -83,7 +83,7 @@ def test_matching_rate_is_equations_5_and_6():
     pixels = rng.uniform(-5, 45, (3, 4, 6, 2))
     tips = rng.uniform(0, 30, (4, 2))
     weights = (1 + np.arange(6) * 0.25) * np.ones((4, 1))
-    weights[3, :2] = 0  # what a frame does not show
+    weights[3, :2] = 0  # points that a frame does not show
     literal = np.zeros((3, 4))
     for c, f in np.ndindex(3, 4):
         p = np.zeros(6)

@@ -52,7 +52,7 @@ NAMED = {
 }
 POSE = np.array([0.1, 0.2, -np.pi / 2])
 MIDDLE = (np.arange(300) + 0.5) / 1000  # arc lengths [m]
-# bent aside by 1.4 rad, as a released string is, and turning as in its first mode
+# a released string, bent aside by 1.4 rad and turning as in its first mode
 SHAPE = POSE[2] + 1.4 * np.sin(np.pi / 2 * MIDDLE / LENGTH)
 TURN = 8.0 * np.sin(np.pi / 2 * MIDDLE / LENGTH)
 PLACES = {
@@ -135,7 +135,8 @@ def _moved(angle, rate):
     ) / 1000
 
 
-# Measured over 6 seeds, at most, in mm and m/s (the string's fastest moves at 1.5 m/s)
+# Largest errors measured over 6 seeds are in mm and m/s; the string's speed reaches 1.5
+# m/s
 @pytest.mark.parametrize(
     ("where", "fps", "noise", "place", "velocity"),
     [

@@ -166,7 +166,7 @@ def test_what_is_read_where_it_rests_knows_nothing_of_what_follows(model):
 
 def test_a_string_rests_until_its_hand_has_moved(model):
     still = resting_part(prepare_trial(model, driven(model, {})))
-    assert still.times[-1] <= MOVES + 0.03  # by then the hand has gone 1.5 mm
+    assert still.times[-1] <= MOVES + 0.03  # by then the hand has moved 1.5 mm
     assert len(still.times) >= np.sum(MOVES >= T)
     assert still.frame.max() == len(still.times) - 1
 
@@ -185,8 +185,7 @@ def test_of_one_that_begins_moving_only_its_beginning_is_fitted(model):
     assert worse.score["tip"].iloc[0] > 10 * NOISE
 
 
-# --- in a run
-# ------------------------------------------------------------------------------------------------------
+# --- prediction in a run
 
 
 class Recorder:

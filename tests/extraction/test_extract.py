@@ -100,7 +100,7 @@ def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
     for cast in (upwards, back):
         trial, true = filmed(name, **cast)
         t = trial.frames["t"].to_numpy()
-        # mean over 5 ms
+        # the speed is a mean over 5 ms
         assert (
             np.linalg.norm(np.diff(true[:, -1], axis=0), axis=-1) / np.diff(t)
         ).max() > 20
@@ -117,9 +117,10 @@ def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
         total += len(t)
     assert near >= 0.98 * total
     assert close >= 0.98 * total
-    # of a coordinate: distances in the plane are Rayleigh's
+    # sigma is of a coordinate, and distances in the plane follow Rayleigh's
+    # distribution
     assert 0.7 < np.median(off) / np.sqrt(2 * np.log(2)) < 1.4
-    # measured: 0 to 2 %, and 8 % of D, whose whipping end is told too surely
+    # measured: 0 to 2 %, and 8 % of D, for whose whipping end sigma is too small
     assert np.mean(np.array(off) > 4) < 0.1
 
 

@@ -45,6 +45,6 @@ def test_a_tremble_behind_a_string_is_seen_all_the_same():
     wall = gaussian_filter(np.random.default_rng(1).uniform(0, 100, (240, 330)), 3)
     views = [list(swinging(wall[:, 4 + at : 324 + at], 6)) for at in range(3)]
     steady, _ = stabilise_film([views[i % 3][i] for i in range(24)])
-    # where the string hangs still, it is not sure
+    # the shift is uncertain where the string hangs still
     apart = steady.shift[5:21:3] - steady.shift[3:21:3]
     np.testing.assert_allclose(apart, np.tile([-2.0, 0.0], (6, 1)), atol=0.1)

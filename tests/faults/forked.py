@@ -33,7 +33,7 @@ from stringcast.pipeline.sweep.ledger import DONE_STATE, Ledger
 from tests.faults.strike import look_at_what_is_left
 from tests.faults.toy import ROOT, STAGES, TINY, contents
 
-ERRORS = (  # number of the error, and whether it lasts until the command is given again
+ERRORS = (  # number of the error, and whether it lasts until the command is repeated
     (errno.ENOSPC, True),
     (errno.EROFS, True),
     (errno.EACCES, True),
@@ -41,7 +41,7 @@ ERRORS = (  # number of the error, and whether it lasts until the command is giv
 )
 REMEDY = re.compile(r"cannot be (written|locked) \((No space left|Read-only file|Permission denied).*\)\. "
                     r"(Free space on the disk, or choose|Choose)")  # fmt: skip
-CHANCE = ["attempts", "seconds", "host"]  # of a job: no two sweeps have them alike
+CHANCE = ["attempts", "seconds", "host"]  # columns of a job that differ between sweeps
 
 
 class Run:
@@ -218,7 +218,7 @@ def main(place, *asked):
     for name, _, number in (word.partition(":") for word in asked):
         kind, folder = KINDS[name], place / name
         if name not in whole:
-            # here, so that children find loaded what it loads
+            # this process makes it, so that children inherit the modules it loads
             assert status(kind.again(folder / "whole")) == 0
             whole[name] = kind.made(folder / "whole")
         for n in [int(number)] if number else itertools.count():
@@ -240,7 +240,7 @@ def struck_by(place, *asked):
     subprocess.run(
         ["cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True
     )
-    # which bears a fork
+    # this threading layer survives a fork
     around = os.environ | {
         "LD_PRELOAD": str(library),
         "NUMBA_THREADING_LAYER": "workqueue",
@@ -257,8 +257,10 @@ KINDS = {"run": Run(), "sweep": Sweep()}
 
 if __name__ == "__main__":
     REAL, single_run.prepare_experiment = single_run.prepare_experiment, toy_experiment
-    shell.main.__wrapped__.__module__ = "__main__"  # as Hydra finds it when it is run
+    # as Hydra expects when the module is run
+    shell.main.__wrapped__.__module__ = "__main__"
     Attempt._run_process = process
-    import_module("stringcast.pipeline.run.report")  # so that no child has to
+    # imported here once for all children
+    import_module("stringcast.pipeline.run.report")
     import_module("stringcast.pipeline.sweep.finish")
     main(Path(sys.argv[1]), *sys.argv[2:])

@@ -28,7 +28,7 @@ class Killed(BaseException):
     """
 
 
-KINDS = {  # what strikes, and whether it lasts until the run is begun again
+KINDS = {  # the fault, and whether it lasts until the run is restarted
     "kill": (Killed(), True),
     "disk full from then on": (OSError(errno.ENOSPC, "No space left on device"), True),
     "read-only from then on": (OSError(errno.EROFS, "Read-only file system"), True),
@@ -69,7 +69,7 @@ class Faults:
         """Count an operation, and raise if it is its turn."""
         self.done.append(name)
         at = len(self.done) - 1
-        # removing never raises one
+        # a removal never raises an OSError
         harmless = name == "remove" and isinstance(self.error, OSError)
         if not harmless and (at == self.n or (self.lasts and at > self.n)):
             raise self.error

@@ -164,7 +164,8 @@ def test_a_kill_at_any_operation_leaves_whole_artifacts_and_the_next_save_tidies
         if place.exists():
             assert value_of(place) in (1.0, 2.0)
         else:
-            # between the two renames of a replacement: the old one stands beside, whole
+            # between the two renames of a replacement the old artifact is whole under
+            # another name
             assert operation == "rename"
             assert value_of(next(place.parent.glob(".p.*.replaced"))) == 1.0
         store.save(points(3.0), place, {})
@@ -220,12 +221,12 @@ def test_real_processes_killed_at_random_moments_lose_nothing_they_had_finished(
         writer = subprocess.Popen(
             [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
         )
-        assert writer.stdout.readline() == "1\n"  # it has begun
+        assert writer.stdout.readline() == "1\n"  # the writer has begun
         time.sleep(moment)
         writer.send_signal(signal.SIGKILL)
         finished = int((["1", *writer.stdout.read().split()])[-1])
         writer.wait()
-        # the one after them may have replaced the third
+        # the artifact after these may have replaced the third
         for number in range(max(finished - 1, 1), finished + 1):
             assert value_of(tmp_path / str(number % 3)) >= number
 

@@ -33,7 +33,7 @@ TINY = (
     "camera.px_per_m=8",
     "camera.origin_px=[6,10]",
 )
-CALLS = []  # what was made, in order
+CALLS = []  # names of artifacts in the order in which they were made
 
 
 @cache
@@ -182,7 +182,7 @@ def toy_run(folder, here):
 
 def contents(folder):
     """Return content hashes of all that a run leaves, by path."""
-    # which tells the time
+    # the log holds times, which differ between runs
     files = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != LOG_FILE)
     shown = [
         p

@@ -92,7 +92,7 @@ REFUSED = {
     ),
     "tilt without lens": ("camera: {tilt: [0.1, 0]}", "needs camera.lens"),
     "twice": ("string: {length: 0.3}\nstring: {length: 3.0}", "string is given twice"),
-    # which Python cannot print
+    # Python cannot print these numbers
     "thousands of digits": (f"remark: 0x{'f' * 5000}", "a whole number of 5002 digits"),
     "hundreds of digits": (
         f"camera: {{width: {'9' * 400}}}",
@@ -296,7 +296,7 @@ def test_times_that_are_no_times_are_left_out(tmp_path):
         tmp_path, {"string": {"length": 0.3}}, grasp=grasp(), points=points(t=T * 1e300)
     )
     read = dataset.read_dataset(tmp_path)
-    # all but 0
+    # all rows but that of t = 0
     assert read.row_counts["points.csv"].dropped == {"t is beyond 1e+19": len(T) - 1}
     assert not read.trials
 
@@ -507,6 +507,6 @@ def test_a_long_text_that_every_row_repeats_is_held_once(tmp_path):
         dataset.with_trial(dataset.POINTS), tmp_path / "points.parquet"
     )
     assert len(frame) == 400
-    # one for each batch that is read
+    # one copy for each batch that is read
     assert len({id(text) for text in frame["remark"]}) < 10
     assert frame["trial"].tolist() == ["a"] * 400

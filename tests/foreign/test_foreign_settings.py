@@ -98,7 +98,7 @@ def test_a_stored_run_runs_no_code(settings, canary, tmp_path, place, asked):
     (run / "config.json").write_text(
         json.dumps(poisoned(settings, place, poisons(canary)[place]))
     )
-    if asked in ("index", "why"):  # which look at files and settings alone
+    if asked in ("index", "why"):  # these commands read files and settings alone
         assert load_command(asked)([str(run.parent if asked == "index" else run)]) == (
             asked == "why"
         )
@@ -372,7 +372,7 @@ def test_machine_code_of_others_is_not_run(shared_folder, tmp_path, monkeypatch,
     assert used != shared_folder
     assert used.stat().st_mode & 0o777 == 0o700
     assert not list(used.iterdir())
-    assert module_cache.private_temporary_folder() == used  # one for a process
+    assert module_cache.private_temporary_folder() == used  # one folder for a process
 
 
 def test_numpy_would_have_run_the_pickle(canary):

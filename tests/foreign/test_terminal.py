@@ -18,7 +18,7 @@ from stringcast.pipeline.run.log import LINE_FORMATTER
 from stringcast.pipeline.sweep.launcher import job_line
 from stringcast.pipeline.sweep.ledger import Job
 
-# names the window, clears the screen, and clears it in eight bits
+# escape sequences that name the window, and clear the screen in seven and eight bits
 EVIL = "a\x1b]0;mine\x07\x1b[2J\x9b2Jb"
 
 
@@ -57,7 +57,7 @@ def test_a_bar_moves_and_its_name_does_not_steer():
     )
     with progress_bars(out) as bar, bar(EVIL) as progress:
         progress(0.5)
-    assert "\x1b[2K" in out.file.getvalue()  # its own line, again and again
+    assert "\x1b[2K" in out.file.getvalue()  # the bar clears its own line repeatedly
     assert "\x1b[2J" not in out.file.getvalue()
     assert r"a\x1b]0;mine" in out.file.getvalue()
 

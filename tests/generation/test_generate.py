@@ -110,7 +110,7 @@ def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
 
     It is checked again from the commands alone, with another sampling.
     """
-    wall = Box(0.6, 0.35, 0.05, 0.3)  # in the way of most
+    wall = Box(0.6, 0.35, 0.05, 0.3)  # an obstacle to most motions
     motion = generate(
         Model(STRING, arm, camera),
         TARGET,

@@ -269,7 +269,7 @@ def test_what_comes_after_a_touch_does_not_count(model):
     assert 5 < touched.sum() < 35
     assert (some.distance >= none.distance).all()
     assert (some.distance[~touched] == none.distance[~touched]).all()
-    # these came nearer behind the wall
+    # these strings came nearer behind the wall
     assert (some.distance[touched] > none.distance[touched]).any()
     assert (some.closeness[touched] < none.closeness[touched]).all()
 
@@ -376,7 +376,7 @@ def test_failures_say_why(model, monkeypatch):
     in_the_way = Box(0.2, 0.2, 0.1, 0.1)
     with pytest.raises(MotionNotFoundError, match="no random motion"):
         likeliest(model, TARGET, (in_the_way,), None, None, seed=0, **SETTINGS)
-    # below the arm, where some strings hang through it whatever happens
+    # below the arm, where some strings always hang through it
     curtain = Box(0.2, 0.0, 3.0, 1e-6)
     down = Curves(
         np.array([[0.0, -np.pi / 2, 0.0]]), np.array([0.3]), np.zeros((1, 3, 6))
@@ -402,7 +402,7 @@ def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
     assert (told["chance"], told["chance_low"]) == (0.0, pytest.approx(0.0))
     assert told["chance_high"] > 0.2
     assert first.outcome["tried"].iloc[0] == told["tried"]
-    # with the string known, it was sought once more
+    # with the string known, the search was repeated once more
     assert again.outcome["tried"].iloc[0] > 1.5 * told["tried"]
     assert len(motion.commands) == round(told["duration"] / model.arm.tick) + 1
 

@@ -105,7 +105,7 @@ def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(
 
     Units come from the columns' names, clocks 81 s apart from the motion.
     """
-    # which takes most of the time
+    # drawing takes most of the time
     monkeypatch.setattr(
         "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
     )
@@ -125,7 +125,7 @@ def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(
         np.testing.assert_allclose(
             trial.points[["x", "y"]], tips[["x", "y"]], atol=1e-9
         )
-        # a frame: the strings whip at 20 m/s
+        # the tolerance is a frame, as the strings whip at 20 m/s
         assert np.abs(trial.points["t"] - shift - tips["t"]).max() < 0.006
         assert set(trial.points["s"]) == {0.304}
     again = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
@@ -137,7 +137,7 @@ def test_the_tutorial_goes_as_its_page_says(called, tmp_path, monkeypatch):
 
     That covers what it imports, and what is reported of that.
     """
-    # which takes most of the time
+    # drawing takes most of the time
     monkeypatch.setattr(
         "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
     )
@@ -168,7 +168,7 @@ def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(
 
     Arm and string reveal millimetres, degrees and y down.
     """
-    # which takes most of the time
+    # drawing takes most of the time
     monkeypatch.setattr(
         "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
     )
@@ -200,7 +200,7 @@ def test_nothing_is_written_where_the_string_cannot_be(sample, called, tmp_path)
     assert "was not written" in done.stderr
     assert "one frame of reference" in done.stderr
     assert not (tmp_path / "mine").exists()
-    # on which it can be seen
+    # the drawing shows the fault
     assert (tmp_path / "mine.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -363,7 +363,7 @@ def test_deeplabcut_and_optitrack_are_known_by_their_first_line(tmp_path):
     np.testing.assert_allclose(what.points[["x", "y"]].iloc[4], (0.114, 0.05))
     turned = of(tmp_path / "take.csv", plane="-y,x").motion.iloc[0]
     np.testing.assert_allclose(turned[["x", "y"]].astype(float), (-0.2, 0.1))
-    # what pointed up points to the left
+    # what pointed up now points left
     assert np.cos(turned["theta"] - pi) == pytest.approx(1)
 
 

@@ -82,12 +82,12 @@ def test_a_dataset_of_lerobot_has_its_episodes_and_states(tmp_path):
     names = {"q1": "shoulder_pan", "q2": "-shoulder_lift+90", "q3": "elbow_flex"}
     what = gather_tables(files, ColumnHints(columns=names))
     assert sorted(what.motion["trial"].unique()) == ["t0", "t1"]
-    # nobody said --deg
+    # --deg is not given
     assert {taken.how for taken in what.used_columns if taken.role in names} == {
         "values"
     }
     one = what.motion[what.motion["trial"] == "t1"]
-    # they turn so far: degrees
+    # the large range shows that angles are in degrees
     np.testing.assert_allclose(one["q2"], np.radians(90 - 10.0 * np.arange(FRAMES)))
     np.testing.assert_allclose(one["t"], np.arange(FRAMES) / 30)
     with pytest.raises(

@@ -30,18 +30,17 @@ from stringcast.stages.model.string import String
 from tests.benchmarks.speed.cord import ROOT
 
 CASTS = 4
-DURATION = (0.5, 0.8)  # [s] of the movement; the string swings on until END
+DURATION = (0.5, 0.8)  # duration of the movement [s]; the string swings on until END
 END = 1.0  # [s]
-# [m/s] of the hand at its fastest
+# range of the hand's greatest speed [m/s]
 SPEEDS = (2.0, 10.0)
-ALPHA = 150.0  # [rad/s2], as conf/generate/bezier.yaml
+ALPHA = 150.0  # [rad/s2], as in conf/generate/bezier.yaml
 FRAME_TIMES = np.arange(201) / 200  # [s], at the rate of conf/camera/highspeed.yaml
-NOISE = 7e-4  # [m], of a point that the extract stage reads
+NOISE = 7e-4  # [m], noise of a point that the extract stage reads
 PLACES = np.linspace(0.3 / 19, 0.3, 19)  # [m] of arc length
 FIRST_FINER_SEED = 24
 FITTED, FINER, FINEST = (20, 1e-3), (28, 5e-4), (57, 5e-4)  # points and step [s]
-# [m] by which FINER may move the tip: of a cast more chaotic than that no chain knows
-# the end
+# largest change [m] of the tip by FINER; no mesh resolves a more chaotic cast
 MAX_MESH_ERROR_M = 0.02
 LAB_STRINGS = ("A", "B", "C", "D")
 

@@ -34,7 +34,8 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 
 FRAMES, PLACES_SEEN = 120, 14
-SHARE, BEFORE = 0.4, 0.3  # of the neighbour's noise; correlation with the frame before
+# share of the neighbour's noise; correlation with the frame before
+SHARE, BEFORE = 0.4, 0.3
 T = np.arange(FRAMES) / 120
 S = 0.3 * np.linspace(0.1, 1.0, PLACES_SEEN)
 

@@ -54,10 +54,10 @@ def cast(
         seen[c, :, 0], seen[c, :, 1] = x, y
         for q in range(steps):
             x[0], y[0], theta, vx[0], vy[0], turn = hand[c, q]
-            # The hand is the segment before the first: its direction, its turning.
+            # The hand's direction and rate are those of the segment before the first.
             ux, uy, w = np.cos(theta), np.sin(theta), turn
             stiff, damp = k_ph, c_ph
-            # of the segment before
+            # quantities of the segment before
             px, py, pull, inverse, moment = 0.0, 0.0, 0.0, 0.0, 0.0
             fx, fy = 0.0, 0.0  # its force on the point at its end
             for i in range(n):

@@ -190,7 +190,6 @@ def test_a_mass_that_slides_on_top_is_slowed_by_the_friction_coefficient():
 
 
 # --- a string
-# ----------------------------------------------------------------------------------------------------
 
 LENGTH = 0.3
 LIMP = {

@@ -28,7 +28,7 @@ STRIP = {
     },
 }
 T = np.arange(0, 0.3, 0.005)
-# at work in one test; two loops to compile for all
+# active in one test; all tests share two compiled loops
 LAWS = find_effects(["density_taper", "rest_curvature", "tip_mass"])
 SECOND_ORDER = {
     "tip_cell": 0.5,
@@ -123,7 +123,7 @@ def test_a_straight_string_passes_through_the_stated_grasp():
         ).points[0, 0]
         np.testing.assert_allclose(
             found, [[0.1, 0.2 - s] for s in string.arc_lengths()], atol=1e-4
-        )  # of which the stretch is 0.06 mm
+        )  # the stretch is 0.06 mm
 
 
 def test_a_clamp_changes_nothing_beside_it():

@@ -88,7 +88,6 @@ def frequency(t, x):
 
 
 # --- string
-# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.5])
@@ -126,7 +125,7 @@ def test_a_tapered_chain_swings_at_its_own_frequency(taper):
     x = swinging(LIMP | {"density_taper.taper": taper}, drive, t)[free, -1, 0]
     plain = swinging(LIMP, drive, t)[free, -1, 0]
     assert frequency(t[free], x - x.mean()) == pytest.approx(expected, rel=0.01)
-    # without taper it would not be found
+    # a string without taper has another frequency
     assert abs(frequency(t[free], plain - plain.mean()) / expected - 1) > 0.03
 
 
@@ -328,7 +327,6 @@ def test_tilted_gravity_is_the_whole_experiment_turned():
 
 
 # --- contact
-# ---------------------------------------------------------------------------------------------------
 
 FLOOR = {"contact.stiffness": 2e4, "contact.height": -0.2}
 
@@ -482,7 +480,6 @@ def test_a_string_dropped_on_a_floor_gains_no_energy():
 
 
 # --- hand
-# --------------------------------------------------------------------------------------------------------
 
 T = np.arange(0, 1.0, 0.005)
 WAVES = np.stack(
@@ -638,7 +635,6 @@ def test_what_acts_on_joints_is_refused_where_only_the_grasp_is_known():
 
 
 # --- clocks and camera
-# ---------------------------------------------------------------------------------------------
 
 VIEW = Camera(640, 480, 300.0, (250.0, 380.0), 200.0)
 
@@ -716,7 +712,8 @@ def test_a_rolled_camera_turns_the_picture_about_its_middle():
         VIEW.pixels(find(motion, values, t).points) - [319.5, 239.5]
         for find in (model.simulate_string, model.simulate_observation)
     )
-    c, s = np.cos(0.1), np.sin(0.1)  # v points down: counter-clockwise to the eye
+    # v points down, so this is counter-clockwise to the eye
+    c, s = np.cos(0.1), np.sin(0.1)
     np.testing.assert_allclose(seen, true @ np.array([[c, -s], [s, c]]), atol=1e-9)
 
 

@@ -29,8 +29,8 @@ ROD = {
     },
     "grasp_stiffness": 1e-12,
 }
-# With the laws of `laws/test_memory_in_motion.py`, absent by their values: there is one
-# loop to compile for both.
+# The laws of `laws/test_memory_in_motion.py` are absent by their values, so that one
+# loop is compiled for both.
 FORCES = (Gravity, AxialSpring, AxialDamper, HingeSpring, HingeDamper, GraspSpring)
 MEMORY = find_effects(
     ["maxwell_slip", "dahl_friction", "standard_linear_solid", "grasp_play"]

@@ -79,7 +79,7 @@ def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
         for a, b in zip(t, x, strict=True)
         for s in (0.0, 0.1, 0.2)
     ]
-    wall = Box(0.38, 0.35, 0.021, 0.02)  # between two of the points
+    wall = Box(0.38, 0.35, 0.021, 0.02)  # the wall is between two points of the string
     struck = hit_test(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (wall,), 0.1)
     assert (struck.hit, struck.touched) == (False, 1)
     behind = hit_test(

@@ -68,9 +68,8 @@ NAMED = {
     "grasp_stiffness": 3.0,
     "grasp_damping": 5e-3,
 }
-# Where an effect acts only if its other parameters let it: a slip that begins, a floor
-# below the resting string, a wall to bounce from, and a box's corner in the string's
-# way.
+# Values with which an effect acts: a slip that begins, a floor below the resting
+# string, a wall to bounce from, and a box's corner in the string's way.
 FLOOR = {
     "contact.stiffness": 3e3,
     "contact.height": -0.3,
@@ -213,18 +212,17 @@ def test_at_their_start_laws_add_nothing(effect):
     for name in effect.laws().keys() - {
         "hinge_memory",
         "grasp_memory",
-    }:  # what a hinge holds is nothing to the string: its moment is
+    }:  # the string feels a hinge's moment, not its memory
         value = law_of(effect, name)(known)
         np.testing.assert_allclose(
             value - known.get(absent.get(name), 0.0), 0.0, atol=1e-15, err_msg=name
         )
 
 
-# --- units: measured in other metres and seconds, a law gives the same, in those
-# -----------------------
+# --- a law gives the same result in other metres and seconds
 
-# Laws with a constant of nature or of smoothing inside: only units in which that keeps
-# its number.
+# Laws with a constant of nature or of smoothing: its unit, for new units must keep its
+# number.
 CONSTANTS = {
     "contact": "m/s",
     "box_contact": "m/s",
@@ -315,8 +313,7 @@ def test_laws_do_not_depend_on_the_units_they_are_measured_in(effect, law):
         )
 
 
-# --- in the whole model
-# --------------------------------------------------------------------------------
+# --- effects in the whole model
 
 
 @pytest.fixture(scope="module")
@@ -413,8 +410,7 @@ def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swung):
     assert steps[0] == steps[1]
 
 
-# --- for people
-# --------------------------------------------------------------------------------------------
+# --- descriptions and pictures
 
 
 @pytest.mark.parametrize("effect", LIBRARY.values(), ids=lambda e: e.name)
@@ -450,7 +446,7 @@ def test_a_plane_that_nobody_would_call_one_is_said_to_be_soft(stiffness, said):
 def test_parameters_have_bounds_around_their_absence(effect):
     for p in effect.parameters:
         assert p.low <= p.start <= p.high
-        # how large it is may be nothing
+        # the first parameter may be absent at zero
         assert p.low in (0.0, -p.high) or (p.low > 0 and p != effect.parameters[0])
         assert p.meaning
         chi = np.linspace(0, 1, 11)
@@ -459,8 +455,7 @@ def test_parameters_have_bounds_around_their_absence(effect):
         assert p.chi(p.low - 1.0) == 0.0
 
 
-# --- one file and nothing else
-# -----------------------------------------------------------------------------
+# --- a new effect in one file
 
 
 def test_arguments_of_laws_are_known():

@@ -24,7 +24,7 @@ from stringcast.stages.model.library import effects_by_name, find_effects
 from stringcast.stages.model.state import StringState
 from stringcast.stages.model.statics.equilibrium import hanging_shape
 
-CAP, SLIP = 0.05, 0.04  # [m3/s2], [1/m]: of a cable
+CAP, SLIP = 0.05, 0.04  # [m3/s2] and [1/m] of a cable
 KNOWN = {
     "maxwell_slip": {"cap": CAP, "slip": SLIP},
     "dahl_friction": {"cap": CAP, "slip": SLIP},
@@ -100,7 +100,7 @@ def test_no_path_gets_more_out_of_a_hinge_than_it_put_in(name, seed):
 def test_a_loop_of_a_slip_has_the_area_of_its_parallelogram(wide, name):
     path = wide * SLIP * FINE
     done = work(path, moments(name, path))
-    there = len(FINE) - 8000  # the virgin curve is no part of the loop
+    there = len(FINE) - 8000  # the virgin curve is not part of the loop
     assert done[-1] - done[there - 1] == pytest.approx(
         4 * CAP * (wide - 1) * SLIP, rel=2e-3
     )
@@ -152,8 +152,7 @@ def test_what_relaxes_fades_as_an_exponential_to_second_order(steps):
     assert abs(faded - expected) < 2 * expected / 12 * (2.0 / steps) ** 2
 
 
-# --- in the string
-# -------------------------------------------------------------------------------------------------
+# --- memory in a string
 
 
 @pytest.fixture(scope="module")

@@ -42,7 +42,7 @@ HINGE = String(
 )
 SEGMENT = LENGTH / 2
 STIFFNESS = 0.05  # [m4/s2]
-# [rad/s] mass and inertia are those of a point, SEGMENT**3
+# [rad/s]; mass and inertia are those of a point, SEGMENT**3
 FREQUENCY = np.sqrt(STIFFNESS / SEGMENT**4)
 
 
@@ -102,7 +102,7 @@ def test_under_a_cap_swings_become_smaller_by_as_much_each_time(name):
     ends = ends[ends > 1.0]
     assert len(ends) >= 8
     lost = -np.diff(np.concatenate([[start], ends]))
-    # of work not done after a reversal, over cap
+    # work that is not done after a reversal, over the cap
     back = 2 * slip * (1.0 if name == "maxwell_slip" else np.log(2))
     pairs = np.concatenate([[start], ends])
     np.testing.assert_allclose(
@@ -128,7 +128,7 @@ def test_a_hinge_that_sticks_swings_faster_than_one_that_slips():
 
 
 @pytest.mark.parametrize(
-    # a loop more to compile, and steps that the stiff grasp bears
+    # the second compiles another loop; its steps suit the stiff grasp
     ("integrator", "step"),
     [
         (ImplicitLeapfrog(), 1e-3),
@@ -155,13 +155,12 @@ def test_half_the_step_is_half_as_far_off_and_a_tenth_a_tenth(name, integrator, 
     )
     whole, half, tenth = (np.abs(each - exact).max() for each in found)
     assert whole > 0.1 * step
-    # of the finest step's error, too, which is 1 % of the first at first order
+    # the finest step has an error, too: 1 % of the first at first order
     assert half < 0.51 * whole
     assert tenth < 0.1 * whole
 
 
-# --- a rod of somebody else: absolute angles, no stretch, scipy
-# ---------------------------------------------------
+# --- an independent rod: absolute angles, no stretch, SciPy
 
 
 ROD = String(
@@ -199,7 +198,7 @@ def rates(theta, named):
     rates (3), and the memory of two hinges (2, 2, 2) and of the grasp (1).
     """
     length = LENGTH / 3
-    carried = length * np.arange(3, 0, -1)  # [m] mass at and beyond each link's end
+    carried = length * np.arange(3, 0, -1)  # [m], mass at and beyond each link's end
     shared = length**2 * carried[np.maximum.outer(np.arange(3), np.arange(3))]
     slipping = (
         named["maxwell_slip.slip"],
@@ -293,8 +292,7 @@ def test_a_rod_that_somebody_else_integrates_moves_the_same(law):
     assert np.abs(without - expected).max() > 5e-3
 
 
-# --- a law that nobody had, in one file
-# ------------------------------------------------------------------------------
+# --- a new law in one file
 
 
 LAW = """

@@ -120,7 +120,6 @@ def test_the_run_that_is_drawn_is_no_lucky_one():
 
 
 # --- a study end to end
-# -----------------------------------------------------------------------------------------------
 T = np.arange(0, 0.31, 0.005)
 S = np.linspace(0, 0.3, 10)
 

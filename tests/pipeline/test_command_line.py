@@ -20,8 +20,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from stringcast.data import store
 from stringcast.pipeline.settings import composition, settings_from_runs
 
-BARE = "saved_outputs=[frames]"  # no report, where nobody asks for it
-# [m], as small as the paper's: two casts do not hit
+BARE = "saved_outputs=[frames]"  # leaves out the report where the test does not need it
+# a target [m] as small as the paper's, which two casts do not hit
 MISSED = ("target.w=0.02", "target.h=0.04")
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
@@ -430,7 +430,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
         "+experiment=quick",
         f"hydra.run.dir={tmp_path / 'run'}",
     ]
-    # what is begun by tests in the background would be deaf
+    # a process that tests start in the background would ignore SIGINT
     signal.signal(signal.SIGINT, signal.default_int_handler)
     running = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
     while not (tmp_path / "run" / "iterations").exists():
@@ -478,7 +478,7 @@ def test_every_experiment_composes_and_is_valid(name):
     points = {"stringD": 25, "long": 30}
     points |= dict.fromkeys(("window", "gap", "several", "estimate"), 20)
     points |= dict.fromkeys(("diagnose", "decide"), 57)
-    own = ("align", "calibrate")  # simulate none
+    own = ("align", "calibrate")  # experiments that simulate no string
     points |= dict.fromkeys(own, 57)
     assert composed(f"+experiment={name}", *stored).string.points == points.get(
         name, 10

@@ -103,7 +103,7 @@ def test_verify_says_where_a_value_differs_and_by_how_much(run, tmp_path):
         outcome.lines[at + 1],
     )
     assert "iterations/01/points: the same to the bit" in outcome.lines
-    # made from points that are not there any more
+    # the estimate was made from points that no longer exist
     assert "iterations/02/estimate: DIFFERS" in outcome.lines
     assert any(
         "input iterations/02/points has changed" in line for line in outcome.lines
@@ -174,7 +174,7 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(
     with monkeypatch.context() as patch:
         patch.setattr(provenance, "code_state", changed_code)
         made, said = toy_run(tmp_path / "run", real_arm())
-    assert made == ["extract", "estimate"]  # the last, after which no arm has moved
+    assert made == ["extract", "estimate"]  # artifacts after which no arm has moved
     assert "keeping iterations/01/motion, by which the arm has moved: " in said
     assert contents(tmp_path / "run") == before
     trial = tmp_path / "run/iterations/01/trial/arm.parquet"
@@ -354,7 +354,7 @@ def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
         runs.loc["day/stale", "stale"]
         == "iterations/01/points: extract.points 31 -> 30"
     )
-    # a setting of another name
+    # the setting has another name
     assert "string.integrator._target_" in runs.loc["day/old", "stale"]
     assert (runs.drop(["day/stale", "day/old"])["stale"] == "").all()
     fits = [

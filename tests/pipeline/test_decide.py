@@ -19,7 +19,7 @@ from stringcast.pipeline.run import run_folder
 from tests.conftest import swing
 from tests.pipeline.small import about
 
-SEEN = []  # names of the trials of each diagnosis made
+SEEN = []  # trial names of each diagnosis
 
 
 def proposing(model, observations, rejected, held_out, obstacles, *, seed, progress):
@@ -107,7 +107,7 @@ def test_an_interrupted_run_goes_on_where_it_was(null_trials, tmp_path):
             file.unlink()
         (last / name).rmdir()
     decide(null_trials, tmp_path)
-    assert len(SEEN) == 1  # the first diagnosis was read
+    assert len(SEEN) == 1  # the first diagnosis was read, not repeated
     assert content_hash(tmp_path / "iterations") == whole
 
 

@@ -36,7 +36,7 @@ def test_nothing_is_learned_from_a_rehearsal(called, tmp_path):
         int,
         re.search(r"the string was read in (\d+) of (\d+) frames", sentence).groups(),
     )
-    # at the pose of rest the picture holds more than the string
+    # at the pose of rest the picture shows more than the string
     assert (seen, frames) == (0, 88)
     assert (
         "most often: something like a string hangs together with the string" in sentence
@@ -53,7 +53,7 @@ def test_nothing_is_learned_from_a_rehearsal(called, tmp_path):
     assert run_row(folder)["outcome"] == "dry run"
     shown = (folder / "report.html").read_text(encoding="utf-8")
     assert '<span class="badge">not valid</span>' in shown
-    # it was not thrown at the target, and teaches nothing
+    # the string was not cast at the target, and nothing is learned
     assert not re.search("✗|✓|experiment=diagnose", shown)
     data = read_dataset(folder)
     assert data.trials == {}

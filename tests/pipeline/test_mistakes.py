@@ -70,7 +70,7 @@ def test_what_nothing_is_like_says_what_there_is():
         UserError,
         match=r"\+nosuch=x: there is no setting 'nosuch'. All settings: .* --help",
     ):
-        refuse_mistakes(["+nosuch=x"])  # which Hydra would take
+        refuse_mistakes(["+nosuch=x"])  # Hydra would accept it
     with pytest.raises(UserError, match="-x: there is no such option"):
         refuse_mistakes(["-x"])
     with pytest.raises(UserError, match=r"python3 tasks.py test"):
@@ -89,7 +89,7 @@ def test_what_nothing_is_like_says_what_there_is():
 
 @pytest.mark.parametrize("given", sorted({given for _, given in CALLS}))
 def test_what_pages_show_is_no_mistake(given):
-    # a group that the page has made
+    # +sway is a group that the page makes
     if given.partition(" ")[0] not in COMMAND_NAMES and not given.startswith("+sway"):
         refuse_mistakes(shlex.split(PLACEHOLDER.sub("place", given)))
 

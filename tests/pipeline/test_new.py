@@ -52,7 +52,7 @@ def test_an_effect_of_ones_own_is_found_and_keeps_its_laws(tmp_path, monkeypatch
     np.testing.assert_allclose(effect.acceleration(0.5), (0.5, 0.0))
     axes = Figure().add_subplot()
     effect.plot(axes, {"strength": 0.25})
-    # each beside a line at zero
+    # each is drawn with a line at zero
     assert [drawn.get_ydata()[0] for drawn in axes.lines[::2]] == [0.25, 0.0]
     with pytest.raises(UserError, match="it is there already"):
         new.main(["effect", "my_pull"])

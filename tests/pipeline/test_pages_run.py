@@ -103,14 +103,14 @@ RUN = {
     "pipeline +experiment=calibrate source=video source.path=tilted.mp4 plane.folder=flat": Run(
         leaves=("report.html", "camera.yaml", "calibration"), of="pictures"
     ),
-    # Sweeps: a job is about half a minute.
+    # Sweeps, whose jobs take about half a minute each.
     "pipeline --multirun method=paper estimate.beta=0.99,0.995 target=at_300_900,at_400_700 seed=0,1,2": Run(
         leaves=("report.html", "ledger"), rows=("sweep.parquet", 12)
     ),
     "pipeline --multirun +experiment=stringB estimate.beta=0.99,0.995 seed=0,1,2": Run(
         leaves=("report.html", "ledger"), rows=("sweep.parquet", 6)
     ),
-    # of 45 jobs
+    # one run of 45 jobs
     "pipeline +experiment=sweep": Run(
         leaves=("report.html",), rows=("sweep.parquet", 9), less="seed=0"
     ),
@@ -121,14 +121,14 @@ RUN = {
         leaves=PAPER,
         rows=("runs.parquet", 2),
         less="seed=0 name=A_300_900,wall",
-    ),  # of 450
+    ),  # 2 of 450 runs
     "pipeline +experiment=paper 'seed=range(2)'": Run(
         leaves=PAPER, rows=("runs.parquet", 2), less="name=A_300_900"
-    ),  # of 30
+    ),  # 2 of 30 runs
     "pipeline +experiment=paper 'seed=range(3)'": Run(
         leaves=PAPER, rows=("runs.parquet", 3), less="name=A_300_900"
-    ),  # of 45
-    # Studies, each of hours.
+    ),  # 3 of 45 runs
+    # Studies, which take hours each.
     "tasks.py study diagnosis diagnosis.simulator=nodal seed=100": Run(
         "cause found",
         ("diagnoses.parquet", "rates.parquet"),
@@ -140,15 +140,15 @@ RUN = {
         r"2064 frames: 7\d\.\d% read, 0\.\d+% wrong",
         ("shares.parquet", "frames.parquet"),
     ),
-    # In a copy of the project: they rewrite what was recorded.
+    # Commands that overwrite recorded files run in a copy of the project.
     "tests.convergence.table": Run(r"\| A \| 3 \| semi_implicit_euler \|"),
-    # What is on the disk.
+    # Commands about files on the disk.
     "pipeline graph +experiment=stringB": Run("estimate: takes trial of execute"),
     "pipeline index --to runs.parquet": Run(r"run +ended as +casts"),
 }
 TEN_MINUTES = "tests/pipeline/test_readme_commands.py::test_the_first_ten_minutes_go_as_the_page_says"
 SHORT = "tests/pipeline/test_readme_commands.py::test_short_commands_do_what_the_front_page_says"
-ELSEWHERE = {  # which test runs it, or why none can
+ELSEWHERE = {  # the test that runs the command, or why none can
     "pipeline import robot_*.csv tracker_*.csv --to mine --length 304mm --links 0.25,0.20,0.135 --base 0.2,0.2": "tests/"
     "importing/test_import.py::test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of",
     "pipeline import data/tutorial/robot_*.csv data/tutorial/tracker_*.csv --to mine --length 282mm "
@@ -302,7 +302,7 @@ def photographed(folder):
     )
     for number, image in enumerate(images):
         cv2.imwrite(str(folder / "tilted" / f"{number:02d}.png"), image)
-        for _ in range(15):  # every so many frames there is a picture: source.every
+        for _ in range(15):  # source.every takes one picture of so many frames
             film.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
     film.release()
     cv2.imwrite(

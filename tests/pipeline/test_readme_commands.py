@@ -18,7 +18,7 @@ from stringcast.pipeline.settings.composition import compose_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 CALL = re.compile(r"python3? (?:-m pipeline|tasks\.py run)(?![.\w])(.*)")
-# what a reader puts there: <folder>, outputs/...
+# words that a reader replaces, such as <folder> and outputs/...
 PLACEHOLDER = re.compile(r"<[^>]*>|[\w/.-]*\.\.\.[\w/.-]*")
 
 

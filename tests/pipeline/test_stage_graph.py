@@ -179,7 +179,7 @@ def test_the_graph_is_printed(capsys):
     assert "hit test: takes motion of generate, points of extract" in printed
 
 
-# --- any graph, any change
+# --- random graphs and changes
 
 
 @dataclass(frozen=True)

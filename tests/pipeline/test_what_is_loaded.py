@@ -12,7 +12,8 @@ import pytest
 from tests.faults.toy import toy_experiment, toy_run
 
 ROOT = Path(__file__).resolve().parents[2]
-HEAVY = {"cv2", "jinja2", "matplotlib", "numba", "scipy"}  # 0.1 to 0.5 s each
+# loading takes 0.1 to 0.5 s each
+HEAVY = {"cv2", "jinja2", "matplotlib", "numba", "scipy"}
 SHOWN = """
 import runpy, sys
 sys.argv = ["pipeline", *sys.argv[1:]]

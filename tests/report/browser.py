@@ -123,7 +123,7 @@ class Browser:
 def browser(folder):
     """Start Chromium with its files in a folder, and end it afterwards."""
     ours, theirs = os.pipe(), os.pipe()
-    # where Chromium looks for its pipe
+    # Chromium reads its pipe from descriptor 3 and writes to 4
     shell = f'exec "$0" "$@" 3<&{ours[0]} 4>&{theirs[1]}'
     command = [
         "bash",

@@ -84,8 +84,7 @@ GAIN = {
 UNCERTAIN = {"intervals": {}, "correlations": []}
 
 
-# --- a plausible diagnosis, without one being made
-# ------------------------------------------
+# --- a plausible diagnosis made by hand
 def measured(off=0.004, trials=2, frames=30):
     """Return a straight string that swings.
 
@@ -374,7 +373,6 @@ def drawing(picture):
 
 
 # --- every verdict
-# ----------------------------------------------------------------------------
 SAID = {
     "none": [
         "The simulation agrees with the measurements",
@@ -480,7 +478,7 @@ def test_every_picture_has_words_and_follows_the_theme(pages, verdict):
     for picture in pages[verdict].pictures():
         assert len(picture["alt"]) > 30
         assert "nan" not in picture["alt"]
-        # the ends of the colour scale stand out on light and dark
+        # both ends of the colour scale are visible on light and on dark
         drawn = re.sub(
             r":root{.*?}|<image[^>]*>|<defs>.*?</defs>",
             "",
@@ -672,8 +670,7 @@ def test_of_many_trials_the_worst_are_drawn_and_of_many_hypotheses_the_best(word
     )
 
 
-# --- what the pictures show is so
-# ---------------------------------------------------------------
+# --- truth of the pictures
 def test_parts_of_the_residual_are_those_of_the_table_and_keep_its_size():
     table = measured()
     base, extended = (
@@ -726,8 +723,7 @@ def test_rms_of_noise_alone_is_the_noise_floor():
     )
 
 
-# --- words
-# ----------------------------------------------------------------------------------------
+# --- wording
 @pytest.mark.parametrize(
     ("unit", "value", "low", "high", "at_least", "words", "between"),
     [

@@ -50,8 +50,7 @@ DURATION = 0.4
 TARGET = Box(0.5, 0.75, 0.02, 0.04)
 
 
-# --- a plausible run, without an engine
-# ---------------------------------------------------
+# --- a plausible run made by hand
 def swing(t, lag):
     """Return a string (F, n, 2) and the joint angles (F, 3).
 
@@ -248,7 +247,6 @@ def record(arm, small):
 
 
 # --- reading the page
-# ---------------------------------------------------------------------
 class Page(HTMLParser):
     """Elements, text a person sees, and scripts; raises where tags do not nest."""
 
@@ -307,8 +305,7 @@ def page(record):
     return Page(cast_page(record))
 
 
-# --- whole in itself
-# ----------------------------------------------------------------------
+# --- a complete page
 def test_nothing_is_loaded_from_elsewhere(page):
     for tag, attributes in page.elements:
         for name in ("src", "href", "srcset", "poster", "action", "data"):
@@ -396,7 +393,7 @@ def test_no_label_is_cut_off(record, monkeypatch):
             distance_map(record, cast, 0.02),
         )
         shown += (history_picture(STRING.parameters[0], record.estimates),)
-    unique_figures = list(dict.fromkeys(figures))  # to measure one prints it again
+    unique_figures = list(dict.fromkeys(figures))  # measuring a figure prints it again
     assert len(unique_figures) == len(shown)
     for figure in unique_figures:
         inside, whole = figure.get_tightbbox(), figure.get_size_inches()
@@ -426,8 +423,7 @@ def test_what_data_say_cannot_become_code(arm, small):
     assert evil in Page(text).text
 
 
-# --- things are where they really are
-# -------------------------------------------------------
+# --- positions in the pictures
 def shown(data):
     """Yield the player's frames as a browser shows them."""
     for source in data["frames"]:
@@ -565,8 +561,7 @@ def test_numbers_are_those_of_the_run(page):
     assert page.text.count("✗ missed") == 3
 
 
-# --- what is missing
-# --------------------------------------------------------------------------
+# --- missing data
 def nothing_read(cast):
     readings = cast.points.readings.assign(
         valid=False, tip_x=np.nan, tip_y=np.nan, reason="too dark"
@@ -685,8 +680,7 @@ def test_estimation_alone_has_a_page(arm, small):
     assert "Cast 1" not in page.text
 
 
-# --- from one cast to ten
-# ---------------------------------------------------------------------
+# --- pages of one cast to ten
 def test_ten_casts_share_the_frames_of_the_animation(arm, small, undrawn):
     """Ten casts share the frames of the animation.
 
@@ -718,7 +712,7 @@ def test_a_page_of_five_noisy_casts_stays_small(arm, camera):
 
 def test_a_page_of_ten_casts_is_at_most_as_large_as_promised(arm, camera):
     text = cast_page(record_of(arm, camera, [manipulation(arm, camera)] * 10))
-    assert 0.8e6 < len(text.encode()) < 1.5e6  # all pictures are in it
+    assert 0.8e6 < len(text.encode()) < 1.5e6  # the page holds all pictures
 
 
 def test_the_closest_frame_is_always_among_the_chosen(record):

@@ -107,7 +107,7 @@ def test_seeds_are_what_is_repeated_not_jobs():
     whole = mean_response(table, CASTS, ["target"]).iloc[0]
     assert (whole["seeds"], whole["jobs"]) == (2, 20)
     assert whole["mean"] == pytest.approx(1.5)
-    # t of one degree of freedom
+    # the interval is Student's t with one degree of freedom
     assert whole["high"] - whole["mean"] == pytest.approx(12.706 * 0.5, rel=1e-3)
 
 
@@ -132,7 +132,7 @@ def test_the_page_shows_each_factor():
         assert f"<h2>Response to {factor}</h2>" in page
     assert "Response to experiment" not in page
     assert "Response to seed" not in page
-    # hit, manipulations, E, miss, stiffness; and three maps
+    # pictures of hit, manipulations, E, miss and stiffness, and three maps
     assert page.count("<img alt=") == 2 * 5
     assert "16 of 16" in page
     assert re.search(
@@ -253,7 +253,8 @@ def test_the_map_of_the_workspace_says_what_became_of_each_target():
     )
     twice = pd.concat([table.assign(specimen=name) for name in "AB"], ignore_index=True)
     page = sweep_page(record(twice, ("specimen", "target.x", "target.y", "seed")))
-    assert page.count("Of 6 targets") == 2 * 2  # alt and caption of either string's map
+    # in alt and caption of each string's map
+    assert page.count("Of 6 targets") == 2 * 2
     assert "Targets" not in sweep_page(record(swept()))
 
 

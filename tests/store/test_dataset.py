@@ -49,7 +49,7 @@ def test_frames_are_those_of_the_list_in_the_order_of_time(tmp_path):
     given(tmp_path, {"camera": CAMERA}, grasp=grasp(), frames=pd.DataFrame(rows))
     read = dataset.read_dataset(tmp_path)
     film = read.films["a"]
-    np.testing.assert_allclose(film.t, [0.0, 0.2, 0.3])  # the lost frame is passed over
+    np.testing.assert_allclose(film.t, [0.0, 0.2, 0.3])  # the lost frame is skipped
     assert [int(image[0, 0]) for image in film.images] == [40, 48, 52]
     assert read.trials["a"].points.empty
 
@@ -58,7 +58,7 @@ def test_a_video_has_the_times_at_which_it_was_filmed(tmp_path):
     given(tmp_path, {"camera": CAMERA}, grasp=grasp())
     (tmp_path / "videos").mkdir()
     file = str(tmp_path / "videos" / "a.avi")
-    # to be played four times slower
+    # the film is played four times slower
     video = cv2.VideoWriter(file, cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (48, 32))
     for number in range(50):
         video.write(cv2.cvtColor(shade(number), cv2.COLOR_GRAY2BGR))

@@ -55,7 +55,7 @@ def test_every_bit_comes_back(points, tmp_path):
         )
     assert np.array_equal(np.signbit(back.points["t"]), np.signbit(points.points["t"]))
     assert back.readings["frame"][0] == 2**53 + 1  # no detour through floating point
-    assert list(back.points["held"]) == [3] * 8  # columns we do not know stay
+    assert list(back.points["held"]) == [3] * 8  # unknown columns are kept
 
 
 def test_unit_meaning_and_origin_are_in_the_file(points, tmp_path):
@@ -202,7 +202,7 @@ def test_what_is_looked_at_often_is_read_once_while_there_is_room(monkeypatch):
     held = CachedImages(Files())
     assert [int(image[0, 0]) for _ in range(3) for image in held] == [0, 1, 2] * 3
     assert held[-1] is pictures[2]
-    assert sorted(read) == [0, 0, 1, 2]  # the first once more, for its size
+    assert sorted(read) == [0, 0, 1, 2]  # the first image is read again for its size
 
     monkeypatch.setattr("stringcast.data.images.CACHE_BYTES", 2 * pictures[0].nbytes)
     read.clear()

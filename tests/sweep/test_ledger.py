@@ -151,7 +151,7 @@ def test_only_what_is_missing_runs_again_and_the_failed_on_request(tmp_path, sta
     for key in keys[1:]:
         Attempt(ledger.folder, key, stand_in)(1)
     assert states(ledger) == {0: PENDING_STATE, 1: DONE_STATE, 2: FAILED_STATE}
-    entered(tmp_path / "sweep", 0, 1, 2)  # asked for again: nothing is forgotten
+    entered(tmp_path / "sweep", 0, 1, 2)  # a repeated request keeps the states
     assert ledger.reset_unfinished(keys, ()) == [keys[0]]
     for key in keys:
         Attempt(ledger.folder, key, stand_in)(1)
@@ -251,7 +251,7 @@ def test_a_setting_that_is_called_like_an_outcome_has_a_column_of_its_own(
     finish(tmp_path)
     table = pd.read_parquet(tmp_path / "sweep.parquet")
     assert list(table["max_casts"]) == [1, 2]
-    assert table["manipulations"].isna().all()  # none was made
+    assert table["manipulations"].isna().all()  # no job has made a manipulation
 
 
 def test_two_sweeps_in_one_folder_run_each_job_once(tmp_path, stand_in):
@@ -346,7 +346,7 @@ def test_killed_at_random_moments_nothing_is_lost_and_the_ledger_is_whole(
         kills += side.is_alive()
         side.kill()
         side.join()
-        assert len(ledger.jobs()) == 24  # each entry is there and whole
+        assert len(ledger.jobs()) == 24  # each entry exists and is whole
     assert kills > 3
     until(
         lambda: (

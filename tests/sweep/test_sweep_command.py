@@ -95,7 +95,7 @@ def test_a_failed_job_is_kept_and_takes_none_with_it(swept):
     table = pd.read_parquet(folder / "sweep.parquet").set_index("estimate.beta")
     assert "estimate.beta = 1.5" in table.loc[1.5, "error"]
     assert table["E_after"].notna().to_dict() == {0.9: True, 1.5: False, 0.99: True}
-    assert table["hit"].isna().all()  # nothing was cast
+    assert table["hit"].isna().all()  # no job has cast
     page = (folder / "report.html").read_text()
     assert "2 of 3 jobs are done" in page
     assert "estimate.beta = 1.5" in page
@@ -137,7 +137,7 @@ def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(
     assert grown.returncode == 1
     assert attempts(folder) == {0.9: ("done", 1), 0.99: ("done", 1), 1.5: ("failed", 2)}
     assert numbers(folder) == before
-    assert len(pd.read_parquet(table)) == 3  # remade
+    assert len(pd.read_parquet(table)) == 3  # the table is written again
 
 
 @pytest.mark.long

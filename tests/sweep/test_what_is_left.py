@@ -54,10 +54,10 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
     other = place.with_name("not_of_the_run")
     other.mkdir()
     run_folder.remove_frames(on("hardware.serial.lab.open_lab"), ended)
-    assert place.exists()  # nobody can film them again
+    assert place.exists()  # a real film cannot be repeated
     run_folder.remove_frames(on("hardware.virtual.open_lab"), ended)
     assert not place.exists()
-    assert other.exists()  # the trial's table does not name it
+    assert other.exists()  # the trial's table does not name this folder
     again = dataset.read_dataset(tmp_path)
     assert not again.films
     assert len(again.trials["t01"].points) == 3

@@ -105,7 +105,7 @@ def main(arguments: Sequence[str]) -> None:
     rows: list[dict[str, object]] = []
     for ask in track(asks, "alignments"):
         rows.append(ask())
-        # what is done stands
+        # finished rows are kept if the command is interrupted
         write_table(OFFSETS, pd.DataFrame(rows), FOLDER / "offsets.parquet", made)
     print(summary(pd.DataFrame(rows)).to_string(index=False))
 

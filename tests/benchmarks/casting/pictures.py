@@ -17,7 +17,7 @@ from tests.benchmarks.casting.scores import ALL_CASES, TARGET_SHARE
 from tests.benchmarks.shares import error_bars
 
 PANELS_PER_ROW = 5
-MARKERS = "os^Dv<>"  # of methods; colours repeat after the fourth
+MARKERS = "os^Dv<>"  # markers of methods; colours repeat after the fourth
 
 
 def draw_hits(tables: Mapping[str, pd.DataFrame], path: Path) -> None:

@@ -25,7 +25,7 @@ from stringcast.stages.model.hand import JointMotion
 from tests.benchmarks.casting.point_executor import PointExecutor
 
 Config = Mapping[str, Any]
-# on which the prediction error of a model is measured, the same for all
+# casts on which prediction errors are measured, the same for all methods
 REFERENCE_CASTS = 4
 REFERENCE_DURATION_S = (0.3, 1.0)
 REFERENCE_ACCELERATION = 75.0  # [rad/s^2]
@@ -109,7 +109,7 @@ def run_casts(
             experiment, Path(), executor, training_casts
         ).iterations[count:]
     except MotionNotFoundError as error:
-        # a run that never hits
+        # a run without a motion never hits
         return [{"cast": 1, "hit": False, "reason": str(error)}]
     references = ReferenceCasts(experiment, next(iter(executor.benches.values())))
     return [cast_row(cast, cast.number - count, executor, references) for cast in casts]
@@ -122,7 +122,7 @@ def perform_training(executor: PointExecutor, count: int) -> list[Iteration]:
         current = history.begin_iteration()
         for name in TRAINING_STAGES:
             history.make_artifact(name)
-        # so that no later motion is a change of this one
+        # so that no later motion starts from this one
         del current.artifacts["motion"]
     return history.iterations
 

@@ -12,7 +12,7 @@ from stringcast.data.schema import Column, Table
 from stringcast.pipeline.paper.scores import SHARE_COLUMNS, share_with_interval
 
 PROBABILITY_BINS = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0])
-TARGET_SHARE = 0.95  # of the runs that are to have hit
+TARGET_SHARE = 0.95  # share of the runs that must have hit
 ALL_CASES = "all"
 _WHICH = (
     Column("case", "", "string and target; 'all' for all together", "text"),
@@ -127,7 +127,7 @@ def score_casts(casts: pd.DataFrame, max_casts: int) -> dict[str, pd.DataFrame]:
         errors = rows.pivot_table(
             index="run", columns="cast", values="prediction_error", dropna=False
         )
-        # a run that has hit learns no more
+        # a run that has hit learns nothing more
         errors = errors.reindex(columns=range(1, max_casts + 1)).ffill(axis=1)
         learned.append(
             pd.DataFrame(

@@ -27,7 +27,7 @@ from tests.benchmarks.diagnosis.answers import (
 
 PROBABILITY_BINS = np.linspace(0.0, 1.0, 11)
 SIZE_BINS_SIGMAS = np.array([5.0, 8.0, 12.0, 20.0, 30.0, np.inf])
-# studies simulated for the calibration error that chance alone makes
+# simulated studies, for the calibration error by chance alone
 CHANCE_SAMPLES = 2000
 RUNTIME_GOAL_S = 120.0
 
@@ -357,7 +357,7 @@ def probability_bin(p: np.ndarray) -> np.ndarray:
 
 Select = Callable[[pd.DataFrame], pd.Series]
 SINGLE = ("effect",)
-# name, kinds of datasets, what counts as right, goals: at least, at most
+# name, kinds of datasets, condition of a right answer, lower and upper goal
 COUNTED: tuple[tuple[str, tuple[str, ...], Select, float, float], ...] = (
     ("cause found", (*SINGLE, *SEVERAL), lambda d: d["correct"], 0.95, np.nan),
     ("single cause found", SINGLE, lambda d: d["correct"], 0.95, np.nan),

@@ -185,8 +185,7 @@ def test_calibration_error_by_hand():
     """
     p, right = np.array([0.9] * 4 + [0.5] * 2), np.array([1, 1, 1, 0, 1, 0])
     assert calibration_error(p, right) == pytest.approx(0.15 * 4 / 6)
-    # too sure in one bin and not sure enough in another: the two do not make up for
-    # each other
+    # overconfidence in one bin does not cancel underconfidence in another
     p, right = np.array([0.9] * 4 + [0.5] * 4), np.array([1, 1, 1, 0, 1, 1, 1, 0])
     assert calibration_error(p, right) == pytest.approx((0.15 * 4 + 0.25 * 4) / 8)
 
@@ -212,9 +211,10 @@ def test_tables_of_known_rows():
     assert rates.loc["false alarm", ["right", "count"]].tolist() == [3, 4]
     assert rates.loc["outside called unknown", ["right", "count"]].tolist() == [1, 3]
     assert rates.loc["outside named above 0.5", "right"] == 1
-    # pairs are not in it
+    # the confusion matrix excludes pairs
     assert tables["confusion"]["count"].sum() == len(RIGHT) + len(WRONG) - 4
-    assert tables["by_size"]["count"].sum() == 9 + 4 + 3  # whatever has a size
+    # every dataset whose causes have a size
+    assert tables["by_size"]["count"].sum() == 9 + 4 + 3
     assert (tables["diagnoses"]["correct"].sum()) == len(RIGHT)
 
 
@@ -253,7 +253,8 @@ def test_pictures_are_drawn_even_of_one_row(tmp_path):
     ):
         paths = draw_pictures(score_rows(rows), tmp_path)
         assert [path.name for path in paths] == ["confusion.png", "overview.png"]
-        assert all(imread(path).std() > 0.02 for path in paths)  # not blank
+        # the picture is not blank
+        assert all(imread(path).std() > 0.02 for path in paths)
 
 
 def draw_guess(seed, folder, truth_file):

@@ -15,7 +15,7 @@ REST_BEFORE_S = 0.05
 REST_AFTER_S = 0.1
 DURATION_RANGE_S = (0.35, 0.85)
 MOTION_TICK_S = 0.001
-MISSED_FRAMES = 0.02  # share of the pictures
+MISSED_FRAMES = 0.02  # share of the pictures that are lost
 HAND_SPEEDS_M_S = (1.5, 4.0)  # tips reach about three times that
 
 

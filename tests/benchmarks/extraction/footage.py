@@ -27,7 +27,7 @@ from stringcast.stages.extract.footage import Footage
 from stringcast.stages.model.camera import Camera
 from tests.benchmarks.extraction.scores import refusal_reasons
 
-PX_PER_M = 2350.0  # of the strips' camera, as assumed by who measured them
+PX_PER_M = 2350.0  # scale of the strips' camera, as assumed by their authors
 EVERY = 4  # frames
 SETTINGS: Mapping[str, Any] = {
     "points": 31,

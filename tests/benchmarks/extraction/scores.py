@@ -18,7 +18,7 @@ from tests.benchmarks.extraction.conditions import Shot
 from tests.benchmarks.extraction.films import ConditionLevel, StagedCast
 
 WRONG_PX = 3.0  # [px]
-WRONG_SIGMAS = 5.0  # of the standard deviation that is stated
+WRONG_SIGMAS = 5.0  # in stated standard deviations
 FRAMES = Table(
     "frames",
     "a row a frame: what was read and how far off it is; NaN where nothing was",

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 
 from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M, STYLE_SHEET
 
-# of sets, in their order within a family
+# colours of sets, in their order within a family
 COLOURS = ("before", "target", "after", "measured")
 PANELS_PER_ROW = 4
 

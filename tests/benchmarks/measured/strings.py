@@ -38,7 +38,7 @@ from tests.benchmarks.study import study_settings, worker_pool
 
 TABLE_FILE = Path(__file__).with_name("results") / "strings.parquet"
 RELEASED = "release_"  # trials to which the authors of the cables fitted their model
-# with the slow loop, to which no set is fitted
+# includes the slow loop, to which no set is fitted
 ALL_CABLE_TRIALS = "(drive|release|slow)_(?P<string>.+)"
 STRINGS = Table(
     "strings",

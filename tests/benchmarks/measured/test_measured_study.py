@@ -203,8 +203,8 @@ def test_a_study_counts_what_was_fitted_and_what_was_predicted(
         pytest.approx(said[1]["tip_rms_m"]),
         "drive_red",
     )
-    # eight of the paper and two of the set; the tip was weighed. Six modes of a shape
-    # and of how fast it turns.
+    # Eight parameters of the paper and two of the set; the tip was weighed. Six modes
+    # of a shape and of its rates of turning.
     assert row[["trials", "fitted", "initial", "held_out", "free"]].tolist() == [
         1,
         10,

@@ -22,7 +22,7 @@ class CameraFaults(NamedTuple):
     roll: float = 0.0  # [rad]
     scale: float = 0.0
     lens: float = 0.0
-    readout: float = 0.0  # [s] from the top row to the bottom one
+    readout: float = 0.0  # [s], from the top row to the bottom one
     # outside the library: a clock that jumps, a knock, a camera that shakes or looks
     # askew, axes of unlike scale, wrong arc lengths
     jump: float = 0.0  # [s]
@@ -36,7 +36,7 @@ class CameraFaults(NamedTuple):
     perspective_x: float = 0.0  # [1/m]
     perspective_y: float = 0.0
     stretch: float = 0.0
-    length_error: float = 0.0  # of arc lengths, as a share
+    length_error: float = 0.0  # share of the arc lengths
 
 
 def report_points(
@@ -77,7 +77,7 @@ def expose_rolling_shutter(
     before = positions(times - 0.5 * readout)
     now = positions(times)
     after = positions(times + 0.5 * readout)
-    share = np.zeros(now.shape[:-1])  # of the readout, from the middle row
+    share = np.zeros(now.shape[:-1])  # share of the readout, from the middle row
     for _ in range(4):
         linear = share[..., None] * (after - before)
         quadratic = 2 * share[..., None] ** 2 * (after + before - 2 * now)

@@ -18,8 +18,8 @@ from tests.benchmarks.simulators.rod import Rod
 Settings = dict[str, float]
 Ends = tuple[Settings, Settings]  # settings of an absent and of a full cause
 MAX_PEG_RADIUS_M = 0.04
-PEG_PLACES = 50  # that are tried
-CLEARANCE_M = 0.012  # of an obstacle from the hand and from the string at rest
+PEG_PLACES = 50  # number of places that are tried
+CLEARANCE_M = 0.012  # distance of an obstacle from the hand and the string at rest
 MIN_PLANE_TRAVEL_M = 0.03
 
 

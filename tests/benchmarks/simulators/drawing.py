@@ -43,21 +43,22 @@ KINDS = (NONE, EFFECT, PAIR, TRIPLE, OUTSIDE)
 CYCLE = (
     EFFECT, NONE, OUTSIDE, PAIR, EFFECT, OUTSIDE, NONE, EFFECT, TRIPLE, EFFECT
 )  # fmt: skip
-SIZE_RANGE_M = (3e-3, 12e-3)  # at the tip
+SIZE_RANGE_M = (3e-3, 12e-3)  # rms displacement of the tip
 MIN_SIZE_M = 2.5e-3  # above the diagnosis' tolerance of 2 mm
-MIN_UNEXPLAINED_M = 4e-3  # that the likeliest library effect leaves of an outside cause
+MIN_UNEXPLAINED_M = 4e-3  # left of an outside cause by the likeliest library effect
 HAND_SPEED_RANGE = (1.2, 4.0)  # [m/s]
-SLOWDOWN = 0.85  # of the fastest cast that is tried, after one that is chaotic
-FAST_HAND_SPEED_RANGE = (5.0, 8.0)  # [m/s] of casts that are likely to be chaotic
+SLOWDOWN = 0.85  # factor of the fastest speed after a chaotic cast
+FAST_HAND_SPEED_RANGE = (5.0, 8.0)  # [m/s], of casts that are likely to be chaotic
 MIN_TRIALS, MAX_TRIALS, SPARE_TRIALS = 4, 6, 1
-MAX_NUMERICAL_ERROR = 1 / 3  # of the noise, at the tip of a good trial
-CHAOTIC_SHARE = 0.2  # of the datasets keep a chaotic trial
+MAX_NUMERICAL_ERROR = 1 / 3  # share of the noise, at the tip of a good trial
+CHAOTIC_SHARE = 0.2  # share of the datasets that keep a chaotic trial
 MIN_CHAOTIC_ERROR = 2.0  # in noise sigmas
-MAX_CHAOTIC_ERROR_M = 0.05  # beyond, nobody would take the trial for a cast
-SIZE_LADDER = np.geomspace(0.01, 1.0, 5)  # shares of a cause among which one is sought
-CIRCUMSTANCES_TRIED = 5  # for a cause that hardly moves the tip in the first
-REDRAWS_PER_CAUSE = 25  # before another cause has its turn
-PROBED_SHARE = 0.05  # of a library cause, by which its direction is found
+MAX_CHAOTIC_ERROR_M = 0.05  # a larger error makes the trial unlike a cast
+# shares of a cause that bracket the drawn size
+SIZE_LADDER = np.geomspace(0.01, 1.0, 5)
+CIRCUMSTANCES_TRIED = 5  # tried for a cause that hardly moves the tip
+REDRAWS_PER_CAUSE = 25  # redraws before another cause is tried
+PROBED_SHARE = 0.05  # share of a library cause that gives its direction
 
 
 class Redraw(Exception):  # noqa: N818 - nothing has gone wrong
@@ -141,7 +142,7 @@ def _try_to_draw(
     performed, redrawn = _perform(scene, hidden, settings, count, rng)
     kept = scene.with_casts([trial.cast for trial in performed])
     if hidden and hidden[0].only_trial is None:
-        # What acted in a trial that was redrawn may not be seen in the others.
+        # A cause that acted in a redrawn trial may not show in the others.
         sizes = _sizes(kept, hidden, settings)
     points = []
     for trial in performed:

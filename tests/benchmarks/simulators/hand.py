@@ -10,8 +10,8 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from stringcast.stages.model.arm import Arm
 
-REST_S = 0.12  # added before and after a motion: clocks that are off look into it
-SLIP_EDGE_S = 0.004  # within which a slip begins and ends
+REST_S = 0.12  # rest before and after a motion, which wrong clocks read
+SLIP_EDGE_S = 0.004  # duration of the onset and end of a slip
 STICKING_EDGE_S = 0.003
 RINGING_HZ = 12
 RINGING_DAMPING = 0.1
@@ -20,13 +20,13 @@ RINGING_DAMPING = 0.1
 class HandFaults(NamedTuple):
     """Faults of arm and grasp, each absent at zero."""
 
-    lag: float = 0.0  # [s] by which joints follow
+    lag: float = 0.0  # [s], lag of the joints
     gain: float = 0.0
-    gap_1: float = 0.0  # [rad] of play, end to end
+    gap_1: float = 0.0  # [rad], play from end to end
     gap_2: float = 0.0
     gap_3: float = 0.0
-    angle: float = 0.0  # [rad] of the string against the last link
-    slip: float = 0.0  # [m/s] out of the gripper
+    angle: float = 0.0  # [rad], string against the last link
+    slip: float = 0.0  # [m/s], out of the gripper
     slip_from: float = 0.0  # [s]
     slip_until: float = 0.0
     # outside the library: the second joint sticks, is mounted askew or rings, its link

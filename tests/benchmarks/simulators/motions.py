@@ -13,7 +13,7 @@ from stringcast.stages.model.arm import Arm
 REST_BEFORE_S = 0.05
 REST_AFTER_S = 0.15
 DURATION_RANGE_S = (0.45, 0.85)
-MISSED_FRAMES = 0.02  # share of the pictures
+MISSED_FRAMES = 0.02  # share of the pictures that are lost
 SPEED_TOLERANCE = 1.1  # the fastest hand speed, over the one that is wanted
 
 

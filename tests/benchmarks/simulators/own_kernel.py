@@ -49,7 +49,8 @@ MESHES = {
     Fidelity.FINAL: (160, 1e-4),
 }
 HAND_TICK_S = 0.001
-RECORD_PREFIXES = ("rod.", "hand.", "camera.")  # of settings that are no effect's
+# prefixes of settings that belong to no effect
+RECORD_PREFIXES = ("rod.", "hand.", "camera.")
 
 
 @dataclass(frozen=True)

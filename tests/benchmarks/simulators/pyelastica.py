@@ -40,12 +40,12 @@ from tests.benchmarks.simulators.scene import Fidelity, StringMotion
 
 # Elements of two meshes of a method of second order, which are extrapolated.
 MESHES = {Fidelity.CHECK: (32, 48), Fidelity.FINAL: (48, 72)}
-# For the rotary inertia alone, 1.6 % of the kinetic energy of waves of 50 mm.
+# It affects the rotary inertia alone, 1.6 % of the kinetic energy of waves of 50 mm.
 RADIUS_M = 2e-3
-SHEAR_RATIO = 20.0  # stiffness in shear over that in stretch: as good as unshearable
-STEP_SHARE = 0.8  # of the largest stable step
-SAMPLE_S = 5e-4  # between states that are kept
-REST_ELEMENTS = 24  # of the nodal rod that gives the state at rest
+SHEAR_RATIO = 20.0  # stiffness in shear over that in stretch: almost unshearable
+STEP_SHARE = 0.8  # share of the largest stable step
+SAMPLE_S = 5e-4  # time between states that are kept
+REST_ELEMENTS = 24  # elements of the nodal rod that gives the state at rest
 # The moment of PyElastica's rod is linear in its turn and has no memory.
 UNSUPPORTED = ("nonlinear_bending", "maxwell_slip", "standard_linear_solid")
 

@@ -82,7 +82,7 @@ class Rod(NamedTuple):
     thread_x: float = 0.0  # [m]
     thread_y: float = 0.0
     thread_slack: float = 0.0
-    # local forces: attraction to a point, a blow, fingers that take hold for a while
+    # local forces: attraction to a point, a blow, fingers that hold for a while
     attraction: float = 0.0  # [m/s2]
     attraction_x: float = 0.0  # [m]
     attraction_y: float = 0.0

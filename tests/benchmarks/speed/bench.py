@@ -38,7 +38,7 @@ import os, subprocess, sys
 process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL)
 _, status, usage = os.wait4(process.pid, 0)
 print(os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1e3)
-"""  # in a process of its own: a child's peak memory starts with that of its parent
+"""  # runs in its own process: a child's peak memory starts with its parent's
 
 Resolution = tuple[int, float]  # points, links or elements; step [s]
 Prepare = Callable[[Resolution, int], Callable[[], np.ndarray]]

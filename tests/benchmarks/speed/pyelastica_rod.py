@@ -16,7 +16,7 @@ import numpy as np
 
 from tests.benchmarks.speed.cord import CORD, GRAVITY, TIMES, hand_pose, hanging_depth
 
-# out of the plane of motion: the first director of every element
+# normal of the plane of motion, the first director of every element
 NORMAL = np.array([0.0, 0.0, 1.0])
 
 

@@ -45,7 +45,7 @@ def test_mujoco_is_read_at_the_frames_time():
 
 
 def test_time_and_memory_of_a_whole_process_are_measured():
-    parent = np.ones(10**8)  # 800 MB of the parent do not count
+    parent = np.ones(10**8)  # the parent's 800 MB do not count
     seconds, megabytes = measure_command("--help")
     assert 0.05 < seconds < 60
     assert 10 < megabytes < parent.nbytes / 1e6

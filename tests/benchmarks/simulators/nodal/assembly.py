@@ -20,7 +20,7 @@ from tests.benchmarks.simulators.nodal.loads import (
 )
 from tests.benchmarks.simulators.rod import Rod
 
-# Coordinates beside a row that an element couples: four rows of two, less itself.
+# Coordinates next to a row that an element couples: four rows of two, less itself.
 HALF_BANDWIDTH = 7
 SLOPE_STEP = 1e-7
 

@@ -13,11 +13,11 @@ from tests.benchmarks.simulators.nodal.elements import Mesh
 from tests.benchmarks.simulators.nodal.sdirk import STAGE_TIMES, integrate
 from tests.benchmarks.simulators.rod import Rod
 
-REST_TOLERANCE_M = 1e-9  # of a Newton step at rest
-LARGEST_REST_STEP = 0.05  # of places [m] and of slopes
+REST_TOLERANCE_M = 1e-9  # largest Newton step at rest
+LARGEST_REST_STEP = 0.05  # in positions [m] and in slopes
 MAX_REST_STEPS = 400
 INITIAL_SLOWNESS = 1e3  # [1/s2]
-LONG_AGO_S = -1e6  # when nothing that begins in a trial acts
+LONG_AGO_S = -1e6  # a time before anything that begins in a trial
 
 
 @dataclass(frozen=True)

@@ -32,11 +32,11 @@ STAGE_WEIGHTS = np.array(
         ],
     ]
 )
-STAGE_TIMES = STAGE_WEIGHTS.sum(axis=1)  # over a step
-TOLERANCE_M = 1e-9  # of a correction of a place
+STAGE_TIMES = STAGE_WEIGHTS.sum(axis=1)  # as shares of a step
+TOLERANCE_M = 1e-9  # largest correction of a position
 DIVERGED_M = 1e3
-MAX_CORRECTIONS = 40  # of a stage, before its step is given up
-MATRIX_LIFETIME = 4  # corrections after which Newton's matrix is made again
+MAX_CORRECTIONS = 40  # corrections of a stage before its step is given up
+MATRIX_LIFETIME = 4  # corrections after which Newton's matrix is computed again
 
 
 @njit(cache=True, error_model="numpy")
