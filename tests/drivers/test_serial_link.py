@@ -182,7 +182,7 @@ def test_the_hands_speed_and_the_workspace_are_checked_too():
 
 
 class Pressed(SerialWire):
-    """A wire on which somebody presses the emergency stop as soon as the arm moves."""
+    """A wire on which a person presses the emergency stop as soon as the arm moves."""
 
     press_emergency_stop = staticmethod(lambda reason: None)
 

@@ -1,6 +1,6 @@
 """Trials of a string whose hinges stick and slip.
 
-It was released after a handling that nobody saw.
+It was released after a handling that was not recorded.
 """
 
 from dataclasses import replace

@@ -22,7 +22,7 @@ STEPS = {
 
 
 class Killed(BaseException):
-    """An exception that stands for a kill: nobody catches it.
+    """An exception that stands for a kill: no code catches it.
 
     Nothing works after it.
     """

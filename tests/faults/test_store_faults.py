@@ -20,9 +20,9 @@ OPERATIONS = ("make_folder", "write", "sync_folder", "rename")
 
 
 class Killed(BaseException):
-    """An exception that stands for a kill: nobody catches it.
+    """An exception that stands for a kill: no code catches it.
 
-    Nothing is tidied after it.
+    Nothing is cleaned up after it.
     """
 
 

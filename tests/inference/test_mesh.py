@@ -1,7 +1,6 @@
 """The ladder of meshes.
 
-Its estimated error is the true error, and its optimum is the minimum of the finest
-mesh.
+Its estimated error is the true error, and the optimum found on it is the minimum.
 """
 
 import numpy as np
@@ -66,10 +65,10 @@ def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(given)
 
 
 def test_horizons_begin_before_a_limp_string_swings_to_the_other_side(given):
-    """Horizons end before a limp string swings to the other side.
+    """The first horizon ends before a limp string swings to the other side.
 
-    A quarter of the period of a hanging chain of 0.3 m is used, 4 pi / 2.405 sqrt(L/g)
-    = 0.914 s.
+    It is a quarter of the period of a hanging chain of 0.3 m, 4 pi / 2.405 sqrt(L/g) =
+    0.914 s.
     """
     first, *others, last = horizons(likelihood(given, 20, 1e-3))
     assert first == pytest.approx(0.914 / 4, rel=1e-3)

@@ -63,7 +63,7 @@ def test_a_state_far_off_is_found_from_how_the_string_moves(trial, hypothesis, t
     """A distant initial state is found from the string's motion.
 
     Modes about the distant state cannot explain the motion. About the state that is
-    found, the residual is noise. The evidence is relative to the state from the first
+    found, the residual is noise. Mode amplitudes count from the state of the first
     frames, wherever the search began.
     """
     far, told = (

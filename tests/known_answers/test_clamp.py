@@ -127,9 +127,9 @@ def test_a_straight_string_passes_through_the_stated_grasp():
 
 
 def test_a_clamp_changes_nothing_beside_it():
-    """A clamp changes no other candidate in the least.
+    """A candidate with a clamp changes no other candidate in the least.
 
-    One of the candidates that are simulated together begins elsewhere.
+    Candidates that are simulated together begin at different places.
     """
     string = clamped()
     some = [{}, {"clamp.hidden": 0.01}, {"clamp.across": 0.002}]

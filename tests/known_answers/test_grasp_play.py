@@ -1,6 +1,6 @@
 """A stiff rod between jaws that hold it by dry friction.
 
-It hangs freely, and swings down evenly.
+It hangs freely, and its swing decays evenly.
 """
 
 import numpy as np

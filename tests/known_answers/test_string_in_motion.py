@@ -211,7 +211,7 @@ def test_runs_that_do_not_stay_finite_are_rejected_and_leave_the_others_alone():
 def test_what_is_lost_later_does_not_matter_before():
     """A candidate is judged by its own times alone.
 
-    Others beside it may be simulated for longer, and diverge there.
+    Other candidates may be simulated for longer, and diverge later.
     """
     t = np.arange(0, 1.5, 0.005)
     hand, string = nudged(t, np.where(t < 1.0, 0.02 * np.sin(6 * t), 1e5)), String(0.3)

@@ -159,7 +159,7 @@ def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, inte
 
 
 def test_only_the_paper_s_forces_are_ever_alone(monkeypatch):
-    """Only the paper's forces are ever simulated alone.
+    """Only the paper's forces are ever simulated in a single lane.
 
     With others the compiler rounds some sums otherwise in one lane.
     """

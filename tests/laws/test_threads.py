@@ -1,6 +1,6 @@
 """Parallel work in pieces.
 
-Each is done once, and nobody waits for a thread that is busy.
+Each piece is done once, without waiting for a thread that is busy.
 """
 
 import os

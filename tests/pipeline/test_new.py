@@ -1,4 +1,4 @@
-"""Output of `new` and `template` works as it is.
+"""Output of `new` and `template` works without changes.
 
 Settings compose, an effect keeps its own laws, and a dataset is read.
 """

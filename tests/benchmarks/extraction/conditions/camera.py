@@ -75,7 +75,7 @@ class CameraShake(Condition):
     def change_light(self, frame: np.ndarray, moment: ExposureMoment) -> np.ndarray:
         """Return the frame shifted as the camera shook.
 
-        The truth stays, because nobody measured where the camera was.
+        The truth stays, because the camera's position was not measured.
         """
         across, down = moment.rng.normal(0, self.sigma, 2)
         shift = np.array([[1, 0, across], [0, 1, down]])
