@@ -238,7 +238,8 @@ def _cause_sentences(judgement: Judgement, causes: pd.DataFrame) -> list[str]:
     certain = [stated[name] for name in verdict.causes if name not in lookalikes]
     sentences = []
     if certain:
-        sentences.append(f"The simulation lacks: {_join_with_and(certain)}.")
+        label = "Causes" if len(certain) > 1 else "Cause"
+        sentences.append(f"{label} of the misfit: {_join_with_and(certain)}.")
     for group in verdict.lookalike_groups:
         either = ", or ".join(stated[name] for name in group)
         names = _join_with_and(list(group))
