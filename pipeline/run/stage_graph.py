@@ -34,7 +34,7 @@ class Port(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Wire:
+class Connection:
     """The source of one input.
 
     Parameters
@@ -64,23 +64,23 @@ class Wire:
 
 @dataclass(frozen=True)
 class StageGraph:
-    """Stages of an iteration in their order, and the wires between them."""
+    """Stages of an iteration in their order, and the connections between them."""
 
     stages: tuple[str, ...] = ()
-    wires: tuple[Wire, ...] = ()
+    connections: tuple[Connection, ...] = ()
 
     def artifact_name(self, stage: str, port: str) -> str:
         """Return the name of the artifact that fills an input, else the input's own."""
-        for wire in self.wires:
-            if (wire.stage, wire.port) == (stage, port):
-                return wire.artifact
+        for connection in self.connections:
+            if (connection.stage, connection.port) == (stage, port):
+                return connection.artifact
         return port
 
     def describe_sources(self) -> dict[str, str]:
         """Return the sources of the inputs of each stage in words."""
         taken: dict[str, list[str]] = {stage: [] for stage in self.stages}
-        for wire in self.wires:
-            taken.setdefault(wire.stage, []).append(wire.describe())
+        for connection in self.connections:
+            taken.setdefault(connection.stage, []).append(connection.describe())
         return {
             stage: f"takes {', '.join(sources) or 'nothing'}"
             for stage, sources in taken.items()
@@ -108,7 +108,7 @@ def build_graph(
     given: Mapping[str, Kind],
     outcome: StageSpec | None = None,
 ) -> StageGraph:
-    """Wire the stages of a mode.
+    """Connection the stages of a mode.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def build_graph(
     refuse_unknown_stages(names)
     specs = [stages()[name] for name in names]
     consumers = specs if outcome is None else [*specs, outcome]
-    wires = []
+    connections = []
     for position, stage in enumerate(consumers):
         chosen = chosen_sources(stage, config)
         automatic: dict[tuple[str, bool], str] = {}
@@ -152,10 +152,12 @@ def build_graph(
                     continue
                 if not artifact:
                     refuse_missing(stage, port, names)
-            wire = Wire(stage.name, port.name, source, artifact, port.is_earlier)
-            wires.append(wire)
-    refuse_unused(specs, wires)
-    return StageGraph(tuple(names), tuple(wires))
+            connection = Connection(
+                stage.name, port.name, source, artifact, port.is_earlier
+            )
+            connections.append(connection)
+    refuse_unused(specs, connections)
+    return StageGraph(tuple(names), tuple(connections))
 
 
 def ports_of(stage: StageSpec) -> Iterator[Port]:
@@ -261,9 +263,11 @@ def refuse_missing(stage: StageSpec, port: Port, names: Sequence[str]) -> None:
     )
 
 
-def refuse_unused(specs: Sequence[StageSpec], wires: Sequence[Wire]) -> None:
+def refuse_unused(
+    specs: Sequence[StageSpec], connections: Sequence[Connection]
+) -> None:
     """Raise UserError for a stage whose artifact nothing uses."""
-    used = {wire.source for wire in wires}
+    used = {connection.source for connection in connections}
     for spec in specs:
         if spec.name not in used and not spec.is_end:
             raise UserError(

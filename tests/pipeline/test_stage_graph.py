@@ -51,14 +51,17 @@ def smoothed_experiment(by=1.0, order=(*CAST[:3], "smooth", CAST[3]), **inputs):
     return replace(here, config={**here.config, "estimate": estimate})
 
 
-def wires(graph):
-    """Return stage and description of each wire."""
-    return {f"{wire.stage}: {wire.describe()}" for wire in graph.wires}
+def connections(graph):
+    """Return stage and description of each connection."""
+    return {
+        f"{connection.stage}: {connection.describe()}"
+        for connection in graph.connections
+    }
 
 
 def test_inputs_come_from_the_last_stage_that_makes_their_kind(smooth):
     graph = build_graph((*CAST[:3], "smooth", "estimate"), {}, {})
-    assert wires(graph) == {
+    assert connections(graph) == {
         "generate: motion of generate in an earlier iteration",
         "generate: estimate of estimate in an earlier iteration",
         "execute: motion of generate",
@@ -74,17 +77,17 @@ def test_a_setting_names_another_stage(smooth):
     config = {"estimate": {"inputs": {"points": "extract"}}}
     order = (*CAST[:3], "smooth", "estimate", "predict")
     graph = build_graph(order, config, {})
-    assert "estimate: points of extract" in wires(graph)
-    assert "predict: points of smooth" in wires(graph)
+    assert "estimate: points of extract" in connections(graph)
+    assert "predict: points of smooth" in connections(graph)
 
 
 def test_what_is_stored_fills_an_input_that_no_stage_makes(smooth):
     given = {"trial": Film, "points": Points}
     graph = build_graph(("extract", "estimate"), {}, given)
-    assert "extract: trial of the stored trial" in wires(graph)
-    assert "estimate: points of extract" in wires(graph)
+    assert "extract: trial of the stored trial" in connections(graph)
+    assert "estimate: points of extract" in connections(graph)
     graph = build_graph(("smooth", "estimate"), {}, given)
-    assert "smooth: points of the stored trial" in wires(graph)
+    assert "smooth: points of the stored trial" in connections(graph)
     assert graph.artifact_name("smooth", "points") == "points"
 
 
@@ -134,7 +137,7 @@ def test_two_inputs_of_one_kind_must_be_named(smooth, monkeypatch):
     with pytest.raises(UserError, match=r"a and b are both Points.*\+both\.inputs\.b="):
         build_graph(order, {}, {})
     config = {"both": {"inputs": {"b": "extract"}}}
-    assert "both: a of smooth" in wires(build_graph(order, config, {}))
+    assert "both: a of smooth" in connections(build_graph(order, config, {}))
 
 
 def test_an_inserted_stage_acts_and_makes_later_steps_stale(smooth, tmp_path):
