@@ -3,5 +3,5 @@
 from stringcast.pipeline.sweep.lazy_launcher import LazyLauncher
 
 
-class Ledger(LazyLauncher):
+class LedgerLauncher(LazyLauncher):
     """Runs what is missing of a sweep."""

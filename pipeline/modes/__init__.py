@@ -4,6 +4,6 @@ from stringcast.pipeline.modes.batch import Batch
 from stringcast.pipeline.modes.calibrate import Calibrate
 from stringcast.pipeline.modes.cast import Cast
 from stringcast.pipeline.modes.diagnose import Diagnose
-from stringcast.pipeline.modes.estimate import Estimate
+from stringcast.pipeline.modes.estimate import EstimateTrials
 
-__all__ = ["Batch", "Calibrate", "Cast", "Diagnose", "Estimate"]
+__all__ = ["Batch", "Calibrate", "Cast", "Diagnose", "EstimateTrials"]

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from stringcast.data import artifacts, dataset
-from stringcast.data.artifacts import TrialSet
+from stringcast.data import dataset
+from stringcast.data.artifacts import Estimate, Prediction, TrialSet
 from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.cast import log_fit
 from stringcast.pipeline.modes.stepwise import Stepwise, require_trials
@@ -30,7 +30,7 @@ PREDICTION = "predict"
 
 
 @dataclass(frozen=True)
-class Estimate(Stepwise):
+class EstimateTrials(Stepwise):
     """Estimation from one trial after another, or from all (`trials_used=all`).
 
     Each estimation starts at the estimate before. The last estimate predicts the trials
@@ -101,9 +101,9 @@ def estimation_outcome(iterations: Sequence[Iteration], data: dataset.Dataset) -
     rate, count = 0.0, len(iterations)
     prediction_sentences = []
     for iteration in iterations:
-        if (estimate := iteration.find(artifacts.Estimate)) is not None:
+        if (estimate := iteration.find(Estimate)) is not None:
             rate = float(estimate.fit["after"].iloc[0])
-        if (prediction := iteration.find(artifacts.Prediction)) is not None:
+        if (prediction := iteration.find(Prediction)) is not None:
             count -= 1
             score = prediction.score.iloc[0]
             prediction_sentences.append(

@@ -108,7 +108,7 @@ def build_graph(
     given: Mapping[str, Kind],
     outcome: StageSpec | None = None,
 ) -> StageGraph:
-    """Connection the stages of a mode.
+    """Connect the stages of a mode.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ VIRTUAL_HARDWARE = ("hardware.virtual.open_lab", "hardware.serial.rehearsal.open
 PIPELINE_ROLES: Mapping[str, tuple[str, ...]] = {
     "mode": (
         "pipeline.modes.Cast",
-        "pipeline.modes.Estimate",
+        "pipeline.modes.EstimateTrials",
         "pipeline.modes.Batch",
         "pipeline.modes.Diagnose",
         "pipeline.modes.Calibrate",

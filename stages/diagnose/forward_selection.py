@@ -26,7 +26,7 @@ from stringcast.stages.diagnose.measures import (
 )
 from stringcast.stages.diagnose.noise import reestimate_noise
 from stringcast.stages.diagnose.predictions import (
-    Prediction,
+    TrialPrediction,
     log_likelihood_gains,
     predict_left_out_trials,
 )
@@ -106,7 +106,7 @@ class SelectionState:
     steps: Sequence[SelectionStep] = ()
 
     @cached_property
-    def predictions(self) -> list[Prediction]:
+    def predictions(self) -> list[TrialPrediction]:
         """Each trial as the fit to the others predicts it."""
         return predict_left_out_trials(self.prepared.data, self.fit)
 

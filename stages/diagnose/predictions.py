@@ -26,7 +26,7 @@ RATED_FRAMES = 20  # of a trial, from which the matching rate is counted
 
 
 @dataclass(frozen=True)
-class Prediction:
+class TrialPrediction:
     """Prediction of a trial by a fit that has not seen it.
 
     Attributes
@@ -44,12 +44,12 @@ class Prediction:
     log_likelihood: float
 
 
-def predict_trials(data: TrialData, fit: Fit) -> list[Prediction]:
+def predict_trials(data: TrialData, fit: Fit) -> list[TrialPrediction]:
     """Predict trials by a fit that has seen none of them."""
     return [_predict_trial(data, fit, k) for k in range(len(data.trials))]
 
 
-def predict_left_out_trials(data: TrialData, fit: Fit) -> list[Prediction]:
+def predict_left_out_trials(data: TrialData, fit: Fit) -> list[TrialPrediction]:
     """Predict each trial by a fit of the same hypothesis to the others."""
     count = len(data.trials)
     # The scale of the trial left out is not known: the search starts from the median
@@ -62,7 +62,7 @@ def predict_left_out_trials(data: TrialData, fit: Fit) -> list[Prediction]:
     return predictions
 
 
-def _predict_trial(data: TrialData, fit: Fit, number: int) -> Prediction:
+def _predict_trial(data: TrialData, fit: Fit, number: int) -> TrialPrediction:
     hypothesis = fit.hypothesis
     trial = with_initial_states_at(data.subset([number]), fit)
     trial = trial.for_hypothesis(hypothesis)
@@ -70,13 +70,13 @@ def _predict_trial(data: TrialData, fit: Fit, number: int) -> Prediction:
     by_scale = trial.log_likelihood_by_scale(residuals)[:, 0]  # (1, S)
     scale_indices = best_scale_index(by_scale)
     (residual,) = trial.without_nuisance([residuals[0][0]], scale_indices)
-    return Prediction(fit, residual, float(marginal_log_likelihood(by_scale)[0]))
+    return TrialPrediction(fit, residual, float(marginal_log_likelihood(by_scale)[0]))
 
 
 def held_out_table(
     data: TrialData,
-    base: Sequence[Prediction],
-    extended: Sequence[Prediction],
+    base: Sequence[TrialPrediction],
+    extended: Sequence[TrialPrediction],
     known: Fit,
     observations: Sequence[Observation],
     matching: Matching,
@@ -116,8 +116,8 @@ def held_out_table(
 
 
 def log_likelihood_gains(
-    base: Sequence[Prediction],
-    extended: Sequence[Prediction],
+    base: Sequence[TrialPrediction],
+    extended: Sequence[TrialPrediction],
 ) -> np.ndarray:
     """Gain of each trial's log-likelihood by the extended model's prediction, (K,)."""
     pairs = zip(base, extended, strict=True)
@@ -125,8 +125,8 @@ def log_likelihood_gains(
 
 
 def improves_predictions(
-    base: Sequence[Prediction],
-    extended: Sequence[Prediction],
+    base: Sequence[TrialPrediction],
+    extended: Sequence[TrialPrediction],
 ) -> bool:
     """Whether the extended model is closer to the trials, and makes them likelier."""
     squares = []

@@ -64,7 +64,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Table(Part):
+class TableView(Part):
     """A table of cells or plain words; without columns, one of names and values.
 
     Attributes
@@ -121,7 +121,7 @@ class Card(Part):
 
 
 @dataclass(frozen=True)
-class Block(Part):
+class Container(Part):
     """Cards in a layout of the style sheet: grid, column or trials (side by side)."""
 
     kind: str
@@ -155,7 +155,7 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class Film(Part):
+class FilmPlayer(Part):
     """Strings over time, over camera frames where there are any.
 
     The data are JSON-able; see `charts.camera.cast_film_data`.
@@ -403,13 +403,13 @@ def number_cells(texts: Iterable[Any]) -> list[Cell]:
     return [number_cell(text) for text in texts]
 
 
-def settings_table(settings: Mapping[str, Any]) -> Table:
+def settings_table(settings: Mapping[str, Any]) -> TableView:
     """List settings by their names on the command line."""
     rows = [
         (name, Cell(value, "code"))
         for name, value in formatting.flatten_settings(settings)
     ]
-    return Table((), rows, named=True)
+    return TableView((), rows, named=True)
 
 
 def hit_badge(hit: bool) -> Markup:

@@ -21,7 +21,7 @@ from stringcast.data.artifacts import (
     Prediction,
 )
 from stringcast.data.schema import DataError
-from stringcast.pipeline.modes.estimate import Estimate as Estimation
+from stringcast.pipeline.modes.estimate import EstimateTrials as Estimation
 from stringcast.pipeline.run.result import run_summary
 from stringcast.stages.estimate.prediction.predict import predict, resting_part
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -240,7 +240,7 @@ def run(model, folder, trials_used, held_out):
     }
     (folder / "dataset.yaml").write_text(yaml.safe_dump(about))
     executor = Recorder()
-    return executor.seen, Estimation(again=False).run_steps(
+    return executor.seen, Estimation(reading=("extract",), again=False).run_steps(
         Settings(model, trials_used, folder), Path(), executor
     )
 

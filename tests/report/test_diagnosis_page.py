@@ -197,6 +197,7 @@ def diagnosed(verdict, names=(), sentence="So it is.", **tables):
     document["causes"] = causes.drop_duplicates("effect")[
         ["effect", "probability", "sentence"]
     ].to_dict("records")
+    document["not_tried"] = [{"effect": "box_contact", "reason": "it is an obstacle"}]
     document["indistinguishable"] = [list(names)] if verdict == "ambiguous" else []
     document |= {
         "base": {"parameters": {}, **UNCERTAIN},

@@ -16,7 +16,7 @@ from stringcast.stages.report.page import (
     Cell,
     Figure,
     Section,
-    Table,
+    TableView,
     Text,
     Tiles,
     number_cells,
@@ -82,7 +82,7 @@ def _parameters_section(alignment: Alignment) -> Section:
         is_part = "yes" if row["found"] else "no: not significant"
         name = Cell(row["name"], "code")
         rows.append([name, row["meaning"], *number_cells(values), is_part])
-    table = Card("", [Table(columns, rows, named=True)])
+    table = Card("", [TableView(columns, rows, named=True)])
     return Section("Parameters", [Text(lead), table])
 
 

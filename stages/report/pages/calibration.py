@@ -22,7 +22,7 @@ from stringcast.stages.report.page import (
     Figure,
     Section,
     Small,
-    Table,
+    TableView,
     Text,
     Tiles,
     bold_text,
@@ -110,7 +110,7 @@ def _camera_section(
         "times. If neighbouring arrows point the same way, the errors are not "
         "noise: the model of the lens or the board is wrong.",
     )
-    return Section("Camera", [Card("", [Table(columns, rows)]), figure])
+    return Section("Camera", [Card("", [TableView(columns, rows)]), figure])
 
 
 def _views_section(calibration: Calibration, magnification: float) -> Section:

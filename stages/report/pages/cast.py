@@ -40,19 +40,19 @@ from stringcast.stages.report.formatting import (
     unit_markup,
 )
 from stringcast.stages.report.page import (
-    Block,
     Card,
     Cell,
+    Container,
     Explore,
     Figure,
-    Film,
+    FilmPlayer,
     Key,
     Layer,
     Page,
     Part,
     Section,
     Small,
-    Table,
+    TableView,
     Text,
     Tiles,
     bold_text,
@@ -146,7 +146,7 @@ def _summary(record: RunRecord, casts: list[tuple[int, CastRecord]]) -> list[Par
         rows.append(
             [link(f"#cast-{number}", number), _result(cast), *closest, *fit, read]
         )
-    return [_tiles(record), Card("", [Table(columns, rows)])]
+    return [_tiles(record), Card("", [TableView(columns, rows)])]
 
 
 def _fit_quality(fit: Any) -> list[str]:
@@ -225,13 +225,13 @@ def _parameters_section(record: RunRecord) -> Section:
         parts.append(Card("", [Key(HISTORY_KEY), Small(pictures)]))
     columns = ("parameter", "", "value", "95 % interval", "range searched", "unit")
     table = [_parameter_row(p, rows.loc[p.name]) for p in parameters]
-    parts.append(Card("", [Table([*columns, "determined by the data"], table)]))
+    parts.append(Card("", [TableView([*columns, "determined by the data"], table)]))
     if not record.casts:
         charts = []
         for number, estimate in enumerate(record.estimates, start=1):
             chart = f"Matching rate over time, estimation {number}"
             charts.append(_matching_part(estimate, chart))
-        parts.append(Explore([Block("grid", charts)]))
+        parts.append(Explore([Container("grid", charts)]))
     return Section(title, parts)
 
 
@@ -279,7 +279,7 @@ def _cast_section(
         Layer("measured", FRAME_COLOURS["measured"], shown=False),
     ]
     parts.append(Explore(_comparison(record, cast, region, scale_end), layers))
-    parts.append(Block("grid", [_motions_card(cast), _link_card(cast)]))
+    parts.append(Container("grid", [_motions_card(cast), _link_card(cast)]))
     return Section(f"Cast {number}", parts, f"cast-{number}", _result(cast), "cast")
 
 
@@ -303,7 +303,7 @@ def _comparison(
             f"{len(film['t'])} camera frames from {film['t'][0]} to {film['t'][-1]} ms"
         )
         words = f"Animation of {span} with the measured and simulated strings"
-        animation = Film(film, words)
+        animation = FilmPlayer(film, words)
     distance = Figure(
         "Distance of simulated and measured string",
         distance_map(record, cast, scale_end),
@@ -326,12 +326,12 @@ def _comparison(
     )
     joints: Part = _reason("Joint angles", NO_JOINT_ANGLES)
     if len(cast.trial.arm):
-        joints = Block("column", joint_charts(cast))
-    left = Block("column", [near, distance])
+        joints = Container("column", joint_charts(cast))
+    left = Container("column", [near, distance])
     return [
-        Block("grid", [left, Card("Animation", [animation])]),
-        Block("grid", over_time),
-        Block("grid", [paths, joints]),
+        Container("grid", [left, Card("Animation", [animation])]),
+        Container("grid", over_time),
+        Container("grid", [paths, joints]),
     ]
 
 
@@ -386,7 +386,7 @@ def _motions_card(cast: CastRecord) -> Card:
         ranked = cast.motion.attempts.sort_values("count", ascending=False)
         outcomes = zip(ranked["outcome"], ranked["count"], strict=True)
         rows = [(outcome, number_cell(count)) for outcome, count in outcomes]
-        tried = Table(("outcome", "motions"), rows)
+        tried = TableView(("outcome", "motions"), rows)
     return Card("Motions tried until one was chosen", [tried])
 
 
@@ -418,7 +418,7 @@ def _link_card(cast: CastRecord) -> Card:
     for reason, count in unread["reason"].value_counts(sort=False).items():
         rows[f"frames not read: {reason}"] = count
     cells = [(name, number_cell(value)) for name, value in rows.items()]
-    parts: list[Part] = [Text(result, ""), Table((), cells, named=True)]
+    parts: list[Part] = [Text(result, ""), TableView((), cells, named=True)]
     if report.get("remarks"):
         parts.append(Text(f"Not verified: {report['remarks']}.", ""))
     return Card("Timing and frames", parts)

@@ -10,14 +10,14 @@ from stringcast.stages.check.overview import DETECTION_NOTE, detection_limit_tex
 from stringcast.stages.report.charts.trial import describe_trial, trial_figure
 from stringcast.stages.report.formatting import format_count, format_mm
 from stringcast.stages.report.page import (
-    Block,
     Card,
     Cell,
+    Container,
     Figure,
     Page,
     Part,
     Section,
-    Table,
+    TableView,
     Text,
     Tiles,
     number_cell,
@@ -75,7 +75,7 @@ def check_page(
         words = describe_trial(trial)
         picture = svg_picture(trial_figure(trial), words)
         figures.append(Figure(f"Trial {trial.name}", picture, words))
-    grid = Block("grid", figures)
+    grid = Container("grid", figures)
     sections.append(Section("Measurements", [Text(TRIALS_LEAD), grid]))
     if len(trials) > MAX_DRAWN_TRIALS:
         sections.append(
@@ -115,10 +115,10 @@ def _findings_card(findings: Sequence[Mapping[str, Any]]) -> Part:
             ]
         )
     columns = ("severity", "where", "trials", "finding", "remedy")
-    return Card("", [Table(columns, rows)])
+    return Card("", [TableView(columns, rows)])
 
 
-def _effects_table(effects: Sequence[Mapping[str, Any]]) -> Table:
+def _effects_table(effects: Sequence[Mapping[str, Any]]) -> TableView:
     """List from which size on these trials would show each effect."""
     columns = ["effect", "meaning", "found from", "then at the tip [mm]"]
     columns += ["like the string [%]", "taken for"]
@@ -135,7 +135,7 @@ def _effects_table(effects: Sequence[Mapping[str, Any]]) -> Table:
                 ", ".join(effect["alike"]),
             ]
         )
-    return Table(columns, rows)
+    return TableView(columns, rows)
 
 
 TRIAL_COLUMNS = {
@@ -150,7 +150,7 @@ TRIAL_COLUMNS = {
 }
 
 
-def _trials_table(trials: Sequence[Mapping[str, Any]]) -> Table:
+def _trials_table(trials: Sequence[Mapping[str, Any]]) -> TableView:
     """List the readable trials."""
     rows = []
     for trial in trials:
@@ -160,4 +160,4 @@ def _trials_table(trials: Sequence[Mapping[str, Any]]) -> Table:
         for name, spec in TRIAL_COLUMNS.values():
             texts.append("" if values[name] is None else format(values[name], spec))
         rows.append([trial["trial"], *number_cells(texts), trial["begins"]])
-    return Table(["trial", *TRIAL_COLUMNS, "start"], rows)
+    return TableView(["trial", *TRIAL_COLUMNS, "start"], rows)

@@ -16,7 +16,7 @@ from stringcast.stages.report.page import (
     Page,
     Part,
     Section,
-    Table,
+    TableView,
     Text,
     Tiles,
     link,
@@ -48,7 +48,7 @@ def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> st
     rows = [_row(run) for run in newest]
     sections: list[Part] = [
         Tiles(states),
-        Section("Newest first", [Card("", [Table(COLUMNS, rows)])]),
+        Section("Newest first", [Card("", [TableView(COLUMNS, rows)])]),
     ]
     stale = [(_run_link(run), run["stale"]) for run in newest if run["stale"]]
     if stale:
@@ -57,7 +57,7 @@ def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> st
             "these."
         )
         table = Details(
-            f"{len(stale)} of {len(runs)}", [Table(("run", "reason"), stale)]
+            f"{len(stale)} of {len(runs)}", [TableView(("run", "reason"), stale)]
         )
         sections.append(Section("Stale", [Text(lead), table]))
     page = Page(

@@ -22,13 +22,13 @@ from stringcast.stages.report.formatting import (
     unit_markup,
 )
 from stringcast.stages.report.page import (
-    Block,
     Card,
+    Container,
     Details,
     Figure,
     Page,
     Section,
-    Table,
+    TableView,
     Text,
     join_sentences,
     number_cell,
@@ -262,7 +262,7 @@ def _hit_rate_section(record: PaperRecord) -> Section | Text:
         ]
         label = f"{EXPERIMENT_LABELS[condition]} (n = {rates['count'].iloc[0]})"
         rows.append([label, *number_cells([*shares, median, paper])])
-    table = Table(["experiment", *within, "median", "paper"], rows)
+    table = TableView(["experiment", *within, "median", "paper"], rows)
     return Section("Hit rates", [Text(lead), Card("", [table])])
 
 
@@ -279,7 +279,7 @@ def _figures_section(
         here = sentence_markup(" ".join([*sentences, pictures[name].alt]))
         rows = [("paper", sentence_markup(paper)), ("here", here)]
         shown.append(
-            Figure(title, pictures[name], "", beside=Table((), rows, named=True))
+            Figure(title, pictures[name], "", beside=TableView((), rows, named=True))
         )
     if not shown:
         return None
@@ -288,7 +288,7 @@ def _figures_section(
         "manipulations. Earlier strings and arms are fainter; the last are at the "
         "tip's closest approach to the target."
     )
-    return Section("Figures and tables", [Text(lead), Block("grid", shown)])
+    return Section("Figures and tables", [Text(lead), Container("grid", shown)])
 
 
 def _describe_hits(record: PaperRecord, condition: str) -> str:
@@ -315,13 +315,13 @@ def _failures_section(record: PaperRecord) -> Section | None:
         for run in failed
     ]
     return Section(
-        "Failed runs", [Card("", [Table(("experiment", "seed", "error"), rows)])]
+        "Failed runs", [Card("", [TableView(("experiment", "seed", "error"), rows)])]
     )
 
 
 def _choices_section() -> Section:
     rows = [tuple(map(sentence_markup, texts)) for texts in OPEN_CHOICES]
-    table = Card("", [Table(("the paper", "here"), rows)])
+    table = Card("", [TableView(("the paper", "here"), rows)])
     return Section("What the paper leaves open, and our choices", [table])
 
 
@@ -335,5 +335,5 @@ def _numbers_section(record: PaperRecord) -> Section:
         rows.append(
             (row["what"], subject, value, unit_markup(row["unit"]), row["place"])
         )
-    table = Table(("what", "of", "value", "unit", "place"), rows)
+    table = TableView(("what", "of", "value", "unit", "place"), rows)
     return Section("The paper's numbers", [Details(f"{len(rows)} numbers", [table])])

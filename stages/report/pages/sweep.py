@@ -23,16 +23,16 @@ from stringcast.stages.report.formatting import (
 )
 from stringcast.stages.report.outcomes import Outcome, mean_response
 from stringcast.stages.report.page import (
-    Block,
     Card,
     Cell,
+    Container,
     Details,
     Figure,
     Page,
     Part,
     Section,
     Small,
-    Table,
+    TableView,
     Text,
     Tiles,
     bold_text,
@@ -150,7 +150,7 @@ def _failures_section(record: SweepRecord) -> Section | None:
                 job["host"],
             )
         )
-    table = Table(("job", "error", "attempts", "host"), rows)
+    table = TableView(("job", "error", "attempts", "host"), rows)
     return Section("Failed", [Text(lead), Card("", [table])])
 
 
@@ -199,7 +199,7 @@ def _targets_section(record: SweepRecord) -> Section | None:
         "A mark at each target. Blue: casts until the tip hit, median of the seeds. "
         "Hollow: the median seed did not hit. Crosses: every job failed."
     )
-    return Section("Targets", [Text(lead), Block("grid", maps)])
+    return Section("Targets", [Text(lead), Container("grid", maps)])
 
 
 def _combinations_section(record: SweepRecord, main: list[Outcome]) -> Section | None:
@@ -216,7 +216,7 @@ def _combinations_section(record: SweepRecord, main: list[Outcome]) -> Section |
     for row in combinations.to_numpy(object).tolist():
         table.append([*row[: len(factors)], *number_cells(row[len(factors) :])])
     summary = f"{format_count(len(table), 'combination')} of settings"
-    folded = Details(summary, [Table([*factors, *columns], table)])
+    folded = Details(summary, [TableView([*factors, *columns], table)])
     return Section("All combinations", [folded])
 
 
@@ -233,4 +233,4 @@ def _jobs_section(record: SweepRecord) -> Section:
         )
     columns = ("job", "state", "attempts", "seconds", "host", "report")
     summary = f"{format_count(len(rows), 'job')}, with their own reports"
-    return Section("Jobs", [Details(summary, [Table(columns, rows)])])
+    return Section("Jobs", [Details(summary, [TableView(columns, rows)])])

@@ -10,7 +10,7 @@ from stringcast.stages.report.formatting import format_gain, format_mm, format_r
 from stringcast.stages.report.page import (
     Card,
     Section,
-    Table,
+    TableView,
     Text,
     bold_text,
     join_sentences,
@@ -85,7 +85,7 @@ def worse_predictions(record: DiagnosisRecord) -> list[dict[str, Any]]:
     return rows
 
 
-def _held_out_table(record: DiagnosisRecord) -> Table:
+def _held_out_table(record: DiagnosisRecord) -> TableView:
     """Tabulate each held-out trial, and all together."""
     gain = record.document["gain"]
     total: dict[str, Any] = {
@@ -112,4 +112,4 @@ def _held_out_table(record: DiagnosisRecord) -> Table:
         texts += [format_rate(row[name]) for name in rates.values()]
         texts += [format_gain(row[name]) for name in gains.values()]
         rows.append([row["trial"], *number_cells(texts)])
-    return Table(["trial", *lengths, *rates, *gains], rows)
+    return TableView(["trial", *lengths, *rates, *gains], rows)

@@ -14,11 +14,11 @@ from stringcast.stages.report.charts.string_film import (
 )
 from stringcast.stages.report.formatting import format_mm, format_ms, join_effects
 from stringcast.stages.report.page import (
-    Block,
     Card,
+    Container,
     Explore,
     Figure,
-    Film,
+    FilmPlayer,
     Jump,
     Layer,
     Part,
@@ -55,7 +55,7 @@ def misfit_section(record: DiagnosisRecord) -> Section:
     sizes = trial_rms_picture(record)
     figures.append(Figure("Residual by trial", sizes, caption, NOTHING_MEASURED))
     texts = [Text(words) for words in _describe_models(record)]
-    return Section("Misfit of the simulation", [*texts, Block("grid", figures)])
+    return Section("Misfit of the simulation", [*texts, Container("grid", figures)])
 
 
 def _describe_models(record: DiagnosisRecord) -> list[str]:
@@ -96,10 +96,10 @@ def trials_section(record: DiagnosisRecord) -> Section | None:
             sizes.append(f"{model} {format_mm(rms(model_distances(frame, model)), 1)}")
         words = f"The string in trial {trial} over time, measured and simulated."
         parts: list[Part] = [
-            Film(string_film_data(record, table), words),
+            FilmPlayer(string_film_data(record, table), words),
             Jump(t * MM_PER_M, f"Largest misfit at {format_ms(t)}: {', '.join(sizes)}"),
             *residual_charts(record, table),
         ]
         cards.append(Card(trial, parts))
-    explore = Explore([Block("trials", cards)], layers, times=True)
+    explore = Explore([Container("trials", cards)], layers, times=True)
     return Section("Trials side by side", [Text(TRIALS_LEAD), explore], "trials")

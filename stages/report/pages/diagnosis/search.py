@@ -16,14 +16,14 @@ from stringcast.stages.report.formatting import (
     format_percent,
 )
 from stringcast.stages.report.page import (
-    Block,
     Card,
     Cell,
+    Container,
     Details,
     Figure,
     Part,
     Section,
-    Table,
+    TableView,
     Text,
     number_cell,
     number_cells,
@@ -73,7 +73,7 @@ def search_section(record: DiagnosisRecord) -> Section:
     for context, picture in screening_pictures(record):
         title = f"Predicted gains given {context or 'the base model'}"
         figures.append(Figure(title, picture, SCREENING_CAPTION))
-    parts.append(Block("grid", figures))
+    parts.append(Container("grid", figures))
     if len(diagnosis.likeness):
         table = _similarity_table(diagnosis.likeness)
         caption = "1: indistinguishable in these data; 0: nothing in common."
@@ -98,13 +98,13 @@ def search_section(record: DiagnosisRecord) -> Section:
     return Section("Search", parts)
 
 
-def _untried_table(not_tried: Sequence[Mapping[str, str]]) -> Table:
+def _untried_table(not_tried: Sequence[Mapping[str, str]]) -> TableView:
     """Tabulate the effects of the library that were no candidates, and why."""
     rows = [[Cell(row["effect"], "code"), Cell(row["reason"])] for row in not_tried]
-    return Table(("effect", "reason"), rows)
+    return TableView(("effect", "reason"), rows)
 
 
-def _entries_table(entries: pd.DataFrame) -> Table:
+def _entries_table(entries: pd.DataFrame) -> TableView:
     """Tabulate which cause was added when, by what evidence, and what it explains."""
     rows = []
     for number, points in entries.groupby("number"):
@@ -129,10 +129,10 @@ def _entries_table(entries: pd.DataFrame) -> Table:
         "largest effect",
         "residual there",
     )
-    return Table(columns, rows)
+    return TableView(columns, rows)
 
 
-def _similarity_table(likeness: pd.DataFrame) -> Table:
+def _similarity_table(likeness: pd.DataFrame) -> TableView:
     """Tabulate the similarity of each pair of effects."""
     names = list(dict.fromkeys([*likeness["other"], *likeness["effect"]]))
     matrix = likeness.pivot(index="effect", columns="other", values="cosine")
@@ -140,10 +140,10 @@ def _similarity_table(likeness: pd.DataFrame) -> Table:
     for name, cosines in matrix.loc[names[1:], names[:-1]].iterrows():
         texts = cosines.map("{:.2f}".format, na_action="ignore").fillna("")
         rows.append([effect_title(str(name)), *number_cells(texts)])
-    return Table(["", *map(effect_title, names[:-1])], rows, named=True)
+    return TableView(["", *map(effect_title, names[:-1])], rows, named=True)
 
 
-def _hypotheses_table(hypotheses: Sequence[Mapping[str, Any]]) -> Table:
+def _hypotheses_table(hypotheses: Sequence[Mapping[str, Any]]) -> TableView:
     rows = []
     for row in hypotheses:
         causes = effect_title(row["causes"]) if row["causes"] else "base model alone"
@@ -157,4 +157,4 @@ def _hypotheses_table(hypotheses: Sequence[Mapping[str, Any]]) -> Table:
         ]
         rows.append([causes, evidence, weakest, *number_cells([shift, *shares])])
     columns = ("causes", "log evidence", "without the strongest trial", "tip shift")
-    return Table((*columns, "unexplained", "probability"), rows)
+    return TableView((*columns, "unexplained", "probability"), rows)

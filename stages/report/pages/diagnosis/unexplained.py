@@ -31,7 +31,7 @@ from stringcast.stages.report.page import (
     Figure,
     Part,
     Section,
-    Table,
+    TableView,
     Text,
     code_text,
     number_cells,
@@ -109,7 +109,7 @@ def parameters_section(record: DiagnosisRecord) -> Section | None:
         "compensated for errors of the base model."
     )
     columns = ("parameter", "", "base model", "95 % interval", "extended model")
-    table = Table((*columns, "95 % interval", "change", "unit"), rows)
+    table = TableView((*columns, "95 % interval", "change", "unit"), rows)
     return Section("String parameters", [Text(lead), Card("", [table, *parts])])
 
 

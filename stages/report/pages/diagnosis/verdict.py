@@ -22,12 +22,12 @@ from stringcast.stages.report.formatting import (
     join_names,
 )
 from stringcast.stages.report.page import (
-    Block,
     Card,
+    Container,
     Figure,
     Part,
     Section,
-    Table,
+    TableView,
     Text,
     Tiles,
     bold_text,
@@ -76,7 +76,7 @@ def rejected_card(record: DiagnosisRecord) -> Part | None:
     rejected = list(record.document["trials"]["rejected"].items())
     if not rejected:
         return None
-    return Card("Rejected trials", [Table((), rejected, named=True)])
+    return Card("Rejected trials", [TableView((), rejected, named=True)])
 
 
 def causes_section(record: DiagnosisRecord) -> Section:
@@ -85,7 +85,7 @@ def causes_section(record: DiagnosisRecord) -> Section:
     cards = [_cause_card(str(name), rows) for name, rows in groups]
     parts: list[Part] = [Text(words) for words in _explain_verdict(record)]
     if cards:
-        parts.append(Block("grid", cards))
+        parts.append(Container("grid", cards))
     rows = []
     for other in record.document["alternatives"]:
         if other["probability"] > MIN_ALTERNATIVE_PROBABILITY:
@@ -93,7 +93,7 @@ def causes_section(record: DiagnosisRecord) -> Section:
             rows.append((effect_title(other["effect"]), probability))
     alternatives: Part = Text("None above 1 %.", "missing")
     if rows:
-        alternatives = Table((), rows, named=True)
+        alternatives = TableView((), rows, named=True)
     parts.append(Card("Alternatives", [alternatives]))
     return Section("Causes" if cards else "No cause found", parts)
 
@@ -109,7 +109,7 @@ def _cause_card(name: str, rows: pd.DataFrame) -> Card:
         values[row["parameter"].rpartition(".")[2]] = row["value"]
         table.append((row["meaning"], *number_cells(format_quantity(row))))
     if table:
-        parts.append(Table(("", "value", "95 % interval"), table))
+        parts.append(TableView(("", "value", "95 % interval"), table))
     effect = effects_by_name()[name]
     reference = f"Reference: {effect.reference}." if effect.reference else ""
     parts.append(Figure("", law_picture(effect, values), reference))
@@ -173,7 +173,7 @@ def budget_section(record: DiagnosisRecord) -> Section | None:
         f"tolerance: {tolerance}."
     )
     rows = [_budget_row(source) for source in sources]
-    table = Card("", [Table(("source", "at the tip", "log evidence"), rows)])
+    table = Card("", [TableView(("source", "at the tip", "log evidence"), rows)])
     return Section("Error budget", [Text(lead), table])
 
 
