@@ -67,7 +67,8 @@ class Study(ABC):
     BLOCK
         Name of the study's settings block.
     GROWING
-        Settings of that block that only say how many rows are made; they may change between calls.
+        Settings of that block that only determine the number of rows. They may change
+        between calls.
     CALLS_PER_PROCESS
         Jobs after which a worker process is replaced by a new one; None for never.
     """
@@ -143,7 +144,7 @@ def run_study(study: Study, config: Config, folder: Path, progress: Progress) ->
 
 
 def keep_settings(study: Study, config: Config, folder: Path) -> None:
-    """Write config.json, or check that the folder holds a study with the same settings."""
+    """Write config.json, or check that the folder's study has the same settings."""
     path = folder / "config.json"
     text = json.dumps(config, indent=2, sort_keys=True)
     if path.exists():

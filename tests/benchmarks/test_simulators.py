@@ -1,4 +1,4 @@
-"""Parts of the reference simulators: hand, clocks, camera, motions, and the registry."""
+"""Parts of the reference simulators: hand, clocks, camera, motions and registry."""
 
 import sys
 

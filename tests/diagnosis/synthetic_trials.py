@@ -86,7 +86,7 @@ def diagnose_trials(model, observations, starts, held_out=(), motions=1, **setti
 
 
 def true_exponents(hypothesis, values):
-    """Convert true parameter values, by name, to the exponents of a hypothesis, (P,)."""
+    """Convert true parameter values, by name, to exponents of a hypothesis, (P,)."""
     known = {}
     for parameter in hypothesis.parameters:
         if parameter.name in values:

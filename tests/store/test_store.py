@@ -1,4 +1,4 @@
-"""What is stored comes back to the bit, with units, origin and a hash of its content."""
+"""Stored content is read back to the bit, with units, origin and content hash."""
 
 import hashlib
 import os

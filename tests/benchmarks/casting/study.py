@@ -1,4 +1,7 @@
-"""The casting studies: strings of the virtual lab, cast at targets by several methods."""
+"""The casting studies.
+
+Several methods cast strings of the virtual lab at targets.
+"""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def is_correct(row: Row) -> bool:
     - nothing hidden: no cause is named;
     - one cause hidden: it is in the first group that is named;
     - several hidden: each is named, in a group of its own;
-    - a cause that the library does not hold: the verdict is `unknown`, and nothing is named.
+    - a cause outside the library: the verdict is `unknown`, and nothing is named.
     """
     kind, names = row["truth"]["kind"], row["truth"]["names"]
     verdict, groups = row["diagnosis"]["verdict"], named_groups(row)

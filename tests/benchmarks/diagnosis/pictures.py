@@ -1,4 +1,4 @@
-"""Pictures of a diagnosis study: the confusion matrix, and an overview with the goals."""
+"""Pictures of a diagnosis study: the confusion matrix, and an overview with goals."""
 
 from __future__ import annotations
 

@@ -260,7 +260,7 @@ def diagnosis_row(row: Row, two_sided: Set[str]) -> dict[str, object]:
 
 
 def hidden_parameters(row: Row, two_sided: Set[str]) -> list[dict[str, object]]:
-    """Return parameters of hidden causes that were named with an interval of two ends."""
+    """Return parameters of named hidden causes whose interval has two ends."""
     true = row["truth"]["parameters"]
     rows = []
     for cause in row["diagnosis"].get("causes") or []:

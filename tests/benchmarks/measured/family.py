@@ -35,7 +35,7 @@ class Family:
     folder
         Folder of their tables, in that of all families.
     trials
-        Pattern of the names of their trials; its group `string` is the name of the string.
+        Pattern of the names of their trials; its group `string` is the string's name.
     moving, held_out
         Patterns of trials that begin moving, and of trials to which nothing is fitted.
     every
@@ -47,9 +47,10 @@ class Family:
     settings
         Settings of every run.
     sets
-        Settings of each set of effects, by its name: effects, and what is known of them.
+        Effects of each set, by its name, and their known values.
     authors
-        Rms distance of the tip in the authors' own model, in the fitted trial [m], by string.
+        Rms distance [m] of the tip in the authors' own model, in the fitted trial, by
+        string.
     """
 
     folder: str

@@ -116,7 +116,7 @@ def predicted_points(run: Path) -> pd.DataFrame:
 
 
 def rms_distance(rows: pd.DataFrame) -> float | None:
-    """Return the rms distance of predicted and measured points [m], None without rows."""
+    """Return the rms distance of predicted and measured points [m], None if empty."""
     distances = np.hypot(
         rows["predicted_x"] - rows["x"], rows["predicted_y"] - rows["y"]
     )

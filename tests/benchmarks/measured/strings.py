@@ -81,7 +81,7 @@ STRINGS = Table(
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Diagnose each string in a process of its own; keep a row as soon as it is made."""
+    """Diagnose each string in its own process, and keep each row when it is ready."""
     parser = argparse.ArgumentParser(
         "python3 tasks.py study strings", description=__doc__
     )

@@ -254,7 +254,10 @@ def _slip(rng: np.random.Generator, trials: PlainTrials, trial: int) -> Ends:
 
 
 def _peg(rng: np.random.Generator, trials: PlainTrials, trial: int) -> Ends | None:
-    """Let a round peg grow where the string passes, clear of hand and string at rest."""
+    """Let a round peg grow where the string passes.
+
+    It is clear of the hand and the string at rest.
+    """
     kept_clear = np.concatenate([trials.strings[trial][0], trials.hands[trial]])
     stiffness = {"rod.peg": float(np.exp(rng.uniform(*np.log([3e4, 3e5]))))}
     radius = grow("rod.peg_radius", MAX_PEG_RADIUS_M)

@@ -74,7 +74,7 @@ class OwnKernel(Simulator):
 
     @cached_property
     def causes(self) -> tuple[Cause, ...]:
-        """The effects of the library, and causes outside it for which there is a law."""
+        """The effects of the library, and causes outside it that have a law."""
         of_library = [library_cause(effect) for effect in hideable_effects()]
         names = [effect.name for effect in OUTSIDE_EFFECTS]
         on_string = [c for c in OUTSIDE_STRING_CAUSES if c.name in names]

@@ -387,7 +387,7 @@ def _update_velocities(
 
 @njit(cache=True, error_model="numpy")
 def _nearest_angle(angle: float, before: float) -> float:
-    """Return an angle plus the whole turns that bring it nearest to one before [rad]."""
+    """Return an angle plus the whole turns that bring it nearest to the last [rad]."""
     return angle + 2.0 * math.pi * round((before - angle) / (2.0 * math.pi))
 
 

@@ -53,8 +53,8 @@ class Contender:
     name
         Its name in the table.
     prepare
-        Builds what simulates so many cords at a resolution; calling that returns their tips
-        (count, F, 2) [m].
+        Builds a function that simulates so many cords at a resolution. It returns their
+        tips (count, F, 2) [m].
     resolutions
         The cheapest resolution with a tip error below 3 mm, and below 1 mm.
     converged

@@ -79,7 +79,10 @@ def hand_motion() -> HandMotion:
 
 
 def cord_string(points: int, largest_step: float) -> tuple[String, np.ndarray]:
-    """Return a string that converges to the cord to second order, and its parameters (P,)."""
+    """Return a string that converges to the cord to second order.
+
+    Its parameters (P,) are returned, too.
+    """
     string = String(
         CORD.length,
         points=points,

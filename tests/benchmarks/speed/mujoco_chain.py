@@ -1,8 +1,9 @@
-"""The cord in MuJoCo: a planar chain of rigid links on hinges with stiffness and damping.
+"""The cord in MuJoCo: a planar chain of rigid links on hinges.
 
-The hand is a carriage on two slides and a hinge, a million times as heavy as the cord, so
-that the cord does not move it. At each step a force moves it to the next pose. That costs
-less than a weld to a moving frame, and is exact. Contacts and constraints are off.
+The hinges have stiffness and damping. The hand is a carriage on two slides and a hinge,
+a million times as heavy as the cord, so that the cord does not move it. At each step a
+force moves it to the next pose. That costs less than a weld to a moving frame, and is
+exact. Contacts and constraints are off.
 """
 
 from __future__ import annotations

@@ -39,7 +39,10 @@ class Hand(elastica.ConstraintBase):
         half: float,
         **options: Any,
     ) -> None:
-        """Take poses and rates (2 steps + 1, 3) at half steps, and half an element [m]."""
+        """Take poses and rates (2 steps + 1, 3) at half steps, and half an element.
+
+        The half element is in metres.
+        """
         super().__init__(**options)
         self.poses, self.rates, self.every, self.half = poses, rates, step / 2, half
 

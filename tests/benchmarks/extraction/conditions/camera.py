@@ -90,7 +90,7 @@ class CameraShake(Condition):
 
 @dataclass(frozen=True)
 class HotPixels(Condition):
-    """`count` pixels of the sensor that are bright now and then, in half of all frames."""
+    """`count` pixels of the sensor that are randomly bright in half of all frames."""
 
     count: int
     seed: int = 3

@@ -179,7 +179,7 @@ def load(
 def tip_force(
     x: float, y: float, vx: float, vy: float, t: float, rod: Rod
 ) -> tuple[float, float]:
-    """Return the forces at the tip: a flag in the air, a thread that is taut [m2/s2]."""
+    """Return the forces at the tip: a flag in the air and a taut thread [m2/s2]."""
     wx, wy = air_velocity(x, y, t, rod)
     ux, uy = vx - wx, vy - wy
     resistance = rod.flag * math.sqrt(ux * ux + uy * uy)

@@ -110,7 +110,7 @@ def _turned_down(mesh: Mesh, hand: np.ndarray) -> np.ndarray:
 def _balance(
     mesh: Mesh, q: np.ndarray, hand: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the forces at rest on the free coordinates (2 D - 2,), and their slopes."""
+    """Return the forces at rest on the free coordinates (2 D - 2,) and their slopes."""
     memory = np.zeros((*mesh.places.shape, 2))
     state = State(q, np.zeros_like(q), memory, 0.0, 0.0)
     string = mesh.rod.record, mesh.as_elements
