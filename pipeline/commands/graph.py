@@ -6,6 +6,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
+from stringcast.data.errors import escape_control_characters
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.pipeline.settings.typed_settings import build_chosen
@@ -22,8 +23,7 @@ def main(arguments: list[str]) -> int:
     settings: Any = OmegaConf.to_container(composed, resolve=True)
     mode = build_chosen(settings["mode"], "mode", "conf/mode")
     sources = mode.graph(settings).describe_sources()
-    for stage, text in sources.items():
-        print(f"{stage}: {text}")
-    if not sources:
-        print("This run has a single stage.")
+    lines = [f"{stage}: {text}" for stage, text in sources.items()]
+    for line in lines or ["This run has a single stage."]:
+        print(escape_control_characters(line))
     return 0

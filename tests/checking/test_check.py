@@ -782,6 +782,9 @@ EFFECT = {
 }
 
 
+NOT_TRIED = {"contact": "it depends on the place"}
+
+
 def test_what_the_trials_can_tell_is_said_where_it_is_asked(
     dirty, called, undrawn, tmp_path, monkeypatch
 ):
@@ -789,7 +792,7 @@ def test_what_the_trials_can_tell_is_said_where_it_is_asked(
     monkeypatch.setattr(
         check_effects,
         "detectable_effects",
-        lambda *given: asked.append(given) or [EFFECT],
+        lambda *given: asked.append(given) or ([EFFECT], NOT_TRIED),
     )
     folder = dirty.write(tmp_path)
     assert "wind" not in called("check", folder).stdout
@@ -805,6 +808,7 @@ def test_what_the_trials_can_tell_is_said_where_it_is_asked(
     assert settings["trials"] == str(folder)
     assert settings["string"]["points"] == 15
     assert re.search(r"wind.along_x +0.021 m/s +0.7 +52% +tip_mass", done.stdout)
+    assert "Not tried: contact (it depends on the place)." in done.stdout
     assert done.stdout.index("Found from:") < done.stdout.index("Usable: 3 trials")
     page = (tmp_path / "page.html").read_text()
     assert "Detectable effects" in page

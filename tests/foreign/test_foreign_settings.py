@@ -194,7 +194,7 @@ def test_what_is_known_is_finite():
         "parameter_values": {"tip_mass.ratio": float("nan")}
     }
     with pytest.raises(
-        UserError, match=r"parameter_values\.tip_mass\.ratio = nan .* must be a number"
+        UserError, match=r"parameter_values\.tip_mass\.ratio = nan .* a finite number"
     ):
         prepare_experiment(settings, lambda block: block)
 
