@@ -150,7 +150,7 @@ class ContactCandidates:
             only_this = string.with_only_effects((effect,), material)
             known = DEFAULT_ARGUMENTS | arguments
             vectors = [load_sum(*only_this, arguments)]
-            for slot in ("acceleration", "flow"):
+            for slot in effect.laws().keys() & {"acceleration", "flow"}:
                 vectors.append(vector_slot_sum(*only_this, slot, known))
             is_nonzero.append(np.any(np.concatenate(vectors, axis=-1) != 0, axis=-1))
         return np.concatenate(is_nonzero)
