@@ -190,6 +190,11 @@ def read_extended_model(folder: Path) -> dict[str, Any]:
     """
     remedy = "Name the run folder of a diagnosis or an alignment."
     model = read_run_settings(folder, EXTENDED, "model_from", remedy)
+    if not model:
+        raise UserError(
+            f"model_from={folder}: {EXTENDED} is empty. Restore it, or run the "
+            "diagnosis again."
+        )
     for name, value in model.items():
         if name not in MODEL_SETTINGS:
             known_names = ", ".join(MODEL_SETTINGS)

@@ -284,7 +284,9 @@ def extended_model_settings(
         known[name] = float(f"{value:.8g}")
     for name, (low, high) in {**intervals, **model.measured_ranges}.items():
         value = float(np.clip(values[name], low, high))
-        known[name] = {"value": value, "low": low, "high": high}
+        known[name] = value
+        if low < high:  # at an end of its range an interval may have no width
+            known[name] = {"value": value, "low": low, "high": high}
     names = {*fit.hypothesis.cause_names}
     for effect in model.effects:
         if not effect.parameters or "." in effect.qualified_name(effect.parameters[0]):

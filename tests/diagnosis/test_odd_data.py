@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -10,7 +11,9 @@ from conftest import TRUTH, ordinary
 from synthetic_trials import SWING, sample_curve, true_exponents
 
 from stringcast.data.artifacts import HELD_OUT, JOINTS, MASKS, READINGS, Observation
+from stringcast.pipeline.run.experiment import read_parameter_values
 from stringcast.stages.diagnose.document import (
+    extended_model_settings,
     gain_document,
     replace_non_finite,
     widened_ranges,
@@ -140,3 +143,21 @@ def test_widened_ranges_are_passed_to_other_stages(model):
     expected = {wide.name: {"low": wide.low, "high": 1e9}}
     assert widened_ranges(string, other) == expected
     assert widened_ranges(string, string) == {}
+
+
+def test_an_interval_without_width_is_written_as_a_value(model):
+    """A value at the end of its range would be refused by the next command."""
+    hypothesis = Hypothesis(model)
+    values = dict(zip(model.names, model.values(TRUTH), strict=True))
+    fit = SimpleNamespace(hypothesis=hypothesis, values=values)
+    first, second = model.names[:2]
+    best = values[second]
+    intervals = {
+        first: (values[first], values[first]),
+        second: (0.9 * best, 1.1 * best),
+    }
+    settings = extended_model_settings(model, fit, intervals)
+    written = settings["parameter_values"]
+    assert written[first] == pytest.approx(values[first])
+    assert written[second]["low"] < written[second]["value"] < written[second]["high"]
+    read_parameter_values(written, model, "extended.yaml")

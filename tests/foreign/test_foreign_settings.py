@@ -260,6 +260,13 @@ def test_what_refers_elsewhere_is_refused(tmp_path, read):
         read(tmp_path)
 
 
+def test_an_empty_model_is_no_model(tmp_path):
+    """The run would go on with the default string."""
+    (tmp_path / "extended.yaml").write_text("")
+    with pytest.raises(UserError, match=r"extended\.yaml is empty"):
+        read_extended_model(tmp_path)
+
+
 def test_settings_of_stored_trials_that_refer_elsewhere_are_refused(settings, tmp_path):
     (tmp_path / "config.json").write_text(
         json.dumps({**settings, "estimate": {"beta": "${oc.env:HOME}"}})
