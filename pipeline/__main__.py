@@ -35,6 +35,7 @@ from stringcast.pipeline.sweep.lazy_launcher import finish_sweep, sweep_folder
 OmegaConf.register_new_resolver(
     "unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True
 )
+PLUGINS_WORD = "plugins="
 NO_ANSWER_STATUS = 2  # exit status of a command that found no answer
 
 
@@ -88,8 +89,11 @@ def cli() -> None:
     try:
         if words and words[0] in COMMAND_NAMES:
             sys.exit(run_command(words[0], words[1:]))
-        refuse_mistakes(words)
         overrides = [word for word in words if "=" in word and not word.startswith("-")]
+        if any(word.startswith(PLUGINS_WORD) for word in overrides):
+            named_plugins = import_module("stringcast.pipeline.settings.named_plugins")
+            named_plugins.name_plugins(overrides)
+        refuse_mistakes(words)
         refuse_repeated_settings(overrides)
         if "-h" in words or "--help" in words:
             help_page = import_module("stringcast.pipeline.cli.help_page")

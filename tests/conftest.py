@@ -32,6 +32,7 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from stringcast.stages.plugins import PLUGINS_VARIABLE
 from tests.benchmarks.simulators import draw
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -110,6 +111,22 @@ def pytest_sessionfinish(session, exitstatus):
     )
     if asked and not executed(reporter.stats):
         session.exitstatus = pytest.ExitCode.NO_TESTS_COLLECTED
+
+
+@pytest.fixture
+def plugin(tmp_path, monkeypatch):
+    """Return the empty folder of a plugin that this person has named."""
+    folder = tmp_path / "my_lab"
+    folder.mkdir()
+    monkeypatch.setenv(PLUGINS_VARIABLE, str(folder))
+    return folder
+
+
+@pytest.fixture
+def effects_folder(plugin):
+    """Return the folder for effects of a plugin that this person has named."""
+    (plugin / "effects").mkdir()
+    return plugin / "effects"
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -13,7 +13,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stringcast.pipeline.commands import COMMAND_NAMES
-from stringcast.pipeline.settings.composition import CONF_FOLDER, UserError
+from stringcast.pipeline.settings.composition import (
+    CONF_FOLDER,
+    UserError,
+    conf_folders,
+    group_files,
+)
 
 # Replaced, where it is printed, by how the program was called.
 CALL_WORDS = ["python", "-m", "pipeline"]
@@ -241,7 +246,8 @@ def check_choice_as_setting(word: Word) -> Iterator[Answer]:
     group, _, option = word.setting.partition(".")
     if option not in group_options(group):
         return
-    text = (CONF_FOLDER / group / f"{option}.yaml").read_text(encoding="utf-8")
+    (file,) = [file for file in group_files(group) if file.stem == option]
+    text = file.read_text(encoding="utf-8")
     if needed := re.search(r"^(\w+): null\b", text, re.M):
         suggested_words = [f"{group}={option}", f"{group}.{needed[1]}={word.value}"]
         yield Answer(f"{word.text}: {option} is an option of {group}.", suggested_words)
@@ -285,17 +291,17 @@ def is_setting(name: str) -> bool:
     return first_name in {*top_level_settings(), *group_names(), "hydra"}
 
 
-@cache
 def group_options(group: str) -> tuple[str, ...]:
     """Return the options of a group."""
-    return tuple(sorted(file.stem for file in (CONF_FOLDER / group).glob("*.yaml")))
+    return tuple(sorted(file.stem for file in group_files(group)))
 
 
-@cache
 def group_names() -> tuple[str, ...]:
     """Return the names of all groups of settings."""
-    folders = [path.name for path in CONF_FOLDER.iterdir() if path.is_dir()]
-    return tuple(sorted(name for name in folders if not name.startswith("_")))
+    names = set()
+    for folder in conf_folders():
+        names |= {path.name for path in folder.iterdir() if path.is_dir()}
+    return tuple(sorted(name for name in names if not name.startswith("_")))
 
 
 @cache

@@ -12,7 +12,7 @@ import yaml
 from stringcast.pipeline.cli.command_line_hints import group_options
 from stringcast.pipeline.cli.terminal import with_program_name
 from stringcast.pipeline.commands import command_list
-from stringcast.pipeline.settings.composition import CONF_FOLDER, compose_settings
+from stringcast.pipeline.settings.composition import compose_settings, conf_folders
 from stringcast.pipeline.settings.setting_comments import annotate_settings
 from stringcast.stages.model.library import effect_files
 
@@ -75,9 +75,12 @@ def help_text(overrides: Sequence[str]) -> str:
 
 def group_lines() -> list[str]:
     """Return a line for each group of settings but Hydra's own, with its options."""
+    names = set()
+    for conf in conf_folders():
+        for path in conf.rglob("*/"):
+            names.add(path.relative_to(conf).as_posix())
     lines = []
-    for folder in sorted(path for path in CONF_FOLDER.rglob("*") if path.is_dir()):
-        name = folder.relative_to(CONF_FOLDER).as_posix()
+    for name in sorted(names):
         options = group_options(name)
         if options and not name.startswith("hydra"):
             lines.append(f"{name}: {', '.join(options)}")

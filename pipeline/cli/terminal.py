@@ -22,8 +22,8 @@ from rich.segment import Segment
 
 from stringcast.data.errors import escape_control_characters
 from stringcast.pipeline.settings.composition import (
-    CONF_FOLDER,
     compose_settings,
+    group_files,
     setting_names,
 )
 
@@ -126,7 +126,7 @@ def unknown_setting_remedy(name: str) -> str:
     group, _, inner_name = name.partition(".")
     line = re.compile(rf"^{re.escape(inner_name)}:", re.M)
     options = []
-    for file in sorted((CONF_FOLDER / group).glob("*.yaml")):
+    for file in group_files(group):
         if inner_name and line.search(file.read_text(encoding="utf-8")):
             options.append(f"{group}={file.stem}")
     if options:
@@ -134,9 +134,7 @@ def unknown_setting_remedy(name: str) -> str:
 
     GlobalHydra.instance().clear()
     chosen_groups = [
-        word
-        for word in sys.argv[1:]
-        if (CONF_FOLDER / word.partition("=")[0].lstrip("+")).is_dir()
+        word for word in sys.argv[1:] if group_files(word.partition("=")[0].lstrip("+"))
     ]
     names = list(setting_names(compose_settings(chosen_groups)))
     near = difflib.get_close_matches(name, names, 1)

@@ -9,6 +9,7 @@ from omegaconf import OmegaConf
 from stringcast.data.errors import escape_control_characters
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.settings.composition import compose_settings
+from stringcast.pipeline.settings.named_plugins import name_plugins
 from stringcast.pipeline.settings.typed_settings import build_chosen
 
 
@@ -19,6 +20,7 @@ def main(arguments: list[str]) -> int:
         "settings", nargs="*", help="settings of the run, such as +experiment=stringB"
     )
     overrides = parser.parse_args(arguments).settings
+    name_plugins(overrides)
     composed = OmegaConf.create(compose_settings(overrides))
     settings: Any = OmegaConf.to_container(composed, resolve=True)
     mode = build_chosen(settings["mode"], "mode", "conf/mode")

@@ -1,10 +1,10 @@
-"""Write a working start of your own arm, camera, effect or stage."""
+"""Write a working start of an arm, camera, effect, estimator or stage of your own."""
 
 from __future__ import annotations
 
 import keyword
-import os
 import re
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -12,9 +12,17 @@ from stringcast.data.store import write_text
 from stringcast.pipeline.cli.terminal import Terminal, program_name
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.settings.composition import CONF_FOLDER, UserError
+from stringcast.stages.plugins import NAME_PATTERN
 
-PROJECT_FOLDER = CONF_FOLDER.parent
-NAME_PATTERN = re.compile(r"[a-z][a-z0-9_]*")
+DEFAULT_PLUGIN = Path("my_lab")
+# Where a name is taken by the package.
+PACKAGE_PLACES = {
+    "arm": ("conf/arm/{}.yaml",),
+    "camera": ("conf/camera/{}.yaml",),
+    "effect": ("stages/model/effects/{}.py",),
+    "estimator": ("conf/estimate/{}.yaml",),
+    "stage": ("stages/{}", "conf/{}"),
+}
 EFFECT_TEMPLATE = '''\
 """Describe the cause in a line: here the whole string is pulled to the right."""
 
@@ -91,10 +99,11 @@ STAGE = StageSpec(
     makes={Name},
     folder="{name}",  # of the artifact in an iteration
     uses=("{name}",),  # settings that change the artifact
-    run="stages.{name}.{name}.run",  # makes the artifact of its inputs
+    run="plugins.{plugin}.stages.{name}.{name}.run",  # makes the artifact
     inputs={{"trials": CollectedTrials(parts={{"points": Points}})}},
     is_end=True,  # its artifact is a result by itself
-    by=("stages.{name}.{name}.{name}",),  # allowed as `_target_` in conf/{name}/*.yaml
+    # allowed as `_target_` in conf/{name}/*.yaml
+    by=("plugins.{plugin}.stages.{name}.{name}.{name}",),
     summary=summary,
 )
 '''
@@ -111,7 +120,8 @@ from pydantic import Field
 from stringcast.data.artifacts import Observation, TrialSet
 from stringcast.stages.common import Progress
 from stringcast.stages.spec import StageCall
-from stringcast.stages.{name} import FARTHEST, {Name}
+
+from . import FARTHEST, {Name}
 
 
 def run(call: StageCall, trials: TrialSet) -> {Name}:
@@ -142,8 +152,65 @@ def {name}(
 '''
 SETTINGS_TEMPLATE = """\
 # Settings of the stage; each is a keyword of the function.
-_target_: stages.{name}.{name}.{name}
+_target_: plugins.{plugin}.stages.{name}.{name}.{name}
 least: 0.0   # smallest distance that is listed [m]
+"""
+ESTIMATOR_TEMPLATE = '''\
+"""Estimate by the best of strings that are drawn uniformly from the whole range."""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from stringcast.data.artifacts import Estimate, Observation
+from stringcast.stages.common import Progress
+from stringcast.stages.estimate.matching import (
+    Matching,
+    matching_rate,
+    matching_targets,
+)
+from stringcast.stages.estimate.result import (
+    Candidates,
+    build_search_estimate,
+    start_chi,
+)
+from stringcast.stages.model.model import Model
+
+
+def estimate(
+    model: Model,
+    observations: Sequence[Observation],
+    previous: Estimate | None,
+    *,
+    seed: int,
+    manipulation: int,
+    candidates: Annotated[int, Field(ge=1)],
+    matching: Matching,
+    progress: Progress = lambda share: None,
+) -> Estimate:
+    """Search the highest matching rate among uniform candidates.
+
+    Arguments after `*` are settings, except for those that a run supplies: `seed`,
+    `manipulation` (the number of the cast, from 1) and `progress`.
+    """
+    targets = matching_targets(model, observations, matching)
+    before = start_chi(model, previous)  # exponents (P,) in [0, 1]
+    rng = np.random.default_rng([seed, manipulation])
+    chi = rng.uniform(0, 1, (candidates, len(before)))
+    search = Candidates("{name}", chi, matching_rate(targets, chi))
+    return build_search_estimate(targets, before, search, seed)
+'''
+ESTIMATOR_SETTINGS_TEMPLATE = """\
+# The best of strings drawn uniformly from the whole range.
+_target_: plugins.{plugin}.estimate.{name}.estimate
+candidates: 500  # strings that are compared
+matching:
+  dilations: 20  # p_max in the paper
+  step_px: 2  # growth in one dilation [px]
+  tip_step_px: 3.0  # tip distance that costs one score [px]
+  delta_w: 0.25  # weight added per point, Eq. 6
 """
 
 
@@ -152,37 +219,61 @@ def main(arguments: Sequence[str]) -> int:
     parser = CommandParser("python -m pipeline new", description=__doc__)
     parser.add_argument("kind", choices=list(FILES_OF_KIND), help="what to write")
     parser.add_argument("name", help="name of small letters, digits and _")
+    parser.add_argument(
+        "--to",
+        type=Path,
+        default=DEFAULT_PLUGIN,
+        help="your folder, made if need be; by default my_lab in the current folder",
+    )
     options = parser.parse_args(arguments)
-    if not NAME_PATTERN.fullmatch(options.name) or keyword.iskeyword(options.name):
-        near = re.sub(r"\W+", "_", options.name.lower()).strip("_0123456789") or "mine"
-        fault = f"{options.name}: a name consists of small letters, digits and _"
-        command = f"{program_name()} new {options.kind} {near}"
-        raise UserError(f"{fault}. Try: {command}")
-    files, example = FILES_OF_KIND[options.kind](options.name)
-    for path in files:
-        if path.exists():
-            raise UserError(f"{path}: it is there already. Choose another name.")
-    for path, text in files.items():
-        write_text(path, text)
+    words = f"new {options.kind} {{}} --to {{}}"
+    plugin: Path = options.to.resolve()
+    require_name(options.name, words.format("{}", options.to))
+    require_name(plugin.name, words.format(options.name, "{}"))
+
+    texts, example = FILES_OF_KIND[options.kind](options.name, plugin.name)
+    files = {plugin / path: text for path, text in texts.items()}
+    package = CONF_FOLDER.parent
+    places = [
+        package / path.format(options.name) for path in PACKAGE_PLACES[options.kind]
+    ]
+    for place in (*files, *places):
+        if place.exists():
+            raise UserError(f"{place}: it is there already. Choose another name.")
+    for file, text in files.items():
+        write_text(file, text)
     console = Terminal()
-    for path in files:
-        shown = (
-            path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
-        )
-        console.print_line(f"Written: {shown}")
-    console.print_line(f"Try it: {program_name()} {example}")
+    for file in files:
+        console.print_line(f"Written: {shown_path(file)}")
+    setting = shlex.quote(f"plugins=[{shown_path(plugin)}]")
+    console.print_line(f"Try it: {program_name()} {setting} {example}")
     return 0
 
 
-Files = dict[Path, str]
+def require_name(name: str, command: str) -> None:
+    """Raise UserError with a corrected command for what is no name of a module."""
+    if not NAME_PATTERN.fullmatch(name) or keyword.iskeyword(name):
+        near = re.sub(r"\W+", "_", name.lower()).strip("_0123456789") or "mine"
+        raise UserError(
+            f"{name}: a name consists of small letters, digits and _. "
+            f"Try: {program_name()} {command.format(near)}"
+        )
 
 
-def arm_files(name: str) -> tuple[Files, str]:
+def shown_path(path: Path) -> Path:
+    """Return a path from the current folder on, if it lies there."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+
+
+Files = dict[str, str]  # texts by their paths within the plugin
+
+
+def arm_files(name: str, plugin: str) -> tuple[Files, str]:
     """Return settings of an arm, copied from the paper's arm."""
     return copied_settings("arm", name, "paper"), f"+experiment=quick arm={name}"
 
 
-def camera_files(name: str) -> tuple[Files, str]:
+def camera_files(name: str, plugin: str) -> tuple[Files, str]:
     """Return settings of a camera, copied from the paper's camera."""
     files = copied_settings("camera", name, "highspeed")
     return files, f"+experiment=stringB method=robust camera={name}"
@@ -193,39 +284,45 @@ def copied_settings(group: str, name: str, like: str) -> Files:
     text = (CONF_FOLDER / group / f"{like}.yaml").read_text(encoding="utf-8")
     settings = [line for line in text.splitlines() if not line.startswith("#")]
     heading = f"# {name}: a copy of {like}. Change what is different."
-    copy = "\n".join([heading, *settings, ""])
-    return {CONF_FOLDER / group / f"{name}.yaml": copy}
+    return {f"conf/{group}/{name}.yaml": "\n".join([heading, *settings, ""])}
 
 
-def effect_files(name: str) -> tuple[Files, str]:
-    """Return an effect, in the first folder of STRINGCAST_EFFECTS or in the library."""
-    user_folders = os.environ.get("STRINGCAST_EFFECTS", "").split(os.pathsep)
-    library = PROJECT_FOLDER / "stages" / "model" / "effects"
-    folder = Path(next(filter(None, user_folders), library))
-    files = {folder / f"{name}.py": fill_template(EFFECT_TEMPLATE, name)}
+def effect_files(name: str, plugin: str) -> tuple[Files, str]:
+    """Return an effect."""
+    files = {f"effects/{name}.py": fill_template(EFFECT_TEMPLATE, name, plugin)}
     return files, f"+experiment=quick 'effects=[{name}]' estimate=least_squares"
 
 
-def stage_files(name: str) -> tuple[Files, str]:
-    """Return a stage: a folder and a group of settings."""
-    folder = PROJECT_FOLDER / "stages" / name
+def estimator_files(name: str, plugin: str) -> tuple[Files, str]:
+    """Return an estimator: a function and an option of a group of settings."""
+    settings = fill_template(ESTIMATOR_SETTINGS_TEMPLATE, name, plugin)
     files = {
-        folder / "__init__.py": fill_template(STAGE_TEMPLATE, name),
-        folder / f"{name}.py": fill_template(FUNCTION_TEMPLATE, name),
-        CONF_FOLDER / name / "plain.yaml": fill_template(SETTINGS_TEMPLATE, name),
+        f"estimate/{name}.py": fill_template(ESTIMATOR_TEMPLATE, name, plugin),
+        f"conf/estimate/{name}.yaml": settings,
+    }
+    return files, f"+experiment=quick estimate={name}"
+
+
+def stage_files(name: str, plugin: str) -> tuple[Files, str]:
+    """Return a stage: a folder and a group of settings."""
+    files = {
+        f"stages/{name}/__init__.py": fill_template(STAGE_TEMPLATE, name, plugin),
+        f"stages/{name}/{name}.py": fill_template(FUNCTION_TEMPLATE, name, plugin),
+        f"conf/{name}/plain.yaml": fill_template(SETTINGS_TEMPLATE, name, plugin),
     }
     return files, f"+{name}=plain mode=batch mode.stage={name} trials=data/sample"
 
 
-FILES_OF_KIND: dict[str, Callable[[str], tuple[Files, str]]] = {
+FILES_OF_KIND: dict[str, Callable[[str, str], tuple[Files, str]]] = {
     "arm": arm_files,
     "camera": camera_files,
     "effect": effect_files,
+    "estimator": estimator_files,
     "stage": stage_files,
 }
 
 
-def fill_template(text: str, name: str) -> str:
-    """Fill a name into a template, also as the name of a class."""
+def fill_template(text: str, name: str, plugin: str) -> str:
+    """Fill names into a template; that of the file also as the name of a class."""
     class_name = "".join(part.capitalize() for part in name.split("_"))
-    return text.format(name=name, Name=class_name)
+    return text.format(name=name, Name=class_name, plugin=plugin)

@@ -20,6 +20,7 @@ from stringcast.pipeline.commands.stored_runs import (
 from stringcast.pipeline.run.file_names import SUMMARY_FILE, artifact_folder
 from stringcast.pipeline.run.provenance import arm_has_executed, stale_reasons
 from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.named_plugins import use_stored_plugins
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import build_chosen
 
@@ -41,7 +42,9 @@ def main(arguments: list[str]) -> int:
     place: Path = parser.parse_args(arguments).place
     folder = run_folder_of(place)
     chosen = place.resolve().relative_to(folder.resolve()).as_posix()
-    states = step_states(read_stored_settings(folder), folder)
+    settings = read_stored_settings(folder)
+    use_stored_plugins(settings, str(folder / "config.json"))
+    states = step_states(settings, folder)
     names = [name for name in states if chosen in (".", name)]
     if not names:
         folders = ", ".join(sorted({stage.folder for stage in stages().values()}))

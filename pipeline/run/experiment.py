@@ -10,16 +10,20 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from hydra.utils import get_object
 
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.settings.composition import (
+    PLUGINS_SETTING,
     Settings,
     UserError,
     flatten_settings,
+)
+from stringcast.pipeline.settings.named_plugins import (
+    import_plugins,
+    use_stored_plugins,
 )
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import (
@@ -42,6 +46,7 @@ from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.library import effect_files, find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from stringcast.stages.plugins import load_object
 from stringcast.stages.spec import StageCall
 
 BlockLocation = Callable[[str], str]  # from the name of a block to its file
@@ -162,7 +167,7 @@ class Experiment:
         bound_function = self.stages.get(step.stage.name)
         seed = step.derive_seed(self.seed)
         call = StageCall(bound_function, self, seed, step.number, progress)
-        return get_object(f"stringcast.{step.stage.run}")(call, **step.inputs)
+        return load_object(step.stage.run)(call, **step.inputs)
 
 
 def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
@@ -177,9 +182,11 @@ def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
 
     Raises
     ------
-    UserError, DataError
-        For a setting that cannot be used.
+    UserError, DataError, PluginError
+        For a setting or a plugin that cannot be used.
     """
+    use_stored_plugins(config, where(PLUGINS_SETTING))
+    import_plugins()
     check_run_settings(config, where)
     arm = build_dataclass(Arm, config["arm"], "arm", where("arm"))
     target = build_dataclass(Box, config["target"], "target", where("target"))

@@ -27,7 +27,7 @@ from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.settings.composition import UserError, flatten_settings
 from stringcast.pipeline.settings.stage_registry import stages
-from stringcast.stages.model.library import effect_files
+from stringcast.stages.plugins import plugin_sources
 
 PROJECT_FOLDER = Path(__file__).resolve().parents[2]
 RECORDED_PACKAGES = (
@@ -90,15 +90,12 @@ package_version = cache(version)  # reads a file each time
 def code_state() -> dict[str, str]:
     """Return the commit, followed by + if sources have changed, and a source hash.
 
-    The hash covers the sources of the package and the user's own effects.
+    The hash covers the sources of the package and of all plugins.
     """
-    sources = {}
+    sources = plugin_sources()
     for folder in CODE_FOLDERS:
         for file in (PROJECT_FOLDER / folder).rglob("*.py"):
             sources[file.relative_to(PROJECT_FOLDER).as_posix()] = file
-    for name, file in effect_files().items():
-        if not file.is_relative_to(PROJECT_FOLDER):
-            sources[f"effect {name}"] = file
     digest = hashlib.sha256()
     for name in sorted(sources):
         digest.update(name.encode() + b"\0" + sources[name].read_bytes())

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hydra.utils import get_object
-
 from stringcast.data.artifacts import Diagnosis, Estimate, Motion, Points, Trial
 from stringcast.data.store import write_text
 from stringcast.pipeline.cli.terminal import program_name
@@ -15,6 +13,7 @@ from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.provenance import software_versions
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.settings.composition import Settings
+from stringcast.stages.plugins import load_object
 from stringcast.stages.report.page import FOLDER_PLACEHOLDER as HERE
 from stringcast.stages.report.pages.cast import cast_page
 from stringcast.stages.report.records import RunRecord, StageRecord, simulate_cast
@@ -47,7 +46,7 @@ def write_stage_page(
         page_provenance(experiment),
         next_commands(commands),
     )
-    make_page = get_object(f"stringcast.{stage.page}")
+    make_page = load_object(stage.page)
     write_text(folder / "report.html", make_page(record))
 
 

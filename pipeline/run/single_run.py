@@ -24,7 +24,7 @@ from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
 from stringcast.pipeline.run.log import log_to_folder
 from stringcast.pipeline.run.picture_source import refuse_unusable_source
 from stringcast.pipeline.run.result import RunResult
-from stringcast.pipeline.settings.composition import given_names
+from stringcast.pipeline.settings.composition import conf_folders, given_names
 from stringcast.pipeline.settings.settings_from_runs import (
     inherit_settings,
     refuse_inherited_limits,
@@ -85,6 +85,9 @@ def file_of_block(block: str) -> str:
     hydra_config = HydraConfig.get()
     option = hydra_config.runtime.choices.get(block)
     file = f"conf/{block}/{option}.yaml" if option else "conf/config.yaml"
+    for folder in conf_folders()[1:]:  # of plugins
+        if option and (folder / block / f"{option}.yaml").is_file():
+            file = str(folder / block / f"{option}.yaml")
     for override in hydra_config.overrides.task:
         if override.lstrip("+").startswith((f"{block}.", f"{block}=")):
             return f"{file} or the command line"

@@ -2,16 +2,18 @@
 
 Settings come from other people's folders too (`trials=`, `model_from=`, `camera_from=`,
 `resume`, `index` ...), so a name is looked up here before anything is imported. Names
-are those within the package `stringcast`. An arm, a camera or a mode of your own needs
-its line here. A stage states itself what may fill its role.
+are those within the package `stringcast`. A stage states itself what may fill its role.
+A plugin adds to a role the public functions, or classes, of the modules in its folder
+of that name: those of `my_lab/estimate/` may estimate.
 """
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Mapping
-from functools import cache
 
 from stringcast.pipeline.settings.stage_registry import stages
+from stringcast.stages.plugins import plugin_files, public_definitions
 
 PICTURE_SOURCES = (
     "hardware.camera.Device",
@@ -51,7 +53,40 @@ PIPELINE_ROLES: Mapping[str, tuple[str, ...]] = {
 }
 
 
-@cache
+CLASS_ROLES = ("mode", "source", "plane")  # the other roles are filled by functions
+
+
 def allowed_names_by_role() -> dict[str, tuple[str, ...]]:
-    """Return the allowed names of each role, by the name of the settings block."""
+    """Return the allowed names of each role, by the name of the settings block.
+
+    Those in the plugins' folders of roles are left out.
+    """
     return {**PIPELINE_ROLES, **{stage.name: stage.by for stage in stages().values()}}
+
+
+def plugin_names(role: str) -> list[str]:
+    """Return the names in plugins that may fill a role; no file is imported."""
+    kind = ast.ClassDef if role in CLASS_ROLES else ast.FunctionDef
+    names = []
+    for file, module in plugin_files(role_files(role)).items():
+        names += [f"{module}.{name}" for name in public_definitions(file, kind)]
+    return names
+
+
+def plugin_function_files() -> list[str]:
+    """Return all modules of plugins that may fill a role."""
+    modules: dict[str, None] = {}
+    for role in plugin_roles():
+        modules |= dict.fromkeys(plugin_files(role_files(role)).values())
+    return [*modules]
+
+
+def plugin_roles() -> list[str]:
+    """Return the roles that a plugin may fill."""
+    by_stages = [stage.name for stage in stages().values() if stage.by]
+    return [*by_stages, "hardware", *CLASS_ROLES]
+
+
+def role_files(role: str) -> str:
+    """Return the pattern of a plugin's files for a role; a plane is a source, too."""
+    return f"{'source' if role == 'plane' else role}/*.py"

@@ -13,9 +13,11 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
 from stringcast.data.errors import ExpectedError
+from stringcast.stages.plugins import PluginError, plugin_folders
 
 Settings = Mapping[str, Any]  # of a run or a block, by name
 CONF_FOLDER = Path(__file__).resolve().parents[2] / "conf"
+PLUGINS_SETTING = "plugins"
 
 
 class UserError(ExpectedError):
@@ -30,11 +32,43 @@ def compose_settings(overrides: Sequence[str] = ()) -> Any:
     overrides : sequence of str
         Settings as on the command line, such as ``seed=3``.
     """
-    return copy.deepcopy(_compose_cached(tuple(overrides)))
+    settings = copy.deepcopy(_compose_cached(tuple(overrides), conf_folders()))
+    settings[PLUGINS_SETTING] = [str(folder) for folder in plugin_folders().values()]
+    return settings
+
+
+def conf_folders() -> tuple[Path, ...]:
+    """Return the folders of settings: that of the package and those of plugins.
+
+    Raises
+    ------
+    PluginError
+        For a file that would be hidden by one of the same name.
+    """
+    folders = [CONF_FOLDER]
+    for plugin in plugin_folders().values():
+        conf = plugin / "conf"
+        for file in conf.rglob("*.yaml"):
+            for folder in folders:
+                if (folder / file.relative_to(conf)).exists():
+                    raise PluginError(
+                        f"{file}: {folder} has a file of this name, too. Rename it."
+                    )
+        if conf.is_dir():
+            folders.append(conf)
+    return tuple(folders)
+
+
+def group_files(group: str) -> list[Path]:
+    """Return the files of the options of a group, of the package and of plugins."""
+    files = []
+    for folder in conf_folders():
+        files += sorted((folder / group).glob("*.yaml"))
+    return files
 
 
 @functools.cache
-def _compose_cached(overrides: tuple[str, ...]) -> Any:
+def _compose_cached(overrides: tuple[str, ...], folders: tuple[Path, ...]) -> Any:
     # Hydra takes 0.1 s, and each job of a study composes the same settings.
     refuse_repeated_settings(overrides)
     with initialize_config_dir(str(CONF_FOLDER), version_base="1.3"):

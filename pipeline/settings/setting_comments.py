@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
-from stringcast.pipeline.settings.composition import CONF_FOLDER
+from stringcast.pipeline.settings.composition import CONF_FOLDER, conf_folders
 
 SETTING_LINE = re.compile(
     r"(?P<indent> *)(?P<name>[\w.]+):(?P<value>[^#]*)(#\s*(?P<comment>.*))?$"
@@ -18,17 +18,24 @@ CONTINUED_COMMENT = re.compile(r" +#\s*(.*)")
 COMMENT_COLUMN = 40  # where comments begin in the help
 
 
-@cache
 def setting_comments() -> dict[str, str]:
     """Return the comments of all settings by name, such as `estimate.beta`.
 
     If options of a group share a setting, the first comment counts.
     """
+    return _comments_in_folders(conf_folders())
+
+
+@cache
+def _comments_in_folders(folders: tuple[Path, ...]) -> dict[str, str]:
     comments: dict[str, str] = {}
-    for file in (CONF_FOLDER / "config.yaml", *sorted(CONF_FOLDER.rglob("*/*.yaml"))):
-        if file.relative_to(CONF_FOLDER).parts[0] == "experiment":
+    files = [(CONF_FOLDER, CONF_FOLDER / "config.yaml")]
+    for folder in folders:
+        files += [(folder, file) for file in sorted(folder.rglob("*/*.yaml"))]
+    for folder, file in files:
+        if file.relative_to(folder).parts[0] == "experiment":
             continue
-        for name, comment in comments_in_file(file):
+        for name, comment in comments_in_file(file, folder):
             comments.setdefault(name, comment)
 
     defaults = (CONF_FOLDER / "config.yaml").read_text(encoding="utf-8")
@@ -49,11 +56,17 @@ def setting_units(names: Iterable[str]) -> dict[str, str]:
     return units
 
 
-def comments_in_file(file: Path) -> Iterator[tuple[str, str]]:
-    """Yield the full name and the comment of each commented setting in a file."""
+def comments_in_file(file: Path, folder: Path) -> Iterator[tuple[str, str]]:
+    """Yield the full name and the comment of each commented setting in a file.
+
+    Parameters
+    ----------
+    file, folder : Path
+        The file and the folder of all settings around it.
+    """
     text = file.read_text(encoding="utf-8")
-    is_top_level = file.parent == CONF_FOLDER or "@package _global_" in text
-    block = "" if is_top_level else file.parent.relative_to(CONF_FOLDER).as_posix()
+    is_top_level = file.parent == folder or "@package _global_" in text
+    block = "" if is_top_level else file.parent.relative_to(folder).as_posix()
     name, comment = "", ""
     for line, next_name, next_comment in named_lines(text, block):
         if next_name:

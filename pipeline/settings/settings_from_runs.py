@@ -12,9 +12,14 @@ from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
 from stringcast.pipeline.settings.allowed_callables import VIRTUAL_HARDWARE
 from stringcast.pipeline.settings.composition import (
+    PLUGINS_SETTING,
     UserError,
     flatten_settings,
     setting_names,
+)
+from stringcast.pipeline.settings.named_plugins import (
+    named_folders,
+    require_named_plugins,
 )
 from stringcast.pipeline.settings.typed_settings import build_chosen, require_allowed
 from stringcast.stages.calibrate import CAMERA
@@ -95,7 +100,8 @@ def inherit_settings(config: DictConfig, given: set[str]) -> dict[str, Any]:
     if config.trials is not None and not is_run_folder(Path(config.trials)):
         add_weighed_tip_mass(merged, read_metadata(Path(config.trials)))
     settings: Any = OmegaConf.to_container(merged, resolve=True)
-    return dict(settings)
+    require_named_plugins(settings, "conf")
+    return {**settings, PLUGINS_SETTING: named_folders()}
 
 
 def restore_given_settings(merged: Any, config: DictConfig, given: set[str]) -> None:

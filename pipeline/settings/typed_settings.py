@@ -9,12 +9,17 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from typing import Any, TypeVar, get_type_hints
 
-from hydra.utils import get_object
 from pydantic import TypeAdapter, ValidationError
 
-from stringcast.pipeline.settings.allowed_callables import allowed_names_by_role
+from stringcast.pipeline.settings.allowed_callables import (
+    CLASS_ROLES,
+    allowed_names_by_role,
+    plugin_names,
+    plugin_roles,
+)
 from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.stages.common import SettingsGroup
+from stringcast.stages.plugins import PLUGIN_PREFIX, load_object, plugin_folders
 
 BuiltT = TypeVar("BuiltT")
 # Arguments that a run supplies itself.
@@ -79,6 +84,11 @@ def keyword_types(function: Callable[..., Any]) -> dict[str, Any]:
     for name, parameter in inspect.signature(function).parameters.items():
         is_keyword = parameter.kind is inspect.Parameter.KEYWORD_ONLY
         if is_keyword and name not in RUN_ARGUMENTS:
+            if name not in hints:
+                raise UserError(
+                    f"{function.__module__}.{function.__name__}: its argument {name} "
+                    "must state a type, such as `float`. Add it."
+                )
             types[name] = hints[name]
     return types
 
@@ -129,7 +139,25 @@ def check_names(
 
 def load_callable(target: Any, place: str, where: str) -> Any:
     """Return the function or class of a `_target_` that its role allows."""
-    return get_object(f"stringcast.{require_allowed(target, place, where)}")
+    name = require_allowed(target, place, where)
+    found = load_object(name)
+    role = place.rpartition(".")[2]
+    if name.startswith(PLUGIN_PREFIX) and role in CLASS_ROLES:
+        base = common_base([load_object(own) for own in allowed_names_by_role()[role]])
+        if not (is_dataclass(found) and issubclass(found, base)):  # type: ignore[arg-type]
+            raise UserError(
+                f"{place}._target_ = {name} ({where}): it must be a dataclass that "
+                f"derives from {base.__module__}.{base.__name__}. Correct the class."
+            )
+    return found
+
+
+def common_base(kinds: list[type]) -> type:
+    """Return the nearest class from which all of these derive."""
+    for base in kinds[0].__mro__:
+        if all(issubclass(kind, base) for kind in kinds):
+            return base
+    return object
 
 
 def require_allowed(target: Any, place: str, where: str) -> str:
@@ -145,16 +173,32 @@ def require_allowed(target: Any, place: str, where: str) -> str:
     where : str
         File from which it comes, for messages.
     """
-    allowed_names = allowed_names_by_role().get(place.rpartition(".")[2], ())
+    role = place.rpartition(".")[2]
+    allowed_names = [*allowed_names_by_role().get(role, ())]
+    if role in plugin_roles():
+        allowed_names += plugin_names(role)
     if target not in allowed_names:
-        choices = "Remove it: no code can be chosen here"
-        if allowed_names:
-            choices = f"Choose {' or '.join(allowed_names)}"
         raise UserError(
             f"{place}._target_ = {target!r} ({where}): "
-            f"it may not be named here. {choices}."
+            f"it may not be named here. {remedy_for_target(target, allowed_names)}"
         )
     return str(target)
+
+
+def remedy_for_target(target: Any, allowed_names: list[str]) -> str:
+    """Say what to name instead of a `_target_`, or how to name its plugin."""
+    if not allowed_names:
+        return "Remove it: no code can be chosen here."
+    if isinstance(target, str) and target.startswith(PLUGIN_PREFIX):
+        plugin = target.split(".")[1]
+        if plugin not in plugin_folders():
+            return (
+                f"You have not named the plugin {plugin!r}. If you trust its code, "
+                f"give 'plugins=[{plugin}]', or set STRINGCAST_PLUGINS."
+            )
+        if near := difflib.get_close_matches(target, allowed_names, 1):
+            return f"Did you mean {near[0]!r}?"
+    return f"Choose {' or '.join(allowed_names)}."
 
 
 def build_chosen(block: Settings, place: str, where: str) -> Any:

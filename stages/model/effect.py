@@ -1,8 +1,8 @@
 """Effects: one physical cause is one class in one file.
 
 With its law, parameters, description, reference and picture. A file of
-`stages/model/effects/` (or of a folder named in STRINGCAST_EFFECTS) holds one class and
-is called like it. From it come the name, the parameters with units and bounds, the law,
+`stages/model/effects/` (or of the folder `effects` of a plugin) holds one class and is
+called like it. From it come the name, the parameters with units and bounds, the law,
 its description and picture for a report, its reference, and the invariants that tests
 hold it to. An effect whose parameters are at their start is absent. `effects/README.md`
 shows how to write one.

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import os
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-from stringcast.stages.common import import_file
 from stringcast.stages.model import effects as package
 from stringcast.stages.model.effect import Effect, numbered_effect
+from stringcast.stages.plugins import PluginError, import_plugin_module, plugin_files
 
-EFFECTS_VARIABLE = "STRINGCAST_EFFECTS"  # folders with more effects, as in PATH
 # Of a model: three times the library; the generated loop nests an expression for each.
 MAX_EFFECTS = 100
+PLUGIN_EFFECTS = "effects/*.py"  # files of effects in the folder of a plugin
 
 
 class UnknownEffectError(ValueError):
@@ -25,15 +24,19 @@ class UnknownEffectError(ValueError):
 def effects_by_name() -> dict[str, type[Effect]]:
     """Load all effects, by name.
 
-    Those of `stages/model/effects` and of the folders in STRINGCAST_EFFECTS.
+    Those of `stages/model/effects` and of the folders `effects` of plugins.
 
     Raises
     ------
-    ValueError
+    PluginError
         For a file that does not hold exactly one effect of its own name, and for two
         effects of the same name.
     """
-    return {name: _load_effect(path) for name, path in effect_files().items()}
+    modules = plugin_files(PLUGIN_EFFECTS)
+    effects = {}
+    for name, path in effect_files().items():
+        effects[name] = _load_effect(path, modules.get(path, ""))
+    return effects
 
 
 def find_effects(names: Sequence[str]) -> tuple[type[Effect], ...]:
@@ -97,33 +100,28 @@ def effect_files() -> dict[str, Path]:
 
     Raises
     ------
-    ValueError
-        For a folder that does not exist, and for two effects of the same name.
+    PluginError
+        For two effects of the same name.
     """
     files: dict[str, Path] = {}
-    further = filter(None, os.environ.get(EFFECTS_VARIABLE, "").split(os.pathsep))
-    for folder in (Path(package.__path__[0]), *map(Path, further)):
-        if not folder.is_dir():
-            raise ValueError(
-                f"{EFFECTS_VARIABLE}: there is no folder {folder}. Correct the path."
+    own = sorted(Path(package.__path__[0]).resolve().glob("[!_]*.py"))
+    for path in (*own, *plugin_files(PLUGIN_EFFECTS)):
+        if path.stem in files:
+            raise PluginError(
+                f"{path}: there is an effect '{path.stem}' already. Rename the "
+                "file and its effect."
             )
-        for path in sorted(path.resolve() for path in folder.glob("[!_]*.py")):
-            if path.stem in files:
-                raise ValueError(
-                    f"{path}: there is an effect '{path.stem}' already. Rename the "
-                    "file and its effect."
-                )
-            files[path.stem] = path
+        files[path.stem] = path
     return files
 
 
 @cache
-def _load_effect(path: Path) -> type[Effect]:
-    """Load the one effect of a file."""
-    if path.parent == Path(package.__path__[0]).resolve():
-        module = importlib.import_module(f"{package.__name__}.{path.stem}")
+def _load_effect(path: Path, plugin_module: str) -> type[Effect]:
+    """Load the one effect of a file, which may be a module of a plugin."""
+    if plugin_module:
+        module = import_plugin_module(plugin_module)
     else:
-        module = import_file(f"effects_elsewhere.{path.stem}", path)
+        module = importlib.import_module(f"{package.__name__}.{path.stem}")
     effects = []
     for member in vars(module).values():
         if not isinstance(member, type) or member.__module__ != module.__name__:
@@ -131,14 +129,14 @@ def _load_effect(path: Path) -> type[Effect]:
         if issubclass(member, Effect):
             effects.append(member)
     if [getattr(effect, "name", "") for effect in effects] != [path.stem]:
-        raise ValueError(
+        raise PluginError(
             f"{path}: it must hold one effect, with name = '{path.stem}'. See "
             "stages/model/effects/README.md."
         )
     effect = effects[0]
     if effect.__abstractmethods__ or not hasattr(effect, "reference"):
         missing = ", ".join(sorted(effect.__abstractmethods__)) or "reference"
-        raise ValueError(
+        raise PluginError(
             f"{path}: the effect lacks {missing}. See stages/model/effects/README.md."
         )
     return effect

@@ -119,9 +119,8 @@ def test_the_own_kernel_hides_every_effect_that_others_hide():
     assert {cause.name for cause in LIBRARY_CAUSES} <= names
 
 
-def test_an_effect_that_is_added_is_hidden_without_any_change(monkeypatch, tmp_path):
-    (tmp_path / "new_shift.py").write_text(NEW_EFFECT, encoding="utf-8")
-    monkeypatch.setenv("STRINGCAST_EFFECTS", str(tmp_path))
+def test_an_effect_that_is_added_is_hidden_without_any_change(effects_folder):
+    (effects_folder / "new_shift.py").write_text(NEW_EFFECT)
     simulator = type(load_simulator("own_kernel"))()
     assert "new_shift" in [cause.name for cause in simulator.causes]
     plan = Plan("own_kernel", simulator, 1, "effect", ("new_shift",))

@@ -18,11 +18,7 @@ from stringcast.stages.diagnose.proposals import (
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.prepared_trial import prepare_trial
-from stringcast.stages.model.library import (
-    EFFECTS_VARIABLE,
-    effects_by_name,
-    find_effects,
-)
+from stringcast.stages.model.library import effects_by_name, find_effects
 from stringcast.stages.model.parameter import parameter_values
 
 PLACES = np.array([8, 14, 20])
@@ -152,10 +148,9 @@ class Tether(StringEffect):
 """
 
 
-def test_a_field_of_a_user_is_proposed_like_wind(arm, model, tmp_path, monkeypatch):
+def test_a_field_of_a_user_is_proposed_like_wind(arm, model, effects_folder):
     """It depends on the place, but acts everywhere: it is no contact."""
-    (tmp_path / "tether.py").write_text(TETHER)
-    monkeypatch.setenv(EFFECTS_VARIABLE, str(tmp_path))
+    (effects_folder / "tether.py").write_text(TETHER)
     (tether,) = find_effects(["tether"])
     base = Hypothesis(model)
     pulled = base.with_cause(tether)

@@ -21,12 +21,12 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion, resample_joint_motion
 from stringcast.stages.model.library import (
-    EFFECTS_VARIABLE,
     effects_by_name,
     find_effects,
 )
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from stringcast.stages.plugins import PLUGINS_VARIABLE
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
 STRING = String(0.3)
@@ -187,10 +187,9 @@ def test_what_is_known_of_an_effect_is_refined_and_not_sought_all_over(arm, came
 
 
 def test_an_effect_in_a_folder_of_its_own_needs_no_other_file(
-    tmp_path, monkeypatch, arm, camera
+    effects_folder, arm, camera
 ):
-    (tmp_path / "magnet.py").write_text(MAGNET)
-    monkeypatch.setenv(EFFECTS_VARIABLE, str(tmp_path))
+    (effects_folder / "magnet.py").write_text(MAGNET)
     magnet = effects_by_name()["magnet"]
     assert magnet.describe({"pull": 3.0}) == "a magnet pulls with 3.0 m/s2"
     model = Model(STRING, arm, camera).with_effects(magnet)
@@ -206,25 +205,24 @@ def test_an_effect_in_a_folder_of_its_own_needs_no_other_file(
     assert table.loc["magnet.pull", "value"] == pytest.approx(5.0, rel=0.03)
 
 
-def test_files_that_are_no_effect_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setenv(EFFECTS_VARIABLE, str(tmp_path))
-    (tmp_path / "compass.py").write_text(MAGNET)
+def test_files_that_are_no_effect_are_refused(effects_folder, monkeypatch):
+    (effects_folder / "compass.py").write_text(MAGNET)
     with pytest.raises(
         ValueError, match=r"compass.py: it must hold one effect, with name = 'compass'"
     ):
         effects_by_name()
-    (tmp_path / "compass.py").unlink()
-    (tmp_path / "mute.py").write_text(
+    (effects_folder / "compass.py").unlink()
+    (effects_folder / "mute.py").write_text(
         MAGNET.replace('"magnet"', '"mute"').replace("def describe", "def said")
     )
     with pytest.raises(ValueError, match="the effect lacks describe"):
         effects_by_name()
-    (tmp_path / "mute.py").unlink()
-    (tmp_path / "wind.py").write_text(MAGNET.replace('"magnet"', '"wind"'))
+    (effects_folder / "mute.py").unlink()
+    (effects_folder / "wind.py").write_text(MAGNET.replace('"magnet"', '"wind"'))
     with pytest.raises(ValueError, match="there is an effect 'wind' already"):
         effects_by_name()
-    monkeypatch.setenv(EFFECTS_VARIABLE, str(tmp_path / "nowhere"))
-    with pytest.raises(ValueError, match="there is no folder"):
+    monkeypatch.setenv(PLUGINS_VARIABLE, str(effects_folder / "nowhere"))
+    with pytest.raises(ValueError, match="there is no such folder"):
         effects_by_name()
 
 

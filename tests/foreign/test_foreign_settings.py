@@ -294,7 +294,7 @@ def test_every_role_names_what_there_is_and_what_our_own_settings_choose():
 )
 def test_a_name_that_is_not_on_the_list_is_not_even_imported(target, monkeypatch):
     monkeypatch.setattr(
-        "stringcast.pipeline.settings.typed_settings.get_object",
+        "stringcast.pipeline.settings.typed_settings.load_object",
         lambda name: pytest.fail(f"{name} was looked up"),
     )
     for role in (*allowed_callables.allowed_names_by_role(), "unheard_of"):

@@ -16,12 +16,11 @@ PAGE = Path(effects.__file__).with_name("README.md")
 MAX_LINES = 50
 
 
-def test_the_law_of_the_page_runs_and_is_absent_at_its_start(tmp_path, monkeypatch):
+def test_the_law_of_the_page_runs_and_is_absent_at_its_start(effects_folder):
     page = PAGE.read_text()
     assert len(page.splitlines()) <= MAX_LINES
     (source,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    (tmp_path / "side_pull.py").write_text(source)
-    monkeypatch.setenv("STRINGCAST_EFFECTS", str(tmp_path))
+    (effects_folder / "side_pull.py").write_text(source)
     effect = effects_by_name()["side_pull"]
 
     plain = String(0.3)

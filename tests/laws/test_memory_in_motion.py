@@ -329,7 +329,7 @@ class CreepingSlip(StringEffect):
 
 
 def test_a_law_with_memory_is_one_file_of_which_twelve_lines_are_the_law(
-    tmp_path, monkeypatch
+    effects_folder,
 ):
     """A law with memory is one file of which twelve lines are the law.
 
@@ -337,8 +337,7 @@ def test_a_law_with_memory_is_one_file_of_which_twelve_lines_are_the_law(
     swing.
     """
     assert len([line for line in LAW.splitlines() if line.strip()]) <= 12
-    (tmp_path / "creeping_slip.py").write_text(FILE)
-    monkeypatch.setenv("STRINGCAST_EFFECTS", str(tmp_path))
+    (effects_folder / "creeping_slip.py").write_text(FILE)
     string = replace(HINGE, effects=(*FORCES, effects_by_name()["creeping_slip"]))
     known = {"creeping_slip.slip": 0.1, "creeping_slip.creep": 0.2}
     _, with_it = bent(known | {"creeping_slip.cap": 0.2 * STIFFNESS}, 6.0, 1.0, string)

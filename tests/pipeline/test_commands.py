@@ -27,7 +27,6 @@ from stringcast.pipeline.modes import Batch, Calibrate
 from stringcast.pipeline.run import provenance
 from stringcast.pipeline.run.provenance import code_state
 from stringcast.pipeline.settings.composition import UserError
-from stringcast.stages.model.library import EFFECTS_VARIABLE
 from tests.faults.toy import contents, rows, toy_experiment, toy_run
 
 PAGE = Path(commands.__file__).with_name("README.md")
@@ -197,12 +196,11 @@ def test_after_a_change_of_the_code_every_step_is_made_again(run, monkeypatch):
     assert toy_run(run, toy_experiment())[0] == []
 
 
-def test_effects_of_the_user_are_part_of_the_code(tmp_path, monkeypatch):
+def test_plugins_are_part_of_the_code(plugin):
     digests = set()
     for text in ("", "a = 1\n", "a = 2\n"):
         if text:
-            (tmp_path / "pull.py").write_text(text)
-            monkeypatch.setenv(EFFECTS_VARIABLE, str(tmp_path))
+            (plugin / "helpers.py").write_text(text)
         code_state.cache_clear()
         digests.add(code_state()["source"])
     code_state.cache_clear()

@@ -3,6 +3,8 @@
 Settings compose, an effect keeps its own laws, and a dataset is read.
 """
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,8 +14,12 @@ from matplotlib.figure import Figure
 from stringcast.data import dataset
 from stringcast.data.metadata import read_metadata
 from stringcast.pipeline.commands import check, new, template
-from stringcast.pipeline.settings.composition import CONF_FOLDER, UserError
-from stringcast.pipeline.settings.typed_settings import build_dataclass
+from stringcast.pipeline.settings.composition import (
+    CONF_FOLDER,
+    UserError,
+    compose_settings,
+)
+from stringcast.pipeline.settings.typed_settings import bind_stage, build_dataclass
 from stringcast.stages.check.check import collect_findings
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
@@ -27,20 +33,17 @@ from tests.laws.test_effects import law_of, samples
 def test_an_arm_and_a_camera_of_ones_own_are_settings_with_what_they_mean(
     kind, made, like
 ):
-    ((path, text),) = new.FILES_OF_KIND[kind]("mine")[0].items()
-    assert path == CONF_FOLDER / kind / "mine.yaml"
+    ((path, text),) = new.FILES_OF_KIND[kind]("mine", "my_lab")[0].items()
+    assert path == f"conf/{kind}/mine.yaml"
     assert yaml.safe_load(text) == yaml.safe_load(
         (CONF_FOLDER / kind / f"{like}.yaml").read_text()
     )
-    assert isinstance(
-        build_dataclass(made, yaml.safe_load(text), kind, str(path)), made
-    )
+    assert isinstance(build_dataclass(made, yaml.safe_load(text), kind, path), made)
     assert text.count("[m]") + text.count("[px]") >= 2
 
 
-def test_an_effect_of_ones_own_is_found_and_keeps_its_laws(tmp_path, monkeypatch):
-    monkeypatch.setenv("STRINGCAST_EFFECTS", str(tmp_path))
-    assert new.main(["effect", "my_pull"]) == 0
+def test_an_effect_of_ones_own_is_found_and_keeps_its_laws(plugin):
+    assert new.main(["effect", "my_pull", "--to", str(plugin)]) == 0
     effect = effects_by_name()["my_pull"]
     assert effect.__name__ == "MyPull"
     for invariant in effect.invariants:
@@ -55,12 +58,48 @@ def test_an_effect_of_ones_own_is_found_and_keeps_its_laws(tmp_path, monkeypatch
     # each is drawn with a line at zero
     assert [drawn.get_ydata()[0] for drawn in axes.lines[::2]] == [0.25, 0.0]
     with pytest.raises(UserError, match="it is there already"):
-        new.main(["effect", "my_pull"])
+        new.main(["effect", "my_pull", "--to", str(plugin)])
+
+
+def test_an_estimator_of_ones_own_is_an_option_of_its_group(plugin):
+    assert new.main(["estimator", "uniform_search", "--to", str(plugin)]) == 0
+    block = compose_settings(["estimate=uniform_search"])["estimate"]
+    assert block["_target_"] == "plugins.my_lab.estimate.uniform_search.estimate"
+    bound = bind_stage(block, "estimate", "")
+    assert bound.keywords["candidates"] == 500
+
+
+def test_files_go_to_my_lab_in_the_current_folder_and_never_into_the_package(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    for kind in new.FILES_OF_KIND:
+        assert new.main([kind, f"my_{kind}"]) == 0
+    written = re.findall(r"Written: (.*)", capsys.readouterr().out)
+    assert len(written) == 8
+    for path in written:
+        assert path.startswith("my_lab/")
+        assert (tmp_path / path).is_file()
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [("effect", "wind"), ("stage", "extract"), ("stage", "arm"), ("arm", "paper")],
+)
+def test_names_of_the_package_are_taken(kind, name, tmp_path):
+    with pytest.raises(UserError, match="it is there already"):
+        new.main([kind, name, "--to", str(tmp_path / "my_lab")])
+    assert not (tmp_path / "my_lab").exists()
+
+
+def test_a_folder_that_is_no_name_of_a_package_is_refused():
+    with pytest.raises(UserError, match=r"Try: .* new arm mine --to my_lab$"):
+        new.main(["arm", "mine", "--to", "My-Lab"])
 
 
 @pytest.mark.parametrize("name", ["My Arm", "1st", "class", "../up"])
 def test_what_is_no_name_is_answered_by_one(name):
-    with pytest.raises(UserError, match=r"Try: .* new arm [a-z_]+$"):
+    with pytest.raises(UserError, match=r"Try: .* new arm [a-z_]+ --to my_lab$"):
         new.main(["arm", name])
 
 

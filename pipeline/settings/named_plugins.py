@@ -1,0 +1,127 @@
+"""The plugins of a run: only those that this person named, each imported beforehand.
+
+The setting `plugins` of a command line is added to the variable STRINGCAST_PLUGINS,
+which processes of a sweep inherit. A stored run never adds to it.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from stringcast.pipeline.settings.allowed_callables import plugin_function_files
+from stringcast.pipeline.settings.composition import (
+    PLUGINS_SETTING,
+    Settings,
+    UserError,
+)
+from stringcast.pipeline.settings.stage_registry import stages
+from stringcast.stages.model.library import effects_by_name
+from stringcast.stages.plugins import (
+    PLUGIN_PREFIX,
+    PLUGINS_VARIABLE,
+    import_plugin_module,
+    load_object,
+    plugin_files,
+    plugin_folders,
+)
+
+
+def name_plugins(overrides: Sequence[str]) -> None:
+    """Name the plugins of a command line, for this process and those it starts.
+
+    Raises
+    ------
+    UserError, PluginError
+        For a value that is no list of folders, and for folders that cannot be used.
+    """
+    words = [word for word in overrides if word.startswith(f"{PLUGINS_SETTING}=")]
+    for override in OverridesParser.create().parse_overrides(words):
+        value = override.value()
+        text = str(override.input_line)
+        if override.is_sweep_override():
+            raise UserError(f"{text}: a sweep has one list of plugins. Give only one.")
+        if not isinstance(value, list):
+            folders = text.partition("=")[2].strip("[]")
+            raise UserError(
+                f"{text}: this is a list of folders. "
+                f"Try: {shlex.quote(f'{PLUGINS_SETTING}=[{folders}]')}"
+            )
+        set_plugins([*named_folders(), *map(str, value)])
+
+
+def named_folders() -> list[str]:
+    """Return the folders of all plugins that this person named."""
+    return [str(folder) for folder in plugin_folders().values()]
+
+
+def set_plugins(folders: Sequence[str]) -> None:
+    """Set the plugins of this process and of those it starts; check their folders."""
+    os.environ[PLUGINS_VARIABLE] = os.pathsep.join(folders)
+    os.environ[PLUGINS_VARIABLE] = os.pathsep.join(named_folders())
+
+
+def require_named_plugins(settings: Settings, where: str) -> list[str]:
+    """Return the folders of the plugins that settings name.
+
+    Parameters
+    ----------
+    settings : mapping
+        All settings of a run, perhaps of somebody else.
+    where : str
+        File from which they come, for messages.
+
+    Raises
+    ------
+    UserError
+        For a plugin that this person has not named. Nothing of it is imported.
+    """
+    stored: Any = settings.get(PLUGINS_SETTING, [])
+    is_list = isinstance(stored, list)
+    if not is_list or not all(isinstance(text, str) for text in stored):
+        raise UserError(
+            f"{PLUGINS_SETTING} = {stored!r} ({where}): it must be a list of folders. "
+            "Change it."
+        )
+    named = plugin_folders()
+    missing = [text for text in stored if Path(text).resolve().name not in named]
+    if missing:
+        folders = os.pathsep.join([*named_folders(), *missing])
+        raise UserError(
+            f"{PLUGINS_SETTING} ({where}): the run uses code of the plugin "
+            f"{' and '.join(missing)}, which you have not named. Nothing of it was "
+            "imported. If you trust it, name your copy before the command: "
+            f"{PLUGINS_VARIABLE}={shlex.quote(folders)}"
+        )
+    return [str(named[Path(text).resolve().name]) for text in stored]
+
+
+def use_stored_plugins(settings: Settings, where: str) -> None:
+    """Use exactly the plugins of a stored run, which this person must have named."""
+    folders = require_named_plugins(settings, where)
+    if folders != named_folders():
+        set_plugins(folders)
+
+
+def import_plugins() -> None:
+    """Import what the plugins hold, so that nothing runs where something is wrong.
+
+    Raises
+    ------
+    PluginError
+        For a module that cannot be imported, and a name that is not there.
+    """
+    if not plugin_folders():
+        return
+    effects_by_name()
+    for module in (*plugin_files("stages/*/*.py").values(), *plugin_function_files()):
+        import_plugin_module(module)
+    for stage in stages().values():
+        for name in (stage.run, stage.page, *stage.by):
+            if name.startswith(PLUGIN_PREFIX):
+                load_object(name)
