@@ -1,0 +1,411 @@
+"""Effects, stages, functions and settings in a folder of one's own.
+
+Nothing of the package is edited for them, and nothing of a plugin is imported that this
+person has not named.
+"""
+
+import json
+import os
+import re
+
+import pandas as pd
+import pytest
+
+from stringcast.pipeline.commands import load_command, new
+from stringcast.pipeline.settings.composition import UserError, compose_settings
+from stringcast.pipeline.settings.named_plugins import (
+    import_plugins,
+    name_plugins,
+    use_stored_plugins,
+)
+from stringcast.pipeline.settings.typed_settings import bind_stage, build_chosen
+from stringcast.stages.plugins import (
+    PLUGINS_VARIABLE,
+    PluginError,
+    plugin_folders,
+)
+from tests.benchmarks.simulators import draw
+
+TETHER = '''
+"""A spring to a fixed point."""
+
+from stringcast.stages.model.effect import Parameter, StringEffect
+
+
+class Tether(StringEffect):
+    """Pull each mass point to a point, with strength times distance."""
+
+    name = "tether"
+    parameters = (
+        Parameter("strength", "1/s2", "pull over mass and distance", 0.0, 60.0, 0.0),
+    )
+    reference = "Hooke's law"
+
+    @staticmethod
+    def describe(values):
+        return f"a spring pulls with {values['strength']:.1f} /s2 to (0.4, 0.5)"
+
+    @staticmethod
+    def acceleration(x, y, strength):
+        return -strength * (x - 0.4), -strength * (y - 0.5)
+'''
+SMOOTH = """
+from stringcast.data.artifacts import Points
+from stringcast.stages.spec import SameIteration, StageSpec
+
+STAGE = StageSpec(
+    name="smooth",
+    makes=Points,
+    folder="smoothed",
+    uses=("smooth",),
+    run="plugins.my_lab.stages.smooth.smooth.run",
+    inputs={"points": SameIteration(Points)},
+    by=("plugins.my_lab.stages.smooth.smooth.smooth",),
+)
+"""
+SMOOTH_FUNCTIONS = """
+from dataclasses import replace
+
+
+def run(call, points):
+    return call.by(points)
+
+
+def smooth(points, *, window: int):
+    table = points.points
+    mean = table.groupby("s")[["x", "y"]].transform(
+        lambda column: column.rolling(window, center=True, min_periods=1).mean()
+    )
+    return replace(points, points=table.assign(x=mean["x"], y=mean["y"]))
+"""
+SMOOTH_SETTINGS = """
+# A moving mean over frames.
+_target_: plugins.my_lab.stages.smooth.smooth.smooth
+window: 1  # number of frames
+"""
+PAGE = '''
+"""The page of the stage sway."""
+
+from stringcast.stages.report.page import Section, Text, stage_page
+
+
+def sway_page(facts):
+    far = facts.artifact.farthest["sway"].max()
+    parts = [Text(f"The farthest tip of my lab is {far:.3f} m away.")]
+    return stage_page(facts, "stage", [Section("Mine", parts)], lead="By my lab.")
+'''
+WITH_PAGE = '    page="plugins.my_lab.pages.sway_page",\n    is_end=True,'
+SWAY = ("+sway=plain", "mode=batch", "mode.stage=sway", "trials=data/sample")
+ESTIMATE = (
+    "+experiment=estimate",
+    "+smooth=plain",
+    "mode.reading=[extract,smooth]",
+    "estimate=uniform_search",
+    "estimate.candidates=4",
+    "effects=[tether]",
+    "trials=data/sample",
+)
+
+
+def write_lab(folder):
+    """Write a plugin with an effect, two stages, an estimator and a page."""
+    for kind, name in (("stage", "sway"), ("estimator", "uniform_search")):
+        assert new.main([kind, name, "--to", str(folder)]) == 0
+    sway = folder / "stages" / "sway" / "__init__.py"
+    sway.write_text(sway.read_text().replace("    is_end=True,", WITH_PAGE))
+    texts = {
+        "effects/tether.py": TETHER,
+        "stages/smooth/__init__.py": SMOOTH,
+        "stages/smooth/smooth.py": SMOOTH_FUNCTIONS,
+        "conf/smooth/plain.yaml": SMOOTH_SETTINGS,
+        "pages.py": PAGE,
+    }
+    for path, text in texts.items():
+        (folder / path).parent.mkdir(exist_ok=True, parents=True)
+        (folder / path).write_text(text)
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """Return a plugin outside the clone."""
+    folder = tmp_path_factory.mktemp("elsewhere") / "my_lab"
+    write_lab(folder)
+    return folder
+
+
+@pytest.fixture
+def nobody(monkeypatch):
+    """Name no plugin; what a command names is forgotten after the test."""
+    monkeypatch.setenv(PLUGINS_VARIABLE, "")
+
+
+def run_with(called, lab, run, *words):
+    """Run the command with the plugin named on it; return what it printed."""
+    ran = called(f"plugins=[{lab}]", *words, f"hydra.run.dir={run}")
+    assert ran.returncode == 0, ran.stderr
+    return ran.stdout + ran.stderr
+
+
+def read_table(run, name):
+    """Return a table of an estimation."""
+    return pd.read_parquet(run / "iterations" / "01" / "estimate" / f"{name}.parquet")
+
+
+def test_an_effect_a_stage_and_an_estimator_act_as_they_are_wired(
+    lab, called, nobody, tmp_path
+):
+    rough, smooth = tmp_path / "rough", tmp_path / "smooth"
+    run_with(called, lab, rough, *ESTIMATE)
+    assert "tether.strength" in [*read_table(rough, "parameters")["name"]]
+    fit = read_table(rough, "fit")
+    assert fit["method"].iloc[0] == "uniform_search"
+    assert json.loads((rough / "config.json").read_text())["plugins"] == [str(lab)]
+
+    run_with(called, lab, smooth, *ESTIMATE, "smooth.window=41")
+    assert fit["before"].iloc[0] != read_table(smooth, "fit")["before"].iloc[0]
+
+    config = json.loads((smooth / "config.json").read_text())
+    config["smooth"]["window"] = 3
+    (smooth / "config.json").write_text(json.dumps(config))
+    said = called("why", smooth).stdout
+    assert "smoothed: stale\n    smooth.window 41 -> 3" in said
+    assert "estimate: stale\n" in said
+
+
+def test_a_page_of_the_plugin_is_the_report_of_its_stage(lab, called, nobody, tmp_path):
+    run = tmp_path / "run"
+    run_with(called, lab, run, *SWAY)
+    assert "The farthest tip of my lab is" in (run / "report.html").read_text()
+    assert called("verify", run).returncode == 0
+
+
+def test_the_graph_shows_the_stage_of_the_plugin(lab, called, nobody):
+    words = ("+smooth=plain", "mode.stages=[generate,execute,extract,smooth,estimate]")
+    said = called("graph", f"plugins=[{lab}]", *words).stdout
+    assert "estimate: takes trial of execute, points of smooth" in said
+
+
+def test_jobs_of_a_sweep_have_the_plugin(lab, called, nobody, tmp_path):
+    folder = tmp_path / "sweep"
+    swept = called(
+        "--multirun",
+        f"plugins=[{lab}]",
+        *SWAY,
+        "sway.least=0.0,0.001",
+        "saved_outputs=[]",
+        f"hydra.sweep.dir={folder}",
+    )
+    assert swept.returncode == 0, swept.stderr
+    assert len(pd.read_parquet(folder / "sweep.parquet")) == 2
+
+
+@pytest.mark.long
+def test_the_diagnosis_finds_the_effect_of_a_plugin(lab, called, tmp_path, monkeypatch):
+    monkeypatch.setenv(PLUGINS_VARIABLE, str(lab))
+    draw("own_kernel", 1, "effect", ["tether"]).write(tmp_path / "trials")
+    run = tmp_path / "run"
+    ran = called(
+        "+experiment=diagnose", f"trials={tmp_path / 'trials'}", f"hydra.run.dir={run}"
+    )
+    assert ran.returncode == 0, ran.stderr
+    diagnosis = json.loads((run / "diagnosis.json").read_text())
+    assert "a spring pulls" in json.dumps(diagnosis)
+
+
+# --- what is refused
+
+
+@pytest.fixture
+def canary_lab(tmp_path):
+    """Return a plugin that leaves a file where it is imported, and that file."""
+    folder, canary = tmp_path / "bad_lab", tmp_path / "canary"
+    poison = f"open({str(canary)!r}, 'w')\n"
+    for path in ("__init__.py", "effects/wind_2.py", "estimate/mine.py"):
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_text(poison)
+    (folder / "stages" / "mine").mkdir(parents=True)
+    (folder / "stages" / "mine" / "__init__.py").write_text(poison)
+    return folder, canary
+
+
+@pytest.mark.parametrize("command", ["resume", "verify", "why"])
+@pytest.mark.parametrize("named", ["", "my_lab"])
+def test_a_stored_run_never_imports_a_plugin_that_was_not_named(
+    command, named, canary_lab, tmp_path, monkeypatch
+):
+    folder, canary = canary_lab
+    (tmp_path / "my_lab").mkdir()
+    own = str(tmp_path / named) if named else ""
+    monkeypatch.setenv(PLUGINS_VARIABLE, own)
+    run = tmp_path / "run"
+    run.mkdir()
+    config = compose_settings() | {"plugins": [str(folder)]}
+    (run / "config.json").write_text(json.dumps(config))
+    remedy = f"STRINGCAST_PLUGINS={os.pathsep.join(filter(None, (own, str(folder))))}$"
+    with pytest.raises(
+        UserError, match=rf"bad_lab, which you have not named.*{remedy}"
+    ):
+        load_command(command)([str(run)])
+    assert not canary.exists()
+
+
+def test_trials_of_a_run_do_not_bring_its_plugin_along(
+    canary_lab, called, nobody, tmp_path
+):
+    folder, canary = canary_lab
+    trials = tmp_path / "trials"
+    trials.mkdir()
+    block = {"_target_": "plugins.bad_lab.estimate.mine.estimate"}
+    stored = {"plugins": [str(folder)], "estimate": block}
+    (trials / "config.json").write_text(json.dumps(stored))
+    ran = called("+experiment=estimate", f"trials={trials}")
+    assert ran.returncode == 1
+    assert "You have not named the plugin 'bad_lab'" in ran.stderr
+    assert not canary.exists()
+    assert not plugin_folders()
+
+
+@pytest.mark.parametrize("stored", ["my_lab", {"my_lab": 1}, [1], [["my_lab"]]])
+def test_stored_plugins_of_another_shape_are_refused(stored, nobody):
+    with pytest.raises(UserError, match="it must be a list of folders"):
+        use_stored_plugins({"plugins": stored}, "config.json")
+
+
+def test_a_stored_run_has_its_own_plugins_only(tmp_path, monkeypatch):
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+    both = os.pathsep.join([str(tmp_path / "one"), str(tmp_path / "two")])
+    monkeypatch.setenv(PLUGINS_VARIABLE, both)
+    use_stored_plugins({"plugins": ["/elsewhere/two"]}, "config.json")
+    assert plugin_folders() == {"two": tmp_path / "two"}
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("plugins=my_lab", r"this is a list of folders. Try: 'plugins=\[my_lab\]'"),
+        ("plugins=[my_lib]", "there is no such folder. Did you mean 'my_lab'?"),
+        ("plugins=[nothing_like_it]", "there is no such folder. Correct the path"),
+        ("plugins=[My-Lab]", "small letters, digits and _. Rename it"),
+        ("plugins=[my_lab,sub/my_lab]", "they have the same name"),
+        ("plugins=[my_lab],[other]", "a sweep has one list of plugins"),
+    ],
+)
+def test_wrong_names_of_plugins_are_one_error(
+    word, message, nobody, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    for name in ("my_lab", "sub/my_lab", "My-Lab"):
+        (tmp_path / name).mkdir(parents=True)
+    with pytest.raises((UserError, PluginError), match=message):
+        name_plugins([word])
+
+
+BROKEN = "import no_such_package\n"
+STAGE_OF_EXTRACT = SMOOTH.replace('name="smooth"', 'name="extract"')
+STAGE_IN_POINTS = SMOOTH.replace('folder="smoothed"', 'folder="points"')
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "message"),
+    [
+        ("effects/pull.py", BROKEN, "effects.pull: it cannot be imported .*no_such_pa"),
+        ("effects/pull.py", "def (:\n", "pull: it cannot be imported .SyntaxError"),
+        ("effects/pull.py", "raise SystemExit(0)\n", "cannot be imported .SystemExit"),
+        ("effects/wind.py", TETHER, "there is an effect 'wind' already"),
+        ("effects/pull.py", TETHER, "it must hold one effect, with name = 'pull'"),
+        ("estimate/mine.py", BROKEN, "estimate.mine: it cannot be imported"),
+        ("stages/smooth/__init__.py", BROKEN, "stages.smooth: it cannot be imported"),
+        ("stages/smooth/__init__.py", "a = 1\n", "must define STAGE"),
+        ("stages/smooth/__init__.py", STAGE_OF_EXTRACT, "already a stage 'extract'"),
+        ("stages/smooth/__init__.py", STAGE_IN_POINTS, "the folder 'points'"),
+        ("stages/smooth/__init__.py", SMOOTH, "smooth.smooth: it cannot be imported"),
+        ("__init__.py", BROKEN, "my_lab.* it cannot be imported"),
+        ("conf/estimate/quick.yaml", "", "has a file of this name, too"),
+    ],
+)
+def test_a_plugin_that_cannot_be_used_is_named_and_nothing_runs(
+    path, text, message, plugin, called, tmp_path
+):
+    (plugin / path).parent.mkdir(parents=True, exist_ok=True)
+    (plugin / path).write_text(text)
+    if path == "__init__.py":
+        (plugin / "effects").mkdir()
+        (plugin / "effects" / "tether.py").write_text(TETHER)
+    run = tmp_path / "run"
+    ran = called("+experiment=quick", f"hydra.run.dir={run}")
+    assert ran.returncode == 1
+    assert re.search(message, " ".join(ran.stderr.split())), ran.stderr
+    assert "Traceback" not in ran.stderr
+    assert not run.exists()
+
+
+def test_a_stage_that_names_a_missing_function_is_told_the_nearest(plugin):
+    (plugin / "stages" / "smooth").mkdir(parents=True)
+    (plugin / "stages/smooth/__init__.py").write_text(
+        SMOOTH.replace("smooth.run", "smooth.rum")
+    )
+    (plugin / "stages/smooth/smooth.py").write_text(SMOOTH_FUNCTIONS)
+    with pytest.raises(PluginError, match=r"has no rum. Did you mean 'run'\?"):
+        import_plugins()
+
+
+SOURCE = """
+from dataclasses import dataclass
+
+from stringcast.hardware.camera.source import Source
+
+@dataclass(frozen=True)
+class Mine(Source):
+    delay: float
+    name = "mine"
+
+    def open(self, camera):
+        return None
+
+    def stills(self, camera, ready):
+        return iter(())
+"""
+
+
+@pytest.mark.parametrize(
+    ("role", "target", "message"),
+    [
+        ("estimate", "estimate.mine.serch", "Did you mean '.*estimate.mine.search'?"),
+        ("hardware", "estimate.mine.search", "may not be named here"),
+        ("integrator", "estimate.mine.search", "may not be named here"),
+        ("estimate", "estimate.mine.Helper", "may not be named here"),
+        ("estimate", "estimate.mine._hidden", "may not be named here"),
+        ("estimate", "estimate.mine.os.system", "may not be named here"),
+        ("estimate", "estimate.mine.untyped", "its argument size must state a type"),
+    ],
+)
+def test_a_role_takes_only_public_functions_of_its_own_folder(
+    role, target, message, plugin
+):
+    (plugin / "estimate").mkdir()
+    (plugin / "estimate" / "mine.py").write_text(
+        "import os\n"
+        "class Helper: pass\n"
+        "def search(*, size: int): pass\n"
+        "def _hidden(): pass\n"
+        "def untyped(*, size): pass\n"
+    )
+    block = {"_target_": f"plugins.my_lab.{target}", "size": 1}
+    with pytest.raises(UserError, match=message):
+        bind_stage(block, role, "here")
+    good = {"_target_": "plugins.my_lab.estimate.mine.search", "size": 1}
+    assert bind_stage(good, "estimate", "here").keywords == {"size": 1}
+
+
+def test_a_source_of_pictures_and_a_mode_derive_from_their_roles(plugin):
+    (plugin / "source").mkdir()
+    (plugin / "mode").mkdir()
+    for role in ("source", "mode"):
+        (plugin / role / "mine.py").write_text(SOURCE)
+    block = {"_target_": "plugins.my_lab.source.mine.Mine", "delay": 0.5}
+    for role in ("source", "plane"):
+        assert build_chosen(block, role, "here").delay == 0.5
+    block = {"_target_": "plugins.my_lab.mode.mine.Mine", "delay": 0.5}
+    with pytest.raises(UserError, match=r"derives from .*\.Mode\. Correct the class"):
+        build_chosen(block, "mode", "here")
