@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from stringcast.pipeline.commands import new
 from tests.calibration.studio import picture, pose, tilted
 from tests.pipeline.test_readme_commands import ROOT, pages
 
@@ -142,6 +143,13 @@ RUN = {
     ),
     # Commands that overwrite recorded files run in a copy of the project.
     "tests.convergence.table": Run(r"\| A \| 3 \| semi_implicit_euler \|"),
+    # Commands with a folder of one's own.
+    "pipeline 'plugins=[my_lab]' +experiment=quick 'effects=[side_pull]' estimate=uniform_search": Run(
+        **CAST, of="my_lab"
+    ),
+    "pipeline 'plugins=[my_lab]' +sway=plain mode=batch mode.stage=sway trials=data/sample": Run(
+        "The tip moves by at most", ("report.html",), of="my_lab", long=False
+    ),
     # Commands about files on the disk.
     "pipeline graph +experiment=stringB": Run("estimate: takes trial of execute"),
     "pipeline index --to runs.parquet": Run(r"run +ended as +casts"),
@@ -167,6 +175,8 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "tasks.py study draw 7 riddle riddle.json --simulator nodal": "as own_kernel",
     "tasks.py study diagnosis": "takes days; as with a seed",
     "pipeline new effect side_pull": "tests/pipeline/test_new.py",
+    "pipeline new estimator uniform_search": "tests/pipeline/test_new.py",
+    "pipeline why outputs/...": "with a folder of one's own: tests/pipeline/test_plugins.py::test_an_effect_a_stage_and_an_estimator_act_as_they_are_wired",
     "stringcast.stages.model.engine.print_loop [EFFECT ...]": "tests/laws/test_generated_loop.py",
     "pytest tests/laws/test_effects.py": "is one of the tests",
     "tasks.py test --all": "is what runs this",
@@ -177,8 +187,6 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "stringcast.hardware.dynamixel.clear PORT ID ...": "asks a person; typed in: tests/drivers/test_dynamixel.py",
     "stringcast.hardware.serial.emulator [--log FILE] [--fault KIND:N ...]": "tests/drivers/rig.py::emulator",
     "stringcast.hardware.dynamixel.emulator [--fault KIND:N ...]": "tests/drivers/test_dynamixel.py::bus",
-    "pipeline +sway=plain mode=batch mode.stage=sway trials=data/sample": "a stage of one's own, which there is none of: "
-    "tests/pipeline/test_new_stage.py",
     "tasks.py study diagnosis diagnosis.simulator=nodal seed=100 diagnosis.datasets=10": "as without datasets",
     "tasks.py study diagnosis diagnosis.simulator=nodal diagnosis.kind=none diagnosis.datasets=100": "as with a seed",
     "tasks.py study casting casting.seeds=16": "takes hours; one run of it: tests/benchmarks/casting/test_casting_study.py",
@@ -262,7 +270,7 @@ def copied(folder):
 def made(place, name):
     """Make the input that a reader has before a page's command is given.
 
-    It is a cast, a diagnosis, an alignment, measurements or pictures.
+    It is a cast, a diagnosis, an alignment, measurements, pictures or a plugin.
     """
     folder = place / name
     if folder.exists():
@@ -280,6 +288,13 @@ def made(place, name):
     if name in words:
         status, said = asked(["pipeline", *words[name], f"hydra.run.dir={folder}"])
         assert status == 0, said
+    elif name == "my_lab":
+        for kind, of in (
+            ("effect", "side_pull"),
+            ("stage", "sway"),
+            ("estimator", "uniform_search"),
+        ):
+            assert new.main([kind, of, "--to", str(folder)]) == 0
     elif name == "mine":
         shutil.copytree(ROOT / "data" / "sample", folder)
     else:
@@ -314,11 +329,13 @@ def photographed(folder):
 def filled(command, run, place, out):
     """Return the words of the command, with a reader's values filled in."""
     words = shlex.split(f"{command} {run.less}")
-    needed = re.search(r"outputs/\.\.\.|<|tilted|outputs/gallery/|trials=mine", command)
+    needed = re.search(
+        r"outputs/\.\.\.|<|tilted|outputs/gallery/|trials=mine|my_lab", command
+    )
     folder = made(place, run.of) if needed else place
     words = [
         re.sub(
-            r"outputs/\.\.\.[\w.-]*|<[^>]*>|outputs/gallery(?=/)|(?<==)mine$",
+            r"outputs/\.\.\.[\w.-]*|<[^>]*>|outputs/gallery(?=/)|(?<==)mine$|my_lab",
             str(folder),
             word,
         )

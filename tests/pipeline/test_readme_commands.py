@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from stringcast.pipeline.commands import COMMAND_NAMES
+from stringcast.pipeline.commands import COMMAND_NAMES, load_command
 from stringcast.pipeline.settings.composition import compose_settings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -67,9 +67,12 @@ def test_pages_show_calls():
 @pytest.mark.parametrize(
     ("page", "given"), CALLS, ids=[f"{page}: {given}"[:90] for page, given in CALLS]
 )
-def test_what_a_page_calls_can_be_called(page, given):
+def test_what_a_page_calls_can_be_called(page, given, plugin):
     if given.partition(" ")[0] in COMMAND_NAMES:
         return
+    if "my_lab" in given:
+        for words in (["stage", "sway"], ["estimator", "uniform_search"]):
+            assert load_command("new")([*words, "--to", str(plugin)]) == 0
     words = [
         word
         for word in shlex.split(PLACEHOLDER.sub("place", given))
