@@ -8,7 +8,7 @@ import pytest
 from stringcast.pipeline.cli.command_line_hints import refuse_mistakes
 from stringcast.pipeline.commands import COMMAND_NAMES
 from stringcast.pipeline.settings.composition import UserError
-from tests.pipeline.test_readme_commands import CALLS, PLACEHOLDER
+from tests.pipeline.test_readme_commands import CALLS, PLACEHOLDER, fill_plugin
 
 MEANT = {
     "stringB": "+experiment=stringB",
@@ -88,9 +88,9 @@ def test_what_nothing_is_like_says_what_there_is():
 
 
 @pytest.mark.parametrize("given", sorted({given for _, given in CALLS}))
-def test_what_pages_show_is_no_mistake(given):
-    # +sway is a group that the page makes
-    if given.partition(" ")[0] not in COMMAND_NAMES and not given.startswith("+sway"):
+def test_what_pages_show_is_no_mistake(given, plugin):
+    fill_plugin(plugin, given)
+    if given.partition(" ")[0] not in COMMAND_NAMES:
         refuse_mistakes(shlex.split(PLACEHOLDER.sub("place", given)))
 
 
