@@ -24,7 +24,8 @@ from stringcast.stages.plugins import (
     PluginError,
     plugin_folders,
 )
-from tests.benchmarks.simulators import draw
+from tests.benchmarks.diagnosis.study import diagnosis_document
+from tests.diagnosis.slow_casts import write_slow_casts
 
 TETHER = '''
 """A spring to a fixed point."""
@@ -200,16 +201,18 @@ def test_jobs_of_a_sweep_have_the_plugin(lab, called, nobody, tmp_path):
 
 
 @pytest.mark.long
-def test_the_diagnosis_finds_the_effect_of_a_plugin(lab, called, tmp_path, monkeypatch):
+def test_the_diagnosis_finds_the_effect_of_a_plugin(
+    lab, arm, camera, tmp_path, monkeypatch
+):
     monkeypatch.setenv(PLUGINS_VARIABLE, str(lab))
-    draw("own_kernel", 1, "effect", ["tether"]).write(tmp_path / "trials")
-    run = tmp_path / "run"
-    ran = called(
-        "+experiment=diagnose", f"trials={tmp_path / 'trials'}", f"hydra.run.dir={run}"
-    )
-    assert ran.returncode == 0, ran.stderr
-    diagnosis = json.loads((run / "diagnosis.json").read_text())
-    assert "a spring pulls" in json.dumps(diagnosis)
+    hidden = {"tether.strength": 15.0}
+    write_slow_casts(tmp_path / "data", arm, camera, hidden)
+    settings = compose_settings(["+experiment=diagnose", "string=paper"])
+    document = diagnosis_document(tmp_path / "data", settings)
+    assert document["verdict"] == "effect"
+    (cause,) = document["causes"]
+    strength = cause["parameters"]["tether.strength"]["value"]
+    assert strength == pytest.approx(15.0, rel=0.1)
 
 
 # --- what is refused
