@@ -151,6 +151,7 @@ FRAMES = Table(
     frame [1] (int): number of the frame
     t [s]: middle of the exposure, camera clock; 0 is the start of the movement
     file (text): path of the image relative to the folder
+    sha256 (text, optional): digest of the image file, also of one that was not kept
     number [1] (int, optional): number on the camera's schedule: skipped ones were
         dropped
     late [s] (optional): lateness against the schedule

@@ -39,7 +39,13 @@ from stringcast.data.images import ImageFiles, TimedImages, Video, video_files
 from stringcast.data.metadata import DATASET_FILE, FORMAT_VERSION, read_metadata
 from stringcast.data.rows import RowCounts, clean_rows, read_csv_table
 from stringcast.data.schema import Column, DataError, Table
-from stringcast.data.store import content_hash, read_table, write_table, write_text
+from stringcast.data.store import (
+    DIGEST_COLUMN,
+    content_hash,
+    read_table,
+    write_table,
+    write_text,
+)
 
 TRIAL_COLUMN = Column("trial", "", "name of the trial", "text")
 RUN_TABLES = (ARM, FRAMES, POINTS, READINGS, MASKS)  # of trials of ours
@@ -373,6 +379,12 @@ def _read_table(table: Table, folder: Path, rows: dict[str, RowCounts]) -> pd.Da
         return frame.reset_index(drop=True)
     if table is FRAMES:
         frame = frame.assign(file=_frame_files(frame["file"], folder, path))
+        if DIGEST_COLUMN in frame:  # trials whose frames were not kept have no film
+            count = frame.groupby("trial")["file"].transform("count")
+            is_kept = (count > 0) | frame[DIGEST_COLUMN].isna()
+            frame = frame[is_kept]
+            if len(is_kept) and frame.empty:
+                return frame
     frame, rows[path.name] = clean_rows(schema, frame)
     return frame.reset_index(drop=True)
 

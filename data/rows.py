@@ -126,7 +126,7 @@ def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCoun
     rows = RowFilter(frame)
     numbers = []
     for column in table.columns:
-        if column.kind == "text":
+        if column.kind == "text" and not column.optional:
             rows.drop(f"no {column.name}", rows.frame[column.name].isna())
         elif column.kind == "float" and not column.optional:
             numbers.append(column.name)

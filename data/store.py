@@ -17,6 +17,7 @@ import re
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -40,6 +41,7 @@ ORIGIN_TYPES = {
     "packages": dict,
     "made": dict,
 }
+DIGEST_COLUMN = "sha256"  # of the table `frames`
 CHUNK_BYTES = 2**20  # [bytes] of a file that are hashed at a time
 READ_ERRORS = file_checks.READ_ERRORS
 
@@ -65,18 +67,27 @@ def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
     """
     with write_atomically(folder) as part:
         disk.make_folder(part)
+        if hasattr(artifact, "images"):
+            artifact = _save_images(artifact, part)
         tables = artifact.tables() if hasattr(artifact, "tables") else artifact.TABLES
         for name, table in tables.items():
             frame = getattr(artifact, name)
             _write_parquet(table, frame, part / f"{name}.parquet", origin)
-        if hasattr(artifact, "images"):
-            files = [part / file for file in artifact.frames["file"]]
-            for file, image in zip(files, artifact.images, strict=True):
-                disk.make_folder(file.parent)
-                disk.write(file, encode_png(image))
-            for parent in {file.parent for file in files}:
-                disk.sync_folder(parent)
         disk.sync_folder(part)
+
+
+def _save_images(artifact: Any, folder: Path) -> Any:
+    """Write the images of a trial and return it with their digests."""
+    digests = []
+    files = [folder / file for file in artifact.frames["file"]]
+    for file, image in zip(files, artifact.images, strict=True):
+        content = encode_png(image)
+        disk.make_folder(file.parent)
+        disk.write(file, content)
+        digests.append(hashlib.sha256(content).hexdigest())
+    for parent in {file.parent for file in files}:
+        disk.sync_folder(parent)
+    return replace(artifact, frames=artifact.frames.assign(sha256=digests))
 
 
 def load(kind: type[Artifact], folder: Path) -> Artifact:
@@ -117,11 +128,17 @@ def load(kind: type[Artifact], folder: Path) -> Artifact:
 def load_images(folder: Path, frames: pd.DataFrame) -> ImageFiles:
     """Open the images of a table `frames`, whose paths are relative to `folder`.
 
-    Raises DataError if one is missing.
+    Raises DataError if one is missing, unless no image of the trial was kept.
     """
     files = tuple(frames["file"])
+    for file in files:
+        if file_checks.is_outside(folder, str(file)):
+            raise DataError(
+                f"{folder}: the frame {str(file)!r} lies outside this folder. "
+                "Put the frames there."
+            )
     missing = [file for file in files if not (folder / file).is_file()]
-    if missing:
+    if missing and not (DIGEST_COLUMN in frames and len(missing) == len(files)):
         count = f" ({len(missing)} are)" if len(missing) > 1 else ""
         raise DataError(
             f"{folder / missing[0]}: the frame is missing{count}. "
@@ -238,32 +255,67 @@ def write_text(path: Path, text: str) -> None:
 def content_hash(path: Path) -> str:
     """Hash a file's content, or a folder's files and their names (SHA-256).
 
+    An image that was not kept counts by the digest that the table `frames` records.
+
     Of a Parquet file the columns count, with their types and units, not the origin in
     its footer: the same numbers have the same hash, whichever run they come from.
     """
-    digest = hashlib.sha256()
     if path.is_file():
-        files = [path]
-    else:
-        files = sorted(p for p in path.rglob("*") if p.is_file())
-    for file in files:
-        with file.open("rb") as content:
-            head, size = b"", file.stat().st_size
-            if file.suffix == ".parquet":
-                # It ends with the footer, the footer's length (4 bytes) and "PAR1";
-                # before that are the pages of the columns.
-                schema = pq.read_schema(file).remove_metadata()
-                head = schema.serialize().to_pybytes()
-                end = content.seek(-8, os.SEEK_END)
-                size = end - int.from_bytes(content.read(4), "little")
-                content.seek(0)
-            name = file.relative_to(path).as_posix()
-            digest.update(f"{name}\0{len(head) + size}\0".encode() + head)
-            # a film may be larger than the memory
-            while size > 0 and (piece := content.read(min(CHUNK_BYTES, size))):
-                size -= len(piece)
-                digest.update(piece)
+        return _file_hash(path)
+    digests = {}
+    for file in path.rglob("*"):
+        if file.is_file():
+            digests[file.relative_to(path).as_posix()] = _file_hash(file)
+    for name, recorded in _image_digests(path).items():
+        digests.setdefault(name, recorded)
+    digest = hashlib.sha256()
+    for name in sorted(digests):
+        digest.update(f"{name}\0{digests[name]}\0".encode())
     return digest.hexdigest()
+
+
+def _file_hash(file: Path) -> str:
+    digest = hashlib.sha256()
+    with file.open("rb") as content:
+        size = file.stat().st_size
+        if file.suffix == ".parquet":
+            # It ends with the footer, the footer's length (4 bytes) and "PAR1"; before
+            # that are the pages of the columns.
+            schema = pq.read_schema(file).remove_metadata()
+            digest.update(schema.serialize().to_pybytes())
+            end = content.seek(-8, os.SEEK_END)
+            size = end - int.from_bytes(content.read(4), "little")
+            content.seek(0)
+        # a film may be larger than the memory
+        while size > 0 and (piece := content.read(min(CHUNK_BYTES, size))):
+            size -= len(piece)
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+def _image_digests(folder: Path) -> dict[str, str]:
+    """Return the digests of a trial's images by file, as its table records them."""
+    path = folder / "frames.parquet"
+    if not path.is_file() or DIGEST_COLUMN not in pq.read_schema(path).names:
+        return {}
+    frames = pq.read_table(path, columns=["file", DIGEST_COLUMN], partitioning=None)
+    columns = frames["file"].to_pylist(), frames[DIGEST_COLUMN].to_pylist()
+    return dict(zip(*columns, strict=True))
+
+
+def damaged_image(folder: Path) -> str:
+    """Return the file of a trial's first image that is not as recorded, or nothing."""
+    for name, recorded in _image_digests(folder).items():
+        is_there = file_checks.is_file_inside(folder, name)
+        if is_there and _file_hash(folder / name) != recorded:
+            return name
+    return ""
+
+
+def images_not_kept(folder: Path) -> frozenset[str]:
+    """Return the names of a trial's image files that its table records and are gone."""
+    names = _image_digests(folder)
+    return frozenset(Path(n).name for n in names if not (folder / n).is_file())
 
 
 def _write_parquet(

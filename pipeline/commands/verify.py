@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -102,11 +102,15 @@ def verify_run(
         with bar(f"{step.number}. {step.stage.name}") as progress:
             artifact = experiment.run_step(step, progress)
             store.save(artifact, scratch / step.folder, {})
-        faults = folder_differences(folder / step.folder, scratch / step.folder)
+        step_folder = folder / step.folder
+        not_kept = store.images_not_kept(step_folder)
+        faults = folder_differences(step_folder, scratch / step.folder, not_kept)
         if faults:
             for reason in stored.stale_reasons:
                 faults.append(f"since it was made: {reason}")
         comparison.note(name, faults)
+        if not_kept:
+            return replace(stored.artifact, images=artifact.images)
         return stored.artifact
 
     result = walk_steps(experiment, folder, compare_step)

@@ -66,7 +66,14 @@ class Stepwise(Mode):
 
 
 def write_page(experiment: Experiment, result: RunResult, console: Terminal) -> None:
-    """Write the run's page; a fault of ours in it costs the page alone."""
+    """Write the run's page; a fault of ours in it costs the page alone.
+
+    A page that is there stays as it is where the frames that it shows were not kept.
+    """
+    page = result.folder / "report.html"
+    if page.exists() and run_folder.lacks_frames(result):
+        log.info("report.html stays: the frames were not kept")
+        return
     # loaded here, because drawing takes a second and more to load
     report = import_module("stringcast.pipeline.run.report")
     try:

@@ -156,9 +156,12 @@ def load_step_with_staleness(
         return StoredStep(None, ("it has not been made yet",))
     try:
         artifact: Any = store.load(step.stage.makes, step_folder)
-    except DataError as error:
+        damaged = store.damaged_image(step_folder)
+    except (DataError, *store.READ_ERRORS) as error:
         return StoredStep(None, (str(error),))
     reasons = []
+    if damaged:
+        reasons.append(f"{damaged} is damaged")
     if getattr(artifact, "was_interrupted", False):
         reasons.append("it was interrupted")
     stored, current = (

@@ -256,6 +256,16 @@ def remove_frames(experiment: Experiment, result: RunResult) -> None:
                         disk.remove(path)
 
 
+def lacks_frames(result: RunResult) -> bool:
+    """Tell whether frames of a run were not kept."""
+    for iteration in result.iterations:
+        for name in iteration.artifacts:
+            folder = result.folder / artifact_folder(iteration.number, name)
+            if store.images_not_kept(folder):
+                return True
+    return False
+
+
 @contextmanager
 def record_failure(folder: Path) -> Iterator[None]:
     """Write in the folder why a run stopped, if it can be written."""

@@ -1,0 +1,60 @@
+"""Runs whose frames were not kept are datasets, and as reproducible as others."""
+
+from contextlib import contextmanager
+
+import pytest
+
+from stringcast.data import dataset
+from stringcast.pipeline.commands import load_command
+from stringcast.pipeline.commands.verify import verify_run
+from tests.faults.toy import toy_experiment, toy_run
+
+
+@contextmanager
+def silent(name):
+    """Show no progress."""
+    yield lambda share: None
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Make a toy run of which only tables were kept."""
+    folder = tmp_path / "outputs" / "run"
+    toy_run(folder, toy_experiment(2, saved_outputs=["report"]))
+    assert not list(folder.rglob("*.png"))
+    return folder
+
+
+def test_every_step_stays_fresh(run, capsys):
+    assert load_command("why")([str(run)]) == 0
+    assert "stale" not in capsys.readouterr().out
+    made, _ = toy_run(run, toy_experiment(2, saved_outputs=["report"]))
+    assert made == []
+    assert load_command("lineage")([str(run / "iterations/02/estimate")]) == 0
+
+
+def test_frames_are_filmed_again_to_verify_them(run, tmp_path):
+    here = toy_experiment(2, saved_outputs=["report"])
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    outcome = verify_run(here, run, scratch, silent)
+    assert outcome.is_same, outcome.lines
+    assert "iterations/02/trial: the same to the bit" in outcome.lines
+
+
+def test_the_dataset_has_no_film_and_loses_no_rows(run):
+    data = dataset.read_dataset(run)
+    assert not data.films
+    assert "frames.parquet" not in data.row_counts
+
+
+def test_a_damaged_frame_is_filmed_again(tmp_path):
+    folder = tmp_path / "run"
+    toy_run(folder, toy_experiment(1))
+    frame = folder / "iterations/01/trial/images/1.png"
+    whole = frame.read_bytes()
+    frame.write_bytes(whole[:-20])
+    made, said = toy_run(folder, toy_experiment(1))
+    assert made == ["execute"]
+    assert "images/1.png is damaged" in said
+    assert frame.read_bytes() == whole
