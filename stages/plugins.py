@@ -202,6 +202,10 @@ def _register_plugin(name: str, folder: Path) -> None:
     if specification is not None and specification.loader is not None:
         package = module_from_spec(specification)
         sys.modules[full_name] = package
-        specification.loader.exec_module(package)
+        try:
+            specification.loader.exec_module(package)
+        except BaseException:
+            del sys.modules[full_name]  # as Python does for a module that fails
+            raise
     sys.modules[full_name] = package
     setattr(root, name, package)

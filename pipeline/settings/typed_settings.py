@@ -79,15 +79,19 @@ def setting_types(kind: Callable[..., Any]) -> dict[str, Any]:
 
 def keyword_types(function: Callable[..., Any]) -> dict[str, Any]:
     """Return the types of keyword-only arguments, except those that a run supplies."""
-    hints = get_type_hints(function, include_extras=True)
+    place = f"{function.__module__}.{function.__name__}"
+    try:
+        hints = get_type_hints(function, include_extras=True)
+    except (NameError, TypeError) as error:
+        raise UserError(f"{place}: a type is wrong ({error}). Correct it.") from error
     types = {}
     for name, parameter in inspect.signature(function).parameters.items():
         is_keyword = parameter.kind is inspect.Parameter.KEYWORD_ONLY
         if is_keyword and name not in RUN_ARGUMENTS:
             if name not in hints:
                 raise UserError(
-                    f"{function.__module__}.{function.__name__}: its argument {name} "
-                    "must state a type, such as `float`. Add it."
+                    f"{place}: its argument {name} must state a type, such as `float`. "
+                    "Add it."
                 )
             types[name] = hints[name]
     return types

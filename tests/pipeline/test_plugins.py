@@ -64,8 +64,17 @@ STAGE = StageSpec(
     by=("plugins.my_lab.stages.smooth.smooth.smooth",),
 )
 """
+HELPERS = """
+LAB = "my lab"
+
+
+def moving_mean(column, window):
+    return column.rolling(window, center=True, min_periods=1).mean()
+"""
 SMOOTH_FUNCTIONS = """
 from dataclasses import replace
+
+from stringcast.plugins.my_lab.helpers import moving_mean
 
 
 def run(call, points):
@@ -75,7 +84,7 @@ def run(call, points):
 def smooth(points, *, window: int):
     table = points.points
     mean = table.groupby("s")[["x", "y"]].transform(
-        lambda column: column.rolling(window, center=True, min_periods=1).mean()
+        lambda column: moving_mean(column, window)
     )
     return replace(points, points=table.assign(x=mean["x"], y=mean["y"]))
 """
@@ -89,10 +98,12 @@ PAGE = '''
 
 from stringcast.stages.report.page import Section, Text, stage_page
 
+from .helpers import LAB
+
 
 def sway_page(facts):
     far = facts.artifact.farthest["sway"].max()
-    parts = [Text(f"The farthest tip of my lab is {far:.3f} m away.")]
+    parts = [Text(f"The farthest tip of {LAB} is {far:.3f} m away.")]
     return stage_page(facts, "stage", [Section("Mine", parts)], lead="By my lab.")
 '''
 WITH_PAGE = '    page="plugins.my_lab.pages.sway_page",\n    is_end=True,'
@@ -120,6 +131,7 @@ def write_lab(folder):
         "stages/smooth/smooth.py": SMOOTH_FUNCTIONS,
         "conf/smooth/plain.yaml": SMOOTH_SETTINGS,
         "pages.py": PAGE,
+        "helpers.py": HELPERS,
     }
     for path, text in texts.items():
         (folder / path).parent.mkdir(exist_ok=True, parents=True)
@@ -349,6 +361,7 @@ def test_a_stage_that_names_a_missing_function_is_told_the_nearest(plugin):
         SMOOTH.replace("smooth.run", "smooth.rum")
     )
     (plugin / "stages/smooth/smooth.py").write_text(SMOOTH_FUNCTIONS)
+    (plugin / "helpers.py").write_text(HELPERS)
     with pytest.raises(PluginError, match=r"has no rum. Did you mean 'run'\?"):
         import_plugins()
 
@@ -381,6 +394,7 @@ class Mine(Source):
         ("estimate", "estimate.mine._hidden", "may not be named here"),
         ("estimate", "estimate.mine.os.system", "may not be named here"),
         ("estimate", "estimate.mine.untyped", "its argument size must state a type"),
+        ("estimate", "estimate.mine.mistyped", "a type is wrong .*'Flaot'"),
     ],
 )
 def test_a_role_takes_only_public_functions_of_its_own_folder(
@@ -393,6 +407,7 @@ def test_a_role_takes_only_public_functions_of_its_own_folder(
         "def search(*, size: int): pass\n"
         "def _hidden(): pass\n"
         "def untyped(*, size): pass\n"
+        "def mistyped(*, size: 'Flaot'): pass\n"
     )
     block = {"_target_": f"plugins.my_lab.{target}", "size": 1}
     with pytest.raises(UserError, match=message):
