@@ -24,6 +24,7 @@ from stringcast.pipeline.settings.composition import (
     compose_settings,
     given_names,
 )
+from stringcast.pipeline.settings.named_plugins import name_plugins
 from stringcast.pipeline.settings.settings_from_runs import (
     inherit_settings,
     read_extended_model,
@@ -172,6 +173,7 @@ def experiment_for_call(
     Words as on the command line override the known string, which overrides conf/.
     """
     try:
+        name_plugins(words)
         composed = OmegaConf.create(compose_settings(words) | given)
         names = given_names(words)
     except HydraException as error:

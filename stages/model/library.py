@@ -91,7 +91,8 @@ def split_effect_name(name: str) -> tuple[str, int]:
     near = difflib.get_close_matches(name, known, 1)
     hint = f"Did you mean '{near[0]}'? " if near else ""
     raise UnknownEffectError(
-        f"there is no effect '{name}'. {hint}All of them: python -m pipeline --help"
+        f"there is no effect '{name}'. {hint}For one of a plugin, name its folder: "
+        "plugins=[my_lab]. All others: python -m pipeline --help"
     )
 
 

@@ -11,6 +11,7 @@ import re
 import pandas as pd
 import pytest
 
+from stringcast.known import experiment_for_call
 from stringcast.pipeline.commands import load_command, new
 from stringcast.pipeline.settings.composition import UserError, compose_settings
 from stringcast.pipeline.settings.named_plugins import (
@@ -19,6 +20,7 @@ from stringcast.pipeline.settings.named_plugins import (
     use_stored_plugins,
 )
 from stringcast.pipeline.settings.typed_settings import bind_stage, build_chosen
+from stringcast.stages.model.library import UnknownEffectError, find_effects
 from stringcast.stages.plugins import (
     PLUGINS_VARIABLE,
     PluginError,
@@ -210,6 +212,20 @@ def test_jobs_of_a_sweep_have_the_plugin(lab, called, nobody, tmp_path):
     )
     assert swept.returncode == 0, swept.stderr
     assert len(pd.read_parquet(folder / "sweep.parquet")) == 2
+
+
+def test_calls_in_python_name_a_plugin_as_the_command_line_does(lab, nobody):
+    words = (f"plugins=[{lab}]", "effects=[tether]", "estimate=uniform_search")
+    experiment = experiment_for_call(words, None)
+    assert "tether" in [effect.name for effect in experiment.model.effects]
+    assert experiment.config["plugins"] == [str(lab)]
+
+
+def test_an_effect_of_a_plugin_that_is_not_named_is_told_how_to_name_it():
+    with pytest.raises(
+        UnknownEffectError, match=r"name its folder: plugins=\[my_lab\]"
+    ):
+        find_effects(["tether"])
 
 
 @pytest.mark.long
