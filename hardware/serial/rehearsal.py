@@ -8,13 +8,14 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from typing import Self
+from typing import Annotated, Self
 
 import pandas as pd
-from pydantic import PositiveInt
+from pydantic import Field, PositiveInt
 
 from stringcast.data.artifacts import JOINTS
 from stringcast.hardware.arm import Driving, VelocityArm
+from stringcast.hardware.camera import FilmingCamera, Source
 from stringcast.hardware.serial.wire import SerialWire
 from stringcast.hardware.virtual import (
     Look,
@@ -103,8 +104,10 @@ def open_lab(
     driving: Driving,
     watchdog: PositiveInt,
     faults: list[str],
+    source: Source | None,
+    most_lost: Annotated[float, Field(ge=0, le=1)],
 ) -> Lab:
-    """Open the emulated arm and the virtual camera of one trial.
+    """Open the emulated arm and the camera of one trial.
 
     Parameters
     ----------
@@ -116,6 +119,8 @@ def open_lab(
         Watchdog time of the device [ms].
     faults
         KIND:N, as the emulator takes them.
+    source, most_lost
+        A real camera; see `FilmingCamera`. None for the virtual one.
 
     Returns
     -------
@@ -128,4 +133,6 @@ def open_lab(
     options += [f"--fault={fault}" for fault in faults]
     wire = SerialWire("", BAUD)  # the port is known once the emulator runs
     rehearsal = RehearsalArm(arm, wire, driving, options=options, bench=bench)
+    if source is not None:
+        return Lab(rehearsal, FilmingCamera(camera, source, most_lost))
     return Lab(rehearsal, VirtualCamera(bench))

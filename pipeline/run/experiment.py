@@ -100,8 +100,8 @@ class Mode(ABC):
 
     def picture_sources(self, config: Settings) -> tuple[str, ...]:
         """Return the blocks of settings that name sources of pictures in use."""
-        films = "source" in config["hardware"] and self.moves_arm(config)
-        return ("source",) if films else ()
+        films = config["hardware"].get("source") is not None
+        return ("source",) if films and self.moves_arm(config) else ()
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Refuse a source of pictures that a run would not use, or that does not exist."""
+"""Use a given source of pictures, or refuse it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,15 @@ from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.pipeline.settings.typed_settings import build_chosen
 
 SOURCE_PLACES = {"path": "film", "folder": "folder of images"}  # by setting
+
+
+def use_given_source(settings: Settings, given: set[str]) -> Settings:
+    """Return the settings with a given source in place of the virtual camera."""
+    hardware = settings["hardware"]
+    is_given = any(name.partition(".")[0] == "source" for name in given)
+    if not is_given or hardware.get("source", "none") is not None:
+        return settings
+    return {**settings, "hardware": {**hardware, "source": settings["source"]}}
 
 
 def refuse_unusable_source(settings: Settings, given: set[str]) -> None:
@@ -32,8 +41,8 @@ def refuse_unusable_source(settings: Settings, given: set[str]) -> None:
             reason = "the virtual lab films with its own camera"
         raise UserError(
             f"{name} = {settings['source'][key or '_target_']} (command line): it "
-            f"would not be used: {reason}. Leave it out, or give hardware=serial, "
-            "hardware=dynamixel or +experiment=calibrate. To read films of earlier "
+            f"would not be used: {reason}. Leave it out, or give hardware=emulator, "
+            "serial or dynamixel, or +experiment=calibrate. To read films of earlier "
             "casts: python -m pipeline import <films> --to mine"
         )
     for block in used_sources:

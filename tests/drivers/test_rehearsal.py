@@ -9,6 +9,8 @@ from conftest import specimen, swing
 from rig import DRIVING, WORKSPACE
 
 from stringcast.data.artifacts import JOINTS, SPEEDS
+from stringcast.data.images import encode_png
+from stringcast.hardware.camera import ImageFolder
 from stringcast.hardware.serial.rehearsal import open_lab
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench, VirtualCamera
 from stringcast.hardware.virtual.obstacles import Obstacles
@@ -102,8 +104,14 @@ def rehearsal(bench):
         approach=3.0,
     )
 
-    def lab(faults=()):
-        more = {"driving": driving, "watchdog": 250, "faults": list(faults)}
+    def lab(faults=(), source=None, most_lost=0.02):
+        more = {
+            "driving": driving,
+            "watchdog": 250,
+            "faults": list(faults),
+            "source": source,
+            "most_lost": most_lost,
+        }
         return open_lab(bench.arm, bench.camera, seed=3, trial=1, **settings, **more)
 
     return lab
@@ -119,6 +127,20 @@ def test_the_emulators_movement_swings_the_virtual_string(rehearsal, emulators):
     np.testing.assert_array_equal(performed[1], trial.arm[list(JOINTS)])
     (emulator,) = emulators
     assert emulator.poll() is not None
+
+
+def test_a_real_camera_films_the_emulated_arm(rehearsal, bench, tmp_path):
+    """A camera is rehearsed without a real arm; here it plays images of a folder."""
+    image = np.zeros((bench.camera.height, bench.camera.width), np.uint8)
+    for number in range(200):
+        image[number % 64] = number
+        (tmp_path / f"{number:03d}.png").write_bytes(encode_png(image))
+    lab = rehearsal(source=ImageFolder(tmp_path), most_lost=0.5)
+    trial = execute(swing(), lab.arm, lab.camera, before=0.1, after=0.1)
+    assert len(trial.images) == pytest.approx(0.7 * 50, abs=5)
+    assert trial.images[-1].max() > trial.images[0].max()
+    ended = swing().commands[list(JOINTS)].iloc[-1]
+    np.testing.assert_allclose(trial.arm[list(JOINTS)].iloc[-1], ended, atol=0.3)
 
 
 def test_dry_sends_nothing_but_zero_to_the_device(rehearsal):
