@@ -23,8 +23,8 @@ from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.run.file_names import FAILURE_FILE, SUMMARY_FILE
 from stringcast.pipeline.run.provenance import software_versions, stale_reasons
-from stringcast.pipeline.settings.allowed_callables import DRY_RUNS
 from stringcast.pipeline.settings.composition import UserError
+from stringcast.stages.entry_points import DRY_RUNS
 
 RUNS_TABLE = Table(
     "runs",

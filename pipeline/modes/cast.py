@@ -15,11 +15,11 @@ from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
 from stringcast.pipeline.run.iterations import Executor, History, Iteration
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.run.stage_graph import StageGraph, build_graph
-from stringcast.pipeline.settings.allowed_callables import DRY_RUNS
 from stringcast.pipeline.settings.composition import Settings
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import require_allowed
 from stringcast.stages.align.correction import transform_to_arm_frame
+from stringcast.stages.entry_points import DRY_RUNS
 from stringcast.stages.hit_test import HitResult, check_reach, hit_test
 from stringcast.stages.spec import CollectedTrials, SameIteration, StageSpec
 

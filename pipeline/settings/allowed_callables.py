@@ -2,7 +2,9 @@
 
 Settings come from other people's folders too (`trials=`, `model_from=`, `camera_from=`,
 `resume`, `index` ...), so a name is looked up here before anything is imported. Names
-are those within the package `stringcast`. A stage states itself what may fill its role.
+are those within the package `stringcast`: each room lists its own in `entry_points`,
+and a stage states itself what may fill its role.
+
 A plugin adds to a role the public functions, or classes, of the modules in its folder
 of that name: those of `my_lab/estimate/` may estimate.
 """
@@ -12,47 +14,17 @@ from __future__ import annotations
 import ast
 from collections.abc import Mapping
 
+from stringcast.hardware import entry_points as hardware_entry_points
+from stringcast.pipeline import entry_points as pipeline_entry_points
 from stringcast.pipeline.settings.stage_registry import stages
+from stringcast.stages import entry_points as stage_entry_points
 from stringcast.stages.plugins import plugin_files, public_definitions
 
-PICTURE_SOURCES = (
-    "hardware.camera.Device",
-    "hardware.camera.ImageFolder",
-    "hardware.camera.VideoFile",
-)
-DRY_RUNS = ("stages.execute.dry_run.dry_run", "stages.execute.dry_run.slow_run")
-# These move nothing real.
-VIRTUAL_HARDWARE = ("hardware.virtual.open_lab", "hardware.serial.rehearsal.open_lab")
-PIPELINE_ROLES: Mapping[str, tuple[str, ...]] = {
-    "mode": (
-        "pipeline.modes.Cast",
-        "pipeline.modes.EstimateTrials",
-        "pipeline.modes.Batch",
-        "pipeline.modes.Diagnose",
-        "pipeline.modes.Calibrate",
-    ),
-    "hardware": (
-        *VIRTUAL_HARDWARE,
-        "hardware.serial.lab.open_lab",
-        "hardware.dynamixel.lab.open_lab",
-    ),
-    "source": PICTURE_SOURCES,  # of pictures
-    "plane": PICTURE_SOURCES,
-    "integrator": (
-        "stages.model.engine.integrators.SemiImplicitEuler",
-        "stages.model.engine.integrators.RungeKutta4",
-        "stages.model.engine.implicit_leapfrog.ImplicitLeapfrog",
-    ),
-    "launcher": (
-        "pipeline.sweep.launchers.serial",
-        "pipeline.sweep.launchers.joblib",
-        "pipeline.sweep.launchers.ray",
-        "pipeline.sweep.launchers.slurm",
-    ),
-    "finish": ("pipeline.sweep.finish.finish", "pipeline.paper.finish.finish"),
+ROLES: Mapping[str, tuple[str, ...]] = {
+    **hardware_entry_points.ROLES,
+    **pipeline_entry_points.ROLES,
+    **stage_entry_points.ROLES,
 }
-
-
 CLASS_ROLES = ("mode", "source", "plane")  # the other roles are filled by functions
 
 
@@ -61,7 +33,7 @@ def allowed_names_by_role() -> dict[str, tuple[str, ...]]:
 
     Those in the plugins' folders of roles are left out.
     """
-    return {**PIPELINE_ROLES, **{stage.name: stage.by for stage in stages().values()}}
+    return {**ROLES, **{stage.name: stage.by for stage in stages().values()}}
 
 
 def plugin_names(role: str) -> list[str]:

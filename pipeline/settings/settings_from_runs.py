@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 from stringcast.data.file_checks import read_json, read_yaml, refuse_interpolation
 from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
-from stringcast.pipeline.settings.allowed_callables import VIRTUAL_HARDWARE
+from stringcast.hardware.entry_points import VIRTUAL_HARDWARE
 from stringcast.pipeline.settings.composition import (
     PLUGINS_SETTING,
     UserError,
