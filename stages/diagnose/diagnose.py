@@ -185,7 +185,7 @@ def diagnose(
         progress,
     )
     trials = TrialsByUse(usable, held_out, rejected)
-    if not trials.searched:
+    if not trials.searched_trials:
         trials = replace(trials, held_out_names=())
     return _diagnose_trials(trials, settings)
 
@@ -230,7 +230,7 @@ class TrialsByUse:
     rejected: Mapping[str, str]
 
     @property
-    def searched(self) -> list[Observation]:
+    def searched_trials(self) -> list[Observation]:
         """The trials in which causes are searched."""
         others = {*self.held_out_names, *self.rejected}
         return [o for o in self.observations if o.trial not in others]
@@ -336,7 +336,7 @@ def _search_until_trials_settle(
         log.info("fitting the base model")
         prepared = prepare_data(
             settings.model,
-            trials.searched,
+            trials.searched_trials,
             tolerance_m,
             np.random.default_rng(seed),
             starts,
@@ -358,7 +358,7 @@ def _search_until_trials_settle(
         for number, state in enumerate(states, 1):
             progress(0.3 + 0.5 * number / (criteria.max_causes + 1))
             newly_resolved = _trials_resolved_with_causes(
-                state, trials.searched, tolerance_m
+                state, trials.searched_trials, tolerance_m
             )
             if newly_resolved:
                 break
@@ -473,7 +473,7 @@ def _measure_gain(
     """Predict held-out trials, or else each trial by the fit to the others."""
     if len(trials.observations) == 1:
         return HeldOutGain(HELD_OUT.empty(), False)
-    observations = trials.held_out or trials.searched
+    observations = trials.held_out or trials.searched_trials
     fit = state.fit
     data = state.prepared.data
     if trials.held_out:

@@ -54,13 +54,13 @@ class SingleEffectPosterior:
     fit_without: Fit
 
     @property
-    def ranked(self) -> list[str]:
+    def ranked_causes(self) -> list[str]:
         """The candidates, and none (""), the most probable first."""
         return sorted(self.probabilities, key=lambda name: -self.probabilities[name])
 
     def credible_set(self, coverage: float) -> tuple[str, ...]:
         """Take the fewest candidates with so much probability, as they are ranked."""
-        ranked = self.ranked
+        ranked = self.ranked_causes
         total = np.cumsum([self.probabilities[name] for name in ranked])
         last = int(np.searchsorted(total, coverage * total[-1]))
         return tuple(ranked[: last + 1])
@@ -153,7 +153,7 @@ def with_most_probable_causes(
     """Put the likeliest effect into each place if the evidence is then higher."""
     likeliest = {}  # by cause, in the order of the places
     for posterior in posteriors:
-        fit = posterior.fits.get(posterior.ranked[0])
+        fit = posterior.fits.get(posterior.ranked_causes[0])
         if fit is not None:
             likeliest[fit.hypothesis.causes[-1]] = fit
     causes = state.fit.hypothesis.causes
@@ -262,7 +262,7 @@ def single_effect_posterior(
     competing = step.refined or step.fits
     fits = {}
     for fit in competing:
-        if not fit.diverged:
+        if not fit.has_diverged:
             fits[fit.hypothesis.cause_names[-1]] = fit
 
     log_posterior = {}  # (samples,) each, not normalised

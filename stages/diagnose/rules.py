@@ -224,7 +224,7 @@ def survives_leave_one_out(
 
 def is_supported(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> bool:
     """Whether the last cause of a fit is accepted in addition to its parent's."""
-    if not has_evidence(parent, fit, criteria) or fit.diverged:
+    if not has_evidence(parent, fit, criteria) or fit.has_diverged:
         return False
     if not moves_tip_enough(data, parent, fit, criteria):
         return False

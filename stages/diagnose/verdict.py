@@ -205,7 +205,7 @@ def measure_verdict_numbers(
         causes=causes,
         credible_sets=tuple(credible_sets),
         inclusion_probability=inclusion_probabilities(posteriors.by_cause),
-        diverged=fit.diverged,
+        diverged=fit.has_diverged,
         misfit_probability=misfit_probability(data, fit, criteria, seed),
     )
     if numbers.diverged:

@@ -97,7 +97,7 @@ class Fit:
         return {p.name: values[cause.qualified_name(p)] for p in cause.parameters}
 
     @property
-    def diverged(self) -> bool:
+    def has_diverged(self) -> bool:
         """Whether a trial could not be simulated."""
         return any((residual == DIVERGED_RESIDUAL).any() for residual in self.residuals)
 

@@ -180,7 +180,7 @@ def test_what_one_trial_says_against_the_others_is_not_certain(
         log_evidence=80.0,
         log_likelihood_by_trial=np.array(by_trial),
         hypothesis=SimpleNamespace(cause_names=("wind",)),
-        diverged=False,
+        has_diverged=False,
     )
     rng = np.random.default_rng(0)
     weights = 4 * rng.dirichlet(np.ones(4), posteriors.BOOTSTRAP_SAMPLES)

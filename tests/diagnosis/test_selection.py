@@ -75,7 +75,7 @@ def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
         log_evidence=122.0,
         log_likelihood_by_trial=np.array([-9.0, 135.0]),
         gains=gains,
-        diverged=False,
+        has_diverged=False,
         hypothesis=SimpleNamespace(causes=(None, "slip")),
     )
 

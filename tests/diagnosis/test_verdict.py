@@ -214,7 +214,7 @@ def test_what_others_explain_beyond_the_largest_cause(
         hypothesis.without_cause = lambda cause: SimpleNamespace(
             causes=[c for c in some if c is not cause]
         )
-        return SimpleNamespace(hypothesis=hypothesis, diverged=False)
+        return SimpleNamespace(hypothesis=hypothesis, has_diverged=False)
 
     def misfit_m(data, fit):
         present = fit.hypothesis.cause_names
