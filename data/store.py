@@ -298,9 +298,15 @@ def _image_digests(folder: Path) -> dict[str, str]:
     path = folder / "frames.parquet"
     if not path.is_file() or DIGEST_COLUMN not in pq.read_schema(path).names:
         return {}
-    frames = pq.read_table(path, columns=["file", DIGEST_COLUMN], partitioning=None)
-    columns = frames["file"].to_pylist(), frames[DIGEST_COLUMN].to_pylist()
-    return dict(zip(*columns, strict=True))
+    columns = ["file", DIGEST_COLUMN]
+    _, texts = file_checks.check_parquet(path, columns)
+    if not set(columns) <= set(texts):
+        raise DataError(
+            f"{path}: the columns {' and '.join(columns)} must hold texts. Restore it."
+        )
+    with pq.ParquetFile(path, read_dictionary=columns) as file:
+        frames = file.read(columns).to_pandas()
+    return dict(zip(*(frames[column] for column in columns), strict=True))
 
 
 def damaged_image(folder: Path) -> str:

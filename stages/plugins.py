@@ -95,11 +95,23 @@ def plugin_sources() -> dict[str, Path]:
     """Return all Python files of all plugins, by the plugin's name and their paths."""
     sources = {}
     for name, folder in plugin_folders().items():
-        for file in folder.rglob("*.py"):
-            path = file.relative_to(folder)
-            if not any(part.startswith(".") for part in path.parts):
-                sources[f"{PLUGIN_PREFIX}{name} {path.as_posix()}"] = file
+        # links of folders are followed, as an import follows them
+        for place, folders, files in os.walk(folder, followlinks=True):
+            if is_inside_itself(Path(place)):
+                folders.clear()
+                continue
+            folders[:] = [name for name in folders if not name.startswith(".")]
+            for file in files:
+                path = Path(place, file)
+                if path.suffix == ".py" and not file.startswith("."):
+                    relative = path.relative_to(folder).as_posix()
+                    sources[f"{PLUGIN_PREFIX}{name} {relative}"] = path
     return sources
+
+
+def is_inside_itself(folder: Path) -> bool:
+    """Tell whether a folder is a link to one that contains it."""
+    return folder.is_symlink() and folder.absolute().is_relative_to(folder.resolve())
 
 
 def public_definitions(

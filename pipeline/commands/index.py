@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,20 @@ from rich.text import Text
 from stringcast.data import store
 from stringcast.data.artifacts import ESTIMATION_SUMMARY
 from stringcast.data.errors import escape_control_characters
-from stringcast.data.file_checks import MAX_TEXT_BYTES, read_json
+from stringcast.data.file_checks import (
+    MAX_TEXT_BYTES,
+    read_json,
+    require_plain_file,
+)
 from stringcast.data.schema import Column, DataError, Table
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.run.file_names import FAILURE_FILE, SUMMARY_FILE
 from stringcast.pipeline.run.provenance import software_versions, stale_reasons
 from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.named_plugins import stored_plugins
 from stringcast.stages.entry_points import DRY_RUNS
+from stringcast.stages.plugins import PluginError
 
 RUNS_TABLE = Table(
     "runs",
@@ -187,6 +193,7 @@ def ending_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, str]:
     if not summary:
         reason = ""
         if failure_file.is_file():
+            require_plain_file(failure_file, MAX_TEXT_BYTES)
             reason = failure_file.read_text(encoding="utf-8").strip()
         state = "failed" if reason else "incomplete"
         return {"state": state, "outcome": "", "said": reason}
@@ -214,16 +221,24 @@ def step_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
         summary = store.read_table(ESTIMATION_SUMMARY, file)
         rates.append(float(summary["after"].iloc[0]))
 
-    stale = ""
-    for step in steps:
-        reasons = stale_reasons(run, step, settings)
-        if reasons:
-            stale = f"{step.relative_to(run).as_posix()}: {reasons[0]}"
-            break
     return {
         "date": min(dates, default=""),
         "iterations": len({step.parent for step in steps}),
         "best_E": max(rates, default=float("nan")),
         "seconds": float(sum(seconds)),
-        "stale": stale,
+        "stale": first_stale_reason(run, steps, settings),
     }
+
+
+def first_stale_reason(
+    run: Path, steps: Sequence[Path], settings: Mapping[str, Any]
+) -> str:
+    """Return the first stale step of a run, and why it is; empty if all are fresh."""
+    try:
+        with stored_plugins(settings, "config.json"):
+            for step in steps:
+                if reasons := stale_reasons(run, step, settings):
+                    return f"{step.relative_to(run).as_posix()}: {reasons[0]}"
+    except (UserError, PluginError) as error:
+        return str(error)
+    return ""

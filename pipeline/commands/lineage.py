@@ -16,6 +16,9 @@ from stringcast.pipeline.commands.stored_runs import enclosing_run, run_folder_o
 from stringcast.pipeline.settings.composition import flatten_settings
 from stringcast.pipeline.settings.stage_registry import stages
 
+# without one of them, a footer does not say what made its file
+PARTS_OF_ORIGIN = {"step", "seed", "inputs", "config", "code", "packages", "python"}
+
 
 def main(arguments: list[str]) -> int:
     """Print a tree of origins; return 0 if no input has changed."""
@@ -98,12 +101,13 @@ def origin_of_file(place: Path, run: Path) -> dict[str, Any]:
             if files:
                 break
     origin = store.read_origin(files[0]) if files else {}
-    return origin if "inputs" in origin else {}
+    return origin if origin.keys() >= PARTS_OF_ORIGIN else {}
 
 
 def describe_origin(origin: Mapping[str, Any]) -> list[str]:
     """Return lines with step, seed, the step's settings, code and packages."""
-    step, config, code = origin["step"], origin["config"], origin["code"]
+    step, config = origin["step"], origin["config"]
+    code = {"commit": "unknown", "source": "unknown"} | origin["code"]
     made_by = f"made by {step}, seed {origin['seed']}"
     if "made" in origin:
         made_by += f", {origin['made']['at']}, {origin['made']['seconds']:.1f} s"

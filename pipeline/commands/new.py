@@ -12,6 +12,7 @@ from stringcast.data.store import write_text
 from stringcast.pipeline.cli.terminal import Terminal, program_name
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.settings.composition import CONF_FOLDER, UserError
+from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.plugins import NAME_PATTERN
 
 DEFAULT_PLUGIN = Path("my_lab")
@@ -240,6 +241,10 @@ def main(arguments: Sequence[str]) -> int:
     for place in (*files, *places):
         if place.exists():
             raise UserError(f"{place}: it is there already. Choose another name.")
+    if options.kind == "stage" and options.name in stages():
+        raise UserError(
+            f"{options.name}: there is a stage of this name. Choose another name."
+        )
     for file, text in files.items():
         write_text(file, text)
     console = Terminal()

@@ -12,6 +12,8 @@ from typing import Any
 from stringcast.data import store
 from stringcast.data.compare import file_differences, folder_differences
 from stringcast.data.errors import escape_control_characters
+from stringcast.data.file_checks import read_json
+from stringcast.data.schema import DataError
 from stringcast.pipeline.cli.console import ProgressBar, progress_bars
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
@@ -150,7 +152,11 @@ def compare_summary(folder: Path, result: RunResult, comparison: Comparison) -> 
     if not path.is_file():
         faults.append("it is missing: the run has not ended; `resume` continues it")
     else:
-        stored = json.loads(path.read_text(encoding="utf-8"))
+        try:
+            stored = read_json(path)
+        except DataError as error:
+            comparison.note(SUMMARY_FILE, [str(error)])
+            return
         if stored != json.loads(json.dumps(run_summary(result))):
             faults.append("it differs from the summary of the steps")
     comparison.note(SUMMARY_FILE, faults)

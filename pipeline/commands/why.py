@@ -6,7 +6,7 @@ Files and settings are compared; no model is built.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from graphlib import TopologicalSorter
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,13 @@ def main(arguments: list[str]) -> int:
     chosen = place.resolve().relative_to(folder.resolve()).as_posix()
     settings = read_stored_settings(folder)
     use_stored_plugins(settings, str(folder / "config.json"))
-    states = step_states(settings, folder)
+    try:
+        states = step_states(settings, folder)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise UserError(
+            f"{folder / 'config.json'}: it does not hold the settings of a run "
+            f"({error!r}). Restore it; another version of this code may have made it."
+        ) from error
     names = [name for name in states if chosen in (".", name)]
     if not names:
         folders = ", ".join(sorted({stage.folder for stage in stages().values()}))
@@ -81,7 +87,8 @@ def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepStat
     makers = {stages()[name].folder: name for name in graph.stages}
     places: dict[str, Path] = {}
     for place in sorted(folder.glob("iterations/*/*")):
-        if place.is_dir() and place.name in folder_names:
+        is_step = place.name in folder_names and place.parent.name.isdecimal()
+        if place.is_dir() and is_step:
             places[place.relative_to(folder).as_posix()] = place
     inputs: dict[str, list[str]] = {}  # by the footers of the steps
     for name, place in places.items():
@@ -92,7 +99,14 @@ def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepStat
         inputs[name] = [path for path in paths if path in places]
 
     states: dict[str, StepState] = {}
-    for name in TopologicalSorter(inputs).static_order():
+    try:
+        ordered = [*TopologicalSorter(inputs).static_order()]
+    except CycleError as error:
+        raise DataError(
+            f"{folder}: by their footers, {' and '.join(error.args[1][1:])} were made "
+            "from each other. Remove them, and make them again."
+        ) from error
+    for name in ordered:
         place = places[name]
         reasons = stale_reasons(folder, place, settings)
         for path in inputs[name]:

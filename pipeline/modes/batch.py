@@ -117,7 +117,7 @@ class Batch(Stepwise):
         observations = tuple(data.trials.values())
         if self.reading:
             observations = tuple(
-                read_trial(history, data, name, self.reading, self.again)
+                read_trial(history, data, name, self.reading, self.again, self.stage)
                 for name in data.trials
             )
         else:

@@ -96,6 +96,8 @@ class Cast(Stepwise):
         iteration = history.iterations[-1]
         for name in self.stages:
             collected = collected_input(name)
+            if iteration.refusal_reason and history.lacking_input(name):
+                continue  # what was not learned is not used
             if not collected:
                 history.make_artifact(name)
             elif not iteration.refusal_reason:
@@ -109,7 +111,10 @@ def measure_hit(
     """Test whether the measured tip hit the target."""
     artifacts = iteration.artifacts
     motion: Motion = artifacts[graph.artifact_name(HIT_TEST.name, "motion")]
-    points: Points = artifacts[graph.artifact_name(HIT_TEST.name, "points")]
+    points = artifacts.get(graph.artifact_name(HIT_TEST.name, "points"))
+    if points is None:  # its stage was left out with an estimation
+        points = iteration.find(Points)
+    assert points is not None
     in_arm_frame = transform_to_arm_frame(points, experiment.model)
     return hit_test(
         in_arm_frame, experiment.target, experiment.obstacles, motion.duration

@@ -75,7 +75,7 @@ class EstimateTrials(Stepwise):
         observations = []
         for number, name in enumerate(fitted, start=1):
             observations.append(
-                read_trial(history, data, name, self.reading, self.again)
+                read_trial(history, data, name, self.reading, self.again, ESTIMATION)
             )
             first = 0
             if window != ALL_TRIALS:
@@ -88,7 +88,9 @@ class EstimateTrials(Stepwise):
             log_fit(history.iterations[-1])
 
         for name in sorted(data.trials.keys() - set(fitted)):
-            observation = read_trial(history, data, name, self.reading, self.again)
+            observation = read_trial(
+                history, data, name, self.reading, self.again, PREDICTION
+            )
             numbers = (len(history.iterations),)
             trials = TrialSet((observation,), iteration_numbers=numbers)
             history.make_artifact(PREDICTION, trials=trials)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from stringcast.data import dataset
 from stringcast.data.artifacts import Film, Observation, Points
+from stringcast.data.schema import DataError
 from stringcast.pipeline.run.experiment import Experiment
-from stringcast.pipeline.run.iterations import Executor, History
+from stringcast.pipeline.run.iterations import Executor, History, with_points
 from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.check.check import refuse_errors
@@ -57,6 +57,7 @@ def read_trial(
     name: str,
     reading: Sequence[str],
     again: bool,
+    consumer: str,
 ) -> Observation:
     """Return a trial with its points, in an iteration of its own.
 
@@ -73,22 +74,34 @@ def read_trial(
         there are no frames, or if points are stored.
     again : bool
         Read the frames again where points are stored.
+    consumer : str
+        Stage that takes the trial, with the points that are wired to it.
+
+    Raises
+    ------
+    DataError
+        For a stage that takes what is only made from frames, without frames.
     """
     stored, film = data.trials[name], data.films.get(name)
     reads_frames = film is not None and (stored.points.empty or again)
     given: dict[str, Any] = {STORED_FILM: film}
     if not reads_frames:
         points = Points(stored.points, stored.readings, stored.masks)
-        given = {name_of_read_points(reading): points}
+        given = dict.fromkeys(names_of_read_points(reading), points)
     iteration = history.begin_iteration(given=given)
     for stage in reading:
         if reads_frames or not takes_frames(stages()[stage]):
+            if lacking := history.lacking_input(stage):
+                raise DataError(
+                    f"{data.folder}: stage {stage} takes {lacking}, which is made from "
+                    f"frames, but of trial {name} the stored points are used. Leave "
+                    "the stage out of mode.reading, or read stored frames: "
+                    "mode.again=true."
+                )
             history.make_artifact(stage)
     if not iteration.artifacts:
         return stored
-    read = iteration.find(Points)
-    assert read is not None
-    return replace(stored, points=read.points, readings=read.readings, masks=read.masks)
+    return with_points(stored, history.wired_points(iteration, consumer))
 
 
 def takes_frames(stage: StageSpec) -> bool:
@@ -96,9 +109,12 @@ def takes_frames(stage: StageSpec) -> bool:
     return any(issubclass(Film, wanted.kind) for wanted in stage.inputs.values())
 
 
-def name_of_read_points(reading: Sequence[str]) -> str:
-    """Return the name under which points would be read from frames."""
-    for name in reading:
-        if takes_frames(stages()[name]):
-            return stages()[name].folder
-    return STORED_POINTS
+def names_of_read_points(reading: Sequence[str]) -> list[str]:
+    """Return the names under which points would be read from frames."""
+    specs = [stages()[name] for name in reading]
+    names = [
+        spec.folder
+        for spec in specs
+        if takes_frames(spec) and issubclass(spec.makes, Points)
+    ]
+    return names or [STORED_POINTS]

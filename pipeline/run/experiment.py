@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -20,6 +20,7 @@ from stringcast.pipeline.settings.composition import (
     Settings,
     UserError,
     flatten_settings,
+    group_files,
 )
 from stringcast.pipeline.settings.named_plugins import (
     import_plugins,
@@ -167,7 +168,13 @@ class Experiment:
         bound_function = self.stages.get(step.stage.name)
         seed = step.derive_seed(self.seed)
         call = StageCall(bound_function, self, seed, step.number, progress)
-        return load_object(step.stage.run)(call, **step.inputs)
+        made = load_object(step.stage.run)(call, **step.inputs)
+        if not isinstance(made, step.stage.makes):
+            raise UserError(
+                f"stage {step.stage.name}: {step.stage.run} returned "
+                f"{type(made).__name__}, not {step.stage.makes.__name__}. Correct it."
+            )
+        return made
 
 
 def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
@@ -211,12 +218,34 @@ def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
     functions = {
         name: bind_stage(config[name], name, where(name))
         for name in (*stages(), "hardware")
-        if name in config and set(config[name]) != {"inputs"}
+        if name in config and not holds_only_inputs(config[name])
     }
     mode = build_chosen(config["mode"], "mode", where("mode"))
     experiment = Experiment(config, model, target, tuple(obstacles), functions, mode)
     mode.check(experiment)
+    refuse_lacking_settings(mode.graph(config).stages, functions, where("mode"))
     return experiment
+
+
+def holds_only_inputs(block: Any) -> bool:
+    """Tell whether a stage's block names sources of its inputs and no function."""
+    return isinstance(block, Mapping) and set(block) == {"inputs"}
+
+
+def refuse_lacking_settings(
+    names: Iterable[str], functions: Mapping[str, Any], where: str
+) -> None:
+    """Raise UserError for a stage of a run that has no settings but needs a function.
+
+    Before anything moves: without its function, such a stage could not run.
+    """
+    for name in names:
+        if stages()[name].by and name not in functions:
+            options = [file.stem for file in group_files(name)] or ["..."]
+            raise UserError(
+                f"stage {name} ({where}): its settings are missing. "
+                f"Choose +{name}={' or '.join(options)}."
+            )
 
 
 def check_run_settings(config: Settings, where: BlockLocation) -> None:

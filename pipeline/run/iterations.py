@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -12,7 +12,7 @@ from stringcast.data.artifacts import Observation, Points, Trial
 from stringcast.pipeline.run.file_names import artifact_folder
 from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.settings.stage_registry import stages
-from stringcast.stages.spec import CollectedTrials, StageSpec
+from stringcast.stages.spec import CollectedTrials, SameIteration, StageSpec
 
 if TYPE_CHECKING:
     from stringcast.stages.hit_test import HitResult  # which loads SciPy
@@ -235,8 +235,46 @@ class History:
         made = self.iterations[number - 1].artifacts
         return [artifact_folder(number, name) for name in names if name in made]
 
+    def lacking_input(self, name: str) -> str:
+        """Return an input of a stage that the last iteration lacks, or nothing."""
+        current = self.iterations[-1]
+        available = current.given_artifacts | current.artifacts
+        for key, wanted in stages()[name].inputs.items():
+            is_needed = type(wanted) is SameIteration
+            if is_needed and self.graph.artifact_name(name, key) not in available:
+                return key
+        return ""
+
     def observe(self, iteration: Iteration, stage: str) -> Observation:
         """Return the trial of an iteration as it is wired to a stage."""
-        trial = iteration.artifacts[self.graph.artifact_name(stage, "trial")]
-        points = iteration.artifacts[self.graph.artifact_name(stage, "points")]
-        return iteration.observe(trial, points)
+        trial = self._wired_part(iteration, stage, Trial)
+        return iteration.observe(trial, self.wired_points(iteration, stage))
+
+    def wired_points(self, iteration: Iteration, stage: str) -> Points:
+        """Return the points of an iteration that are wired to a stage."""
+        return self._wired_part(iteration, stage, Points)
+
+    def _wired_part(
+        self, iteration: Iteration, stage: str, kind: type[ArtifactT]
+    ) -> ArtifactT:
+        """Return the artifact that a stage takes of a trial, else the last of a kind.
+
+        A stage need not take all parts of the trials.
+        """
+        available = iteration.given_artifacts | iteration.artifacts
+        for wanted in stages()[stage].inputs.values():
+            parts = wanted.parts if isinstance(wanted, CollectedTrials) else {}
+            for part in parts:
+                artifact = available.get(self.graph.artifact_name(stage, part))
+                if isinstance(artifact, kind):
+                    return artifact
+        last = iteration.find(kind)
+        assert last is not None
+        return last
+
+
+def with_points(observation: Observation, points: Points) -> Observation:
+    """Return an observation with other points."""
+    return replace(
+        observation, points=points.points, readings=points.readings, masks=points.masks
+    )

@@ -24,10 +24,10 @@ from stringcast.data import store
 from stringcast.data.schema import DataError
 from stringcast.pipeline.run.file_names import artifact_folder
 from stringcast.pipeline.run.iterations import Step
-from stringcast.pipeline.run.stage_graph import StageGraph
+from stringcast.pipeline.run.stage_graph import INPUTS_SETTING, StageGraph
 from stringcast.pipeline.settings.composition import UserError, flatten_settings
 from stringcast.pipeline.settings.stage_registry import stages
-from stringcast.stages.plugins import plugin_sources
+from stringcast.stages.plugins import plugin_folders, plugin_sources
 
 PROJECT_FOLDER = Path(__file__).resolve().parents[2]
 RECORDED_PACKAGES = (
@@ -86,12 +86,17 @@ def software_versions() -> dict[str, dict[str, str]]:
 package_version = cache(version)  # reads a file each time
 
 
-@cache
 def code_state() -> dict[str, str]:
     """Return the commit, followed by + if sources have changed, and a source hash.
 
     The hash covers the sources of the package and of all plugins.
     """
+    return code_state_with(tuple(plugin_folders().values()))
+
+
+@cache
+def code_state_with(plugins: tuple[Path, ...]) -> dict[str, str]:
+    """Return the state of the code while the plugins in these folders are named."""
     sources = plugin_sources()
     for folder in CODE_FOLDERS:
         for file in (PROJECT_FOLDER / folder).rglob("*.py"):
@@ -164,11 +169,13 @@ def load_step_with_staleness(
         reasons.append(f"{damaged} is damaged")
     if getattr(artifact, "was_interrupted", False):
         reasons.append("it was interrupted")
-    stored, current = (
-        store.read_origin(step_folder),
-        current_origin(config, folder, step),
-    )
-    reasons += origin_changes(stored, current, step.stage.uses)
+    stored = store.read_origin(step_folder)
+    current = current_origin(config, folder, step)
+    counting = (*step.stage.uses, f"{step.stage.name}.{INPUTS_SETTING}")
+    try:
+        reasons += origin_changes(stored, current, counting)
+    except KeyError as error:
+        reasons.append(f"{error} is missing in what is said of its origin")
     return StoredStep(artifact, tuple(reasons))
 
 
@@ -265,10 +272,19 @@ def origin_changes(
 def decisive_values(origin: Mapping[str, Any], uses: Sequence[str]) -> dict[str, Any]:
     """Return all parts of an origin that decide about the artifact, by name."""
     values = {f"input {name}": digest for name, digest in origin["inputs"].items()}
-    values |= flatten_settings({name: origin["config"].get(name) for name in uses})
+    for name in uses:
+        values |= flatten_settings(setting_of(origin["config"], name), name)
     values[CODE_NAME] = origin["code"]["source"]
     values |= {f"package {name}": v for name, v in origin["packages"].items()}
     return values | {"Python": origin["python"]}
+
+
+def setting_of(config: Mapping[str, Any], name: str) -> Any:
+    """Return a setting by its full name, such as `estimate.inputs`; None without it."""
+    value: Any = config
+    for part in name.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
 
 
 def differing_values(

@@ -143,6 +143,9 @@ class RunFolder:
         A dataset that holds these trials already stays: no reader of a finished run is
         to see fewer of them.
         """
+        iterations = [each for each in iterations if each.measurement_names]
+        if not iterations:
+            return
         hashes = trial_hashes(self.folder, iterations)
         try:
             holds_trials = True

@@ -173,7 +173,13 @@ def ports_of(stage: StageSpec) -> Iterator[Port]:
 def chosen_sources(stage: StageSpec, config: Settings) -> dict[str, str]:
     """Return the setting `inputs` of a stage; raise UserError for unknown inputs."""
     setting = f"{stage.name}.{INPUTS_SETTING}"
-    chosen = (config.get(stage.name) or {}).get(INPUTS_SETTING) or {}
+    block = config.get(stage.name) or {}
+    if not isinstance(block, Mapping):
+        raise UserError(
+            f"{stage.name} = {block!r}: it must hold the settings of stage "
+            f"{stage.name}. Choose {stage.name}=..."
+        )
+    chosen = block.get(INPUTS_SETTING) or {}
     if not isinstance(chosen, Mapping):
         raise UserError(
             f"{setting} = {chosen!r}: it must hold names of inputs, each with the "

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,8 @@ def name_plugins(overrides: Sequence[str]) -> None:
     UserError, PluginError
         For a value that is no list of folders, and for folders that cannot be used.
     """
-    words = [word for word in overrides if word.startswith(f"{PLUGINS_SETTING}=")]
+    start = f"{PLUGINS_SETTING}="
+    words = [word for word in overrides if word.lstrip("+").startswith(start)]
     for override in OverridesParser.create().parse_overrides(words):
         value = override.value()
         text = str(override.input_line)
@@ -52,6 +54,12 @@ def name_plugins(overrides: Sequence[str]) -> None:
                 f"{text}: this is a list of folders. "
                 f"Try: {shlex.quote(f'{PLUGINS_SETTING}=[{folders}]')}"
             )
+        for folder in map(str, value):
+            if os.pathsep in folder or not is_path(folder):
+                raise UserError(
+                    f"plugin {folder}: the path may not hold {os.pathsep!r}, which "
+                    f"separates paths in {PLUGINS_VARIABLE}. Rename the folder."
+                )
         set_plugins([*named_folders(), *map(str, value)])
 
 
@@ -83,7 +91,7 @@ def require_named_plugins(settings: Settings, where: str) -> list[str]:
     """
     stored: Any = settings.get(PLUGINS_SETTING, [])
     is_list = isinstance(stored, list)
-    if not is_list or not all(isinstance(text, str) for text in stored):
+    if not is_list or not all(is_path(text) for text in stored):
         raise UserError(
             f"{PLUGINS_SETTING} = {stored!r} ({where}): it must be a list of folders. "
             "Change it."
@@ -101,11 +109,27 @@ def require_named_plugins(settings: Settings, where: str) -> list[str]:
     return [str(named[Path(text).resolve().name]) for text in stored]
 
 
+def is_path(value: Any) -> bool:
+    """Tell whether a value may be a path."""
+    return isinstance(value, str) and "\0" not in value
+
+
 def use_stored_plugins(settings: Settings, where: str) -> None:
     """Use exactly the plugins of a stored run, which this person must have named."""
     folders = require_named_plugins(settings, where)
     if folders != named_folders():
         set_plugins(folders)
+
+
+@contextmanager
+def stored_plugins(settings: Settings, where: str) -> Iterator[None]:
+    """Use exactly the plugins of a stored run, then again all that are named."""
+    before = named_folders()
+    try:
+        use_stored_plugins(settings, where)
+        yield
+    finally:
+        set_plugins(before)
 
 
 def import_plugins() -> None:

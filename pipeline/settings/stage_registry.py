@@ -9,18 +9,18 @@ from __future__ import annotations
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import UnionType
 
 from stringcast import stages as package
+from stringcast.pipeline.settings.composition import CONF_FOLDER
 from stringcast.stages.plugins import (
+    NAME_PATTERN,
     PluginError,
     import_plugin_module,
     plugin_files,
     plugin_folders,
 )
-
-if TYPE_CHECKING:
-    from stringcast.stages.spec import StageSpec
+from stringcast.stages.spec import Input, StageSpec
 
 STAGES_FOLDER = Path(package.__path__[0])
 
@@ -36,6 +36,26 @@ def stages() -> dict[str, StageSpec]:
     return _load_stages(tuple(plugin_folders().values()))
 
 
+def refuse_wrong_description(stage: StageSpec, file: Path) -> None:
+    """Raise PluginError for a plugin's stage with a part of another type."""
+    wanted = "a name of small letters, digits and _"
+    faults = []
+    for part in (stage.name, stage.folder):
+        if not (isinstance(part, str) and NAME_PATTERN.fullmatch(part)):
+            faults.append(f"{part!r} must be {wanted}")
+    if not hasattr(stage.makes, "TABLES") or not isinstance(stage.makes, type):
+        faults.append(f"makes = {stage.makes!r} must be a dataclass with TABLES")
+    for name, taken in stage.inputs.items():
+        kind = getattr(taken, "kind", None)
+        if not isinstance(taken, Input) or not isinstance(kind, type | UnionType):
+            faults.append(
+                f"its input {name} must be a class in SameIteration, LatestIteration "
+                "or CollectedTrials"
+            )
+    if faults:
+        raise PluginError(f"{file}: {faults[0]}. Correct STAGE; see stages/README.md.")
+
+
 @cache
 def _load_stages(plugins: tuple[Path, ...]) -> dict[str, StageSpec]:
     """Load the stages of the package and of the plugins in these folders."""
@@ -49,14 +69,20 @@ def _load_stages(plugins: tuple[Path, ...]) -> dict[str, StageSpec]:
     artifact_folders = {stage.folder for stage in found.values()}
     for file, module in plugin_files("stages/*/__init__.py").items():
         stage = getattr(import_plugin_module(module), "STAGE", None)
-        if not isinstance(stage, type(found["estimate"])):
+        if not isinstance(stage, StageSpec):
             raise PluginError(
                 f"{file}: it must define STAGE, a StageSpec. See stages/README.md."
             )
+        refuse_wrong_description(stage, file)
         if stage.name in found or stage.folder in artifact_folders:
             raise PluginError(
                 f"{file}: there is already a stage {stage.name!r}, or one with the "
                 f"folder {stage.folder!r}. Rename this one."
+            )
+        if (CONF_FOLDER / stage.name).is_dir():
+            raise PluginError(
+                f"{file}: the settings {stage.name!r} are of something else than this "
+                "stage. Rename the stage."
             )
         found[stage.name] = stage
         artifact_folders.add(stage.folder)

@@ -46,6 +46,9 @@ def bind_stage(block: Settings, place: str, where: str) -> Callable[..., Any]:
     UserError
         For a name or value that the function does not take.
     """
+    if not isinstance(block, Mapping) or "_target_" not in block:
+        remedy = f"it must hold `_target_` and its settings. Choose +{place}=..."
+        raise UserError(f"{place} = {block!r} ({where}): {remedy}")
     function = load_callable(block["_target_"], place, where)
     types = setting_types(function)
     given = {name: value for name, value in block.items() if name not in RUN_SETTINGS}

@@ -2,18 +2,24 @@
 
 import json
 
+import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from stringcast.data.errors import ExpectedError
 from stringcast.data.schema import DataError
-from stringcast.data.store import read_origin
+from stringcast.data.store import images_not_kept, read_origin
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import load_command
 from stringcast.pipeline.commands.index import neutralise_formula
+from stringcast.pipeline.commands.verify import verify_run
 from stringcast.pipeline.run import report
 from stringcast.pipeline.run.single_run import perform_run
+from stringcast.pipeline.settings.composition import UserError
 from tests.faults.toy import toy_experiment, toy_run
+from tests.pipeline.test_frames_not_kept import silent
 
 
 @pytest.fixture
@@ -120,3 +126,69 @@ def test_a_page_that_fails_costs_the_page_alone(tmp_path, monkeypatch, capsys):
     assert (folder / "run.json").exists()
     assert "no such colour" in (folder / "run.log").read_text()
     assert not (folder / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"hardware": None},
+        {"seed": None},
+        {"trials": 5},
+        {"mode": 5},
+        {"estimate": 5},
+        {"plugins": ["a\0b"]},
+    ],
+)
+def test_settings_of_another_shape_are_one_error(run, change):
+    config = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps(config | change))
+    with pytest.raises(ExpectedError):
+        load_command("why")([str(run)])
+    assert load_command("index")([str(run.parent)]) == 0
+
+
+def test_steps_made_from_each_other_are_one_error(run):
+    inputs = {"inputs": {"iterations/01/estimate": "a"}}
+    for table in (run / "iterations/01/points").glob("*.parquet"):
+        rewrite_origin(table, lambda origin: json.dumps(origin | inputs))
+    with pytest.raises(DataError, match="were made from each other"):
+        load_command("why")([str(run)])
+
+
+def test_a_folder_that_is_no_iteration_is_left_out(run):
+    (run / "iterations/01").rename(run / "iterations/xx")
+    with pytest.raises(UserError, match="there is no such step"):
+        load_command("why")([str(run)])
+
+
+@pytest.mark.parametrize("part", ["step", "seed", "config", "packages", "python"])
+def test_a_footer_that_lacks_a_part_is_no_traceback(run, part):
+    step = run / "iterations/01/estimate"
+    for table in step.glob("*.parquet"):
+        rewrite_origin(
+            table,
+            lambda origin: json.dumps({k: v for k, v in origin.items() if k != part}),
+        )
+    assert load_command("lineage")([str(step / "fit.parquet")]) == 0
+    is_compared = part in ("config", "packages", "python")
+    made, _ = toy_run(run, toy_experiment(1))
+    assert made == (["estimate"] if is_compared else [])
+
+
+def test_a_few_bytes_that_stand_for_many_frames_are_refused(run):
+    trial = run / "iterations/01/trial"
+    frames = pd.DataFrame({"file": ["a"], "sha256": ["b"]})
+    many = pa.Table.from_pandas(frames).take(pa.array(np.zeros(20_000_000, int)))
+    pq.write_table(many, trial / "frames.parquet")
+    assert (trial / "frames.parquet").stat().st_size < 1_000_000
+    with pytest.raises(DataError, match="would take"):
+        images_not_kept(trial)
+
+
+def test_a_damaged_summary_is_a_line_of_verify(run, tmp_path):
+    (run / "run.json").write_text("{")
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    outcome = verify_run(toy_experiment(1), run, scratch, silent)
+    assert not outcome.is_same
+    assert "damaged" in outcome.lines[-1]

@@ -25,7 +25,7 @@ from stringcast.pipeline.commands.stored_runs import walk_steps
 from stringcast.pipeline.commands.verify import verify_run
 from stringcast.pipeline.modes import Batch, Calibrate
 from stringcast.pipeline.run import provenance
-from stringcast.pipeline.run.provenance import code_state
+from stringcast.pipeline.run.provenance import code_state, code_state_with
 from stringcast.pipeline.settings.composition import UserError
 from tests.faults.toy import contents, rows, toy_experiment, toy_run
 
@@ -201,9 +201,9 @@ def test_plugins_are_part_of_the_code(plugin):
     for text in ("", "a = 1\n", "a = 2\n"):
         if text:
             (plugin / "helpers.py").write_text(text)
-        code_state.cache_clear()
+        code_state_with.cache_clear()
         digests.add(code_state()["source"])
-    code_state.cache_clear()
+    code_state_with.cache_clear()
     assert len(digests) == 3
 
 

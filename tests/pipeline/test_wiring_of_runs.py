@@ -1,0 +1,201 @@
+"""Runs with stages of a plugin, where the wiring or a description is odd."""
+
+import os
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from stringcast.data.artifacts import Film, Motion, Observation, Points, Trial
+from stringcast.data.schema import DataError
+from stringcast.pipeline.commands import load_command, new
+from stringcast.pipeline.modes import Cast
+from stringcast.pipeline.modes.stored_trials import STORED_ARTIFACTS, read_trial
+from stringcast.pipeline.run.experiment import refuse_lacking_settings
+from stringcast.pipeline.run.iterations import History
+from stringcast.pipeline.run.provenance import (
+    code_state,
+    origin_changes,
+    step_origin,
+)
+from stringcast.pipeline.run.stage_graph import build_graph
+from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.stage_registry import stages
+from stringcast.pipeline.settings.typed_settings import bind_stage
+from stringcast.stages import spec
+from stringcast.stages.plugins import PLUGINS_VARIABLE, PluginError, plugin_sources
+from stringcast.stages.spec import SameIteration
+from tests.faults.toy import rows, toy_experiment, toy_run
+from tests.pipeline.test_stage_graph import CAST, SMOOTH, run_smooth
+
+
+@pytest.fixture
+def smooth(monkeypatch):
+    """Register a stage that moves all points."""
+    monkeypatch.setitem(stages(), "smooth", SMOOTH)
+    monkeypatch.setattr(spec, "toy_smooth", run_smooth, raising=False)
+
+
+def stored_run(tmp_path):
+    folder = tmp_path / "stored"
+    toy_run(folder, toy_experiment(1))
+    return folder
+
+
+class Maker:
+    """An executor that makes what stages of a graph return."""
+
+    def obtain(self, step):
+        setup = SimpleNamespace(config={"smooth": {"by": 9.0}})
+        return run_smooth(SimpleNamespace(setup=setup), step.inputs["points"])
+
+
+def read_stored(reading, config, film=None):
+    """Read a stored trial of one point through stages, as the estimation takes it."""
+    point = rows(Points.TABLES["points"], 1, x=[1.0], valid=[True])
+    tables = point, *(rows(Points.TABLES[name]) for name in ("readings", "masks"))
+    trial = Observation("a", *tables, arm=rows(Trial.TABLES["arm"]))
+    data = SimpleNamespace(trials={"a": trial}, films={"a": film}, folder="my trials")
+    graph = build_graph([*reading, "estimate", "predict"], config, STORED_ARTIFACTS)
+    history = History(Maker(), graph=graph)
+    return read_trial(history, data, "a", reading, False, "estimate")
+
+
+@pytest.mark.parametrize(("inputs", "x"), [({}, 10.0), ({"points": "extract"}, 1.0)])
+def test_points_of_stored_trials_are_those_that_are_wired(smooth, inputs, x):
+    config = {"estimate": {"inputs": inputs}}
+    observation = read_stored(("extract", "smooth"), config)
+    assert observation.points["x"].iloc[0] == x
+
+
+def test_a_stage_that_lacks_what_is_made_from_frames_is_one_error(smooth, monkeypatch):
+    film = SameIteration(Trial | Film)
+    weigh = replace(SMOOTH, name="weigh", makes=Motion, folder="weights")
+    both = {"points": SameIteration(Points), "weights": SameIteration(Motion)}
+    monkeypatch.setitem(stages(), "weigh", replace(weigh, inputs={"trial": film}))
+    monkeypatch.setitem(stages(), "apply", replace(SMOOTH, name="apply", inputs=both))
+    for reading in (("weigh", "extract", "apply"), ("extract", "weigh", "apply")):
+        with pytest.raises(DataError, match=r"apply takes weights, .*mode\.again=true"):
+            read_stored(reading, {})
+
+
+def test_what_follows_an_estimation_is_left_out_with_it(smooth, tmp_path, monkeypatch):
+    judge = replace(SMOOTH, name="judge", folder="judged", is_end=True)
+    inputs = {"estimate": SameIteration(stages()["estimate"].makes)}
+    monkeypatch.setitem(stages(), "judge", replace(judge, inputs=inputs))
+    here = toy_experiment(1, mode=Cast(stages=(*CAST, "judge")))
+    film = here.stages["execute"]
+
+    def fails(*given, **how):
+        trial = film(*given, **how)
+        link = trial.link.assign(valid=False, reason="the link was lost")
+        return replace(trial, link=link)
+
+    here = replace(here, stages={**here.stages, "execute": fails})
+    toy_run(tmp_path / "run", here)
+    made = {path.name for path in (tmp_path / "run/iterations/01").iterdir()}
+    assert made == {"motion", "trial", "points"}
+
+
+def test_a_stage_without_its_settings_is_refused_before_anything_runs(monkeypatch):
+    with pytest.raises(UserError, match=r"estimate \(conf/mode\): its settings are"):
+        refuse_lacking_settings(("estimate",), {}, "conf/mode")
+    with pytest.raises(UserError, match=r"must hold `_target_`"):
+        bind_stage({"shift": 1}, "smooth", "conf")
+    with pytest.raises(UserError, match="estimate = 5: it must hold"):
+        build_graph(CAST, {"estimate": 5}, {})
+
+
+def test_another_wiring_of_the_same_inputs_is_stale():
+    stored, current = (
+        step_origin({"both": {"inputs": {"a": a, "b": b}}}, "both", 1, {"x": "1"})
+        for a, b in (("extract", "smooth"), ("smooth", "extract"))
+    )
+    lines = [*origin_changes(stored, current, ("both.inputs",))]
+    assert lines == [
+        "both.inputs.a extract -> smooth",
+        "both.inputs.b smooth -> extract",
+    ]
+
+
+def test_an_artifact_of_another_type_is_one_error(smooth, tmp_path, monkeypatch):
+    monkeypatch.setattr(spec, "toy_smooth", lambda call, points: 5)
+    here = toy_experiment(1, mode=Cast(stages=(*CAST[:3], "smooth", "estimate")))
+    with pytest.raises(UserError, match=r"smooth: .*returned int, not Points"):
+        toy_run(tmp_path / "run", here)
+
+
+# --- plugins
+
+DESCRIPTION = """
+from stringcast.data.artifacts import Points
+from stringcast.stages.spec import SameIteration, StageSpec
+
+STAGE = StageSpec(
+    name={name!r}, makes={makes}, folder={folder!r}, uses=(), run="run",
+    inputs={{"points": {points}}},
+)
+"""
+RIGHT = {
+    "name": "mine",
+    "makes": "Points",
+    "folder": "mine",
+    "points": "SameIteration(Points)",
+}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"folder": "../../mine"}, "'../../mine' must be a name"),
+        ({"makes": "'Points'"}, "makes = 'Points' must be a dataclass with TABLES"),
+        ({"points": "Points"}, "its input points must be a class in SameIteration"),
+        ({"points": "SameIteration('Points')"}, "its input points must be a class"),
+        ({"name": "arm"}, "the settings 'arm' are of something else"),
+    ],
+)
+def test_a_wrong_description_of_a_stage_is_one_error(
+    tmp_path, monkeypatch, wrong, message
+):
+    file = tmp_path / "wrong_lab/stages/mine/__init__.py"
+    file.parent.mkdir(parents=True)
+    file.write_text(DESCRIPTION.format(**RIGHT | wrong))
+    monkeypatch.setenv(PLUGINS_VARIABLE, str(tmp_path / "wrong_lab"))
+    with pytest.raises(PluginError, match=message):
+        stages()
+
+
+def test_linked_folders_of_a_plugin_are_part_of_its_code(tmp_path, monkeypatch):
+    lab, elsewhere = tmp_path / "linked_lab", tmp_path / "elsewhere"
+    (elsewhere / "mine").mkdir(parents=True)
+    (elsewhere / "mine/helper.py").write_text("a = 1\n")
+    lab.mkdir()
+    (lab / "stages").symlink_to(elsewhere)
+    (lab / "again").symlink_to(lab)  # no endless walk
+    monkeypatch.setenv(PLUGINS_VARIABLE, str(lab))
+    assert [*plugin_sources()] == ["plugins.linked_lab stages/mine/helper.py"]
+
+
+def test_the_code_counts_with_the_plugins_that_are_named_now(tmp_path, monkeypatch):
+    (tmp_path / "late_lab").mkdir()
+    (tmp_path / "late_lab/helper.py").write_text("a = 1\n")
+    before = code_state()["source"]
+    monkeypatch.setenv(PLUGINS_VARIABLE, str(tmp_path / "late_lab"))
+    assert code_state()["source"] != before
+
+
+def test_index_and_why_agree_whatever_plugins_are_named(tmp_path, monkeypatch, capsys):
+    run = stored_run(tmp_path)
+    (tmp_path / "other_lab").mkdir()
+    (tmp_path / "other_lab/helper.py").write_text("a = 1\n")
+    monkeypatch.setenv(PLUGINS_VARIABLE, str(tmp_path / "other_lab"))
+    table = tmp_path / "runs.csv"
+    assert load_command("index")([str(run), "--to", str(table)]) == 0
+    assert "the code" not in table.read_text()
+    assert os.environ[PLUGINS_VARIABLE] == str(tmp_path / "other_lab")
+    assert load_command("why")([str(run)]) == 0
+
+
+def test_a_new_stage_is_not_named_like_one_of_the_package(tmp_path):
+    with pytest.raises(UserError, match="predict: there is a stage of this name"):
+        new.main(["stage", "predict", "--to", str(tmp_path / "lab")])
