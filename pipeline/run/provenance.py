@@ -27,7 +27,7 @@ from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.run.stage_graph import INPUTS_SETTING, StageGraph
 from stringcast.pipeline.settings.composition import UserError, flatten_settings
 from stringcast.pipeline.settings.stage_registry import stages
-from stringcast.stages.plugins import plugin_folders, plugin_sources
+from stringcast.stages.plugins import PLUGIN_PREFIX, plugin_folders, plugin_sources
 
 PROJECT_FOLDER = Path(__file__).resolve().parents[2]
 RECORDED_PACKAGES = (
@@ -171,7 +171,9 @@ def load_step_with_staleness(
         reasons.append("it was interrupted")
     stored = store.read_origin(step_folder)
     current = current_origin(config, folder, step)
-    counting = (*step.stage.uses, f"{step.stage.name}.{INPUTS_SETTING}")
+    counting = [*step.stage.uses, f"{step.stage.name}.{INPUTS_SETTING}"]
+    if step.stage.run.startswith(PLUGIN_PREFIX):
+        counting.append("seed")  # it is given one, whether it says so or not
     try:
         reasons += origin_changes(stored, current, counting)
     except KeyError as error:
@@ -239,9 +241,20 @@ def input_hashes(
         path = path.resolve()
         is_allowed = any(path.is_relative_to(allowed) for allowed in allowed_folders)
         is_step = path.is_dir() and path.is_relative_to(allowed_folders[0])
-        if is_allowed and (is_step or path.is_file()):
+        is_film = is_allowed and path.is_dir() and holds_frames_of(path, trials)
+        if is_allowed and (is_step or is_film or path.is_file()):
             hashes[name] = store.content_hash(path)
     return hashes
+
+
+def holds_frames_of(folder: Path, trials: str | None) -> bool:
+    """Tell whether a folder of a dataset may hold frames: it has no folders itself.
+
+    Of another folder, which somebody else's settings may name, nothing is read.
+    """
+    if trials is None or not (Path(trials) / "dataset.yaml").is_file():
+        return False
+    return not any(path.is_dir() for path in folder.iterdir())
 
 
 def origin_changes(

@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -12,9 +13,11 @@ from stringcast.pipeline.commands import load_command, new
 from stringcast.pipeline.modes import Cast
 from stringcast.pipeline.modes.stored_trials import STORED_ARTIFACTS, read_trial
 from stringcast.pipeline.run.experiment import refuse_lacking_settings
-from stringcast.pipeline.run.iterations import History
+from stringcast.pipeline.run.iterations import History, Step
 from stringcast.pipeline.run.provenance import (
     code_state,
+    input_hashes,
+    load_step_with_staleness,
     origin_changes,
     step_origin,
 )
@@ -199,3 +202,23 @@ def test_index_and_why_agree_whatever_plugins_are_named(tmp_path, monkeypatch, c
 def test_a_new_stage_is_not_named_like_one_of_the_package(tmp_path):
     with pytest.raises(UserError, match="predict: there is a stage of this name"):
         new.main(["stage", "predict", "--to", str(tmp_path / "lab")])
+
+
+def test_frames_of_stored_trials_are_inputs_that_are_still_there(tmp_path):
+    run = stored_run(tmp_path)
+    frames = str(run / "iterations/01/trial/images")
+    assert [*input_hashes(tmp_path / "new", [frames], str(run))] == [frames]
+    (run / "dataset.yaml").unlink()  # somebody's settings name any folder
+    assert not input_hashes(tmp_path / "new", [frames], str(run))
+
+
+def test_a_seed_counts_for_a_stage_of_a_plugin(smooth, tmp_path, monkeypatch):
+    order = (*CAST[:3], "smooth", "estimate")
+    here = toy_experiment(1, mode=Cast(stages=order), smooth={"by": 1.0})
+    toy_run(tmp_path, here)
+    step = Step(stages()["smooth"], 1, {}, (Path("iterations/01/points"),))
+    other = {**here.config, "seed": here.seed + 1}
+    assert not load_step_with_staleness(other, tmp_path, step).stale_reasons
+    owned = replace(SMOOTH, run="plugins.mine.stages.smooth.run")
+    stored = load_step_with_staleness(other, tmp_path, replace(step, stage=owned))
+    assert stored.stale_reasons == (f"seed {here.seed} -> {here.seed + 1}",)
