@@ -265,6 +265,7 @@ def content_hash(path: Path) -> str:
     digests = {}
     for file in path.rglob("*"):
         if file.is_file():
+            file_checks.require_plain_file(file, file_checks.MAX_TABLE_BYTES)
             digests[file.relative_to(path).as_posix()] = _file_hash(file)
     for name, recorded in _image_digests(path).items():
         digests.setdefault(name, recorded)
@@ -312,9 +313,11 @@ def _image_digests(folder: Path) -> dict[str, str]:
 def damaged_image(folder: Path) -> str:
     """Return the file of a trial's first image that is not as recorded, or nothing."""
     for name, recorded in _image_digests(folder).items():
-        is_there = file_checks.is_file_inside(folder, name)
-        if is_there and _file_hash(folder / name) != recorded:
-            return name
+        if file_checks.is_file_inside(folder, name):
+            file = folder / name
+            file_checks.require_plain_file(file, file_checks.MAX_TABLE_BYTES)
+            if _file_hash(file) != recorded:
+                return name
     return ""
 
 

@@ -192,3 +192,10 @@ def test_a_damaged_summary_is_a_line_of_verify(run, tmp_path):
     outcome = verify_run(toy_experiment(1), run, scratch, silent)
     assert not outcome.is_same
     assert "damaged" in outcome.lines[-1]
+
+
+def test_a_frame_that_hardly_ends_is_not_read(run, capsys):
+    with (run / "iterations/01/trial/images/1.png").open("wb") as file:
+        file.truncate(2**40)  # sparse: it takes no space
+    assert load_command("why")([str(run)]) == 1
+    assert "Make it smaller" in capsys.readouterr().out
