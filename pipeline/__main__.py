@@ -90,7 +90,7 @@ def cli() -> None:
         if words and words[0] in COMMAND_NAMES:
             sys.exit(run_command(words[0], words[1:]))
         overrides = [word for word in words if "=" in word and not word.startswith("-")]
-        if any(word.startswith(PLUGINS_WORD) for word in overrides):
+        if any(word.lstrip("+").startswith(PLUGINS_WORD) for word in overrides):
             named_plugins = import_module("stringcast.pipeline.settings.named_plugins")
             named_plugins.name_plugins(overrides)
         refuse_mistakes(words)

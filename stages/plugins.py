@@ -92,7 +92,11 @@ def plugin_files(pattern: str) -> dict[Path, str]:
 
 
 def plugin_sources() -> dict[str, Path]:
-    """Return all Python files of all plugins, by the plugin's name and their paths."""
+    """Return all files of all plugins, by the plugin's name and their paths.
+
+    Data files count as well as code: a stage may read them. Hidden files and compiled
+    ones are left out.
+    """
     sources = {}
     for name, folder in plugin_folders().items():
         # links of folders are followed, as an import follows them
@@ -100,10 +104,10 @@ def plugin_sources() -> dict[str, Path]:
             if is_inside_itself(Path(place)):
                 folders.clear()
                 continue
-            folders[:] = [name for name in folders if not name.startswith(".")]
+            folders[:] = [f for f in folders if not f.startswith((".", "__pycache__"))]
             for file in files:
                 path = Path(place, file)
-                if path.suffix == ".py" and not file.startswith("."):
+                if path.is_file() and not file.startswith("."):
                     relative = path.relative_to(folder).as_posix()
                     sources[f"{PLUGIN_PREFIX}{name} {relative}"] = path
     return sources

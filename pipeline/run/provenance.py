@@ -41,6 +41,7 @@ RECORDED_PACKAGES = (
     "cmaes",
     "pydantic",
 )
+MAX_SOURCE_BYTES = 2**26  # [bytes] of a file of a plugin whose content counts
 CODE_FOLDERS = ("data", "hardware", "pipeline", "stages")
 VIRTUAL_LAB_PREFIX = "hardware.virtual."  # its trials can be repeated bit by bit
 ABSENT_VALUE = "absent"
@@ -103,12 +104,18 @@ def code_state_with(plugins: tuple[Path, ...]) -> dict[str, str]:
             sources[file.relative_to(PROJECT_FOLDER).as_posix()] = file
     digest = hashlib.sha256()
     for name in sorted(sources):
-        digest.update(name.encode() + b"\0" + sources[name].read_bytes())
+        digest.update(name.encode() + b"\0" + source_content(sources[name]))
     commit = git_output("rev-parse", "HEAD").strip() or "unknown"
     changes = git_output("status", "--porcelain", "--", *CODE_FOLDERS)
     if any(line.endswith(".py") for line in changes.splitlines()):
         commit += "+"
     return {"commit": commit, "source": digest.hexdigest()}
+
+
+def source_content(file: Path) -> bytes:
+    """Return the content of a file of code, or the size of a large data file."""
+    size = file.stat().st_size
+    return file.read_bytes() if size <= MAX_SOURCE_BYTES else f"{size} bytes".encode()
 
 
 def git_output(*arguments: str) -> str:

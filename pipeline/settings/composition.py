@@ -72,7 +72,14 @@ def _compose_cached(overrides: tuple[str, ...], folders: tuple[Path, ...]) -> An
     # Hydra takes 0.1 s, and each job of a study composes the same settings.
     refuse_repeated_settings(overrides)
     with initialize_config_dir(str(CONF_FOLDER), version_base="1.3"):
-        return OmegaConf.to_container(compose("config", list(overrides)))
+        try:
+            return OmegaConf.to_container(compose("config", list(overrides)))
+        except ValueError as error:
+            fault = " ".join(str(error).split())
+            raise UserError(
+                f"{' '.join(overrides)}: these settings do not fit together ({fault}). "
+                "Correct them."
+            ) from error
 
 
 def given_names(overrides: Iterable[str]) -> set[str]:

@@ -12,10 +12,12 @@ from stringcast.data.schema import DataError
 from stringcast.pipeline.commands import load_command, new
 from stringcast.pipeline.modes import Cast
 from stringcast.pipeline.modes.stored_trials import STORED_ARTIFACTS, read_trial
+from stringcast.pipeline.run import provenance
 from stringcast.pipeline.run.experiment import refuse_lacking_settings
 from stringcast.pipeline.run.iterations import History, Step
 from stringcast.pipeline.run.provenance import (
     code_state,
+    code_state_with,
     input_hashes,
     load_step_with_staleness,
     origin_changes,
@@ -177,6 +179,26 @@ def test_linked_folders_of_a_plugin_are_part_of_its_code(tmp_path, monkeypatch):
     (lab / "again").symlink_to(lab)  # no endless walk
     monkeypatch.setenv(PLUGINS_VARIABLE, str(lab))
     assert [*plugin_sources()] == ["plugins.linked_lab stages/mine/helper.py"]
+
+
+def test_data_files_of_a_plugin_count_as_its_code(tmp_path, monkeypatch):
+    table = tmp_path / "data_lab/stages/mine/offsets.csv"
+    table.parent.mkdir(parents=True)
+    monkeypatch.setenv(PLUGINS_VARIABLE, str(tmp_path / "data_lab"))
+    digests = set()
+    for text in ("1.0", "2.0", "3.00"):
+        table.write_text(text)
+        code_state_with.cache_clear()
+        digests.add(code_state()["source"])
+    assert len(digests) == 3
+    monkeypatch.setattr(provenance, "MAX_SOURCE_BYTES", 2)  # then the size counts
+    table.write_text("4.00")
+    code_state_with.cache_clear()
+    fourth = code_state()["source"]
+    table.write_text("5.00")
+    code_state_with.cache_clear()
+    assert code_state()["source"] == fourth
+    code_state_with.cache_clear()
 
 
 def test_the_code_counts_with_the_plugins_that_are_named_now(tmp_path, monkeypatch):
