@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -11,7 +10,7 @@ import yaml
 from conftest import specimen, swing
 from omegaconf import OmegaConf
 
-from stringcast.data.artifacts import JOINTS
+from stringcast.data.artifacts import JOINTS, Diagnosis
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings
@@ -240,7 +239,8 @@ def test_a_diagnosis_of_the_training_casts_makes_the_model_that_casts(
     def diagnose(model, observations, *rest, **settings):
         asked.append([o.trial for o in observations])
         finding = pd.DataFrame([{"extended": yaml.safe_dump(said)}])
-        return SimpleNamespace(finding=finding)
+        tables = {name: table.empty() for name, table in Diagnosis.TABLES.items()}
+        return Diagnosis(**tables | {"finding": finding})
 
     monkeypatch.setattr("stringcast.stages.diagnose.diagnose.diagnose", diagnose)
     taught = perform_training(turned, 2)
