@@ -7,7 +7,7 @@ from stringcast.pipeline.settings.composition import conf_folders
 from stringcast.pipeline.sweep.lazy_launcher import LazyLauncher
 
 
-class LedgerLauncher(LazyLauncher):
+class SweepLauncher(LazyLauncher):
     """Runs what is missing of a sweep."""
 
 
