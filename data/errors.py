@@ -5,7 +5,9 @@ Every command loads this module, which needs nothing itself.
 
 from __future__ import annotations
 
+import difflib
 import errno
+from collections.abc import Sequence
 
 DEFAULT_REMEDY = "Look at the disk, or choose another folder"
 REMEDIES = {
@@ -27,6 +29,13 @@ class ExpectedError(Exception):
 def remedy_for(error: BaseException) -> str:
     """Choose the remedy for a place that cannot be written by the error's number."""
     return REMEDIES.get(getattr(error, "errno", None) or 0, DEFAULT_REMEDY)
+
+
+def suggest_known_name(name: str, known: Sequence[str]) -> str:
+    """Suggest the nearest known name, or list all."""
+    if near := difflib.get_close_matches(name, known, 1):
+        return f"Did you mean '{near[0]}'?"
+    return f"Known are: {', '.join(known)}."
 
 
 def escape_control_characters(text: str) -> str:

@@ -181,3 +181,16 @@ class StageSpec:
     page: str = "stages.report.pages.tables.tables_page"
     is_end: bool = False
     moves_arm: bool = False
+
+    @property
+    def collected_input(self) -> str:
+        """Name of the input that takes collected trials; empty without one."""
+        for name, wanted in self.inputs.items():
+            if isinstance(wanted, CollectedTrials):
+                return name
+        return ""
+
+    @property
+    def takes_frames(self) -> bool:
+        """Whether an input takes the frames of a trial."""
+        return any(issubclass(Film, wanted.kind) for wanted in self.inputs.values())

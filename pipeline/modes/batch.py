@@ -15,7 +15,6 @@ from stringcast.data.artifacts import (
 )
 from stringcast.data.dataset import describe_rejected
 from stringcast.data.schema import DataError
-from stringcast.pipeline.modes.cast import collected_input
 from stringcast.pipeline.modes.stepwise import Stepwise, require_trials
 from stringcast.pipeline.modes.stored_trials import (
     STORED_ARTIFACTS,
@@ -70,7 +69,7 @@ class Batch(Stepwise):
         choices = [
             name
             for name, stage in sorted(stages().items())
-            if len(stage.inputs) == 1 and collected_input(name)
+            if len(stage.inputs) == 1 and stage.collected_input
         ]
         if self.stage not in choices:
             raise UserError(
@@ -90,7 +89,7 @@ class Batch(Stepwise):
     ) -> RunResult:
         """Run the stage on all trials."""
         history, trials = self.begin_history(experiment, executor)
-        collected = {collected_input(self.stage): trials}
+        collected = {stages()[self.stage].collected_input: trials}
         artifact = history.make_artifact(self.stage, **collected)
         stage = stages()[self.stage]
         sentences = [stage.summary(artifact).sentence]

@@ -21,7 +21,7 @@ from stringcast.pipeline.settings.typed_settings import require_allowed
 from stringcast.stages.align.correction import transform_to_arm_frame
 from stringcast.stages.entry_points import DRY_RUNS
 from stringcast.stages.hit_test import HitResult, check_reach, hit_test
-from stringcast.stages.spec import CollectedTrials, SameIteration, StageSpec
+from stringcast.stages.spec import SameIteration, StageSpec
 
 log = logging.getLogger(__name__)
 
@@ -95,7 +95,7 @@ class Cast(Stepwise):
         """Run the stages of a cast; nothing is learned from an invalid trial."""
         iteration = history.iterations[-1]
         for name in self.stages:
-            collected = collected_input(name)
+            collected = stages()[name].collected_input
             if iteration.refusal_reason and history.lacking_input(name):
                 continue  # what was not learned is not used
             if not collected:
@@ -135,14 +135,6 @@ def log_verdict(iteration: Iteration) -> None:
             iteration.number,
             iteration.refusal_reason,
         )
-
-
-def collected_input(stage: str) -> str:
-    """Return the name of the input that takes collected trials; empty without one."""
-    for name, wanted in stages()[stage].inputs.items():
-        if isinstance(wanted, CollectedTrials):
-            return name
-    return ""
 
 
 def trials_for_estimation(

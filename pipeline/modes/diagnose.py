@@ -9,7 +9,6 @@ from pathlib import Path
 from stringcast.data.artifacts import Diagnosis, TrialSet
 from stringcast.data.dataset import describe_rejected
 from stringcast.pipeline.modes.batch import Batch
-from stringcast.pipeline.modes.cast import collected_input
 from stringcast.pipeline.modes.stored_trials import STORED_ARTIFACTS
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History
@@ -48,7 +47,7 @@ class Diagnose(Batch):
         """Diagnose, and repeat after each performed motion."""
         history, trials = self.begin_history(experiment, executor)
         stored = len(history.iterations)
-        collected = collected_input(self.stage)
+        collected = stages()[self.stage].collected_input
         diagnosis: Diagnosis = history.make_artifact(self.stage, **{collected: trials})
         while diagnosis.motion is not None:
             trial_name = f"performed-{len(history.iterations) + 1:02d}"

@@ -15,7 +15,6 @@ from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.check.check import refuse_errors
 from stringcast.stages.check.measured import CheckedDataset
-from stringcast.stages.spec import StageSpec
 
 # Names of what a stored trial may hold, for the stages that read it.
 STORED_FILM = "trial"
@@ -90,7 +89,7 @@ def read_trial(
         given = dict.fromkeys(names_of_read_points(reading), points)
     iteration = history.begin_iteration(given=given)
     for stage in reading:
-        if reads_frames or not takes_frames(stages()[stage]):
+        if reads_frames or not stages()[stage].takes_frames:
             if lacking := history.lacking_input(stage):
                 raise DataError(
                     f"{data.folder}: stage {stage} takes {lacking}, which is made from "
@@ -104,17 +103,12 @@ def read_trial(
     return with_points(stored, history.wired_points(iteration, consumer))
 
 
-def takes_frames(stage: StageSpec) -> bool:
-    """Tell whether a stage takes the frames of a trial."""
-    return any(issubclass(Film, wanted.kind) for wanted in stage.inputs.values())
-
-
 def names_of_read_points(reading: Sequence[str]) -> list[str]:
     """Return the names under which points would be read from frames."""
     specs = [stages()[name] for name in reading]
     names = [
         spec.folder
         for spec in specs
-        if takes_frames(spec) and issubclass(spec.makes, Points)
+        if spec.takes_frames and issubclass(spec.makes, Points)
     ]
     return names or [STORED_POINTS]

@@ -15,7 +15,8 @@ def use_given_source(settings: Settings, given: set[str]) -> Settings:
     """Return the settings with a given source in place of the virtual camera."""
     hardware = settings["hardware"]
     is_given = any(name.partition(".")[0] == "source" for name in given)
-    if not is_given or hardware.get("source", "none") is not None:
+    is_free = "source" in hardware and hardware["source"] is None
+    if not (is_given and is_free):
         return settings
     return {**settings, "hardware": {**hardware, "source": settings["source"]}}
 

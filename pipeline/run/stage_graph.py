@@ -7,12 +7,12 @@ stage names another one, as in `estimate.inputs.points=extract`.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import UnionType
 from typing import Any, NamedTuple
 
+from stringcast.data.errors import suggest_known_name
 from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.spec import CollectedTrials, LatestIteration, StageSpec
@@ -190,7 +190,7 @@ def chosen_sources(stage: StageSpec, config: Settings) -> dict[str, str]:
         if name not in known:
             raise UserError(
                 f"{setting}.{name}: stage {stage.name} has no such input. "
-                f"{suggest(name, known)}"
+                f"{suggest_known_name(name, known)}"
             )
     return dict(chosen)
 
@@ -202,7 +202,8 @@ def find_chosen(
     setting = f"{stage.name}.{INPUTS_SETTING}.{port.name} = {source}"
     if source not in names:
         raise UserError(
-            f"{setting}: this run has no such stage. {suggest(str(source), names)}"
+            f"{setting}: this run has no such stage. "
+            f"{suggest_known_name(str(source), names)}"
         )
     makes = stages()[source].makes
     if not issubclass(makes, port.kind):
@@ -239,7 +240,8 @@ def refuse_unknown_stages(names: Sequence[str]) -> None:
     for position, name in enumerate(names):
         if name not in stages():
             raise UserError(
-                f"mode: there is no stage {name!r}. {suggest(name, [*stages()])}"
+                f"mode: there is no stage {name!r}. "
+                f"{suggest_known_name(name, [*stages()])}"
             )
         if name in names[:position]:
             raise UserError(f"mode: stage {name} stands twice. Remove one.")
@@ -288,10 +290,3 @@ def kind_name(kind: Kind) -> str:
     """Return the name of a kind, or the names of several."""
     kinds = kind.__args__ if isinstance(kind, UnionType) else (kind,)
     return " or ".join(part.__name__ for part in kinds)
-
-
-def suggest(name: str, known: Sequence[str]) -> str:
-    """Suggest the nearest known name, or list all."""
-    if near := difflib.get_close_matches(name, known, 1):
-        return f"Did you mean '{near[0]}'?"
-    return f"Known are: {', '.join(known)}."

@@ -11,6 +11,7 @@ from typing import Any, TypeVar, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
+from stringcast.data.errors import suggest_known_name
 from stringcast.pipeline.settings.allowed_callables import (
     CLASS_ROLES,
     allowed_names_by_role,
@@ -131,11 +132,9 @@ def check_names(
     expected = list(expected)
     for name in given:
         if name not in expected:
-            hint = f"Known are: {', '.join(expected)}."
-            if near := difflib.get_close_matches(name, expected, 1):
-                hint = f"Did you mean '{near[0]}'?"
             raise UserError(
-                f"{place}.{name} ({where}): there is no such setting. {hint}"
+                f"{place}.{name} ({where}): there is no such setting. "
+                f"{suggest_known_name(name, expected)}"
             )
     for name in expected:
         if name not in given:

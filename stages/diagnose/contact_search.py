@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -69,22 +70,23 @@ class ContactCandidates:
 
     def sample(self) -> np.ndarray:
         """Sample plausible exponents (C, P) anywhere in the range."""
-        return self._most_plausible(self._sample_range())
+        return self._most_plausible(self._range_samples)
 
     def act_everywhere(self) -> bool:
         """Tell whether the effect acts wherever its place is.
 
         Then it is no contact but a field, such as a spring to a fixed point.
         """
-        chi = self._sample_range()[:CANDIDATES_PER_BATCH]
+        chi = self._range_samples[:CANDIDATES_PER_BATCH]
         fractions = []
         for path in self.string_paths:
             fractions.append(self._force_is_nonzero(chi, path).mean(axis=1))
         least = np.mean(fractions, axis=0).min()
         return bool(least >= MAX_TOUCHED_FRACTION)
 
-    def _sample_range(self) -> np.ndarray:
-        """Sample exponents (C, P) evenly, at the initial size."""
+    @cached_property
+    def _range_samples(self) -> np.ndarray:
+        """Exponents (C, P) evenly in the range, at the initial size."""
         indices = self.parameter_indices
         amplitude = indices[0]
         chi = np.repeat(self.start[None], 2**LOG2_CANDIDATES, axis=0)
