@@ -6,6 +6,8 @@ test [ARGUMENTS]   style, types and tests; arguments go to pytest
 test --all         the same with the long tests
 study NAME ...     a study of tests/benchmarks, such as diagnosis, with its settings
 bench              speed of simulations and of a diagnosis; see tests/benchmarks/speed
+docs               the site, in docs/site; a warning is an error
+package            source archive and wheel in dist, both checked
 setup              only make the environment
 
 The environment is `.venv`, made from `requirements.lock` and made again when that file
@@ -16,6 +18,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 import venv
@@ -27,6 +30,7 @@ ROOT = Path(__file__).resolve().parent
 ENVIRONMENT = ROOT / ".venv"
 LOCK = ROOT / "requirements.lock"
 BENCH_LOCK = ROOT / "tests" / "benchmarks" / "speed" / "requirements.lock"
+DOCS_LOCK = ROOT / "docs" / "requirements.lock"
 PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 # what makes the folders of this clone one package
 PACKAGE_FILES = (ROOT / "setup.py", ROOT / "pyproject.toml")
@@ -194,11 +198,36 @@ def install_peers() -> None:
         install_lock(BENCH_LOCK)
 
 
+def build_site(arguments: list[str]) -> int:
+    """Build the site from the pages and the docstrings."""
+    if not is_installed(DOCS_LOCK):
+        install_lock(DOCS_LOCK)
+    return run_module("docs.build", *arguments)
+
+
+def build_package(arguments: list[str]) -> int:
+    """Build source archive and wheel, and check their metadata and content."""
+    if not is_installed(DOCS_LOCK):
+        install_lock(DOCS_LOCK)
+    folder = ROOT / "dist"
+    shutil.rmtree(folder, ignore_errors=True)
+    status = run_module("build", "--outdir", str(folder), *arguments)
+    archives = [str(path) for path in sorted(folder.glob("stringcast-*"))]
+    wheels = [archive for archive in archives if archive.endswith(".whl")]
+    checks = (
+        ("twine", "check", "--strict", *archives),
+        ("check_wheel_contents", *wheels),
+    )
+    return status or max(run_module(*check) for check in checks)
+
+
 TASKS = {
     "run": run_pipeline,
     "test": run_tests,
     "study": run_study,
     "bench": run_benchmark,
+    "docs": build_site,
+    "package": build_package,
     "setup": lambda arguments: 0,
 }
 

@@ -2,8 +2,44 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from importlib import import_module
+from types import ModuleType
 from typing import Any
+
+from stringcast.data.errors import ExpectedError
+
+# libraries that are installed with an extra, by the name of their module
+EXTRAS = {
+    "cv2": ("OpenCV", "lab"),
+    "serial": ("pyserial", "lab"),
+    "arviz": ("ArviZ", "arviz"),
+    "mujoco": ("MuJoCo", "mujoco"),
+}
+
+
+class MissingPackageError(ExpectedError):
+    """A library is needed that an extra of this package installs."""
+
+
+def import_optional(module: str) -> ModuleType:
+    """Import a library of an extra.
+
+    Raises
+    ------
+    MissingPackageError
+        If it is not installed; the message names the extra.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        name, extra = EXTRAS.get(module, (module, ""))
+        if not extra:
+            raise
+        raise MissingPackageError(
+            f"{name} is needed for this and cannot be imported ({error}). "
+            f'Install it with pip install "stringcast[{extra}]".'
+        ) from error
 
 
 class LazyModule:
@@ -15,10 +51,12 @@ class LazyModule:
 
     def __init__(self, module: str) -> None:
         """Name the module to import."""
-        self._module = module
+        self._name = module
+
+    @cached_property
+    def _module(self) -> ModuleType:
+        return import_optional(self._name)
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the module and keep it."""
-        value = getattr(import_module(self._module), name)
-        setattr(self, name, value)
-        return value
+        """Return an attribute of the module."""
+        return getattr(self._module, name)

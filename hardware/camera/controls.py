@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Any
 
-import cv2
 from pydantic import AfterValidator
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.execute.interfaces import HardwareError
+
+cv2 = LazyModule("cv2")
 
 RELATIVE_TOLERANCE = 0.01  # between a value that was set and the one read back
 # what OpenCV gives for a property that a backend cannot report
@@ -29,7 +31,7 @@ Controls = Annotated[Mapping[str, float], AfterValidator(_require_known_properti
 
 
 def apply_controls(
-    capture: cv2.VideoCapture,
+    capture: Any,
     name: str,
     form: Mapping[str, float],
     controls: Mapping[str, float],

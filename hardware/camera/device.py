@@ -5,17 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
-import cv2
 import numpy as np
 from pydantic import Field, PositiveFloat
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.hardware.camera.controls import Controls, apply_controls
 from stringcast.hardware.camera.source import Frame, Source, Stream
 from stringcast.hardware.camera.warm_up import check_stream
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.camera import Camera
+
+cv2 = LazyModule("cv2")
 
 MAX_BUFFERED_FRAMES = 8  # frames that a driver may hold from before; V4L2 has 4
 
@@ -128,7 +130,7 @@ class Device(Source):
 class DeviceStream(Stream):
     """A stream of frames from an open camera that is already set."""
 
-    capture: cv2.VideoCapture
+    capture: Any
 
     def begin(self) -> None:
         """Drop as many frames as the driver may hold from before."""

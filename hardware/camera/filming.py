@@ -11,13 +11,15 @@ import time
 from dataclasses import dataclass, replace
 from typing import Self
 
-import cv2
 import numpy as np
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.hardware.camera.record import RawFilm, build_recording
 from stringcast.hardware.camera.source import Frame, Source, Stream
 from stringcast.stages.execute.interfaces import HardwareError, Recording
 from stringcast.stages.model.camera import Camera
+
+cv2 = LazyModule("cv2")
 
 # frames that wait to be made grey; a further one is dropped and counted, so that the
 # memory does not fill

@@ -15,9 +15,9 @@ from importlib import import_module
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import serial
 from pydantic import Field
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.hardware.arm.wire import ArmAnswer
 from stringcast.hardware.dynamixel.registers import (
     ACCELERATION_UNIT,
@@ -46,21 +46,22 @@ from stringcast.hardware.serial.wire import check_latency
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
 
-try:  # what a pulled cable raises in pyserial, in addition to its own error
-    import termios
-
-    LINK_ERRORS: tuple[type[Exception], ...] = (
-        serial.SerialException,
-        OSError,
-        termios.error,
-    )
-except ImportError:
-    LINK_ERRORS = (serial.SerialException, OSError)
+serial = LazyModule("serial")
 
 # of a packet before the bus counts as dead: a disturbed line loses single ones
 MAX_TRIES = 3
 # [s] that a read sleeps for bytes; the library would spin and occupy a core
 READ_BLOCK_S = 0.001
+
+
+def link_errors() -> tuple[type[Exception], ...]:
+    """Return the errors that a pulled cable raises."""
+    errors: tuple[type[Exception], ...] = (serial.SerialException, OSError)
+    try:
+        import termios  # noqa: PLC0415
+    except ImportError:  # Windows
+        return errors
+    return (*errors, termios.error)
 
 
 @dataclass(frozen=True)
@@ -275,7 +276,7 @@ class DynamixelBus:
         fault = f"the library knows no rate of {self.baud} baud"
         try:
             is_open = self.handler.setBaudRate(self.baud)
-        except LINK_ERRORS as error:
+        except link_errors() as error:
             is_open, fault = False, str(error)
         if not is_open:
             raise HardwareError(
@@ -392,7 +393,7 @@ class DynamixelBus:
             raise HardwareError(f"arm on {self.port}: it is not open.")
         try:
             return act(*arguments)
-        except LINK_ERRORS as error:
+        except link_errors() as error:
             raise HardwareError(
                 f"arm on {self.port}: the link is gone ({error}). "
                 "The servos' bus watchdogs stop the arm."

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import serial
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.hardware.arm.wire import ArmAnswer
 from stringcast.hardware.serial.protocol import (
     JOINT_COUNT,
@@ -29,6 +30,8 @@ from stringcast.hardware.serial.protocol import (
 )
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
+
+serial = LazyModule("serial")
 
 ANSWER_TIMEOUT_S = 0.25  # [s] that an exchange may take before it is tried again
 # of a frame before the link counts as dead: a disturbed line loses single ones
@@ -65,7 +68,7 @@ class SerialWire:
     baud: int
     sequence: int = 0
     watchdog: float = 0.0
-    link: serial.Serial | None = None
+    link: Any = None
     deframer: Deframer = field(default_factory=Deframer)
     last_refusal: str = ""
     clock_us: int | None = None

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.model.camera import Camera
+
+cv2 = LazyModule("cv2")
 
 FRACTIONAL_BITS = 4  # of OpenCV's coordinates
 SUBPIXELS = 1 << FRACTIONAL_BITS

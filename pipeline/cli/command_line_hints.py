@@ -29,7 +29,7 @@ HYDRA_FLAGS = (
     *("--config-path", "-cp", "--config-name", "-cn", "--config-dir", "-cd"),
     "--experimental-rerun",
 )
-TASK_NAMES = ("test", "bench", "setup")
+TASK_NAMES = ("test", "bench", "setup", "study", "docs", "package")
 EXAMPLE_RUN = ["+experiment=stringB", "method=robust"]  # what `tasks.py run` runs
 TRIAL_EXPERIMENTS = ("estimate", "diagnose", "decide")  # which need stored trials
 LENGTH_SETTING = re.compile(

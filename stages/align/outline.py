@@ -16,10 +16,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from stringcast.data.artifacts import JOINTS, Film
+from stringcast.data.lazy_module import LazyModule
 from stringcast.data.schema import DataError
 from stringcast.stages.align.fit import (
     REQUIRED_EFFECTS,
@@ -32,6 +32,8 @@ from stringcast.stages.extract.segment import uncovered_brightness
 from stringcast.stages.extract.stabilise import sample_numbers
 from stringcast.stages.model.hand import JointMotion, resample_joint_motion
 from stringcast.stages.model.model import Model
+
+cv2 = LazyModule("cv2")
 
 PIECES_PER_LINK = 6  # each piece is a sighting
 # share of a link at either end that is not used: there links and gripper overlap

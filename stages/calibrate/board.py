@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
-import cv2
 import numpy as np
 from pydantic import Field
+
+from stringcast.data.lazy_module import LazyModule
+
+cv2 = LazyModule("cv2")
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class Board:
         return len(self._markers.bytesList)
 
     @property
-    def _markers(self) -> cv2.aruco.Dictionary:
+    def _markers(self) -> Any:
         return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
 
     @property
@@ -68,7 +71,7 @@ class Board:
         return np.array(self.squares) * self.square
 
     @property
-    def pattern(self) -> cv2.aruco.CharucoBoard:
+    def pattern(self) -> Any:
         """The pattern as OpenCV's class."""
         return cv2.aruco.CharucoBoard(
             self.squares, self.square, self.marker, self._markers

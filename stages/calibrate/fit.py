@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.calibrate.board import Board
 from stringcast.stages.calibrate.views import BoardView
 from stringcast.stages.model.lens import Lens
 
-# a third radial coefficient is seldom determined, and bends the edge where nothing is
-FLAGS = cv2.CALIB_FIX_K3
+cv2 = LazyModule("cv2")
+
 LENS_PARAMETERS = ("focal_x", "focal_y", "centre_x", "centre_y", "k1", "k2", "p1", "p2")
 LENS_PARAMETER_COUNT = len(LENS_PARAMETERS)
 Pose = tuple[np.ndarray, np.ndarray]
@@ -67,8 +67,10 @@ def fit_lens(
     """Fit the lens to all views, of pictures of a size (width, height) [px]."""
     points = [_board_points(board, view) for view in views]
     pixels = [view.pixels.astype(np.float32) for view in views]
+    # a third radial coefficient is seldom determined, and bends the edge where
+    # nothing was seen
     _, matrix, distortion, rotations, places = cv2.calibrateCamera(
-        points, pixels, size, None, None, flags=FLAGS
+        points, pixels, size, None, None, flags=cv2.CALIB_FIX_K3
     )
     lens = lens_from_values(
         [

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.calibrate.board import Board
 from stringcast.stages.calibrate.fit import (
     LensFit,
@@ -19,6 +19,8 @@ from stringcast.stages.calibrate.fit import (
 )
 from stringcast.stages.calibrate.views import BoardView
 from stringcast.stages.model.camera import CAMERA_AXES, Camera
+
+cv2 = LazyModule("cv2")
 
 PLANE_PARAMETERS = ("px_per_m", "origin_u", "origin_v", "rotation", "tilt_x", "tilt_y")
 

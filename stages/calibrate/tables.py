@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 
-import cv2
 import numpy as np
 import pandas as pd
 import yaml
@@ -17,10 +16,13 @@ from stringcast.data.calibration import (
     VIEWS,
     Calibration,
 )
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.calibrate.acceptance import CalibrationSolution
 from stringcast.stages.calibrate.fit import lens_values
 from stringcast.stages.calibrate.views import BoardView
 from stringcast.stages.common import rms
+
+cv2 = LazyModule("cv2")
 
 LENS_ROWS = (
     ("lens.focal[0]", "px", "focal length across"),

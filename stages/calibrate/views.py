@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.calibrate.board import Board
 from stringcast.stages.common import rms
+
+cv2 = LazyModule("cv2")
 
 MIN_CORNERS = 8  # twice as many as a board's place needs
 CORNER_TOLERANCE_PX = 1e-3  # of the last step towards a corner

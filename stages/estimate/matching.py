@@ -6,17 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
-import cv2
 import numpy as np
 import pandas as pd
 from pydantic import Field
 
 from stringcast.data.artifacts import Observation
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.extract.score import pixel_scores, rasterise
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
 from stringcast.stages.model.engine.threads import compile_kernel, parallel_for
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
+
+cv2 = LazyModule("cv2")
 
 CANDIDATES_PER_THREAD = 64  # at least: each takes ten microseconds and more
 LINE_WIDTH_PX = 3  # of the measured centre-line, where a frame has no image

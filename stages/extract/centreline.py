@@ -10,15 +10,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter1d
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.common import mad_sigma
 from stringcast.stages.extract.segment import SegmentedFrame
 from stringcast.stages.extract.uncertainty import centroid_sigma, point_sigmas
+
+cv2 = LazyModule("cv2")
 
 # steps (d_v, d_u) to half of a pixel's neighbours; the others are their opposites
 NEIGHBOUR_STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-import cv2
 import numpy as np
 import pandas as pd
 from pydantic import Field
 
 from stringcast.data.artifacts import MASKS, POINTS, READINGS, Film, Points, Trial
 from stringcast.data.images import CachedImages
+from stringcast.data.lazy_module import LazyModule
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress
 from stringcast.stages.extract.centreline import (
@@ -40,6 +40,8 @@ from stringcast.stages.extract.stabilise import sample_numbers, stabilise_film
 from stringcast.stages.extract.window import window_around
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.spec import StageCall
+
+cv2 = LazyModule("cv2")
 
 WINDOW_MARGIN_PX = 12.0  # around what the string can reach
 MAX_EXTRA_HALF_WIDTH_PX = 2.0  # of one frame's string over that of the film

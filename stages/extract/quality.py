@@ -10,11 +10,13 @@ string.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.extract.centreline import Centreline, UnreadableError
 from stringcast.stages.extract.score import rasterise
+
+cv2 = LazyModule("cv2")
 
 # as shares of the line's typical light
 MIN_RELATIVE_LIGHT = 0.35

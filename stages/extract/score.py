@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
+
+from stringcast.data.lazy_module import LazyModule
+
+cv2 = LazyModule("cv2")
 
 
 def pixel_scores(

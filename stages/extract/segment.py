@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.extract.score import rasterise
+
+cv2 = LazyModule("cv2")
 
 WIDTH_SAMPLES = 15  # frames from which the string's width is measured
 BRIGHTNESS_SAMPLES = 30  # frames from which the string's brightness is measured

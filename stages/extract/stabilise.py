@@ -14,10 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import cv2
 import numpy as np
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.common import mad_sigma, rms
+
+cv2 = LazyModule("cv2")
 
 MAX_SAMPLES = 120  # frames whose median stands for the film
 # factors by which the picture is made smaller: large shifts first, then their fractions

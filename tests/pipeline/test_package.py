@@ -5,8 +5,10 @@ A wheel holds all of it, installs nothing else, and runs anywhere.
 
 import ast
 import os
+import re
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -103,6 +105,59 @@ def test_what_is_installed_runs_in_any_folder(site, tmp_path):
     assert refused.returncode == 1
     assert "target.x" in refused.stderr
     assert "Traceback" not in refused.stderr
+
+
+def test_a_diagnosis_of_tables_needs_neither_opencv_nor_pyserial(tmp_path):
+    """Without the extra `lab`, trials are read and motions planned.
+
+    What needs it says how to install it.
+    """
+    (tmp_path / "sitecustomize.py").write_text(
+        "import sys\nsys.modules.update(cv2=None, serial=None)\n"
+    )
+    where = os.environ | {
+        "PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    }
+    code = (
+        "import stringcast as sc\n"
+        "from stringcast.answers import diagnose\n"
+        "from stringcast.stages.diagnose import diagnose\n"
+        "from stringcast.stages.report.pages.diagnosis import diagnosis_page\n"
+        "from stringcast.hardware.serial.lab import open_lab\n"
+        "motion = sc.generate(None, 'method=paper', 'generate.longest=0.6',"
+        " target=(0.45, 0.6))\n"
+        "print(len(sc.sample()), len(sc.simulate(None, motion)) > 0)"
+    )
+    python = [sys.executable, "-c", code]
+    options = {"cwd": tmp_path, "env": where, "capture_output": True, "text": True}
+    done = subprocess.run(python, **options, check=False)
+    assert done.stdout.split() == ["5", "True"], done.stderr
+
+    board = [sys.executable, "-m", "stringcast", "board", "board.pdf"]
+    refused = subprocess.run(board, **options, check=False)
+    assert refused.returncode == 2
+    assert "OpenCV is needed for this" in refused.stderr
+    assert '-m pip install "stringcast[lab]"' in refused.stderr
+
+
+def test_the_release_says_what_an_index_and_a_citation_need():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    core = {re.match(r"[\w-]+", line)[0] for line in project["dependencies"]}
+    assert not core & {"opencv-python-headless", "pyserial"}
+    lab = " ".join(project["optional-dependencies"]["lab"])
+    assert "opencv-python-headless" in lab
+    assert "pyserial" in lab
+    assert {"Homepage", "Documentation", "Repository", "Issues"} <= set(project["urls"])
+    assert f"version: {project['version']}\n" in (ROOT / "CITATION.cff").read_text()
+    lock = (ROOT / "requirements.lock").read_text()
+    missing = [name for name in core if f"\n{name}==" not in lock.lower()]
+    assert missing == []
+
+
+def test_the_wheel_is_small(site):
+    (wheel,) = site.parent.glob("*.whl")
+    assert wheel.stat().st_size < 1.5e6
+    assert (site / "stringcast" / "py.typed").is_file()
 
 
 def test_the_clone_runs_as_itself_and_not_as_another(tmp_path):

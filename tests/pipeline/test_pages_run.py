@@ -200,6 +200,9 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "tasks.py study strings ../shared/measured": "needs recordings of others, which may not be handed on",
     "tasks.py test": "is what runs this",
     "tasks.py setup": "made the environment that this runs in",
+    "tasks.py docs": "installs what builds the site: tests/pipeline/test_site.py",
+    "tasks.py package": "installs what checks archives; the wheel: tests/pipeline/"
+    "test_package.py",
     "tasks.py bench": "installs what it compares with; a small one: "
     "tests/benchmarks/speed/test_speed.py",
     "tasks.py bench diagnosis": "as bench; a diagnosis of the sample runs elsewhere",

@@ -27,14 +27,14 @@ from stringcast.stages.report.pages.paper import paper_page
 from stringcast.stages.report.pages.sweep import sweep_page
 from stringcast.stages.report.pages.tables import tables_page
 from stringcast.stages.report.records import PaperRecord, StageRecord
-from tests.report.browser import browser, find_chromium
+from tests.report.browser import browser, pages_are_skipped
 from tests.report.test_diagnosis_page import diagnosed, displaced
 from tests.report.test_report import manipulation, record_of
 from tests.report.test_sweep_page import record as sweep_record
 from tests.report.test_sweep_page import swept
 
 pytestmark = pytest.mark.skipif(
-    find_chromium() is None,
+    pages_are_skipped(),
     reason="NO CHROMIUM HERE: NO PAGE WAS OPENED. Install chromium.",
 )
 ORIGIN = {"seed": 7, "code": {"commit": "0123456789abcdef"}}

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.model.box import Box
 from stringcast.stages.report.formatting import format_mm, format_ms
 from stringcast.stages.report.records import CastRecord, RunRecord
@@ -20,6 +20,8 @@ from stringcast.stages.report.theme import (
     encode_webp,
     webp_picture,
 )
+
+cv2 = LazyModule("cv2")
 
 REGION_MARGIN_M = 0.05  # around the points that a part of the image shows
 UNIT_BOX = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2  # corners, in turn

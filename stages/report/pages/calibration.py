@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 import pandas as pd
 from markupsafe import Markup
@@ -13,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
 from stringcast.data.calibration import Calibration
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.common import rms
 from stringcast.stages.report.charts.axes import new_axes
 from stringcast.stages.report.formatting import unit_markup
@@ -38,6 +38,8 @@ from stringcast.stages.report.theme import (
     svg_picture,
     webp_picture,
 )
+
+cv2 = LazyModule("cv2")
 
 ARROW_SHARE = 0.04  # of the picture's width, of an arrow as long as the rms error
 COVERAGE_WIDTH_IN = 6.0
