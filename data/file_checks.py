@@ -33,6 +33,26 @@ MAX_HEADER_BYTES = 2**16  # [bytes] of the first line of a CSV file: 64 for each
 MAX_DIGITS = 40  # of a whole number: twice those of the largest that a table holds
 # of an image: the largest sensors have 5e7, which take 0.2 GB in three colours
 MAX_PIXELS = 1 << 26
+# cells of CSV that stand for a missing number; as a name, NA is a name
+MISSING_CELLS = [
+    "",
+    "NA",
+    "N/A",
+    "n/a",
+    "#N/A",
+    "#NA",
+    "<NA>",
+    "NaN",
+    "nan",
+    "-NaN",
+    "-nan",
+    "NULL",
+    "null",
+    "None",
+    "1.#IND",
+    "-1.#IND",
+    "1.#QNAN",
+]
 READ_ERRORS = (pa.ArrowException, OSError, ValueError)  # of a damaged file
 # kinds of YAML values that no setting has
 REFUSED_YAML_TAGS = {
@@ -254,6 +274,25 @@ def read_frame(path: Path, kind: str, remedy: str, **options: Any) -> pd.DataFra
         raise DataError(
             f"{path}: cannot be read as {kind} ({error}). {remedy}"
         ) from error
+
+
+def text_options(names: Iterable[str], texts: Collection[str]) -> dict[str, Any]:
+    """Return options of `read_frame` that keep some columns as texts, as in NA and 01.
+
+    Parameters
+    ----------
+    names
+        All columns.
+    texts
+        Those that hold texts, of which only an empty one is missing.
+    """
+    missing = {}
+    kinds = {}
+    for name in names:
+        missing[name] = [""] if name in texts else MISSING_CELLS
+        if name in texts:
+            kinds[name] = str
+    return {"keep_default_na": False, "na_values": missing, "dtype": kinds}
 
 
 def read_parquet(

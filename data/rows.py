@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import ARM, GRASP
-from stringcast.data.file_checks import check_csv, read_frame
+from stringcast.data.file_checks import check_csv, read_frame, text_options
 from stringcast.data.schema import DataError, Table
 
 MAX_VALUE = 1e9  # a metre in nanometres: no measured distance is larger in any unit
@@ -69,14 +69,14 @@ def read_csv_table(table: Table, path: Path) -> pd.DataFrame:
     remedy = "Save it as plain text, UTF-8, with commas."
     names = read_frame(check_csv(path), "CSV", remedy, nrows=0).columns
     texts = {column.name for column in table.columns if column.kind == "text"}
-    kinds = {name: str for name in names if name.strip() in texts}
+    names_of_texts = [name for name in names if name.strip() in texts]
     frame = read_frame(
         path,
         "CSV",
         remedy,
-        dtype=kinds,
         skipinitialspace=True,
         index_col=False,  # lines may end with a comma
+        **text_options(names, names_of_texts),
     )
     frame.columns = frame.columns.str.strip()
     if len(frame.columns) == 1 and len(table.columns) > 1:

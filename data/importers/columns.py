@@ -40,8 +40,24 @@ ANGLE_UNITS = {
 PIXEL_WORDS = {"px", "pixel", "pixels"}
 UNITS = {*TIME_UNITS, *LENGTH_UNITS, *ANGLE_UNITS, *PIXEL_WORDS}
 TIME_WORDS = _words("t time times timestamp stamp")
+FRAME_WORDS = _words("frame frames")
+INDEX_WORDS = _words("index idx number num no nr id")
 TRIAL_WORDS = _words("trial episode run take cast shot recording")
 JOINT_WORDS = _words("joint q j axis a motor servo angle theta")
+# joints of serial arms named for what they turn, base first, as ROS drivers do
+NAMED_JOINTS = (
+    ("shoulder pan", "1"),
+    ("shoulder lift", "2"),
+    ("shoulder", "1"),
+    ("elbow flex", "3"),
+    ("elbow", "3"),
+    ("wrist 1", "4"),
+    ("wrist 2", "5"),
+    ("wrist 3", "6"),
+    ("wrist flex", "4"),
+    ("wrist roll", "5"),
+    ("wrist", "4"),
+)
 HAND_WORDS = _words("tcp hand grasp gripper ee eef effector tool wrist flange clamp")
 DIRECTION_WORDS = _words("theta yaw angle phi heading rz rotation orientation")
 QUATERNION_AXES = ("qx", "qy", "qz", "qw")
@@ -75,7 +91,7 @@ class ColumnMeaning:
     kind
         `time`, `frame`, `trial`, `joint`, `hand`, `point`, `arc` or `other`.
     name
-        Number of a joint, or name of a point.
+        Number of a joint, or name of a point or of the body that is the hand.
     axis
         `x`, `y`, `z`, `angle`, a component of a quaternion, `likelihood`, `valid` or
         `sigma`.
@@ -111,7 +127,7 @@ def column_meaning(column: str) -> ColumnMeaning:
     has_axis = not {"x", "y"}.isdisjoint(content)
     if first in TRIAL_WORDS and is_short:
         return ColumnMeaning("trial")
-    if content in (["frame"], ["frame", "index"], ["frame", "number"]):
+    if first in FRAME_WORDS and INDEX_WORDS.issuperset(content[1:]):
         return ColumnMeaning("frame")
     if TIME_WORDS & {*content} and not has_axis:
         return ColumnMeaning(
@@ -159,6 +175,9 @@ def _unit_if_in(unit: str, units: dict[str, float]) -> str:
 
 def _position_meaning(words: Sequence[str], unit: str) -> ColumnMeaning:
     """Interpret the name of a position: of a joint, the hand or a point."""
+    joint = _named_joint(words)
+    if joint:
+        return ColumnMeaning("joint", joint, unit=_unit_if_in(unit, ANGLE_UNITS))
     is_hand = not HAND_WORDS.isdisjoint(words)
     quaternion = [word for word in words if word in QUATERNION_AXES]
     quality = [QUALITY_WORDS[word] for word in words if word in QUALITY_WORDS]
@@ -166,7 +185,7 @@ def _position_meaning(words: Sequence[str], unit: str) -> ColumnMeaning:
     pixel_axes = [word for word in words if word in "uv"]
     if quaternion:
         if is_hand or len(words) == 1:
-            return ColumnMeaning("hand", axis=quaternion[0])
+            return ColumnMeaning("hand", _point_name(words, quaternion), quaternion[0])
         return NO_MEANING
     if quality:
         name = _point_name(words, QUALITY_WORDS)
@@ -182,13 +201,27 @@ def _position_meaning(words: Sequence[str], unit: str) -> ColumnMeaning:
     return ColumnMeaning("hand" if is_hand else "point", name, axis, unit)
 
 
+def _named_joint(words: Sequence[str]) -> str:
+    """Find the number of a joint that is named for what it turns; empty if none is."""
+    text = f" {' '.join(words)} "
+    others = {"x", "y", "z", "u", "v", *QUATERNION_AXES, *QUALITY_WORDS}
+    if not others.isdisjoint(words):
+        return ""
+    for name, number in NAMED_JOINTS:
+        if f" {name} " in text:
+            is_direction = name == "wrist" and DIRECTION_WORDS & {*words}
+            return "" if is_direction else number
+    return ""
+
+
 def _angle_meaning(words: Sequence[str], unit: str, is_hand: bool) -> ColumnMeaning:
     """Interpret the name of the hand's direction, or of a numbered joint's angle."""
     numbers = [word for word in words if word.isdigit()]
     unit = _unit_if_in(unit, ANGLE_UNITS)
     is_alone = len(words) == 1 and not numbers
     if DIRECTION_WORDS & {*words} and (is_hand or is_alone):
-        return ColumnMeaning("hand", axis="angle", unit=unit)
+        name = _point_name(words, [*DIRECTION_WORDS])
+        return ColumnMeaning("hand", name, "angle", unit)
     if JOINT_WORDS & {*words} and numbers:
         return ColumnMeaning("joint", numbers[-1], unit=unit)
     return NO_MEANING

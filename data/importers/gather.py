@@ -27,13 +27,14 @@ from stringcast.data.schema import DataError
 MAP_EXPRESSION = re.compile(
     r"(?P<sign>[-+]?)(?P<column>.+?)(?P<shift>[-+]\d+(\.\d+)?)?$"
 )
-ROLE_PATTERN = re.compile(r"t|trial|s|q\d|x|y|theta|.+\.[xyz]")
+ROLE_PATTERN = re.compile(r"t|frame|trial|s|q\d|x|y|theta|.+\.[xyz]")
 ROLE_HELP = (
-    "t, trial, q1, q2, q3, x, y, theta (of the hand), s, and <point>.x, <point>.y of "
-    "the string, as in tip.x"
+    "t, frame, trial, q1, q2, q3, x, y, theta (of the hand), s, and <point>.x, "
+    "<point>.y of the string, as in tip.x"
 )
 KIND_OF_ROLE = {
     "t": "time",
+    "frame": "frame",
     "trial": "trial",
     "s": "arc",
     "x": "hand",
@@ -61,6 +62,8 @@ class ImportedTables:
         Unused columns by file.
     fps
         Frame rate of the films, where their files state it [1/s].
+    notes
+        What the readers decided, for people.
     """
 
     motion: pd.DataFrame
@@ -69,6 +72,7 @@ class ImportedTables:
     used_columns: Sequence[UsedColumn]
     unused_columns: Mapping[Path, Sequence[str]]
     fps: float | None = None
+    notes: Sequence[str] = ()
 
     @property
     def joints(self) -> list[str]:
@@ -137,8 +141,9 @@ def gather_tables(
     unique = {(c.file, c.column, c.role): c for c in used_columns}
     point_trials = points["trial"].unique() if len(points) else ()
     _require_common_trial(motion, [*film_of, *point_trials])
+    notes = list(chain.from_iterable(recording.notes for recording in recordings))
     return ImportedTables(
-        motion, points, film_of, list(unique.values()), unused_columns, fps
+        motion, points, film_of, list(unique.values()), unused_columns, fps, notes
     )
 
 

@@ -22,6 +22,12 @@ INFO_FILE = Path("meta") / "info.json"
 MAX_FEATURE_WIDTH = 64  # numbers of a feature: a state has fewer, an image has more
 INDEX_COLUMNS = ("timestamp", "episode_index", "frame_index")
 ACTION_PREFIX = "action"  # commands, not measured positions
+ANGLE_QUESTION = (
+    "a dataset of LeRobot does not say in which unit its angles are: degrees if it was "
+    "recorded with use_degrees=true, else -100 to 100 of the calibrated range, which "
+    "is the default. Give --deg for degrees (or --rad); scale others by the "
+    "calibration file first, into columns such as joint1_deg"
+)
 NUMBER_TYPES = ("float32", "float64", "int64", "int32")
 
 
@@ -47,7 +53,8 @@ def read(path: Path) -> list[SourceRecording]:
             "Download the whole dataset."
         )
     frames = [_read_numbers(require_inside(path, file), features) for file in files]
-    return [SourceRecording(path, pd.concat(frames, ignore_index=True))]
+    table = pd.concat(frames, ignore_index=True)
+    return [SourceRecording(path, table, angle_question=f"{ANGLE_QUESTION}.")]
 
 
 def _read_numbers(path: Path, features: Mapping[str, Any]) -> pd.DataFrame:

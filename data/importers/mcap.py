@@ -139,8 +139,9 @@ def _message_row(topic: str, message: Any, log_time: int) -> dict[str, float]:
     names = _field_value(message, "name")
     if isinstance(names, list | tuple):
         positions = _field_value(message, "position") or []
-        for number, (name, angle) in enumerate(zip(names, positions, strict=False), 1):
-            row[f"joint{number} {name} [rad]"] = float(angle)
+        # by name: drivers list joints in any order, which may change within a bag
+        for name, angle in zip(names, positions, strict=False):
+            row[f"joint {name} [rad]"] = float(angle)
         return row
     place = topic.strip("/").replace("/", " ")
     row |= islice(_message_numbers(message, place, 0), MAX_COLUMNS)

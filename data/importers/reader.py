@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +18,16 @@ from stringcast.data.importers.columns import (
     QUATERNION_AXES,
     TIME_UNITS,
     ColumnMeaning,
+    split_words,
 )
 from stringcast.data.schema import DataError
 
 # [s] between samples: longer steps show no motion, so the unit must be a smaller one
 MAX_STEP_S = 0.5
 MAX_ANGLE_RAD = 4 * np.pi  # [rad] that no joint exceeds: larger numbers are degrees
+# rows that share a time stamp, from which the stamps carry no time of the single row
+MIN_ROWS_PER_STAMP = 2.0
+MIN_STAMPED_ROWS = 5  # fewer rows show nothing
 MIN_LIKELIHOOD = 0.6  # likelihood below which a tracker guesses (DeepLabCut's pcutoff)
 
 
@@ -49,6 +54,8 @@ class ColumnHints:
         Seconds to be added to the times of points.
     px_per_m, origin_px
         Scale and origin of pixels.
+    hand
+        The body that is the hand, where files name several.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -60,6 +67,7 @@ class ColumnHints:
     clock: float = 0.0
     px_per_m: float | None = None
     origin_px: tuple[float, float] | None = None
+    hand: str = ""
 
 
 @dataclass(frozen=True)
@@ -168,7 +176,14 @@ class RecordingReader:
         if clocks := self.columns_of("time"):
             # one that the user named first, then the shortest name
             clocks.sort(key=lambda c: (c.how != "--map", len(c.meaning.name.split())))
-            return self._read_clock(clocks[0])
+            fault = self._stamp_fault(clocks[0])
+            if not fault:
+                return self._read_clock(clocks[0])
+            if self.hints.fps is None:
+                raise DataError(
+                    f"{self.recording.file}: {fault}. Give the rate of its rows, as in "
+                    "--fps 200, or export times as 64-bit numbers."
+                )
         fps = self.hints.fps or self.recording.fps
         if fps is None:
             raise DataError(
@@ -181,7 +196,58 @@ class RecordingReader:
             how = "--fps" if self.hints.fps else "file"
             unit = f"frames, {fps:g} a second"
             return self.read_numbers(numbers[0], "t", unit, 1 / fps, how)
+        self._refuse_unknown_counter()
         return np.arange(len(self.table)) / fps
+
+    def _rows_of_series(self) -> pd.Series:
+        """Name the series of each row, (K,): its trial, and its place on the string."""
+        columns = [*self.columns_of("trial"), *self.columns_of("arc")]
+        series = pd.Series("", index=self.table.index)
+        for column in columns:
+            series = series + " " + self.table[column.name].astype(str)
+        return series
+
+    def _stamp_fault(self, column: SourceColumn) -> str:
+        """Say why the time stamps of a column carry no time; empty if they do."""
+        stamps = pd.to_numeric(self.table[column.name], errors="coerce").dropna()
+        for name, values in stamps.groupby(self._rows_of_series()):
+            distinct = np.unique(values)
+            few = len(distinct) * MIN_ROWS_PER_STAMP > len(values)
+            if few or len(values) < MIN_STAMPED_ROWS:
+                continue
+            trial = f" of trial{name}" if str(name).strip() else ""
+            if len(distinct) == 1:
+                found = f"all {len(values)} rows have the same"
+            else:
+                found = f"{len(values)} rows have {len(distinct)} different ones"
+                found += f", {np.median(np.diff(distinct)):.4g} apart"
+            is_rounded = (distinct == distinct.astype(np.float32)).all()
+            is_large = np.spacing(np.float32(np.abs(distinct).max())) > 1e-3
+            guess = " (stored as float32?)" if is_rounded and is_large else ""
+            return f"the time stamps{trial} carry no time: {found}{guess}"
+        return ""
+
+    def _refuse_unknown_counter(self) -> None:
+        """Refuse rows without times if a column may hold the numbers of frames.
+
+        A column that counts every row says the same as the rows themselves.
+        """
+        series = self._rows_of_series()
+        used = {column.name for column in self.columns}
+        for name in map(str, self.table):
+            if name in used:
+                continue
+            numbers = pd.to_numeric(self.table[name], errors="coerce")
+            if not np.isfinite(numbers).all() or (numbers % 1 != 0).any():
+                continue
+            steps = numbers.groupby(series).diff().dropna()
+            if len(steps) and (steps > 0).all() and (steps != 1).any():
+                raise DataError(
+                    f"{self.recording.file}: no column holds times, and '{name}' "
+                    "increases by whole numbers that are not all 1. If it is the "
+                    f"number of the frame: --map 'frame={name}'; if not, take the "
+                    "column out."
+                )
 
     def _read_clock(self, column: SourceColumn) -> np.ndarray:
         """Read a column of times [s]: numbers of any unit, or dates."""
@@ -235,6 +301,8 @@ class RecordingReader:
         unit, how = column.meaning.unit, column.how
         if not unit and self.hints.degrees is not None:
             unit, how = ("deg", "--deg") if self.hints.degrees else ("rad", "--rad")
+        if not unit and self.recording.angle_question:
+            raise DataError(f"{self.recording.file}: {self.recording.angle_question}")
         if not unit:
             names = [c.name for c in same_unit or [column]]
             numbers = self.table[names].apply(pd.to_numeric, errors="coerce")
@@ -250,13 +318,14 @@ class RecordingReader:
         joints = self.columns_of("joint")
         if joints:
             joints.sort(key=lambda column: int(column.meaning.name))
+            self._refuse_alike_joints(joints)
             unitless = [c for c in joints if not c.meaning.unit]  # all in one unit
             angles = {
                 f"q{n}": self.read_angle(column, f"q{n}", unitless)
                 for n, column in enumerate(joints, 1)
             }
             return pd.DataFrame(angles)
-        hand = {column.meaning.axis: column for column in self.columns_of("hand")}
+        hand = {column.meaning.axis: column for column in self._hand_columns()}
         has_direction = "angle" in hand or hand.keys() >= {*QUATERNION_AXES}
         if len({"x", "y", "z"} & {*hand}) < 2 or not has_direction:
             return None  # a position that a tracker saw
@@ -271,6 +340,51 @@ class RecordingReader:
             run = right.sign * direction[right.name]
             pose["theta"] = np.unwrap(np.arctan2(rise, run))
         return pd.DataFrame(pose)
+
+    def _refuse_alike_joints(self, joints: Sequence[SourceColumn]) -> None:
+        """Refuse two columns of the same joint."""
+        for one, other in pairwise(joints):
+            if one.meaning.name == other.meaning.name:
+                raise DataError(
+                    f"{self.recording.file}: the columns '{one.name}' and "
+                    f"'{other.name}' both seem to be joint {one.meaning.name}. Name "
+                    f"the joints, base first: --map 'q1={one.name}' --map q2=<column>."
+                )
+
+    def _hand_columns(self) -> list[SourceColumn]:
+        """Return the columns of the body that is the hand.
+
+        Raises DataError if several bodies could be it, or none has the stated name.
+        """
+        columns = self.columns_of("hand")
+        axes_of: dict[str, set[str]] = {}
+        for column in columns:
+            axes_of.setdefault(column.meaning.name, set()).add(column.meaning.axis)
+        bodies = [name for name, axes in axes_of.items() if len(axes & {*"xyz"}) > 1]
+        if self.hints.hand:
+            stated = {*split_words(self.hints.hand)}
+            named = [name for name in bodies if stated <= {*name.split()}]
+            if bodies and len(named) != 1:
+                raise DataError(
+                    f"--hand {self.hints.hand}: {self.recording.file} has the bodies "
+                    f"{', '.join(bodies)}. Name one of them."
+                )
+            return [c for c in columns if c.meaning.name in named]
+        if len(bodies) < 2:
+            return columns
+        complete = []
+        for name in bodies:
+            axes = axes_of[name]
+            if "angle" in axes or axes >= {*QUATERNION_AXES}:
+                complete.append(name)
+        if len(complete) == 1:
+            return [c for c in columns if c.meaning.name == complete[0]]
+        words = [name.removeprefix("hand ") for name in bodies]
+        raise DataError(
+            f"{self.recording.file}: several bodies could be the hand: "
+            f"{', '.join(words)}. Name the one that holds the string: "
+            f"--hand '{words[0]}'."
+        )
 
     def _xy(
         self, columns: Mapping[str, SourceColumn], prefix: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv as lines
+import re
 from pathlib import Path
 
 import pandas as pd
@@ -12,8 +13,10 @@ from stringcast.data.file_checks import (
     check_csv,
     read_frame,
     read_parquet,
+    text_options,
 )
 from stringcast.data.importers import SourceRecording
+from stringcast.data.importers.columns import column_meaning
 from stringcast.data.schema import DataError
 
 SNIFFED_BYTES = 2**14  # [bytes] in which the separator and the headings are detected
@@ -43,20 +46,24 @@ def read(path: Path) -> list[SourceRecording]:
         if line.strip() and not line.lstrip().startswith(("#", "%")):
             skipped = number
             break
+    if not any(line.strip() for line in head):
+        raise DataError(f"{path}: it is empty. Export it again, or leave it out.")
     separator, decimal = detect_separator(head[skipped:])
-    frame = read_frame(
-        path,
-        "CSV",
-        "Save it as plain text in UTF-8.",
-        skiprows=skipped,
-        encoding="utf-8-sig",
-        engine="c",
-        low_memory=False,
-        sep=separator,
-        decimal=decimal,
-        skipinitialspace=separator != r"\s+",
-        index_col=False,
-    )
+    remedy = "Save it as plain text in UTF-8."
+    options = {
+        "skiprows": skipped,
+        "encoding": "utf-8-sig",
+        "sep": separator,
+        "decimal": decimal,
+        "skipinitialspace": separator != r"\s+",
+        "index_col": False,
+    }
+    heading = read_frame(path, "CSV", remedy, nrows=0, **options).columns
+    trials = [n for n in heading if column_meaning(str(n).strip()).kind == "trial"]
+    options |= text_options(heading, trials)
+    frame = read_frame(path, "CSV", remedy, engine="c", low_memory=False, **options)
+    for name in trials:
+        frame[name] = frame[name].map(_trial_name)
     if len(frame.columns) > MAX_COLUMNS:
         raise DataError(
             f"{path}: it has {len(frame.columns)} columns, at most {MAX_COLUMNS} are "
@@ -70,6 +77,13 @@ def read(path: Path) -> list[SourceRecording]:
             "time_s,joint1_deg,joint2_deg,joint3_deg or time_s,tip_x_mm,tip_y_mm."
         )
     return [SourceRecording(path, frame.set_axis(names, axis=1))]
+
+
+def _trial_name(cell: object) -> object:
+    """Return a cell as the name of a trial; 1.0 is 1, as pandas writes it."""
+    if not isinstance(cell, str):
+        return cell
+    return re.sub(r"^(\d+)\.0+$", r"\1", cell.strip())
 
 
 def detect_separator(head: list[str]) -> tuple[str, str]:

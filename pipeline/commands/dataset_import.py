@@ -125,7 +125,7 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
     DataError
         If an option is needed, which the message names.
     """
-    notes: list[str] = []
+    notes = list(tables.notes)
     grasp = imported_grasp_poses(tables, bench)
     points, length = locate_points(tables, grasp, bench, notes)
     if bench.fit_clock:

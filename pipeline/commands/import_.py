@@ -7,7 +7,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from math import isnan
+from math import degrees, isnan
 from os.path import commonprefix
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -47,8 +47,8 @@ from stringcast.stages.check.mistakes import (
 )
 from stringcast.stages.check.overview import dataset_overview
 
-# units of points and of the hand, degrees, direction and clock can be wrong in turn
-MAX_CORRECTIONS = 6
+# units of points, of the hand and of angles, direction and clock can be wrong in turn
+MAX_CORRECTIONS = 7
 CORRECTABLE_PARTS = {"xy", "s", "hand", "length"}  # by the option --unit
 
 
@@ -110,6 +110,10 @@ def interpret_recordings(
     with TemporaryDirectory() as place:
         for number in range(MAX_CORRECTIONS):
             tables = gather_tables(recordings, read_column_hints(options))
+            change = propose_degrees(tables)
+            if change is not None:
+                confirm_change(change, options, console)
+                continue
             imported = convert_recordings(tables, read_bench_hints(options))
             if imported.trials_without_common_time:
                 confirm_change(propose_clock_fit(imported, options), options, console)
@@ -125,6 +129,19 @@ def interpret_recordings(
         "The units and directions of these files stay unclear. State them by the "
         "options that import --help lists."
     )
+
+
+def propose_degrees(tables: ImportedTables) -> Change | None:
+    """Propose degrees if angles that state no unit reach too far for radians."""
+    for column in tables.used_columns:
+        if (column.unit, column.how) == ("deg", "values"):
+            largest = degrees(max(-column.low, column.high))
+            reason = (
+                f"column '{column.column}' of {column.file.name} reaches "
+                f"{largest:.0f}, which no joint does in radians"
+            )
+            return Change(reason, ["--deg"])
+    return None
 
 
 def propose_clock_fit(imported: ImportedDataset, options: argparse.Namespace) -> Change:

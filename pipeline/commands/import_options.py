@@ -123,6 +123,11 @@ def argument_parser(description: str | None = None) -> argparse.ArgumentParser:
         action="store_true",
         help="the string moves already when trials begin",
     )
+    add(
+        "--hand",
+        default="",
+        help="the body that holds the string, where files name several",
+    )
     add("--px-per-m", type=float, help="pixels of a metre, where places are in pixels")
     add(
         "--origin-px",
@@ -239,6 +244,7 @@ def read_column_hints(options: argparse.Namespace) -> ColumnHints:
         clock=clock,
         px_per_m=options.px_per_m,
         origin_px=options.origin_px,
+        hand=options.hand,
     )
 
 

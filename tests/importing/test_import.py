@@ -36,7 +36,7 @@ COLUMNS = {
     "joint1_deg/s": ColumnMeaning("other"),
     "target_q_0": ColumnMeaning("other"),
     "tcp_x": ColumnMeaning("hand", "tcp", "x", ""),
-    "TCP yaw [deg]": ColumnMeaning("hand", "", "angle", "deg"),
+    "TCP yaw [deg]": ColumnMeaning("hand", "tcp", "angle", "deg"),
     "tip_x_mm": ColumnMeaning("point", "tip", "x", "mm"),
     "tip_x_mm_s": ColumnMeaning("other"),
     "marker 7 Y [cm]": ColumnMeaning("point", "marker 7", "y", "cm"),
@@ -184,6 +184,7 @@ def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(
     assert done.returncode == 0, done.stdout + done.stderr
     assert "--unit=tip0.csv=mm" in done.stdout or "--unit tip0.csv=mm" in done.stdout
     assert "--y-down" in done.stdout
+    assert "which no joint does in radians" in done.stdout.replace("\n", " ")
     read = dataset.read_dataset(tmp_path / "mine").trials["t0"]
     np.testing.assert_allclose(read.points["y"], sample[0][1]["y"], atol=1e-9)
     np.testing.assert_allclose(read.arm["q1"], sample[0][0]["q1"], atol=1e-9)

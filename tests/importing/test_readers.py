@@ -80,21 +80,17 @@ def test_a_dataset_of_lerobot_has_its_episodes_and_states(tmp_path):
     track.to_csv(tmp_path / "tracker.csv", index=False)
     files = read_recordings([folder, tmp_path / "tracker.csv"])
     names = {"q1": "shoulder_pan", "q2": "-shoulder_lift+90", "q3": "elbow_flex"}
-    what = gather_tables(files, ColumnHints(columns=names))
+    # LeRobot's default unit is a share of the calibrated range, -100 to 100
+    for hints in (ColumnHints(columns=names), ColumnHints()):
+        with pytest.raises(DataError, match=r"set: .*use_degrees.*Give --deg"):
+            gather_tables(files, hints)
+    what = gather_tables(files, ColumnHints(columns=names, degrees=True))
     assert sorted(what.motion["trial"].unique()) == ["t0", "t1"]
-    # --deg is not given
-    assert {taken.how for taken in what.used_columns if taken.role in names} == {
-        "values"
-    }
     one = what.motion[what.motion["trial"] == "t1"]
-    # the large range shows that angles are in degrees
     np.testing.assert_allclose(one["q2"], np.radians(90 - 10.0 * np.arange(FRAMES)))
     np.testing.assert_allclose(one["t"], np.arange(FRAMES) / 30)
-    with pytest.raises(
-        DataError,
-        match=r"no columns say how the hand moved.*observation.state shoulder_lift.pos",
-    ):
-        gather_tables(files, ColumnHints())
+    unnamed = gather_tables(files, ColumnHints(degrees=True))
+    np.testing.assert_allclose(unnamed.motion["q3"], np.radians(-0.5))
 
 
 def test_ros_messages_are_read_by_topic(tmp_path):
@@ -110,9 +106,14 @@ def test_ros_messages_are_read_by_topic(tmp_path):
                 "stamp": {"sec": 1_700_000_000, "nanosec": n * 10_000_000},
                 "frame_id": "",
             }
+            # as UR's driver does, in an order that is not the arm's and changes
+            named = [("elbow_joint", 0.3), ("wrist_1_joint", 0.4)]
+            named.append(("shoulder_lift_joint", 0.1 * n))
+            named = named[n % 2 :] + named[: n % 2]
+            names, positions = zip(*named, strict=True)
             angles = {
-                "name": ["a", "b", "c"],
-                "position": [0.1 * n, 0.2, 0.3],
+                "name": names,
+                "position": positions,
                 "velocity": [],
                 "effort": [],
             }
@@ -127,6 +128,8 @@ def test_ros_messages_are_read_by_topic(tmp_path):
         read_recordings([tmp_path / "bag.mcap"]), ColumnHints(plane="x,z")
     )
     np.testing.assert_allclose(what.motion["q1"], 0.1 * np.arange(FRAMES))
+    np.testing.assert_allclose(what.motion["q2"], 0.3)
+    np.testing.assert_allclose(what.motion["q3"], 0.4)
     np.testing.assert_allclose(
         what.points[["x", "y"]], [[0.1 * n, 0.5] for n in range(FRAMES)]
     )

@@ -1,0 +1,222 @@
+"""Kinds of files that people of the field reported: each fault is named, or mended.
+
+Each test also shows that a file of the same kind without the fault is read as it is.
+"""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stringcast.data.importers.files import read_recordings
+from stringcast.data.importers.gather import gather_tables
+from stringcast.data.importers.mcap import _message_row
+from stringcast.data.importers.reader import ColumnHints
+from stringcast.data.schema import DataError
+
+COUNT = 40
+T = np.arange(COUNT) / 200
+TURN = np.linspace(0.0, 1.0, COUNT)
+
+
+def write(folder, name, **columns):
+    path = folder / name
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return path
+
+
+def read(*files, **hints):
+    return gather_tables(read_recordings(files), ColumnHints(**hints))
+
+
+@pytest.fixture
+def arm(tmp_path):
+    return write(tmp_path, "arm.csv", t=T, q1=TURN, q2=-TURN, q3=0.5 * TURN)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [
+        (
+            (T + 1.7e9).astype(np.float32),
+            r"all 40 rows have the same \(stored as float",
+        ),
+        (np.floor(T / 0.1) * 0.1, "40 rows have 2 different ones, 0.1 apart"),
+    ],
+    ids=["float32", "coarse"],
+)
+def test_stamps_that_carry_no_time_ask_for_the_rate(arm, tmp_path, stamps, words):
+    tip = write(tmp_path, "tip.csv", time=stamps, tip_x=TURN, tip_y=-TURN)
+    with pytest.raises(DataError, match=rf"tip\.csv: .*{words}.* --fps 200"):
+        read(arm, tip)
+    counted = read(arm, tip, fps=200.0).points
+    np.testing.assert_allclose(counted["t"], T, atol=1e-9)
+
+
+def test_stamps_are_judged_by_trial_and_by_place(arm, tmp_path):
+    """Each place of a frame has the frame's stamp, and trials begin alike."""
+    columns = {"trial": np.repeat(["1", "2"], COUNT), "q1": 0.1, "q2": 0.2, "q3": 0.3}
+    arms = write(tmp_path, "arms.csv", t=np.tile(T, 2), **columns)
+    long = write(
+        tmp_path,
+        "string.csv",
+        trial=np.repeat(["1", "2"], COUNT * 3),
+        t=np.tile(np.repeat(T, 3), 2),
+        s=np.tile([0.1, 0.2, 0.3], 2 * COUNT),
+        x=0.1,
+        y=0.2,
+    )
+    points = read(arms, long).points
+    np.testing.assert_allclose(points["t"].unique(), T)
+
+
+def test_missing_frames_are_counted_by_the_number_of_the_frame(arm, tmp_path):
+    """SLEAP writes no row for a frame in which it saw nothing."""
+    seen = np.delete(np.arange(COUNT), [3, 4, 5, 20])
+    columns = {"tip.x": TURN[seen], "tip.y": 0.0, "tip.score": 0.9}
+    sleap = write(tmp_path, "sleap.csv", track="", frame_idx=seen, **columns)
+    points = read(arm, sleap, fps=200.0).points
+    np.testing.assert_allclose(points["t"], seen / 200)
+
+    other = write(tmp_path, "other.csv", picture=seen, **columns)
+    with pytest.raises(DataError, match=r"'picture' increases .*--map 'frame=picture'"):
+        read(arm, other, fps=200.0)
+    points = read(arm, other, fps=200.0, columns={"frame": "picture"}).points
+    np.testing.assert_allclose(points["t"], seen / 200)
+
+
+def test_a_column_that_counts_every_row_needs_no_question(arm, tmp_path):
+    tip = write(tmp_path, "tip.csv", row=np.arange(COUNT), tip_x=TURN, tip_y=0.0)
+    np.testing.assert_allclose(read(arm, tip, fps=200.0).points["t"], T)
+
+
+def test_joints_are_known_by_what_they_turn_whatever_their_order(tmp_path):
+    tip = write(tmp_path, "tip.csv", t=T, tip_x=TURN, tip_y=0.0)
+    columns = {"elbow_joint": 0.3, "wrist_1_joint": 0.4, "shoulder_lift_joint": 0.2}
+    motion = read(write(tmp_path, "ur.csv", t=T, **columns), tip).motion
+    assert list(motion[["q1", "q2", "q3"]].iloc[0]) == [0.2, 0.3, 0.4]
+
+    columns = {"left_joint1": 0.1, "right_joint1": 0.2, "left_joint2": 0.3}
+    with pytest.raises(DataError, match=r"both seem to be joint 1.*--map"):
+        read(write(tmp_path, "two.csv", t=T, **columns), tip)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_joints_of_a_message_are_known_by_name(turned):
+    """The order of names may turn within a bag."""
+    names, position = ["elbow_joint", "shoulder_lift_joint"], [0.3, 0.2]
+    if turned:
+        names, position = names[::-1], position[::-1]
+    row = _message_row("/joint_states", {"name": names, "position": position}, 0)
+    assert row["joint elbow_joint [rad]"] == 0.3
+    assert row["joint shoulder_lift_joint [rad]"] == 0.2
+
+
+def test_names_of_trials_stay_texts(tmp_path):
+    """NA is a name, and 1 and 01 are two."""
+    names = np.repeat(["NA", "1", "01"], COUNT)
+    clock = np.tile(T, 3)
+    arms = write(tmp_path, "arm.csv", trial=names, t=clock, q1=0.1, q2=0.2, q3=0.3)
+    tips = write(tmp_path, "tip.csv", trial=names, t=clock, tip_x=0.1, tip_y=0.2)
+    tables = read(arms, tips)
+    assert set(tables.motion["trial"]) == {"NA", "t1", "t01"}
+    assert set(tables.points["trial"]) == {"NA", "t1", "t01"}
+
+
+def test_whole_numbers_of_trials_agree_however_a_program_writes_them(tmp_path):
+    arms = write(tmp_path, "arm.csv", trial=[1.0] * COUNT, t=T, q1=0.1, q2=0.2, q3=0.3)
+    tips = write(tmp_path, "tip.csv", trial=[1] * COUNT, t=T, tip_x=0.1, tip_y=0.2)
+    tables = read(arms, tips)
+    assert set(tables.motion["trial"]) == set(tables.points["trial"]) == {"t1"}
+
+
+def test_an_empty_file_is_named(arm, tmp_path):
+    (tmp_path / "tip.csv").write_text("")
+    with pytest.raises(DataError, match=r"tip\.csv: it is empty. Export it again"):
+        read(arm, tmp_path / "tip.csv")
+
+
+MOTIVE = "Format Version,1.23,Rotation Type,Quaternion,Length Units,Meters\n\n"
+
+
+def motive(folder, bodies, markers):
+    """Write Motive's CSV: places (COUNT, 3) of bodies and markers by name."""
+    kinds, names, quantities, axes = ["", ""], ["", ""], ["", ""], ["Frame", "Time"]
+    columns = [np.arange(COUNT), T]
+    for name, places in bodies.items():
+        kinds += ["Rigid Body"] * 7
+        names += [name] * 7
+        quantities += ["Rotation"] * 4 + ["Position"] * 3
+        axes += ["X", "Y", "Z", "W", "X", "Y", "Z"]
+        columns += [np.zeros(COUNT)] * 3 + [np.ones(COUNT), *places.T]
+    for name, places in markers.items():
+        kinds += ["Marker"] * 3
+        names += [name] * 3
+        quantities += ["Position"] * 3
+        axes += ["X", "Y", "Z"]
+        columns += [*places.T]
+    lines = [",".join(words) for words in (kinds, names, quantities, axes)]
+    for row in zip(*columns, strict=True):
+        lines.append(",".join("" if np.isnan(cell) else str(cell) for cell in row))
+    path = folder / "take.csv"
+    path.write_text(MOTIVE + "\n".join(lines) + "\n")
+    return path
+
+
+def moved(x):
+    """Return places (COUNT, 3) of what moves to the right, and begins at x."""
+    return np.stack([x + TURN, np.zeros(COUNT), np.zeros(COUNT)], axis=1)
+
+
+def cut(places, rows):
+    """Split a track into what lies outside and inside some rows."""
+    inside = np.zeros(COUNT, dtype=bool)
+    inside[rows] = True
+    outer = np.where(inside[:, None], np.nan, places)
+    return outer, np.where(inside[:, None], places, np.nan)
+
+
+def test_a_marker_that_comes_back_without_its_name_is_the_same(tmp_path):
+    tip, back = cut(moved(0.0), slice(20, 30))
+    take = motive(
+        tmp_path,
+        {"flange": moved(1.0)},
+        {"mid": moved(0.5), "tip": tip, "Unlabeled 7": back},
+    )
+    tables = read(take, plane="x,y")
+    points = tables.points.pivot(index="t", columns="point", values="x")
+    assert list(points) == ["mid", "tip"]
+    np.testing.assert_allclose(points["tip"], moved(0.0)[:, 0])
+    assert "is taken for tip" in tables.notes[0]
+
+
+def test_a_reflection_is_no_point_of_the_string(tmp_path):
+    _, glint = cut(moved(3.0), slice(10, 14))
+    markers = {"mid": moved(0.5), "tip": moved(0.0), "Unlabeled 8": glint}
+    tables = read(motive(tmp_path, {"flange": moved(1.0)}, markers), plane="x,y")
+    assert set(tables.points["point"]) == {"mid", "tip"}
+    assert "a reflection?" in tables.notes[0]
+    clean = {"mid": moved(0.5), "tip": moved(0.0)}
+    tables = read(motive(tmp_path, {"flange": moved(1.0)}, clean), plane="x,y")
+    assert tables.notes == []
+
+
+def test_of_several_bodies_the_hand_is_asked_for(tmp_path):
+    bodies = {"flange": moved(1.0), "table": moved(9.0)}
+    take = motive(tmp_path, bodies, {"tip": moved(0.0)})
+    with pytest.raises(DataError, match=r"flange, table.*--hand 'flange'"):
+        read(take, plane="x,y")
+    motion = read(take, plane="x,y", hand="flange").motion
+    np.testing.assert_allclose(motion["x"], moved(1.0)[:, 0])
+    with pytest.raises(DataError, match=r"--hand gripper: .*has the bodies"):
+        read(take, plane="x,y", hand="gripper")
+
+
+def test_markers_of_the_same_name_are_told_apart_by_their_set_or_refused(tmp_path):
+    body = {"flange": moved(1.0)}
+    markers = {"left:tip": moved(0.0), "right:tip": moved(0.5)}
+    points = read(motive(tmp_path, body, markers), plane="x,y").points
+    assert set(points["point"]) == {"left tip", "right tip"}
+    path = motive(tmp_path, body, markers)
+    path.write_text(path.read_text().replace("right:tip", "left:tip"))
+    with pytest.raises(DataError, match=r"the same name.*in Motive"):
+        read(path, plane="x,y")
