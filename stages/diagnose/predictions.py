@@ -10,13 +10,18 @@ import pandas as pd
 
 from stringcast.data.artifacts import HELD_OUT, Observation
 from stringcast.stages.common import rms
+from stringcast.stages.diagnose.left_out_fits import (
+    exponents_without_groups,
+    groups_to_leave_out,
+)
 from stringcast.stages.estimate.matching import Matching, matching_targets
 from stringcast.stages.inference.discrepancy import (
     best_scale_index,
     marginal_log_likelihood,
 )
+from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_modes import with_initial_states_at
-from stringcast.stages.inference.laplace import Fit, fit_hypothesis
+from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
@@ -31,46 +36,51 @@ class TrialPrediction:
 
     Attributes
     ----------
-    fit : Fit
-        To the other trials.
+    hypothesis : Hypothesis
+    chi : numpy.ndarray, shape (P,)
+        Exponents, fitted to other trials.
     residual : numpy.ndarray, shape (2 n,)
         Predicted minus measured points over sigma.
     log_likelihood : float
         Of the trial.
     """
 
-    fit: Fit
+    hypothesis: Hypothesis
+    chi: np.ndarray
     residual: np.ndarray
     log_likelihood: float
 
 
 def predict_trials(data: TrialData, fit: Fit) -> list[TrialPrediction]:
     """Predict trials by a fit that has seen none of them."""
-    return [_predict_trial(data, fit, k) for k in range(len(data.trials))]
-
-
-def predict_left_out_trials(data: TrialData, fit: Fit) -> list[TrialPrediction]:
-    """Predict each trial by a fit of the same hypothesis to the others."""
-    count = len(data.trials)
-    # The scale of the trial left out is not known: the search starts from the median
-    scale_indices = np.full(count - 1, int(np.median(fit.scale_indices)))
+    hypothesis = fit.hypothesis
+    restarted = with_initial_states_at(data, fit)
+    trials = restarted.for_hypothesis(hypothesis)
+    residuals = trials.residuals(hypothesis.model, fit.chi[None])
+    by_scale = trials.log_likelihood_by_scale(residuals)[:, 0]  # (K, S)
+    scale_indices = best_scale_index(by_scale)
+    rest = trials.without_nuisance([rows[0] for rows in residuals], scale_indices)
+    log_likelihoods = marginal_log_likelihood(by_scale).tolist()
     predictions = []
-    for number in range(count):
-        others = data.subset([k for k in range(count) if k != number])
-        refit = fit_hypothesis(others, fit.hypothesis, fit.chi[None], scale_indices)
-        predictions.append(_predict_trial(data, refit, number))
+    for residual, log_likelihood in zip(rest, log_likelihoods, strict=True):
+        prediction = TrialPrediction(hypothesis, fit.chi, residual, log_likelihood)
+        predictions.append(prediction)
     return predictions
 
 
-def _predict_trial(data: TrialData, fit: Fit, number: int) -> TrialPrediction:
-    hypothesis = fit.hypothesis
-    trial = with_initial_states_at(data.subset([number]), fit)
-    trial = trial.for_hypothesis(hypothesis)
-    residuals = trial.residuals(hypothesis.model, fit.chi[None])
-    by_scale = trial.log_likelihood_by_scale(residuals)[:, 0]  # (1, S)
-    scale_indices = best_scale_index(by_scale)
-    (residual,) = trial.without_nuisance([residuals[0][0]], scale_indices)
-    return TrialPrediction(fit, residual, float(marginal_log_likelihood(by_scale)[0]))
+def predict_left_out_trials(data: TrialData, fit: Fit) -> list[TrialPrediction]:
+    """Predict each trial by a fit of the same hypothesis to other trials.
+
+    From nine trials on, they are left out in eight groups.
+    """
+    groups = groups_to_leave_out(len(data.trials))
+    predictions: dict[int, TrialPrediction] = {}
+    exponents = exponents_without_groups(data, fit, groups)
+    for group, chi in zip(groups, exponents, strict=True):
+        # Of a fit to the others, only the exponents are known and needed
+        predicted = predict_trials(data.subset(group), replace(fit, chi=chi))
+        predictions |= zip(group, predicted, strict=True)
+    return [predictions[k] for k in range(len(data.trials))]
 
 
 def held_out_table(
@@ -92,6 +102,7 @@ def held_out_table(
     """
     rows = []
     gains = log_likelihood_gains(base, extended)
+    by_known = predict_trials(data, known)
     for number, trial in enumerate(data.trials):
         row: dict[str, object] = {
             "trial": trial.name,
@@ -100,16 +111,15 @@ def held_out_table(
         }
         for name, predictions in (("base", base), ("extended", extended)):
             prediction = predictions[number]
-            fit = prediction.fit
             row |= rms_distances(trial, prediction.residual, name)
             row[f"E_{name}"] = matching_rate(
-                fit.hypothesis.model,
-                fit.chi,
+                prediction.hypothesis.model,
+                prediction.chi,
                 trial,
                 observations[number],
                 matching,
             )
-        residual = _predict_trial(data, known, number).residual
+        residual = by_known[number].residual
         row["rms_known"] = rms_distances(trial, residual, "known")["rms_known"]
         rows.append(row)
     return HELD_OUT.check(pd.DataFrame(rows))
