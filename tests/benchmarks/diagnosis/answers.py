@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-NONE, UNKNOWN = "none", "unknown"
+NONE, UNKNOWN, PARTIAL = "none", "unknown", "partial"
+MIXED = "mixed"
 SEVERAL = ("pair", "triple")
 Row = Mapping[str, Any]
 CauseGroup = frozenset[str]  # look-alikes that the data cannot distinguish
@@ -34,12 +35,16 @@ def is_correct(row: Row) -> bool:
     - nothing hidden: no cause is named;
     - one cause hidden: it is in the first group that is named;
     - several hidden: each is named, in a group of its own;
-    - a cause outside the library: the verdict is `unknown`, and nothing is named.
+    - a cause outside the library: the verdict is `unknown`, and nothing is named;
+    - both: a cause of the library is named, no false one, and a remainder is reported.
     """
     kind, names = row["truth"]["kind"], row["truth"]["names"]
     verdict, groups = row["diagnosis"]["verdict"], named_groups(row)
     if kind == "outside":
         return bool(verdict == UNKNOWN and not groups)
+    if kind == MIXED:
+        is_false = count_false(row) > 0
+        return count_found(row) > 0 and not is_false and reports_remainder(row)
     if kind == NONE:
         return not groups and verdict == NONE
     if verdict not in ("effect", "ambiguous"):
@@ -58,6 +63,18 @@ def count_found(row: Row) -> int:
         found += bool(containing)
         used.update(containing)
     return min(found, len(used))
+
+
+def count_false(row: Row) -> int:
+    """Count named groups without a hidden cause or a small error that is there."""
+    truth = row["truth"]
+    right = {*truth["names"], *truth.get("tolerated", ())}
+    return sum(not group & right for group in named_groups(row))
+
+
+def reports_remainder(row: Row) -> bool:
+    """Return whether the answer says that a part of the misfit is not explained."""
+    return row["diagnosis"]["verdict"] in (PARTIAL, UNKNOWN)
 
 
 def answer_name(row: Row) -> str:

@@ -19,10 +19,12 @@ from tests.benchmarks.diagnosis.answers import (
     Row,
     answer_name,
     answer_probability,
+    count_false,
     count_found,
     is_correct,
     is_named_above,
     named_groups,
+    reports_remainder,
 )
 
 PROBABILITY_BINS = np.linspace(0.0, 1.0, 11)
@@ -34,7 +36,7 @@ RUNTIME_GOAL_S = 120.0
 RECORDED_COLUMNS = (
     Column("simulator", "", "reference simulator that drew the dataset", "text"),
     Column("seed", "1", "of the dataset", "int"),
-    Column("kind", "", "effect, pair, triple, none or outside", "text"),
+    Column("kind", "", "effect, pair, triple, none, outside or mixed", "text"),
     Column("truth", "", "hidden causes, joined by +", "text"),
     Column(
         "size",
@@ -78,6 +80,7 @@ DIAGNOSES = Table(
             "int",
         ),
         Column("found", "1", "hidden causes that are named", "int"),
+        Column("remainder", "", "a part of the misfit is said to be left", "bool"),
         Column(
             "named_above_half",
             "",
@@ -118,7 +121,7 @@ BY_SIZE = Table(
     "by_size",
     "share of right answers by size of the hidden cause",
     (
-        Column("kind", "", "effect, outside, pair or triple", "text"),
+        Column("kind", "", "effect, outside, mixed, pair or triple", "text"),
         Column("from", "1", "least size of the bin [sigma]"),
         Column("to", "1", "largest size of the bin [sigma]"),
         Column("size", "1", "mean size in the bin [sigma]"),
@@ -245,13 +248,14 @@ def diagnosis_row(row: Row, two_sided: Set[str]) -> dict[str, object]:
         "named": " ".join("|".join(sorted(group)) for group in groups),
         "correct": is_correct(row),
         "confidence": answer_probability(row),
-        "extra": sum(not group & set(truth["names"]) for group in groups),
+        "extra": count_false(row),
         "runtime": row["runtime"],
         "code": row["code"],
         "values": json.dumps(hidden_parameters(row, two_sided)),
         "answer": answer_name(row),
         "group": len(groups[0]) if groups else 0,
         "found": count_found(row),
+        "remainder": reports_remainder(row),
         "named_above_half": is_named_above(row, 0.5),
         "rms_base": rms.get("base", np.nan),
         "rms_extended": rms.get("extended", np.nan),
@@ -387,6 +391,9 @@ COUNTED: tuple[tuple[str, tuple[str, ...], Select, float, float], ...] = (
         np.nan,
         0.0,
     ),
+    ("mixed: known cause named", ("mixed",), lambda d: d["found"] >= 1, 0.90, np.nan),
+    ("mixed: false cause named", ("mixed",), lambda d: d["extra"] > 0, np.nan, 0.03),
+    ("mixed: remainder reported", ("mixed",), lambda d: d["remainder"], 0.97, np.nan),
 )
 
 

@@ -43,7 +43,7 @@ class DiagnosisSettings:
     first: Annotated[int, Field(ge=0)]
     processes: Annotated[int, Field(ge=0)]
     simulator: Literal["own_kernel", "nodal", "pyelastica"]
-    kind: Literal["none", "effect", "pair", "triple", "outside"] | None
+    kind: Literal["none", "effect", "pair", "triple", "outside", "mixed"] | None
 
 
 @dataclass(frozen=True)

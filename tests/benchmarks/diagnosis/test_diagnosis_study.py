@@ -106,6 +106,12 @@ RIGHT = {
         groups=[["density_taper", "tip_mass"]],
     ),
 }
+MIXED = {
+    "known cause and remainder": row("mixed", ["wind", "gust"], "partial", [WIND]),
+    "no remainder": row("mixed", ["wind", "gust"], "effect", [WIND]),
+    "nothing named": row("mixed", ["wind", "gust"], "unknown"),
+    "a false cause beside": row("mixed", ["wind", "gust"], "partial", [WIND, MASS]),
+}
 SEVERAL = {
     "all three named": row(
         "triple", ["wind", "tip_mass", "density_taper"], "effect", [WIND, MASS, TAPER]
@@ -199,6 +205,21 @@ def test_of_a_triple_all_are_to_be_named_and_another_name_for_a_cause_is_as_righ
     smooth["truth"]["alike"] = {"dahl_friction": "maxwell_slip"}
     assert is_correct(smooth)
     assert (answer_name(smooth), answer_probability(smooth)) == ("maxwell_slip", 0.9)
+
+
+def test_of_a_mixture_the_known_cause_is_named_and_a_remainder_reported():
+    assert [is_correct(one) for one in MIXED.values()] == [True, False, False, False]
+    rates = score_rows([*MIXED.values()])["rates"].set_index("name")
+    assert rates.loc["mixed: known cause named", "right"] == 3
+    assert rates.loc["mixed: false cause named", "right"] == 1
+    assert rates.loc["mixed: remainder reported", "right"] == 3
+
+
+def test_a_small_clock_error_of_a_mixture_may_be_named():
+    named = row("mixed", ["wind", "gust"], "partial", [WIND, ("time_offset", 0.9)])
+    assert not is_correct(named)
+    named["truth"]["tolerated"] = ["time_offset"]
+    assert is_correct(named)
 
 
 def test_tables_of_known_rows():

@@ -16,6 +16,9 @@ from stringcast.data.dataset import FORMAT_VERSION, with_trial
 from stringcast.data.store import write_table, write_text
 from tests.benchmarks.simulators.scene import Scene
 
+# effects of the library that are nuisances, by the simulator's setting
+NUISANCE_EFFECTS = {"camera.offset": "time_offset"}
+
 
 @dataclass(frozen=True)
 class TrueCause:
@@ -55,6 +58,7 @@ class GroundTruth:
     redrawn : number of casts that were not kept for this reason
     unexplained_m : of an outside cause, what the likeliest single effect of the library
         leaves at the tip, linearised; else the size of the smallest cause
+    nuisances : small errors of clock and arc lengths, in the simulator's terms
     """
 
     simulator: str
@@ -67,6 +71,7 @@ class GroundTruth:
     chaotic: tuple[str, ...]
     redrawn: int
     unexplained_m: float
+    nuisances: dict[str, float]
 
     @property
     def names(self) -> list[str]:
@@ -76,7 +81,8 @@ class GroundTruth:
     def document(self) -> dict[str, Any]:
         """Return what the truth file holds: all fields, and what scores need of them.
 
-        `sizes` are in noise sigmas; `alike` maps other right names to those of `names`.
+        `sizes` are in noise sigmas; `alike` maps other right names to those of `names`;
+        `tolerated` are names of small errors, which are no false causes.
         """
         parameters: dict[str, float] = {}
         sizes: dict[str, float] = {}
@@ -85,7 +91,13 @@ class GroundTruth:
             parameters |= cause.parameters
             sizes[cause.name] = cause.size_m / self.sigma
             alike |= dict.fromkeys(cause.alike, cause.name)
-        scored = {"parameters": parameters, "sizes": sizes, "alike": alike}
+        scored: dict[str, Any] = {
+            "parameters": parameters,
+            "sizes": sizes,
+            "alike": alike,
+        }
+        tolerated = [NUISANCE_EFFECTS.get(name, "") for name in self.nuisances]
+        scored["tolerated"] = list(filter(None, tolerated))
         return asdict(self) | {"names": self.names} | scored
 
 

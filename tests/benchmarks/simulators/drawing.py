@@ -38,14 +38,22 @@ from tests.benchmarks.simulators.scene import (
 
 ROOT = Path(__file__).resolve().parents[3]
 NONE, EFFECT, PAIR, TRIPLE, OUTSIDE = "none", "effect", "pair", "triple", "outside"
-KINDS = (NONE, EFFECT, PAIR, TRIPLE, OUTSIDE)
-# Kinds of consecutive seeds: any ten are balanced.
+MIXED = "mixed"  # causes of the library and one outside it, with common nuisances
+KINDS = (NONE, EFFECT, PAIR, TRIPLE, OUTSIDE, MIXED)
+# Kinds of consecutive seeds: any ten are balanced. A mixed dataset is drawn on demand.
 CYCLE = (
     EFFECT, NONE, OUTSIDE, PAIR, EFFECT, OUTSIDE, NONE, EFFECT, TRIPLE, EFFECT
 )  # fmt: skip
 SIZE_RANGE_M = (3e-3, 12e-3)  # rms displacement of the tip
 MIN_SIZE_M = 2.5e-3  # above the diagnosis' tolerance of 2 mm
 MIN_UNEXPLAINED_M = 4e-3  # left of an outside cause by the likeliest library effect
+MIN_UNEXPLAINED_IN_MIXTURE_M = 2.5e-3  # the same, beside a cause of the library
+TWO_KNOWN_SHARE = 0.3  # share of mixtures with two causes of the library
+OUTSIDE_OVER_KNOWN = (0.2, 5.0)  # size of the outside cause of a mixture
+MAX_OUTSIDE_SIZE_M = 25e-3
+NUISANCE_SHARE = 0.5  # share of mixtures that have each nuisance
+MAX_CLOCK_ERROR_S = 3e-3
+MAX_ARC_LENGTH_ERROR = 0.005
 HAND_SPEED_RANGE = (1.2, 4.0)  # [m/s]
 SLOWDOWN = 0.85  # factor of the fastest speed after a chaotic cast
 FAST_HAND_SPEED_RANGE = (5.0, 8.0)  # [m/s], of casts that are likely to be chaotic
@@ -85,11 +93,25 @@ class Plan:
             return [causes[name] for name in self.cause_names]
         if self.kind == NONE:
             return []
+        if self.kind == MIXED:
+            return self._draw_mixture(rng, skipped)
         wanted = [c for c in causes.values() if c.outside == (self.kind == OUTSIDE)]
         if self.kind in (EFFECT, OUTSIDE):
             return [wanted[(turn_of(self.seed, self.kind) + skipped) % len(wanted)]]
         count = 2 if self.kind == PAIR else 3
         return [wanted[i] for i in rng.choice(len(wanted), count, replace=False)]
+
+    def _draw_mixture(self, rng: np.random.Generator, skipped: int) -> list[Cause]:
+        """Choose one or two causes of the library, and one outside it, the last."""
+        known = [cause for cause in self.simulator.causes if not cause.outside]
+        first = (self.seed + skipped) % len(known)
+        mixture = [known[first]]
+        if rng.uniform() < TWO_KNOWN_SHARE:
+            other = (first + rng.integers(1, len(known))) % len(known)
+            mixture.append(known[other])
+        outside = self.simulator.outside_causes_of_mixtures
+        mixture.append(outside[rng.integers(len(outside))])
+        return mixture
 
 
 def kind_of(seed: int) -> str:
@@ -130,18 +152,33 @@ def _try_to_draw(
     trials = _plain_trials(scene.with_casts(scene.casts[:count]))
     hidden = []
     settings = []
+    size_m = 0.0
     for cause in causes:
-        hidden_cause, share = _hide(scene, cause, trials, rng)
+        if plan.kind == MIXED and cause.outside:
+            size_m = _draw_outside_size(cause, size_m, rng)
+        else:
+            size_m = _draw_size(cause, rng)
+        hidden_cause, share = _hide(scene, cause, size_m, trials, rng)
         hidden.append(hidden_cause)
         settings.append(hidden_cause.settings(share))
     sizes = _sizes(scene, hidden, settings)
+    if plan.kind == MIXED and sizes[-1] > causes[-1].size_factor * MAX_OUTSIDE_SIZE_M:
+        raise Redraw
     unexplained = min(sizes, default=0.0)
-    if plan.kind == OUTSIDE:
-        unexplained = _least_unexplained(scene, hidden[0], settings[0], rng)
+    if plan.kind in (OUTSIDE, MIXED):
+        unexplained = _least_unexplained(scene, hidden[-1], settings[-1], rng)
+        needed = MIN_UNEXPLAINED_M
+        if plan.kind == MIXED:
+            needed = MIN_UNEXPLAINED_IN_MIXTURE_M
+        if unexplained < needed:
+            raise Redraw
+    nuisances: dict[str, float] = {}
+    if plan.kind == MIXED:
+        nuisances = _draw_nuisances(_merge(settings), rng)
 
-    performed, redrawn = _perform(scene, hidden, settings, count, rng)
+    performed, redrawn = _perform(scene, hidden, settings, nuisances, count, rng)
     kept = scene.with_casts([trial.cast for trial in performed])
-    if hidden and hidden[0].only_trial is None:
+    if hidden and not _acts_once(hidden):
         # A cause that acted in a redrawn trial may not show in the others.
         sizes = _sizes(kept, hidden, settings)
     points = []
@@ -165,6 +202,7 @@ def _try_to_draw(
         chaotic=tuple(name for name, error in errors.items() if error > limit),
         redrawn=unfit + redrawn,
         unexplained_m=unexplained,
+        nuisances=nuisances,
     )
     return SyntheticDataset(kept, tuple(points), bool(rng.integers(2)), truth)
 
@@ -256,14 +294,77 @@ def _field(scene: Scene, settings: dict[str, float], only: int | None) -> np.nda
     return field
 
 
+def _field_of_causes(
+    scene: Scene, hidden: Sequence[HiddenCause], settings: Sequence[dict[str, float]]
+) -> np.ndarray:
+    """Return all points with several causes, each in the casts in which it acts."""
+    fields = []
+    for place, cast in enumerate(scene.casts):
+        active = _active_settings(hidden, settings, place)
+        fields.append(scene.observe(cast, active, Fidelity.SEARCH))
+    field = np.concatenate(fields)
+    if not np.isfinite(field).all():
+        raise Redraw
+    return field
+
+
+def _active_settings(
+    hidden: Sequence[HiddenCause], settings: Sequence[dict[str, float]], place: int
+) -> dict[str, float]:
+    """Return the settings of all causes that act in the cast of a place."""
+    active = []
+    for hidden_cause, of_cause in zip(hidden, settings, strict=True):
+        if hidden_cause.only_trial in (None, place):
+            active.append(of_cause)
+    return _merge(active)
+
+
+def _acts_once(hidden: Sequence[HiddenCause]) -> bool:
+    """Return whether a cause acts in a single trial."""
+    return any(hidden_cause.only_trial is not None for hidden_cause in hidden)
+
+
+def _draw_size(cause: Cause, rng: np.random.Generator) -> float:
+    """Draw the rms displacement of the tip by a cause [m]."""
+    return cause.size_factor * float(np.exp(rng.uniform(*np.log(SIZE_RANGE_M))))
+
+
+def _draw_outside_size(
+    cause: Cause, known_size_m: float, rng: np.random.Generator
+) -> float:
+    """Draw the size of the outside cause beside a known one [m]."""
+    ratio = float(np.exp(rng.uniform(*np.log(OUTSIDE_OVER_KNOWN))))
+    size_m = min(max(ratio * known_size_m, MIN_SIZE_M), MAX_OUTSIDE_SIZE_M)
+    return cause.size_factor * size_m
+
+
+def _draw_nuisances(
+    settings: dict[str, float], rng: np.random.Generator
+) -> dict[str, float]:
+    """Draw small errors that every real dataset has, unless a cause sets the same."""
+    ranges = {
+        "camera.offset": MAX_CLOCK_ERROR_S,
+        "camera.length_error": MAX_ARC_LENGTH_ERROR,
+    }
+    nuisances = {}
+    for name, largest in ranges.items():
+        value = float(rng.uniform(-largest, largest))
+        if rng.uniform() < NUISANCE_SHARE and name not in settings:
+            nuisances[name] = value
+    return nuisances
+
+
 def _hide(
-    scene: Scene, cause: Cause, trials: PlainTrials, rng: np.random.Generator
+    scene: Scene,
+    cause: Cause,
+    wanted: float,
+    trials: PlainTrials,
+    rng: np.random.Generator,
 ) -> tuple[HiddenCause, float]:
-    """Draw circumstances of a cause, and the share at which it has a drawn size.
+    """Draw circumstances of a cause, and the share at which it has the wanted size [m].
 
     The size is what base parameters do not explain.
     """
-    wanted = cause.size_factor * float(np.exp(rng.uniform(*np.log(SIZE_RANGE_M))))
     plain = _field(scene, {}, None)
     for _ in range(CIRCUMSTANCES_TRIED):
         hidden = cause.hide(rng, trials)
@@ -286,12 +387,12 @@ def _sizes(
     scene: Scene, hidden: Sequence[HiddenCause], settings: Sequence[dict[str, float]]
 ) -> list[float]:
     """Return what base parameters and the other causes leave of each cause [m]."""
-    only = hidden[0].only_trial if hidden else None
-    full = _field(scene, _merge(settings), only)
+    full = _field_of_causes(scene, hidden, settings)
     changes = []
     for i in range(len(settings)):
-        others = [other for j, other in enumerate(settings) if j != i]
-        changes.append(full - _field(scene, _merge(others), only))
+        other_causes = [other for j, other in enumerate(hidden) if j != i]
+        other_settings = [other for j, other in enumerate(settings) if j != i]
+        changes.append(full - _field_of_causes(scene, other_causes, other_settings))
     sizes = []
     for i, change in enumerate(changes):
         others = [other[None] for j, other in enumerate(changes) if j != i]
@@ -324,8 +425,6 @@ def _least_unexplained(
                 columns.append((moved - plain)[None])
         left = remove_projection(change, np.concatenate(columns))
         least = min(least, tip_rms(left))
-    if least < MIN_UNEXPLAINED_M:
-        raise Redraw
     return least
 
 
@@ -351,6 +450,7 @@ def _perform(
     scene: Scene,
     hidden: Sequence[HiddenCause],
     settings: Sequence[dict[str, float]],
+    nuisances: dict[str, float],
     count: int,
     rng: np.random.Generator,
 ) -> tuple[list[Trial], int]:
@@ -358,26 +458,25 @@ def _perform(
 
     The second value is the number of trials that were not kept.
     """
-    only = hidden[0].only_trial if hidden else None
-    merged = _merge(settings)
     good: list[Trial] = []
     bad: list[Trial] = []
     for place, cast in enumerate(scene.casts):
-        active = merged if only in (None, place) else {}
+        active = _active_settings(hidden, settings, place) | nuisances
         trial = _simulate_trial(scene, cast, place, active)
         is_good = trial.error_m < MAX_NUMERICAL_ERROR * scene.sigma
         (good if is_good else bad).append(trial)
         if len(good) == count:
             break
-    acts_nowhere = only is not None and only not in [trial.place for trial in good]
+    kept_places = {None, *(trial.place for trial in good)}
+    acts_nowhere = not {cause.only_trial for cause in hidden} <= kept_places
     if len(good) < MIN_TRIALS or acts_nowhere:
         raise Redraw
-    if only is not None or rng.uniform() >= CHAOTIC_SHARE:
+    if _acts_once(hidden) or rng.uniform() >= CHAOTIC_SHARE:
         return good, len(bad)
     for place in range(len(scene.casts), len(scene.casts) + 4):
         speed = float(rng.uniform(*FAST_HAND_SPEED_RANGE))
         cast = random_cast(scene.arm, rng, scene.camera.fps, speed)
-        trial = _simulate_trial(scene, cast, place, merged)
+        trial = _simulate_trial(scene, cast, place, _merge(settings) | nuisances)
         if MIN_CHAOTIC_ERROR * scene.sigma < trial.error_m < MAX_CHAOTIC_ERROR_M:
             at = int(rng.integers(len(good)))
             replaced = len(good) > MIN_TRIALS

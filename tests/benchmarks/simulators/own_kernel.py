@@ -25,6 +25,7 @@ from stringcast.stages.model.hand import (
 from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import PAPER_EFFECTS, String
+from tests.benchmarks.simulators.camera_faults import CameraFaults
 from tests.benchmarks.simulators.causes import (
     OUTSIDE_ARM_AND_CAMERA_CAUSES,
     OUTSIDE_STRING_CAUSES,
@@ -38,7 +39,13 @@ from tests.benchmarks.simulators.hand import GraspPath
 from tests.benchmarks.simulators.motions import Cast
 from tests.benchmarks.simulators.own_kernel_effects import OUTSIDE_EFFECTS
 from tests.benchmarks.simulators.rod import BASE_FIELDS, Rod
-from tests.benchmarks.simulators.scene import Fidelity, Scene, Settings, Simulator
+from tests.benchmarks.simulators.scene import (
+    Fidelity,
+    Scene,
+    Settings,
+    Simulator,
+    with_settings,
+)
 
 # Mass points and largest step [s]. With 160 points a tip that cracks is a quarter of
 # the noise off, with 40 points four times the noise.
@@ -80,16 +87,17 @@ class OwnKernel(Simulator):
         on_string = [c for c in OUTSIDE_STRING_CAUSES if c.name in names]
         return (*of_library, *on_string, *OUTSIDE_ARM_AND_CAMERA_CAUSES)
 
+    @property
+    def outside_causes_of_mixtures(self) -> tuple[Cause, ...]:
+        """Those that are effects, as the causes of the library are here."""
+        names = [effect.name for effect in OUTSIDE_EFFECTS]
+        return tuple(cause for cause in self.causes if cause.name in names)
+
     def move(self, rod: Rod, path: GraspPath, fidelity: Fidelity) -> KernelMotion:
         """Simulate a rod with causes outside the library; see `Simulator.move`."""
         plain = Rod(*rod[: 1 + len(BASE_FIELDS)])
         string = make_string(rod.length, fidelity, with_all_effects=rod != plain)
-        settings = rod.paper_parameters()
-        for effect in OUTSIDE_EFFECTS:
-            for parameter in effect.parameters:
-                settings[effect.qualified_name(parameter)] = getattr(
-                    rod, parameter.name
-                )
+        settings = rod.paper_parameters() | outside_settings(rod)
         t = np.arange(path.start, path.end, HAND_TICK_S)
         hand = resample_hand_motion(t, path.pose(t), HAND_TICK_S)
         return KernelMotion(string, hand, string.values(settings)[None])
@@ -97,7 +105,11 @@ class OwnKernel(Simulator):
     def observe(
         self, scene: Scene, cast: Cast, settings: Settings, fidelity: Fidelity
     ) -> np.ndarray:
-        """Simulate effects of the library, or other causes; see `Simulator.observe`."""
+        """Simulate effects of the library, or other causes; see `Simulator.observe`.
+
+        Beside effects of the library act causes on the string outside it, and errors
+        of clock and arc lengths.
+        """
         of_effects = {}
         for name, value in settings.items():
             if not name.startswith(RECORD_PREFIXES):
@@ -107,13 +119,30 @@ class OwnKernel(Simulator):
         active = {name.partition(".")[0] for name in of_effects}
         effects = [effect for effect in hideable_effects() if effect.name in active]
         others = [effect for effect in effects if not issubclass(effect, StringEffect)]
-        acts_on_string = len(others) < len(effects)
-        string = make_string(scene.rod.length, fidelity, acts_on_string)
+        rod = with_settings(scene.rod, "rod", settings)
+        faults = with_settings(CameraFaults(), "camera", settings)
+        acts_on_string = len(others) < len(effects) or rod != scene.rod
+        string = make_string(rod.length, fidelity, acts_on_string)
         model = Model(string, scene.arm, scene.camera).with_effects(*others)
-        values = model.values({**scene.rod.paper_parameters(), **of_effects})[None]
+        all_settings = rod.paper_parameters() | of_effects
+        if acts_on_string:
+            all_settings |= outside_settings(rod)
+        values = model.values(all_settings)[None]
         motion = resample_joint_motion(cast.fine, cast.angles, HAND_TICK_S)
-        points = model.simulate_observation(motion, values, cast.frames).points[0]
-        return interpolate_along_string(points, scene.s / scene.rod.length)
+        times = cast.frames + faults.offset
+        points = model.simulate_observation(motion, values, times).points[0]
+        arc = scene.s * (1 + faults.length_error)
+        return interpolate_along_string(points, arc / rod.length)
+
+
+def outside_settings(rod: Rod) -> dict[str, float]:
+    """Return the parameters of effects outside the library, by qualified name."""
+    settings = {}
+    for effect in OUTSIDE_EFFECTS:
+        for parameter in effect.parameters:
+            name = effect.qualified_name(parameter)
+            settings[name] = getattr(rod, parameter.name)
+    return settings
 
 
 def make_string(length: float, fidelity: Fidelity, with_all_effects: bool) -> String:

@@ -62,6 +62,11 @@ class Simulator(ABC):
     def causes(self) -> tuple[Cause, ...]:
         """The causes that may be hidden, in order."""
 
+    @property
+    def outside_causes_of_mixtures(self) -> tuple[Cause, ...]:
+        """The causes outside the library that can be hidden beside one of it."""
+        return tuple(cause for cause in self.causes if cause.outside)
+
     @abstractmethod
     def move(self, rod: Rod, path: GraspPath, fidelity: Fidelity) -> StringMotion:
         """Simulate a rod that starts from rest and follows the grasp."""
