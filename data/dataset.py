@@ -219,7 +219,8 @@ def read_dataset(folder: Path) -> Dataset:
         trial, film, start = _build_trial(
             name, hand, tables, shots.get(name), moving=initial == "moving"
         )
-        fault = _find_fault(trial, film, hand, block, start)
+        fault = _find_timeless_fault(name, rows)
+        fault = fault or _find_fault(trial, film, hand, block, start)
         if fault is not None:
             unusable[name] = fault
         else:
@@ -470,6 +471,23 @@ def exclude_stray_points(data: Dataset, length: float) -> Dataset:
             points = observation.points[~is_beyond].reset_index(drop=True)
             trials[name] = replace(observation, points=points)
     return replace(data, trials=trials, unusable=faults)
+
+
+def _find_timeless_fault(name: str, rows: Mapping[str, RowCounts]) -> TrialFault | None:
+    """Find times of a trial that say nothing of the single row; None if there are none.
+
+    rows: counts of the tables' rows by file.
+    """
+    for file, counts in rows.items():
+        if name in counts.timeless:
+            return TrialFault(
+                counts.timeless[name],
+                "They may be stored as float32, or rounded: write them with more "
+                "digits, or give the rate of the rows: import --fps 200",
+                file.rpartition(".")[0],
+                "t",
+            )
+    return None
 
 
 def _find_fault(

@@ -5,15 +5,16 @@ Dropped rows are counted by reason.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import ARM, GRASP
+from stringcast.data.artifacts import ARM, GRASP, POINTS
 from stringcast.data.file_checks import check_csv, read_frame, text_options
+from stringcast.data.lost_samples import LostSamples, find_lost_points, zero_row_mask
 from stringcast.data.schema import DataError, Table
 
 MAX_VALUE = 1e9  # a metre in nanometres: no measured distance is larger in any unit
@@ -28,6 +29,10 @@ SPIKE_WINDOW_SAMPLES = 11  # samples of that median
 # Fraction of a spike by which its neighbours seem off the other way, as they do not in
 # a real motion.
 MIN_RETURN_FRACTION = 0.25
+# rows that share a time, from which times of a trial say nothing of the single row
+MIN_ROWS_PER_TIME = 2.0
+MIN_TIMED_ROWS = 5
+TURN_JUMP_RAD = 1.5 * np.pi  # so large a step between two samples is a wrapped angle
 
 
 @dataclass(frozen=True)
@@ -35,12 +40,23 @@ class RowCounts:
     """Counts of a file's rows.
 
     total: rows in the file. dropped: unusable ones by reason. unordered: rows earlier
-    than the row before them of the same trial (and arc length).
+    than the row before them of the same trial (and arc length). lost: points that a
+    tracker wrote without seeing them, which are dropped, too. timeless: trials whose
+    times say nothing of the single row, with the reason. unwrapped: trials of each
+    joint whose angles were wrapped.
     """
 
     total: int
     dropped: Mapping[str, int] = field(default_factory=dict)
     unordered: int = 0
+    lost: tuple[LostSamples, ...] = ()
+    timeless: Mapping[str, str] = field(default_factory=dict)
+    unwrapped: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def missing(self) -> int:
+        """How many rows are not used."""
+        return sum(self.dropped.values()) + sum(one.count for one in self.lost)
 
 
 def read_csv_table(table: Table, path: Path) -> pd.DataFrame:
@@ -120,7 +136,7 @@ def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCoun
     -------
     frame : pandas.DataFrame
         The usable rows.
-    counts : Rows
+    counts : RowCounts
         How many rows were read and dropped.
     """
     rows = RowFilter(frame)
@@ -144,6 +160,7 @@ def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCoun
         )
     keys = [name for name in ("trial", "t", "s") if name in rows.frame]
     rows.drop("a row twice", rows.frame.duplicated())
+    timeless = find_timeless_trials(rows.frame, keys)
     reason = f"another value at the same {', '.join(keys)}; the first is kept"
     rows.drop(reason, rows.frame.duplicated(keys))
 
@@ -151,14 +168,92 @@ def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCoun
     series = [name for name in keys if name != "t"]  # points may be listed by place
     unordered = int((usable.groupby(series)["t"].diff() < 0).sum())
     rows.frame = usable.sort_values(["trial", "t"], kind="stable")
+    lost: list[LostSamples] = []
+    unwrapped: dict[str, tuple[str, ...]] = {}
+    if table.name == POINTS.name:
+        is_lost, lost = find_lost_points(rows.frame)
+        rows.frame = rows.frame[~is_lost]
     if table.name in MOTION_TABLES:
         numbers.remove("t")
         is_spike = pd.Series(False, index=rows.frame.index)
         for _, trial in rows.frame.groupby("trial", sort=False):
             values = np.unwrap(trial[numbers].to_numpy(), axis=0)
-            is_spike[trial.index] = spike_mask(trial["t"].to_numpy(), values)
+            is_zero = zero_row_mask(trial[numbers].to_numpy())  # an error, not a spike
+            is_spike[trial.index] = ~is_zero & spike_mask(trial["t"].to_numpy(), values)
         rows.drop("the hand jumps away and back within two samples", is_spike)
-    return rows.frame, RowCounts(len(frame), rows.dropped, unordered)
+    if table.name == ARM.name:
+        rows.frame, unwrapped = unwrap_angles(rows.frame, numbers)
+    counts = RowCounts(
+        len(frame), rows.dropped, unordered, tuple(lost), timeless, unwrapped
+    )
+    return rows.frame, counts
+
+
+def find_timeless_trials(frame: pd.DataFrame, keys: Sequence[str]) -> dict[str, str]:
+    """Find trials in which many rows of one place share a time.
+
+    Parameters
+    ----------
+    frame
+        Rows without repetitions.
+    keys
+        Columns that should name a row, `t` among them.
+
+    Returns
+    -------
+    dict
+        What was found, by trial.
+    """
+    places = [name for name in keys if name != "t"]
+    if len(places) == len(keys):
+        return {}
+    groups = frame.groupby(places, sort=False)
+    sizes = groups["t"].agg(["size", "nunique"]).reset_index()
+    is_shared = sizes["nunique"] * MIN_ROWS_PER_TIME <= sizes["size"]
+    sizes = sizes[is_shared & (sizes["size"] >= MIN_TIMED_ROWS)]
+    reasons: dict[str, str] = {}
+    for _, place in sizes.iterrows():
+        times = frame["t"][(frame[places] == place[places]).all(axis=1)]
+        distinct = np.unique(times)
+        found = f"all {len(times)} rows have the same"
+        if len(distinct) > 1:
+            found = f"{len(times)} rows have {len(distinct)} different ones"
+            found += f", {np.median(np.diff(distinct)):.4g} s apart"
+        reason = f"the time stamps carry no time: {found}"
+        reasons.setdefault(str(place["trial"]), reason)
+    return reasons
+
+
+def unwrap_angles(
+    frame: pd.DataFrame, joints: Sequence[str]
+) -> tuple[pd.DataFrame, dict[str, tuple[str, ...]]]:
+    """Unwrap joint angles that jump by a turn.
+
+    Parameters
+    ----------
+    frame
+        Rows in the order of trial and time.
+    joints
+        Columns of angles [rad].
+
+    Returns
+    -------
+    frame : pandas.DataFrame
+        The rows with continuous angles.
+    unwrapped : dict
+        The trials whose angles were wrapped, by joint.
+    """
+    frame = frame.copy()
+    unwrapped: dict[str, tuple[str, ...]] = {}
+    for name, trial in frame.groupby("trial", sort=False):
+        for joint in joints:
+            angles = trial[joint].to_numpy()
+            is_jump = np.abs(np.diff(angles)) > TURN_JUMP_RAD
+            # angles in degrees jump, too, and range farther
+            if is_jump.any() and np.ptp(angles) < 2 * np.pi + 0.01:
+                frame.loc[trial.index, joint] = np.unwrap(angles, discont=TURN_JUMP_RAD)
+                unwrapped[joint] = (*unwrapped.get(joint, ()), str(name))
+    return frame, unwrapped
 
 
 def spike_mask(t: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from os.path import commonprefix
 from pathlib import Path
@@ -64,6 +64,8 @@ class ImportedTables:
         Frame rate of the films, where their files state it [1/s].
     notes
         What the readers decided, for people.
+    zero_rows
+        How many rows of the hand's log are exactly zero among others, by file.
     """
 
     motion: pd.DataFrame
@@ -73,6 +75,7 @@ class ImportedTables:
     unused_columns: Mapping[Path, Sequence[str]]
     fps: float | None = None
     notes: Sequence[str] = ()
+    zero_rows: Mapping[Path, int] = field(default_factory=dict)
 
     @property
     def joints(self) -> list[str]:
@@ -109,12 +112,13 @@ def gather_tables(
     motion_parts = []
     point_parts = []
     films = []
+    zero_rows: dict[Path, int] = {}
     for recording in recordings:
         if recording.film is not None:
             films.append(recording)
             continue
         columns = _interpret_columns(recording, hints)
-        motion, points = _read_parts(recording, columns, hints, used_columns)
+        motion, points = _read_parts(recording, columns, hints, used_columns, zero_rows)
         if motion is not None:
             motion_parts.append((recording, motion))
         if points is not None:
@@ -143,7 +147,14 @@ def gather_tables(
     _require_common_trial(motion, [*film_of, *point_trials])
     notes = list(chain.from_iterable(recording.notes for recording in recordings))
     return ImportedTables(
-        motion, points, film_of, list(unique.values()), unused_columns, fps, notes
+        motion,
+        points,
+        film_of,
+        list(unique.values()),
+        unused_columns,
+        fps,
+        notes,
+        zero_rows,
     )
 
 
@@ -269,6 +280,7 @@ def _read_parts(
     columns: Sequence[SourceColumn],
     hints: ColumnHints,
     used_columns: list[UsedColumn],
+    zero_rows: dict[Path, int],
 ) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
     """Read the hand's motion and the string's points, in our units.
 
@@ -285,6 +297,12 @@ def _read_parts(
     points = reader.read_points()
     if motion is not None:
         motion = pd.concat([common, motion], axis=1)
+        is_zero = reader.zero_rows()
+        if hints.skip_zeros:
+            motion = motion[~is_zero]
+        elif is_zero.any():
+            count = zero_rows.get(recording.file, 0)
+            zero_rows[recording.file] = count + int(is_zero.sum())
     if points is not None:
         rows = common.iloc[points.index]
         points = points.assign(

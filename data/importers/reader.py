@@ -20,6 +20,7 @@ from stringcast.data.importers.columns import (
     ColumnMeaning,
     split_words,
 )
+from stringcast.data.lost_samples import zero_row_mask
 from stringcast.data.schema import DataError
 
 # [s] between samples: longer steps show no motion, so the unit must be a smaller one
@@ -56,6 +57,8 @@ class ColumnHints:
         Scale and origin of pixels.
     hand
         The body that is the hand, where files name several.
+    skip_zeros
+        Whether rows of the hand's log that are exactly zero among others are left out.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -68,6 +71,7 @@ class ColumnHints:
     px_per_m: float | None = None
     origin_px: tuple[float, float] | None = None
     hand: str = ""
+    skip_zeros: bool = False
 
 
 @dataclass(frozen=True)
@@ -340,6 +344,16 @@ class RecordingReader:
             run = right.sign * direction[right.name]
             pose["theta"] = np.unwrap(np.arctan2(rise, run))
         return pd.DataFrame(pose)
+
+    def zero_rows(self) -> np.ndarray:
+        """Find rows of the hand's log that are exactly zero among others, (K,) bool."""
+        columns = self.columns_of("joint") or self._hand_columns()
+        values = np.empty((len(self.table), len(columns)))
+        for number, column in enumerate(columns):
+            units = ANGLE_UNITS | LENGTH_UNITS
+            raw = pd.to_numeric(self.table[column.name], errors="coerce")
+            values[:, number] = raw * units.get(column.meaning.unit, 1.0)
+        return zero_row_mask(values)
 
     def _refuse_alike_joints(self, joints: Sequence[SourceColumn]) -> None:
         """Refuse two columns of the same joint."""

@@ -47,8 +47,8 @@ from stringcast.stages.check.mistakes import (
 )
 from stringcast.stages.check.overview import dataset_overview
 
-# units of points, of the hand and of angles, direction and clock can be wrong in turn
-MAX_CORRECTIONS = 7
+# units of points, of the hand and of angles, direction, clock and rows of zeros
+MAX_CORRECTIONS = 8
 CORRECTABLE_PARTS = {"xy", "s", "hand", "length"}  # by the option --unit
 
 
@@ -110,7 +110,7 @@ def interpret_recordings(
     with TemporaryDirectory() as place:
         for number in range(MAX_CORRECTIONS):
             tables = gather_tables(recordings, read_column_hints(options))
-            change = propose_degrees(tables)
+            change = propose_degrees(tables) or propose_skipped_zeros(tables)
             if change is not None:
                 confirm_change(change, options, console)
                 continue
@@ -142,6 +142,18 @@ def propose_degrees(tables: ImportedTables) -> Change | None:
             )
             return Change(reason, ["--deg"])
     return None
+
+
+def propose_skipped_zeros(tables: ImportedTables) -> Change | None:
+    """Propose to leave out rows that are exactly zero, if the hand's log has any."""
+    if not tables.zero_rows:
+        return None
+    counts = [f"{count} in {file.name}" for file, count in tables.zero_rows.items()]
+    reason = (
+        f"rows of the hand's log are exactly zero among others ({', '.join(counts)}), "
+        "as of a second publisher"
+    )
+    return Change(reason, ["--skip-zeros"])
 
 
 def propose_clock_fit(imported: ImportedDataset, options: argparse.Namespace) -> Change:

@@ -128,6 +128,11 @@ def argument_parser(description: str | None = None) -> argparse.ArgumentParser:
         default="",
         help="the body that holds the string, where files name several",
     )
+    add(
+        "--skip-zeros",
+        action="store_true",
+        help="leave out rows of the arm's log that are exactly zero among others",
+    )
     add("--px-per-m", type=float, help="pixels of a metre, where places are in pixels")
     add(
         "--origin-px",
@@ -245,6 +250,7 @@ def read_column_hints(options: argparse.Namespace) -> ColumnHints:
         px_per_m=options.px_per_m,
         origin_px=options.origin_px,
         hand=options.hand,
+        skip_zeros=options.skip_zeros,
     )
 
 

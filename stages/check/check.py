@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from stringcast.data.schema import DataError
-from stringcast.stages.check import clocks, contents, frames, mistakes, motion
+from stringcast.stages.check import clocks, contents, frames, mistakes, motion, samples
 from stringcast.stages.check.finding import Finding, Severity
 from stringcast.stages.check.measured import CheckedDataset
 
@@ -35,7 +35,8 @@ CHECKS: tuple[Check, ...] = (
     motion.check_fall,
     motion.check_hanging,
     motion.check_frozen_joints,
-    motion.check_repeated_points,
+    samples.check_lost_points,
+    samples.check_zero_rows,
     motion.check_stillness,
     contents.check_duplicate_tables,
     contents.check_rows,

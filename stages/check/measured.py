@@ -12,6 +12,7 @@ import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.dataset import Dataset
+from stringcast.data.lost_samples import zero_row_mask
 from stringcast.stages.common import (
     mad_sigma,
     places_wander,
@@ -62,12 +63,24 @@ class CheckedTrial:
         return self.observation.valid_points.sort_values(["t", "s"], kind="stable")
 
     @property
-    def motion(self) -> pd.DataFrame:
+    def logged_motion(self) -> pd.DataFrame:
         """Stored joint angles or poses of the grasp."""
         if self.observation.arm is not None:
             return self.observation.arm
         assert self.observation.grasp is not None
         return self.observation.grasp
+
+    @cached_property
+    def zero_rows(self) -> np.ndarray:
+        """Rows of the stored motion (K,) that are exactly zero among others."""
+        has_joints = self.observation.arm is not None
+        names = list(JOINTS) if has_joints else ["x", "y", "theta"]
+        return zero_row_mask(self.logged_motion[names].to_numpy())
+
+    @cached_property
+    def motion(self) -> pd.DataFrame:
+        """Joint angles or poses of the grasp, without rows of zeros among others."""
+        return self.logged_motion[~self.zero_rows]
 
     @cached_property
     def joints(self) -> np.ndarray | None:
@@ -206,7 +219,7 @@ class CheckedDataset:
     def informative_trials(self) -> Iterator[CheckedTrial]:
         """Yield the trials with enough points to show motion and its onset."""
         rows = self.data.row_counts.get(self.points_file)
-        lost = sum(rows.dropped.values()) / rows.total if rows and rows.total else 0.0
+        lost = rows.missing / rows.total if rows and rows.total else 0.0
         for trial in self.with_points():
             if lost <= MAX_LOST_SHARE and not trial.is_undersampled:
                 yield trial

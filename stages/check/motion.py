@@ -1,4 +1,4 @@
-"""Checks of motion: frozen readings, jumps, repeated points, gravity, stillness."""
+"""Checks of motion: frozen and wrapped readings, gravity, stillness."""
 
 from __future__ import annotations
 
@@ -7,20 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from stringcast.stages.check.clocks import time_unit_factor, usual_interval
-from stringcast.stages.check.finding import Finding, error, warning
+from stringcast.stages.check.finding import Finding, note, warning
 from stringcast.stages.check.gravity import median_gravity
-from stringcast.stages.check.measured import (
-    CLEAR_SIGMAS,
-    GRAVITY,
-    CheckedDataset,
-    CheckedTrial,
-)
+from stringcast.stages.check.measured import GRAVITY, CheckedDataset, CheckedTrial
 from stringcast.stages.check.mistakes import impossible_views
 
 # a joint's reading may stay the same to the last digit so long while others change
 MAX_FROZEN_S = 0.1
-MAX_REPEATED_SHARE = 0.05  # of the steps of moving points
-TURN_JUMP_RAD = 1.5 * np.pi  # so large a step between two samples is a wrapped angle
 # gravity may seem so many times smaller and larger: 17 datasets show 5 to 19 m/s2, a
 # clamped strip 41
 GRAVITY_RATIO_LOW, GRAVITY_RATIO_HIGH = 4.0, 10.0
@@ -62,16 +55,14 @@ def check_frozen_joints(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def check_wrapped_angles(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find joint angles that jump by a turn.
+    """Report joint angles that jumped by a turn, and were unwrapped.
 
     For theta it does not matter: a direction is the same after a turn.
     """
-    for trial, field, angles in joint_readings(dataset):
-        jumps = int((np.abs(np.diff(angles)) > TURN_JUMP_RAD).sum())
-        if jumps and np.ptp(angles) < 2 * np.pi + 0.01:
-            statement = f"{jumps} jump(s) by a whole turn: the angle is wrapped at +-pi"
-            remedy = "Unwrap it, as numpy.unwrap does"
-            yield error(dataset.hand_file, field, statement, remedy, trial.name)
+    for file, rows in dataset.data.row_counts.items():
+        for joint, trials in rows.unwrapped.items():
+            statement = "it jumps by whole turns, as a wrapped angle; it was unwrapped"
+            yield note(file, joint, statement, "Nothing needs to be done", *trials)
 
 
 def check_hanging(dataset: CheckedDataset) -> Iterator[Finding]:
@@ -89,30 +80,6 @@ def check_hanging(dataset: CheckedDataset) -> Iterator[Finding]:
                 "by -1 (and theta too)"
             )
             yield warning(dataset.points_file, "y", statement, remedy, trial.name)
-
-
-def check_repeated_points(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find moving points that a tracker repeated to the last digit."""
-    for trial in dataset.with_points():
-        repeated, moved = 0, 0
-        for _, xy in trial.tracks:
-            steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
-            is_moving = steps > CLEAR_SIGMAS * np.nan_to_num(trial.noise) + 1e-12
-            padded = np.pad(is_moving, 1)
-            has_moving_neighbour = padded[2:] | padded[:-2]
-            repeated += int(((steps == 0) & has_moving_neighbour).sum())
-            moved += int(is_moving.sum())
-        share = repeated / (repeated + moved) if moved else 0.0
-        if share > MAX_REPEATED_SHARE:
-            statement = (
-                f"{share:.0%} of the positions of moving points repeat the last one to "
-                "the last digit"
-            )
-            remedy = (
-                "If the tracker held its last value, drop those rows or set 'valid' to "
-                "false"
-            )
-            yield warning(dataset.points_file, "x, y", statement, remedy, trial.name)
 
 
 def check_fall(dataset: CheckedDataset) -> Iterator[Finding]:

@@ -184,11 +184,6 @@ def degrees_of_poses(dirty):
     dirty.with_poses().grasp["theta"] *= 180 / np.pi
 
 
-def wrapped(dirty):
-    cut = dirty.arm["q1"].iloc[60]
-    dirty.arm["q1"] = cut + (dirty.arm["q1"] - cut) % (2 * np.pi)
-
-
 def sigma_in_mm(dirty):
     dirty.about["noise"] = {"point_sigma": 0.7}
 
@@ -266,7 +261,6 @@ CERTAIN = {
         "Multiply t by 0.001",
     ),
     "arm in ms": (scaled("arm", ["t"], 1e3), "arm.csv t", "Multiply t by 0.001"),
-    "joint wrapped": (wrapped, "arm.csv q1", "numpy.unwrap"),
     "sigma in mm": (
         sigma_in_mm,
         "dataset.yaml noise.point_sigma",
@@ -613,7 +607,7 @@ def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(
 
 def test_every_check_can_find_something():
     names = [check.__name__ for check in CHECKS]
-    assert len(set(names)) == len(names) == 31
+    assert len(set(names)) == len(names) == 32
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])

@@ -129,6 +129,19 @@ def test_whole_numbers_of_trials_agree_however_a_program_writes_them(tmp_path):
     assert set(tables.motion["trial"]) == set(tables.points["trial"]) == {"t1"}
 
 
+def test_rows_of_zeros_among_others_are_counted_and_left_out_on_request(tmp_path):
+    tip = write(tmp_path, "tip.csv", t=T, tip_x=TURN, tip_y=0.0)
+    angles = {"q1": 1 + TURN, "q2": -1 - TURN, "q3": TURN}
+    clean = read(write(tmp_path, "arm.csv", t=T, **angles), tip)
+    assert (clean.zero_rows, len(clean.motion)) == ({}, COUNT)
+    for values in angles.values():
+        values[5::10] = 0.0
+    arm = write(tmp_path, "arm.csv", t=T, **angles)
+    assert read(arm, tip).zero_rows == {arm: COUNT // 10}
+    skipped = read(arm, tip, skip_zeros=True)
+    assert len(skipped.motion) == COUNT - COUNT // 10
+
+
 def test_an_empty_file_is_named(arm, tmp_path):
     (tmp_path / "tip.csv").write_text("")
     with pytest.raises(DataError, match=r"tip\.csv: it is empty. Export it again"):

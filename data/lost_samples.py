@@ -1,0 +1,235 @@
+"""Samples that a tracker or a log wrote although it saw nothing.
+
+A tracker that loses a point repeats its last position to the last digit, or writes a
+fixed one such as (0, 0). A log with a second publisher has rows of zeros.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+MIN_TRACK_SAMPLES = 8  # fewer show nothing
+# A quantised point moves by one step of its grid at a time while it repeats. A held one
+# jumps when it is seen again: by so many grid steps, and so far relative to the track.
+MIN_JUMP_STEPS = 3.0
+MIN_JUMP_EXTENT = 1e-3
+# Noise repeats a quantised value by chance, and then jumps so far, in at most 1.3 % of
+# the steps, and four times in a row in one of 1e5.
+MIN_HELD_SHARE = 0.03
+MIN_HELD_REPEATS = 4
+# a fixed position lies so far from the track, relative to its extent, and recurs
+MIN_AWAY_EXTENT = 0.1
+MIN_RECURRENCES = 3
+MIN_AWAY_SHARE = 0.8  # of the times at which it was written
+# a joint, or the hand, jumps to zero by so many usual steps [rad] or [m]
+MIN_ZERO_JUMP = 0.05
+ZERO_JUMP_RATIO = 10.0
+
+
+@dataclass(frozen=True)
+class LostSamples:
+    """Samples of one trial that hold no measurement.
+
+    kind: what was written instead. count: of `total` samples. longest: duration of the
+    longest run of them [s].
+    """
+
+    trial: str
+    kind: str
+    count: int
+    total: int
+    longest: float
+
+
+def find_lost_points(points: pd.DataFrame) -> tuple[pd.Series, list[LostSamples]]:
+    """Find points that a tracker held or replaced by a fixed position.
+
+    Parameters
+    ----------
+    points
+        Columns trial, t [s], s, x, y, in the order of trial and time.
+
+    Returns
+    -------
+    is_lost : pandas.Series of bool
+        True for a lost point, by the index of `points`.
+    found : list of LostSamples
+        What was found, by trial and kind.
+    """
+    is_lost = pd.Series(False, index=points.index)
+    found = []
+    for trial, rows in points.groupby("trial", sort=False):
+        lost_rows: dict[str, list[np.ndarray]] = {}
+        longest: dict[str, float] = {}
+        for _, track in rows.groupby("s"):
+            if len(track) < MIN_TRACK_SAMPLES:
+                continue
+            xy = track[["x", "y"]].to_numpy()
+            t = track["t"].to_numpy()
+            is_fixed, place = fixed_position_mask(xy)
+            is_held = np.zeros(len(xy), dtype=bool)
+            is_held[~is_fixed] = held_mask(xy[~is_fixed])
+            for kind, mask in ((place, is_fixed), ("its last position", is_held)):
+                if mask.any():
+                    lost_rows.setdefault(kind, []).append(track.index[mask])
+                    duration = _longest_run(t, mask)
+                    longest[kind] = max(longest.get(kind, 0.0), duration)
+        for kind, indices in lost_rows.items():
+            index = np.concatenate(indices)
+            is_lost[index] = True
+            found.append(
+                LostSamples(str(trial), kind, len(index), len(rows), longest[kind])
+            )
+    return is_lost, found
+
+
+def held_mask(xy: np.ndarray) -> np.ndarray:
+    """Find samples that repeat the one before although the point moved on.
+
+    Points at rest that repeat because they are quantised are not found: they go on
+    where they stopped.
+
+    Parameters
+    ----------
+    xy : (K, 2)
+        Positions of one place in the order of time.
+
+    Returns
+    -------
+    (K,) bool
+        True for a repetition.
+    """
+    is_held = np.zeros(len(xy), dtype=bool)
+    if len(xy) < MIN_TRACK_SAMPLES:
+        return is_held
+    steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
+    if not (steps == 0).any() or not steps.any():
+        return is_held
+    limit = max(
+        MIN_JUMP_STEPS * float(steps[steps > 0].min()),
+        MIN_JUMP_EXTENT * _extent(xy),
+    )
+    single = np.zeros(len(xy), dtype=bool)
+    for first, last in _runs(np.concatenate([[False], steps == 0])):
+        # of three samples, because one may be an outlier; a point that comes to rest or
+        # leaves its rest is slow on that side
+        held = xy[last]
+        jump_to = _distance_to_median(xy[max(first - 4, 0) : first - 1], held)
+        jump_from = _distance_to_median(xy[last + 1 : last + 4], held)
+        is_last = last + 1 == len(xy) and last - first + 1 >= MIN_HELD_REPEATS
+        if jump_to <= limit or (jump_from <= limit and not is_last):
+            continue
+        single[first : last + 1] = True
+        if last - first + 1 >= MIN_HELD_REPEATS:
+            is_held[first : last + 1] = True
+    return single if single.mean() > MIN_HELD_SHARE else is_held
+
+
+def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
+    """Find samples at one position to which the point jumps again and again.
+
+    Parameters
+    ----------
+    xy : (K, 2)
+        Positions of one place in the order of time.
+
+    Returns
+    -------
+    mask : (K,) bool
+        True for a sample at that position.
+    place : str
+        The position, such as `(0, 0)`.
+    """
+    nothing = np.zeros(len(xy), dtype=bool)
+    if len(xy) < MIN_TRACK_SAMPLES:
+        return nothing, ""
+    positions, number, counts = np.unique(
+        xy, axis=0, return_inverse=True, return_counts=True
+    )
+    number = number.reshape(-1)
+    is_zero = (positions == 0).all(axis=1)
+    candidates = np.flatnonzero(is_zero | (counts >= MIN_RECURRENCES))
+    limit = MIN_AWAY_EXTENT * _extent(xy)
+    # the most frequent one first; a tracker writes one position for what it lost
+    for candidate in candidates[np.argsort(-counts[candidates])][:3]:
+        mask = number == candidate
+        if mask.all() or limit == 0:
+            continue
+        visits = away = 0
+        for first, last in _runs(mask):
+            sides = []
+            if first > 0:
+                sides.append(xy[first - 1] - xy[first])
+            if last + 1 < len(xy):
+                sides.append(xy[last + 1] - xy[first])
+            jumps = [float(np.linalg.norm(side)) for side in sides]
+            is_away = min(jumps) > limit
+            if not is_zero[candidate]:  # it must go there and come back
+                returned = float(np.linalg.norm(sides[0] - sides[-1]))
+                is_away = is_away and returned < 0.5 * min(jumps)
+            visits += 1
+            away += is_away
+        recurs = visits >= MIN_RECURRENCES or is_zero[candidate]
+        if recurs and away >= MIN_AWAY_SHARE * visits:
+            x, y = positions[candidate]
+            return mask, f"({x:.4g}, {y:.4g})"
+    return nothing, ""
+
+
+def zero_row_mask(values: np.ndarray) -> np.ndarray:
+    """Find rows of a log that are exactly zero although the hand is elsewhere.
+
+    Parameters
+    ----------
+    values : (K, J)
+        Joint angles [rad] or poses in the order of time.
+
+    Returns
+    -------
+    (K,) bool
+        True for a row of zeros that others contradict; a hand at its zero pose moves
+        there and away in small steps.
+    """
+    mask = np.zeros(len(values), dtype=bool)
+    is_zero = (values == 0).all(axis=1)
+    if not is_zero.any() or is_zero.all():
+        return mask
+    steps = np.abs(np.diff(values, axis=0)).max(axis=1)
+    inner = steps[~is_zero[1:] & ~is_zero[:-1]]
+    usual = float(np.median(inner)) if len(inner) else 0.0
+    limit = max(MIN_ZERO_JUMP, ZERO_JUMP_RATIO * usual)
+    for first, last in _runs(is_zero):
+        before = steps[first - 1] if first > 0 else np.inf
+        after = steps[last] if last < len(steps) else np.inf
+        mask[first : last + 1] = min(before, after) > limit
+    return mask
+
+
+def _distance_to_median(xy: np.ndarray, place: np.ndarray) -> float:
+    """Return the distance of a place from the median of samples; 0 of none."""
+    return float(np.linalg.norm(np.median(xy, axis=0) - place)) if len(xy) else 0.0
+
+
+def _extent(xy: np.ndarray) -> float:
+    """Return the size of the region in which most positions lie."""
+    low, high = np.quantile(xy, [0.05, 0.95], axis=0)
+    return float(np.linalg.norm(high - low))
+
+
+def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """Return the first and last number of each run of true values."""
+    edges = np.flatnonzero(np.diff(np.pad(mask.astype(int), 1)))
+    return list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
+
+
+def _longest_run(t: np.ndarray, mask: np.ndarray) -> float:
+    """Return the longest time from before a run of samples to behind it [s]."""
+    longest = 0.0
+    for first, last in _runs(mask):
+        start = t[max(first - 1, 0)]
+        end = t[min(last + 1, len(t) - 1)]
+        longest = max(longest, float(end - start))
+    return longest

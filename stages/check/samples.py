@@ -1,0 +1,78 @@
+"""Checks of single samples: lost points, rows of zeros, outliers, coarse positions."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterator
+
+import numpy as np
+
+from stringcast.data.artifacts import JOINTS
+from stringcast.stages.check.finding import Finding, error, note, warning
+from stringcast.stages.check.measured import CheckedDataset
+
+SUSPICIOUS_LOST_SHARE = 0.1  # of a trial's points
+MAX_LISTED_TRIALS = 4  # trials whose counts are listed
+
+
+def check_lost_points(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find points that a tracker held, or replaced by a fixed position."""
+    for file, rows in dataset.data.row_counts.items():
+        for kind in dict.fromkeys(lost.kind for lost in rows.lost):
+            found = [lost for lost in rows.lost if lost.kind == kind]
+            counts = []
+            for lost in found[:MAX_LISTED_TRIALS]:
+                counts.append(
+                    f"{lost.trial}: {lost.count} of {lost.total}, for up to "
+                    f"{lost.longest:.2f} s"
+                )
+            more = len(found) - len(counts)
+            listed = "; ".join(counts) + (f"; {more} more trials" if more else "")
+            statement = (
+                f"the tracker wrote {kind} where it lost a point, and these are left "
+                f"out ({listed})"
+            )
+            remedy = "Set 'valid' to false, or leave the row out, where a point is lost"
+            share = max(lost.count / lost.total for lost in found)
+            report = warning if share > SUSPICIOUS_LOST_SHARE else note
+            yield report(
+                file, "x, y", statement, remedy, *[lost.trial for lost in found]
+            )
+
+
+def check_zero_rows(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find rows of the hand's log that are exactly zero among others."""
+    found = []
+    speed = 0.0
+    for trial in dataset.trials:
+        is_zero = trial.zero_rows
+        if is_zero.any():
+            rows = trial.logged_motion
+            if trial.joints is None:
+                places = rows[["x", "y"]].to_numpy()
+            else:
+                places = dataset.arm.grasp_pose(rows[list(JOINTS)].to_numpy())[:, :2]
+            steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+            speed = max(speed, float(np.max(steps / np.diff(rows["t"]))))
+            found.append((trial.name, f"{is_zero.sum()} of {len(is_zero)} rows"))
+    if not found:
+        return
+    has_poses = dataset.trials[0].joints is None
+    columns = ["x", "y", "theta"] if has_poses else list(JOINTS)
+    path = dataset.data.folder / dataset.hand_file
+    is_csv = path.suffix == ".csv"
+    write = "to_csv(f, index=False)" if is_csv else "to_parquet(f)"
+    code = (
+        f"import pandas as p; f = {json.dumps(str(path))}; "
+        f"a = p.read_{'csv' if is_csv else 'parquet'}(f); "
+        f"a[a[{json.dumps(columns)}].any(axis=1)].{write}"
+    )
+    counts = [f"{name}: {count}" for name, count in found[:MAX_LISTED_TRIALS]]
+    statement = (
+        f"rows are exactly zero among others, as of a second publisher "
+        f"({'; '.join(counts)}), and the hand would move with {speed:.3g} m/s"
+    )
+    remedy = f"Leave them out: python -c {shlex.quote(code)}"
+    trials = [name for name, _ in found]
+    yield error(dataset.hand_file, ", ".join(columns), statement, remedy, *trials)
