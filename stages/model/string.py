@@ -22,15 +22,22 @@ from stringcast.stages.model.effects.air_drag import AirDrag
 from stringcast.stages.model.effects.anisotropic_drag import AnisotropicDrag
 from stringcast.stages.model.effects.axial_damper import AxialDamper
 from stringcast.stages.model.effects.axial_spring import AxialSpring
+from stringcast.stages.model.effects.clamp import Clamp
+from stringcast.stages.model.effects.contact import Contact
+from stringcast.stages.model.effects.dahl_friction import DahlFriction
 from stringcast.stages.model.effects.density_taper import DensityTaper
+from stringcast.stages.model.effects.equal_points import EqualPoints
 from stringcast.stages.model.effects.grasp_damper import GraspDamper
+from stringcast.stages.model.effects.grasp_play import GraspPlay
 from stringcast.stages.model.effects.grasp_spring import GraspSpring
 from stringcast.stages.model.effects.gravity import Gravity
 from stringcast.stages.model.effects.gravity_direction import GravityDirection
 from stringcast.stages.model.effects.hinge_damper import HingeDamper
 from stringcast.stages.model.effects.hinge_spring import HingeSpring
+from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
 from stringcast.stages.model.effects.nonlinear_bending import NonlinearBending
 from stringcast.stages.model.effects.rest_curvature import RestCurvature
+from stringcast.stages.model.effects.standard_linear_solid import StandardLinearSolid
 from stringcast.stages.model.effects.tip_mass import TipMass
 from stringcast.stages.model.effects.wind import Wind
 from stringcast.stages.model.engine.integrators import Integrator, SemiImplicitEuler
@@ -58,16 +65,27 @@ PAPER_EFFECTS: tuple[type[StringEffect], ...] = (
     GraspDamper,
 )
 # If any of these is active the loop holds them all, which takes 1.2 times as long, and
-# one loop is compiled (3 s) instead of up to 127. None has a memory; each adds exactly
+# one loop is compiled (4 s) instead of up to 511. None has a memory; each adds exactly
 # nothing where it is absent.
 JOINTLY_COMPILED_EFFECTS: tuple[type[StringEffect], ...] = (
     AnisotropicDrag,
+    Clamp,
     DensityTaper,
+    EqualPoints,
     GravityDirection,
     NonlinearBending,
     RestCurvature,
     TipMass,
     Wind,
+)
+# If any of these is active, one loop holds all of them and those above, which takes 1.1
+# times as long as with one of them.
+COSTLY_EFFECTS: tuple[type[StringEffect], ...] = (
+    Contact,
+    DahlFriction,
+    GraspPlay,
+    MaxwellSlip,
+    StandardLinearSolid,
 )
 GRASP_AND_BENDING = (
     "grasp_stiffness",
@@ -250,7 +268,7 @@ class String(Parametrised):
     def with_compiled_effects(self, material: np.ndarray) -> tuple[String, np.ndarray]:
         """Return the string with all jointly compiled effects, and its material.
 
-        Effects of `JOINTLY_COMPILED_EFFECTS` that this string does not have are absent
+        Effects that are compiled jointly and that this string does not have are absent
         by their values. The paper's forces alone stay alone.
 
         material: (C, rows).
@@ -265,9 +283,11 @@ class String(Parametrised):
     @cached_property
     def _compiled_string(self) -> tuple[String, list[int], np.ndarray]:
         """The string as compiled, places of own rows in it, and a row of absence."""
-        joint = JOINTLY_COMPILED_EFFECTS
+        joint = (*PAPER_EFFECTS, *JOINTLY_COMPILED_EFFECTS)
+        if set(COSTLY_EFFECTS) & set(self.effects):
+            joint = (*joint, *COSTLY_EFFECTS)
         others = [effect for effect in self.effects if effect not in joint]
-        string = replace(self, effects=(*others, *joint))
+        string = replace(self, effects=(*joint, *others))
         places = [string.row_names.index(row) for row in self.row_names]
         return string, places, string.material(_own_starts(string.effects))
 

@@ -1,7 +1,7 @@
 """The generated step loops: their text, and which of them are compiled."""
 
 import ast
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from stringcast.stages.model.engine.print_loop import main as print_loop
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.string import (
+    COSTLY_EFFECTS,
     JOINTLY_COMPILED_EFFECTS,
     PAPER_EFFECTS,
     String,
@@ -34,38 +35,34 @@ def test_the_loop_can_be_printed(capsys):
     assert "maxwell_slip" not in paper
 
 
-def test_effects_without_a_memory_share_a_loop_and_those_with_one_have_their_own():
-    def loops(*more):
-        strings = [
-            String(0.3, effects=(*PAPER_EFFECTS, *some, *more))
-            for some in combinations(JOINTLY_COMPILED_EFFECTS, 2)
-        ]
-        looped = [
-            string.with_compiled_effects(string.material(string.start_values()[None]))[
-                0
-            ]
-            for string in strings
-        ]
-        return {
-            generate_source(each.effects, each.row_names, each.integrator)
-            for each in looped
-        }
+def test_all_effects_of_the_library_need_three_loops():
+    """The paper's forces, effects that cost little, and the others have a loop each."""
 
-    plain, slipping = loops(), loops(MaxwellSlip)
-    assert len(plain) == len(slipping) == 1
-    assert plain != slipping
-    string = String(0.3)
-    assert (
-        string.with_compiled_effects(string.material(string.start_values()[None]))[0]
-        == string
-    )
+    def compiled_loops(pairs):
+        sources = set()
+        for pair in pairs:
+            string = String(0.3, effects=(*PAPER_EFFECTS, *pair))
+            material = string.material(string.start_values()[None])
+            looped, _ = string.with_compiled_effects(material)
+            source = generate_source(
+                looped.effects, looped.row_names, looped.integrator
+            )
+            sources.add(source)
+        return sources
+
+    paper = compiled_loops([()])
+    cheap = compiled_loops(combinations(JOINTLY_COMPILED_EFFECTS, 2))
+    costly = compiled_loops(product(JOINTLY_COMPILED_EFFECTS, COSTLY_EFFECTS))
+    costly |= compiled_loops([(effect,) for effect in COSTLY_EFFECTS])
+    assert len(paper) == len(cheap) == len(costly) == 1
+    assert len(paper | cheap | costly) == 3
 
 
 def test_what_is_compiled_together_changes_nothing_where_it_is_absent(monkeypatch):
     """An effect that is compiled but absent changes nothing.
 
-    Four effects have a size each, and the other three are absent. The loop of all
-    agrees with loops of their own.
+    Some effects have a size each, and the others are absent. The loop of all agrees
+    with loops of their own.
     """
     times = np.arange(0, 0.5, 0.005)
     wave = 0.3 * np.sin(2 * np.pi * times / 0.5) ** 2
@@ -80,7 +77,10 @@ def test_what_is_compiled_together_changes_nothing_where_it_is_absent(monkeypatc
     }
     strings = [
         String(0.3, effects=(*PAPER_EFFECTS, *some), **mesh)
-        for some in (JOINTLY_COMPILED_EFFECTS[:4], JOINTLY_COMPILED_EFFECTS[4:])
+        for some in (
+            JOINTLY_COMPILED_EFFECTS[:4],
+            (*JOINTLY_COMPILED_EFFECTS[4:], MaxwellSlip),
+        )
     ]
     values = [
         np.array([[p.value(0.55) for p in string.parameters]]) for string in strings

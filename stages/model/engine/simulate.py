@@ -181,6 +181,7 @@ def _run_candidates(
     index = np.minimum(np.arange(blocks * lanes), count - 1)
     angles, lengths, velocity, rest_angles = (part[index] for part in start)
     material = material[index]
+    compiled_material = compiled_material[index]
     hand = hand.for_candidates(index)
     first_pose = hand.pose[:, 0]
     reversal = np.zeros(count)
@@ -195,14 +196,16 @@ def _run_candidates(
         dt,
     )
     memory = _memory_rows(
-        string,
-        material,
+        compiled,
+        compiled_material,
         first_pose[:, 2],
         angles,
         rest_angles,
         reversal[index][:, None],
     )
+    numbers = row_numbers(string.integrator, compiled.effects)
     buffers = _fill_buffers(
+        numbers,
         string,
         material,
         first_pose,
@@ -215,7 +218,7 @@ def _run_candidates(
 
     # The loop loads a number of all candidates of a block at once: lanes stand last,
     # side by side.
-    parameters = _by_lane(compiled_material[index], lanes)
+    parameters = _by_lane(compiled_material, lanes)
     cubic = _hermite_coefficients(hand, lanes)
     run = partial(
         batching.compile_step_loop(*loop, lanes),
@@ -226,7 +229,7 @@ def _run_candidates(
         length=string.segment_length,
     )
     if initial is not None and string.integrator.velocity_lag:
-        _stagger_velocities(string, run, buffers, cubic, dt, steps, lanes)
+        _stagger_velocities(string, run, numbers, buffers, cubic, dt, steps, lanes)
     out = np.empty((count, cubic.shape[0] + 1, string.points, 2))
     run(
         buffers,
@@ -296,6 +299,7 @@ def _initial_configuration(
 def _stagger_velocities(
     string: String,
     run: Callable[..., None],
+    numbers: Mapping[str, int],
     buffers: np.ndarray,
     cubic: np.ndarray,
     dt: float,
@@ -319,7 +323,6 @@ def _stagger_velocities(
         out=np.empty((0, 2, string.points, 2)),
         alive=np.ones((blocks, lanes), dtype=bool),
     )
-    numbers = row_numbers(string.integrator, string.effects)
     shape = (blocks, -1, len(numbers), lanes)
     now, later = buffers.reshape(shape), stepped.reshape(shape)
     rows = [numbers["VX"], numbers["VY"]]
@@ -328,6 +331,7 @@ def _stagger_velocities(
 
 
 def _fill_buffers(
+    numbers: Mapping[str, int],
     string: String,
     material: np.ndarray,
     pose: np.ndarray,
@@ -339,8 +343,8 @@ def _fill_buffers(
 ) -> np.ndarray:
     """Fill the kernel's rows with the initial state.
 
-    velocity: of the points, (C, n, 2) [m/s]. further: rows of the integrator and of
-    hinges with a memory, (C, 1 to n) each.
+    numbers: of the rows, by name. velocity: of the points, (C, n, 2) [m/s]. further:
+    rows of the integrator and of hinges with a memory, (C, 1 to n) each.
     """
     count = len(material)
     blocks = count // lanes
@@ -362,7 +366,6 @@ def _fill_buffers(
         "GRASP_REST_ANGLE": grasp_rest_angle(string, material),
         **further,
     }
-    numbers = row_numbers(string.integrator, string.effects)
     points = string.points + batching.PADDING_POINTS
     buffers = batching.aligned_zeros((blocks, points, len(numbers), lanes))
     for name, row in rows.items():
