@@ -10,6 +10,7 @@ import os
 import sys
 import uuid
 from importlib import import_module
+from importlib.metadata import version
 from typing import NoReturn
 
 import hydra
@@ -19,7 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 from threadpoolctl import threadpool_limits
 
 from stringcast.data.errors import ExpectedError, escape_control_characters, remedy_for
-from stringcast.pipeline.cli.command_line_hints import refuse_mistakes
+from stringcast.pipeline.cli.command_line_hints import join_quoted, refuse_mistakes
 from stringcast.pipeline.cli.terminal import (
     Terminal,
     explain_hydra_error,
@@ -85,7 +86,11 @@ def cli() -> None:
     if "-v" in sys.argv:
         sys.argv.remove("-v")
         log.show_log_on_terminal()
-    words = sys.argv[1:]
+    words = join_quoted(sys.argv[1:])
+    sys.argv[1:] = words
+    if words == ["--version"]:
+        print(f"stringcast {version('stringcast')}")
+        return
     try:
         if words and words[0] in COMMAND_NAMES:
             sys.exit(run_command(words[0], words[1:]))

@@ -23,12 +23,18 @@ from stringcast.pipeline.settings.composition import (
 # Replaced, where it is printed, by how the program was called.
 CALL_WORDS = ["python", "-m", "pipeline"]
 FLAGS = ("-m", "--multirun", "-v", "-h", "--help")
-HYDRA_FLAGS = (
-    *("--hydra-help", "--version", "--cfg", "-c", "--resolve", "--package", "-p"),
-    *("--run", "-r", "--info", "-i", "--shell-completion", "-sc"),
+# options of Hydra with a value behind them, and those without
+HYDRA_VALUE_FLAGS = (
+    *("--cfg", "-c", "--package", "-p", "--info", "-i", "--experimental-rerun"),
     *("--config-path", "-cp", "--config-name", "-cn", "--config-dir", "-cd"),
-    "--experimental-rerun",
 )
+HYDRA_FLAGS = (
+    *HYDRA_VALUE_FLAGS,
+    *("--hydra-help", "--version", "--resolve", "--run", "-r"),
+    *("--shell-completion", "-sc"),
+)
+# those which take settings from another folder, which are not known here
+OTHER_FOLDER_FLAGS = ("--config-", "-cp", "-cn", "-cd", "hydra.searchpath")
 TASK_NAMES = ("test", "bench", "setup", "study", "docs", "package")
 EXAMPLE_RUN = ["+experiment=stringB", "method=robust"]  # what `tasks.py run` runs
 TRIAL_EXPERIMENTS = ("estimate", "diagnose", "decide")  # which need stored trials
@@ -80,10 +86,32 @@ class Word:
         return self.following_words[0] if self.following_words else ""
 
 
+def join_quoted(words: Sequence[str]) -> list[str]:
+    """Join what stands between single quotes, and take the quotes away.
+
+    They are quotes in every shell but cmd.exe of Windows, which hands them on and cuts
+    the words at blanks.
+    """
+    joined: list[str] = []
+    open_words: list[str] = []
+    for word in words:
+        if not open_words and not word.startswith("'"):
+            joined.append(word)
+            continue
+        open_words.append(word)
+        text = " ".join(open_words)
+        if len(text) > 1 and text.endswith("'"):
+            joined.append(text[1:-1])
+            open_words = []
+    return joined + open_words
+
+
 def refuse_mistakes(words: Sequence[str]) -> None:
     """Raise UserError for the first mistaken word, with the corrected command."""
-    if any(word.startswith(("--config-", "hydra.searchpath")) for word in words):
-        return  # the settings of another folder are not known here
+    if any(word.startswith(OTHER_FOLDER_FLAGS) for word in words):
+        return
+    if {"--shell-completion", "-sc", "--experimental-rerun"} & set(words):
+        return  # Hydra answers alone
 
     answers = list(answer_words(words))
     faults = [answer.fault for answer in answers if answer.fault]
@@ -113,7 +141,9 @@ def answer_words(words: Sequence[str]) -> Iterator[Answer]:
         previous_word = words[position - 1] if position else ""
         word = Word(text, name, value, previous_word, words[position + 1 :])
         correct = Answer("", [text])
-        if in_command:  # the words after a command are the command's own
+        of_hydra = previous_word in HYDRA_VALUE_FLAGS and not set(text) & set("=-")
+        # the words after a command are the command's own
+        if in_command or of_hydra:
             yield correct
         elif not is_second_part(word):
             answer = next(possible_answers(word), correct)
@@ -165,6 +195,9 @@ def check_setting(word: Word) -> Iterator[Answer]:
         x, y = to_metres(float(place[1])), to_metres(float(place[2]))
         fault = f"{word.text}: give each coordinate."
         yield Answer(fault, [f"target.x={x:g}", f"target.y={y:g}"])
+    if re.search(r"[,()\[\]{}]", word.value) and Path(word.value).exists():
+        fault = f"{word.text}: a path with commas or brackets needs quotes of its own."
+        yield Answer(fault, [f'{word.name}="{word.value}"'])
     yield from check_choice(word)
     yield from check_choice_as_setting(word)
     length = LENGTH_SETTING.match(word.text)
@@ -238,6 +271,11 @@ def check_choice(word: Word) -> Iterator[Answer]:
     fault += f"; there {verb} {', '.join(options)}"
     if word.setting in ("arm", "camera"):
         fault += f"; python -m pipeline new {word.setting} {word.value} writes your own"
+    if word.setting == "hardware":
+        fault += (
+            f"; python -m pipeline new arm {word.value} writes the settings of an arm "
+            "of your own, and hardware/README.md explains how to write its driver"
+        )
     yield Answer(f"{fault}.", [f"{word.name}={word.value}"])
 
 

@@ -5,9 +5,9 @@ import shlex
 
 import pytest
 
-from stringcast.pipeline.cli.command_line_hints import refuse_mistakes
+from stringcast.pipeline.cli.command_line_hints import join_quoted, refuse_mistakes
 from stringcast.pipeline.commands import COMMAND_NAMES
-from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.composition import UserError, compose_settings
 from tests.pipeline.test_readme_commands import CALLS, PLACEHOLDER, fill_plugin
 
 MEANT = {
@@ -114,6 +114,62 @@ def test_what_pages_show_is_no_mistake(given, plugin):
 )
 def test_what_is_right_is_left_alone(word):
     refuse_mistakes([word])
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--cfg job",
+        "-c all --resolve",
+        "+experiment=stringB --cfg job -p string",
+        "--info searchpath",
+        "--info",
+        "--shell-completion install=bash",
+        "-cd settings target=mine",
+    ],
+)
+def test_options_of_hydra_are_handed_on(words):
+    refuse_mistakes(words.split())
+
+
+def test_an_option_of_hydra_hides_no_mistake_behind_it():
+    with pytest.raises(UserError, match=r"Try: .* --cfg job seed=3$"):
+        refuse_mistakes(["--cfg", "job", "sed=3"])
+    with pytest.raises(UserError, match=r"Try: .* --info seed=3$"):
+        refuse_mistakes(["--info", "sed=3"])
+
+
+def test_an_arm_without_a_driver_is_answered_by_how_to_begin_one():
+    with pytest.raises(UserError, match="new arm ur5 writes the settings") as refused:
+        refuse_mistakes(["hardware=ur5"])
+    assert "there are dynamixel, emulator, serial, virtual" in str(refused.value)
+
+
+def test_quotes_that_a_shell_of_windows_hands_on_are_taken_away():
+    typed = "check 'my folder' 'effects=[tip_mass]' '+a={value: 1,' 'low: 2}'"
+    assert join_quoted(typed.split(" ")) == [
+        "check",
+        "my folder",
+        "effects=[tip_mass]",
+        "+a={value: 1,",
+        "low: 2}",
+    ]
+    untouched = ["trials=my folder", "name=it's", "name='quoted'", "'open"]
+    assert join_quoted(untouched) == untouched
+
+
+def test_a_path_with_blanks_is_taken_and_one_with_commas_is_quoted(tmp_path):
+    plain, odd = tmp_path / "my trials", tmp_path / "my, trials (1)"
+    plain.mkdir()
+    odd.mkdir()
+    given = "+experiment=diagnose"
+    refuse_mistakes([given, f"trials={plain}"])
+    with pytest.raises(UserError, match="quotes of its own") as refused:
+        refuse_mistakes([given, f"trials={odd}"])
+    *_, quoted = shlex.split(str(refused.value))
+    refuse_mistakes([given, quoted])
+    assert compose_settings([given, quoted])["trials"] == str(odd)
+    assert compose_settings([given, f"trials={plain}"])["trials"] == str(plain)
 
 
 def test_letters_beyond_ascii_are_answered_by_the_word_in_quotes(called):
