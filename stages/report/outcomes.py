@@ -10,6 +10,8 @@ import pandas as pd
 from scipy.stats import norm, t
 
 CONFIDENCE = 0.95  # of the intervals of means and rates
+# Fewer values have no interval: Student's is then wider than what is known beforehand.
+MIN_SEEDS = 5
 MeanFunction = Callable[[np.ndarray], tuple[float, float, float]]
 
 
@@ -62,6 +64,8 @@ class Outcome:
         Factor from the column's unit to the axis' unit.
     axis : str
         Matplotlib's name of the axis' scale.
+    bounds : tuple of float
+        Least and largest possible value, in the column's unit; intervals end there.
     """
 
     name: str
@@ -70,6 +74,18 @@ class Outcome:
     mean: MeanFunction
     scale: float = 1.0
     axis: str = "linear"
+    bounds: tuple[float, float] = (0.0, np.inf)
+
+    def mean_over_seeds(self, values: np.ndarray) -> np.ndarray:
+        """Return mean and interval of the seeds' values (K,), in the axis' unit.
+
+        The interval is NaN for fewer than MIN_SEEDS values.
+        """
+        mean, low, high = self.mean(values)
+        if len(values) < MIN_SEEDS:
+            low, high = np.nan, np.nan
+        interval = np.clip([low, high], *self.bounds)
+        return np.array([mean, *interval]) * self.scale
 
     @property
     def title(self) -> str:
@@ -78,9 +94,9 @@ class Outcome:
 
 
 CAST_OUTCOMES = (
-    Outcome("hit", "hit rate", "%", mean_share, scale=100.0),
-    Outcome("manipulations", "casts", "", arithmetic_mean),
-    Outcome("E_after", "matching rate E", "", arithmetic_mean),
+    Outcome("hit", "hit rate", "%", mean_share, scale=100.0, bounds=(0.0, 1.0)),
+    Outcome("manipulations", "casts", "", arithmetic_mean, bounds=(1.0, np.inf)),
+    Outcome("E_after", "matching rate E", "", arithmetic_mean, bounds=(0.0, 1.0)),
     Outcome("miss_m", "closest approach", "mm", arithmetic_mean, scale=1e3),
 )
 
@@ -107,7 +123,7 @@ def mean_response(
     -------
     DataFrame
         Columns factors, mean, low, high, seeds, jobs. Levels without a known value
-        have no row.
+        have no row, and those of fewer than MIN_SEEDS seeds no interval.
     """
     has_value = jobs[outcome.name].notna()
     if outcome.axis == "log":
@@ -116,7 +132,7 @@ def mean_response(
     for level, at_level in jobs[has_value].groupby(factors, sort=True):
         values = at_level.groupby("seed")[outcome.name].mean().to_numpy(float)
         row = dict(zip(factors, level, strict=True))
-        means = np.array(outcome.mean(values)) * outcome.scale
+        means = outcome.mean_over_seeds(values)
         row |= dict(zip(("mean", "low", "high"), means, strict=True))
         rows.append(row | {"seeds": len(values), "jobs": len(at_level)})
     columns = [*factors, "mean", "low", "high", "seeds", "jobs"]

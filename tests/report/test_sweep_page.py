@@ -103,12 +103,43 @@ def test_seeds_are_what_is_repeated_not_jobs():
 
     Ten jobs of one seed say no more of chance than one: their mean is one value.
     """
-    table = swept(betas=np.linspace(0.9, 0.99, 10), targets=("near",), seeds=(0, 1))
+    table = swept(np.linspace(0.9, 0.99, 10), targets=("near",), seeds=range(5))
     whole = mean_response(table, CASTS, ["target"]).iloc[0]
-    assert (whole["seeds"], whole["jobs"]) == (2, 20)
-    assert whole["mean"] == pytest.approx(1.5)
-    # the interval is Student's t with one degree of freedom
-    assert whole["high"] - whole["mean"] == pytest.approx(12.706 * 0.5, rel=1e-3)
+    assert (whole["seeds"], whole["jobs"]) == (5, 50)
+    assert whole["mean"] == pytest.approx(3.0)
+    # the interval is Student's t with four degrees of freedom, of values 1 to 5
+    half = 2.776 * np.sqrt(2.5 / 5)
+    assert whole["high"] - whole["mean"] == pytest.approx(half, rel=1e-3)
+    few = mean_response(table[table["seed"] < 4], CASTS, ["target"]).iloc[0]
+    assert few["mean"] == pytest.approx(2.5)
+    assert np.isnan([few["low"], few["high"]]).all()
+
+
+def test_intervals_end_where_values_do():
+    """No rate lies above 1, no distance below 0, no cast before the first.
+
+    The interval covers the mean of many seeds as often as one without ends.
+    """
+    by_name = {outcome.name: outcome for outcome in CAST_OUTCOMES}
+    _, low, high = by_name["E_after"].mean_over_seeds(np.array([0.1, 1, 1, 1, 1.0]))
+    assert (low > 0, high) == (True, 1.0)
+    values = np.array([0.0, 0.0, 0.0, 0.0, 0.2])
+    mean, low, high = by_name["miss_m"].mean_over_seeds(values)
+    assert (mean, low) == (pytest.approx(40.0), 0.0)
+    assert high == pytest.approx(40 + 2.776 * 40, rel=1e-3)
+    assert by_name["manipulations"].mean_over_seeds(np.array([1, 1, 1, 1, 2.0]))[1] == 1
+
+    rng = np.random.default_rng(0)
+    expected = 54.17  # [mm], mean of a normal distribution without its negative part
+    covered, covered_without_ends = 0, 0
+    for _ in range(400):
+        draws = np.clip(rng.normal(0.05, 0.05, 5), 0, None)
+        _, low, high = by_name["miss_m"].mean_over_seeds(draws)
+        covered += low <= expected <= high
+        _, low, high = np.array(arithmetic_mean(draws)) * 1e3
+        covered_without_ends += low <= expected <= high
+    assert covered == covered_without_ends
+    assert covered / 400 > 0.9  # such skewed values miss the 95 % by a little
 
 
 def test_a_response_is_the_mean_over_the_other_settings():
@@ -127,21 +158,21 @@ def test_a_response_is_the_mean_over_the_other_settings():
 
 
 def test_the_page_shows_each_factor():
-    page = sweep_page(record(swept()))
+    page = sweep_page(record(swept(seeds=range(5))))
     for factor in (BETA, "target"):
         assert f"<h2>Response to {factor}</h2>" in page
     assert "Response to experiment" not in page
     assert "Response to seed" not in page
     # pictures of hit, manipulations, E, miss and stiffness, and three maps
     assert page.count("<img alt=") == 2 * 5
-    assert "16 of 16" in page
+    assert "20 of 20" in page
     assert re.search(
         r"hit rate % over target: 0 \(.*\) at far, 100 \(.*\) at near",
         page.replace("[%]", "%"),
     )
     for forbidden in ("http://", "https://", "<script", "nan"):
         assert forbidden not in page.replace("http://www.w3.org", "")
-    assert page == sweep_page(record(swept()))
+    assert page == sweep_page(record(swept(seeds=range(5))))
     drawn = base64.b64decode(
         re.search(r'alt="hit rate [^"]*estimate.beta[^"]*" src="[^,]*,([^"]*)', page)[1]
     ).decode()
@@ -157,14 +188,16 @@ def heading(page):
 def test_the_heading_is_what_was_found(undrawn):
     """The heading is the result.
 
-    Near is always hit and far never; beta changes nothing of it. With four seeds,
-    Wilson gives 0.51 to 1 and 0 to 0.49.
+    Near is always hit and far never; beta changes nothing of it. With five seeds,
+    Wilson gives 0.57 to 1 and 0 to 0.43. Four have no interval, and no heading.
     """
+    seeds = range(5)
+    assert heading(sweep_page(record(swept()))) == "all done"
     assert (
-        heading(sweep_page(record(swept())))
+        heading(sweep_page(record(swept(seeds=seeds))))
         == "The hit rate is 100 % with target=near, 0 % with far"
     )
-    same = swept(targets=("near",))
+    same = swept(targets=("near",), seeds=seeds)
     assert (
         heading(sweep_page(record(same)))
         == "The matching rate E is 0.8 with estimate.beta=0.995, 0.7 with 0.99"
@@ -203,7 +236,7 @@ def test_one_setting_one_seed_and_no_casts():
         .assign(hit=np.nan, miss_m=np.nan)
     )
     page = sweep_page(record(table, ("experiment", BETA)))
-    assert "With one seed the scatter" in page
+    assert "Fewer than 5 seeds do not show the scatter" in page
     assert "hit rate" not in page.split("<section", 1)[1]
 
 

@@ -21,7 +21,7 @@ from stringcast.stages.report.formatting import (
     format_value,
     unit_markup,
 )
-from stringcast.stages.report.outcomes import Outcome, mean_response
+from stringcast.stages.report.outcomes import MIN_SEEDS, Outcome, mean_response
 from stringcast.stages.report.page import (
     Card,
     Cell,
@@ -61,14 +61,11 @@ def sweep_page(record: SweepRecord) -> str:
         if record.factors
         else "No setting was varied."
     )
-    intervals = (
-        "Bars and brackets are 95 % intervals of means over the seeds; with few seeds "
-        "they are wide."
-    )
-    if record.seed_count < 2:
+    intervals = "Bars and brackets are 95 % intervals of means over the seeds."
+    if record.seed_count < MIN_SEEDS:
         intervals = (
-            "With one seed the scatter of these means is not known, so only the hit "
-            "rate has an interval."
+            f"Fewer than {MIN_SEEDS} seeds do not show the scatter of a mean, so no "
+            "interval is given."
         )
     seeds = f"Each with {format_count(record.seed_count, 'seed')}."
     page = Page(
@@ -87,8 +84,10 @@ def _describe_largest_effect(record: SweepRecord, main: list[Outcome]) -> str:
     """Describe the largest effect of a setting on the first outcome that any changes.
 
     An outcome changes if the intervals of its least and largest mean do not overlap.
+    Too few seeds have no intervals, and tell nothing.
     """
-    if not record.factors or record.finished_jobs.empty:
+    has_intervals = record.seed_count >= MIN_SEEDS
+    if not record.factors or record.finished_jobs.empty or not has_intervals:
         return ""
     for outcome in main:
         largest, sentence = 0.0, ""
