@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from stringcast.data import store
 from stringcast.data.compare import folder_differences
 from stringcast.data.file_checks import read_json
 from stringcast.data.schema import DataError
+from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser, print_block
 from stringcast.pipeline.commands.stored_runs import read_stored_settings
 from stringcast.pipeline.run.file_names import FAILURE_FILE, LOG_FILE, SUMMARY_FILE
@@ -20,24 +22,79 @@ UNCOMPARED_FILES = frozenset(
     {"config.json", SUMMARY_FILE, FAILURE_FILE, LOG_FILE, "report.html"}
 )
 
+MAX_NAMES_SHOWN = 4  # of what differs, in the concluding sentence
+
 
 def main(arguments: list[str]) -> int:
-    """Print the differences under five headings; return 0 if there are none."""
+    """Print the differences under five headings, and what they come to.
+
+    The exit status is 0 if there are none.
+    """
     parser = CommandParser("python -m pipeline diff", description=__doc__)
     parser.add_argument("a", type=Path, help="a run's folder")
     parser.add_argument("b", type=Path, help="the folder of another run")
     runs = parser.parse_args(arguments)
     first, second = run_facts(runs.a), run_facts(runs.b)
-    has_difference = False
+    names_by_heading: dict[str, list[str]] = {}
     for heading, facts in first.items():
         lines = []
         for name, a, b in differing_values(facts, second[heading]):
             lines.append(f"{name}: {a} and {b}")
+        names_by_heading[heading] = [line.partition(":")[0] for line in lines]
         if heading == "results":
             lines += folder_differences(runs.a, runs.b, UNCOMPARED_FILES)
+            names_by_heading[heading] = lines
         print_block(f"{heading}: {'differ' if lines else 'the same'}", lines)
-        has_difference |= bool(lines)
-    return int(has_difference)
+    outcomes = [describe_outcome(facts["results"]) for facts in (first, second)]
+    Terminal().print_line(conclusion(names_by_heading, outcomes))
+    return int(any(names_by_heading.values()))
+
+
+def conclusion(
+    names_by_heading: Mapping[str, Sequence[str]], outcomes: Sequence[str]
+) -> str:
+    """Return in words what differs, and whether it can explain the results."""
+    reasons = []
+    for heading, names in names_by_heading.items():
+        if names and heading != "results":
+            shown = ", ".join(names[:MAX_NAMES_SHOWN])
+            more = len(names) - MAX_NAMES_SHOWN
+            reasons.append(f"{heading} ({shown}{f' and {more} more' * (more > 0)})")
+    made_of = join_words(reasons)
+    if not names_by_heading["results"]:
+        if not reasons:
+            return "The two runs are the same in everything that was compared."
+        return f"The results are the same, though these differ: {made_of}."
+    ended = f"The first run {outcomes[0]}, the second {outcomes[1]}."
+    if outcomes[0] == outcomes[1]:
+        ended = f"Both runs {outcomes[0]}, with results that differ in detail."
+    if reasons:
+        return f"{ended} What can explain it: {made_of}."
+    return f"{ended} Nothing that they were made of differs: check the machines."
+
+
+def describe_outcome(results: Mapping[str, Any]) -> str:
+    """Return in words how a run ended, from the values of its run.json."""
+    if results.get("run.json: ended") is False:
+        return "has not ended"
+    misses, rates = [], []
+    for name, value in results.items():
+        if name.endswith(".miss_m") and value is not None:
+            misses.append(value)
+        if name.endswith(".E_after") and value is not None:
+            rates.append(value)
+    words = str(results.get("run.json: sentence", "ended")).rstrip(".")
+    words = f'ended with "{words}"'
+    if misses:
+        hit = "hit" if results["run.json: hit"] else "missed"
+        words = f"{hit} after {len(misses)} casts ({1e3 * misses[-1]:.1f} mm at last)"
+    return f"{words}, E {rates[-1]:.3f}" if rates else words
+
+
+def join_words(words: Sequence[str]) -> str:
+    """Return words with commas between, and `and` before the last."""
+    *first, last = words or [""]
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def run_facts(run: Path) -> dict[str, dict[str, Any]]:

@@ -47,6 +47,7 @@ RUNS_TABLE = Table(
             "before the end",
             "text",
         ),
+        Column("causes", "", "that a diagnosis found, with commas between", "text"),
         Column("iterations", "1", "casts, or trials used", "int"),
         Column(
             "best_E", "1", "best matching rate E of its estimates; NaN if there is none"
@@ -123,11 +124,28 @@ def write_runs(runs: pd.DataFrame, to: Path, folder: Path) -> None:
             link = Path(os.path.relpath(page, to.parent)).as_posix()
             links.append(link if page.is_file() else "")
         origin = {"seed": "of each run"} | software_versions()
-        store.write_text(to, index_page(runs.assign(page=links), str(folder), origin))
+        casts = casts_of_runs(runs, folder)
+        page = index_page(runs.assign(page=links), str(folder), origin, casts)
+        store.write_text(to, page)
     else:
         raise UserError(
             f"--to {to}: it must end in .html, .parquet or .csv. Change it."
         )
+
+
+def casts_of_runs(
+    runs: pd.DataFrame, folder: Path
+) -> dict[str, dict[str, list[float | None]]]:
+    """Return closest approach [mm] and matching rate E of each cast of ended runs."""
+    casts = {}
+    for name in runs.loc[runs["outcome"].isin(["hit", "missed"]), "run"]:
+        rows = read_json(folder / name / SUMMARY_FILE)["iterations"]
+        misses = [row.get("miss_m") for row in rows]
+        casts[name] = {
+            "miss_mm": [None if miss is None else 1e3 * miss for miss in misses],
+            "E": [row.get("E_after") for row in rows],
+        }
+    return casts
 
 
 def neutralise_formula(value: Any) -> Any:
@@ -155,6 +173,7 @@ def run_row(run: Path) -> dict[str, Any]:
         return {
             "experiment": "",
             "outcome": "",
+            "causes": "",
             "date": "",
             "iterations": 0,
             "best_E": float("nan"),
@@ -187,7 +206,7 @@ def printable_table(runs: pd.DataFrame) -> TerminalTable:
 
 
 def ending_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, str]:
-    """Return state, outcome and sentence of a run with these settings."""
+    """Return state, outcome, causes and sentence of a run with these settings."""
     summary_file, failure_file = run / SUMMARY_FILE, run / FAILURE_FILE
     summary = read_json(summary_file) if summary_file.is_file() else {}
     if not summary:
@@ -196,18 +215,21 @@ def ending_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, str]:
             require_plain_file(failure_file, MAX_TEXT_BYTES)
             reason = failure_file.read_text(encoding="utf-8").strip()
         state = "failed" if reason else "incomplete"
-        return {"state": state, "outcome": "", "said": reason}
+        return {"state": state, "outcome": "", "causes": "", "said": reason}
 
-    outcome = "estimated"
+    outcome, causes = "estimated", ""
     if (run / "diagnosis.json").is_file():
-        outcome = read_json(run / "diagnosis.json")["verdict"]
+        diagnosis = read_json(run / "diagnosis.json")
+        outcome = diagnosis["verdict"]
+        causes = ", ".join(cause["effect"] for cause in diagnosis["causes"])
     elif any("hit" in iteration for iteration in summary["iterations"]):
         # without the arm, or with a slow one, nothing was thrown at the target
         if settings["execute"]["_target_"] in DRY_RUNS:
             outcome = "dry run"
         else:
             outcome = "hit" if summary["hit"] else "missed"
-    return {"state": "ended", "outcome": outcome, "said": summary["sentence"]}
+    said = summary["sentence"]
+    return {"state": "ended", "outcome": outcome, "causes": causes, "said": said}
 
 
 def step_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -221,9 +243,12 @@ def step_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
         summary = store.read_table(ESTIMATION_SUMMARY, file)
         rates.append(float(summary["after"].iloc[0]))
 
+    count = len({step.parent for step in steps})
+    if (run / SUMMARY_FILE).is_file():  # a step may use all trials before it
+        count = len(read_json(run / SUMMARY_FILE)["iterations"])
     return {
         "date": min(dates, default=""),
-        "iterations": len({step.parent for step in steps}),
+        "iterations": count,
         "best_E": max(rates, default=float("nan")),
         "seconds": float(sum(seconds)),
         "stale": first_stale_reason(run, steps, settings),

@@ -23,7 +23,12 @@ from stringcast.stages.report.records import StageRecord
 from stringcast.stages.report.theme import CSS_VARIABLES, MM_PER_M, Picture
 
 ASSET_FOLDER = Path(__file__).parent
-SCRIPTS = ("vendor/uPlot.iife.min.js", "explore.js")
+# scripts of a page that holds an element of a class
+SCRIPTS_OF_CLASS = {
+    "explore": ("vendor/uPlot.iife.min.js", "explore.js"),
+    "here": ("vendor/uPlot.iife.min.js", "explore.js"),
+    "runs": ("runs.js",),
+}
 
 
 class Part:
@@ -281,6 +286,23 @@ class Commands(Part):
 
 
 @dataclass(frozen=True)
+class RunsView(Part):
+    """A list of runs that the reader sorts and filters, with their casts as curves.
+
+    Attributes
+    ----------
+    table : TableView
+        A row for each run; the second column names it.
+    casts : mapping
+        Lists `miss_mm` and `E` over the casts, by the name of the run; None where a
+        value is unknown.
+    """
+
+    table: TableView
+    casts: Mapping[str, Mapping[str, Sequence[float | None]]]
+
+
+@dataclass(frozen=True)
 class Section(Part):
     """A heading with an optional badge, and parts; links lead to its anchor."""
 
@@ -328,10 +350,13 @@ class Page:
         """Render the page; the same content gives the same text."""
         parts = [*self.sections, self._next_steps(), self._reproduction()]
         body = Markup("\n").join(part for part in parts if part is not None)
-        needs_scripts = 'class="explore"' in body or 'class="here"' in body
-        scripts = [_read_asset(name) for name in SCRIPTS] if needs_scripts else []
+        names: dict[str, None] = {}
+        for kind, scripts_of_kind in SCRIPTS_OF_CLASS.items():
+            if f'class="{kind}"' in body:
+                names |= dict.fromkeys(scripts_of_kind)
+        scripts = [_read_asset(name) for name in names]
         sheet = CSS_VARIABLES + _read_asset("theme.css")
-        if needs_scripts:
+        if "explore.js" in names:
             sheet += _read_asset("vendor/uPlot.min.css")
         return (
             _templates()

@@ -21,6 +21,7 @@ from stringcast.data.artifacts import Points
 from stringcast.data.compare import file_differences
 from stringcast.pipeline import __main__ as shell
 from stringcast.pipeline import commands
+from stringcast.pipeline.commands.index import RUNS_TABLE, list_runs
 from stringcast.pipeline.commands.stored_runs import walk_steps
 from stringcast.pipeline.commands.verify import verify_run
 from stringcast.pipeline.modes import Batch, Calibrate
@@ -246,7 +247,8 @@ def test_diff_says_what_differs(finished, run, capsys):
     same = asked(capsys, "diff", finished / "day/a", run)
     assert same == (
         0,
-        "settings: the same data: the same code: the same packages: the same results: the same ",
+        "settings: the same data: the same code: the same packages: the same results: the same "
+        "The two runs are the same in everything that was compared. ",
     )
     status, said = asked(capsys, "diff", finished / "day/a", finished / "day/b")
     assert status == 1
@@ -259,7 +261,13 @@ def test_diff_says_what_differs(finished, run, capsys):
         r"iterations/01/motion/commands.parquet: column q1: 2 of 2 rows differ, first row 0: ",
         said,
     )
+    assert re.search(
+        r"(Both runs|The first run) .*\. What can explain it: settings \(seed\)\. $",
+        said,
+    )
     (run / "points.parquet").unlink()
+    said = asked(capsys, "diff", finished / "day/a", run)[1]
+    assert "Nothing that they were made of differs: check the machines." in said
     assert (
         "points.parquet: it is only in the first"
         in asked(capsys, "diff", finished / "day/a", run)[1]
@@ -331,6 +339,23 @@ def many(finished, tmp_path):
     return outputs
 
 
+def test_a_diagnosis_of_five_trials_counts_five_and_names_its_causes(tmp_path):
+    """One step uses all trials, so steps are not what is counted."""
+    step = tmp_path / "iterations/05/diagnosis"
+    step.mkdir(parents=True)
+    store.write_table(RUNS_TABLE, RUNS_TABLE.empty(), step / "x.parquet", {})
+    rows = [{"number": number} for number in range(1, 6)]
+    summary = {"hit": False, "sentence": "So.", "iterations": rows}
+    (tmp_path / "run.json").write_text(json.dumps(summary))
+    causes = [{"effect": "wind"}, {"effect": "clamp"}]
+    document = {"verdict": "effect", "causes": causes}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(document))
+    (tmp_path / "config.json").write_text('{"name": "d", "mode": {}}')
+    runs = list_runs(tmp_path).iloc[0]
+    assert (runs["iterations"], runs["outcome"]) == (5, "effect"), runs["said"]
+    assert runs["causes"] == "wind, clamp"
+
+
 def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
     for to in ("runs.html", "runs.parquet", "runs.csv"):
         status, said = asked(capsys, "index", many, "--to", tmp_path / to)
@@ -361,6 +386,7 @@ def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
     ]
     assert runs.loc["day/a", "best_E"] == max(fits)
     assert runs.loc["day/a", "iterations"] == 2
+    assert (runs["causes"] == "").all()
     assert 0 < runs.loc["day/a", "seconds"] < 60
     assert runs.loc["day/a", "date"].startswith("20")
     listed = pd.read_csv(

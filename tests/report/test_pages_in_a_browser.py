@@ -107,35 +107,22 @@ def texts(arm, camera):
     }
     casts = [manipulation(arm, camera, 1), manipulation(arm, camera, 2, hit=True)]
     runs = pd.DataFrame(
-        [
-            (
-                "a/b",
-                "x",
-                "2026-11-25T03:38:00",
-                "ended",
-                "hit",
-                2,
-                np.nan,
-                3.0,
-                "s",
-                "So.",
-                "a/b/report.html",
-            )
-        ]
+        {
+            "run": ["a/b", "a/c", "a/d"],
+            "experiment": "x",
+            "date": ["2026-11-25T03:38:00", "2026-11-24T03:38:00", ""],
+            "state": ["ended", "ended", "failed"],
+            "outcome": ["hit", "effect", ""],
+            "causes": ["", "wind", ""],
+            "iterations": [2, 12, 0],
+            "best_E": [0.9, np.nan, np.nan],
+            "seconds": 3.0,
+            "stale": ["s", "", ""],
+            "said": "So.",
+            "page": ["a/b/report.html", "a/c/report.html", ""],
+        }
     )
-    runs.columns = [
-        "run",
-        "experiment",
-        "date",
-        "state",
-        "outcome",
-        "iterations",
-        "best_E",
-        "seconds",
-        "stale",
-        "said",
-        "page",
-    ]
+    approaches = {"a/b": {"miss_mm": [40.0, None, 3.0], "E": [0.7, None, 0.9]}}
     return {
         "cast": cast_page(
             record_of(
@@ -153,7 +140,7 @@ def texts(arm, camera):
             StageRecord("a", "So.", alignment(), coarse, {}, ORIGIN)
         ),
         "tables": tables_page(StageRecord("t", "So.", prediction, coarse, {}, ORIGIN)),
-        "index": index_page(runs, "outputs", ORIGIN),
+        "index": index_page(runs, "outputs", ORIGIN, approaches),
         "paper": paper_page(PaperRecord(tables, 3, {}, ORIGIN), {}),
         "check": check_page(
             MEASURED,
@@ -220,11 +207,36 @@ def test_a_page_opens_on_a_phone_in_the_dark_and_nothing_is_complained_of(
 
 def test_a_list_of_runs_says_on_a_phone_which_ended_how(chromium, pages):
     page = opened(chromium, pages["index"], width=PHONE, height=740)
-    cells = "[...document.querySelectorAll('tbody tr:first-child td')].slice(0, 2)"
+    cells = (
+        "[...document.querySelectorAll('.runs tbody tr:first-child td')].slice(0, 2)"
+    )
     assert page.ask(f"{cells}.map(cell => cell.textContent)") == ["hit", "a/b"]
     assert page.ask(
         f"{cells}.every(cell => cell.getBoundingClientRect().right < innerWidth)"
     )
+
+
+def test_runs_are_sorted_filtered_and_drawn_over_each_other(chromium, pages):
+    page = opened(chromium, pages["index"])
+    names = "shown().map(row => row.cells[1].textContent.trim())"
+    assert page.ask(names) == ["a/b", "a/c", "a/d"]
+    press = "[...document.querySelectorAll('.sort')].find(b => b.textContent == '{}').click()"
+    page.ask(press.format("casts or trials"))
+    assert page.ask(names) == ["a/d", "a/b", "a/c"], "numbers, not letters"
+    page.ask(press.format("casts or trials"))
+    assert page.ask(names) == ["a/c", "a/b", "a/d"]
+    for words, left in (
+        ("wind", ["a/c"]),
+        ("E>0.8", ["a/b"]),
+        ("casts>1 So", ["a/c", "a/b"]),
+        ("nothing", []),
+    ):
+        page.ask(f"(wanted.value = '{words}', wanted.oninput())")
+        assert page.ask(names) == left, words
+    assert page.ask("document.querySelector('.overlay').hidden")
+    page.ask("(wanted.value = '', wanted.oninput())")
+    assert page.ask("document.querySelectorAll('.overlay circle').length") == 4
+    assert page.faults == []
 
 
 def test_what_is_pointed_at_in_one_curve_is_shown_in_all(chromium, pages):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,11 +10,11 @@ import pandas as pd
 
 from stringcast.stages.report.formatting import format_count, format_rate
 from stringcast.stages.report.page import (
-    Card,
     Cell,
     Details,
     Page,
     Part,
+    RunsView,
     Section,
     TableView,
     Text,
@@ -24,10 +24,23 @@ from stringcast.stages.report.page import (
 )
 
 # the first two fit on a phone
-COLUMNS = ("outcome", "run", "casts or trials", "best E", "time [s]", "result")
+COLUMNS = (
+    *("outcome", "run", "causes", "casts or trials", "best E", "time [s]"),
+    *("begun", "result"),
+)
+
+HOW_TO_SORT = (
+    "A click on a heading sorts. The filter keeps the runs that hold all words; a word "
+    "such as E>0.9 compares a number. Missed, hit and causes are words, too."
+)
 
 
-def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> str:
+def index_page(
+    runs: pd.DataFrame,
+    folder: str,
+    origin: Mapping[str, Any],
+    casts: Mapping[str, Mapping[str, Sequence[float | None]]],
+) -> str:
     """Render the page of all runs in a folder.
 
     Parameters
@@ -39,6 +52,8 @@ def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> st
         Folder of the runs.
     origin : mapping
         Code and packages.
+    casts : mapping
+        Closest approach `miss_mm` and matching rate `E` of each cast, by run.
     """
     newest = runs.sort_values("date", ascending=False, kind="stable").to_dict("records")
     states = [
@@ -46,9 +61,10 @@ def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> st
         for state, count in runs["state"].value_counts().items()
     ]
     rows = [_row(run) for run in newest]
+    view = TableView(COLUMNS, rows)
     sections: list[Part] = [
         Tiles(states),
-        Section("Newest first", [Card("", [TableView(COLUMNS, rows)])]),
+        Section("Newest first", [Text(HOW_TO_SORT), RunsView(view, casts)]),
     ]
     stale = [(_run_link(run), run["stale"]) for run in newest if run["stale"]]
     if stale:
@@ -76,7 +92,9 @@ def _row(run: Mapping[str, Any]) -> list[Any]:
     best = format_rate(run["best_E"]) if np.isfinite(run["best_E"]) else ""
     numbers = number_cells([run["iterations"], best, f"{run['seconds']:.0f}"])
     outcome = run["outcome"] or run["state"]
-    return [outcome, Cell(_run_link(run), "name"), *numbers, run["said"]]
+    begun = run["date"][:16].replace("T", " ")
+    name = Cell(_run_link(run), "name")
+    return [outcome, name, run["causes"], *numbers, begun, run["said"]]
 
 
 def _run_link(run: Mapping[str, Any]) -> Any:
