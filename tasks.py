@@ -8,7 +8,7 @@ study NAME ...     a study of tests/benchmarks, such as diagnosis, with its sett
 bench              speed of simulations and of a diagnosis; see tests/benchmarks/speed
 docs               the site, in docs/site; a warning is an error
 package            source archive and wheel in dist, both checked
-setup              only make the environment
+setup              make the environment and compile the loops of the simulation
 
 The environment is `.venv`, made from `requirements.lock` and made again when that file
 changes. In it, the package `stringcast` is this clone.
@@ -69,13 +69,16 @@ def prepare_environment() -> None:
         print("Setting up .venv (once; a minute or two) ...", flush=True)
         venv.create(ENVIRONMENT, with_pip=True, clear=True)
         install_lock(LOCK)
-    if not is_installed(*PACKAGE_FILES):
+    is_new = not is_installed(*PACKAGE_FILES)
+    if is_new:
         options = ("--no-deps", "--no-build-isolation", "--editable", ROOT)
         install_packages(*options, sources=PACKAGE_FILES)
         # Compiled kernels hold the names that modules had when they were compiled.
         for kernel in ROOT.rglob("__pycache__/*.nb[ci]"):
             kernel.unlink()
     link_package()
+    if is_new:
+        compile_loops()
 
 
 def link_package() -> None:
@@ -143,6 +146,11 @@ def install_lock(lock: Path) -> None:
 def run_module(*command: str) -> int:
     """Run a module of the environment in the project's folder; return its status."""
     return subprocess.run([PYTHON, "-m", *command], cwd=ROOT, check=False).returncode
+
+
+def compile_loops(arguments: Sequence[str] = ()) -> int:
+    """Compile the loops of the simulation, so that no first run waits for it."""
+    return run_module("stringcast.stages.model.engine.compile_loops", *arguments)
 
 
 def run_pipeline(arguments: list[str]) -> int:
@@ -228,7 +236,7 @@ TASKS = {
     "bench": run_benchmark,
     "docs": build_site,
     "package": build_package,
-    "setup": lambda arguments: 0,
+    "setup": compile_loops,
 }
 
 if __name__ == "__main__":

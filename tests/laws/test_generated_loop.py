@@ -6,6 +6,7 @@ from itertools import combinations, product
 import numpy as np
 
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
+from stringcast.stages.model.engine.compile_loops import LOOPS
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.kernel_codegen import generate_source
 from stringcast.stages.model.engine.print_loop import main as print_loop
@@ -36,12 +37,17 @@ def test_the_loop_can_be_printed(capsys):
 
 
 def test_all_effects_of_the_library_need_three_loops():
-    """The paper's forces, effects that cost little, and the others have a loop each."""
+    """The paper's forces, effects that cost little, and the others have a loop each.
 
-    def compiled_loops(pairs):
+    The set-up compiles all three.
+    """
+    integrator = ImplicitLeapfrog()
+
+    def compiled_loops(combinations_of_effects):
         sources = set()
-        for pair in pairs:
-            string = String(0.3, effects=(*PAPER_EFFECTS, *pair))
+        for some in combinations_of_effects:
+            effects = (*PAPER_EFFECTS, *some)
+            string = String(0.3, effects=effects, integrator=integrator)
             material = string.material(string.start_values()[None])
             looped, _ = string.with_compiled_effects(material)
             source = generate_source(
@@ -55,7 +61,10 @@ def test_all_effects_of_the_library_need_three_loops():
     costly = compiled_loops(product(JOINTLY_COMPILED_EFFECTS, COSTLY_EFFECTS))
     costly |= compiled_loops([(effect,) for effect in COSTLY_EFFECTS])
     assert len(paper) == len(cheap) == len(costly) == 1
-    assert len(paper | cheap | costly) == 3
+    all_loops = paper | cheap | costly
+    assert len(all_loops) == 3
+    prepared = [effects for method, effects in LOOPS if method == integrator]
+    assert compiled_loops(prepared) == all_loops
 
 
 def test_what_is_compiled_together_changes_nothing_where_it_is_absent(monkeypatch):
