@@ -25,6 +25,9 @@ from stringcast.stages.model.state import StringState
 
 # [s] of simulated time that a batch costs before its first step
 BATCH_OVERHEAD_S = 0.05
+# [s] of simulated time of all candidates in a batch, at most: bounds the memory to some
+# 200 MB at 21 points and steps of 5 ms
+MAX_BATCH_S = 1000.0
 # times what steps cost where each candidate has a hand of its own
 SEPARATE_HANDS_COST = 1.15
 
@@ -40,8 +43,11 @@ def normalised_residuals(
     rejected.
     """
     chunks: list[list[np.ndarray]] = [[] for _ in trials]
-    for first in range(0, len(values), MAX_BATCH_CANDIDATES):
-        chunk = values[first : first + MAX_BATCH_CANDIDATES]
+    longest_s = max(float(np.ptp(trial.times)) for trial in trials)
+    longest_s = max(longest_s, MAX_BATCH_S / MAX_BATCH_CANDIDATES)
+    size = max(int(MAX_BATCH_S / longest_s), kernel_codegen.LANES)
+    for first in range(0, len(values), size):
+        chunk = values[first : first + size]
         simulated = simulate_trials(model, trials, chunk)
         for k, trial in enumerate(trials):
             distance = trial.sample_at_points(simulated[k]) - trial.points
@@ -69,39 +75,46 @@ def simulate_trials(
         durations.append(float(trial.times[-1] - start))
         groups[state is None, start, trial.motion.tick].append(k)
 
-    loads = len(values) / kernel_codegen.LANES / get_num_threads()
     simulated: dict[int, np.ndarray] = {}
     for group in groups.values():
         seconds = [durations[k] for k in group]
-        for batch in _plan_batches(seconds, loads):
+        for batch in _plan_batches(seconds, len(values)):
             members = [group[i] for i in batch]
             points = _simulate_batch(model, [trials[k] for k in members], values)
             simulated |= zip(members, points, strict=True)
     return [simulated[k] for k in range(len(trials))]
 
 
-def _plan_batches(seconds: Sequence[float], loads: float) -> list[list[int]]:
+def _plan_batches(seconds: Sequence[float], candidates: int) -> list[list[int]]:
     """Split trials into batches of the least total time (dynamic programming).
 
     A batch lasts as long as its longest trial, as often as its candidates fill the
     vector units of all cores.
 
-    seconds: the length of each trial. loads: how often the candidates of one trial fill
-    the vector units.
+    seconds: the length of each trial. candidates: their number in each trial.
     """
-    order = np.argsort(seconds, kind="stable").tolist()
-    plans: list[tuple[float, list[list[int]]]] = [(0.0, [])]  # of the shortest trials
+    loads = candidates / kernel_codegen.LANES / get_num_threads()
+    order = np.argsort(seconds, kind="stable")
+    total_s = np.zeros(len(order) + 1)  # of the shortest trials
+    best_first = []  # where the last batch of so many trials begins
     for last in range(1, len(order) + 1):
-        options = []
-        for first in range(last):
-            batch = order[first:last]
-            cost = SEPARATE_HANDS_COST if len(batch) > 1 else 1.0
-            steps_s = cost * np.ceil(len(batch) * loads) * seconds[batch[-1]]
-            total_s, batches = plans[first]
-            total_s = total_s + (BATCH_OVERHEAD_S + steps_s)
-            options.append((total_s, [*batches, batch]))
-        plans.append(min(options, key=lambda plan: plan[0]))
-    return plans[-1][1]
+        longest_s = seconds[order[last - 1]]
+        sizes = np.arange(last, 0, -1)
+        cost = np.where(sizes > 1, SEPARATE_HANDS_COST, 1.0)
+        batch_s = BATCH_OVERHEAD_S + cost * np.ceil(sizes * loads) * longest_s
+        is_too_large = (sizes > 1) & (sizes * candidates * longest_s > MAX_BATCH_S)
+        option_s = total_s[:last] + np.where(is_too_large, np.inf, batch_s)
+        first = int(np.argmin(option_s))
+        best_first.append(first)
+        total_s[last] = option_s[first]
+
+    batches: list[list[int]] = []
+    last = len(order)
+    while last > 0:
+        first = best_first[last - 1]
+        batches.insert(0, order[first:last].tolist())
+        last = first
+    return batches
 
 
 def _simulate_batch(

@@ -18,6 +18,7 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 
 CACHED_CANDIDATES = 64  # candidates: those of some iterations
+MAX_CACHED_NUMBERS = 10_000_000  # fewer candidates of many long trials: 80 MB
 
 ByTrial = Sequence[np.ndarray]  # an array for each trial, since their points differ
 
@@ -32,8 +33,8 @@ class ResidualCache:
     """The residuals of the last candidates, by the values of model and exponents."""
 
     def __init__(self) -> None:
-        self._keys: deque[tuple[bytes, Model]] = deque(maxlen=CACHED_CANDIDATES)
-        self._residuals: deque[list[np.ndarray]] = deque(maxlen=CACHED_CANDIDATES)
+        self._keys: deque[tuple[bytes, Model]] = deque()
+        self._residuals: deque[list[np.ndarray]] = deque()
 
     def find(self, model: Model, chi: np.ndarray) -> ByTrial | None:
         """Look up the residuals (1, 2 n) of each trial at exponents (P,), or None."""
@@ -44,9 +45,14 @@ class ResidualCache:
 
     def store(self, model: Model, chi: np.ndarray, residuals: ByTrial) -> None:
         """Keep the residuals (C, 2 n) of each trial at exponents (C, P)."""
-        for k in range(max(len(chi) - CACHED_CANDIDATES, 0), len(chi)):
+        numbers = sum(rows.shape[1] for rows in residuals)  # of one candidate
+        capacity = min(CACHED_CANDIDATES, max(1, MAX_CACHED_NUMBERS // numbers))
+        for k in range(max(len(chi) - capacity, 0), len(chi)):
             self._keys.append((chi[k].tobytes(), model))
             self._residuals.append([rows[k : k + 1].copy() for rows in residuals])
+        while len(self._keys) > capacity:
+            self._keys.popleft()
+            self._residuals.popleft()
 
 
 @dataclass(frozen=True)
