@@ -16,6 +16,7 @@ from stringcast.data.artifacts import Points
 from stringcast.data.schema import DataError
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
+from stringcast.stages.model.target import Target
 
 TIME_STEP_S = 0.0005  # of the tip's path
 MAX_GAP_S = 0.02  # between readings across which the tip's path is interpolated
@@ -31,16 +32,20 @@ class HitResult:
     t : time of the closest approach to the target's centre [s]; NaN without a tip
     distance : of the tip from the centre at that time [m]; NaN without a tip
     touched : number of frames of the movement in which the string lies in an obstacle
+    speed : of the tip at that time [m/s]; NaN without a tip
+    direction : of its velocity, counter-clockwise from x [rad]; NaN without a tip
     """
 
     hit: bool
     t: float
     distance: float
     touched: int = 0
+    speed: float = np.nan
+    direction: float = np.nan
 
 
 def hit_test(
-    seen: Points, target: Box, obstacles: Sequence[Box], duration: float
+    seen: Points, target: Target, obstacles: Sequence[Box], duration: float
 ) -> HitResult:
     """Test whether the tip enters the target during the movement.
 
@@ -52,8 +57,8 @@ def hit_test(
     ----------
     seen : Points
         Points and readings of the frames.
-    target : Box
-        Box that the tip shall enter [m].
+    target : Target
+        Box that the tip shall enter [m], and how it shall arrive.
     obstacles : sequence of Box
         Boxes that the string may not touch before [m].
     duration : float
@@ -74,15 +79,24 @@ def hit_test(
     path = tip_path(readings, times)
     if not np.isfinite(path).any():
         return HitResult(False, np.nan, np.nan, len(contact_times))
-    inside = np.append(False, target.is_crossed_along(path))
+    inside = np.append(False, target.is_entered_along(path, TIME_STEP_S))
     hit = bool(inside.any())
     if hit and len(contact_times):
         hit = contact_times[0] > times[np.argmax(inside)]
     is_known = np.isfinite(path[:, 0])
+    if target.restricts_arrival and inside.any():
+        is_known &= inside  # it may pass nearer in another direction
     distance = np.where(is_known, target.distance_to_centre(path), np.inf)
     nearest = int(np.argmin(distance))
+    before, after = tip_path(readings, times[nearest] + TIME_STEP_S * np.array([-1, 1]))
+    velocity = (after - before) / (2 * TIME_STEP_S)
     return HitResult(
-        bool(hit), float(times[nearest]), float(distance[nearest]), len(contact_times)
+        bool(hit),
+        float(times[nearest]),
+        float(distance[nearest]),
+        len(contact_times),
+        speed=float(np.linalg.norm(velocity)),
+        direction=float(np.arctan2(velocity[1], velocity[0])),
     )
 
 

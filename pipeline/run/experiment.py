@@ -47,6 +47,7 @@ from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.library import effect_files, find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from stringcast.stages.model.target import Target
 from stringcast.stages.plugins import load_object
 from stringcast.stages.spec import StageCall
 
@@ -115,7 +116,7 @@ class Experiment:
         All settings of the run.
     model : Model
         String, arm and camera with the effects that are modelled.
-    target : Box
+    target : Target
         Where the tip must go.
     obstacles : tuple of Box
         What the string must not touch.
@@ -127,7 +128,7 @@ class Experiment:
 
     config: Settings
     model: Model
-    target: Box
+    target: Target
     obstacles: tuple[Box, ...]
     stages: Mapping[str, Callable[..., Any]]
     mode: Mode
@@ -196,7 +197,7 @@ def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
     import_plugins()
     check_run_settings(config, where)
     arm = build_dataclass(Arm, config["arm"], "arm", where("arm"))
-    target = build_dataclass(Box, config["target"], "target", where("target"))
+    target = build_dataclass(Target, config["target"], "target", where("target"))
     string = build_string(config["string"], where("string"))
     string = refine_string_to_tolerance(string, arm, config, where("string"))
     camera = build_dataclass(Camera, config["camera"], "camera", where("camera"))

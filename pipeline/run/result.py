@@ -78,6 +78,8 @@ def iteration_summary(iteration: Iteration) -> dict[str, Any]:
         row["hit"] = iteration.has_hit
         row["miss_m"], row["t_closest"] = verdict.distance, verdict.t
         row["touched"] = verdict.touched
+        row["tip_speed_m_s"] = verdict.speed
+        row["tip_direction_rad"] = verdict.direction
     for name, value in row.items():
         if isinstance(value, float) and not isfinite(value):
             row[name] = None

@@ -37,6 +37,7 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.target import Target
 from stringcast.stages.spec import StageCall
 
 # motions simulated at once, 90 MB of a string of 57 points for 1.5 s
@@ -103,7 +104,8 @@ class SimulatedCandidates:
     ----------
     times : (F,) [s]
     points : (C, F, n, 2) points of the strings [m]
-    inside : (C, F - 1) whether the tip was in the target since the time before
+    inside : (C, F - 1) whether the tip was in the target since the time before, and
+        moved as wanted
     """
 
     times: np.ndarray
@@ -123,7 +125,7 @@ def run(call: StageCall, motion: Motion | None, estimate: Estimate | None) -> Mo
 
 def generate(
     model: Model,
-    target: Box,
+    target: Target,
     obstacles: Sequence[Box],
     previous: Motion | None,
     estimate: Estimate | None,
@@ -142,8 +144,8 @@ def generate(
     ----------
     model : Model
         String and arm.
-    target : Box
-        Box that the tip shall enter [m].
+    target : Target
+        Box that the tip shall enter [m], and how it shall arrive.
     obstacles : sequence of Box
         Boxes that arm and string may not touch [m].
     previous : Motion or None
@@ -314,9 +316,8 @@ def _simulate_curves(
         np.repeat(values[None], len(angles), axis=0),
         times,
     )
-    return SimulatedCandidates(
-        times, motion.points, task.target.is_crossed_along(motion.tip)
-    )
+    inside = task.target.is_entered_along(motion.tip, tick / SUBSTEPS)
+    return SimulatedCandidates(times, motion.points, inside)
 
 
 def _string_faults(

@@ -13,6 +13,7 @@ from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.target import Target
 
 # strings simulated at once: more would not stay in memory that is used again
 BATCH_SIZE = 256
@@ -27,12 +28,12 @@ class CastTask:
     Parameters
     ----------
     model : string, arm and camera
-    target : box that the tip shall enter
+    target : box that the tip shall enter, and how it shall arrive
     obstacles : boxes that the arm may not touch, nor the string before it hits
     """
 
     model: Model
-    target: Box
+    target: Target
     obstacles: Sequence[Box]
 
 
@@ -43,8 +44,8 @@ class CastOutcome:
     Parameters
     ----------
     distance : least distance of the tip from the target's centre until something is
-        touched, in half widths and half heights of the target; infinite where the
-        simulation diverges
+        touched, in half widths and half heights of the target, and of its arrival, in
+        tolerances; infinite where the simulation diverges
     free_share : share of the movement until something touches an obstacle, 1 where
         nothing does
     hit : whether the tip enters the target until then, as in `stages.hit_test`, and the
@@ -170,9 +171,12 @@ def _predict_batch(
     share = np.clip(-product / np.maximum(square, 1e-300), 0, 1)
     nearest = start + share[..., None] * segment
     distance = np.hypot(nearest[..., 0], nearest[..., 1])
+    half_tick = task.model.arm.tick / 2
+    velocity = np.diff(path, axis=1) / half_tick
+    distance = np.hypot(distance, target.arrival_error(velocity))
     least = np.where(counts, distance, np.inf).min(axis=1)
 
-    entered = target.is_crossed_along(path) & counts
+    entered = target.is_entered_along(path, half_tick) & counts
     hit = entered.any(axis=1) & finite & ~arm_touches.any(axis=1)
     return CastOutcome(
         np.where(finite, least, np.inf).reshape(shape),

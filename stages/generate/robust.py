@@ -41,6 +41,7 @@ from stringcast.stages.generate.uncertainty_samples import (
 from stringcast.stages.hit_test import check_reach
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.target import Target
 
 stats = LazyModule("scipy.stats")
 
@@ -91,7 +92,7 @@ class SearchEffort(SettingsGroup):
 
 def generate(
     model: Model,
-    target: Box,
+    target: Target,
     obstacles: Sequence[Box],
     previous: Motion | None,
     estimate: Estimate | None,
@@ -111,8 +112,8 @@ def generate(
     ----------
     model : Model
         String and arm.
-    target : Box
-        Box that the tip shall enter [m].
+    target : Target
+        Box that the tip shall enter [m], and how it shall arrive.
     obstacles : sequence of Box
         Boxes that the arm may not touch, nor the string before it hits [m].
     previous : Motion or None
@@ -274,9 +275,13 @@ def build_motion_artifact(
     typical = samples.select(hits_first[[hit.sum() // 2]])
     points = simulate_motions(task.model, curve, typical)[1][0]
     path = midpoint_tip_path(points[None, :, -1])[0]
-    nearest = int(np.argmin(task.target.distance_to_centre(path)))
-    interval = stats.binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")
     tick = task.model.arm.tick
+    distance = task.target.distance_to_centre(path)
+    entered = np.append(False, task.target.is_entered_along(path, tick / 2))
+    if task.target.restricts_arrival and entered.any():
+        distance = np.where(entered, distance, np.inf)
+    nearest = int(np.argmin(distance))
+    interval = stats.binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")
     attempts = pd.DataFrame(
         {"outcome": ["less likely to hit", HIT], "count": [tried - 1, 1]}
     )

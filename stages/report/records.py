@@ -27,6 +27,7 @@ from stringcast.stages.inference.prepared_trial import observed_motion
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.target import Target
 from stringcast.stages.report.outcomes import CAST_OUTCOMES, Outcome, parameter_outcome
 
 
@@ -157,7 +158,7 @@ class RunRecord:
     sentence: str
     hit: bool
     model: Model
-    target: Box
+    target: Target
     obstacles: tuple[Box, ...]
     casts: tuple[CastRecord, ...]
     estimates: tuple[Estimate, ...]

@@ -15,6 +15,7 @@ from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from stringcast.stages.model.target import Target
 
 STRING = String(0.3)
 SETTINGS = {
@@ -26,7 +27,7 @@ SETTINGS = {
     "fraction": 0.25,
     "hits": 1,
 }
-TARGET = Box(0.4, 0.7, 0.02, 0.04)
+TARGET = Target(0.4, 0.7, 0.02, 0.04)
 
 
 def generate(*given, seed, **settings):
@@ -191,7 +192,7 @@ def test_where_no_slight_change_of_the_last_motion_hits_any_motion_may(arm, came
     last = generate(model, TARGET, (), None, None, seed=0, **SETTINGS)
     stuck = SETTINGS | {"fraction": 1e-6, "attempts": 4096}
     motion = generate(
-        model, Box(0.75, 0.3, 0.06, 0.06), (), last, None, seed=0, **stuck
+        model, Target(0.75, 0.3, 0.06, 0.06), (), last, None, seed=0, **stuck
     )
     assert 4096 < motion.outcome["tried"].iloc[0] < 8192
     assert (
@@ -204,7 +205,7 @@ def test_failures_say_why(arm, camera):
     with pytest.raises(DataError, match="out of reach"):
         generate(
             Model(STRING, arm, camera),
-            Box(2.0, 0.7, 0.02, 0.04),
+            Target(2.0, 0.7, 0.02, 0.04),
             (),
             None,
             None,
@@ -214,7 +215,7 @@ def test_failures_say_why(arm, camera):
     with pytest.raises(MotionNotFoundError, match="misses the target"):
         generate(
             Model(STRING, arm, camera),
-            Box(0.9, 0.5, 1e-6, 1e-6),
+            Target(0.9, 0.5, 1e-6, 1e-6),
             (),
             None,
             None,

@@ -44,9 +44,10 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from stringcast.stages.model.target import Target
 
 STRING = String(0.3)
-TARGET = Box(0.4, 0.7, 0.02, 0.04)
+TARGET = Target(0.4, 0.7, 0.02, 0.04)
 NONE = PlanningUncertainty(0.0, 0.0, 0.0)
 SETTINGS = {
     "motions": 200,
@@ -229,7 +230,7 @@ def test_what_touches_an_obstacle_first_does_not_hit(model):
     reach the target before they touch the wall.
     """
     wall = Box(0.6, 0.35, 0.03, 0.3)
-    target = Box(0.75, 0.55, 0.06, 0.06)
+    target = Target(0.75, 0.55, 0.06, 0.06)
     motion = likeliest(
         model, target, (wall,), None, None, seed=2, **SETTINGS | {"motions": 400}
     )
@@ -256,7 +257,7 @@ def test_what_comes_after_a_touch_does_not_count(model):
     """
     wall, free = (
         Box(0.6, 0.35, 0.03, 0.3),
-        CastTask(model, Box(0.75, 0.55, 0.06, 0.06), ()),
+        CastTask(model, Target(0.75, 0.55, 0.06, 0.06), ()),
     )
     rng = np.random.default_rng(5)
     curves = first_curves(model.arm, rng, 40, (0.4, 0.6), 100.0)
@@ -369,7 +370,9 @@ def test_the_way_between_ticks_is_a_cubic():
 
 def test_failures_say_why(model, monkeypatch):
     with pytest.raises(DataError, match="out of reach"):
-        likeliest(model, Box(2.0, 0.7, 0.02, 0.04), (), None, None, seed=0, **SETTINGS)
+        likeliest(
+            model, Target(2.0, 0.7, 0.02, 0.04), (), None, None, seed=0, **SETTINGS
+        )
     with pytest.raises(DataError, match=r"generate\.shortest"):
         likeliest(model, TARGET, (), None, None, seed=0, **SETTINGS | {"shortest": 2.0})
     monkeypatch.setattr(race, "MAX_BATCHES", 2)
@@ -392,7 +395,7 @@ def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
     The cast will teach what the string is like.
     """
     tiny = SETTINGS | {"motions": 60, "cma_iterations": 0, "validation": 10}
-    target, more = Box(0.4, 0.7, 1e-7, 1e-7), tiny | {"max_restarts": 2}
+    target, more = Target(0.4, 0.7, 1e-7, 1e-7), tiny | {"max_restarts": 2}
     motion, first = (
         likeliest(model, target, (), None, None, seed=0, **some)
         for some in (tiny, more)
@@ -429,3 +432,32 @@ def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
     tip = simulate_motions(model, swing, draws)[1][:, :, -1]
     assert hung > 0.8 * np.linalg.norm(tip.std(axis=0), axis=-1).min()
     assert swung < 0.2 * hung
+
+
+def test_a_planned_cast_arrives_in_the_direction_that_is_wanted(model, blind):
+    """The planner turns the tip: without the wish it arrives otherwise."""
+    string = (STIFF,)
+    downwards = replace(TARGET, direction=-np.pi / 2, direction_tolerance=0.6)
+    values = model.values(COMMON | STIFF)[None]
+    shares = {}
+    for name, target in (("any", TARGET), ("down", downwards)):
+        motion = likeliest(model, target, (), None, known(*string), seed=3, **SETTINGS)
+        tip = performed(model, motion, values)[:, :, -1]
+        entered = downwards.is_entered_along(tip, 0.0007)
+        shares[name] = bool(entered.any())
+        if name == "down":
+            assert motion.outcome["chance"].iloc[0] == 1.0
+    assert shares == {"any": False, "down": True}
+
+
+def test_a_wish_makes_a_hit_less_likely_and_no_motion_nearer(model, blind):
+    curves = curves_from_motion(blind)
+    strings = sample_uncertainty(model, None, NONE, 40, np.random.default_rng(8))
+    fast = replace(TARGET, speed=15.0, speed_tolerance=1.0)
+    plain, wished = (
+        predict_outcome(CastTask(model, target, ()), curves, strings)
+        for target in (TARGET, fast)
+    )
+    assert (wished.hit <= plain.hit).all()
+    assert (wished.distance >= plain.distance).all()
+    assert wished.hit.sum() < plain.hit.sum()

@@ -3,6 +3,8 @@
 Its path between frames counts, but only where it is known.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,8 +12,9 @@ import pytest
 from stringcast.data.artifacts import MASKS, POINTS, Points
 from stringcast.stages.hit_test import hit_test
 from stringcast.stages.model.box import Box
+from stringcast.stages.model.target import Target
 
-BOX = Box(0.5, 0.5, 0.02, 0.04)
+BOX = Target(0.5, 0.5, 0.02, 0.04)
 
 
 def seen(t, x, y, points=None):
@@ -123,3 +126,47 @@ def crossing(moment):
 def test_an_obstacle_counts_from_the_start_to_the_moment_of_entry(moment, hit, touched):
     verdict = crossing(moment)
     assert (verdict.hit, verdict.touched) == (hit, touched)
+
+
+def flight(angle, speed):
+    """Return readings of a tip that flies through the centre of the box at 0.05 s."""
+    t = np.arange(0, 0.1, 0.005)
+    way = speed * (t - 0.05)
+    return seen(t, 0.5 + way * np.cos(angle), 0.5 + way * np.sin(angle))
+
+
+@pytest.mark.parametrize("angle", [-3.0, -1.2, 0.0, 2.0, 3.1])
+def test_speed_and_direction_of_a_straight_flight(angle):
+    verdict = hit_test(flight(angle, 8.0), BOX, (), 0.1)
+    assert verdict.speed == pytest.approx(8.0)
+    assert verdict.direction == pytest.approx(angle)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "hit"),
+    [
+        ({"direction": 3.1}, True),
+        ({"direction": -3.1}, True),  # less than the tolerance away, across pi
+        ({"direction": 2.6}, False),
+        ({"speed": 9.5}, True),
+        ({"speed": 10.5}, False),
+        ({"direction": 3.1, "speed": 10.5}, False),
+    ],
+)
+def test_the_tip_must_arrive_as_wanted(wanted, hit):
+    target = replace(BOX, **wanted)
+    assert hit_test(flight(3.1, 8.0), target, (), 0.1).hit == hit
+
+
+def test_of_two_passages_the_one_that_counts_is_reported():
+    """The tip passes the centre upwards, and 5 mm beside it downwards."""
+    t = np.arange(0, 0.2, 0.002)
+    up = t < 0.1
+    x = np.where(up, 0.5, 0.505)
+    y = np.where(up, 0.5 + 4 * (t - 0.05), 0.5 - 4 * (t - 0.15))
+    any_way = hit_test(seen(t, x, y), BOX, (), 0.2)
+    downwards = hit_test(seen(t, x, y), replace(BOX, direction=-np.pi / 2), (), 0.2)
+    assert any_way.hit
+    assert downwards.hit
+    assert any_way.t == pytest.approx(0.05, abs=1e-3)
+    assert downwards.t == pytest.approx(0.15, abs=1e-3)

@@ -23,6 +23,7 @@ from stringcast.stages.hit_test import MAX_GAP_S, HitResult
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from stringcast.stages.model.target import Target
 from stringcast.stages.report.charts.camera import (
     MAX_PAGE_FRAMES,
     MIN_CAST_FRAMES,
@@ -47,7 +48,7 @@ from stringcast.stages.report.theme import STYLE_SHEET, THEME
 VOID = {"meta", "img", "input", "br", "link"}
 STRING = String(0.3)
 DURATION = 0.4
-TARGET = Box(0.5, 0.75, 0.02, 0.04)
+TARGET = Target(0.5, 0.75, 0.02, 0.04)
 
 
 # --- a plausible run made by hand
@@ -492,7 +493,7 @@ def test_pictures_draw_world_points_where_the_camera_sees_them(record, small):
         before=blank,
         after=blank,
     )
-    nothing = replace(record, obstacles=(), target=Box(-5, -5, 1, 1))
+    nothing = replace(record, obstacles=(), target=Target(-5, -5, 1, 1))
     figure, axes = blank_frame(part, 5.0)
     draw_frame(axes, nothing, there, 20, part)
     canvas = FigureCanvasAgg(figure)

@@ -11,6 +11,7 @@ from matplotlib import style
 
 from stringcast.data.artifacts import Estimate
 from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.target import Target
 from stringcast.stages.report.charts.camera import (
     ImageRegion,
     cast_film_data,
@@ -117,8 +118,19 @@ def _describe_task(record: RunRecord) -> str:
     return (
         f"{string}, and a target box of {size} around ({target.x * MM_PER_M:.0f}, "
         f"{target.y * MM_PER_M:.0f}) mm, where x points to the right and y up from the "
-        "world's origin."
+        f"world's origin.{_describe_arrival(target)}"
     )
+
+
+def _describe_arrival(target: Target) -> str:
+    """Describe how the tip shall arrive; empty if any direction and speed will do."""
+    wanted = []
+    if target.direction is not None:
+        angle = np.degrees([target.direction, target.direction_tolerance])
+        wanted.append(f"in direction {angle[0]:.0f} ± {angle[1]:.0f}°")
+    if target.speed is not None:
+        wanted.append(f"at {target.speed:.3g} ± {target.speed_tolerance:.2g} m/s")
+    return f" The tip shall arrive {' and '.join(wanted)}." if wanted else ""
 
 
 def _result(cast: CastRecord) -> Markup:
@@ -133,15 +145,22 @@ def _summary(record: RunRecord, casts: list[tuple[int, CastRecord]]) -> list[Par
     """Summarise the run in tiles, and in a row for each cast."""
     if not casts:
         return []
-    columns = ["cast", "result", "closest to centre", "at", "E before", "E after"]
-    columns += ["distance before", "distance after", "frames read"]
+    columns = ["cast", "result", "closest to centre", "at", "speed", "direction"]
+    columns += ["E before", "E after", "distance before", "distance after"]
+    columns.append("frames read")
     rows = []
     for number, cast in casts:
         verdict, readings = cast.verdict, cast.points.readings
         fit: list[Any] = [Cell("not estimated", "missing"), "", "", ""]
         if cast.estimate is not None:
             fit = number_cells(_fit_quality(cast.estimate.fit.iloc[0]))
-        closest = number_cells([format_mm(verdict.distance), format_ms(verdict.t)])
+        speed = direction = "–"
+        if np.isfinite(verdict.speed):
+            speed = f"{verdict.speed:.1f} m/s"
+            direction = f"{np.degrees(verdict.direction):.0f}°"
+        closest = number_cells(
+            [format_mm(verdict.distance), format_ms(verdict.t), speed, direction]
+        )
         read = number_cell(f"{readings['valid'].sum()} of {len(readings)}")
         rows.append(
             [link(f"#cast-{number}", number), _result(cast), *closest, *fit, read]
