@@ -10,10 +10,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tests.benchmarks.simulators import KINDS, SIMULATORS, draw
+from tests.benchmarks.simulators.drawing import MIN_TRIALS
 
 
 def draw_dataset(
-    simulator: str, seed: int, folder: Path, truth_file: Path, kind: str | None = None
+    simulator: str,
+    seed: int,
+    folder: Path,
+    truth_file: Path,
+    kind: str | None = None,
+    trials: int | None = None,
 ) -> None:
     """Write the synthetic dataset of a seed, and its ground truth apart.
 
@@ -24,8 +30,9 @@ def draw_dataset(
     folder : for the measurements
     truth_file : JSON file for the ground truth
     kind : of `simulators.KINDS`, if not the seed's own
+    trials : their number, if it is not drawn
     """
-    dataset = draw(simulator, seed, kind)
+    dataset = draw(simulator, seed, kind, trials=trials)
     dataset.write(folder)
     dataset.write_truth(truth_file)
 
@@ -38,9 +45,21 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("truth", type=Path, help="JSON file for the ground truth")
     parser.add_argument("--simulator", choices=SIMULATORS, default="own_kernel")
     parser.add_argument("--kind", choices=KINDS, help="if not the seed's own")
+    parser.add_argument(
+        "--trials",
+        type=int,
+        choices=range(MIN_TRIALS, 101),
+        metavar="NUMBER",
+        help=f"{MIN_TRIALS} to 100, if not drawn",
+    )
     options = parser.parse_args(arguments)
     draw_dataset(
-        options.simulator, options.seed, options.folder, options.truth, options.kind
+        options.simulator,
+        options.seed,
+        options.folder,
+        options.truth,
+        options.kind,
+        options.trials,
     )
     print(f"The measurements are in {options.folder}, the truth in {options.truth}.")
     return 0

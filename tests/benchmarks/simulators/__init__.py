@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 from stringcast.data.schema import DataError
@@ -41,6 +42,7 @@ def draw(
     seed: int,
     kind: str | None = None,
     causes: Sequence[str] | None = None,
+    trials: int | None = None,
 ) -> SyntheticDataset:
     """Draw the dataset of a seed.
 
@@ -50,6 +52,7 @@ def draw(
     seed : from which string, casts and causes are drawn
     kind : of KINDS, if not the seed's own
     causes : names of the causes to hide, if they are not drawn
+    trials : their number, MIN_TRIALS or more, if it is not drawn
 
     Returns
     -------
@@ -58,7 +61,10 @@ def draw(
     if kind is None:
         kind = kind_of(seed)
     names = None if causes is None else tuple(causes)
-    return draw_planned(Plan(simulator, load_simulator(simulator), seed, kind, names))
+    plan = Plan(simulator, load_simulator(simulator), seed, kind, names)
+    if trials is not None:
+        plan = replace(plan, trial_counts=(trials, trials))
+    return draw_planned(plan)
 
 
 __all__ = [

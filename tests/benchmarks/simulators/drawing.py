@@ -75,13 +75,17 @@ class Redraw(Exception):  # noqa: N818 - nothing has gone wrong
 
 @dataclass(frozen=True)
 class Plan:
-    """A dataset to draw; `cause_names` are None if the causes are drawn, too."""
+    """A dataset to draw; `cause_names` are None if the causes are drawn, too.
+
+    `trial_counts` are the fewest and the most trials.
+    """
 
     simulator_name: str
     simulator: Simulator
     seed: int
     kind: str
     cause_names: tuple[str, ...] | None
+    trial_counts: tuple[int, int] = (MIN_TRIALS, MAX_TRIALS)
 
     def draw_causes(self, rng: np.random.Generator, skipped: int) -> list[Cause]:
         """Choose the causes: single ones in turn, several at random.
@@ -145,7 +149,8 @@ def draw_planned(plan: Plan) -> SyntheticDataset:
 def _try_to_draw(
     plan: Plan, rng: np.random.Generator, skipped: int
 ) -> SyntheticDataset:
-    count = int(rng.integers(MIN_TRIALS, MAX_TRIALS + 1))
+    fewest, most = plan.trial_counts
+    count = int(rng.integers(fewest, most + 1))
     scene, unfit = _draw_scene(plan.simulator, rng, count + SPARE_TRIALS)
     causes = plan.draw_causes(rng, skipped)
 

@@ -5,7 +5,8 @@ or many at a time, on one core. Models are built and compiled before the clock s
 Contenders take turns; their ratios within one run count, for machines differ and are
 shared. Seconds are processor time.
 
-`bench diagnosis` diagnoses data/sample alone, which needs no peer.
+`bench diagnosis` only diagnoses, which needs no peer: data/sample with the loops to be
+compiled and without, and drawn datasets of more trials. To draw those takes minutes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -29,9 +30,11 @@ from rich.table import Table
 
 from stringcast.stages.model.engine.accuracy import richardson_limit
 from stringcast.stages.model.engine.simulate import simulate
+from tests.benchmarks.draw import draw_dataset
 from tests.benchmarks.speed.cord import ROOT, TIMES, cord_string, hand_motion
 
 ROUNDS = 5
+DRAWN_TRIALS = (10, 25)  # of datasets that are drawn and diagnosed
 SINGLE_THREAD = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 MEASURE_PROCESS = """
 import os, subprocess, sys
@@ -132,7 +135,7 @@ def main(arguments: Sequence[str]) -> None:
         numba.set_num_threads(1)
         for accuracy in (0, 1):
             Console(width=110).print(simulation_table(accuracy, ROUNDS))
-    print(diagnosis_line())
+    Console(width=110).print(diagnosis_table())
 
 
 def simulation_table(accuracy: int, rounds: int) -> Table:
@@ -193,37 +196,61 @@ def median_and_range(values: pd.Series) -> str:
     return f"{values.median():.3g} ({values.min():.3g} to {values.max():.3g})"
 
 
-def diagnosis_line() -> str:
-    """Diagnose data/sample on one thread; return time, memory and verdict in a line."""
+def diagnosis_table() -> Table:
+    """Return a table of time, memory and verdict of diagnoses on one thread."""
+    table = Table(title="Diagnoses (one core)")
+    for column in ("trials", "CPU s", "wall s", "peak MB", "verdict"):
+        table.add_column(column)
+    sample = str(ROOT / "data" / "sample")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        no_loops = {"STRINGCAST_CACHE": str(folder / "loops")}
+        add_diagnosis(table, "data/sample, loops to be compiled", sample, no_loops)
+        add_diagnosis(table, "data/sample", sample)
+        for trials in DRAWN_TRIALS:
+            drawn = folder / f"drawn_{trials}"
+            truth = folder / f"drawn_{trials}.json"
+            draw_dataset("own_kernel", 3, drawn, truth, "effect", trials)
+            add_diagnosis(table, f"{trials} drawn", str(drawn))
+    return table
+
+
+def add_diagnosis(
+    table: Table,
+    title: str,
+    trials: str,
+    environment: Mapping[str, str] | None = None,
+) -> None:
+    """Diagnose a dataset and add a row to the table."""
     with tempfile.TemporaryDirectory() as folder:
         started = time.perf_counter()
         words = (
             "+experiment=diagnose",
-            "trials=data/sample",
+            f"trials={trials}",
             f"hydra.run.dir={folder}",
         )
-        seconds, megabytes = measure_command(*words)
+        seconds, megabytes = measure_command(*words, environment=environment)
         wall = time.perf_counter() - started
         document = json.loads(
             (Path(folder) / "diagnosis.json").read_text(encoding="utf-8")
         )
     causes = ", ".join(cause["effect"] for cause in document["causes"])
-    return (
-        f"Diagnosis of data/sample: {seconds:.1f} s of processor, {wall:.1f} s, "
-        f"{megabytes:.0f} MB, verdict {document['verdict']} ({causes})"
-    )
+    verdict = f"{document['verdict']} ({causes})"
+    table.add_row(title, f"{seconds:.0f}", f"{wall:.0f}", f"{megabytes:.0f}", verdict)
 
 
-def measure_command(*arguments: str) -> tuple[float, float]:
+def measure_command(
+    *arguments: str, environment: Mapping[str, str] | None = None
+) -> tuple[float, float]:
     """Return processor time [s] and peak memory [MB] of a command on one thread.
 
     Raises CalledProcessError where it fails.
     """
     command = [sys.executable, "-m", "pipeline", *arguments]
-    environment = os.environ | dict.fromkeys(SINGLE_THREAD, "1")
+    variables = os.environ | dict.fromkeys(SINGLE_THREAD, "1") | dict(environment or {})
     watched = [sys.executable, "-c", MEASURE_PROCESS, *command]
     done = subprocess.run(
-        watched, cwd=ROOT, env=environment, check=True, capture_output=True, text=True
+        watched, cwd=ROOT, env=variables, check=True, capture_output=True, text=True
     )
     status, seconds, megabytes = map(float, done.stdout.split())
     if status:
