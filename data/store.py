@@ -248,8 +248,13 @@ def has_shape_of_origin(origin: Mapping[str, Any]) -> bool:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file, whole or not at all."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file, whole or not at all."""
     with write_atomically(path) as part:
-        disk.write(part, text.encode())
+        disk.write(part, content)
 
 
 def content_hash(path: Path) -> str:

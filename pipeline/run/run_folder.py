@@ -34,19 +34,23 @@ from stringcast.pipeline.run.file_names import (
     LOG_FILE,
     SUMMARY_FILE,
     artifact_folder,
+    kept_folder,
 )
 from stringcast.pipeline.run.iterations import Iteration, Step
+from stringcast.pipeline.run.kept_files import KeptFiles
 from stringcast.pipeline.run.provenance import (
     arm_has_executed,
     arm_is_virtual,
     current_origin,
     load_step_with_staleness,
+    software_versions,
     step_origin,
 )
 from stringcast.pipeline.run.result import RunResult, run_summary
 from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.run.stopping import stop_stage_on_interrupt
 from stringcast.pipeline.settings.settings_from_runs import DATASET_SETTINGS
+from stringcast.stages.kept_results import use_store
 
 log = logging.getLogger(__name__)
 
@@ -121,7 +125,8 @@ class RunFolder:
         disk.remove(self.folder / SUMMARY_FILE)
         with self.bar(f"{step.number}. {step.stage.name}") as progress:
             started_at, start = datetime.now(UTC), time.monotonic()
-            with stop_stage_on_interrupt():
+            kept = KeptFiles(kept_folder(folder), software_versions())
+            with use_store(kept), stop_stage_on_interrupt():
                 made = self.experiment.run_step(step, progress)
             self.interrupted = getattr(made, "was_interrupted", False)
             seconds = time.monotonic() - start
@@ -131,6 +136,8 @@ class RunFolder:
                 "seconds": seconds,
             }
             store.save(made, folder, origin)
+            if not self.interrupted:
+                kept.remove()
             log.info("%s made in %.1f s", step.folder, seconds)
         stored: Any = store.load(step.stage.makes, folder)
         if isinstance(made, Trial):  # its images are still in memory

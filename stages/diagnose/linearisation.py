@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from stringcast.stages.inference.discrepancy import marginal_log_likelihood
@@ -28,20 +30,25 @@ def difference_exponents(
     return np.concatenate([chi[None], chi + np.diag(offset)]), offset
 
 
+@dataclass(eq=False)
 class LinearisedFit:
     """A fit whose parameters follow any further displacement by a Gauss-Newton step.
 
     The prior holds them where the fit is.
     """
 
-    def __init__(self, data: TrialData, parent: Fit) -> None:
-        self.data = data.for_hypothesis(parent.hypothesis)
-        self.parent = parent
-        scale_indices = parent.scale_indices
-        residuals = [residual[None] for residual in parent.residuals]
-        self.white_slopes = self.data.whiten(parent.slopes, scale_indices)  # (P, N)
-        self.white_residual = self.data.whiten(residuals, scale_indices)[0]  # (N,)
-        prior = PRIOR_PRECISION * np.eye(len(parent.chi))
+    data: TrialData
+    parent: Fit
+
+    def __post_init__(self) -> None:
+        """Whiten what the fit leaves, and its slopes."""
+        self.data = self.data.for_hypothesis(self.parent.hypothesis)
+        scale_indices = self.parent.scale_indices
+        residuals = [residual[None] for residual in self.parent.residuals]
+        # (P, N) and (N,)
+        self.white_slopes = self.data.whiten(self.parent.slopes, scale_indices)
+        self.white_residual = self.data.whiten(residuals, scale_indices)[0]
+        prior = PRIOR_PRECISION * np.eye(len(self.parent.chi))
         self.information = self.white_slopes @ self.white_slopes.T + prior  # (P, P)
         self.covariance = np.linalg.inv(self.information)
 

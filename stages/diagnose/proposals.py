@@ -23,6 +23,7 @@ from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import TIP_SHIFT_WIDTHS_M, Fit
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.kept_results import kept
 from stringcast.stages.model.effect import (
     CameraEffect,
     Effect,
@@ -144,13 +145,27 @@ def propose_causes(
     linear = LinearisedFit(data, parent)
     proposals = []
     for effect in effects:
-        propose = _propose_global_effect
-        if is_position_dependent(effect):
-            propose = _propose_contact
-        proposal = propose(linear, effect, seed)
-        if proposal is not None:
+        found = _propose_effect(linear, effect, seed)
+        if found:
+            starts, gain, direction = found
+            hypothesis = parent.hypothesis.with_cause(effect)
+            proposal = Proposal(hypothesis, starts, float(gain), direction)
             proposals.append(proposal)
     return sorted(proposals, key=lambda proposal: -proposal.gain)
+
+
+@kept
+def _propose_effect(
+    linear: LinearisedFit, effect: type[Effect], seed: int
+) -> tuple[np.ndarray, ...]:
+    """Return starts, gain and direction of a proposal; nothing if there is none."""
+    propose = _propose_global_effect
+    if is_position_dependent(effect):
+        propose = _propose_contact
+    proposal = propose(linear, effect, seed)
+    if proposal is None:
+        return ()
+    return proposal.starts, np.array(proposal.gain), proposal.direction
 
 
 def alternative_parameter_starts(data: TrialData, fit: Fit) -> np.ndarray:

@@ -61,4 +61,8 @@ class MeshCorrection:
                 columns.append(names.index(name))
         distance = chi[:, columns] - self.chi[known]
         limited = distance.clip(-MESH_CORRECTION_RADIUS, MESH_CORRECTION_RADIUS)
-        return [limited @ slope[known] for slope in self.slopes]
+        # One by one: a candidate has the same bits in any batch
+        changes = []
+        for slope in self.slopes:
+            changes.append(np.stack([row @ slope[known] for row in limited]))
+        return changes

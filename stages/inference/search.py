@@ -26,6 +26,7 @@ from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import mesh_ladder
 from stringcast.stages.inference.solver import MAX_ITERATIONS, fit_least_squares
 from stringcast.stages.inference.whitening import UNIT_ERRORS, IndependentErrors
+from stringcast.stages.kept_results import kept
 from stringcast.stages.model.parameter import parameter_values
 from stringcast.stages.model.statics.chain import GRAVITY_M_S2
 
@@ -56,8 +57,14 @@ def screen_candidates(
     horizons_s = horizons(likelihood)
     coarsest = _mesh_of_each_horizon(likelihood, len(horizons_s))[0]
     early = coarsest.cut_after_onset(horizons_s[0])
-    misfit = np.mean(early.residuals(chi) ** 2, axis=1)
+    misfit = _mean_square(early, chi)
     return chi[np.argsort(misfit, kind="stable")[:count]]
+
+
+@kept
+def _mean_square(likelihood: Likelihood, chi: np.ndarray) -> np.ndarray:
+    """Compute the mean square of the residuals of candidates (C, P)."""
+    return np.asarray(np.mean(likelihood.residuals(chi) ** 2, axis=1))
 
 
 def horizons(likelihood: Likelihood) -> list[float]:
@@ -103,10 +110,19 @@ def search_parameters(
         if number == count - 1:
             iterations = MAX_ITERATIONS
         early = meshes[number].cut_after_onset(horizon)
-        runs = fit_least_squares(with_estimated_noise(early, chi[0]), chi, iterations)
-        chi = runs.chi[_survivors(runs.residual, runs.loss)]
+        chi = _fit_until_horizon(early, chi, iterations)
         progress((number + 1) / count)
     return np.asarray(chi[0])
+
+
+@kept
+def _fit_until_horizon(
+    likelihood: Likelihood, starts: np.ndarray, iterations: int
+) -> np.ndarray:
+    """Fit trials that are cut at a horizon; return the surviving exponents (R, P)."""
+    with_noise = with_estimated_noise(likelihood, starts[0])
+    runs = fit_least_squares(with_noise, starts, iterations)
+    return runs.chi[_survivors(runs.residual, runs.loss)]
 
 
 def _mesh_of_each_horizon(likelihood: Likelihood, count: int) -> list[Likelihood]:
@@ -142,8 +158,7 @@ def refine_solution(
     """
     likelihood = with_refined_initial_states(likelihood, chi, INITIAL_SPAN_S)
     for number in range(MAX_REFINEMENT_ROUNDS):
-        runs = fit_least_squares(likelihood, chi[None], min_gain=REFINEMENT_MIN_GAIN)
-        best = runs.chi[0]
+        best = _refined_exponents(likelihood, chi)
         updated = with_refined_initial_states(likelihood, best)
         before = np.log(likelihood.noise_scales)
         after = np.log(updated.noise_scales)
@@ -154,6 +169,13 @@ def refine_solution(
         if gain < MIN_LOG_NOISE_GAIN:
             break
     return likelihood, chi
+
+
+@kept
+def _refined_exponents(likelihood: Likelihood, chi: np.ndarray) -> np.ndarray:
+    """Refine exponents (P,) at given noise and initial states."""
+    runs = fit_least_squares(likelihood, chi[None], min_gain=REFINEMENT_MIN_GAIN)
+    return np.asarray(runs.chi[0])
 
 
 def with_refined_initial_states(

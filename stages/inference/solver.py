@@ -58,6 +58,7 @@ FLAT_CURVATURE_SHARE = 1e-9
 
 MAX_EXPONENT_STEP = 0.3  # of chi: the longest step straight in exponents
 MAX_VALUE_STEP = 0.5  # of chi: the longest step straight in values
+LEAST_LOSS_RATIO = 1e-300  # of the loss after a step to that before
 SMALLEST_FLOAT = float(np.finfo(float).tiny)
 
 
@@ -219,9 +220,12 @@ def _step_runs(
     for number, run in enumerate(active):
         best = int(np.argmin(losses[number]))
         lowest = losses[number, best]
-        ratio = runs.loss[run] / max(lowest, SMALLEST_FLOAT)
-        gain = 0.5 * residuals.shape[-1] * np.log(ratio)
-        improved = gain > 0
+        improved = lowest < runs.loss[run]
+        gain = 0.0
+        if improved:
+            # finite even if nothing is left
+            least = max(lowest, LEAST_LOSS_RATIO * runs.loss[run])
+            gain = 0.5 * residuals.shape[-1] * np.log(runs.loss[run] / least)
         factor = DAMPING_INCREASE
         if improved:
             runs.chi[run] = points[number, best]
@@ -307,8 +311,11 @@ def minimise_in_box(
         move = np.zeros(size)
         move[free] = np.linalg.solve(normal[np.ix_(free, free)], descent[free])
         room = np.where(move > 0, high - step, step - low)
+        # Only a bound within the move counts; other shares may be too large for a float
+        distance = np.abs(move)
         share = np.full(size, np.inf)
-        np.divide(room, np.abs(move), out=share, where=move != 0)
+        is_near = (distance > room) & (distance > 0)
+        np.divide(room, distance, out=share, where=is_near)
 
         first = int(np.argmin(share))
         if share[first] < 1:

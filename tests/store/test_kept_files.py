@@ -1,0 +1,106 @@
+"""Results that a step has reached are found again, by what decides them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from stringcast.pipeline.run.kept_files import KeptFiles
+from stringcast.stages.kept_results import content_digest, kept, use_store
+
+VERSIONS = {"code": {"source": "abc"}, "packages": {"numpy": "2"}}
+RESULT = (np.arange(6.0).reshape(2, 3) / 7, np.array(1e-300), np.zeros((0, 4)))
+
+
+@dataclass(frozen=True)
+class Mass:
+    """A value with content."""
+
+    kg: float
+    points: np.ndarray
+
+
+MASS = Mass(0.5, np.arange(3.0))
+
+
+@pytest.fixture
+def files(tmp_path):
+    return KeptFiles(tmp_path / ".step.kept", VERSIONS)
+
+
+def test_a_result_comes_back_to_the_bit(files):
+    assert files.find("key") is None
+    files.keep("key", RESULT)
+    for found, given in zip(files.find("key"), RESULT, strict=True):
+        assert found.shape == given.shape
+        assert found.tobytes() == given.tobytes()
+    files.keep("none", ())
+    assert files.find("none") == ()
+    files.remove()
+    assert not files.folder.exists()
+
+
+def test_a_result_of_another_version_is_not_found(files):
+    files.keep("key", RESULT)
+    other = replace(files, versions={**VERSIONS, "code": {"source": "abd"}})
+    assert other.find("key") is None
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: content[:-1],
+        lambda content: content[:-1] + bytes([content[-1] ^ 1]),
+        lambda content: b"",
+        lambda content: b"[]\n",
+        lambda content: b'{"shapes": 3, "sha256": "e3"}\n',
+        lambda content: content.replace(b"[2, 3]", b"[2, 4]"),
+        lambda content: content.replace(b"[2, 3]", b"[-1, 3]"),
+        lambda content: b"[" * 100_000,
+    ],
+)
+def test_a_damaged_result_is_none(files, damage):
+    files.keep("key", RESULT)
+    (file,) = files.folder.iterdir()
+    file.write_bytes(damage(file.read_bytes()))
+    assert files.find("key") is None
+
+
+def test_a_call_is_made_once_for_the_same_content(files):
+    calls = []
+
+    @kept
+    def double(mass, *, factor=2.0):
+        calls.append(mass)
+        return mass.points * factor
+
+    double(MASS)
+    double(MASS)
+    assert len(calls) == 2  # without a store nothing is kept
+    with use_store(files):
+        first = double(MASS)
+        again = double(Mass(0.5, np.arange(3.0)))
+        assert len(calls) == 3
+        assert again.tobytes() == first.tobytes()
+        double(replace(MASS, kg=0.6))
+        double(MASS, factor=3.0)
+    assert len(calls) == 5
+
+
+def test_other_content_has_another_digest():
+    others = [
+        MASS,
+        replace(MASS, kg=np.nextafter(0.5, 1)),
+        replace(MASS, points=np.arange(3.0).astype(np.float32)),
+        replace(MASS, points=np.arange(3.0)[None]),
+        [MASS],
+        (MASS,),
+        Mass,
+        "Mass",
+        {"a": 1},
+        {"a": True},
+        None,
+    ]
+    assert len({content_digest(other) for other in others}) == len(others)
+    with pytest.raises(TypeError, match="no content"):
+        content_digest(object())
