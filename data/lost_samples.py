@@ -13,9 +13,10 @@ import pandas as pd
 
 MIN_TRACK_SAMPLES = 8  # fewer show nothing
 # A quantised point moves by one step of its grid at a time while it repeats. A held one
-# jumps when it is seen again: by so many grid steps, and so far relative to the track.
+# jumps when it is seen again: by so many grid steps, and so far relative to the extent
+# of all points, below which it does no harm.
 MIN_JUMP_STEPS = 3.0
-MIN_JUMP_EXTENT = 1e-3
+MIN_JUMP_EXTENT = 3e-3
 # Noise repeats a quantised value by chance, and then jumps so far, in at most 1.3 % of
 # the steps, and four times in a row in one of 1e5.
 MIN_HELD_SHARE = 0.03
@@ -64,6 +65,7 @@ def find_lost_points(points: pd.DataFrame) -> tuple[pd.Series, list[LostSamples]
     for trial, rows in points.groupby("trial", sort=False):
         lost_rows: dict[str, list[np.ndarray]] = {}
         longest: dict[str, float] = {}
+        extent = track_extent(rows[["x", "y"]].to_numpy())
         for _, track in rows.groupby("s"):
             if len(track) < MIN_TRACK_SAMPLES:
                 continue
@@ -71,7 +73,7 @@ def find_lost_points(points: pd.DataFrame) -> tuple[pd.Series, list[LostSamples]
             t = track["t"].to_numpy()
             is_fixed, place = fixed_position_mask(xy)
             is_held = np.zeros(len(xy), dtype=bool)
-            is_held[~is_fixed] = held_mask(xy[~is_fixed])
+            is_held[~is_fixed] = held_mask(xy[~is_fixed], extent)
             for kind, mask in ((place, is_fixed), ("its last position", is_held)):
                 if mask.any():
                     lost_rows.setdefault(kind, []).append(track.index[mask])
@@ -86,7 +88,7 @@ def find_lost_points(points: pd.DataFrame) -> tuple[pd.Series, list[LostSamples]
     return is_lost, found
 
 
-def held_mask(xy: np.ndarray) -> np.ndarray:
+def held_mask(xy: np.ndarray, extent: float) -> np.ndarray:
     """Find samples that repeat the one before although the point moved on.
 
     Points at rest that repeat because they are quantised are not found: they go on
@@ -96,6 +98,8 @@ def held_mask(xy: np.ndarray) -> np.ndarray:
     ----------
     xy : (K, 2)
         Positions of one place in the order of time.
+    extent : float
+        Size of the region in which the whole string moved.
 
     Returns
     -------
@@ -110,7 +114,7 @@ def held_mask(xy: np.ndarray) -> np.ndarray:
         return is_held
     limit = max(
         MIN_JUMP_STEPS * float(steps[steps > 0].min()),
-        MIN_JUMP_EXTENT * _extent(xy),
+        MIN_JUMP_EXTENT * extent,
     )
     single = np.zeros(len(xy), dtype=bool)
     for first, last in _runs(np.concatenate([[False], steps == 0])):
@@ -152,7 +156,7 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
     number = number.reshape(-1)
     is_zero = (positions == 0).all(axis=1)
     candidates = np.flatnonzero(is_zero | (counts >= MIN_RECURRENCES))
-    limit = MIN_AWAY_EXTENT * _extent(xy)
+    limit = MIN_AWAY_EXTENT * track_extent(xy)
     # the most frequent one first; a tracker writes one position for what it lost
     for candidate in candidates[np.argsort(-counts[candidates])][:3]:
         mask = number == candidate
@@ -213,7 +217,7 @@ def _distance_to_median(xy: np.ndarray, place: np.ndarray) -> float:
     return float(np.linalg.norm(np.median(xy, axis=0) - place)) if len(xy) else 0.0
 
 
-def _extent(xy: np.ndarray) -> float:
+def track_extent(xy: np.ndarray) -> float:
     """Return the size of the region in which most positions lie."""
     low, high = np.quantile(xy, [0.05, 0.95], axis=0)
     return float(np.linalg.norm(high - low))

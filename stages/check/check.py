@@ -37,6 +37,8 @@ CHECKS: tuple[Check, ...] = (
     motion.check_frozen_joints,
     samples.check_lost_points,
     samples.check_zero_rows,
+    samples.check_outliers,
+    samples.check_resolution,
     motion.check_stillness,
     contents.check_duplicate_tables,
     contents.check_rows,

@@ -16,6 +16,10 @@ TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 # share of the time in which the string was seen for which the hand's motion is known
 MIN_COVERED_SHARE = 0.5
 RATE_TOLERANCE = 0.05  # relative difference of fps from the rate of the times
+MIN_RATE_DIFFERENCE = 0.002  # smaller ones shift a trial of a second by half a frame
+NORMAL_95 = 1.96
+# rates at which frames may have been filmed, and frames that they distinguish
+TRIED_RATES, MAX_RATE_FRAMES = 501, 1000
 # the string may begin to move so much before and after the hand
 MAX_LEAD_S, MAX_LAG_S = 0.1, 0.3
 GAP_INTERVALS = 10.0  # a gap is so many usual intervals
@@ -95,6 +99,36 @@ def check_clock_start(dataset: CheckedDataset) -> Iterator[Finding]:
         yield note(dataset.hand_file, "t", statement, remedy, name)
 
 
+def frame_interval(t: np.ndarray) -> tuple[float, float]:
+    """Estimate the interval of evenly filmed frames, some of which may be missing.
+
+    Parameters
+    ----------
+    t : (F,)
+        Increasing times [s], at least three.
+
+    Returns
+    -------
+    interval, sigma : float
+        The interval and its standard deviation [s].
+    """
+    # the rate at which the times are most nearly in phase: steps counted one by one
+    # would be miscounted where times jitter
+    t = t[:MAX_RATE_FRAMES]
+    usual = usual_interval(t)
+    rates = np.linspace(1 - RATE_TOLERANCE, 1 + RATE_TOLERANCE, TRIED_RATES) / usual
+    phases = np.exp(2j * np.pi * np.outer(rates, t - t[0])).sum(axis=1)
+    best = int(np.argmax(np.abs(phases)))
+    turns = rates[best] * (t - t[0]) - np.angle(phases[best]) / (2 * np.pi)
+    number = np.rint(turns)
+    centred = number - number.mean()
+    spread = float(np.sum(centred**2))
+    interval = float(centred @ t) / spread
+    residuals = t - t.mean() - interval * centred
+    scatter = float(np.sqrt(np.sum(residuals**2) / (len(t) - 2)))
+    return interval, scatter / float(np.sqrt(spread))
+
+
 def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find frames at another rate than the stated one of the camera."""
     fps = dataset.metadata_block("camera").get("fps")
@@ -102,15 +136,18 @@ def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
         return
     fps = float(fps)
     for trial in dataset.informative_trials():
-        interval = usual_interval(trial.frame_t)
-        if not 0 < interval < MAX_INTERVAL_S:
+        usual = usual_interval(trial.frame_t)
+        if not 0 < usual < MAX_INTERVAL_S or len(trial.frame_t) < MIN_SAMPLES_FOR_UNIT:
             continue
-        rate = 1 / interval
         # possibly only every second or third frame was kept
-        frames_per_sample = max(round(fps / rate), 1)
-        if abs(rate * frames_per_sample / fps - 1) > RATE_TOLERANCE:
+        frames_per_sample = max(round(fps * usual), 1)
+        is_other = abs(frames_per_sample / (usual * fps) - 1) > RATE_TOLERANCE
+        interval, sigma = frame_interval(trial.frame_t)
+        excess = frames_per_sample / (interval * fps) - 1
+        doubt = NORMAL_95 * sigma / interval
+        if is_other:
             statement = (
-                f"there are {rate:.4g} frames per second, but camera.fps in "
+                f"there are {1 / usual:.4g} frames per second, but camera.fps in "
                 f"dataset.yaml is {fps:g}"
             )
             remedy = (
@@ -118,6 +155,18 @@ def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
                 "filmed"
             )
             yield warning(dataset.points_file, "t", statement, remedy, trial.name)
+        elif abs(excess) > max(MIN_RATE_DIFFERENCE, 2 * doubt):
+            order = "more" if excess > 0 else "fewer"
+            statement = (
+                f"by their times there are {abs(excess):.2%} +- {doubt:.2%} {order} "
+                f"frames per second than camera.fps in dataset.yaml, {fps:g}: one "
+                "clock drifts"
+            )
+            remedy = (
+                "See which is right; if it is camera.fps, count times as frame number "
+                "over fps"
+            )
+            yield note(dataset.points_file, "t", statement, remedy, trial.name)
 
 
 def check_overlap(dataset: CheckedDataset) -> Iterator[Finding]:

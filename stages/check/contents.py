@@ -190,13 +190,21 @@ def check_camera(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def check_noise(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find noise that is stated in another unit, or that points do not have."""
+    """Find noise that is stated in another unit or too small, and smoothed tracks."""
     if "noise" in dataset.data.metadata:
         place = (DATASET_FILE, "noise.point_sigma")
     else:
         place = (dataset.points_file, "sigma")
     for trial in dataset.informative_trials():
+        scatter = f"{trial.noise:.2g} m from frame to frame"
         if "sigma" not in trial.points:
+            if trial.is_smoothed:
+                statement = (
+                    f"points at rest scatter by {scatter}, and more over longer times: "
+                    "the track seems smoothed, and its noise is larger"
+                )
+                remedy = "State it: noise: {point_sigma: <metres>}"
+                yield note(*place, statement, remedy, trial.name)
             continue
         sigma = float(np.median(trial.points["sigma"]))
         if sigma > MAX_NOISE * trial.length:
@@ -205,15 +213,18 @@ def check_noise(dataset: CheckedDataset) -> Iterator[Finding]:
                 " it seems to be in millimetres"
             )
             yield error(*place, statement, "Multiply it by 0.001", trial.name)
-        elif trial.noise > 0:
-            ratio = trial.noise / sigma
-            if not 1 / NOISE_RATIO_LOW < ratio < NOISE_RATIO_HIGH:
-                statement = (
-                    f"noise is stated as {sigma:.2g} m, points show {trial.noise:.2g} m"
-                    " from frame to frame"
-                )
-                remedy = "Correct it, or leave it out: then it is estimated"
-                yield warning(*place, statement, remedy, trial.name)
+        elif trial.noise >= NOISE_RATIO_HIGH * sigma:
+            statement = f"noise is stated as {sigma:.2g} m, points show {scatter}"
+            remedy = "Correct it, or leave it out: then it is estimated"
+            yield warning(*place, statement, remedy, trial.name)
+        elif 0 < trial.noise * NOISE_RATIO_LOW <= sigma:
+            why = ": the track seems smoothed" if trial.is_smoothed else ""
+            statement = (
+                f"noise is stated as {sigma:.2g} m, points show {scatter}, which is a "
+                f"lower bound{why}; the stated noise is kept"
+            )
+            remedy = "Nothing needs to be done, if points may be off by that much"
+            yield note(*place, statement, remedy, trial.name)
 
 
 def check_names(dataset: CheckedDataset) -> Iterator[Finding]:

@@ -26,6 +26,10 @@ INITIAL_FRAMES = 3  # frames that give the initial place
 MOVED_DISTANCE = 0.03  # relative to the string's length: beyond, a place was left
 MIN_TRACK_FRAMES = 5
 MIN_NOISE_SAMPLES = 60  # fourth differences that give the noise of a place
+MAX_STRETCH = 1.25  # of five frames without a gap, relative to the usual interval
+MAX_REPEATED_SHARE = 0.2  # of coordinates that stay the same to the last digit
+# frames so far apart scatter so many times as much, if a track is smoothed
+SMOOTHING_STRIDE, MIN_SMOOTHING_RATIO = 4, 2.0
 CLEAR_SIGMAS = 8.0  # so many noise sigmas are certainly motion
 GRAVITY = 9.81  # [m/s2]
 # frequency of the second mode of a hanging string in sqrt(g / length): half the second
@@ -160,14 +164,39 @@ class CheckedTrial:
         It is estimated from fourth differences in time, which smooth motion hardly has,
         at the calmest place, because the tip of a fast string has them.
         """
-        differences = [np.diff(xy, 4, axis=0).ravel() for _, xy in self.tracks]
+        scatter = [scatter_of_track(t, xy) for t, xy in self.tracks]
         sufficient = [
             values
-            for values in differences
+            for values in scatter
             if len(values) >= MIN_NOISE_SAMPLES and values.any()
         ]
-        sigmas = [mad_sigma(values) for values in sufficient or differences]
-        return float(min(sigmas, default=np.nan) / np.sqrt(70))
+        sigmas = [mad_sigma(values) for values in sufficient or scatter]
+        return float(min(sigmas, default=np.nan))
+
+    @cached_property
+    def is_smoothed(self) -> bool:
+        """Whether neighbouring frames of the string at rest err alike.
+
+        Of independent errors, frames that lie farther apart scatter as much as
+        neighbours.
+        """
+        onset = self.string_onset
+        end = float(self.frame_t[-1]) if onset is None else onset
+        near: list[np.ndarray] = []
+        far: list[np.ndarray] = []
+        for t, xy in self.tracks:
+            is_resting = t < end
+            if (np.diff(xy[is_resting], axis=0) == 0).mean() > MAX_REPEATED_SHARE:
+                return False  # the steps of a coarse grid hide it
+            near.append(scatter_of_track(t[is_resting], xy[is_resting]))
+            for first in range(SMOOTHING_STRIDE):
+                rows = np.flatnonzero(is_resting)[first::SMOOTHING_STRIDE]
+                far.append(scatter_of_track(t[rows], xy[rows]))
+        values = np.concatenate([*far, np.empty(0)])
+        if len(values) < MIN_NOISE_SAMPLES:
+            return False
+        neighbours = float(mad_sigma(np.concatenate(near)))
+        return 0 < MIN_SMOOTHING_RATIO * neighbours < float(mad_sigma(values))
 
     @cached_property
     def hand_onset(self) -> float | None:
@@ -191,6 +220,38 @@ class CheckedTrial:
             onsets.append(np.inf if onset is None else onset)
         median = float(np.median(onsets)) if onsets else np.inf
         return median if np.isfinite(median) else None
+
+
+def scatter_of_track(t: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """Return fourth divided differences, scaled to the noise of one coordinate.
+
+    Parameters
+    ----------
+    t : (F,)
+        Increasing times [s], which may be uneven.
+    xy : (F, 2)
+        Positions [m].
+
+    Returns
+    -------
+    (2 N,)
+        Differences [m] whose standard deviation is that of a coordinate. They are of
+        frames without a gap, if enough are.
+    """
+    if len(t) < MIN_TRACK_FRAMES:
+        return np.empty(0)
+    times = np.lib.stride_tricks.sliding_window_view(t, MIN_TRACK_FRAMES)  # (N, 5)
+    places = np.lib.stride_tricks.sliding_window_view(xy, MIN_TRACK_FRAMES, axis=0)
+    interval = float(np.median(np.diff(t)))
+    is_gapless = np.ptp(times, axis=1) < MAX_STRETCH * 4 * interval
+    if 2 * is_gapless.sum() >= MIN_NOISE_SAMPLES:
+        times, places = times[is_gapless], places[is_gapless]
+    distance = (times[:, :, None] - times[:, None, :]) / interval  # (N, 5, 5)
+    distance[:, range(MIN_TRACK_FRAMES), range(MIN_TRACK_FRAMES)] = 1.0
+    weight = 1 / distance.prod(axis=2)
+    weight /= np.linalg.norm(weight, axis=1, keepdims=True)
+    scatter: np.ndarray = np.einsum("nf,ncf->nc", weight, places).ravel()
+    return scatter
 
 
 def _first_time(t: np.ndarray, condition: np.ndarray) -> float | None:

@@ -9,10 +9,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from stringcast.data.artifacts import JOINTS
+from stringcast.data.rows import spike_mask
 from stringcast.stages.check.finding import Finding, error, note, warning
 from stringcast.stages.check.measured import CheckedDataset
 
 SUSPICIOUS_LOST_SHARE = 0.1  # of a trial's points
+GROSS_OUTLIER = 0.05  # distance from its neighbours' middle, relative to the length
+MIN_OUTLIERS = 3
+COARSE_STEP = 0.005  # of a grid of positions, relative to the length
+MIN_GRID_VALUES = 5
 MAX_LISTED_TRIALS = 4  # trials whose counts are listed
 
 
@@ -76,3 +81,56 @@ def check_zero_rows(dataset: CheckedDataset) -> Iterator[Finding]:
     remedy = f"Leave them out: python -c {shlex.quote(code)}"
     trials = [name for name, _ in found]
     yield error(dataset.hand_file, ", ".join(columns), statement, remedy, *trials)
+
+
+def check_outliers(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Count positions that jump away and back at once."""
+    for trial in dataset.with_points():
+        count = total = 0
+        farthest = 0.0
+        for t, xy in trial.tracks:
+            middle = (xy[:-2] + xy[2:]) / 2
+            distance = np.linalg.norm(xy[1:-1] - middle, axis=1)
+            is_gross = distance > GROSS_OUTLIER * trial.length
+            is_outlier = spike_mask(t, xy)[1:-1] & is_gross
+            count += int(is_outlier.sum())
+            total += len(xy)
+            farthest = max(farthest, float(distance[is_outlier].max(initial=0.0)))
+        if count >= MIN_OUTLIERS:
+            statement = (
+                f"{count} of {total} positions ({count / total:.1%}) jump away and "
+                f"back at once, by up to {farthest:.2g} m"
+            )
+            remedy = (
+                "A diagnosis leaves outliers out; see whether the tracker takes "
+                "something else for the point"
+            )
+            yield note(dataset.points_file, "x, y", statement, remedy, trial.name)
+
+
+def check_resolution(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find coordinates that come in coarse steps."""
+    for trial in dataset.with_points():
+        steps = [grid_step(trial.points[axis].to_numpy()) for axis in ("x", "y")]
+        step = max(steps)
+        if step > COARSE_STEP * trial.length:
+            statement = (
+                f"positions come in steps of {step:.3g} m; their noise is at least "
+                f"{step / np.sqrt(12):.2g} m"
+            )
+            remedy = "Write more digits, or track parts of a pixel, if you can"
+            yield note(dataset.points_file, "x, y", statement, remedy, trial.name)
+
+
+def grid_step(values: np.ndarray) -> float:
+    """Return the step of a grid on which all values (N,) lie; 0 if there is none."""
+    distinct = np.unique(values[np.isfinite(values)])
+    if len(distinct) < MIN_GRID_VALUES:
+        return 0.0
+    steps = np.diff(distinct)
+    step = float(steps.min())
+    multiples = steps / step
+    is_whole = np.abs(multiples - np.rint(multiples)) < 0.01
+    # of few values each, every step is a multiple by chance
+    is_grid = is_whole.all() and len(distinct) < len(values) / 2
+    return step if is_grid else 0.0

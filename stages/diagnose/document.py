@@ -181,7 +181,10 @@ def unexplained_document(
     sentences = [judgement.verdict.remark]
     if misfit_remains(judgement.verdict.misfit_probability):
         where = _largest_misfit_sentence(data, fit)
-        misfit = f"{MM_PER_M * value:.1f} mm"
+        # of the same discrepancy as its place: the budget's share can be 0 where
+        # numerical error may explain the misfit
+        left_m = rms(unexplained_tip_rms(data, fit))
+        misfit = f"{MM_PER_M * left_m:.1f} mm"
         sentences.append(f"A misfit of {misfit} is left at the tip; {where}.")
     return {
         "fraction": fraction,
@@ -202,8 +205,7 @@ def _largest_misfit_sentence(data: TrialData, fit: Fit) -> str:
     misfit_m = np.linalg.norm(discrepancy, axis=1) * trial.sigma
     worst = int(np.argmax(misfit_m))
     return (
-        f"most of it in trial {trial.name} ({100 * share:.0f} %), "
-        f"{MM_PER_M * misfit_m[worst]:.1f} mm at "
+        f"most of it in trial {trial.name} ({100 * share:.0f} %), largest at "
         f"{trial.times[trial.frame[worst]]:.2f} s, "
         f"{trial.s[worst]:.2f} m along the string"
     )

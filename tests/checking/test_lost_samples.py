@@ -17,6 +17,7 @@ from stringcast.stages.check.finding import Severity
 from tests.checking.test_check import Dirty, found
 
 COUNT = 400
+EXTENT = 0.35  # [m] of what moves
 T = np.arange(COUNT) / 200
 RNG = np.random.default_rng(5)
 
@@ -43,14 +44,14 @@ TOGETHER = np.arange(150, 190)
 @pytest.mark.parametrize("rows", [ALONE, TOGETHER], ids=["alone", "together"])
 @pytest.mark.parametrize("step", [0.0, 1e-4])
 def test_a_held_point_is_found(rows, step):
-    mask = held_mask(held(swing(step=step), rows))
+    mask = held_mask(held(swing(step=step), rows), EXTENT)
     assert mask[rows].mean() > 0.9
     assert mask.sum() <= len(rows) + 2
 
 
 def test_a_point_that_was_held_to_the_end_is_found():
     rows = np.arange(300, COUNT)
-    assert held_mask(held(swing(), rows))[rows].all()
+    assert held_mask(held(swing(), rows), EXTENT)[rows].all()
 
 
 @pytest.mark.parametrize("step", [0.0, 1e-4, 1e-3, 8e-3])
@@ -58,13 +59,13 @@ def test_a_point_that_was_held_to_the_end_is_found():
 @pytest.mark.parametrize("rest", [0, 300])
 def test_points_that_are_quantised_or_rest_are_not_held(step, noise, rest):
     """Of honest points, at most one in a hundred is taken for a held one."""
-    assert held_mask(swing(noise, step, rest)).mean() < 0.01
+    assert held_mask(swing(noise, step, rest), EXTENT).mean() < 0.01
 
 
 def test_outliers_hold_no_quantised_point_at_rest():
     xy = swing(0.0, 8e-3, rest=COUNT)
     xy[RNG.choice(COUNT, 20, replace=False)] += 0.2
-    assert held_mask(xy).mean() < 0.01
+    assert held_mask(xy, EXTENT).mean() < 0.01
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (-1.0, -1.0)])

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from stringcast.stages.diagnose import document
 from stringcast.stages.diagnose.tables import range_end_remark
 from stringcast.stages.model.library import effects_by_name
 
@@ -32,3 +33,39 @@ def test_an_amplitude_at_an_end_of_its_range_is_remarked(name, chi, ends):
     fit = SimpleNamespace(hypothesis=hypothesis, chi=np.array(chi))
     remark = range_end_remark(fit, effect)
     assert remark.startswith(f", with {ends} at the end") if ends else remark == ""
+
+
+@pytest.mark.parametrize("budget_m", [0.0, 0.02])
+def test_what_is_left_and_where_are_of_one_quantity(monkeypatch, budget_m):
+    """The budget's share may be 0 where numerical error could explain the misfit."""
+    trials = []
+    for name in ("a", "b"):
+        trial = SimpleNamespace(
+            name=name,
+            sigma=np.full(2, 1e-3),
+            times=np.array([0.1, 0.2]),
+            frame=np.array([0, 1]),
+            s=np.array([0.3, 0.3]),
+        )
+        trials.append(trial)
+    data = SimpleNamespace(trials=trials)
+    discrepancy = [np.zeros(4), np.array([0.0, 0.0, 30.0, 0.0])]
+    monkeypatch.setattr(
+        document, "unexplained_tip_rms", lambda *_: np.array([0.0, 0.02])
+    )
+    monkeypatch.setattr(document, "mean_discrepancy", lambda *_: discrepancy)
+    judgement = SimpleNamespace(
+        verdict=SimpleNamespace(kind="unknown", remark="", misfit_probability=1.0),
+        base_fit=None,
+    )
+    found = document.unexplained_document(
+        data,
+        None,
+        judgement,
+        SimpleNamespace(unexplained_m=(budget_m, 0.0, 0.03)),
+        SimpleNamespace(tip_tolerance_m=1e-3),
+    )
+    assert found["sentence"] == (
+        "A misfit of 14.1 mm is left at the tip; most of it in trial b (100 %), "
+        "largest at 0.20 s, 0.30 m along the string."
+    )

@@ -1,0 +1,131 @@
+"""What a track's samples show is noted, and clean tracks of each kind are left alone."""
+
+import re
+
+import numpy as np
+import pytest
+
+from stringcast.stages.check import clocks, measured
+from stringcast.stages.check.finding import Severity
+from stringcast.stages.check.samples import grid_step
+from tests.checking.test_check import Dirty, found, looked_at
+
+RNG = np.random.default_rng(7)
+
+
+@pytest.fixture
+def dirty():
+    return Dirty()
+
+
+def outliers(dirty):
+    rows = RNG.random(len(dirty.points)) < 0.05
+    dirty.points.loc[rows, ["x", "y"]] += RNG.normal(0, 0.2, (rows.sum(), 2))
+
+
+def coarse(dirty):
+    dirty.points[["x", "y"]] = np.round(dirty.points[["x", "y"]] / 0.008) * 0.008
+
+
+def fast(dirty):
+    dirty.about["camera"] = {"fps": 200}
+    dirty.points["t"] *= 0.98
+
+
+def smoothed(dirty):
+    dirty.about["noise"] = {"point_sigma": 3e-3}
+    places = dirty.points.groupby(["trial", "s"])
+    for axis in ("x", "y"):
+        dirty.points[axis] = places[axis].transform(
+            lambda track: track.rolling(5, center=True, min_periods=1).mean()
+        )
+
+
+def smoothed_unstated(dirty):
+    smoothed(dirty)
+    del dirty.about["noise"]
+
+
+NOTED = {
+    outliers: ("x, y", r"positions \(\d\.\d%\) jump away and back at once, by up to 0"),
+    coarse: ("x, y", "in steps of 0.008 m; their noise is at least 0.0023 m"),
+    fast: ("t", r"2.04% \+- 0.0"),
+    smoothed: ("noise.point_sigma", "a lower bound: the track seems smoothed; the"),
+    smoothed_unstated: ("sigma", "the track seems smoothed, and its noise is larger"),
+}
+
+
+@pytest.mark.parametrize("spoil", NOTED, ids=lambda spoil: spoil.__name__)
+def test_what_needs_no_action_is_noted(dirty, tmp_path, spoil):
+    spoil(dirty)
+    field, words = NOTED[spoil]
+    (told,) = found(dirty.write(tmp_path))
+    assert (told.severity, told.field) == (Severity.NOTE, field)
+    assert re.search(words, told.statement), told.statement
+
+
+def rounded(dirty):
+    """Round to a tenth of a millimetre, as a tracker's CSV does."""
+    dirty.points[["x", "y"]] = np.round(dirty.points[["x", "y"]], 4)
+
+
+def jittered(dirty):
+    """Let a computer's clock write the times."""
+    dirty.about["camera"] = {"fps": 200}
+    times = np.sort(dirty.points["t"].unique())
+    moved = times + RNG.normal(0, 5e-4, len(times))
+    dirty.points["t"] = moved[np.searchsorted(times, dirty.points["t"])]
+
+
+def dropped(dirty):
+    """Drop frames at random, of a camera with the stated rate."""
+    dirty.about["camera"] = {"fps": 200}
+    times = dirty.points["t"].unique()
+    kept = times[RNG.random(len(times)) > 0.3]
+    dirty.points = dirty.points[dirty.points["t"].isin(kept)]
+
+
+def stated(dirty):
+    dirty.about["noise"] = {"point_sigma": 7e-4}
+
+
+@pytest.mark.parametrize(
+    "change", [rounded, jittered, dropped, stated], ids=lambda change: change.__name__
+)
+def test_what_is_usual_is_not_noted(dirty, tmp_path, change):
+    change(dirty)
+    assert found(dirty.write(tmp_path)) == []
+
+
+def test_dropped_frames_do_not_enlarge_the_noise(dirty, tmp_path):
+    dropped(dirty)
+    for trial in looked_at(dirty.write(tmp_path)).trials:
+        assert 0.5e-3 < trial.noise < 1e-3  # of all frames: 0.66 to 0.69 mm
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
+def test_scatter_of_uneven_frames_is_that_of_the_noise(share):
+    t = np.arange(2000) / 200
+    t = t[RNG.random(len(t)) >= share]
+    xy = np.stack([np.sin(3 * t), np.cos(2 * t)], axis=1)
+    xy += 1e-3 * RNG.standard_normal(xy.shape)
+    scatter = measured.scatter_of_track(t, xy)
+    assert np.std(scatter) == pytest.approx(1e-3, rel=0.1)
+
+
+def test_a_grid_is_told_from_numbers_of_many_digits():
+    values = RNG.random(500)
+    assert grid_step(values) == 0
+    assert grid_step(np.round(values / 0.03) * 0.03) == pytest.approx(0.03)
+    assert grid_step(np.zeros(500)) == 0
+
+
+def test_the_interval_of_frames_covers_the_true_one():
+    """Of 200 films with jitter and gaps, about 95 % lie within 1.96 sigma."""
+    covered = 0
+    for _ in range(200):
+        t = np.arange(300) / 200
+        t = t[RNG.random(300) > 0.1] + 0.0
+        interval, sigma = clocks.frame_interval(t + RNG.normal(0, 3e-4, len(t)))
+        covered += abs(interval - 1 / 200) < 1.96 * sigma
+    assert 0.9 <= covered / 200 <= 0.99
