@@ -116,7 +116,8 @@ class ContactCandidates:
         """
         chi = chi[~self._force_is_nonzero(chi, self.hand_path).any(axis=1)]
         square_delay = np.zeros(len(chi))  # between touch and departure, over trials
-        fractions = []
+        fractions = np.zeros(len(chi))  # of the path that is touched, over trials
+        most = MAX_TOUCHED_FRACTION * len(self.string_paths)
         for path, departure in zip(
             self.string_paths, self.departure_times, strict=True
         ):
@@ -127,9 +128,13 @@ class ContactCandidates:
             first_touch = np.where(touches.any(axis=1), first_touch, after_end)
             delay = np.abs(first_touch - min(departure, after_end))
             square_delay += np.minimum(delay, CONTACT_DELAY_S) ** 2
-            fractions.append(touches.mean(axis=1))
-        fraction = np.mean(fractions, axis=0)
-        is_contact = (fraction > 0) & (fraction < MAX_TOUCHED_FRACTION)
+            fractions += touches.mean(axis=1)
+            # What acts on more is no contact, whatever it does in other trials
+            possible = fractions < most
+            chi = chi[possible]
+            square_delay = square_delay[possible]
+            fractions = fractions[possible]
+        is_contact = fractions > 0
         contacts = np.flatnonzero(is_contact)
         order = np.argsort(square_delay[contacts], kind="stable")
         return chi[contacts[order[:MAX_SIMULATED]]]

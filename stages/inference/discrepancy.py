@@ -21,6 +21,7 @@ Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425. Higdon et al. 2008, JASA 1
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -50,6 +51,68 @@ DISCREPANCY_SCALES_M = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])
 MEDIAN_SCALE_M = 5e-4  # [m] of s: half of all trials have less (half-Cauchy)
 # of all numbers: fewer beyond what splines reach do not give the noise
 MIN_FREE_SHARE = 0.2
+MAX_KEPT_BASES = 64  # of trials: some 4 MB each
+
+
+@dataclass(frozen=True)
+class NoiseBasis:
+    """Splines of a trial, and coefficients of them in which its noise is white.
+
+    It depends on times and places of the measured points, and on their noise.
+
+    Parameters
+    ----------
+    splines
+        Basis functions at the measured points, (n, B).
+    whiten
+        From sums over points of residuals over sigma times splines to coefficients, (M,
+        B).
+    vectors
+        Directions of splines that the points determine, (B, M).
+    gram
+        Coefficients of these directions themselves, (M, M).
+    """
+
+    splines: csr_array
+    whiten: np.ndarray
+    vectors: np.ndarray
+    gram: np.ndarray
+
+    @classmethod
+    def for_trial(cls, trial: MeasuredTrial) -> NoiseBasis:
+        """Find the basis of a trial, kept since the last correction of its points."""
+        length = trial.model.string.length
+        noise = trial.noise
+        parts = (
+            trial.times,
+            trial.frame,
+            trial.s,
+            noise.place_covariance,
+            np.array([length, noise.frame_correlation]),
+        )
+        content = b" ".join(part.tobytes() for part in parts)
+        key = hashlib.sha256(content).digest()
+        basis = _KEPT_BASES.pop(key, None) or cls._build(trial)
+        _KEPT_BASES[key] = basis  # the last one is the newest
+        while len(_KEPT_BASES) > MAX_KEPT_BASES:
+            _KEPT_BASES.pop(next(iter(_KEPT_BASES)))
+        return basis
+
+    @classmethod
+    def _build(cls, trial: MeasuredTrial) -> NoiseBasis:
+        time = time_splines(trial.times)
+        place = place_functions(trial.s, trial.model.string.length)
+        splines = tensor_products(time[trial.frame], place)
+        roots = gram_roots(place, trial.frame, len(trial.times))
+        values, vectors = eigh(trial.noise.covariance(time, roots))
+        kept = values > RANK_TOLERANCE * values[-1]
+        vectors = vectors[:, kept]
+        whiten = (vectors / np.sqrt(values[kept])).T
+        gram = whiten @ (splines.T @ splines).toarray() @ vectors
+        return cls(splines, whiten, vectors, gram)
+
+
+_KEPT_BASES: dict[bytes, NoiseBasis] = {}
 
 
 @dataclass(frozen=True)
@@ -99,25 +162,16 @@ class Discrepancy:
         nuisance
             U over sigma, (2 n, m).
         """
-        time = time_splines(trial.times)
-        place = place_functions(trial.s, trial.model.string.length)
-        splines = tensor_products(time[trial.frame], place)
-
-        # From sums over points to coefficients in which noise is white
-        roots = gram_roots(place, trial.frame, len(trial.times))
-        values, vectors = eigh(trial.noise.covariance(time, roots))
-        kept = values > RANK_TOLERANCE * values[-1]
-        vectors = vectors[:, kept]
-        whiten = (vectors / np.sqrt(values[kept])).T
+        basis = NoiseBasis.for_trial(trial)
+        splines = basis.splines
+        whiten = basis.whiten
 
         # Rotated such that the discrepancy is diagonal
         smooth_root = whiten @ (splines.T @ _kernel_root(trial, growth))
         variance, rotation = eigh(smooth_root @ smooth_root.T)
 
         # Back to splines, by the coefficients of the splines themselves
-        gram = (splines.T @ splines).toarray()
-        spline_coefficients = whiten @ gram @ vectors
-        to_splines = vectors @ np.linalg.solve(spline_coefficients, rotation)
+        to_splines = basis.vectors @ np.linalg.solve(basis.gram, rotation)
 
         without_nuisance = cls(
             splines,

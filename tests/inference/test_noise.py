@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
+from stringcast.stages.inference import discrepancy
 from stringcast.stages.inference.basis import (
     PLACE_FUNCTIONS,
     place_functions,
@@ -20,6 +21,7 @@ from stringcast.stages.inference.basis import (
 from stringcast.stages.inference.discrepancy import (
     DISCREPANCY_SCALES_M,
     Discrepancy,
+    NoiseBasis,
 )
 from stringcast.stages.inference.noise import (
     WHITE_NOISE,
@@ -195,3 +197,26 @@ def test_what_is_lacking_is_found_where_it_is_under_any_noise(trial):
             int(np.searchsorted(DISCREPANCY_SCALES_M, 0.1)),
         )
         assert found == pytest.approx(lacks, abs=0.5)
+
+
+def test_a_basis_is_kept_until_places_times_or_noise_of_a_trial_change(
+    trial, monkeypatch
+):
+    """Corrected points keep the basis; what it depends on makes another one."""
+    basis = NoiseBasis.for_trial(trial)
+    corrected = replace(trial, points=trial.points + 1e-3, sigma=2 * trial.sigma)
+    assert NoiseBasis.for_trial(corrected) is basis
+    changed = [
+        replace(trial, noise=Noise(np.eye(PLACE_FUNCTIONS), BEFORE)),
+        replace(trial, noise=Noise(2 * np.eye(PLACE_FUNCTIONS), 0.0)),
+        replace(trial, s=0.9 * trial.s),
+        replace(trial, times=1.1 * trial.times),
+        trial.select_points(np.arange(len(trial.s)) > 0),
+    ]
+    bases = [NoiseBasis.for_trial(each) for each in changed]
+    assert len({id(each) for each in (basis, *bases)}) == 6
+    assert NoiseBasis.for_trial(trial) is basis
+
+    monkeypatch.setattr(discrepancy, "MAX_KEPT_BASES", 2)
+    NoiseBasis.for_trial(changed[0])
+    assert len(discrepancy._KEPT_BASES) == 2
