@@ -145,6 +145,25 @@ class CameraBlock(Block):
         return self
 
 
+class ClockBlock(BaseModel):
+    """The block `clock` of dataset.yaml.
+
+    low, high: 95 % interval of what is still to be added to the times of points [s].
+    added: what `import` has added already, for all trials or by trial [s].
+    """
+
+    model_config = ConfigDict(extra="forbid")
+    low: Number
+    high: Number
+    added: Number | dict[str | int | float, Number] = UNSET
+
+    @model_validator(mode="after")
+    def _require_interval(self) -> ClockBlock:
+        if not self.low < self.high:
+            raise ValueError("low must be below high, in seconds")
+        return self
+
+
 class TrialBlock(Block):
     """The block of one trial in dataset.yaml.
 
@@ -165,6 +184,7 @@ class Metadata(Block):
     noise: NoiseBlock = UNSET
     arm: ArmBlock = UNSET
     camera: CameraBlock = UNSET
+    clock: ClockBlock = UNSET
     trials: dict[str | int | float, TrialBlock | None] = UNSET
     initial: Literal["rest", "moving"] = UNSET
 

@@ -21,7 +21,10 @@ from stringcast.known import KnownString, experiment_for_call
 from stringcast.measured import Trials
 from stringcast.pipeline.cli.console import progress_bars
 from stringcast.pipeline.cli.terminal import Terminal
-from stringcast.pipeline.modes.stored_trials import held_out_trials
+from stringcast.pipeline.modes.stored_trials import (
+    held_out_trials,
+    refuse_unlike_clocks,
+)
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.report import page_provenance
 from stringcast.pipeline.run.stopping import stop_stage_on_interrupt
@@ -232,10 +235,12 @@ def diagnose(trials: Trials, *settings: str) -> DiagnosisResult:
         If the data or a setting cannot be used.
     """
     experiment, data = prepare_trials(trials, ("+experiment=diagnose", *settings))
+    observations = list(data.trials.values())
+    refuse_unlike_clocks(experiment, trials.folder, observations)
     with progress_bar("diagnose") as progress, stop_stage_on_interrupt():
         artifact = experiment.stages["diagnose"](
             experiment.model,
-            list(data.trials.values()),
+            observations,
             data.rejection_reasons,
             held_out_trials(data),
             experiment.obstacles,

@@ -6,6 +6,7 @@ import argparse
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,10 @@ from stringcast.pipeline.settings.composition import (
     compose_settings,
     given_names,
 )
-from stringcast.pipeline.settings.settings_from_runs import inherit_settings
+from stringcast.pipeline.settings.settings_from_runs import (
+    inherit_settings,
+    is_run_folder,
+)
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.check.finding import full_stop
 from stringcast.stages.check.measured import CheckedDataset
@@ -36,6 +40,10 @@ from stringcast.stages.check.overview import (
     DETECTION_NOTE,
     dataset_overview,
     detection_limit_text,
+)
+from stringcast.stages.clock.windows import (
+    HARMLESS_OFFSET_S,
+    largest_possible_offset,
 )
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
@@ -67,7 +75,7 @@ def main(arguments: Sequence[str]) -> int:
         raise UserError(f"--report {report}: it must end in .html. Change it.")
     try:
         checked = read_measurements(options.folder, options.settings)
-        overview = dataset_overview(checked)
+        overview = overview_with_clocks(checked)
         if options.effects and overview["usable"]:
             # takes seconds to import
             effects = import_module("stringcast.pipeline.commands.check_effects")
@@ -133,6 +141,28 @@ def read_measurements(folder: Path, overrides: Sequence[str]) -> CheckedDataset:
     camera = build_dataclass(Camera, settings["camera"], "camera", "conf/camera")
     length = float(settings["string"]["length"])
     return CheckedDataset(dataset.read_dataset(folder), arm, camera, length)
+
+
+def overview_with_clocks(checked: CheckedDataset) -> dict[str, Any]:
+    """Return the overview of a dataset, with an error if its clocks are not together.
+
+    The string model is asked only if the dataset does not state the clocks' offset, and
+    if geometry leaves a large one.
+    """
+    overview = dataset_overview(checked)
+    trials = list(checked.informative_trials())
+    states_clock = "clock" in checked.data.metadata
+    if not overview["usable"] or states_clock or is_run_folder(checked.data.folder):
+        return overview
+    if largest_possible_offset(trials) < HARMLESS_OFFSET_S:
+        return overview
+    # takes seconds to import
+    clock_fit = import_module("stringcast.pipeline.commands.clock_fit")
+    findings = [asdict(found) for found in clock_fit.wrong_clock_findings(checked)]
+    return overview | {
+        "usable": not findings,
+        "findings": [*findings, *overview["findings"]],
+    }
 
 
 def settings_for_data(

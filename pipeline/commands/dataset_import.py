@@ -26,7 +26,7 @@ from stringcast.stages.check.at_rest import (
     grasp_poses,
 )
 from stringcast.stages.check.measured import CheckedTrial
-from stringcast.stages.check.time_shifts import estimate_time_shifts
+from stringcast.stages.clock.windows import possible_windows
 from stringcast.stages.model.arm import Arm
 
 # joints of an arm whose angles our format holds; other arms are stored as hand poses
@@ -92,6 +92,9 @@ class ImportedDataset:
         Content of dataset.yaml.
     notes
         What was inferred, for people.
+    added_times
+        By trial, what the motion shows that is to be added to the times of points, and
+        was [s]; empty if they are as measured.
     """
 
     hand_table: Table
@@ -100,6 +103,7 @@ class ImportedDataset:
     films: Mapping[str, Path]
     metadata: dict[str, Any]
     notes: Sequence[str]
+    added_times: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def trials_without_common_time(self) -> list[str]:
@@ -128,8 +132,11 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
     notes = list(tables.notes)
     grasp = imported_grasp_poses(tables, bench)
     points, length = locate_points(tables, grasp, bench, notes)
+    added_times = {}
     if bench.fit_clock:
-        points = align_clocks(points, grasp, length, notes)
+        added_times = align_roughly(points, grasp, length)
+        added = points["trial"].map(added_times).fillna(0.0)
+        points = points.assign(t=points["t"] + added)
 
     metadata: dict[str, Any] = {"format": FORMAT_VERSION, "string": {"length": length}}
     hand_table, hand_rows = GRASP, grasp
@@ -140,7 +147,9 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
         metadata["camera"] = camera_metadata(tables, bench)
     if bench.starts_moving:
         metadata["initial"] = "moving"
-    return ImportedDataset(hand_table, hand_rows, points, tables.films, metadata, notes)
+    return ImportedDataset(
+        hand_table, hand_rows, points, tables.films, metadata, notes, added_times
+    )
 
 
 def camera_metadata(tables: ImportedTables, bench: BenchHints) -> dict[str, Any]:
@@ -285,10 +294,18 @@ def select_columns(points: pd.DataFrame) -> pd.DataFrame:
     return selected
 
 
-def align_clocks(
-    points: pd.DataFrame, grasp: pd.DataFrame, length: float, notes: list[str]
-) -> pd.DataFrame:
-    """Return points with times by the arm's clock, as the motion shows them."""
+def align_roughly(
+    points: pd.DataFrame, grasp: pd.DataFrame, length: float
+) -> dict[str, float]:
+    """Return what to add to the times of points of each trial [s].
+
+    It is the middle of what is possible whatever the string is.
+
+    Raises
+    ------
+    DataError
+        If nothing moves.
+    """
     hands = dict(list(grasp.groupby("trial")))
     trials = []
     for name, rows in points.groupby("trial"):
@@ -301,26 +318,8 @@ def align_clocks(
                 grasp=hands[name].drop(columns="trial").sort_values("t"),
             )
             trials.append(CheckedTrial(observation, UNUSED_ARM, length))
-    shifts = estimate_time_shifts(trials)
-    for trial in trials:
-        if trial.name not in shifts:
-            raise DataError(
-                f"trial {trial.name}: hand or string never begins to move. "
-                "Give the seconds to add: --clock=-0.35"
-            )
-
-    added = "s are added to the camera's clock"
-    source = "by the motion of hand and string"
-    accuracy = "clocks aligned in this way are good to about a frame"
-    if len(set(shifts.values())) == 1:
-        shift = shifts[trials[0].name]
-        notes.append(f"{shift:+.3f} {added} in all trials, {source}")
-    else:
-        for name, shift in shifts.items():
-            notes.append(f"{shift:+.3f} {added} in trial {name}, {source}")
-        accuracy += ", to 25 ms in a trial whose string hangs slack at first"
-    notes.append(f"{accuracy}; a diagnosis names the rest time_offset")
-    return points.assign(t=points["t"] + points["trial"].map(shifts).fillna(0.0))
+    windows = possible_windows(trials)
+    return {trial.name: windows[trial.name].middle for trial in trials}
 
 
 def write_dataset(

@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
+import pandas as pd
 from rich.table import Table
 from rich.text import Text
 
@@ -45,7 +46,6 @@ from stringcast.stages.check.mistakes import (
     impossible_views,
     likeliest_mistakes,
 )
-from stringcast.stages.check.overview import dataset_overview
 
 # units of points, of the hand and of angles, direction, clock and rows of zeros
 MAX_CORRECTIONS = 8
@@ -72,12 +72,15 @@ def main(arguments: Sequence[str]) -> int:
     console = Terminal()
     recordings = read_recordings(options.files)
     tables, imported, checked = interpret_recordings(recordings, options, console)
+    profile = None
+    if imported.added_times:
+        imported, checked, profile = fit_clocks(imported, checked)
 
     console.print(column_table(tables))
     for note in imported.notes:
         console.print(f"[yellow]note[/] {note}.", highlight=False, soft_wrap=True)
-    picture = draw_first_trial(checked, folder)
-    overview = dataset_overview(checked)
+    picture = draw_first_trial(checked, folder, profile)
+    overview = check.overview_with_clocks(checked)
     check.print_overview(overview | {"folder": str(folder)}, console)
     if picture is not None:
         console.print_line(f"What was understood, drawn: {picture}")
@@ -154,6 +157,31 @@ def propose_skipped_zeros(tables: ImportedTables) -> Change | None:
         "as of a second publisher"
     )
     return Change(reason, ["--skip-zeros"])
+
+
+def fit_clocks(
+    imported: ImportedDataset, checked: CheckedDataset
+) -> tuple[ImportedDataset, CheckedDataset, pd.DataFrame]:
+    """Fit the clocks of a dataset whose geometry is settled.
+
+    Returns the dataset with both clocks together, as written and as checked, and the
+    profile of offsets that are added to the times as written.
+    """
+    # takes seconds to import
+    clock_fit = import_module("stringcast.pipeline.commands.clock_fit")
+    clock = clock_fit.estimate_offset(checked)
+    fitted: ImportedDataset = clock_fit.apply_offset(imported, clock)
+    with TemporaryDirectory() as place:
+        folder = Path(place) / "fitted"
+        write_dataset(fitted, folder, (), "")
+        settled = check.read_measurements(folder, [])
+    first = next(iter(clock.by_trial.values()))
+    profile = clock.profile.assign(
+        offset=clock.profile["offset"] - first.value,
+        low=first.low - first.value,
+        high=first.high - first.value,
+    )
+    return fitted, settled, profile
 
 
 def propose_clock_fit(imported: ImportedDataset, options: argparse.Namespace) -> Change:
@@ -310,8 +338,13 @@ def shared_file_name(files: Sequence[Path]) -> str:
     return f"{beginning}* ({len(names)})"
 
 
-def draw_first_trial(checked: CheckedDataset, folder: Path) -> Path | None:
-    """Draw the first trial with points beside the folder, and return the picture."""
+def draw_first_trial(
+    checked: CheckedDataset, folder: Path, profile: pd.DataFrame | None
+) -> Path | None:
+    """Draw the first trial with points beside the folder, and return the picture.
+
+    `profile` is of the offset of its clocks, if that was fitted.
+    """
     # takes a second to import
     charts = import_module("stringcast.stages.report.charts.trial")
     trial = next(checked.with_points(), None)
@@ -319,5 +352,5 @@ def draw_first_trial(checked: CheckedDataset, folder: Path) -> Path | None:
         return None
     path = folder.with_name(f"{folder.name}.png")
     with write_atomically(path) as part:
-        charts.trial_figure(trial).savefig(part, format="png", dpi=110)
+        charts.trial_figure(trial, profile).savefig(part, format="png", dpi=110)
     return path

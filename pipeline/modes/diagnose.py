@@ -9,7 +9,10 @@ from pathlib import Path
 from stringcast.data.artifacts import Diagnosis, TrialSet
 from stringcast.data.dataset import describe_rejected
 from stringcast.pipeline.modes.batch import Batch
-from stringcast.pipeline.modes.stored_trials import STORED_ARTIFACTS
+from stringcast.pipeline.modes.stored_trials import (
+    STORED_ARTIFACTS,
+    refuse_unlike_clocks,
+)
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History
 from stringcast.pipeline.run.result import RunResult
@@ -46,6 +49,9 @@ class Diagnose(Batch):
     ) -> RunResult:
         """Diagnose, and repeat after each performed motion."""
         history, trials = self.begin_history(experiment, executor)
+        if experiment.config["trials"] is not None:
+            stored_folder = Path(experiment.config["trials"])
+            refuse_unlike_clocks(experiment, stored_folder, trials.observations)
         stored = len(history.iterations)
         collected = stages()[self.stage].collected_input
         diagnosis: Diagnosis = history.make_artifact(self.stage, **{collected: trials})

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from stringcast.data import dataset
 from stringcast.data.artifacts import Film, Observation, Points
@@ -12,9 +15,11 @@ from stringcast.data.schema import DataError
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History, with_points
 from stringcast.pipeline.run.stage_graph import StageGraph
+from stringcast.pipeline.settings.settings_from_runs import is_run_folder
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.check.check import refuse_errors
 from stringcast.stages.check.measured import CheckedDataset
+from stringcast.stages.model.effects.time_offset import TimeOffset
 
 # Names of what a stored trial may hold, for the stages that read it.
 STORED_FILM = "trial"
@@ -30,6 +35,29 @@ def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
     data = dataset.exclude_stray_points(stored, length)
     data.require_trial(f"trials={trials}")
     return data
+
+
+def refuse_unlike_clocks(
+    experiment: Experiment, folder: Path, observations: Sequence[Observation]
+) -> None:
+    """Refuse a dataset whose clocks are certainly not together.
+
+    A run, or a model with a clock offset, needs no test: the offset is known.
+
+    Raises
+    ------
+    DataError
+        With the offset that the motion shows.
+    """
+    if is_run_folder(folder) or TimeOffset in experiment.model.effects:
+        return
+    # takes seconds to import
+    offset = import_module("stringcast.stages.clock.offset")
+    rng = np.random.default_rng(experiment.seed)
+    try:
+        offset.refuse_wrong_clock(experiment.model, observations, rng)
+    except DataError as error:
+        raise DataError(f"{folder}: {error}") from error
 
 
 def held_out_trials(data: dataset.Dataset) -> tuple[str, ...]:

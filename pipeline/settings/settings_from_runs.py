@@ -33,6 +33,9 @@ ARM_BLOCKS = ("arm", "hardware", "execute")
 LENGTH_SETTING = "string.length"
 # Relative half width of the interval in which a weighed tip mass is known.
 WEIGHING_UNCERTAINTY = 1e-3
+# A clock's offset is sought in so many times its 95 % interval: nearly all of a normal
+# distribution.
+CLOCK_RANGE_FACTOR = 1.5
 # Settings that dataset.yaml brings along.
 DATASET_SETTINGS = {
     "string": ("length",),
@@ -98,7 +101,9 @@ def inherit_settings(config: DictConfig, given: set[str]) -> dict[str, Any]:
     if LENGTH_SETTING in inherited:
         OmegaConf.update(merged, LENGTH_SETTING, inherited[LENGTH_SETTING])
     if config.trials is not None and not is_run_folder(Path(config.trials)):
-        add_weighed_tip_mass(merged, read_metadata(Path(config.trials)))
+        metadata = read_metadata(Path(config.trials))
+        add_weighed_tip_mass(merged, metadata)
+        add_clock_interval(merged, metadata)
     settings: Any = OmegaConf.to_container(merged, resolve=True)
     require_named_plugins(settings, "conf")
     return {**settings, PLUGINS_SETTING: named_folders()}
@@ -127,6 +132,27 @@ def add_weighed_tip_mass(merged: Any, metadata: dict[str, Any]) -> None:
     if "tip_mass" not in merged.effects:
         merged.effects = [*merged.effects, "tip_mass"]
     merged.parameter_values = {"tip_mass.ratio": weighed, **merged.parameter_values}
+
+
+def add_clock_interval(merged: Any, metadata: dict[str, Any]) -> None:
+    """Add the clock offset that dataset.yaml states an interval of as an effect.
+
+    It is unknown within that interval in every model. A value that the settings already
+    hold takes precedence.
+    """
+    clock = metadata.get("clock")
+    if not clock:
+        return
+    middle = 0.5 * (clock["low"] + clock["high"])
+    half_width = 0.5 * CLOCK_RANGE_FACTOR * (clock["high"] - clock["low"])
+    offset = {
+        "value": middle,
+        "low": middle - half_width,
+        "high": middle + half_width,
+    }
+    if "time_offset" not in merged.effects:
+        merged.effects = [*merged.effects, "time_offset"]
+    merged.parameter_values = {"time_offset.offset": offset, **merged.parameter_values}
 
 
 def is_run_folder(folder: Path) -> bool:

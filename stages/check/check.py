@@ -30,6 +30,7 @@ CHECKS: tuple[Check, ...] = (
     contents.check_trial_count,
     clocks.check_rest,
     clocks.check_onsets,
+    clocks.check_clock_interval,
     clocks.check_overlap,
     clocks.check_frame_rate,
     motion.check_fall,

@@ -22,6 +22,8 @@ NORMAL_95 = 1.96
 TRIED_RATES, MAX_RATE_FRAMES = 501, 1000
 # the string may begin to move so much before and after the hand
 MAX_LEAD_S, MAX_LAG_S = 0.1, 0.3
+MAX_CLOCK_FRAMES = 4.0  # in which the clocks' offset is known: more is worth a note
+MIN_FRAME_S = 1e-6
 GAP_INTERVALS = 10.0  # a gap is so many usual intervals
 MIN_GAP_S = 0.05
 MIN_GAP_DISTANCE = 0.01  # of the hand within a gap, relative to the string's length
@@ -206,6 +208,26 @@ def check_onsets(dataset: CheckedDataset) -> Iterator[Finding]:
         )
         remedy = f"If the clocks differ by that, {remedy} t of points"
         yield warning(dataset.points_file, "t", statement, remedy, trial.name)
+
+
+def check_clock_interval(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find clocks whose stated offset is uncertain by more than a few frames."""
+    clock = dataset.data.metadata.get("clock")
+    intervals = [usual_interval(trial.frame_t) for trial in dataset.with_points()]
+    if not clock or not intervals:
+        return
+    width = clock["high"] - clock["low"]
+    frames = width / max(min(intervals), MIN_FRAME_S)
+    if frames > MAX_CLOCK_FRAMES:
+        statement = (
+            f"the clocks of arm and camera are known to {width * 1e3:.0f} ms, or "
+            f"{frames:.0f} frames; a diagnosis takes them as unknown within that"
+        )
+        remedy = (
+            "To know it better, record a sharp tap of the hand, a synchronising pulse, "
+            "or an LED of the robot that the camera sees"
+        )
+        yield note("dataset.yaml", "clock", statement, remedy)
 
 
 def check_rest(dataset: CheckedDataset) -> Iterator[Finding]:

@@ -1,7 +1,7 @@
 """Run a study or a benchmark command: `python3 tasks.py study NAME [ARGUMENTS]`.
 
 Studies take settings as Hydra overrides, and `folder=` for their results:
-diagnosis, extraction, casting, learning, gain, measured.
+diagnosis, extraction, casting, learning, gain, measured, clocks.
 Commands take arguments of their own (see --help): draw, alignment, footage, strings.
 """
 
@@ -26,6 +26,7 @@ STUDIES = {
     "learning": "casting.study.CastingStudy",
     "gain": "casting.study.CastingStudy",
     "measured": "measured.study.MeasuredStudy",
+    "clocks": "clocks.study.ClocksStudy",
 }
 COMMANDS = {
     "draw": "draw",

@@ -192,6 +192,8 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "tasks.py study casting casting.seeds=16": "takes hours; one run of it: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study gain casting.seeds=2": "takes hours; as casting",
     "tasks.py study learning casting.seeds=3": "takes hours; as casting",
+    "tasks.py study clocks": "takes half an hour; its summary: "
+    "tests/benchmarks/clocks/test_clocks_study.py",
     "tasks.py study alignment": "rewrites its recorded table: tests/benchmarks/test_main.py",
     "tasks.py study footage ../shared/measured outputs/footage.parquet": "needs films of others, which may not be "
     "handed on",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -12,6 +13,7 @@ from matplotlib.figure import Figure
 from stringcast.stages.check.measured import CheckedTrial
 from stringcast.stages.report.theme import MM_PER_M, STYLE_SHEET
 
+MS_PER_S = 1e3  # [ms] in a second
 POSE_COUNT = 5  # evenly over the time in which both arm and string are visible
 LATER_POSE_OPACITY = 0.25
 POSE_STYLES: dict[str, dict[str, Any]] = {
@@ -20,18 +22,46 @@ POSE_STYLES: dict[str, dict[str, Any]] = {
 }
 
 
-def trial_figure(seen: CheckedTrial) -> Figure:
-    """Draw arm and string in the plane, and positions and speeds over time."""
+def trial_figure(
+    seen: CheckedTrial, clock_profile: pd.DataFrame | None = None
+) -> Figure:
+    """Draw arm and string in the plane, and positions and speeds over time.
+
+    Where clocks were fitted, the profile of their offset as well.
+    """
     end = seen.points.groupby("t").tail(1)
     t, tip = end["t"].to_numpy(), end[["x", "y"]].to_numpy()
     with style.context(STYLE_SHEET):
         figure = Figure(figsize=(5.3, 8.0))  # narrow enough for a phone
-        plane, places, speeds = figure.subplots(3, height_ratios=(2, 1, 1))
+        rows = 3 if clock_profile is None else 4
+        heights = (2, 1, 1, 1)[:rows]
+        plane, places, speeds, *clocks = figure.subplots(rows, height_ratios=heights)
         speeds.sharex(places)
         _draw_plane(plane, seen, t, tip)
         _draw_positions(places, seen, t, tip)
         _draw_speeds(speeds, seen, t, tip)
+        if clock_profile is not None:
+            _draw_clock_profile(clocks[0], clock_profile)
     return figure
+
+
+def _draw_clock_profile(axes: Axes, profile: pd.DataFrame) -> None:
+    """Draw the profile of the clocks' offset about its estimate.
+
+    The two sources: how far points would be beyond their string, and what the string
+    model says. The interval is shaded.
+    """
+    offset_ms = profile["offset"] * MS_PER_S
+    axes.plot(offset_ms, profile["stretch"] * MM_PER_M, color="axis", label="geometry")
+    axes.set(xlabel="clock offset from estimate [ms]", ylabel="beyond string [mm]")
+    other = axes.twinx()
+    log_likelihood = profile["log_likelihood"]
+    other.plot(offset_ms, log_likelihood, color="after", label="string model")
+    other.set_ylabel("log likelihood")
+    ends_ms = profile[["low", "high"]].iloc[0] * MS_PER_S
+    axes.axvspan(*ends_ms, color="measured", alpha=0.3, label="95 % interval")
+    lines = [*axes.get_legend_handles_labels()[0], *other.get_lines()]
+    axes.legend(handles=lines, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def describe_trial(seen: CheckedTrial) -> str:

@@ -154,7 +154,7 @@ def _try_to_draw(
     scene, unfit = _draw_scene(plan.simulator, rng, count + SPARE_TRIALS)
     causes = plan.draw_causes(rng, skipped)
 
-    trials = _plain_trials(scene.with_casts(scene.casts[:count]))
+    trials = plain_trials(scene.with_casts(scene.casts[:count]))
     hidden = []
     settings = []
     size_m = 0.0
@@ -162,8 +162,8 @@ def _try_to_draw(
         if plan.kind == MIXED and cause.outside:
             size_m = _draw_outside_size(cause, size_m, rng)
         else:
-            size_m = _draw_size(cause, rng)
-        hidden_cause, share = _hide(scene, cause, size_m, trials, rng)
+            size_m = draw_size(cause, rng)
+        hidden_cause, share = hide_cause(scene, cause, size_m, trials, rng)
         hidden.append(hidden_cause)
         settings.append(hidden_cause.settings(share))
     sizes = _sizes(scene, hidden, settings)
@@ -231,7 +231,7 @@ def _draw_scene(
     length = float(rng.uniform(0.25, 0.35))
     sigma = float(np.exp(rng.uniform(*np.log([4e-4, 1.2e-3]))))
     s = np.linspace(rng.uniform(0.08, 0.2), 1.0, int(rng.integers(12, 21))) * length
-    camera, rod = _draw_camera(rng), _draw_rod(rng, length)
+    camera, rod = draw_camera(rng), draw_rod(rng, length)
     scene = Scene(simulator, configured_arm(), camera, rod, (), s, sigma)
     casts: list[Cast] = []
     slowest, fastest = HAND_SPEED_RANGE
@@ -249,7 +249,7 @@ def _draw_scene(
     raise Redraw
 
 
-def _draw_rod(rng: np.random.Generator, length: float) -> Rod:
+def draw_rod(rng: np.random.Generator, length: float) -> Rod:
     """Draw a string between the paper's B and C, or stiffer."""
 
     def scatter(value: float, factor: float) -> float:
@@ -269,7 +269,7 @@ def _draw_rod(rng: np.random.Generator, length: float) -> Rod:
     )
 
 
-def _draw_camera(rng: np.random.Generator) -> Camera:
+def draw_camera(rng: np.random.Generator) -> Camera:
     """Draw a camera that sees all that arm and string can reach."""
     width = int(rng.choice([640, 1024, 1280]))
     px_per_m = float(width / rng.uniform(1.9, 2.2))
@@ -280,7 +280,7 @@ def _draw_camera(rng: np.random.Generator) -> Camera:
     return Camera(width, width, px_per_m, (origin_u, origin_v), fps=fps)
 
 
-def _plain_trials(scene: Scene) -> PlainTrials:
+def plain_trials(scene: Scene) -> PlainTrials:
     """Simulate the casts without any cause."""
     whole = replace(scene, s=np.linspace(0, scene.rod.length, 13), sigma=0.0)
     strings = [whole.observe(cast, {}, Fidelity.SEARCH) for cast in scene.casts]
@@ -329,7 +329,7 @@ def _acts_once(hidden: Sequence[HiddenCause]) -> bool:
     return any(hidden_cause.only_trial is not None for hidden_cause in hidden)
 
 
-def _draw_size(cause: Cause, rng: np.random.Generator) -> float:
+def draw_size(cause: Cause, rng: np.random.Generator) -> float:
     """Draw the rms displacement of the tip by a cause [m]."""
     return cause.size_factor * float(np.exp(rng.uniform(*np.log(SIZE_RANGE_M))))
 
@@ -359,7 +359,7 @@ def _draw_nuisances(
     return nuisances
 
 
-def _hide(
+def hide_cause(
     scene: Scene,
     cause: Cause,
     wanted: float,
@@ -417,7 +417,7 @@ def _least_unexplained(
     """Return what the likeliest library effect leaves of an outside cause [m]."""
     plain = _field(scene, {}, None)
     change = _field(scene, settings, hidden.only_trial) - plain
-    trials = _plain_trials(scene)
+    trials = plain_trials(scene)
     least = tip_rms(remove_projection(change, scene.base_slopes))
     for cause in scene.simulator.causes:
         if cause.outside:

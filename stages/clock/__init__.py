@@ -1,0 +1,1 @@
+"""Estimate of the offset between the clocks of arm and camera."""

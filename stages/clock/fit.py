@@ -1,0 +1,182 @@
+"""The string model fitted with the clock offset as a parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stringcast.data.artifacts import Observation
+from stringcast.stages.common import Progress
+from stringcast.stages.diagnose.background_effects import background_responses
+from stringcast.stages.diagnose.base_model import fit_base_model
+from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.noise import (
+    estimate_initial_noise,
+    trim_trailing_rest,
+)
+from stringcast.stages.diagnose.preparation import INITIAL_NOISE_M
+from stringcast.stages.diagnose.proposals import candidate_effects
+from stringcast.stages.inference import solver
+from stringcast.stages.inference.discrepancy import best_scale_index
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.laplace import Fit, fit_hypothesis
+from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
+from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
+from stringcast.stages.model.effects.time_offset import TimeOffset
+from stringcast.stages.model.library import effects_by_name
+from stringcast.stages.model.model import Model
+
+OFFSET = "time_offset.offset"
+STARTS = 6  # of the search for the string's parameters and the offset
+# Effects that are the clock itself
+CLOCK_EFFECTS = ("time_offset", "clock_drift")
+PROFILE_SIZE = 41  # offsets at which the likelihood is profiled
+
+
+@dataclass(frozen=True)
+class ClockFit:
+    """Trials whose times are about right, and a fit that shifts them.
+
+    Attributes
+    ----------
+    data : TrialData
+    fit : Fit
+        With the offset among its parameters.
+    """
+
+    data: TrialData
+    fit: Fit
+
+    @property
+    def index(self) -> int:
+        """Index of the offset among the parameters."""
+        return self.fit.hypothesis.model.names.index(OFFSET)
+
+    @property
+    def offset(self) -> float:
+        """The offset of the fit [s]."""
+        return self.fit.values[OFFSET]
+
+
+def model_with_offset(model: Model, half_width: float) -> Model:
+    """Return the model with an offset that is sought within a range about zero [s]."""
+    if TimeOffset not in model.clock_effects:
+        model = model.with_effects(TimeOffset)
+    ranges = {**model.measured_ranges, OFFSET: (-half_width, half_width)}
+    return replace(model, measured_ranges=ranges)
+
+
+def fit_clock(
+    model: Model,
+    observations: Sequence[Observation],
+    half_width: float,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> ClockFit:
+    """Fit the string's parameters and one offset, within a range about zero.
+
+    Numerical error is not corrected: it moves the tip by a millimetre at most, which
+    the discrepancy holds.
+    """
+    second_order = with_second_order_mesh(model_with_offset(model, half_width))
+    noise_is_given = all("sigma" in o.points for o in observations)
+    trials = []
+    for observation in observations:
+        trial = prepare_trial(second_order, observation)
+        if not noise_is_given:
+            trial = replace(trial, sigma=np.full(len(trial.s), INITIAL_NOISE_M))
+        trials.append(trim_trailing_rest(trial))
+    likelihood = Likelihood(TrialData(tuple(trials)), second_order)
+    likelihood, chi = fit_base_model(likelihood, rng, STARTS, progress)
+    _, measured = estimate_initial_noise(likelihood, chi, noise_is_given)
+    hypothesis = Hypothesis(likelihood.model)
+    data = attach_discrepancy_model(measured, hypothesis, chi)
+    residuals = data.residuals(hypothesis.model, chi[None])
+    scales = best_scale_index(data.log_likelihood_by_scale(residuals))[:, 0]
+    return ClockFit(data, fit_hypothesis(data, hypothesis, chi[None], scales))
+
+
+def effect_responses(clock: ClockFit) -> ByTrial:
+    """Return what each effect of the library does about a fit, (E, 2 n) by trial."""
+    model = clock.fit.hypothesis.model
+    effects = candidate_effects(
+        model, effects_by_name(), clock.data.trials, CLOCK_EFFECTS
+    )
+    return background_responses(clock.data, clock.fit, effects)
+
+
+@dataclass(frozen=True)
+class OffsetProfile:
+    """The likelihood of offsets, with the string's parameters adapted to each.
+
+    Attributes
+    ----------
+    offsets : numpy.ndarray, shape (U,)
+        About the times of the trials [s].
+    log_likelihood : numpy.ndarray, shape (U,)
+        To first order about the fit's other parameters.
+    chi : numpy.ndarray, shape (U, P)
+        Exponents adapted to each offset.
+    """
+
+    offsets: np.ndarray
+    log_likelihood: np.ndarray
+    chi: np.ndarray
+
+
+def profile_offset(clock: ClockFit, half_width: float) -> OffsetProfile:
+    """Profile the likelihood over all offsets within a range about zero [s].
+
+    One batch simulates all offsets with all differences of parameters, and a
+    Gauss-Newton step adapts the parameters to each offset.
+    """
+    fit = clock.fit
+    index = clock.index
+    model = fit.hypothesis.model
+    offsets = np.linspace(-half_width, half_width, PROFILE_SIZE)
+    size = len(fit.chi)
+    chi = np.repeat(fit.chi[None], PROFILE_SIZE, axis=0)
+    chi[:, index] = model.parameters[index].chi(offsets)
+    others = np.delete(np.arange(size), index)
+    steps = np.zeros((size, size))  # the first row is no step
+    signs = np.where(fit.chi[others] > 0.5, -1.0, 1.0)
+    steps[np.arange(1, size), others] = signs * solver.MAX_DIFFERENCE
+    lanes = (chi[:, None] + steps).reshape(-1, size)
+    rows = clock.data.whiten(
+        clock.data.residuals(model, lanes), fit.scale_indices
+    ).reshape(PROFILE_SIZE, size, -1)
+
+    log_likelihood = np.zeros(PROFILE_SIZE)
+    from_middle = fit.chi[others] - 0.5
+    for number, white in enumerate(rows):
+        slopes = (white[1:] - white[0]) / (signs * solver.MAX_DIFFERENCE)[:, None]
+        normal = slopes @ slopes.T + PRIOR_PRECISION * np.eye(size - 1)
+        gradient = slopes @ white[0] + PRIOR_PRECISION * from_middle
+        step = -np.linalg.solve(normal, gradient)
+        gain = -0.5 * float(step @ gradient)
+        log_likelihood[number] = gain - 0.5 * float(white[0] @ white[0])
+        chi[number, others] = np.clip(fit.chi[others] + step, 0.0, 1.0)
+    return OffsetProfile(offsets, log_likelihood, chi)
+
+
+def refit_from(clock: ClockFit, chi: np.ndarray) -> ClockFit:
+    """Refit from other exponents (P,); return the better of both fits."""
+    fit = clock.fit
+    other = fit_hypothesis(clock.data, fit.hypothesis, chi[None], fit.scale_indices)
+    return replace(clock, fit=other) if other.log_evidence > fit.log_evidence else clock
+
+
+def shift_observations(
+    observations: Sequence[Observation], offsets: Mapping[str, float]
+) -> list[Observation]:
+    """Return trials with offsets added to the times of their points [s]."""
+    shifted = []
+    for observation in observations:
+        times = observation.points["t"] + offsets[observation.trial]
+        points = observation.points.assign(t=times)
+        shifted.append(replace(observation, points=points))
+    return shifted

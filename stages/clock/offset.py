@@ -1,0 +1,338 @@
+"""The offset between the clocks of arm and camera, with a 95 % interval.
+
+Geometry leaves a window (`windows`), and the string model is fitted within it (`fit`).
+The interval holds for strings with any effect of the library (`posterior`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.stats import chi2
+
+from stringcast.data.artifacts import Observation
+from stringcast.data.schema import DataError
+from stringcast.stages.check.measured import CheckedTrial
+from stringcast.stages.clock.fit import (
+    ClockFit,
+    effect_responses,
+    fit_clock,
+    profile_offset,
+    refit_from,
+    shift_observations,
+)
+from stringcast.stages.clock.posterior import (
+    ClockPosterior,
+    clock_posterior,
+    time_slopes,
+)
+from stringcast.stages.clock.windows import (
+    HARMLESS_OFFSET_S,
+    Window,
+    largest_possible_offset,
+    onset_window,
+    possible_windows,
+    stretch_by_offset,
+)
+from stringcast.stages.common import Progress, partial_progress
+from stringcast.stages.diagnose.preparation import usable_trials
+from stringcast.stages.inference.trial_data import ByTrial
+from stringcast.stages.model.model import Model
+
+# Half widths of intervals in standard deviations: 1.96, widened as in a diagnosis
+HALF_WIDTH = 1.4 * 1.96
+# No camera stamps its frames better than this share of the time between them.
+STAMP_UNCERTAINTY_FRAMES = 0.1
+EDGE_S = 0.02  # sought so far beyond the window that geometry leaves
+RIVAL_LOG_LIKELIHOOD = 30.0  # a profile's other peak is refitted if it is so near
+RIVAL_DISTANCE = 4  # steps of the profile between two peaks
+SIGNIFICANCE = 1e-3  # below, trials do not have the same offset
+MIN_DRIFT = 0.005  # beyond which the whole interval of a drift lies that is named
+NO_PRIOR = 1e-6  # precision that is as good as none [1/s2]
+DRIFT_PRIOR = 0.05  # standard deviation of the drift as a share of time
+CLOCK_REMEDY = (
+    "Add that to t of points, or import with --clock fit; if it is the arm that lags, "
+    "say how well the clocks agree in dataset.yaml: 'clock: {low: -0.001, high: 0.001}'"
+)
+
+
+class Interval(NamedTuple):
+    """A value with a 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def around(cls, value: float, deviation: float, floor: float) -> Interval:
+        """Return the interval of a value with a standard deviation."""
+        half = HALF_WIDTH * deviation + floor
+        return cls(float(value), float(value - half), float(value + half))
+
+    @property
+    def width(self) -> float:
+        """The width of the interval."""
+        return self.high - self.low
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """The offset of two clocks.
+
+    Attributes
+    ----------
+    by_trial : dict
+        What is added to the camera's times of each trial [s].
+    is_common : bool
+        Whether all trials have the same offset.
+    drift : Interval or None
+        What the arm's clock gains on the camera's within trials, as a share of time;
+        None if nothing is seen.
+    profile : pandas.DataFrame
+        By offset [s], in the first trial: `stretch` by which points seem to be beyond
+        their string [m], and `log_likelihood` of the string model, to first order.
+    """
+
+    by_trial: Mapping[str, Interval]
+    is_common: bool
+    drift: Interval | None
+    profile: pd.DataFrame
+
+
+def estimate_clock_offset(
+    model: Model,
+    observations: Sequence[Observation],
+    rng: np.random.Generator,
+    progress: Progress = lambda share: None,
+) -> ClockOffset:
+    """Estimate what is to be added to the camera's times, with its uncertainty.
+
+    Parameters
+    ----------
+    model : Model
+        A string without causes.
+    observations : sequence of Observation
+        Trials with points; those in which nothing moves are left out.
+    rng : numpy.random.Generator
+    progress : callable
+
+    Returns
+    -------
+    ClockOffset
+
+    Raises
+    ------
+    DataError
+        If nothing moves, or if a trial cannot be used.
+    """
+    trials = [CheckedTrial(o, model.arm, model.string.length) for o in observations]
+    windows = possible_windows(trials)
+    used = [trial for trial in trials if trial.name in windows]
+    if len(set(windows.values())) == 1:
+        together = _estimate_together(model, used, windows[used[0].name], rng, progress)
+        if together.is_common:
+            return together
+
+    # The trials do not agree: each has a clock of its own
+    by_trial: dict[str, Interval] = {}
+    estimates = []
+    for number, trial in enumerate(used):
+        (window,) = possible_windows([trial]).values()
+        part = partial_progress(progress, number, len(used))
+        estimate = _estimate_together(model, [trial], window, rng, part)
+        estimates.append(estimate)
+        by_trial |= estimate.by_trial
+    return ClockOffset(by_trial, False, estimates[0].drift, estimates[0].profile)
+
+
+def _estimate_together(
+    model: Model,
+    trials: Sequence[CheckedTrial],
+    window: Window,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> ClockOffset:
+    """Estimate one offset of trials within a window."""
+    # The string model with the offset as a parameter
+    half_width = window.half_width + EDGE_S
+    names = [trial.name for trial in trials]
+    observations = [trial.observation for trial in trials]
+    shifted = shift_observations(observations, dict.fromkeys(names, window.middle))
+    clock = fit_clock(
+        model, shifted, half_width, rng, lambda share: progress(0.6 * share)
+    )
+    profile = profile_offset(clock, half_width)
+    rival = _rival_peak(profile.log_likelihood, profile.offsets, clock.offset)
+    if rival is not None:
+        clock = refit_from(clock, profile.chi[rival])
+    progress(0.8)
+
+    # The offset with every effect of the library
+    background = effect_responses(clock)
+    frame_s = max(float(np.median(np.diff(trial.frame_t))) for trial in trials)
+    common = _posterior(clock, background, _common_columns(clock))
+    value = window.middle + clock.offset + common.mean[0]
+    floor = STAMP_UNCERTAINTY_FRAMES * frame_s
+    interval = Interval.around(value, common.deviation[0], floor)
+    apart = _posterior(clock, background, _own_columns(clock))
+    drift, offset_with_drift = _estimate_drift(clock, background)
+    if drift is not None:
+        value = window.middle + clock.offset + offset_with_drift.value
+        half = offset_with_drift.width / 2 + floor
+        interval = Interval(value, value - half, value + half)
+    progress(1.0)
+
+    offsets = window.middle + profile.offsets
+    columns = {
+        "offset": offsets,
+        "stretch": stretch_by_offset(trials[0], offsets),
+        "log_likelihood": profile.log_likelihood - profile.log_likelihood.max(),
+    }
+    return ClockOffset(
+        by_trial=dict.fromkeys(names, interval),
+        is_common=not _trials_differ(apart, frame_s),
+        drift=drift,
+        profile=pd.DataFrame(columns),
+    )
+
+
+def find_wrong_clock(
+    model: Model,
+    observations: Sequence[Observation],
+    rng: np.random.Generator,
+    progress: Progress = lambda share: None,
+) -> ClockOffset | None:
+    """Return the offset of clocks that are certainly not together, or None.
+
+    The string model is asked only if geometry leaves larger offsets than a diagnosis
+    searches. Trials that cannot be used, or do not begin at rest, are left out.
+    Parameters as of `estimate_clock_offset`.
+    """
+    usable, _ = usable_trials(model, observations)
+    resting = []
+    for observation in usable:
+        trial = CheckedTrial(observation, model.arm, model.string.length)
+        if onset_window(trial) is not None:
+            resting.append(trial)
+    if largest_possible_offset(resting) < HARMLESS_OFFSET_S:
+        return None
+    resting_observations = [trial.observation for trial in resting]
+    clock = estimate_clock_offset(model, resting_observations, rng, progress)
+    for interval in clock.by_trial.values():
+        if max(interval.low, -interval.high) > HARMLESS_OFFSET_S:
+            return clock
+    return None
+
+
+def refuse_wrong_clock(
+    model: Model,
+    observations: Sequence[Observation],
+    rng: np.random.Generator,
+    progress: Progress = lambda share: None,
+) -> None:
+    """Refuse trials whose clocks are certainly not together.
+
+    Parameters as of `estimate_clock_offset`.
+
+    Raises
+    ------
+    DataError
+        With the offset that the motion shows.
+    """
+    clock = find_wrong_clock(model, observations, rng, progress)
+    if clock is not None:
+        raise DataError(f"points t: {describe_wrong_clock(clock)}. {CLOCK_REMEDY}")
+
+
+def describe_wrong_clock(clock: ClockOffset) -> str:
+    """Say by how much clocks differ, in the trial in which they differ most."""
+    name, worst = max(clock.by_trial.items(), key=lambda item: abs(item[1].value))
+    value, low, high = (1e3 * number for number in worst)
+    where = "" if clock.is_common else f" in trial {name}"
+    return (
+        f"the clocks of arm and camera differ by {value:+.0f} ms{where} (95 % interval "
+        f"{low:+.0f} to {high:+.0f} ms): so says the motion of hand and string"
+    )
+
+
+def _rival_peak(
+    log_likelihood: np.ndarray, offsets: np.ndarray, best: float
+) -> int | None:
+    """Return the index of the highest peak of a profile away from the fit's offset."""
+    here = int(np.argmin(np.abs(offsets - best)))
+    level = log_likelihood[here] - RIVAL_LOG_LIKELIHOOD
+    away = np.abs(np.arange(len(offsets)) - here) >= RIVAL_DISTANCE
+    inner = np.concatenate([[-np.inf], log_likelihood, [-np.inf]])
+    is_peak = (inner[1:-1] >= inner[:-2]) & (inner[1:-1] >= inner[2:])
+    candidates = np.flatnonzero(is_peak & away & (log_likelihood > level))
+    if not len(candidates):
+        return None
+    return int(candidates[np.argmax(log_likelihood[candidates])])
+
+
+def _posterior(
+    clock: ClockFit, background: ByTrial, columns: ByTrial
+) -> ClockPosterior:
+    """Compute the posterior of offsets that may be anything."""
+    precision = np.full(len(columns[0]), NO_PRIOR)
+    return clock_posterior(
+        clock.data, clock.fit, clock.index, background, columns, precision
+    )
+
+
+def _common_columns(clock: ClockFit) -> ByTrial:
+    """Return slopes with the offset of all trials, (1, 2 n)."""
+    return [slope[None] for slope in time_slopes(clock.fit, clock.index)]
+
+
+def _own_columns(clock: ClockFit) -> ByTrial:
+    """Return slopes with the offset of each trial, (K, 2 n)."""
+    slopes = time_slopes(clock.fit, clock.index)
+    columns = []
+    for number, slope in enumerate(slopes):
+        rows = np.zeros((len(slopes), len(slope)))
+        rows[number] = slope
+        columns.append(rows)
+    return columns
+
+
+def _estimate_drift(
+    clock: ClockFit, background: ByTrial
+) -> tuple[Interval | None, Interval]:
+    """Return the drift within trials, if it is seen, and the offset with it.
+
+    The offset is that in the middle of each trial, about the fit's.
+    """
+    columns = []
+    slopes = time_slopes(clock.fit, clock.index)
+    for trial, slope in zip(clock.data.trials, slopes, strict=True):
+        since_middle = trial.point_times - trial.times.mean()
+        columns.append(np.stack([slope, slope * np.repeat(since_middle, 2)]))
+    precision = np.array([NO_PRIOR, DRIFT_PRIOR**-2])
+    posterior = clock_posterior(
+        clock.data, clock.fit, clock.index, background, columns, precision
+    )
+    offset, drift = (
+        Interval.around(mean, deviation, 0.0)
+        for mean, deviation in zip(posterior.mean, posterior.deviation, strict=True)
+    )
+    if max(drift.low, -drift.high) < MIN_DRIFT:
+        return None, offset
+    return drift, offset
+
+
+def _trials_differ(apart: ClockPosterior, frame_s: float) -> bool:
+    """Return whether trials cannot have the same offset."""
+    count = len(apart.mean)
+    if count < 2 or np.ptp(apart.mean) < frame_s:
+        return False
+    contrast = np.diff(np.eye(count), axis=0)
+    difference = contrast @ apart.mean
+    covariance = contrast @ apart.covariance @ contrast.T
+    square = float(difference @ np.linalg.solve(covariance, difference))
+    widening = HALF_WIDTH / 1.96
+    return bool(chi2.sf(square / widening**2, count - 1) < SIGNIFICANCE)

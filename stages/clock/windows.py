@@ -1,0 +1,151 @@
+"""Offsets of two clocks that a recording allows, whatever its string is.
+
+Hand and string begin to move at about the same time, and a string never gets longer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from stringcast.data.schema import DataError
+from stringcast.stages.check.measured import CheckedTrial
+
+# The string may seem to begin so long before the hand: 3 % of its length is needed to
+# notice either. A slack one, or a slow hand, lets it begin late.
+MAX_LEAD_S, MAX_LAG_S = 0.15, 0.5
+MAX_SPREAD_S = 0.2  # of onsets, from trial to trial, about their median
+STEP_S = 2e-3
+# Rms excess of distances from the hand over arc lengths that is not refused, beyond
+# that of the best offset: in noise sigmas, and relative to the string's length
+STRETCH_SIGMAS, STRETCH_TOLERANCE = 3.0, 0.02
+TRIMMED_SHARE = 0.03  # of the points: the farthest may be outliers
+MAX_POINTS = 400  # of a trial that are looked at
+
+
+# A diagnosis finds a smaller offset as `time_offset`.
+HARMLESS_OFFSET_S = 0.03
+
+
+class Window(NamedTuple):
+    """Offsets that are possible, added to the camera's times [s]."""
+
+    low: float
+    high: float
+
+    @property
+    def middle(self) -> float:
+        """The middle [s]."""
+        return 0.5 * (self.low + self.high)
+
+    @property
+    def half_width(self) -> float:
+        """Half the width [s]."""
+        return 0.5 * (self.high - self.low)
+
+
+def onset_window(trial: CheckedTrial) -> Window | None:
+    """Return the offsets at which hand and string begin to move together.
+
+    None for a trial that does not begin at rest, or in which nothing moves.
+    """
+    hand, string = trial.hand_onset, trial.string_onset
+    if hand is None or string is None or trial.starts_moving:
+        return None
+    return Window(hand - string - MAX_LEAD_S, hand - string + MAX_LAG_S)
+
+
+def overlap_window(trial: CheckedTrial) -> Window:
+    """Return the offsets at which the hand's motion is known for half of the frames."""
+    half = 0.5 * float(np.ptp(trial.frame_t))
+    low = trial.hand_t[0] - trial.frame_t[0] - half
+    high = trial.hand_t[-1] - trial.frame_t[-1] + half
+    return Window(float(low), float(max(high, low)))
+
+
+def stretch_by_offset(trial: CheckedTrial, offsets: np.ndarray) -> np.ndarray:
+    """Return how far points seem to be beyond their string at offsets (U,) [m].
+
+    It is the rms excess of distances from the hand over arc lengths, (U,), without the
+    farthest points.
+    """
+    every = max(len(trial.points) // MAX_POINTS, 1)
+    points = trial.points.iloc[::every]
+    s, x, y = points[["s", "x", "y"]].to_numpy().T
+    t = points["t"].to_numpy() + offsets[:, None]
+    dx = x - np.interp(t, trial.hand_t, trial.pose[:, 0])
+    dy = y - np.interp(t, trial.hand_t, trial.pose[:, 1])
+    excess = np.sort(np.maximum(np.hypot(dx, dy) - s, 0.0), axis=1)
+    kept = excess[:, : max(int((1 - TRIMMED_SHARE) * len(s)), 1)]
+    return np.asarray(np.sqrt(np.mean(kept**2, axis=1)))
+
+
+def possible_windows(trials: Sequence[CheckedTrial]) -> dict[str, Window]:
+    """Return the offsets that each trial allows.
+
+    They are the same for all trials if one window allows all.
+
+    Raises
+    ------
+    DataError
+        If nothing moves.
+    """
+    windows = {}
+    for trial in trials:
+        window = onset_window(trial)
+        if window is None and trial.starts_moving:
+            window = overlap_window(trial)
+        if window is not None:
+            windows[trial.name] = window
+    if not windows:
+        raise DataError(
+            f"trial {trials[0].name}: hand or string never begins to move. "
+            "Give the seconds to add: --clock=-0.35"
+        )
+
+    used = [trial for trial in trials if trial.name in windows]
+    common = common_window(list(windows.values()))
+    if common is not None:
+        return dict.fromkeys(windows, narrow_by_stretch(used, common))
+    return {t.name: narrow_by_stretch([t], windows[t.name]) for t in used}
+
+
+def largest_possible_offset(trials: Sequence[CheckedTrial]) -> float:
+    """Return the largest offset in either direction that trials at rest allow [s].
+
+    It is 0 if none begins at rest.
+    """
+    resting = [trial for trial in trials if onset_window(trial) is not None]
+    if not resting:
+        return 0.0
+    windows = possible_windows(resting).values()
+    return max(max(-window.low, window.high) for window in windows)
+
+
+def common_window(windows: Sequence[Window]) -> Window | None:
+    """Return a window that suits most trials; None if they do not agree.
+
+    It is the median, because a string that something else moved begins early.
+    """
+    low, high = np.median(windows, axis=0)
+    middles = np.array([window.middle for window in windows])
+    if np.median(np.abs(middles - np.median(middles))) > MAX_SPREAD_S:
+        return None
+    return Window(float(low), float(high))
+
+
+def narrow_by_stretch(trials: Sequence[CheckedTrial], window: Window) -> Window:
+    """Return the part of a window in which no string gets longer."""
+    offsets = np.arange(window.low, window.high + STEP_S, STEP_S)
+    is_possible = np.ones(len(offsets), dtype=bool)
+    for trial in trials:
+        stretch = stretch_by_offset(trial, offsets)
+        noise = 0.0 if np.isnan(trial.noise) else trial.noise
+        tolerance = max(STRETCH_SIGMAS * noise, STRETCH_TOLERANCE * trial.length)
+        is_possible &= stretch < stretch.min() + tolerance
+    if not is_possible.any():
+        return window
+    kept = offsets[is_possible]
+    return Window(float(kept[0] - STEP_S), float(kept[-1] + STEP_S))

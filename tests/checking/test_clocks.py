@@ -1,0 +1,214 @@
+"""The offset between the clocks of arm and camera, from the motion alone."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+from conftest import ROOT
+
+from stringcast.data.metadata import read_metadata
+from stringcast.data.schema import DataError
+from stringcast.pipeline.commands.check import (
+    overview_with_clocks,
+    read_measurements,
+    settings_for_data,
+)
+from stringcast.pipeline.commands.clock_fit import plain_model
+from stringcast.stages.check.clocks import check_clock_interval
+from stringcast.stages.check.finding import Severity
+from stringcast.stages.check.measured import CheckedDataset
+from stringcast.stages.clock.offset import (
+    estimate_clock_offset,
+    find_wrong_clock,
+    refuse_wrong_clock,
+)
+from stringcast.stages.clock.posterior import clock_posterior
+from stringcast.stages.clock.windows import (
+    common_window,
+    narrow_by_stretch,
+    onset_window,
+    possible_windows,
+)
+
+SAMPLE = ROOT / "data" / "sample"
+CASE = ROOT.parent / "shared" / "cases" / "two_clocks"
+CHECKED = read_measurements(SAMPLE, [])
+TRIALS = CHECKED.trials
+FRAME_S = 0.005
+
+
+def late(seen, by, tip_alone=True):
+    """Return a trial whose camera's clock is ahead by some seconds."""
+    points = seen.points
+    points = points.groupby("t").tail(1) if tip_alone else points[points["s"] > 0.2]
+    shifted = points.assign(t=points["t"] + by)
+    return replace(seen, observation=replace(seen.observation, points=shifted))
+
+
+@pytest.mark.parametrize("tip_alone", [True, False])
+@pytest.mark.parametrize("by", [12.345, -7200.0])
+def test_geometry_leaves_a_few_frames_about_the_true_offset_of_casts(by, tip_alone):
+    windows = possible_windows([late(seen, by, tip_alone) for seen in TRIALS])
+    assert set(windows) == {seen.name for seen in TRIALS}
+    (window,) = set(windows.values())
+    assert window.low < -by < window.high
+    assert window.high - window.low < 10 * FRAME_S
+
+
+def test_each_trial_may_have_a_window_of_its_own():
+    given = {"t00": 3.0, "t03": -5.0}
+    windows = possible_windows(
+        [late(seen, given[seen.name]) for seen in TRIALS if seen.name in given]
+    )
+    for name, by in given.items():
+        assert windows[name].low < -by < windows[name].high
+
+
+def test_a_string_that_something_else_moves_first_does_not_shift_the_window():
+    windows = [onset_window(seen) for seen in TRIALS]
+    early = windows[0]._replace(low=windows[0].low + 0.2, high=windows[0].high + 0.2)
+    window = common_window([*windows[1:], early])
+    assert window.low < 0 < window.high
+    assert common_window([windows[0], early._replace(low=4.0, high=5.0)]) is None
+
+
+def test_one_outlier_does_not_narrow_a_window():
+    seen = late(TRIALS[0], 0.0)
+    points = seen.points.copy()
+    points.iloc[10, points.columns.get_loc("x")] += 5.0
+    dirty = replace(seen, observation=replace(seen.observation, points=points))
+    window = onset_window(seen)
+    assert narrow_by_stretch([dirty], window) == pytest.approx(
+        narrow_by_stretch([seen], window), abs=2 * FRAME_S
+    )
+
+
+def test_clocks_of_a_string_that_never_moves_stay_unknown():
+    seen = TRIALS[0]
+    points = seen.points.assign(x=0.1, y=0.2)
+    still = replace(seen, observation=replace(seen.observation, points=points))
+    with pytest.raises(DataError, match="never begins to move"):
+        possible_windows([still])
+
+
+def test_the_string_model_tells_the_offset_within_its_interval():
+    """The interval holds the truth although the sample hides a cause."""
+    by = -35.678
+    late_trials = [late(seen, by).observation for seen in TRIALS[:2]]
+    model = plain_model(CHECKED)
+    found = estimate_clock_offset(model, late_trials, np.random.default_rng(0))
+    assert found.is_common
+    assert found.drift is None
+    interval = found.by_trial["t00"]
+    assert interval.low < -by < interval.high
+    assert interval.width < 2 * FRAME_S
+    # the profile is highest near the truth
+    best = found.profile.loc[found.profile["log_likelihood"].idxmax(), "offset"]
+    assert best == pytest.approx(-by, abs=FRAME_S)
+
+
+def test_a_wrong_clock_is_refused_and_a_right_one_is_not():
+    model = plain_model(CHECKED)
+    rng = np.random.default_rng(0)
+    trials = [late(seen, 0.0).observation for seen in TRIALS[:2]]
+    assert find_wrong_clock(model, trials, rng) is None
+    wrong = [late(seen, 0.12).observation for seen in TRIALS[:2]]
+    with pytest.raises(DataError, match=r"differ by -1[12]\d ms .*--clock fit"):
+        refuse_wrong_clock(model, wrong, rng)
+
+
+def linear_problem(background):
+    """Return data and a fit of one offset, beside which an effect may be active."""
+    slope = np.array([[1.0, 1.0, 1.0, 1.0]])
+    residual = np.array([0.5, 0.5, 0.5, 0.5])
+    error_model = SimpleNamespace(whiten=lambda rows, scale: rows)
+    data = SimpleNamespace(trials=[SimpleNamespace(error_model=error_model)])
+    fit = SimpleNamespace(
+        chi=np.array([0.5]), slopes=[slope], residuals=[residual], scale_indices=[0]
+    )
+    return clock_posterior(data, fit, 0, [background], [slope], np.array([1e-6]))
+
+
+def test_an_effect_like_the_offset_widens_its_interval():
+    unlike = linear_problem(np.array([[100.0, -100.0, 100.0, -100.0]]))
+    assert unlike.mean == pytest.approx([-0.5], abs=1e-5)
+    assert unlike.deviation == pytest.approx([0.5], abs=1e-5)
+    alike = linear_problem(np.array([[1e3, 1e3, 1e3, 1e3]]))
+    assert alike.deviation[0] > 2 * unlike.deviation[0]
+
+
+def written(folder, clock):
+    about = yaml.safe_load((SAMPLE / "dataset.yaml").read_text())
+    folder.mkdir()
+    for table in ("arm", "points"):
+        data = (SAMPLE / f"{table}.parquet").read_bytes()
+        (folder / f"{table}.parquet").write_bytes(data)
+    (folder / "dataset.yaml").write_text(yaml.safe_dump(about | {"clock": clock}))
+    return folder
+
+
+def test_a_stated_interval_is_the_range_of_the_offset_in_every_model(tmp_path):
+    folder = written(tmp_path / "stated", {"low": -0.01, "high": 0.02})
+    settings = settings_for_data(folder, [], "+experiment=diagnose")
+    assert settings["effects"] == ["time_offset"]
+    offset = settings["parameter_values"]["time_offset.offset"]
+    assert offset["value"] == pytest.approx(0.005)
+    assert (offset["low"], offset["high"]) == pytest.approx((-0.0175, 0.0275))
+    plain = settings_for_data(SAMPLE, [], "+experiment=diagnose")
+    assert plain["effects"] == []
+
+
+def test_a_wide_interval_is_noted_with_what_would_mend_it(tmp_path):
+    wide = read_measurements(
+        written(tmp_path / "wide", {"low": -0.02, "high": 0.02}), []
+    )
+    (found,) = check_clock_interval(wide)
+    assert found.severity == Severity.NOTE
+    assert "40 ms, or 8 frames" in found.statement
+    assert "LED" in found.remedy
+    narrow = read_measurements(
+        written(tmp_path / "narrow", {"low": -0.002, "high": 0.002}), []
+    )
+    assert not list(check_clock_interval(narrow))
+    assert not list(check_clock_interval(CHECKED))
+
+
+@pytest.mark.parametrize(
+    "clock", [{"low": 0.1, "high": -0.1}, {"low": 0.0}, {"offset": 3.0}]
+)
+def test_a_clock_that_is_no_interval_is_refused(tmp_path, clock):
+    folder = written(tmp_path / "wrong", clock)
+    with pytest.raises(DataError, match=r"dataset.yaml: clock"):
+        read_metadata(folder)
+
+
+def test_check_names_a_wrong_clock_unless_the_dataset_states_it():
+    shifted = {}
+    for seen in TRIALS[:2]:
+        shifted[seen.name] = late(seen, -0.15).observation
+    data = replace(CHECKED.data, trials=shifted)
+    wrong = CheckedDataset(data, CHECKED.arm, CHECKED.camera, CHECKED.length)
+    overview = overview_with_clocks(wrong)
+    assert not overview["usable"]
+    assert "clocks of arm and camera differ" in overview["findings"][0]["statement"]
+    metadata = {**data.metadata, "clock": {"low": -0.001, "high": 0.001}}
+    stated = replace(wrong, data=replace(data, metadata=metadata))
+    assert overview_with_clocks(stated)["usable"]
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not CASE.exists(), reason="needs shared/cases/two_clocks")
+def test_slow_motions_of_another_simulation_give_an_interval_with_the_truth(
+    called, tmp_path
+):
+    files = [*sorted(CASE.glob("robot_*.csv")), *sorted(CASE.glob("tracker_*.csv"))]
+    options = ["--length", "320mm", "--at", "mid=0.160", "--at", "tip=0.320"]
+    options += ["--links", "0.28,0.22,0.12", "--base", "0.1,0.3", "--y-down"]
+    folder = tmp_path / "mine"
+    done = called("import", *files, "--to", folder, *options, "--clock", "fit")
+    assert done.returncode == 0, done.stderr
+    clock = read_metadata(folder)["clock"]
+    still_missing = 5135.881 - clock["added"]
+    assert clock["low"] < still_missing < clock["high"]
