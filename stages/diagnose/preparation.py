@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -30,6 +31,7 @@ from stringcast.stages.diagnose.prepared_data import (
     with_initial_states_of,
 )
 from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
+from stringcast.stages.inference.basis import highest_frequency
 from stringcast.stages.inference.discrepancy import best_scale_index
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_modes import (
@@ -38,11 +40,18 @@ from stringcast.stages.inference.initial_modes import (
 )
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis, mean_discrepancy
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.prepared_trial import prepare_trial, with_model
+from stringcast.stages.inference.prepared_trial import (
+    PreparedTrial,
+    prepare_trial,
+    with_model,
+)
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
 
 INITIAL_NOISE_M = 1e-3  # before anything is known
+LOW_FREQUENCY_HZ = 15.0  # half of what trials of a second are followed to
+
+log = logging.getLogger(__name__)
 
 
 def usable_trials(
@@ -110,6 +119,7 @@ def prepare_data(
         trimmed = trim_trailing_rest(trial)
         resting_points += len(trial.s) - len(trimmed.s)
         moving.append(trimmed)
+    warn_of_long_trials(moving)
 
     # Base model; its residuals determine outliers and noise
     likelihood = Likelihood(TrialData(tuple(moving)), second_order)
@@ -137,6 +147,22 @@ def prepare_data(
 
     prepared = exclude_chaotic_trials(prepared, tolerance_m)
     return keep_configured_mesh_if_supported(prepared, model, tolerance_m)
+
+
+def warn_of_long_trials(trials: Sequence[PreparedTrial]) -> None:
+    """Say up to which frequency misfit is followed in trials that are long."""
+    for trial in trials:
+        if len(trial.times) < 2:
+            continue
+        frequency = highest_frequency(trial.times)
+        if frequency < LOW_FREQUENCY_HZ:
+            log.warning(
+                "trial %s lasts %.1f s: misfit is followed up to %.0f Hz there; "
+                "split it into trials of 2 s to see faster misfit",
+                trial.name,
+                np.ptp(trial.times),
+                frequency,
+            )
 
 
 def prepare_further_trials(

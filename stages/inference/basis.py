@@ -37,6 +37,12 @@ def time_nodes(times: np.ndarray, spacing: float) -> np.ndarray:
     return np.linspace(times[0], times[-1], count)
 
 
+def highest_frequency(times: np.ndarray) -> float:
+    """Compute up to which frequency splines follow motion at times (F,) [Hz]."""
+    nodes = time_nodes(times, KNOT_SPACING_S)
+    return float((len(nodes) - 1) / (2 * np.ptp(nodes)))
+
+
 def time_splines(times: np.ndarray, spacing: float = KNOT_SPACING_S) -> csr_array:
     """Evaluate cubic B-splines at times (F,), `spacing` seconds apart, (F, B)."""
     knots = np.pad(time_nodes(times, spacing), 3, mode="edge")

@@ -24,7 +24,9 @@ from stringcast.stages.diagnose.noise import (
     reestimate_noise,
     trim_trailing_rest,
 )
+from stringcast.stages.diagnose.preparation import warn_of_long_trials
 from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.inference.basis import highest_frequency
 from stringcast.stages.inference.discrepancy import remove_smooth_motion
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit
@@ -72,6 +74,22 @@ def simulate_swings(arm, model, strings):
 @pytest.fixture(scope="module")
 def trials(arm, model):
     return simulate_swings(arm, model, [TRUTH] * 3)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(0.9, ""), (2.0, ""), (10.0, "up to 3 Hz"), (4.0, "8 Hz")]
+)
+def test_a_long_trial_is_named_with_what_is_followed_in_it(
+    model, caplog, seconds, words
+):
+    """Splines follow 30 Hz in a trial of a second, and less in a longer one."""
+    times = np.arange(0, seconds, 1 / 240)
+    frame = np.zeros(1, dtype=int)
+    trial = make_trial(model, frame, S[:1], np.zeros((1, 2)), times)
+    warn_of_long_trials([trial])
+    assert bool(caplog.text) == bool(words)
+    assert words in caplog.text
+    assert highest_frequency(times) == pytest.approx(31.5 / max(seconds, 0.94), rel=0.1)
 
 
 @pytest.mark.parametrize("kind", ["wandering", "dense", "occluded"])
