@@ -254,17 +254,21 @@ class Discrepancy:
         scale_index: int,
         count: int,
         rng: np.random.Generator,
+        chosen: np.ndarray,
     ) -> np.ndarray:
-        """Draw discrepancies over sigma (count, 2 n) given coefficients (2 M,)."""
+        """Draw discrepancies over sigma (count, 2 m) given coefficients (2 M,).
+
+        chosen: a mask of the m points at which they are wanted, (n,).
+        """
         variance = self._variance_at(scale_index)
         normal = rng.standard_normal((count, len(variance)))
         scatter = normal * np.sqrt(variance / (1.0 + variance))
         by_basis = scatter.reshape(count, -1, 2).transpose(1, 0, 2)
         by_spline = self.to_splines @ by_basis.reshape(-1, 2 * count)
-        by_point = (self.splines @ by_spline).reshape(-1, count, 2)
+        by_point = (self.splines[chosen] @ by_spline).reshape(-1, count, 2)
         offset = by_point.transpose(1, 0, 2).reshape(count, -1)
         mean = self.posterior_mean(coefficients, scale_index)
-        return np.asarray(mean + offset)
+        return np.asarray(mean[np.repeat(chosen, 2)] + offset)
 
     def nuisance_mean(self, coefficients: np.ndarray, scale_index: int) -> np.ndarray:
         """Compute what the nuisance most likely explains of coefficients, (2 n,)."""

@@ -283,19 +283,19 @@ def sample_discrepancy_tip_rms(
 
     Returns root mean squares [m], (K, DISCREPANCY_DRAWS).
     """
-    draws = []
+    by_trial = []
     for k, trial in enumerate(data.for_hypothesis(fit.hypothesis).trials):
         discrepancy = trial.discrepancy
         coefficients = discrepancy.coefficients(fit.residuals[k][None])[0]
-        draws.append(
-            discrepancy.sample_posterior(
-                coefficients,
-                fit.scale_indices[k],
-                DISCREPANCY_DRAWS,
-                rng,
-            )
+        at_tip = discrepancy.sample_posterior(
+            coefficients,
+            fit.scale_indices[k],
+            DISCREPANCY_DRAWS,
+            rng,
+            trial.is_tip,
         )
-    return data.tip_rms_by_trial(draws)
+        by_trial.append(trial.tip_rms(at_tip))
+    return np.stack(by_trial)
 
 
 def _residual_slopes(

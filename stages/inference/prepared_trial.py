@@ -105,6 +105,16 @@ class PreparedTrial:
         displacements = residual.reshape(-1, 2) * self.sigma[:, None]
         return np.asarray(displacements)
 
+    def tip_rms(self, at_tip: np.ndarray) -> np.ndarray:
+        """Compute the root mean square of displacements of the tip [m], (...).
+
+        at_tip: over sigma, of the points that are the tip, (..., 2 m).
+        """
+        sigma = self.sigma[self.is_tip, None]
+        at_tip_m = at_tip.reshape(*at_tip.shape[:-1], len(sigma), 2) * sigma
+        squares = np.sum(at_tip_m**2, axis=-1)
+        return np.asarray(np.sqrt(np.mean(squares, axis=-1)))
+
     def simulate(self, values: np.ndarray) -> Iterator[tuple[slice, StringMotion]]:
         """Simulate candidates (C, P) at the frame times, chunk by chunk."""
         for first in range(0, len(values), MAX_BATCH_CANDIDATES):

@@ -201,12 +201,8 @@ class TrialData:
         """
         by_trial = []
         for trial, displacement in zip(self.trials, displacements, strict=True):
-            points = displacement.reshape(*displacement.shape[:-1], len(trial.s), 2)
-            is_tip = trial.is_tip
-            at_tip = points.compress(is_tip, axis=-2)
-            at_tip_m = at_tip * trial.sigma[is_tip, None]
-            squares = np.sum(at_tip_m**2, axis=-1)
-            by_trial.append(np.sqrt(np.mean(squares, axis=-1)))
+            is_tip = np.repeat(trial.is_tip, 2)
+            by_trial.append(trial.tip_rms(displacement.compress(is_tip, axis=-1)))
         return np.array(by_trial)
 
     def overall_tip_rms(self, displacements: ByTrial) -> np.ndarray:
