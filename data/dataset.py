@@ -34,7 +34,12 @@ from stringcast.data.artifacts import (
     Trial,
 )
 from stringcast.data.errors import escape_control_characters
-from stringcast.data.file_checks import is_file_inside, is_outside, require_inside
+from stringcast.data.file_checks import (
+    is_file_inside,
+    is_outside,
+    mark_yaml_end,
+    require_inside,
+)
 from stringcast.data.images import ImageFiles, TimedImages, Video, video_files
 from stringcast.data.metadata import DATASET_FILE, FORMAT_VERSION, read_metadata
 from stringcast.data.rows import RowCounts, clean_rows, read_csv_table
@@ -170,7 +175,7 @@ def write_dataset(
         rows = pd.concat(part, ignore_index=True)
         write_table(with_trial(table), rows, folder / f"{table.name}.parquet", origin)
     content = yaml.safe_dump({"format": FORMAT_VERSION, **known}, sort_keys=False)
-    write_text(folder / DATASET_FILE, content)
+    write_text(folder / DATASET_FILE, mark_yaml_end(content))
 
 
 def read_dataset(folder: Path) -> Dataset:

@@ -53,6 +53,9 @@ MISSING_CELLS = [
     "-1.#IND",
     "1.#QNAN",
 ]
+# first and last line of YAML that we write: most of its beginnings are valid YAML, too
+YAML_BEGINNING = "# A whole copy of this file has the line '# end'."
+YAML_END = "# end"
 READ_ERRORS = (pa.ArrowException, OSError, ValueError)  # of a damaged file
 # kinds of YAML values that no setting has
 REFUSED_YAML_TAGS = {
@@ -116,15 +119,26 @@ def is_outside(folder: Path, file: str) -> bool:
     return not path.is_relative_to(folder.resolve())
 
 
+def mark_yaml_end(text: str) -> str:
+    """Mark YAML so that a copy that was cut is noticed when it is read."""
+    return f"{YAML_BEGINNING}\n{text}{YAML_END}\n"
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Read the names and plain values of a YAML file.
 
     Raises DataError naming the file and the remedy.
     """
-    values = _read_mapping(
-        path, lambda text: yaml.load(text, _StrictLoader), "not valid YAML"
-    )
+    values = _read_mapping(path, _parse_yaml, "not valid YAML")
     return refuse_interpolation(values, path)
+
+
+def _parse_yaml(text: str) -> Any:
+    """Parse YAML; refuse that of ours without its end."""
+    lines = text.splitlines()
+    if YAML_BEGINNING in lines and YAML_END not in lines:
+        raise ValueError(f"it was cut: the line '{YAML_END}' is missing")
+    return yaml.load(text, _StrictLoader)
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -211,6 +211,10 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     if not path.exists():
         return {}
     content = read_yaml(require_inside(folder, path))
+    if not content:
+        raise DataError(
+            f"{path}: it is empty. Restore it, or write what is known: format: 1"
+        )
     version = content.get("format", FORMAT_VERSION)
     if version != FORMAT_VERSION or isinstance(version, bool):
         raise DataError(

@@ -213,7 +213,7 @@ def read_origin(path: Path) -> dict[str, Any]:
     """Read what made a Parquet file, or the first one in a folder.
 
     The result is empty for a file of another program. Raises DataError for a folder
-    without tables, and for a footer of another shape.
+    without tables, a damaged file, and a footer of another shape.
     """
     if path.is_dir():
         folder, path = path, min(path.glob("*.parquet"), default=path)
@@ -221,7 +221,13 @@ def read_origin(path: Path) -> dict[str, Any]:
             raise DataError(f"{folder}: there is no table in it. Delete the folder.")
     if path.exists():
         file_checks.require_plain_file(path)
-    metadata = pq.read_schema(path).metadata or {}
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+    except pa.ArrowException as error:
+        raise DataError(
+            f"{path}: not a whole Parquet file ({error}). Restore it or delete it and "
+            "run again."
+        ) from error
     try:
         origin = json.loads(metadata.get(b"origin", b"{}"))
     except (ValueError, RecursionError):

@@ -14,7 +14,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from stringcast.data.artifacts import PARAMETERS
-from stringcast.data.file_checks import read_json
+from stringcast.data.file_checks import mark_yaml_end, read_json
 from stringcast.data.store import read_table, write_text
 from stringcast.pipeline.cli.terminal import explain_hydra_error
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
@@ -123,7 +123,8 @@ class KnownString:
         """
         path = Path(folder) / EXTENDED
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, yaml.safe_dump(dict(self.settings), sort_keys=False))
+        text = yaml.safe_dump(dict(self.settings), sort_keys=False)
+        write_text(path, mark_yaml_end(text))
         return path
 
     @property

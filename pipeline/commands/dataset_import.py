@@ -15,6 +15,7 @@ import yaml
 from stringcast.data import disk
 from stringcast.data.artifacts import ARM, GRASP, MASKS, POINTS, READINGS, Observation
 from stringcast.data.dataset import MIN_OVERLAP_S, with_trial
+from stringcast.data.file_checks import mark_yaml_end
 from stringcast.data.images import Video
 from stringcast.data.importers.gather import ImportedTables
 from stringcast.data.metadata import DATASET_FILE, FORMAT_VERSION
@@ -351,4 +352,4 @@ def write_dataset(
         shutil.copyfile(film, folder / "videos" / f"{name}{film.suffix}")
     metadata = imported.metadata | {"imported": hashes}
     text = METADATA_HEADER + yaml.safe_dump(metadata, sort_keys=False)
-    disk.write(folder / DATASET_FILE, text.encode())
+    disk.write(folder / DATASET_FILE, mark_yaml_end(text).encode())

@@ -159,7 +159,7 @@ class RunFolder:
             for table in dataset.RUN_TABLES:
                 origin = store.read_origin(self.folder / f"{table.name}.parquet")
                 holds_trials &= hashes.items() <= origin["inputs"].items()
-        except (*store.READ_ERRORS, KeyError):
+        except (DataError, *store.READ_ERRORS, KeyError):
             holds_trials = False
         if not (holds_trials and (self.folder / "dataset.yaml").exists()):
             publish_dataset(self.experiment, hashes, self.folder, iterations)

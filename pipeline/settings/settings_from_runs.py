@@ -222,11 +222,6 @@ def read_extended_model(folder: Path) -> dict[str, Any]:
     """
     remedy = "Name the run folder of a diagnosis or an alignment."
     model = read_run_settings(folder, EXTENDED, "model_from", remedy)
-    if not model:
-        raise UserError(
-            f"model_from={folder}: {EXTENDED} is empty. Restore it, or run the "
-            "diagnosis again."
-        )
     for name, value in model.items():
         if name not in MODEL_SETTINGS:
             known_names = ", ".join(MODEL_SETTINGS)
@@ -261,9 +256,15 @@ def read_run_settings(
     """Read settings from a file of a run; raise UserError that names the setting."""
     path = folder / file if folder.is_dir() else folder
     try:
-        return read_yaml(path)
+        values = read_yaml(path)
     except DataError as error:
         raise UserError(f"{setting}={folder}: {error} {remedy}") from error
+    if not values:
+        raise UserError(
+            f"{setting}={folder}: {path} is empty. Restore it, or make it again. "
+            f"{remedy}"
+        )
+    return values
 
 
 def settings_of_trials(folder: Path, given: set[str]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from stringcast.data.alignment import (
     Alignment,
 )
 from stringcast.data.artifacts import Film, Observation, TrialSet
+from stringcast.data.file_checks import mark_yaml_end
 from stringcast.data.schema import DataError
 from stringcast.stages.align.acceptance import refuse_fit, refuse_sight
 from stringcast.stages.align.fit import (
@@ -169,7 +170,7 @@ def extended_settings(model: Model, measured: pd.DataFrame, fit: AlignmentFit) -
     found = measured[measured["found"]].set_index("name")
     values |= found[["value", "low", "high"]].to_dict("index")
     settings = {"effects": sorted(effects - {"gravity"}), "parameter_values": values}
-    return yaml.safe_dump(settings, sort_keys=False)
+    return mark_yaml_end(yaml.safe_dump(settings, sort_keys=False))
 
 
 def sightings_table(

@@ -16,6 +16,7 @@ from stringcast.data.calibration import (
     VIEWS,
     Calibration,
 )
+from stringcast.data.file_checks import mark_yaml_end
 from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.calibrate.acceptance import CalibrationSolution
 from stringcast.stages.calibrate.fit import lens_values
@@ -90,8 +91,10 @@ def calibration_tables(
         "plane_rms": solution.plane_rms,
         "coverage": float(solution.covered_cells.mean()),
         "spread": solution.spread,
-        "camera": yaml.safe_dump(
-            _plain_values(asdict(camera)), sort_keys=False, default_flow_style=None
+        "camera": mark_yaml_end(
+            yaml.safe_dump(
+                _plain_values(asdict(camera)), sort_keys=False, default_flow_style=None
+            )
         ),
     }
     return Calibration(

@@ -21,6 +21,7 @@ from stringcast.data.artifacts import (
     Observation,
     TrialSet,
 )
+from stringcast.data.file_checks import mark_yaml_end
 from stringcast.data.schema import DataError
 from stringcast.stages.common import InterruptRequest, Progress
 from stringcast.stages.diagnose import tables
@@ -629,4 +630,4 @@ def _extended_model_yaml(
             cause_intervals[parameter.name] = intervals[parameter.name]
     extended = extended_model_settings(model, fit, cause_intervals)
     text = yaml.safe_dump(extended, sort_keys=False)
-    return text if cause_intervals else BASE_MODEL_HEADER + text
+    return mark_yaml_end(text if cause_intervals else BASE_MODEL_HEADER + text)
