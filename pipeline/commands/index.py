@@ -244,8 +244,10 @@ def step_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
         rates.append(float(summary["after"].iloc[0]))
 
     count = len({step.parent for step in steps})
-    if (run / SUMMARY_FILE).is_file():  # a step may use all trials before it
-        count = len(read_json(run / SUMMARY_FILE)["iterations"])
+    summary_file = run / SUMMARY_FILE
+    summary = read_json(summary_file) if summary_file.is_file() else {}
+    if summary:  # a step may use all trials before it
+        count = len(summary["iterations"])
     return {
         "date": min(dates, default=""),
         "iterations": count,
