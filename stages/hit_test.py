@@ -154,6 +154,16 @@ def check_reach(target: Box, arm: Arm, string_length: float) -> None:
             f"target ({target.x * 1e3:.0f}, {target.y * 1e3:.0f}) mm is out of reach: "
             f"{gap * 1e3:.0f} mm from the arm's base at "
             f"({base_x * 1e3:.0f}, {base_y * 1e3:.0f}) mm, "
-            f"arm and string reach {reach * 1e3:.0f} mm. "
-            "Choose target.x and target.y closer, or move arm.base."
+            f"arm and string reach {reach * 1e3:.0f} mm. The nearest target that they "
+            f"reach has its centre at {_nearest_centre(target, arm, reach)}. "
+            "Choose a closer target, or move arm.base."
         )
+
+
+def _nearest_centre(target: Box, arm: Arm, reach: float) -> str:
+    """Return settings for the centre of the target, moved until it is in reach."""
+    base = np.array(arm.base)
+    way = target.centre - base
+    # a millimetre less, because the settings are rounded
+    x, y = base + way * (reach - 1e-3) / np.linalg.norm(way)
+    return f"target.x={x:.3f} target.y={y:.3f}"

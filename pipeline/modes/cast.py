@@ -20,6 +20,7 @@ from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import require_allowed
 from stringcast.stages.align.correction import transform_to_arm_frame
 from stringcast.stages.entry_points import DRY_RUNS
+from stringcast.stages.extract.reading_report import describe_poor_reading
 from stringcast.stages.hit_test import HitResult, check_reach, hit_test
 from stringcast.stages.spec import SameIteration, StageSpec
 
@@ -171,7 +172,10 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
     if last.has_hit:
         return f"The tip reached the target in cast {last.number}."
     tries = f"{len(iterations)} cast{'s' if len(iterations) > 1 else ''}"
-    return f"The tip did not reach the target in {tries}; the budget is spent."
+    sentence = f"The tip did not reach the target in {tries}; the budget is spent."
+    points = last.find(Points)
+    assert points is not None
+    return f"{sentence} {describe_poor_reading(points.readings)}".rstrip()
 
 
 def dry_run_outcome(iteration: Iteration) -> str:

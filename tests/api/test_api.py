@@ -66,7 +66,7 @@ def test_trials_are_the_same_from_a_folder_and_from_tables():
         ),
         (
             lambda: sc.generate(target=(400, 700)),
-            "out of reach.*Choose target.x and target.y closer",
+            "out of reach.*target.x=.*Choose a closer target",
         ),
         (lambda: sc.generate(None, "generate.longst=1", target=(0.4, 0.7)), "longest"),
         (

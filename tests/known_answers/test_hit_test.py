@@ -3,6 +3,7 @@
 Its path between frames counts, but only where it is known.
 """
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,8 @@ import pandas as pd
 import pytest
 
 from stringcast.data.artifacts import MASKS, POINTS, Points
-from stringcast.stages.hit_test import hit_test
+from stringcast.data.schema import DataError
+from stringcast.stages.hit_test import check_reach, hit_test
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.target import Target
 
@@ -170,3 +172,15 @@ def test_of_two_passages_the_one_that_counts_is_reported():
     assert downwards.hit
     assert any_way.t == pytest.approx(0.05, abs=1e-3)
     assert downwards.t == pytest.approx(0.15, abs=1e-3)
+
+
+@pytest.mark.parametrize(("x", "y"), [(-3.0, 0.2), (2.0, 0.7), (0.1, 9.0)])
+def test_the_target_that_is_proposed_instead_is_in_reach(arm, x, y):
+    with pytest.raises(DataError, match="out of reach") as refusal:
+        check_reach(replace(BOX, x=x, y=y), arm, 0.3)
+    proposed = re.search(r"target\.x=(\S+) target\.y=(\S+)\. ", str(refusal.value))
+    nearer = replace(BOX, x=float(proposed[1]), y=float(proposed[2]))
+    check_reach(nearer, arm, 0.3)
+    assert nearer.distance_to_centre(np.array([x, y])) < np.hypot(
+        *(np.array([x, y]) - arm.base)
+    )

@@ -34,6 +34,7 @@ from stringcast.stages.report.formatting import (
     format_interval,
     format_mm,
     format_ms,
+    format_percent,
     format_rate,
     format_value,
     sentence_markup,
@@ -184,6 +185,9 @@ def _tiles(record: RunRecord) -> Tiles:
         distance = format_mm(best.distance)
         meaning = "closest distance of the tip to the target's centre"
         meaning += " in the best cast" if len(record.casts) > 1 else ""
+        readings = pd.concat([cast.points.readings for cast in record.casts])
+        share = format_percent(readings["valid"].mean())
+        meaning += f"; the string was read in {share} of the frames"
     rates = sizes = "not estimated"
     if record.estimates:
         rate_before, rate_after, before, after = _fit_quality(

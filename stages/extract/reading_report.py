@@ -1,0 +1,46 @@
+"""How much of a film was read, why the rest was not, and what would help."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+MIN_READ_SHARE = 0.5  # of the frames: below, the outcome of a cast is in doubt
+ARM_IS_ELSEWHERE = (
+    "the arm may not be where its joints say: measure it with +experiment=align"
+)
+REMEDIES = {
+    "no string in view": "check light, contrast and camera.origin_px",
+    "no string at the grasp": ARM_IS_ELSEWHERE,
+    "the grasp is out of view": "see that the camera shows all that the arm reaches",
+    "the line is shorter than the string": "check string.length and camera.px_per_m",
+    "the line is longer than the string": ARM_IS_ELSEWHERE,
+    "the string leaves the picture": "see that the camera shows the whole string",
+    "the string is interrupted": "use more light or a shorter exposure",
+    "the string lies on itself, or on something like it": "choose a gentler motion",
+    "something like a string hangs together with the string": ARM_IS_ELSEWHERE,
+}
+
+
+def describe_poor_reading(readings: pd.DataFrame) -> str:
+    """Say that a string was read in few frames, and what would help.
+
+    Parameters
+    ----------
+    readings : table READINGS
+        Of all frames of a film.
+
+    Returns
+    -------
+    str
+        Empty if at least half of the frames were read.
+    """
+    is_read = readings["valid"].astype(bool)
+    if not len(readings) or is_read.mean() >= MIN_READ_SHARE:
+        return ""
+    reason = str(readings.loc[~is_read, "reason"].mode().iloc[0])
+    sentence = (
+        f"The string was read in only {int(is_read.sum())} of {len(readings)} frames "
+        f"(most often: {reason}), so the tip may have come closer than was measured."
+    )
+    remedy = REMEDIES.get(reason)
+    return f"{sentence} Remedy: {remedy}." if remedy else sentence

@@ -1,0 +1,44 @@
+"""What is said of a film in which few frames were read."""
+
+import ast
+from pathlib import Path
+
+import pandas as pd
+
+from stringcast.stages import extract
+from stringcast.stages.extract.reading_report import REMEDIES, describe_poor_reading
+
+
+def readings(reasons):
+    """Return readings; a frame without a reason was read."""
+    return pd.DataFrame({"valid": [not r for r in reasons], "reason": reasons})
+
+
+def test_a_film_that_was_mostly_read_needs_no_word():
+    assert describe_poor_reading(readings(["", "", "no string in view"])) == ""
+    assert describe_poor_reading(readings([])) == ""
+
+
+def test_the_commonest_reason_is_named_with_its_remedy():
+    longer, hidden = "the line is longer than the string", "no string in view"
+    sentence = describe_poor_reading(readings(["", longer, hidden, longer]))
+    assert "only 1 of 4 frames" in sentence
+    assert f"most often: {longer}" in sentence
+    assert "may have come closer" in sentence
+    assert "+experiment=align" in sentence
+
+
+def test_a_reason_of_another_reader_has_no_remedy():
+    sentence = describe_poor_reading(readings(["fog", "fog"]))
+    assert "fog" in sentence
+    assert "Remedy" not in sentence
+
+
+def test_every_reason_has_a_remedy():
+    reasons = set()
+    for file in Path(extract.__file__).parent.glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            is_call = isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+            if is_call and node.func.id == "UnreadableError":
+                reasons.add(ast.literal_eval(node.args[0]))
+    assert reasons == set(REMEDIES)
