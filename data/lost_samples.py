@@ -66,8 +66,9 @@ def find_lost_points(points: pd.DataFrame) -> tuple[pd.Series, list[LostSamples]
         lost_rows: dict[str, list[np.ndarray]] = {}
         longest: dict[str, float] = {}
         extent = track_extent(rows[["x", "y"]].to_numpy())
-        for _, track in rows.groupby("s"):
-            if len(track) < MIN_TRACK_SAMPLES:
+        for s, track in rows.groupby("s"):
+            # The grasp is often computed from joints, which repeat when they stop
+            if s == 0 or len(track) < MIN_TRACK_SAMPLES:
                 continue
             xy = track[["x", "y"]].to_numpy()
             t = track["t"].to_numpy()

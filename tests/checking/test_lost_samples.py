@@ -9,6 +9,7 @@ import pytest
 
 from stringcast.data import dataset
 from stringcast.data.lost_samples import (
+    find_lost_points,
     fixed_position_mask,
     held_mask,
     zero_row_mask,
@@ -52,6 +53,17 @@ def test_a_held_point_is_found(rows, step):
 def test_a_point_that_was_held_to_the_end_is_found():
     rows = np.arange(300, COUNT)
     assert held_mask(held(swing(), rows), EXTENT)[rows].all()
+
+
+def test_a_grasp_that_stops_within_three_samples_is_not_lost():
+    """The grasp is computed from joints without noise: at rest it repeats exactly."""
+    steps = np.array([15.0] * 40 + [9.0, 3.4, 0.27] + [0.0] * 40)
+    x = 1e-3 * np.cumsum(steps)
+    track = {"trial": "t1", "t": np.arange(len(x)) / 100, "x": x, "y": 0.3 * x}
+    _, grasp = find_lost_points(pd.DataFrame(track | {"s": 0.0}))
+    _, point = find_lost_points(pd.DataFrame(track | {"s": 0.1}))
+    assert not grasp
+    assert point
 
 
 @pytest.mark.parametrize("step", [0.0, 1e-4, 1e-3, 8e-3])
