@@ -14,6 +14,7 @@ EXTRAS = {
     "cv2": ("OpenCV", "lab"),
     "serial": ("pyserial", "lab"),
     "arviz": ("ArviZ", "arviz"),
+    "mcap_ros2.writer": ("mcap-ros2-support", "mcap"),
     "mujoco": ("MuJoCo", "mujoco"),
 }
 

@@ -10,6 +10,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import yaml
 from matplotlib.figure import Figure
@@ -17,6 +18,7 @@ from matplotlib.figure import Figure
 from stringcast.data import dataset
 from stringcast.data.artifacts import Diagnosis, Estimate
 from stringcast.data.store import write_text
+from stringcast.figures import diagnosis_figure, parameter_figure
 from stringcast.known import KnownString, experiment_for_call
 from stringcast.measured import Trials
 from stringcast.pipeline.cli.console import progress_bars
@@ -35,6 +37,10 @@ from stringcast.stages.report.pages.diagnosis import diagnosis_page
 from stringcast.stages.report.records import StageRecord
 
 MM_PER_M = 1e3  # [mm] in a metre
+# few enough for a terminal of 80 columns
+CAUSE_COLUMNS = [
+    *("effect", "probability", "parameter", "value", "low", "high", "unit"),
+]
 
 
 @dataclass(frozen=True)
@@ -69,8 +75,13 @@ class DiagnosisResult:
 
     @property
     def causes(self) -> pd.DataFrame:
-        """A row for each parameter of each cause, with value, interval and unit."""
-        return self.artifact.causes
+        """A row for each parameter of each cause, with value, 95 % interval and unit.
+
+        `high` is infinite where only the lower end is known. `document` says more.
+        """
+        table = self.artifact.causes
+        high = table["high"].where(~table["at_least"].astype(bool), np.inf)
+        return table.assign(high=high)[CAUSE_COLUMNS]
 
     @property
     def budget(self) -> pd.DataFrame:
@@ -93,38 +104,19 @@ class DiagnosisResult:
         )
 
     def plot(self) -> Figure:
-        """Plot the residual of both models on each left-out trial.
+        """Draw the string where the base model fails most, and each trial's residual.
 
         Returns
         -------
         Figure
-            One row a trial, with the noise floor.
+            Shown by a notebook; `savefig` writes it.
+
+        Raises
+        ------
+        StringcastError
+            If too few trials could be used.
         """
-        table = self.gain
-        figure = Figure(figsize=(5.4, 1.4 + 0.3 * len(table)), layout="constrained")
-        axes = figure.subplots()
-        for model in ("base", "extended"):
-            axes.plot(
-                table[f"rms_{model}"] * MM_PER_M,
-                table["trial"],
-                "o",
-                label=f"{model} model",
-            )
-        axes.plot(
-            table["noise_floor"] * MM_PER_M,
-            table["trial"],
-            "|",
-            markersize=14,
-            color="0.2",
-            label="noise floor",
-        )
-        axes.set(
-            xlabel="residual on the trial left out, RMS / mm",
-            xlim=(0, None),
-            title=self.verdict,
-        )
-        axes.legend()
-        return figure
+        return diagnosis_figure(self.artifact.residuals, self.gain)
 
     def report(self, page: str | Path) -> Path:
         """Write the page with all the evidence, one file that needs no network.
@@ -154,10 +146,16 @@ class DiagnosisResult:
         """Return the verdict in words."""
         return f"DiagnosisResult({self.verdict}: {self.sentence})"
 
+    def __str__(self) -> str:
+        """Return the verdict in words and the table of causes."""
+        text = f"{self.verdict}: {self.sentence}"
+        if self.causes.empty:
+            return text
+        return f"{text}\n\n{self.causes.to_string(index=False)}"
+
     def _repr_html_(self) -> str:
-        columns = ["effect", "probability", "parameter", "value", "low", "high", "unit"]
         headline = f"<p><b>{escape(self.verdict)}</b>. {escape(self.sentence)}</p>"
-        return headline + str(self.causes[columns].to_html(index=False))
+        return headline + str(self.causes.to_html(index=False))
 
 
 @dataclass(frozen=True)
@@ -198,6 +196,16 @@ class EstimateResult:
             "effects": list(self.experiment.config["effects"]),
         }
         return KnownString(settings | {"parameter_values": self.artifact.values()})
+
+    def plot(self) -> Figure:
+        """Draw each parameter with its interval, within the range of its search.
+
+        Returns
+        -------
+        Figure
+            Shown by a notebook; `savefig` writes it.
+        """
+        return parameter_figure(self.parameters)
 
     def __repr__(self) -> str:
         """Return the residual and what is determined."""

@@ -30,7 +30,7 @@ from stringcast.pipeline.settings.settings_from_runs import (
     read_extended_model,
     restore_given_settings,
 )
-from stringcast.stages.export.mjcf import build_mjcf
+from stringcast.stages.export.mjcf import build_mjcf, choose_step
 from stringcast.stages.model.model import Model
 from stringcast.stages.spec import EXTENDED
 
@@ -137,15 +137,15 @@ class KnownString:
         """The known parameters by name: a number, or a value with its interval."""
         return dict(self.settings.get("parameter_values", {}))
 
-    def mjcf(self, mass: float, step: float = 5e-4) -> str:
+    def mjcf(self, mass: float, step: float | None = None) -> str:
         """Describe the string as a chain of links for MuJoCo.
 
         Parameters
         ----------
         mass : float
             Mass of the string [kg].
-        step : float
-            Time step of the simulation [s].
+        step : float, optional
+            Time step of the simulation [s]; by default as long as the string allows.
 
         Returns
         -------
@@ -158,7 +158,8 @@ class KnownString:
             If MuJoCo has no law for one of the effects.
         """
         model = experiment_for_call((), self).model
-        return build_mjcf(model, model.values({}), mass, step)
+        values = model.values({})
+        return build_mjcf(model, values, mass, step or choose_step(model, values))
 
     def __repr__(self) -> str:
         """Return the effects and the number of known parameters."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
+import numpy as np
 import pandas as pd
 import yaml
 
@@ -39,22 +40,27 @@ class Trials:
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row for each trial: frames, points, seconds, and why it is rejected."""
+        """A row for each trial: frames, points, seconds, and why it is rejected.
+
+        `rate` is the number of frames a second, by the median step.
+        """
         rows = []
         for name, trial in self.data.trials.items():
             t = trial.valid_points["t"]
+            steps = np.diff(np.unique(t))
             rows.append(
                 {
                     "trial": name,
                     "frames": t.nunique(),
                     "points": len(t),
                     "seconds": float(t.max() - t.min()),
+                    "rate": round(1 / np.median(steps), 1) if len(steps) else np.nan,
                     "rejected": "",
                 }
             )
         for name, reason in self.data.rejection_reasons.items():
             rows.append({"trial": name, "rejected": reason})
-        columns = ["trial", "frames", "points", "seconds", "rejected"]
+        columns = ["trial", "frames", "points", "seconds", "rate", "rejected"]
         return pd.DataFrame(rows, columns=columns)
 
     def __len__(self) -> int:
@@ -67,9 +73,27 @@ class Trials:
         suffix = f", {rejected} rejected" if rejected else ""
         return f"Trials({len(self)} of {self.folder}{suffix})"
 
+    def __str__(self) -> str:
+        """Return what is in the trials: string, points, rates and durations."""
+        return f"{self.summary}\n\n{self.table.to_string(index=False, na_rep='')}"
+
+    @property
+    def summary(self) -> str:
+        """The string's length and the number of points and frames, in words."""
+        table = self.table[self.table["rejected"] == ""]
+        points = table["points"] / table["frames"]
+        length = self.data.metadata.get("string", {}).get("length")
+        string = f"a string of {1e3 * length:.0f} mm" if length else "a string"
+        return (
+            f"{len(self)} trials of {string}: {points.median():.0f} points a frame, "
+            f"{table['rate'].median():.0f} frames a second, "
+            f"{table['seconds'].min():.2f} to "
+            f"{table['seconds'].max():.2f} s"
+        )
+
     def _repr_html_(self) -> str:
         table = self.table.to_html(index=False, na_rep="")
-        return f"<p>{escape(repr(self))}</p>{table}"
+        return f"<p>{escape(self.summary)}</p>{table}"
 
 
 def read(folder: str | Path) -> Trials:

@@ -1,7 +1,8 @@
 """Export of a string to MuJoCo.
 
 Links are connected by hinges with springs and dampers, and carry a mass point at their
-end. Links do not stretch; everything else of the string is exported. MuJoCo's ellipsoid
+end. A slide along each link lets it stretch, unless the string is so stiff that its
+stretch is invisible and MuJoCo would need tiny steps. MuJoCo's ellipsoid
 model of a sphere gives the drag of each point: its viscous force 6 pi eta r v is the
 linear drag, and its blunt drag rho C pi r^2 |v| v is the quadratic one.
 """
@@ -32,18 +33,25 @@ EXPORTED_ARGUMENTS = {
 }
 # of the air: spheres of the drag's size then carry hardly any air along
 VISCOSITY_PA_S, DENSITY_KG_M3 = 0.1, 1.0
+CARRIAGE_JOINTS = 3  # x, y and angle of the hand come first
 GYRATION_RADIUS = 1e-3  # of a mass point, in segments
 # pose of a grasp from which the string hangs straight
 HANGING_POSE = np.array([[0.0, 0.0, -np.pi / 2]])
 # times the string's mass: the string does not move such a hand
 CARRIAGE_MASS_RATIO = 1e6
 
+# MuJoCo's springs are explicit: a step takes at most this share of the fastest one's
+# period over 2 pi
+STEP_SHARE = 0.5
+MAX_STEP_S = 5e-4
+MIN_STEP_S = 2e-5  # that links which stretch may need; stiffer ones do not stretch
+
 DOCUMENT_TEMPLATE = """\
 <mujoco model="string">
   <!-- Written by stringcast: {segments} links, {length:g} m, {mass:g} kg. Planar, x \
 to the right, y up.
-       Links do not stretch; hung up at rest, the string is {stretch:.2f} mm \
-longer.{omitted}
+       {stretching} Hung up at rest, the string is {stretch:.2f} mm longer.{omitted}
+       Keyframe "rest": the string at rest in the hand.
        The hand is a carriage; to hang the string in a gripper of yours, take body \
 link_1 with all that is in it. -->
   <compiler angle="radian"/>
@@ -62,11 +70,16 @@ density="{density:g}" viscosity="{viscosity:g}">
     </body>
   </worldbody>
   <actuator>
-    <motor joint="hand_x"/> <motor joint="hand_y"/> <motor joint="hand_theta"/>
+    <motor name="push_x" joint="hand_x"/>
+    <motor name="push_y" joint="hand_y"/>
+    <motor name="push_theta" joint="hand_theta"/>
   </actuator>
   <sensor>
     <framepos name="tip" objtype="site" objname="tip"/>
   </sensor>
+  <keyframe>
+    <key name="rest" qpos="{rest}"/>
+  </keyframe>
 </mujoco>
 """
 LINK_TEMPLATE = """\
@@ -74,15 +87,65 @@ LINK_TEMPLATE = """\
 {pad}  <joint name="hinge_{number}" type="hinge" axis="0 0 1" \
 stiffness="{stiffness:.9g}" damping="{damping:.9g}" \
 springref="{rest:.9g}"/>
-{pad}  <inertial pos="{length:.9g} 0 0" mass="{mass:.9g}" diaginertia="{inertia:.9g} \
-{inertia:.9g} {inertia:.9g}"/>
+{slide}{pad}  <inertial pos="{length:.9g} 0 0" mass="{mass:.9g}" \
+diaginertia="{inertia:.9g} {inertia:.9g} {inertia:.9g}"/>
 {pad}  <geom type="sphere" pos="{length:.9g} 0 0" size="{radius:.9g}" mass="0" \
 contype="0" conaffinity="0" \
 fluidshape="ellipsoid" fluidcoef="{blunt:.9g} 0 0 0 0"/>
 """
+SLIDE_TEMPLATE = """\
+{pad}  <joint name="stretch_{number}" type="slide" axis="1 0 0" \
+stiffness="{axial_stiffness:.9g}" damping="{axial_damping:.9g}"/>
+"""
+
+PLAYER_TEXT = """\
+# Swing the hand and watch the string. Needs: pip install mujoco
+import time
+
+import mujoco.viewer
+import numpy as np
+
+model = mujoco.MjModel.from_xml_path("{file}")
+data = mujoco.MjData(model)
+mujoco.mj_resetDataKeyframe(model, data, model.key("rest").id)
+push, heavy = data.actuator("push_x"), model.joint("hand_x").dofadr[0]
+with mujoco.viewer.launch_passive(model, data) as viewer:
+    while viewer.is_running():
+        push.ctrl[0] = 2.0 * model.dof_armature[heavy] * np.cos(6.0 * data.time)
+        mujoco.mj_step(model, data)
+        viewer.sync()
+        time.sleep(model.opt.timestep)
+"""
 
 
-def build_mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> str:
+def largest_step(model: Model, values: np.ndarray) -> float:
+    """Return the largest stable time step [s] of a chain whose links stretch."""
+    string = model.string
+    material = string.material(values[None, : len(string.parameters)])
+    parameters = dict(zip(string.row_names, material[0], strict=False))
+    length = float(string.free_segment_lengths(material)[0])
+    lightest = float(string.point_masses(material)[0][0, 1:].min())
+    # of neighbouring points that move against each other
+    fastest = 2 * np.sqrt(parameters["axial_stiffness"] / (lightest * length))
+    return float(STEP_SHARE / fastest)
+
+
+def choose_step(model: Model, values: np.ndarray) -> float:
+    """Return the time step [s] that suits a string in MuJoCo."""
+    largest = largest_step(model, values)
+    if largest < MIN_STEP_S:
+        return MAX_STEP_S
+    return min(MAX_STEP_S, float(f"{largest:.1g}"), largest)
+
+
+def build_mjcf(
+    model: Model,
+    values: np.ndarray,
+    mass: float,
+    step: float,
+    pose: np.ndarray = HANGING_POSE[0],
+    turn: float = 0.0,
+) -> str:
     """Return the string of a model as an MJCF document.
 
     Effects on hand, clocks and camera are no part of a string and are left out.
@@ -97,6 +160,10 @@ def build_mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> st
         Mass of the string [kg], which motion alone does not determine.
     step
         Time step [s].
+    pose
+        Of the hand in the keyframe, (3,): x [m], y [m], theta [rad].
+    turn
+        On which side of the hand the string rests, as of `hanging_shape`.
 
     Returns
     -------
@@ -127,12 +194,25 @@ def build_mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> st
     others = [e.name for e in model.effects if not issubclass(e, StringEffect)]
     omitted = f" Left out, for no part of the string: {', '.join(others)}."
 
+    stretches = largest_step(model, values) >= MIN_STEP_S
+    if stretches and step > largest_step(model, values):
+        raise DataError(
+            f"--step {step:g}: a string of this axial stiffness needs at most "
+            f"{choose_step(model, values):g} s in MuJoCo. Give that, or no --step."
+        )
+    angles, lengths = (rows[0] for rows in hanging_shape(string, material, pose, turn))
+    hinges = np.diff(angles, prepend=pose[2])
+    elongations = lengths - float(string.free_segment_lengths(material)[0])
+    joints = np.stack([hinges, elongations], axis=1) if stretches else hinges
+    rest = " ".join(f"{q:.9g}" for q in (*pose, *np.ravel(joints)))
+
     # each body lies in that before it
     links = _link_rows(model, material, mass / string.length)
     start, end = "", ""
     for number, link in enumerate(links):
         pad = "  " * (3 + number)
-        start += LINK_TEMPLATE.format(pad=pad, **link)
+        slide = SLIDE_TEMPLATE.format(pad=pad, **link) if stretches else ""
+        start += LINK_TEMPLATE.format(pad=pad, slide=slide, **link)
         end = f"{pad}</body>\n{end}"
     tip = f'{pad}  <site name="tip" pos="{links[-1]["length"]:.9g} 0 0"/>\n'
     return DOCUMENT_TEMPLATE.format(
@@ -148,6 +228,8 @@ def build_mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> st
         viscosity=VISCOSITY_PA_S,
         heavy=CARRIAGE_MASS_RATIO * mass,
         stretch=1e3 * float(stretch),
+        stretching="Links stretch." if stretches else "Links do not stretch.",
+        rest=rest,
         omitted=omitted if others else "",
         chain=start + tip + end.rstrip("\n"),
     )
@@ -200,6 +282,8 @@ def _link_rows(
             "stiffness": stiffness * mass_per_length,
             "damping": damping * mass_per_length,
             "rest": rest,
+            "axial_stiffness": parameters["axial_stiffness"] / length * mass_per_length,
+            "axial_damping": parameters["axial_damping"] / length * mass_per_length,
             "radius": radius[number],
             "blunt": blunt[number],
             "inertia": masses[number] * (GYRATION_RADIUS * length) ** 2,

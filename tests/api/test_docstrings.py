@@ -11,6 +11,7 @@ PUBLIC = [
     *stringcast.__all__,
     "DiagnosisResult.plot",
     "DiagnosisResult.report",
+    "EstimateResult.plot",
     "KnownString.from_run",
     "KnownString.load",
     "KnownString.mjcf",

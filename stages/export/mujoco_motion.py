@@ -1,0 +1,98 @@
+"""The motion of an exported string in MuJoCo, to compare it with measured points."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from stringcast.data.lazy_module import LazyModule
+from stringcast.stages.export.mjcf import CARRIAGE_JOINTS
+from stringcast.stages.inference.prepared_trial import PreparedTrial
+from stringcast.stages.model.hand import HandMotion
+
+mujoco = LazyModule("mujoco")
+
+
+def simulate_chain(document: str, hand: HandMotion, times: np.ndarray) -> np.ndarray:
+    """Simulate an exported string along a motion of the hand.
+
+    The string begins at rest, in the pose of the document's keyframe for the first
+    pose of the hand. The carriage is set on its pose before each step: MuJoCo is given
+    where the hand is, not what pushes it.
+
+    Parameters
+    ----------
+    document : str
+        From `build_mjcf`, for this motion's first pose.
+    hand : HandMotion
+        Actual motion of the hand, one.
+    times : ndarray of shape (F,)
+        Ascending times [s].
+
+    Returns
+    -------
+    ndarray of shape (F, n, 2)
+        Points of the string from the grasp to the tip [m].
+    """
+    model = mujoco.MjModel.from_xml_string(document)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    step = model.opt.timestep
+    spline = CubicHermiteSpline(hand.times, hand.pose[0], hand.rate[0])
+    begin = min(hand.start, float(times[0])) - step
+    count = int(np.ceil((times[-1] - begin) / step)) + 2
+    moments = begin + step * np.arange(count)
+    around = begin + step * np.arange(-1, count + 1)
+    poses = spline(np.clip(around, hand.start, hand.end))
+    # MuJoCo's velocities are those of half a step before, and its next pose follows
+    # from them: so the carriage arrives there
+    rates = np.diff(poses, axis=0) / step
+    accelerations = np.diff(rates, axis=0) / step
+
+    spheres = range(model.ngeom)
+    shapes = np.empty((count, len(spheres) + 1, 2))
+    for number in range(count):
+        data.qpos[:CARRIAGE_JOINTS] = poses[number + 1]
+        data.qvel[:CARRIAGE_JOINTS] = rates[number]
+        data.ctrl[:] = model.dof_armature[:CARRIAGE_JOINTS] * accelerations[number]
+        mujoco.mj_kinematics(model, data)
+        shapes[number, 0] = data.xanchor[CARRIAGE_JOINTS, :2]
+        shapes[number, 1:] = data.geom_xpos[spheres, :2]
+        mujoco.mj_step(model, data)
+    return linear_rows(moments, shapes, times)
+
+
+def linear_rows(t: np.ndarray, rows: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Interpolate rows (K, ...) linearly between evenly spaced times (K,)."""
+    place = np.clip((times - t[0]) / (t[1] - t[0]), 0, len(t) - 1)
+    before = np.minimum(place.astype(int), len(t) - 2)
+    share = (place - before).reshape(-1, *[1] * (rows.ndim - 1))
+    interpolated: np.ndarray = (1 - share) * rows[before] + share * rows[before + 1]
+    return interpolated
+
+
+def tip_distances(trial: PreparedTrial, points: np.ndarray) -> np.ndarray:
+    """Return the distance of simulated from measured outermost points [m].
+
+    Parameters
+    ----------
+    trial : PreparedTrial
+        Measured trial.
+    points : ndarray of shape (F, n, 2)
+        Simulated points at the trial's frames, as the camera reports them.
+
+    Returns
+    -------
+    ndarray of shape (F,)
+        NaN in frames in which the tip is not seen.
+    """
+    arc_lengths = trial.model.string.arc_lengths()
+    outermost = trial.s >= trial.s.max() - arc_lengths[1] / 2
+    distances = np.full(len(trial.times), np.nan)
+    for row in np.flatnonzero(outermost):
+        frame = trial.frame[row]
+        at_s = [
+            np.interp(trial.s[row], arc_lengths, points[frame, :, i]) for i in (0, 1)
+        ]
+        distances[frame] = np.hypot(*(trial.points[row] - at_s))
+    return distances
