@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -136,7 +137,7 @@ def compare_with_trials(
 
 
 def trials_of_run(run: Path, string: KnownString) -> tuple[Model, list[PreparedTrial]]:
-    """Return the model of a string and the trials that a run made or was given.
+    """Return the model of a string in the trials that a run made or was given.
 
     Raises
     ------
@@ -146,8 +147,10 @@ def trials_of_run(run: Path, string: KnownString) -> tuple[Model, list[PreparedT
     settings = read_stored_settings(run)
     given = settings.get("trials")
     trials = read(given if given else run)
-    experiment, data = prepare_trials(trials, ("+experiment=estimate",), string)
-    model = experiment.model
+    experiment, data = prepare_trials(trials, ("+experiment=estimate",))
+    # arm and camera are those of the trials
+    arm, camera = experiment.model.arm, experiment.model.camera
+    model = replace(experiment_for_call((), string).model, arm=arm, camera=camera)
     return model, [prepare_trial(model, trial) for trial in data.trials.values()]
 
 

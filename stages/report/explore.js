@@ -74,6 +74,7 @@ class Controls {
     this.layers = [...box.querySelectorAll(".controls input[type=checkbox]")];
     this.times = this.find(".times");
     this.playing = null;
+    this.plays = "plays" in box.dataset;
     this.button.onclick = () => (this.playing === null ? this.play() : this.stop());
     this.slider.oninput = () => {
       this.stop();
@@ -89,6 +90,7 @@ class Controls {
     const start = film ? film.data.t[film.data.start] : this.group.whole[0];
     this.slider.value = start;
     this.show(start);
+    if (this.plays && !matchMedia("(prefers-reduced-motion: reduce)").matches) this.play();
   }
   show(t) {
     this.slider.value = t;
@@ -104,6 +106,7 @@ class Controls {
       begun = begun === null ? now : begun;
       const t = from + (now - begun) / Number(this.find("select").value);
       this.group.show(t);
+      if (t >= last && this.plays) return this.play();
       if (t >= last) return this.stop();
       this.playing = requestAnimationFrame(step);
     };

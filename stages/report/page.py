@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -151,12 +152,15 @@ class Layer:
         Name of the strings in the film's data.
     colour : str
         Name of the theme, or #...
+    label : str
+        What the reader sees; the name by default.
     """
 
     name: str
     colour: str
     dots: bool = False
     shown: bool = True
+    label: str = ""
 
 
 @dataclass(frozen=True)
@@ -250,11 +254,14 @@ class Explore(Part):
         Of its films.
     times : bool
         The reader can enlarge the differences between the strings.
+    plays : bool
+        The clock runs by itself, again and again, until the reader stops it.
     """
 
     parts: Sequence[Part]
     layers: Sequence[Layer] = ()
     times: bool = False
+    plays: bool = False
 
 
 @dataclass(frozen=True)
@@ -265,6 +272,7 @@ class Jump(Part):
     words: str
 
 
+MIN_SECTIONS_WITH_CONTENTS = 4
 FOLDER_PLACEHOLDER = "{here}"  # stands in commands for the page's folder
 
 
@@ -312,6 +320,11 @@ class Section(Part):
     badge: str = ""
     kind: str = ""
 
+    @property
+    def place(self) -> str:
+        """Name of the section in links: its anchor, or its title in small letters."""
+        return self.anchor or re.sub(r"\W+", "-", str(self.title).lower()).strip("-")
+
 
 @dataclass(frozen=True)
 class Page:
@@ -330,7 +343,7 @@ class Page:
     tone : str
         "good" or "bad", for the colour and mark of the heading.
     nav : sequence of (anchor, words)
-        Links to sections.
+        Links to parts; without them, a page of many sections links to each.
     following : sequence of (purpose, command)
         Commands to continue with.
     """
@@ -369,6 +382,16 @@ class Page:
                 sheet=Markup(sheet),
             )
         )
+
+    @property
+    def contents(self) -> Sequence[tuple[str, str]]:
+        """The links below the heading."""
+        if self.nav:
+            return self.nav
+        sections = [part for part in self.sections if isinstance(part, Section)]
+        if len(sections) < MIN_SECTIONS_WITH_CONTENTS:
+            return ()
+        return [(section.place, section.title) for section in sections]
 
     def _next_steps(self) -> Section | None:
         if not self.following:

@@ -92,7 +92,8 @@ def unexplained_picture(record: DiagnosisRecord) -> Picture | None:
             angles="uv",
             scale_units="inches",
             scale=float(size.max()) / LONGEST_ARROW_IN,
-            width=0.0022,
+            width=0.0035,
+            headwidth=4.5,
             color="target",
         )
         axes.margins(0.06, 0.3)

@@ -299,7 +299,7 @@ def _cast_section(
     layers = [
         Layer("before", FRAME_COLOURS["before"]),
         Layer("after", FRAME_COLOURS["after"]),
-        Layer("measured", FRAME_COLOURS["measured"], shown=False),
+        Layer("measured", FRAME_COLOURS["measured"], dots=True),
     ]
     parts.append(Explore(_comparison(record, cast, region, scale_end), layers))
     parts.append(Container("grid", [_motions_card(cast), _link_card(cast)]))

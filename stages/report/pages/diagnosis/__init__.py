@@ -9,6 +9,7 @@ from stringcast.stages.report.page import stage_page
 from stringcast.stages.report.pages.diagnosis.held_out import held_out_section
 from stringcast.stages.report.pages.diagnosis.residuals import (
     misfit_section,
+    opening_part,
     trials_section,
 )
 from stringcast.stages.report.pages.diagnosis.search import search_section
@@ -20,7 +21,6 @@ from stringcast.stages.report.pages.diagnosis.verdict import (
     budget_section,
     causes_section,
     rejected_card,
-    verdict_tiles,
 )
 from stringcast.stages.report.records import DiagnosisRecord, StageRecord
 from stringcast.stages.report.theme import STYLE_SHEET
@@ -33,7 +33,7 @@ def diagnosis_page(facts: StageRecord) -> str:
     record = DiagnosisRecord(facts.artifact, facts.model)
     with style.context(STYLE_SHEET):
         sections = [
-            verdict_tiles(record),
+            opening_part(record),
             rejected_card(record),
             causes_section(record),
             budget_section(record),

@@ -25,6 +25,7 @@ from stringcast.stages.report.page import (
     Section,
     Text,
 )
+from stringcast.stages.report.pages.diagnosis.verdict import verdict_tiles
 from stringcast.stages.report.records import DiagnosisRecord, model_distances
 from stringcast.stages.report.theme import MM_PER_M
 
@@ -41,6 +42,39 @@ TRIALS_LEAD = (
     "zoom out. Keyboard: arrows, + and −, 0. Faint lines are the paths of the tips. "
     "Each trial starts at the largest misfit of the base model."
 )
+
+
+def opening_part(record: DiagnosisRecord) -> Part:
+    """Show the trial with the largest misfit, moving, with and without the causes."""
+    trials = record.drawn_trials
+    tiles = verdict_tiles(record)
+    if not trials:
+        return tiles
+    largest = {
+        name: model_distances(rows, "base").max() for name, rows in trials.items()
+    }
+    name = max(largest, key=lambda trial: largest[trial])
+    words = f"The string in trial {name} over time, measured and simulated."
+    film = FilmPlayer(string_film_data(record, trials[name]), words)
+    _, tip = residual_charts(record, trials[name])
+    opening = Card(f"Trial {name}, slowed down", [film])
+    return Explore(
+        [Container("grid", [opening, Container("column", [tip, tiles])])],
+        film_layers(record),
+        times=True,
+        plays=True,
+    )
+
+
+def film_layers(record: DiagnosisRecord) -> list[Layer]:
+    """Return the strings of a film: simulated ones by model, and the measured one."""
+    simulated = [
+        Layer("base", "before", label="without the causes"),
+        Layer("extended", "after", label="with the causes"),
+    ]
+    if not record.is_extended:
+        simulated = [Layer("base", "before", label="simulated")]
+    return [*simulated, Layer("measured", "measured", dots=True)]
 
 
 def misfit_section(record: DiagnosisRecord) -> Section:
@@ -85,8 +119,6 @@ def trials_section(record: DiagnosisRecord) -> Section | None:
     """Show trials side by side on one clock: the strings, and their residuals."""
     if not record.drawn_trials:
         return None
-    layers = [Layer("base", "before"), Layer("extended", "after")][: len(record.models)]
-    layers.append(Layer("measured", "measured", dots=True))
     cards = []
     for trial, table in record.drawn_trials.items():
         frame = worst_frame(table)
@@ -101,5 +133,5 @@ def trials_section(record: DiagnosisRecord) -> Section | None:
             *residual_charts(record, table),
         ]
         cards.append(Card(trial, parts))
-    explore = Explore([Container("trials", cards)], layers, times=True)
+    explore = Explore([Container("trials", cards)], film_layers(record), times=True)
     return Section("Trials side by side", [Text(TRIALS_LEAD), explore], "trials")
