@@ -42,6 +42,7 @@ class Group {
     this.whole = [Math.min(this.whole[0], times[0]), Math.max(this.whole[1], times[times.length - 1])];
   }
   show(t, from) {
+    if (from && this.controls) this.controls.stop(); // what is pointed at stays
     this.t = Math.min(Math.max(t, this.whole[0]), this.whole[1]);
     for (const member of this.members) if (member !== from) member.show(this.t);
     if (this.controls) this.controls.show(this.t);

@@ -289,20 +289,42 @@ def test_a_stretch_that_is_dragged_over_is_zoomed_to_in_all(chromium, pages):
     assert page.faults == []
 
 
+def test_a_diagnosis_begins_with_the_string_moving(chromium, pages):
+    """The film in the first screen plays by itself, again and again, until a pause."""
+    page = opened(chromium, pages["diagnosis"])
+    top = page.ask("document.querySelector('canvas').getBoundingClientRect().top")
+    assert top < 600
+    page.ask("groups[0].controls.find('select').value = '1'")
+    page.wait("groups[0].t > 0.5 * groups[0].whole[1]")
+    page.wait("groups[0].t < 0.5 * groups[0].whole[1]")
+    page.ask("document.querySelector('.play').click()")
+    still = page.ask("groups[0].t")
+    assert page.ask("document.querySelector('.play').textContent") == "Play"
+    assert (
+        page.ask("new Promise(done => setTimeout(() => done(groups[0].t), 100))")
+        == still
+    )
+    links = "[...document.querySelectorAll('nav a')].map(a => a.hash.slice(1))"
+    assert len(page.ask(links)) > 4
+    assert page.ask(f"{links}.every(id => document.getElementById(id))")
+    assert page.faults == []
+
+
 def test_a_film_plays_and_its_differences_can_be_enlarged(chromium, pages):
     page = opened(chromium, pages["diagnosis"])
-    drawn = "document.querySelector('canvas').toDataURL()"
+    page.ask("window.box = document.querySelectorAll('.explore')[1]")
+    drawn = "box.querySelector('canvas').toDataURL()"
     still = page.ask(drawn)
-    page.ask("(s => (s.value = '20', s.onchange()))(document.querySelector('.times'))")
+    page.ask("(s => (s.value = '20', s.onchange()))(box.querySelector('.times'))")
     assert page.ask(drawn) != still
     page.ask(
-        "document.querySelector('.controls select').value = '1'; document.querySelector('.play').click()"
+        "box.querySelector('.controls select').value = '1'; box.querySelector('.play').click()"
     )
-    begun = page.ask("groups[0].t")
-    page.wait(f"groups[0].t > {begun or 0}")
-    page.wait("document.querySelector('.play').textContent === 'Play'")
+    begun = page.ask("groups[1].t")
+    page.wait(f"groups[1].t > {begun or 0}")
+    page.wait("box.querySelector('.play').textContent === 'Play'")
     assert page.ask(
-        "groups[0].members.filter(m => m.images).every(m => m.index === m.data.t.length - 1)"
+        "groups[1].members.filter(m => m.images).every(m => m.index === m.data.t.length - 1)"
     )
     assert page.faults == []
 
