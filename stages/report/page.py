@@ -273,6 +273,13 @@ class Jump(Part):
 
 
 MIN_SECTIONS_WITH_CONTENTS = 4
+# of the data of a run, by its hardware
+SOURCES = {
+    "hardware.virtual.open_lab": "simulated in a virtual lab",
+    "hardware.serial.rehearsal.open_lab": "an emulated arm in a virtual lab",
+    "hardware.serial.lab.open_lab": "an arm on a serial port",
+    "hardware.dynamixel.lab.open_lab": "an arm of Dynamixel servos",
+}
 FOLDER_PLACEHOLDER = "{here}"  # stands in commands for the page's folder
 
 
@@ -382,6 +389,15 @@ class Page:
                 sheet=Markup(sheet),
             )
         )
+
+    @property
+    def source(self) -> str:
+        """Whether its data are simulated or of devices; empty if that is not known."""
+        settings = dict(formatting.flatten_settings(self.settings))
+        trials = settings.get("trials", "null")
+        if trials != "null":
+            return f"stored trials of {trials}"
+        return SOURCES.get(settings.get("hardware._target_", ""), "")
 
     @property
     def contents(self) -> Sequence[tuple[str, str]]:

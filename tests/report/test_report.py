@@ -41,6 +41,7 @@ from stringcast.stages.report.charts.cast import (
     hand_paths_picture,
     history_picture,
 )
+from stringcast.stages.report.page import Page as ReportPage
 from stringcast.stages.report.pages.cast import cast_page
 from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import STYLE_SHEET, THEME
@@ -756,3 +757,22 @@ def test_curves_are_those_of_the_run(page, record):
     )
     assert rms["mark"] == pytest.approx(252)
     assert rms["moving"] == [0, 400]
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"hardware": {"_target_": "hardware.virtual.open_lab"}}, "simulated in a virtual"),
+        ({"hardware._target_": "hardware.serial.lab.open_lab"}, "an arm on a serial port"),
+        ({"trials": "mine", "hardware": {"_target_": "hardware.virtual.open_lab"}}, "stored trials of mine"),
+        ({}, ""),
+    ],
+)  # fmt: skip
+def test_a_page_says_whether_its_data_are_simulated(settings, said):
+    """Stored trials are not those of the virtual lab that the settings name."""
+    page = ReportPage(
+        "cast", "a", "So.", "So.", [], {"code": {"commit": "0"}}, settings
+    )
+    kicker = re.search(r'class="kicker">([^<]*)<', str(page))[1]
+    assert kicker.removeprefix("stringcast cast · a").lstrip(" ·").startswith(said)
+    assert (page.source == "") == (said == "")
