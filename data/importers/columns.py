@@ -31,6 +31,8 @@ LENGTH_UNITS = {
     **_alike("cm centimeter centimeters centimetres", 1e-2),
     **_alike("mm millimeter millimeters millimetres", 1e-3),
     "um": 1e-6,
+    "dm": 0.1,
+    **_alike("in inch inches", 0.0254),
 }
 ANGLE_UNITS = {
     **_alike("rad radian radians", 1.0),

@@ -29,6 +29,9 @@ MAX_ANGLE_RAD = 4 * np.pi  # [rad] that no joint exceeds: larger numbers are deg
 # rows that share a time stamp, from which the stamps carry no time of the single row
 MIN_ROWS_PER_STAMP = 2.0
 MIN_STAMPED_ROWS = 5  # fewer rows show nothing
+ENCODER_COUNTS = 4096  # of a turn, of most servos
+# of a position: they have other units than lengths, or none
+NO_LENGTH_AXES = {"angle", "likelihood", "valid", *QUATERNION_AXES}
 MIN_LIKELIHOOD = 0.6  # likelihood below which a tracker guesses (DeepLabCut's pcutoff)
 
 
@@ -44,7 +47,12 @@ class ColumnHints:
     unit
         Unit of lengths by the file's name, or of all files under the empty name.
     degrees
-        Whether angles without a unit are in degrees; None: detected from their range.
+        Whether angles are in degrees where names do not state their unit, or where all
+        names do, against the names; None: detected from their range.
+    counts
+        Whether joint angles are counts of an encoder, 4096 a turn.
+    absolute
+        Whether joint angles count from +x, and not from the link before.
     y_is_down
         Whether y of points is counted downwards.
     plane
@@ -64,6 +72,8 @@ class ColumnHints:
     columns: Mapping[str, str] = field(default_factory=dict)
     unit: Mapping[str, str] = field(default_factory=dict)
     degrees: bool | None = None
+    counts: bool = False
+    absolute: bool = False
     y_is_down: bool = False
     plane: str = ""
     fps: float | None = None
@@ -292,8 +302,16 @@ class RecordingReader:
     def length_unit(self, column: SourceColumn) -> str:
         """Find the unit of lengths: from the name, else as stated, else metres."""
         stated = self.hints.unit
-        unit = column.meaning.unit or stated.get(self.recording.file.name)
-        return unit or stated.get("") or "m"
+        of_file = stated.get(self.recording.file.name)
+        if of_file and self._names_state_unit("point", "arc", "hand"):
+            return of_file  # against the names
+        return column.meaning.unit or of_file or stated.get("") or "m"
+
+    def _names_state_unit(self, *kinds: str) -> bool:
+        """Whether all names of columns of these kinds state a unit."""
+        columns = [c for kind in kinds for c in self.columns_of(kind)]
+        columns = [c for c in columns if c.meaning.axis not in NO_LENGTH_AXES]
+        return all(column.meaning.unit for column in columns)
 
     def read_angle(
         self, column: SourceColumn, role: str, same_unit: Sequence[SourceColumn] = ()
@@ -303,7 +321,10 @@ class RecordingReader:
         same_unit: columns without a unit that share the one of this column.
         """
         unit, how = column.meaning.unit, column.how
-        if not unit and self.hints.degrees is not None:
+        if self.hints.counts and role.startswith("q"):
+            return self._read_counts(column, role)
+        is_open = not unit or self._names_state_unit("joint")
+        if is_open and self.hints.degrees is not None:
             unit, how = ("deg", "--deg") if self.hints.degrees else ("rad", "--rad")
         if not unit and self.recording.angle_question:
             raise DataError(f"{self.recording.file}: {self.recording.angle_question}")
@@ -317,6 +338,15 @@ class RecordingReader:
                 unit, how = "deg", "values"
         return self.read_numbers(column, role, unit, ANGLE_UNITS[unit], how)
 
+    def _read_counts(self, column: SourceColumn, role: str) -> np.ndarray:
+        """Read an encoder's counts as an angle that does not wrap, (K,) [rad]."""
+        turn = 2 * np.pi / ENCODER_COUNTS
+        unit = f"counts, {ENCODER_COUNTS} a turn"
+        angles = self.read_numbers(column, role, unit, turn, "--counts")
+        is_known = np.isfinite(angles)
+        angles[is_known] = np.unwrap(angles[is_known])
+        return angles
+
     def read_motion(self) -> pd.DataFrame | None:
         """Read joint angles or poses of the hand; None if there are none."""
         joints = self.columns_of("joint")
@@ -328,7 +358,10 @@ class RecordingReader:
                 f"q{n}": self.read_angle(column, f"q{n}", unitless)
                 for n, column in enumerate(joints, 1)
             }
-            return pd.DataFrame(angles)
+            table = pd.DataFrame(angles)
+            if self.hints.absolute:
+                table = table.diff(axis=1).fillna({"q1": table["q1"]})
+            return table
         hand = {column.meaning.axis: column for column in self._hand_columns()}
         has_direction = "angle" in hand or hand.keys() >= {*QUATERNION_AXES}
         if len({"x", "y", "z"} & {*hand}) < 2 or not has_direction:
@@ -451,12 +484,27 @@ class RecordingReader:
         axes_of: dict[str, dict[str, SourceColumn]] = {}
         for column in self.columns_of("point"):
             axes_of.setdefault(column.meaning.name, {})[column.meaning.axis] = column
-        tables = [
-            self._read_point(name, axes)
-            for name, axes in axes_of.items()
-            if len({"x", "y", "z"} & {*axes}) >= 2
-        ]
+        tables = []
+        for name, axes in axes_of.items():
+            coordinates = sorted({"x", "y", "z"} & {*axes})
+            if len(coordinates) >= 2:
+                tables.append(self._read_point(name, axes))
+            elif coordinates:
+                self._refuse_single_coordinate(axes[coordinates[0]])
         return pd.concat(tables) if tables else None
+
+    def _refuse_single_coordinate(self, column: SourceColumn) -> None:
+        """Raise DataError for a point with one coordinate: its others are missing."""
+        meaning = column.meaning
+        other = "y" if meaning.axis == "x" else "x"
+        point = meaning.name or "tip"
+        raise DataError(
+            f"{self.recording.file}: column '{column.name}' is the only coordinate of "
+            f"the point '{point}'; its {other} is missing. There are "
+            f"{list_columns(self.recording)}. Add the column, or name the columns of "
+            f"the points that count: --map {point}.x=<column> "
+            f"--map {point}.y=<column>."
+        )
 
     def _read_point(self, name: str, axes: Mapping[str, SourceColumn]) -> pd.DataFrame:
         """Read one point of the string over time."""

@@ -11,14 +11,12 @@ from math import degrees, isnan
 from os.path import commonprefix
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 
 import pandas as pd
 from rich.table import Table
 from rich.text import Text
 
 from stringcast.data.importers import SourceRecording
-from stringcast.data.importers.columns import LENGTH_UNITS
 from stringcast.data.importers.files import read_recordings
 from stringcast.data.importers.gather import ImportedTables, gather_tables
 from stringcast.data.importers.reader import UsedColumn
@@ -31,6 +29,12 @@ from stringcast.pipeline.commands.dataset_import import (
     convert_recordings,
     write_dataset,
 )
+from stringcast.pipeline.commands.import_geometry import (
+    Change,
+    command_with,
+    options_with,
+    propose_geometry,
+)
 from stringcast.pipeline.commands.import_options import (
     argument_parser,
     equivalent_command,
@@ -41,22 +45,9 @@ from stringcast.pipeline.commands.import_options import (
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset
-from stringcast.stages.check.mistakes import (
-    Mistake,
-    impossible_views,
-    likeliest_mistakes,
-)
 
 # units of points, of the hand and of angles, direction, clock and rows of zeros
 MAX_CORRECTIONS = 8
-CORRECTABLE_PARTS = {"xy", "s", "hand", "length"}  # by the option --unit
-
-
-class Change(NamedTuple):
-    """Options that would explain why the data contradict themselves."""
-
-    reason: str
-    words: list[str]
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -117,17 +108,19 @@ def interpret_recordings(
             if change is not None:
                 confirm_change(change, options, console)
                 continue
-            imported = convert_recordings(tables, read_bench_hints(options))
+            bench = read_bench_hints(options)
+            change = propose_geometry(tables, bench, options)
+            if change is not None:
+                confirm_change(change, options, console)
+                continue
+            imported = convert_recordings(tables, bench)
             if imported.trials_without_common_time:
                 confirm_change(propose_clock_fit(imported, options), options, console)
                 continue
             folder = Path(place) / str(number)
             write_dataset(imported, folder, options.files, "")
             checked = check.read_measurements(folder, [])
-            change = propose_change(checked, tables, options)
-            if change is None:
-                return tables, imported, checked
-            confirm_change(change, options, console)
+            return tables, imported, checked
     raise DataError(
         "The units and directions of these files stay unclear. State them by the "
         "options that import --help lists."
@@ -204,83 +197,34 @@ def propose_clock_fit(imported: ImportedDataset, options: argparse.Namespace) ->
     return Change(reason, ["--clock", "fit"])
 
 
-def propose_change(
-    checked: CheckedDataset, tables: ImportedTables, options: argparse.Namespace
-) -> Change | None:
-    """Return the likeliest change that makes the data possible; None if they are."""
-    contradictory = impossible_views(checked)
-    if not contradictory:
-        return None
-    corrections = likeliest_mistakes(checked, contradictory)
-    for mistake in corrections[0] if corrections else ():
-        change = propose_correction(mistake, tables, options)
-        if change is not None:
-            return change
-    return None
-
-
-def propose_correction(
-    mistake: Mistake, tables: ImportedTables, options: argparse.Namespace
-) -> Change | None:
-    """Return the options that undo a mistake; None if files or user exclude it."""
-    if mistake.option == "--deg":
-        is_possible = options.deg is None and any(
-            column.unit == "rad" and column.how == "name"
-            for column in tables.used_columns
-        )
-    elif mistake.option == "--y-down":
-        is_possible = not options.y_down and not options.plane
-    elif mistake.option:
-        is_possible = not options.plane
-    else:
-        return propose_length_unit(mistake, tables, options)
-    return Change(mistake.statement, [mistake.option]) if is_possible else None
-
-
-def propose_length_unit(
-    mistake: Mistake, tables: ImportedTables, options: argparse.Namespace
-) -> Change | None:
-    """Return the unit of files whose lengths neither columns nor options state."""
-    parts = set(mistake.parts)
-    if not parts or not parts <= CORRECTABLE_PARTS:
-        return None
-    files = set()
-    for column in tables.used_columns:
-        if column.role in ("x", "y"):
-            is_wrong = "hand" in parts
-        else:  # a point's roles are such as tip.x
-            is_length = column.role == "s" or column.role.endswith((".x", ".y"))
-            is_wrong = is_length and bool(parts & {"xy", "s"})
-        if is_wrong and column.unit == "m":
-            files.add(column.file.name)
-    units = {factor: unit for unit, factor in reversed(LENGTH_UNITS.items())}
-    words = []
-    for file in sorted(files):
-        text = f"{file}={units[mistake.factor]}"
-        if text in options.unit:
-            return None
-        words += ["--unit", text]
-    return Change(mistake.statement, words) if words else None
-
-
 def confirm_change(
     change: Change, options: argparse.Namespace, console: Terminal
 ) -> None:
-    """Apply a change to the options, after a yes if somebody can be asked."""
+    """Apply a change to the options, after a yes if somebody can be asked.
+
+    Raises
+    ------
+    DataError
+        If a person must confirm it, and nobody can be asked.
+    """
     option = " ".join(change.words)
+    can_ask = sys.stdin.isatty() and not options.yes
+    if change.must_ask and not can_ask and not options.yes:
+        command = command_with(options, change.words)
+        raise DataError(f"it seems: {change.reason}. If that is so: {command}")
     console.print(
         f"[yellow]It seems:[/] {change.reason}.", highlight=False, soft_wrap=True
     )
-    if sys.stdin.isatty() and not options.yes:
+    if can_ask:
         answer = input(f"Take it as {option}? [Y/n] ").strip().lower()
         if answer not in ("", "y", "yes"):
             raise UserError(
                 "Nothing was written. State units and directions: see import --help."
             )
     else:
-        console.print(f"Taken as {option}.", highlight=False, markup=False)
-    files = map(str, options.files)
-    argument_parser().parse_args([*change.words, "--", *files], options)
+        taken = f"Taken as {option}."
+        console.print(taken, highlight=False, markup=False, soft_wrap=True)
+    vars(options).update(vars(options_with(options, change.words)))
 
 
 def column_table(tables: ImportedTables) -> Table:

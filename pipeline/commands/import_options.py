@@ -83,13 +83,23 @@ def argument_parser(description: str | None = None) -> argparse.ArgumentParser:
         "--deg",
         action="store_true",
         default=None,
-        help="angles without a unit are in degrees",
+        help="angles are in degrees where names state no unit, or where all do",
     )
     angle_units.add_argument(
         "--rad",
         dest="deg",
         action="store_false",
-        help="angles without a unit are in radians",
+        help="the same, in radians",
+    )
+    add(
+        "--counts",
+        action="store_true",
+        help="joint angles are an encoder's counts, 4096 a turn",
+    )
+    add(
+        "--absolute",
+        action="store_true",
+        help="joint angles count from +x, not from the link before",
     )
     add("--y-down", action="store_true", help="y of the string's points counts down")
     add(
@@ -170,7 +180,8 @@ def parse_length(text: str) -> float:
     number, unit = float(match[1]), match[2]
     if not unit and abs(number) >= MAX_LENGTH_M:
         raise argparse.ArgumentTypeError(
-            f"{text} would be metres. Write {text}mm, if these are millimetres"
+            f"{text} would be metres. Write {text}mm, if these are millimetres; cm and "
+            "in are understood, too"
         )
     return number * LENGTH_UNITS.get(unit, 1.0)
 
@@ -243,6 +254,8 @@ def read_column_hints(options: argparse.Namespace) -> ColumnHints:
         dict(parse_name_values(options.map, "--map", "q1=joint_a")),
         units,
         degrees=options.deg,
+        counts=options.counts,
+        absolute=options.absolute,
         y_is_down=options.y_down,
         plane=options.plane,
         fps=options.fps,

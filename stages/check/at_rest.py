@@ -7,6 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
+from stringcast.stages.check.consistency.record import arm_poses
+
 REST_FRAMES = 5  # the median of so many frames gives the place of rest
 
 
@@ -30,13 +32,8 @@ def grasp_poses(
         Columns x, y [m] and theta [rad], a row for each row of `motion`.
     """
     columns = [f"q{number + 1}" for number in range(len(links))]
-    angles = np.cumsum(motion[columns].to_numpy(), axis=1)  # of the links to +x
-    pose = {
-        "x": base[0] + (links * np.cos(angles)).sum(axis=1),
-        "y": base[1] + (links * np.sin(angles)).sum(axis=1),
-        "theta": angles[:, -1],
-    }
-    return pd.DataFrame(pose, index=motion.index)
+    poses = arm_poses(motion[columns].to_numpy(), links, base)
+    return pd.DataFrame(poses, index=motion.index, columns=["x", "y", "theta"])
 
 
 def estimate_arc_lengths(

@@ -6,14 +6,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from stringcast.data.schema import DataError
-from stringcast.stages.check import clocks, contents, frames, mistakes, motion, samples
+from stringcast.stages.check import clocks, contents, frames, motion, samples
+from stringcast.stages.check.consistency import check as consistency
 from stringcast.stages.check.finding import Finding, Severity
 from stringcast.stages.check.measured import CheckedDataset
 
 Check = Callable[[CheckedDataset], Iterator[Finding]]
 CHECKS: tuple[Check, ...] = (
-    mistakes.check_mistakes,
-    mistakes.check_angles,
+    consistency.check_consistency,
+    consistency.check_angles,
     clocks.check_time_unit,
     clocks.check_duration,
     clocks.check_sampling,

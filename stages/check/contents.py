@@ -21,9 +21,12 @@ from stringcast.data.metadata import (
     StringBlock,
     TrialBlock,
 )
+from stringcast.stages.check.consistency.check import (
+    impossible_trials,
+    unknown_arm_fields,
+)
 from stringcast.stages.check.finding import Finding, error, note, warning
 from stringcast.stages.check.measured import MAX_LOST_SHARE, CheckedDataset
-from stringcast.stages.check.mistakes import impossible_views, unknown_arm_fields
 
 SUSPICIOUS_LOST_SHARE = 0.1  # of the rows
 MIN_NAME_SIMILARITY = 0.75
@@ -80,7 +83,7 @@ def check_empty_tables(dataset: CheckedDataset) -> Iterator[Finding]:
 def check_rejected_trials(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find trials that cannot be used: an error if no other is left."""
     kept = exclude_stray_points(dataset.data, dataset.length)
-    contradictory = impossible_views(dataset)  # another check reports these
+    contradictory = impossible_trials(dataset)  # another check reports these
     report = warning if kept.trials else error
     for name, fault in kept.unusable.items():
         if name not in contradictory:
@@ -144,7 +147,7 @@ def check_arm(dataset: CheckedDataset) -> Iterator[Finding]:
     unknown = " and ".join(GEOMETRY[key] for key in missing)
     values = [f"{key}: {list(getattr(dataset.arm, key))}" for key in missing]
     configured = ", ".join(values)
-    if impossible_views(dataset):
+    if impossible_trials(dataset):
         verdict = "this string could not be where its hand would be"
     else:
         verdict = "this string is possible, but other arms are, too"

@@ -258,9 +258,12 @@ def _first_time(t: np.ndarray, condition: np.ndarray) -> float | None:
     return float(t[np.argmax(condition)]) if condition.any() else None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CheckedDataset:
-    """A dataset with the arm, camera and string length [m] that a run would use."""
+    """A dataset with the arm, camera and string length [m] that a run would use.
+
+    Each is equal to itself alone, so that a verdict on it can be kept.
+    """
 
     data: Dataset
     arm: Arm

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from stringcast.stages.check.clocks import time_unit_factor, usual_interval
+from stringcast.stages.check.consistency.check import impossible_trials
 from stringcast.stages.check.finding import Finding, note, warning
 from stringcast.stages.check.gravity import median_gravity
 from stringcast.stages.check.measured import GRAVITY, CheckedDataset, CheckedTrial
-from stringcast.stages.check.mistakes import impossible_views
 
 # a joint's reading may stay the same to the last digit so long while others change
 MAX_FROZEN_S = 0.1
@@ -84,7 +84,7 @@ def check_hanging(dataset: CheckedDataset) -> Iterator[Finding]:
 
 def check_fall(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find strings that fall as nothing does on Earth."""
-    if impossible_views(dataset):
+    if impossible_trials(dataset):
         return  # another check reports what changes the fall
     if any(time_unit_factor(trial.frame_t) != 1 for trial in dataset.with_points()):
         return

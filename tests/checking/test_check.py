@@ -188,6 +188,17 @@ def sigma_in_mm(dirty):
     dirty.about["noise"] = {"point_sigma": 0.7}
 
 
+def constant(dirty):
+    dirty.arm["q2"] = dirty.arm.groupby("trial")["q2"].transform("first")
+
+
+def turned(dirty):
+    """Turn everything upside down: consistent, but the string rests above the hand."""
+    dirty.with_poses()
+    for table in ("grasp", "points"):
+        getattr(dirty, table)["y"] *= -1
+
+
 CERTAIN = {
     "points in mm": (
         scaled("points", ["x", "y"], 1e3),
@@ -254,7 +265,11 @@ CERTAIN = {
     "x to the left": (scaled("points", ["x"], -1), "points.csv x", "Multiply x by -1"),
     "x for y": (exchanged, "points.csv x, y", "Exchange the two columns"),
     "s from the tip": (from_the_tip, "points.csv s", "Replace s by string.length - s"),
-    "other origin": (other_origin, "points.csv s, x, y", "one frame of reference"),
+    "other origin": (
+        other_origin,
+        "dataset.yaml arm.base",
+        "Measure where joint 1 sits",
+    ),
     "camera in ms": (
         scaled("points", ["t"], 1e3),
         "points.csv t",
@@ -277,6 +292,7 @@ def test_a_certain_error_is_named_with_its_remedy_and_nothing_runs_on_it(
     spoil(dirty)
     here = looked_at(dirty.write(tmp_path))
     told = collect_findings(here)
+    assert all(f.file and f.field and f.statement and f.remedy for f in told)
     errors = [f for f in told if f.severity is Severity.ERROR]
     assert {f"{f.file} {f.field}" for f in errors} == {*place.split("; ")}, [
         f.sentence for f in errors
@@ -330,10 +346,6 @@ def frozen(dirty):
     dirty.arm.loc[rows[20:60], "q2"] = dirty.arm.loc[rows[20], "q2"]
 
 
-def constant(dirty):
-    dirty.arm["q2"] = dirty.arm.groupby("trial")["q2"].transform("first")
-
-
 def let_go(dirty):
     for name in ANGLES:
         dirty.arm[name] = dirty.arm.groupby("trial")[name].transform("first")
@@ -382,13 +394,6 @@ def no_length(dirty):
     del dirty.about["string"]
 
 
-def turned(dirty):
-    """Turn everything upside down: consistent, but the string rests above the hand."""
-    dirty.with_poses()
-    for table in ("grasp", "points"):
-        getattr(dirty, table)["y"] *= -1
-
-
 def misspelt(dirty):
     dirty.about["strin"] = dirty.about.pop("string")
 
@@ -420,7 +425,6 @@ SUSPICIOUS = {
     "camera late": (offset(0.4), "points.csv t", "subtract it from"),
     "hardly overlap": (offset(0.45), "points.csv t", "both clocks begin together"),
     "frozen joint": (frozen, "arm.csv q2", "its log is frozen"),
-    "constant joint": (constant, "arm.csv q2", "its log is frozen"),
     "let go": (let_go, "points.csv t", "initial: moving"),
     "held points": (held, "points.csv x, y", "'valid' to false"),
     "lost points": (many_lost, "points.csv x", "Correct them"),
@@ -437,7 +441,6 @@ SUSPICIOUS = {
     ),
     "one trial": (one_trial, "arm.csv trial", "Record two more"),
     "no length": (no_length, "dataset.yaml string.length", "grasp to tip"),
-    "longer string": (length(3.0), "points.csv s", "Correct s or string.length"),
     "other fps": (about(camera={"fps": 240}), "points.csv t", "as filmed"),
     "noise too small": (
         about(noise={"point_sigma": 5e-5}),
@@ -451,7 +454,6 @@ SUSPICIOUS = {
         "dataset.yaml trials.t77",
         "Correct the name",
     ),
-    "upside down": (turned, "points.csv y", "y points down"),
     "none valid": (none_valid, "points.csv valid", "a blank is false"),
     "two frames": (two_frames, "points.csv t", "takes more frames"),
     "said to be invalid": (
@@ -461,7 +463,7 @@ SUSPICIOUS = {
         ),
         "Take 'invalid' out",
     ),
-    "points beyond": (beyond, "points.csv s", "Correct s or string.length"),
+    "points beyond": (beyond, "points.csv s, x, y", "Correct string.length"),
 }
 
 
@@ -478,9 +480,9 @@ def test_what_is_suspicious_is_told(dirty, tmp_path, kind):
     ]
 
 
-@pytest.mark.parametrize("kind", {**CERTAIN, **SUSPICIOUS})
+@pytest.mark.parametrize("kind", SUSPICIOUS)
 def test_programs_find_file_field_and_remedy_of_all_that_is_told(dirty, tmp_path, kind):
-    (CERTAIN | SUSPICIOUS)[kind][0](dirty)
+    SUSPICIOUS[kind][0](dirty)
     for one in dataset_overview(looked_at(dirty.write(tmp_path)))["findings"]:
         assert all(one[name] for name in ("file", "field", "statement", "remedy")), one
 
@@ -634,15 +636,17 @@ def test_where_two_units_fit_the_fall_decides_and_both_are_said(
     worst = found(dirty.write(tmp_path))[0]
     assert f"are in {unit}" in worst.statement
     assert worst.remedy.endswith("0.01" if unit == "centimetres" else "0.001")
-    assert "would fit too" in worst.statement
 
 
 @pytest.mark.parametrize(
-    ("times", "lengths", "said"),
-    [(8.0, 1.0, "slow motion"), (1.0, 10.0, "in which unit")],
+    ("times", "lengths", "said", "advice"),
+    [
+        (8.0, 1.0, "falls with", "slow motion"),
+        (1.0, 10.0, "are in decimetres", "by 0.1"),
+    ],
 )
 def test_a_string_that_falls_as_nothing_does_is_told(
-    dirty, tmp_path, times, lengths, said
+    dirty, tmp_path, times, lengths, said, advice
 ):
     """A string that falls impossibly is reported.
 
@@ -654,10 +658,9 @@ def test_a_string_that_falls_as_nothing_does_is_told(
     dirty.points["s"] *= lengths
     dirty.about["string"]["length"] *= lengths
     told = found(dirty.write(tmp_path))
-    assert any(
-        f.field == "t, x, y" and said in f.remedy and "falls with" in f.statement
-        for f in told
-    )
+    assert any(said in f.statement and advice in f.remedy for f in told), [
+        f.sentence for f in told
+    ]
 
 
 SQUARE = Lens((500.0, 500.0), (160.0, 120.0), (0.0, 0.0, 0.0, 0.0))

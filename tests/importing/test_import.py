@@ -192,8 +192,9 @@ def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(
 
 def test_nothing_is_written_where_the_string_cannot_be(sample, called, tmp_path):
     robots, trackers = logs(tmp_path, sample, clock=0.0)
-    for path in trackers:
-        pd.read_csv(path).assign(tip_x_mm=lambda f: f["tip_x_mm"] + 700).to_csv(
+    # opposite shifts are no place of the arm
+    for path, shift in zip(trackers, (700, -700), strict=True):
+        pd.read_csv(path).assign(tip_x_mm=lambda f, d=shift: f["tip_x_mm"] + d).to_csv(
             path, index=False
         )
     done = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)

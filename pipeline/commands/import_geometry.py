@@ -1,0 +1,425 @@
+"""Geometry of files to import: what contradicts itself, and the options for it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from stringcast.data.importers.columns import LENGTH_UNITS
+from stringcast.data.importers.gather import ImportedTables
+from stringcast.data.importers.reader import UsedColumn
+from stringcast.data.schema import DataError
+from stringcast.pipeline.commands.dataset_import import (
+    BenchHints,
+    imported_grasp_poses,
+)
+from stringcast.pipeline.commands.import_options import (
+    argument_parser,
+    equivalent_command,
+)
+from stringcast.stages.check.consistency.check import (
+    describe_contradiction,
+    describe_fit,
+)
+from stringcast.stages.check.consistency.corrections import Correction
+from stringcast.stages.check.consistency.judge import Verdict, judge
+from stringcast.stages.check.consistency.record import Measurements, Recording, Track
+from stringcast.stages.check.consistency.search import (
+    Proposal,
+    find_answer,
+)
+
+MIN_ROWS = 5  # of a table: fewer show nothing
+MAX_FLAT_SHARE = 0.02  # of the other coordinate's range: one that never changes
+MAX_PLACES = 6  # of stated arc length that are looked at
+# what the files leave open, and one answer is certain: it is taken and said
+CERTAIN_KINDS = {"unit", "y_down", "x_left", "exchange_axes", "degrees"}
+
+
+class Change(NamedTuple):
+    """Options that would explain why the data contradict themselves.
+
+    must_ask: whether a person has to confirm them.
+    """
+
+    reason: str
+    words: list[str]
+    must_ask: bool = False
+
+
+def propose_geometry(
+    tables: ImportedTables, bench: BenchHints, options: argparse.Namespace
+) -> Change | None:
+    """Return the options that make files consistent; None if they are.
+
+    None also stands for files that nothing makes consistent: the checks of the dataset
+    report them, with a drawing.
+
+    Raises
+    ------
+    DataError
+        If several corrections fit, or one that no option performs.
+    """
+    measured = measurements_of_tables(tables, bench)
+    if measured is None:
+        return None
+    verdict = judge(measured)
+    answer = find_answer(measured, verdict)
+    if answer.pairing:
+        refuse_pairing(answer.pairing)
+    proposals = answer.proposals
+    if verdict.is_consistent and not proposals:
+        return None
+    refuse_flat_points(measured)
+    if not proposals:
+        refuse_point_inside(measured)
+        return None
+    changes = [change_of(p, verdict, tables, options) for p in proposals]
+    if len(changes) > 1:
+        refuse_ambiguity(verdict, proposals, changes, options)
+    return changes[0]
+
+
+def measurements_of_tables(
+    tables: ImportedTables, bench: BenchHints
+) -> Measurements | None:
+    """Return what files hold as measurements; None if it cannot be judged."""
+    grasp = imported_grasp_poses(tables, bench)  # refuses missing links
+    if tables.points.empty:
+        return None
+    points = tables.points
+    if "valid" in points:
+        points = points[points["valid"].fillna(True).astype(bool)]
+    points = points[np.isfinite(points[["t", "x", "y"]]).all(axis=1)]
+    motion = tables.motion if tables.joints else grasp
+    columns = tables.joints or ["x", "y", "theta"]
+    motion = motion[np.isfinite(motion[["t", *columns]]).all(axis=1)]
+    recordings = []
+    for name, rows in motion.groupby("trial"):
+        log = rows.drop_duplicates("t").sort_values("t")
+        tracks = tracks_of(points[points["trial"] == name], bench)
+        if len(log) < MIN_ROWS or not tracks:
+            continue
+        values = log[columns].to_numpy(float)
+        joints, hand = (values, None) if tables.joints else (None, values)
+        t = log["t"].to_numpy()
+        moving = bench.starts_moving
+        recordings.append(Recording(str(name), t, joints, hand, tracks, moving))
+    if not recordings:
+        return None
+    return Measurements(tuple(recordings), bench.links, bench.base, bench.length)
+
+
+def tracks_of(points: pd.DataFrame, bench: BenchHints) -> tuple[Track, ...]:
+    """Return the tracks of a trial's points, of a few if their arc length is stated."""
+    tracks = []
+    groups: list[tuple[str, float | None, pd.Series]] = []
+    if "s" in points:
+        places = np.sort(points["s"].round(4).unique())
+        if len(places) > MAX_PLACES:
+            wanted = np.array([0.25, 0.5, 1.0]) * np.quantile(places, 0.95)
+            nearest = np.abs(places[:, None] - wanted).argmin(axis=0)
+            places = places[np.unique(nearest)]
+        for s in places:
+            groups.append((f"{s:g}", float(s), points["s"].round(4) == s))
+    else:
+        for name in points["point"].unique():
+            s = bench.point_arc_lengths.get(name)
+            groups.append((str(name), s, points["point"] == name))
+    for name, s, is_here in groups:
+        rows = points[is_here].drop_duplicates("t").sort_values("t")
+        if len(rows) >= MIN_ROWS:
+            xy = rows[["x", "y"]].to_numpy(float)
+            tracks.append(Track(name, s, rows["t"].to_numpy(), xy))
+    return tuple(tracks)
+
+
+# --- options -----------------------------------------------------------------
+
+
+def change_of(
+    proposal: Proposal,
+    before: Verdict,
+    tables: ImportedTables,
+    options: argparse.Namespace,
+) -> Change:
+    """Return the options that perform a proposal.
+
+    Its words are empty if no option does.
+    """
+    words: list[str] = []
+    must_ask = False
+    for correction in proposal.corrections:
+        own = option_words(correction, tables, options)
+        if not own:
+            words = []
+            break
+        words += own
+        must_ask |= correction.kind not in CERTAIN_KINDS
+        must_ask |= contradicts_statement(correction, tables)
+    subjects = " and ".join(statement_for_files(c) for c in proposal.corrections)
+    reason = (
+        f"{subjects}. As the files are read now, {describe_contradiction(before)}; "
+        f"then {describe_fit(proposal.verdict)}"
+    )
+    if not words:
+        remedies = ". ".join(correction.remedy for correction in proposal.corrections)
+        if must_state_otherwise(proposal, options):
+            remedies = "Look at --y-down and --plane, which are given"
+        raise DataError(f"{reason}. {remedies}.")
+    return Change(reason, words, must_ask)
+
+
+def statement_for_files(correction: Correction) -> str:
+    """Return what is wrong, with the place where it is."""
+    place = {"points": "points of the string", "arm": "the arm's log", "grasp": "hand"}
+    table = place.get(correction.table, "the stated geometry")
+    field = correction.field.removeprefix("string.").removeprefix("arm.")
+    return f"{table}, {field}: {correction.statement}"
+
+
+def must_state_otherwise(proposal: Proposal, options: argparse.Namespace) -> bool:
+    """Return whether a direction is wrong that the user stated."""
+    kinds = {correction.kind for correction in proposal.corrections}
+    directions = {"y_down", "x_left", "exchange_axes"}
+    return bool(kinds & directions and (options.y_down or options.plane))
+
+
+def contradicts_statement(correction: Correction, tables: ImportedTables) -> bool:
+    """Return whether names of columns or options state what is wrong."""
+    if correction.kind == "degrees":
+        joints = [c for c in tables.used_columns if c.role.startswith("q")]
+        return any(column.unit == "rad" and is_unit_stated(column) for column in joints)
+    if correction.kind == "unit":
+        if {"length", "links", "base"} & {*correction.parts}:
+            return True
+        columns = length_columns(correction, tables)
+        return any(is_unit_stated(column) for column in columns)
+    return False
+
+
+def is_unit_stated(column: UsedColumn) -> bool:
+    """Return whether the name of a column, or an option, states its unit."""
+    if column.how.startswith("--") and column.how != "--map":
+        return True
+    words = column.column.lower().replace("[", "_").replace("]", "_")
+    parts = {part.strip("() ") for part in words.replace(" ", "_").split("_")}
+    return column.unit in parts
+
+
+def length_columns(correction: Correction, tables: ImportedTables) -> list[UsedColumn]:
+    """Return the columns whose unit a correction changes."""
+    columns = []
+    for column in tables.used_columns:
+        if column.role in ("x", "y"):
+            is_wrong = "hand" in correction.parts
+        else:  # a point's roles are such as tip.x
+            is_length = column.role == "s" or column.role.endswith((".x", ".y"))
+            is_wrong = is_length and bool({"xy", "s"} & {*correction.parts})
+        if is_wrong:
+            columns.append(column)
+    return columns
+
+
+def option_words(
+    correction: Correction, tables: ImportedTables, options: argparse.Namespace
+) -> list[str]:
+    """Return the options that perform a correction; empty if none does."""
+    builders: dict[str, Callable[..., list[str]]] = {
+        "unit": unit_words,
+        "y_down": direction_words,
+        "x_left": direction_words,
+        "exchange_axes": direction_words,
+        "counts": joint_words,
+        "joint_order": joint_words,
+        "rate": rate_words,
+    }
+    kind = correction.kind
+    if kind in builders:
+        return builders[kind](correction, tables, options)
+    words = []
+    if kind == "exchange_s" and len(options.at) == 2:
+        for number in (0, 1):
+            name = options.at[number].partition("=")[0]
+            value = options.at[1 - number].partition("=")[2]
+            words += ["--at", f"{name}={value}"]
+    elif kind == "degrees" and options.deg is not False:
+        words = ["--deg"]
+    elif kind == "absolute":
+        words = ["--absolute"]
+    elif kind == "base":
+        x, y = correction.values
+        words = [f"--base={x:g},{y:g}"]
+    return words
+
+
+def direction_words(
+    correction: Correction, tables: ImportedTables, options: argparse.Namespace
+) -> list[str]:
+    """Return the option that turns the points' directions, not those of a hand."""
+    if options.y_down or options.plane or not tables.joints:
+        return []
+    planes = {"x_left": "--plane=-x,y", "exchange_axes": "--plane=y,x"}
+    return [planes.get(correction.kind, "--y-down")]
+
+
+def rate_words(
+    correction: Correction, tables: ImportedTables, options: argparse.Namespace
+) -> list[str]:
+    """Return the option that states another frame rate, if no times are in files."""
+    fps = options.fps or tables.fps
+    clocks = [column for column in tables.used_columns if column.role == "t"]
+    counts_frames = any(column.unit.startswith("frames") for column in clocks)
+    timed_files = {column.file for column in clocks}
+    point_files = {c.file for c in tables.used_columns if c.role.endswith(".x")}
+    if fps and (counts_frames or not point_files <= timed_files):
+        return ["--fps", f"{fps / correction.factor:g}"]
+    return []
+
+
+def unit_words(
+    correction: Correction, tables: ImportedTables, options: argparse.Namespace
+) -> list[str]:
+    """Return the options that state another unit of length."""
+    parts, factor = {*correction.parts}, correction.factor
+    words: list[str] = []
+    columns = length_columns(correction, tables)
+    files = {column.file.name: column.unit for column in columns}
+    for file, unit in sorted(files.items()):
+        right = unit_of_size(factor * LENGTH_UNITS.get(unit, np.nan))
+        text = f"{file}={right}"
+        if not right or text in options.unit:
+            return []
+        words += ["--unit", text]
+    if parts & {"xy", "s", "hand"} and not files:
+        return []
+    if "length" in parts and options.length:
+        words.append(f"--length={options.length * factor:.6g}")
+    if "links" in parts and options.links:
+        links = ",".join(f"{link * factor:.6g}" for link in options.links)
+        words.append(f"--links={links}")
+    if "base" in parts and any(options.base):
+        x, y = options.base
+        words.append(f"--base={x * factor:.6g},{y * factor:.6g}")
+    return words
+
+
+def unit_of_size(size: float) -> str:
+    """Return the shortest name of the unit of this size [m]; empty if there is none."""
+    names = [u for u, own in LENGTH_UNITS.items() if np.isclose(own, size, rtol=1e-6)]
+    return min(names, key=len, default="")
+
+
+def joint_words(
+    correction: Correction, tables: ImportedTables, options: argparse.Namespace
+) -> list[str]:
+    """Return the options that take joints in another order, or as counts."""
+    if any(text.startswith("q") for text in options.map):
+        return []
+    columns: Mapping[str, str] = {c.role: c.column for c in tables.used_columns}
+    words = ["--counts"] if correction.kind == "counts" else []
+    for number in range(len(tables.joints)):
+        if correction.kind == "counts":
+            zero = int(correction.unit)
+            name = columns[f"q{number + 1}"]
+            text = f"{name}-{zero}" if zero else ""
+        else:
+            text = columns[f"q{correction.order[number] + 1}"]
+        if text:
+            words += ["--map", f"q{number + 1}={text}"]
+    return words
+
+
+def options_with(
+    options: argparse.Namespace, words: Sequence[str]
+) -> argparse.Namespace:
+    """Return a copy of options with further words."""
+    files = map(str, options.files)
+    return argument_parser().parse_args([*words, "--", *files], deepcopy(options))
+
+
+def command_with(options: argparse.Namespace, words: Sequence[str]) -> str:
+    """Return the command with further options."""
+    return equivalent_command(options_with(options, words))
+
+
+# --- what no option mends ----------------------------------------------------
+
+
+def refuse_pairing(pairing: Mapping[str, str]) -> None:
+    """Refuse points that belong to other trials."""
+    pairs = [
+        f"the points of {points} fit the hand of {hand}"
+        for hand, points in pairing.items()
+    ]
+    raise DataError(
+        f"the trackers' files have changed trials as it seems: {'; '.join(pairs)}. "
+        "Name the files of one trial alike, such as robot_1.csv and tracker_1.csv."
+    )
+
+
+def refuse_flat_points(measured: Measurements) -> None:
+    """Refuse points of which one coordinate never changes: that of another plane."""
+    spread = np.zeros(2)
+    for recording in measured.recordings:
+        for track in recording.tracks:
+            low, high = np.quantile(track.xy, [0.05, 0.95], axis=0)
+            spread = np.maximum(spread, high - low)
+    flat = int(spread.argmin())
+    if spread[flat] < MAX_FLAT_SHARE * spread[1 - flat]:
+        axis = "xy"[flat]
+        raise DataError(
+            f"{axis} of the string's points never changes, by {spread[flat]:.2g} m at "
+            f"most while the other coordinate changes by {spread[1 - flat]:.2g} m. "
+            "It seems to be of another plane than that of the cast: name the columns "
+            "of the cast's plane, as in --plane x,z, or --map tip.y=<column>."
+        )
+
+
+def refuse_ambiguity(
+    verdict: Verdict,
+    proposals: Sequence[Proposal],
+    changes: Sequence[Change],
+    options: argparse.Namespace,
+) -> None:
+    """Refuse files that several corrections make consistent, and name the commands."""
+    choices = []
+    for proposal, change in zip(proposals, changes, strict=True):
+        what = " and ".join(statement_for_files(c) for c in proposal.corrections)
+        choices.append(f"{what}: {command_with(options, change.words)}")
+    listed = "\n  ".join(choices)
+    raise DataError(
+        f"{describe_contradiction(verdict)}. Several corrections fit as well. Give the "
+        f"one that is true:\n  {listed}"
+    )
+
+
+def refuse_point_inside(measured: Measurements) -> None:
+    """Refuse a single point that moves as one further up the string than its tip."""
+    length = measured.length
+    points = {track.point for r in measured.recordings for track in r.tracks}
+    is_open = all(track.s is None for r in measured.recordings for track in r.tracks)
+    if length is None or len(points) > 1 or not is_open:
+        return
+    (point,) = points
+    best = None
+    for share in np.arange(0.2, 0.96, 0.05):
+        s = float(share * length)
+        placed = measured.with_tracks(partial(replace, s=s))
+        verdict = judge(placed)
+        if best is None or (not verdict.broken and verdict.misfit < best[1].misfit):
+            best = (s, verdict)
+    if best is not None and best[1].is_consistent and best[1].is_predicted:
+        s = best[0]
+        raise DataError(
+            f"the point '{point or 'tip'}' is no tip of a string of {length:.4g} m: it "
+            f"moves as a point at {s:.3f} m. If the tip's columns are missing, add "
+            f"them; if it is there, give its place: --at {point}={s:.3f}."
+        )

@@ -1,0 +1,193 @@
+"""Checks whether hand, string and stated geometry are of one world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from stringcast.data.dataset import exclude_stray_points
+from stringcast.stages.check.consistency.corrections import Correction
+from stringcast.stages.check.consistency.dataset import judge_dataset, measurements_of
+from stringcast.stages.check.consistency.judge import WRONG_MISFIT, Verdict
+from stringcast.stages.check.consistency.limits import BrokenLimit
+from stringcast.stages.check.consistency.search import (
+    Answer,
+    Proposal,
+    find_answer,
+)
+from stringcast.stages.check.finding import Finding, error, warning
+from stringcast.stages.check.measured import CheckedDataset
+
+MAX_JOINT_ANGLE_RAD = 4 * np.pi
+MAX_HAND_ANGLE_RAD = 12 * np.pi
+ANGLE_QUANTILE = 0.9  # of the samples: others may be outliers
+REMEDIES = {
+    "length": "Look at the units of s, x, y and string.length: all are metres",
+    "speed": "Look at the units of joint angles [rad], positions [m] and times [s]",
+    "arc length": "Correct string.length in dataset.yaml, or s",
+    "stretch": "Look at the units of s, x, y and string.length: all are metres",
+    "gap": (
+        "Give points and hand in one frame of reference: see arm.base and "
+        "camera.origin_px in dataset.yaml, and whether the angles count from +x, "
+        "counter-clockwise"
+    ),
+}
+LOOK_AT_GEOMETRY = (
+    "Look at arm.links, arm.base, the order and signs of the joints, the directions of "
+    "x and y, and which points belong to which trial"
+)
+
+
+def check_consistency(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find data of no possible string, and what would make them consistent."""
+    if unknown_arm_fields(dataset):
+        return
+    verdict = judge_dataset(dataset)
+    answer = dataset_answer(dataset)
+    if answer.pairing:
+        yield pairing_finding(dataset, answer.pairing)
+        return
+    names = tuple(verdict.broken or verdict.misfits)
+    if answer.proposals:
+        yield from proposal_findings(dataset, verdict, answer.proposals, names)
+    elif verdict.is_consistent:
+        return
+    elif verdict.broken:
+        for name, limit in verdict.broken.items():
+            yield unexplained_finding(dataset, name, limit)
+    elif verdict.misfit > WRONG_MISFIT:
+        yield error(
+            dataset.points_file,
+            "x, y",
+            describe_misfit(verdict),
+            LOOK_AT_GEOMETRY,
+            *names,
+        )
+    else:
+        yield warning(
+            dataset.points_file,
+            "x, y",
+            describe_misfit(verdict),
+            LOOK_AT_GEOMETRY,
+            *names,
+        )
+
+
+@lru_cache(maxsize=4)
+def dataset_answer(dataset: CheckedDataset) -> Answer:
+    """Return what would make a dataset consistent; it is computed once."""
+    measured, verdict = measurements_of(dataset), judge_dataset(dataset)
+    return find_answer(measured, verdict, dataset.camera)
+
+
+def impossible_trials(dataset: CheckedDataset) -> dict[str, BrokenLimit]:
+    """Return the limit that each impossible trial breaks, by trial."""
+    return dict(judge_dataset(dataset).broken)
+
+
+def proposal_findings(
+    dataset: CheckedDataset,
+    verdict: Verdict,
+    proposals: Sequence[Proposal],
+    names: Sequence[str],
+) -> Iterator[Finding]:
+    """Yield an error for each correction of the best proposal."""
+    best = proposals[0]
+    alternative = ""
+    if len(proposals) > 1:
+        others = [describe_corrections(p.corrections) for p in proposals[1:]]
+        alternative = f"; as well it may be that {' or that '.join(others)}"
+    statement = (
+        f"{describe_contradiction(verdict)}; then {describe_fit(best.verdict)}"
+        f"{alternative}"
+    )
+    for correction in best.corrections:
+        file = correction.table
+        if "." not in file:
+            file = dataset.file(file)
+        text = f"{correction.statement} as it seems: {statement}"
+        yield error(file, correction.field, text, correction.remedy, *names)
+
+
+def describe_corrections(corrections: Sequence[Correction]) -> str:
+    """Return what would be wrong, for a sentence."""
+    words = []
+    for correction in corrections:
+        place = f"{correction.table} {correction.field}"
+        words.append(f"of {place}, {correction.statement}")
+    return " and ".join(words)
+
+
+def describe_contradiction(verdict: Verdict) -> str:
+    """Return what contradicts the data as they are."""
+    if verdict.broken:
+        return next(iter(verdict.broken.values())).statement
+    return describe_misfit(verdict)
+
+
+def describe_misfit(verdict: Verdict) -> str:
+    """Return how far points are from where a string in this hand would be."""
+    return (
+        f"points are {verdict.misfit_m:.2g} m from where a string in this hand would "
+        f"be, on average and whatever its stiffness and the clocks"
+    )
+
+
+def describe_fit(verdict: Verdict) -> str:
+    """Return how well corrected data fit."""
+    if not verdict.misfits:
+        return "the string is possible"
+    return f"they are {verdict.misfit_m:.2g} m from it"
+
+
+def pairing_finding(dataset: CheckedDataset, pairing: Mapping[str, str]) -> Finding:
+    """Return the finding of points that belong to other trials."""
+    pairs = [
+        f"those of {points} fit the hand of {hand}" for hand, points in pairing.items()
+    ]
+    statement = f"points have changed trials as it seems: {', '.join(pairs)}"
+    remedy = "Correct 'trial' of the points, or the names of the files they came from"
+    return error(dataset.points_file, "trial", statement, remedy, *pairing)
+
+
+def unexplained_finding(
+    dataset: CheckedDataset, name: str, limit: BrokenLimit
+) -> Finding:
+    """Return the finding of an impossible string that no common mistake explains.
+
+    If merely its length is too small, the trial is left out of a run, which is an error
+    if no other trial remains.
+    """
+    report, statement = error, limit.statement
+    if limit.kind == "arc length":
+        if exclude_stray_points(dataset.data, dataset.length).trials:
+            report = warning
+        statement += ", and the trial is left out"
+    return report(dataset.points_file, "s, x, y", statement, REMEDIES[limit.kind], name)
+
+
+def unknown_arm_fields(dataset: CheckedDataset) -> list[str]:
+    """Return the fields of the arm that joint angles need and dataset.yaml lacks."""
+    if all(trial.joints is None for trial in dataset.trials):
+        return []
+    block = dataset.metadata_block("arm")
+    return [key for key in ("links", "base") if key not in block]
+
+
+def check_angles(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find angles beyond what joints and hands turn."""
+    for trial in dataset.trials:
+        if trial.joints is None:
+            columns, limit = ["theta"], MAX_HAND_ANGLE_RAD
+        else:
+            columns, limit = ["q1", "q2", "q3"], MAX_JOINT_ANGLE_RAD
+        largest = float(trial.motion[columns].abs().quantile(ANGLE_QUANTILE).max())
+        if largest > limit:
+            statement = (
+                "angles seem to be in degrees, not in radians: they go up to "
+                f"{largest:.4g}"
+            )
+            field, remedy = ", ".join(columns), "Multiply them by pi / 180"
+            yield error(dataset.hand_file, field, statement, remedy, trial.name)

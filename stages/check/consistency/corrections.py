@@ -1,0 +1,477 @@
+"""The catalogue of corrections: each undoes one common mistake.
+
+A correction is a small record. It returns the measurements without the mistake, and
+says what to do with the files of a dataset; `import` knows the option that does it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import permutations
+
+import numpy as np
+
+from stringcast.data.metadata import DATASET_FILE
+from stringcast.stages.check.consistency.record import Measurements, Recording, Track
+from stringcast.stages.model.camera import Camera
+
+COUNTS = 4096  # of a turn, of most servos' encoders
+MAX_PERMUTED_JOINTS = 3  # of more, only neighbours are exchanged
+MIN_LENGTH_RATIO = 1.3  # of a stated length that may be another, to the last point
+MIN_COUNT = 100.0  # joint angles that are counts go beyond
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What undoes a common mistake.
+
+    Attributes
+    ----------
+    table, field
+        Where the mistake was made.
+    statement
+        What is wrong.
+    remedy
+        How to undo it in the files of a dataset.
+    undo
+        Returns the measurements without the mistake; None if it cannot be there.
+    kind
+        Of KINDS: what `import` needs to find the option that undoes it.
+    unit
+        The wrong unit, or the factor of a rate; empty for other mistakes.
+    parts, factor
+        Of a wrong unit of length: which lengths have it, and its size [m].
+    order
+        Of joints: the numbers of the columns in the right order.
+    values
+        What was fitted: the arm's base [m].
+    """
+
+    table: str
+    field: str
+    statement: str
+    remedy: str
+    undo: Callable[[Measurements], Measurements | None]
+    kind: str
+    unit: str = ""
+    parts: tuple[str, ...] = ()
+    factor: float = 1.0
+    order: tuple[int, ...] = ()
+    values: tuple[float, ...] = ()
+
+
+# --- units of length ---------------------------------------------------------
+
+UNITS = {
+    "millimetres": 1e-3,
+    "centimetres": 1e-2,
+    "inches": 0.0254,
+    "decimetres": 0.1,
+}
+# a unit that is stated can be wrong, too: the right one over the stated one
+RATIOS = {"10": 10.0, "25.4": 25.4, "2.54": 2.54, "1000": 1e3, "100": 1e2, "0.1": 0.1}
+LENGTH_PARTS = ("xy", "s", "length", "hand", "links", "base")
+# table, field, subject of the statement, object of the remedy, parts with a wrong unit
+LENGTH_FIELDS = (
+    ("points", "x, y", "positions are", "x and y", ("xy",)),
+    ("points", "s", "arc lengths are", "s", ("s",)),
+    (DATASET_FILE, "string.length", "it is", "it", ("length",)),
+    ("grasp", "x, y", "positions are", "x and y", ("hand",)),
+    (DATASET_FILE, "arm.links", "they are", "them", ("links",)),
+    (DATASET_FILE, "arm.base", "it is", "it", ("base",)),
+    (DATASET_FILE, "arm.links, arm.base", "both are", "both", ("links", "base")),
+    ("points", "s, x, y", "all three are", "s, x and y", ("s", "xy")),
+    ("grasp", "x, y", "here and in points, positions are", "both", ("hand", "xy")),
+    ("points", "s", "s and string.length are", "both", ("s", "length")),
+    (
+        "points",
+        "s, x, y",
+        "these, string.length and the hand's positions are",
+        "all of them, and arm.links and arm.base,",
+        LENGTH_PARTS,
+    ),
+)
+
+
+def scale_lengths(
+    measured: Measurements, factor: float, parts: Collection[str]
+) -> Measurements | None:
+    """Multiply some lengths by a factor; None if there are none of a part."""
+    has_hand = any(recording.hand is not None for recording in measured.recordings)
+    has_s = any(track.s is not None for r in measured.recordings for track in r.tracks)
+    absent = {
+        "hand": not has_hand,
+        "links": not measured.has_joints,
+        "base": not measured.has_joints or not any(measured.base),
+        "s": not has_s,
+        "length": measured.length is None,
+    }
+    if len(parts) < len(LENGTH_PARTS) and any(absent.get(part) for part in parts):
+        return None
+    scale = {part: factor if part in parts else 1.0 for part in LENGTH_PARTS}
+
+    def scale_track(track: Track) -> Track:
+        s = None if track.s is None else track.s * scale["s"]
+        return replace(track, s=s, xy=track.xy * scale["xy"])
+
+    def scale_pose(recording: Recording) -> Recording:
+        if recording.hand is None:
+            return recording
+        scales = np.array([scale["hand"], scale["hand"], 1.0])
+        return replace(recording, hand=recording.hand * scales)
+
+    x, y = measured.base
+    scaled = measured.with_tracks(scale_track).with_recordings(scale_pose)
+    length = measured.length
+    return replace(
+        scaled,
+        length=None if length is None else scale["length"] * length,
+        links=tuple(scale["links"] * link for link in measured.links),
+        base=(scale["base"] * x, scale["base"] * y),
+    )
+
+
+def unit_corrections() -> Iterator[Correction]:
+    """Yield corrections of lengths in another unit."""
+    for unit, factor in UNITS.items():
+        for table, field, subject, target, parts in LENGTH_FIELDS:
+            yield Correction(
+                table,
+                field,
+                f"{subject} in {unit}, not in metres",
+                f"Multiply {target} by {factor:g}",
+                partial(scale_lengths, factor=factor, parts=parts),
+                "unit",
+                unit,
+                parts,
+                factor,
+            )
+
+
+def ratio_corrections() -> Iterator[Correction]:
+    """Yield corrections of positions that were read in a wrong unit."""
+    for text, factor in RATIOS.items():
+        yield Correction(
+            "points",
+            "x, y",
+            f"positions are in a unit {text} times that which is stated",
+            f"Multiply x and y by {text}",
+            partial(scale_lengths, factor=factor, parts=("xy",)),
+            "unit",
+            f"{text} times",
+            ("xy",),
+            factor,
+        )
+
+
+def pixels_to_metres(measured: Measurements, camera: Camera) -> Measurements:
+    """Convert positions of points from pixels."""
+    return measured.with_tracks(lambda track: replace(track, xy=camera.world(track.xy)))
+
+
+def pixel_correction(camera: Camera) -> Correction:
+    """Return the correction of positions in pixels of a camera."""
+    return Correction(
+        "points",
+        "x, y",
+        "positions are in pixels, not in metres",
+        "Take x = (u - camera.origin_px[0]) / camera.px_per_m and "
+        "y = (camera.origin_px[1] - v) / camera.px_per_m",
+        partial(pixels_to_metres, camera=camera),
+        "pixels",
+        "pixels",
+    )
+
+
+# --- directions and arc lengths ----------------------------------------------
+
+
+def map_points(measured: Measurements, matrix: np.ndarray) -> Measurements:
+    """Multiply positions of points by a matrix (2, 2)."""
+    return measured.with_tracks(lambda track: replace(track, xy=track.xy @ matrix.T))
+
+
+def mirror_world(measured: Measurements) -> Measurements | None:
+    """Turn y of points and of measured hands; None if the hand is an arm's."""
+    if measured.has_joints:
+        return None
+    flip = np.array([1.0, -1.0, -1.0])  # of x, y and theta
+
+    def mirror(recording: Recording) -> Recording:
+        assert recording.hand is not None
+        return replace(recording, hand=recording.hand * flip)
+
+    points = map_points(measured, np.diag([1.0, -1.0]))
+    return points.with_recordings(mirror)
+
+
+def reverse_arc_lengths(measured: Measurements) -> Measurements | None:
+    """Count arc lengths from the other end."""
+    length = measured.length
+    if length is None or any(
+        track.s is None for r in measured.recordings for track in r.tracks
+    ):
+        return None
+    return measured.with_tracks(
+        lambda track: replace(track, s=length - (track.s or 0.0))
+    )
+
+
+def end_at_last_point(measured: Measurements) -> Measurements | None:
+    """End the string at its last point, if it is stated to be much longer."""
+    stated = [t.s for r in measured.recordings for t in r.tracks if t.s is not None]
+    length = measured.length
+    if length is None or not stated or length < MIN_LENGTH_RATIO * max(stated):
+        return None
+    return replace(measured, length=max(stated))
+
+
+def exchange_arc_lengths(measured: Measurements) -> Measurements | None:
+    """Exchange the arc lengths of two points."""
+
+    def exchange(recording: Recording) -> Recording:
+        first, second = recording.tracks
+        return replace(
+            recording,
+            tracks=(replace(first, s=second.s), replace(second, s=first.s)),
+        )
+
+    for recording in measured.recordings:
+        lengths = {track.s for track in recording.tracks}
+        if len(recording.tracks) != 2 or len(lengths) != 2 or None in lengths:
+            return None
+    return measured.with_recordings(exchange)
+
+
+DIRECTIONS = (
+    Correction(
+        "points",
+        "y",
+        "y points down, not up",
+        "Multiply y by -1",
+        partial(map_points, matrix=np.diag([1.0, -1.0])),
+        "y_down",
+    ),
+    Correction(
+        "points",
+        "x",
+        "x points to the left, not to the right",
+        "Multiply x by -1",
+        partial(map_points, matrix=np.diag([-1.0, 1.0])),
+        "x_left",
+    ),
+    Correction(
+        "points",
+        "x, y",
+        "x and y have changed places",
+        "Exchange the two columns",
+        partial(map_points, matrix=np.array([[0.0, 1.0], [1.0, 0.0]])),
+        "exchange_axes",
+    ),
+    Correction(
+        "grasp",
+        "y, theta",
+        "y of the hand and of the points points down, not up",
+        "Multiply y of both by -1, and theta too",
+        mirror_world,
+        "mirror",
+    ),
+)
+ARC_LENGTHS = (
+    Correction(
+        "points",
+        "s",
+        "arc lengths are counted from the tip, not from the grasp",
+        "Replace s by string.length - s",
+        reverse_arc_lengths,
+        "reverse_s",
+    ),
+    Correction(
+        DATASET_FILE,
+        "string.length",
+        "the string ends at its last point, and is not as long as stated",
+        "Correct s or string.length",
+        end_at_last_point,
+        "end",
+    ),
+    Correction(
+        "points",
+        "s",
+        "the two points have changed places along the string",
+        "Exchange their s",
+        exchange_arc_lengths,
+        "exchange_s",
+    ),
+)
+
+# --- joint angles ------------------------------------------------------------
+
+
+def change_joints(
+    measured: Measurements, change: Callable[[np.ndarray], np.ndarray]
+) -> Measurements | None:
+    """Change joint angles (K, J); None if there are none."""
+    if not measured.has_joints:
+        return None
+
+    def change_recording(recording: Recording) -> Recording:
+        if recording.joints is None:
+            return recording
+        return replace(recording, joints=change(recording.joints))
+
+    return measured.with_recordings(change_recording)
+
+
+def take_columns(joints: np.ndarray, order: tuple[int, ...]) -> np.ndarray:
+    """Return the columns of joint angles (K, J) in an order."""
+    return joints[:, list(order)]
+
+
+def relative_angles(joints: np.ndarray) -> np.ndarray:
+    """Return angles to the link before from angles to +x."""
+    return np.diff(joints, axis=1, prepend=0.0)
+
+
+def counts_to_radians(counts: np.ndarray, zero: float) -> np.ndarray:
+    """Return angles of an encoder's counts that wrap after a turn."""
+    return np.unwrap((counts - zero) * 2 * np.pi / COUNTS, axis=0)
+
+
+def undo_counts(measured: Measurements, zero: float) -> Measurements | None:
+    """Take joint angles as counts of an encoder; None if they cannot be.
+
+    A reader may have taken such large numbers for degrees already.
+    """
+    largest = 0.0
+    for recording in measured.recordings:
+        if recording.joints is not None:
+            largest = max(largest, float(np.abs(recording.joints).max()))
+    factor = 1.0 if largest > MIN_COUNT else 180 / np.pi
+    if not MIN_COUNT < largest * factor <= 2 * COUNTS:
+        return None
+    return change_joints(
+        measured, lambda joints: counts_to_radians(joints * factor, zero)
+    )
+
+
+def joint_corrections(count: int) -> Iterator[Correction]:
+    """Yield corrections of the angles of so many joints."""
+    names = [f"q{number + 1}" for number in range(count)]
+    field = ", ".join(names)
+    yield Correction(
+        "arm",
+        field,
+        "angles are in degrees, not in radians",
+        "Multiply them by pi / 180",
+        partial(change_joints, change=np.radians),
+        "degrees",
+        "degrees",
+    )
+    for zero in (0, COUNTS // 2):
+        yield Correction(
+            "arm",
+            field,
+            f"angles are an encoder's counts, {COUNTS} a turn, from {zero}",
+            f"Subtract {zero}, multiply them by 2 pi / {COUNTS} and unwrap them",
+            partial(undo_counts, zero=zero),
+            "counts",
+            str(zero),
+        )
+    yield Correction(
+        "arm",
+        field,
+        "angles are those of the links to +x, not to the link before",
+        "Subtract from each the one before",
+        partial(change_joints, change=relative_angles),
+        "absolute",
+    )
+    for order in joint_orders(count):
+        new = ", ".join(names[number] for number in order)
+        yield Correction(
+            "arm",
+            field,
+            f"joints are in another order: what is called {new} is {field}",
+            "Rename the columns",
+            partial(change_joints, change=partial(take_columns, order=order)),
+            "joint_order",
+            order=order,
+        )
+
+
+def joint_orders(count: int) -> list[tuple[int, ...]]:
+    """Return the wrong orders of joints that are tried."""
+    usual = tuple(range(count))
+    if count <= MAX_PERMUTED_JOINTS:
+        return [order for order in permutations(usual) if order != usual]
+    orders = []
+    for first in range(count - 1):
+        order = list(usual)
+        order[first], order[first + 1] = order[first + 1], order[first]
+        orders.append(tuple(order))
+    return [*orders, usual[::-1]]
+
+
+# --- rates -------------------------------------------------------------------
+
+
+def scale_point_times(measured: Measurements, factor: float) -> Measurements:
+    """Multiply the times of points since the beginning of each trial."""
+
+    def change(recording: Recording) -> Recording:
+        begin = min(float(track.t[0]) for track in recording.tracks)
+        tracks = tuple(
+            replace(track, t=begin + factor * (track.t - begin))
+            for track in recording.tracks
+        )
+        return replace(recording, tracks=tracks)
+
+    return measured.with_recordings(change)
+
+
+def scale_all_times(measured: Measurements, factor: float) -> Measurements:
+    """Multiply the times of hands and points."""
+
+    def change(recording: Recording) -> Recording:
+        tracks = tuple(replace(track, t=factor * track.t) for track in recording.tracks)
+        return replace(recording, t=factor * recording.t, tracks=tracks)
+
+    return measured.with_recordings(change)
+
+
+RATES = tuple(
+    Correction(
+        "points",
+        "t",
+        f"times of the points run {words}",
+        f"Multiply t, since the beginning of each trial, by {factor:g}: "
+        "the frame rate was another",
+        partial(scale_point_times, factor=factor),
+        "rate",
+        factor=factor,
+    )
+    for factor, words in (
+        (0.5, "half as fast as the arm's"),
+        (2.0, "twice as fast as the arm's"),
+    )
+)
+
+
+def single_corrections(
+    measured: Measurements, camera: Camera | None = None
+) -> list[Correction]:
+    """Return all corrections that can be tried on measurements."""
+    corrections = [
+        *unit_corrections(),
+        *ratio_corrections(),
+        *ARC_LENGTHS,
+        *DIRECTIONS,
+        *RATES,
+    ]
+    if camera is not None:
+        corrections.append(pixel_correction(camera))
+    counts = {r.joints.shape[1] for r in measured.recordings if r.joints is not None}
+    for count in counts:
+        corrections += joint_corrections(count)
+    return corrections

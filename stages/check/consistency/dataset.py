@@ -1,0 +1,91 @@
+"""The measurements of a stored dataset, and their verdict."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from stringcast.stages.check.clocks import is_restless, trials_in_seconds
+from stringcast.stages.check.consistency.judge import Verdict, judge
+from stringcast.stages.check.consistency.record import Measurements, Recording, Track
+from stringcast.stages.check.measured import (
+    MIN_TRACK_FRAMES,
+    CheckedDataset,
+    CheckedTrial,
+)
+from stringcast.stages.common import (
+    places_wander,
+    points_at_arc_lengths,
+    track_places,
+)
+
+TIP_QUANTILE = 0.95  # so many points lie no further along than the tip
+# places that are looked at, in the arc length of the tip
+RELATIVE_PLACES = (0.25, 0.5, 1.0)
+
+
+@lru_cache(maxsize=4)
+def judge_dataset(dataset: CheckedDataset) -> Verdict:
+    """Return the verdict on a dataset; it is computed once."""
+    return judge(measurements_of(dataset))
+
+
+@lru_cache(maxsize=4)
+def measurements_of(dataset: CheckedDataset) -> Measurements:
+    """Return what was measured, at a few places of the string.
+
+    A length that is not stated is None.
+    """
+    recordings = []
+    for trial in trials_in_seconds(dataset, dataset.informative_trials()):
+        tracks = tracks_of(trial)
+        if tracks:
+            pose = trial.pose if trial.joints is None else None
+            recordings.append(
+                Recording(
+                    trial.name,
+                    trial.hand_t,
+                    trial.joints,
+                    pose,
+                    tracks,
+                    trial.starts_moving,
+                    not trial.starts_moving and is_restless(trial),
+                )
+            )
+    is_stated = "length" in dataset.metadata_block("string")
+    length = dataset.length if is_stated else None
+    x, y = dataset.arm.base
+    return Measurements(tuple(recordings), tuple(dataset.arm.links), (x, y), length)
+
+
+def tracks_of(trial: CheckedTrial) -> tuple[Track, ...]:
+    """Return the tracks of a few places of the string, the innermost first."""
+    points = trial.points
+    times, frame = np.unique(points["t"], return_inverse=True)
+    s, xy = points["s"].to_numpy(), points[["x", "y"]].to_numpy()
+    all_tracks = track_places(frame, s)
+    tracks = [track for track in all_tracks if len(track) >= MIN_TRACK_FRAMES]
+    if not tracks:
+        return ()
+    end = float(np.quantile(s, TIP_QUANTILE, method="lower"))
+    wanted = np.array(RELATIVE_PLACES) * end
+    if places_wander(s, all_tracks):
+        first = float(np.median([s[track].min() for track in tracks[:1]]))
+        places = wanted[wanted >= first]
+        places[-1:] -= 1e-9 * end
+        lines = points_at_arc_lengths(frame, s, xy, places)  # (F, places, 2)
+        found = []
+        for number, place in enumerate(places):
+            is_seen = np.isfinite(lines[:, number, 0])
+            if is_seen.sum() >= MIN_TRACK_FRAMES:
+                seen = lines[is_seen, number]
+                found.append(Track(f"{number}", float(place), times[is_seen], seen))
+        return tuple(found)
+    arcs = np.array([np.median(s[track]) for track in tracks])
+    nearest = {int(np.abs(arcs - s).argmin()): place for place, s in enumerate(wanted)}
+    found = []
+    for number, place in sorted(nearest.items()):
+        track, s_track = tracks[number], float(arcs[number])
+        found.append(Track(f"{place}", s_track, times[frame[track]], xy[track]))
+    return tuple(found)

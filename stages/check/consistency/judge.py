@@ -1,0 +1,227 @@
+"""Judge measurements: limits of every string, and how well a model predicts them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stringcast.stages.check.consistency.limits import BrokenLimit, broken_limits
+from stringcast.stages.check.consistency.prediction import (
+    ARC_LENGTH_GRID,
+    Prediction,
+    clock_offsets,
+    predict,
+    thin_track,
+    track_errors,
+)
+from stringcast.stages.check.consistency.record import Measurements, Recording, Track
+
+MAX_TRIALS = 5  # more say the same
+# lengths that are tried where none is stated, in that of the hanging string: a stiff
+# one bends below the grasp
+LENGTH_RATIOS = (1.0, 1.04, 1.1, 1.2, 1.35)
+# median distance from the prediction, in lengths, of consistent and of wrong data
+CONSISTENT_MISFIT = 0.12
+WRONG_MISFIT = 0.25
+HOPELESS_TRIALS = 2  # so many, and most of the first: the others are not looked at
+FINE_STEPS_S = np.arange(-15, 16, 2.5) * 1e-3  # about the best coarse offset
+
+
+@dataclass(frozen=True)
+class TrialFit:
+    """How a trial fits its prediction.
+
+    Attributes
+    ----------
+    misfits
+        Mean distance from the strings of the ladder (C,), in arc lengths of the
+        farthest point.
+    offsets
+        Best clock offsets (C,) [s].
+    arc_lengths
+        Best arc lengths of the tracks, by rung and track (C, T) [m].
+    """
+
+    misfits: np.ndarray
+    offsets: np.ndarray
+    arc_lengths: np.ndarray
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How consistent measurements are.
+
+    Attributes
+    ----------
+    measured
+        The measurements, with the length that fits if none was stated.
+    broken
+        The limit that each impossible trial breaks, by trial.
+    misfits
+        Mean distance from the prediction by trial, in lengths.
+    arc_lengths
+        Arc length that fits best, by point [m].
+    """
+
+    measured: Measurements
+    broken: Mapping[str, BrokenLimit]
+    misfits: Mapping[str, float] = field(default_factory=dict)
+    arc_lengths: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def misfit(self) -> float:
+        """Median misfit of the trials, in lengths; 0 if nothing could be predicted."""
+        return float(np.median([*self.misfits.values()])) if self.misfits else 0.0
+
+    @property
+    def misfit_m(self) -> float:
+        """Median misfit of the trials [m]."""
+        return self.misfit * (self.measured.length or 1.0)
+
+    @property
+    def is_predicted(self) -> bool:
+        """Whether a trial could be predicted, of those that begin at rest."""
+        recordings = self.measured.recordings
+        begin_moving = [r.starts_moving or r.is_restless for r in recordings]
+        return bool(self.misfits) or all(begin_moving)
+
+    @property
+    def is_consistent(self) -> bool:
+        """Whether nothing contradicts the measurements."""
+        return not self.broken and self.misfit < CONSISTENT_MISFIT
+
+
+def judge(measured: Measurements) -> Verdict:
+    """Return how consistent measurements are."""
+    broken = broken_limits(measured)
+    if broken or not measured.recordings:
+        return Verdict(measured, broken)
+    if measured.length is not None:
+        return judge_prediction(measured)
+    verdicts = []
+    for length in hanging_lengths(measured):
+        stated = replace(measured, length=length)
+        if not broken_limits(stated):
+            verdicts.append(judge_prediction(stated))
+            if verdicts[-1].is_consistent:
+                return verdicts[-1]
+    if not verdicts:
+        return Verdict(measured, {})
+    return min(verdicts, key=lambda verdict: verdict.misfit_m)
+
+
+def hanging_lengths(measured: Measurements) -> list[float]:
+    """Return lengths [m] that the string may have by how it hangs at rest."""
+    stated = [
+        track.s
+        for recording in measured.recordings
+        for track in recording.tracks
+        if track.s is not None
+    ]
+    if stated:
+        return [float(np.quantile(stated, 0.95))]
+    chords = []
+    for recording in measured.recordings:
+        hand = measured.pose(recording)[0, :2]
+        distances = [
+            float(np.linalg.norm(track.rest_place - hand)) for track in recording.tracks
+        ]
+        chords.append(max(distances))
+    chord = float(np.median(chords))
+    return [ratio * chord for ratio in LENGTH_RATIOS]
+
+
+def judge_prediction(measured: Measurements) -> Verdict:
+    """Return how well the model predicts measurements of a string of known length."""
+    tip = farthest_point(measured)
+    fits: dict[str, TrialFit] = {}
+    for recording in measured.recordings[:MAX_TRIALS]:
+        prediction = predict(measured, recording)
+        if prediction is not None:
+            fit = fit_trial(prediction, recording, tip)
+            if fit is not None:
+                fits[recording.name] = fit
+        if is_hopeless(fits):
+            break
+    return summarise_fits(measured, fits)
+
+
+def is_hopeless(fits: Mapping[str, TrialFit]) -> bool:
+    """Return whether several trials are far from every prediction."""
+    far = [fit for fit in fits.values() if fit.misfits.min() > WRONG_MISFIT]
+    return len(far) >= HOPELESS_TRIALS and 2 * len(far) > len(fits)
+
+
+def summarise_fits(measured: Measurements, fits: Mapping[str, TrialFit]) -> Verdict:
+    """Return the verdict at the stiffness that fits most trials best."""
+    if not fits:
+        return Verdict(measured, {})
+    table = np.array([fit.misfits for fit in fits.values()])  # (trials, C)
+    best = int(np.median(table, axis=0).argmin())
+    misfits = {name: float(fit.misfits[best]) for name, fit in fits.items()}
+    tracks = {r.name: r.tracks for r in measured.recordings}
+    lengths: dict[str, list[float]] = {}
+    for name, fit in fits.items():
+        for track, s in zip(tracks[name], fit.arc_lengths[best], strict=True):
+            lengths.setdefault(track.point, []).append(float(s))
+    arc_lengths = {point: float(np.median(s)) for point, s in lengths.items()}
+    return Verdict(measured, {}, misfits, arc_lengths)
+
+
+def farthest_point(measured: Measurements) -> str:
+    """Return the name of the point that rests farthest from the hand."""
+    distances: dict[str, list[float]] = {}
+    for recording in measured.recordings:
+        hand = measured.pose(recording)[0, :2]
+        for track in recording.tracks:
+            distance = float(np.linalg.norm(track.rest_place - hand))
+            distances.setdefault(track.point, []).append(distance)
+    return max(distances, key=lambda name: float(np.median(distances[name])))
+
+
+def fit_trial(
+    prediction: Prediction, recording: Recording, tip: str
+) -> TrialFit | None:
+    """Return how a trial fits its prediction at the best offset of the clocks.
+
+    A point without a stated arc length gets the best one; the farthest is the tip.
+    """
+    length = prediction.length
+    tracks = [thin_track(track, length) for track in recording.tracks]
+    if any(not len(track.t) for track in tracks):
+        return None
+    offsets = clock_offsets(prediction, tracks)
+    if not len(offsets):
+        return None
+    rungs = np.arange(len(prediction.nodes))
+    coarse, arcs = errors_by_offset(prediction, tracks, tip, offsets)
+    near = offsets[coarse.min(axis=1).argmin()] + FINE_STEPS_S
+    fine, fine_arcs = errors_by_offset(prediction, tracks, tip, near)
+    offsets = np.concatenate([offsets, near])
+    errors, arcs = np.concatenate([coarse, fine]), np.concatenate([arcs, fine_arcs])
+    best = errors.argmin(axis=0)  # (C,)
+    return TrialFit(errors[best, rungs], offsets[best], arcs[best, rungs])
+
+
+def errors_by_offset(
+    prediction: Prediction, tracks: list[Track], tip: str, offsets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean errors (D, C) of all tracks and their best arc lengths (D, C, T)."""
+    totals = np.zeros((len(offsets), len(prediction.nodes)))
+    scale = max(track.s or prediction.length for track in tracks)
+    arcs = np.empty((*totals.shape, len(tracks)))
+    for number, track in enumerate(tracks):
+        if track.s is not None:
+            tried = np.array([track.s])
+        elif track.point == tip:
+            tried = np.array([prediction.length])
+        else:
+            tried = prediction.length * ARC_LENGTH_GRID
+        errors = np.array(
+            [track_errors(prediction, track, s, offsets, scale) for s in tried]
+        )  # (S, D, C)
+        totals += errors.min(axis=0) / len(tracks)
+        arcs[:, :, number] = tried[errors.argmin(axis=0)]
+    return totals, arcs

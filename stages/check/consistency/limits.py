@@ -1,0 +1,146 @@
+"""Limits that hold for every string, whatever its stiffness and whatever the clocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from stringcast.data.dataset import MAX_ARC_LENGTH_RATIO
+from stringcast.stages.check.consistency.record import Measurements, Recording, Track
+
+# no point is so much further from the hand than its arc length, relative to the length
+MAX_GAP = 0.25
+GAP_QUANTILE = 0.8  # so many points must be possible: others may be outliers
+MAX_STRETCH = 1.5  # no piece is so many times as long as its arc length
+PLAUSIBLE_LENGTHS_M = (0.01, 20.0)
+MAX_HAND_SPEED = 40.0  # [m/s]
+SPEED_QUANTILE = 0.95  # so many steps must be possible: others may be outliers
+INITIAL_FRAMES = 10  # wrong clocks matter least at the beginning
+OFFSET_COUNT = 81  # clock offsets that are tried
+MIN_OVERLAP = 0.6
+
+
+@dataclass(frozen=True)
+class BrokenLimit:
+    """A limit that a trial breaks.
+
+    kind: length, speed, arc length, stretch or gap. statement: what is impossible.
+    """
+
+    kind: str
+    statement: str
+
+
+def broken_limits(measured: Measurements) -> dict[str, BrokenLimit]:
+    """Return the limit that each impossible trial breaks, by trial."""
+    broken = {}
+    for recording in measured.recordings:
+        limit = broken_limit(measured, recording)
+        if limit is not None:
+            broken[recording.name] = limit
+    return broken
+
+
+def broken_limit(measured: Measurements, recording: Recording) -> BrokenLimit | None:
+    """Return the limit that a trial breaks; None if it is possible."""
+    length = measured.length
+    low, high = PLAUSIBLE_LENGTHS_M
+    if length is not None and not low <= length <= high:
+        return BrokenLimit("length", f"no string is {length:.4g} m long")
+    pose = measured.pose(recording)
+    speed = hand_speed(recording.t, pose)
+    if speed > MAX_HAND_SPEED:
+        return BrokenLimit("speed", f"the hand would move with {speed:.3g} m/s")
+    known = [track for track in recording.tracks if track.s is not None]
+    if length is not None:
+        for track in known:
+            if track.s is not None and track.s > MAX_ARC_LENGTH_RATIO * length:
+                statement = (
+                    f"s goes up to {track.s:.4g} m on a string of {length:.4g} m"
+                )
+                return BrokenLimit("arc length", statement)
+    for first, second in combinations(known, 2):
+        ratio = stretch(first, second)
+        if ratio > MAX_STRETCH:
+            statement = (
+                f"the points at s = {first.s:.4g} and {second.s:.4g} m are {ratio:.3g} "
+                "times as far apart as their arc lengths"
+            )
+            return BrokenLimit("stretch", statement)
+    for track in recording.tracks:
+        s = length if track.s is None else track.s
+        if s is None:
+            continue
+        gap = reach_excess(recording, pose, track, s)
+        if gap > MAX_GAP * (length or s):
+            statement = (
+                f"the point at s = {s:.4g} m would be {s + gap:.3g} m from the grasp"
+            )
+            return BrokenLimit("gap", statement)
+    return None
+
+
+def hand_speed(t: np.ndarray, pose: np.ndarray) -> float:
+    """Return a high quantile of the hand's speed [m/s]."""
+    dt = np.diff(t)
+    steps = np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1)[dt > 0]
+    speeds = steps / dt[dt > 0]
+    is_moving = speeds > 0
+    return (
+        float(np.quantile(speeds[is_moving], SPEED_QUANTILE)) if is_moving.any() else 0
+    )
+
+
+def stretch(first: Track, second: Track) -> float:
+    """Return median distance over arc length of two points; 1 if it is unknown."""
+    assert first.s is not None
+    assert second.s is not None
+    span = abs(second.s - first.s)
+    _, a, b = np.intersect1d(first.t, second.t, return_indices=True)
+    if not len(a) or span < 1e-9:
+        return 1.0
+    distance = np.linalg.norm(first.xy[a] - second.xy[b], axis=1)
+    return float(np.median(distance) / span)
+
+
+def reach_excess(
+    recording: Recording, pose: np.ndarray, track: Track, s: float
+) -> float:
+    """Return by how much a point is beyond its arc length [m], at the best offset.
+
+    A string that rests at the beginning is looked at there: the hand is at its own
+    time, or where its log begins. Another is looked at all the time, with any offset of
+    the clocks.
+    """
+    if not len(track.t):
+        return 0.0
+    if not recording.starts_moving:
+        begin, xy = track.t[:INITIAL_FRAMES], track.xy[:INITIAL_FRAMES]
+        at_own_time = hand_positions(recording.t, pose, begin)
+        excesses = []
+        for hand in (at_own_time, pose[:1, :2]):
+            distance = np.linalg.norm(xy - hand, axis=1)
+            excesses.append(float(np.quantile(distance, GAP_QUANTILE)) - s)
+        return min(excesses)
+
+    excesses = []
+    for offset in possible_offsets(recording.t, track.t):
+        hand = hand_positions(recording.t, pose, track.t + offset)
+        distance = np.linalg.norm(track.xy - hand, axis=1)
+        excesses.append(float(np.quantile(distance, GAP_QUANTILE)) - s)
+    return min(excesses)
+
+
+def hand_positions(t: np.ndarray, pose: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return positions of the hand (N, 2) at times (N,), at rest before and after."""
+    return np.stack([np.interp(times, t, pose[:, axis]) for axis in (0, 1)], axis=-1)
+
+
+def possible_offsets(hand_t: np.ndarray, point_t: np.ndarray) -> np.ndarray:
+    """Return clock offsets [s] at which two logs share most of the shorter one."""
+    shorter = min(np.ptp(hand_t), np.ptp(point_t))
+    low = hand_t[0] - point_t[-1] + MIN_OVERLAP * shorter
+    high = hand_t[-1] - point_t[0] - MIN_OVERLAP * shorter
+    return np.append(np.linspace(low, high, OFFSET_COUNT), np.clip(0.0, low, high))

@@ -1,0 +1,208 @@
+"""How far the points of a string lie from where a model puts them, whatever the clocks.
+
+The model is the paper's with ten mass points and a ladder of stiffness. It need not be
+right: a wrong arm, unit, direction or pairing of files misses by a large share of the
+string's length, a wrong stiffness or a missing effect by a few hundredths.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stringcast.stages.check.consistency.record import Measurements, Recording, Track
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import resample_hand_motion
+from stringcast.stages.model.string import String
+
+# bending and grasp stiffness at 0.3 m and ten mass points [N m/(rad kg)]: from a limp
+# string to a strip that stands out of the hand
+STIFFNESS_LADDER = (
+    (0.01, 0.001),
+    (1.0, 0.5),
+    (4.0, 0.01),
+    (4.0, 2.0),
+    (8.0, 4.0),
+    (15.0, 0.1),
+    (15.0, 7.0),
+    (22.0, 11.0),
+    (30.0, 15.0),
+    (50.0, 25.0),
+    (90.0, 45.0),
+    (200.0, 100.0),
+)
+REFERENCE_LENGTH_M = 0.3
+OTHER_PARAMETERS = {
+    "axial_stiffness": 6e5,
+    "axial_damping": 30.0,
+    "linear_drag": 0.3,
+    "quadratic_drag": 0.2,
+}
+DAMPING_TIME_S = 1e-3  # damping over stiffness
+TICK_S = 0.005
+LEAD_S = 0.3  # of rest before the motion
+# of motion, in sqrt(length / g): later, errors of the model have grown in fast casts;
+# a slow motion is followed until it has gone some way
+DURATION = 2.5
+MAX_DURATION_S = 10.0
+SWUNG_SHARE = 0.7  # of the length
+GRAVITY = 9.81  # [m/s2]
+MOVED_SHARE = 0.03  # of the length: beyond, a place was left
+MIN_HAND_PATH = 0.1  # in lengths: a shorter path predicts nothing
+MAX_FRAMES = 60  # of a track
+MIN_FRAMES = 5
+OFFSET_STEP_S = 0.02
+MIN_OVERLAP = 0.6  # share of a track's frames that a clock offset must leave
+# arc lengths that are tried where none is stated, in lengths
+ARC_LENGTH_GRID = np.arange(0.2, 1.001, 0.1)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Strings of the ladder in the hand of a trial.
+
+    Attributes
+    ----------
+    t
+        Times (N,) [s] by the arm's clock, every TICK_S.
+    nodes
+        Positions (C, N, n, 2) [m], evenly along the string.
+    length
+        Length of the string [m].
+    """
+
+    t: np.ndarray
+    nodes: np.ndarray
+    length: float
+
+    def points(self, s: float) -> np.ndarray:
+        """Return positions (C, N, 2) [m] at an arc length [m]."""
+        last = self.nodes.shape[2] - 1
+        place = np.clip(s / self.length, 0, 1) * last
+        before = min(int(place), last - 1)
+        share = place - before
+        below, above = self.nodes[:, :, before], self.nodes[:, :, before + 1]
+        return np.asarray(below + share * (above - below))
+
+
+def predict(measured: Measurements, recording: Recording) -> Prediction | None:
+    """Predict the string of a trial; None if the trial predicts nothing.
+
+    That is so if the string moves from the beginning, or the hand never does.
+    """
+    length = measured.length
+    if recording.starts_moving or recording.is_restless or length is None:
+        return None
+    t, first = np.unique(recording.t, return_index=True)
+    pose = measured.pose(recording)[first]
+    is_known = np.isfinite(pose).all(axis=1)
+    t, pose = t[is_known], pose[is_known]
+    if len(t) < MIN_FRAMES:
+        return None
+    lever = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
+    end = pose[:, :2] + length * lever
+    begin, until, path = motion_span(t, end, length)
+    if path < MIN_HAND_PATH * length:
+        return None
+    in_span = (t >= begin) & (t <= until)
+    if in_span.sum() < MIN_FRAMES:
+        return None
+    motion = resample_hand_motion(t[in_span], pose[in_span], TICK_S)
+    string = String(length)
+    result = simulate(string, motion, ladder_values(string), motion.times)
+    return Prediction(motion.times, result.points, length)
+
+
+def motion_span(
+    t: np.ndarray, xy: np.ndarray, length: float
+) -> tuple[float, float, float]:
+    """Return when a point's motion begins and what follows of it, with a lead.
+
+    The third value is the largest distance from its first place [m].
+    """
+    distance = np.linalg.norm(xy - np.median(xy[:3], axis=0), axis=1)
+    onset = first_beyond(t, distance, MOVED_SHARE * length, float(t[0]))
+    swung = first_beyond(t, distance, SWUNG_SHARE * length, float(t[-1]))
+    duration = DURATION * float(np.sqrt(length / GRAVITY))
+    until = min(max(onset + duration, swung), onset + MAX_DURATION_S)
+    return onset - LEAD_S, until, float(np.quantile(distance, 0.95))
+
+
+def first_beyond(
+    t: np.ndarray, distance: np.ndarray, threshold: float, otherwise: float
+) -> float:
+    """Return the first time (K,) [s] with a distance beyond a threshold."""
+    is_beyond = distance > threshold
+    is_beyond[:-1] &= is_beyond[1:]  # one sample may be an outlier
+    return float(t[np.argmax(is_beyond)]) if is_beyond.any() else otherwise
+
+
+def ladder_values(string: String) -> np.ndarray:
+    """Return the ladder's parameters (C, P) for a string of this length.
+
+    Stiffness grows with length, so that a rung means the same share of the weight.
+    """
+    scale = string.length / REFERENCE_LENGTH_M
+    rows = []
+    for bending, grasp in STIFFNESS_LADDER:
+        values = OTHER_PARAMETERS | {
+            "bending_stiffness": bending * scale,
+            "bending_damping": bending * scale * DAMPING_TIME_S,
+            "grasp_stiffness": grasp * scale,
+            "grasp_damping": grasp * scale * DAMPING_TIME_S,
+        }
+        rows.append([values[parameter.name] for parameter in string.parameters])
+    return np.array(rows)
+
+
+def thin_track(track: Track, length: float) -> Track:
+    """Return at most MAX_FRAMES finite frames about the track's motion."""
+    is_known = np.isfinite(track.xy).all(axis=1) & np.isfinite(track.t)
+    t, xy = track.t[is_known], track.xy[is_known]
+    if not len(t):
+        return replace(track, t=t, xy=xy)
+    begin, until, _ = motion_span(t, xy, length)
+    chosen = np.flatnonzero((t >= begin) & (t <= until))
+    step = int(np.ceil(len(chosen) / MAX_FRAMES)) or 1
+    return replace(track, t=t[chosen[::step]], xy=xy[chosen[::step]])
+
+
+def clock_offsets(prediction: Prediction, tracks: list[Track]) -> np.ndarray:
+    """Return offsets (D,) [s] that leave enough of the tracks within the prediction."""
+    begin = min(float(track.t[0]) for track in tracks)
+    end = max(float(track.t[-1]) for track in tracks)
+    low = prediction.t[0] - end
+    high = prediction.t[-1] - begin
+    offsets = np.arange(low, high + OFFSET_STEP_S, OFFSET_STEP_S)
+    wanted = MIN_OVERLAP * min(end - begin, prediction.t[-1] - prediction.t[0])
+    overlap = np.minimum(end + offsets, prediction.t[-1]) - np.maximum(
+        begin + offsets, prediction.t[0] - LEAD_S
+    )
+    return np.asarray(offsets[overlap >= wanted])
+
+
+def track_errors(
+    prediction: Prediction, track: Track, s: float, offsets: np.ndarray, scale: float
+) -> np.ndarray:
+    """Return mean distances (D, C) of a track from predictions, relative to a scale.
+
+    Each distance counts as the scale at most, so that outliers count little. Frames
+    beyond the prediction's end do not count; before its beginning the string rests.
+    """
+    points = prediction.points(s)  # (C, N, 2)
+    last = len(prediction.t) - 1
+    errors = np.ones((len(offsets), len(points)))
+    for number, offset in enumerate(offsets):
+        place = (track.t + offset - prediction.t[0]) / TICK_S
+        is_within = place <= last
+        if is_within.sum() < MIN_FRAMES:
+            continue
+        place = np.maximum(place[is_within], 0.0)
+        before = np.minimum(place.astype(int), last - 1)
+        share = (place - before)[:, None]
+        places = (1 - share) * points[:, before] + share * points[:, before + 1]
+        distance = np.linalg.norm(places - track.xy[is_within], axis=-1)
+        shares = np.minimum(distance / scale, 1.0)
+        errors[number] = np.nan_to_num(shares, nan=1.0).mean(axis=1)
+    return errors

@@ -1,0 +1,137 @@
+"""What was measured: the hand's motion and points of the string, trial by trial."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+REST_FRAMES = 5  # the median of so many frames gives the place of rest
+
+
+@dataclass(frozen=True)
+class Track:
+    """A point of the string over time.
+
+    Attributes
+    ----------
+    point
+        Its name.
+    s
+        Its arc length [m]; None if it is not stated.
+    t, xy
+        Times (F,) [s] by the camera's clock, and positions (F, 2) [m].
+    """
+
+    point: str
+    s: float | None
+    t: np.ndarray
+    xy: np.ndarray
+
+    @property
+    def rest_place(self) -> np.ndarray:
+        """Median position of the first frames (2,) [m]."""
+        return np.asarray(np.median(self.xy[:REST_FRAMES], axis=0))
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A trial as it was recorded.
+
+    Attributes
+    ----------
+    name
+        The trial's name.
+    t
+        Times of the hand (K,) [s] by the arm's clock.
+    joints
+        Joint angles (K, J) [rad], base first, or None.
+    hand
+        Measured poses (K, 3) of the grasp: x, y [m], theta [rad], or None.
+    tracks
+        The points of the string, each with a frame at least.
+    starts_moving
+        Whether the string is stated to move already when the trial begins.
+    is_restless
+        Whether it seems to do so against what is stated.
+    """
+
+    name: str
+    t: np.ndarray
+    joints: np.ndarray | None
+    hand: np.ndarray | None
+    tracks: tuple[Track, ...]
+    starts_moving: bool = False
+    is_restless: bool = False
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """All trials with the geometry that is stated.
+
+    Attributes
+    ----------
+    recordings
+        The trials.
+    links, base
+        Lengths of the arm's links and place of joint 1 [m].
+    length
+        Length of the string [m]; None if it is not stated.
+    """
+
+    recordings: tuple[Recording, ...]
+    links: tuple[float, ...] = ()
+    base: tuple[float, float] = (0.0, 0.0)
+    length: float | None = None
+
+    @property
+    def has_joints(self) -> bool:
+        """Whether joint angles were recorded."""
+        return any(recording.joints is not None for recording in self.recordings)
+
+    def pose(self, recording: Recording) -> np.ndarray:
+        """Return the hand's pose (K, 3) in a trial: x, y [m], theta [rad]."""
+        if recording.joints is None:
+            assert recording.hand is not None
+            return recording.hand
+        return arm_poses(recording.joints, self.links, self.base)
+
+    def with_recordings(self, change: Callable[[Recording], Recording]) -> Measurements:
+        """Return the measurements with each recording changed."""
+        return replace(self, recordings=tuple(map(change, self.recordings)))
+
+    def with_tracks(self, change: Callable[[Track], Track]) -> Measurements:
+        """Return the measurements with each track changed."""
+
+        def change_recording(recording: Recording) -> Recording:
+            return replace(recording, tracks=tuple(map(change, recording.tracks)))
+
+        return self.with_recordings(change_recording)
+
+
+def arm_poses(
+    joints: np.ndarray,
+    links: Sequence[float] | np.ndarray,
+    base: Sequence[float] | np.ndarray,
+) -> np.ndarray:
+    """Compute poses of the grasp of a planar arm.
+
+    Parameters
+    ----------
+    joints
+        Joint angles (K, J) [rad], base first, each to the link before.
+    links
+        Lengths of the links (J,) [m].
+    base
+        Place of joint 1 (2,) [m].
+
+    Returns
+    -------
+    ndarray of shape (K, 3)
+        x, y [m] and theta [rad].
+    """
+    angles = np.cumsum(joints, axis=1)  # of the links to +x
+    x = base[0] + (np.cos(angles) * links).sum(axis=1)
+    y = base[1] + (np.sin(angles) * links).sum(axis=1)
+    return np.stack([x, y, angles[:, -1]], axis=-1)

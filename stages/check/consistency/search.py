@@ -1,0 +1,421 @@
+"""Search for the corrections after which measurements are consistent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from stringcast.data.metadata import DATASET_FILE
+from stringcast.stages.check.consistency.corrections import (
+    DIRECTIONS,
+    RATES,
+    Correction,
+    scale_all_times,
+    single_corrections,
+)
+from stringcast.stages.check.consistency.judge import (
+    CONSISTENT_MISFIT,
+    MAX_TRIALS,
+    Verdict,
+    farthest_point,
+    fit_trial,
+    judge,
+)
+from stringcast.stages.check.consistency.limits import broken_limits
+from stringcast.stages.check.consistency.prediction import (
+    TICK_S,
+    Prediction,
+    predict,
+    thin_track,
+)
+from stringcast.stages.check.consistency.record import (
+    Measurements,
+    Recording,
+    Track,
+)
+from stringcast.stages.model.camera import Camera
+
+# an arm casts no shorter and no longer string
+MIN_CORRECTED_LENGTH_M, MAX_CORRECTED_LENGTH_M = 0.05, 2.0
+# of a correction, over the misfit before. In 15 right datasets of other simulators a
+# fitted base leaves 0.6 to 1.2 of it, half or double rates 1.2 to 20 times as much.
+MAX_MISFIT_RATIO = 0.4
+MAX_RATE_RATIO = 0.6
+WORST_PERFECT_MISFIT = 0.03  # no mistake is looked for below
+# others fit as well if their misfit is at most so many times as large, or so much more
+RIVAL_RATIO, RIVAL_MARGIN = 1.5, 0.03
+SUSPICIOUS_MISFIT = 0.1  # a trial that misses by more may belong to another hand
+# lengths that are tried where neither length nor base is known [m]
+UNKNOWN_LENGTHS_M = np.geomspace(0.12, 1.5, 12)
+MIN_SEEN_LENGTH = 0.3  # of the corrected string
+BASE_STEPS = 3
+MIN_AMPLITUDE_RATIO = 2.0  # of the points' motion over the misfit, for a fitted base
+PAIRING_RUNGS = (
+    0,
+    3,
+    6,
+    7,
+    8,
+    9,
+)  # of the ladder of stiffness: enough to compare hands
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Corrections that make measurements consistent."""
+
+    corrections: tuple[Correction, ...]
+    verdict: Verdict
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What would make measurements consistent.
+
+    Attributes
+    ----------
+    proposals
+        Corrections, the best first. More than one means that the data do not decide.
+    pairing
+        The trial whose points fit, by the trial of the hand, where they differ.
+    """
+
+    proposals: Sequence[Proposal] = ()
+    pairing: Mapping[str, str] = field(default_factory=dict)
+
+
+def find_answer(
+    measured: Measurements, before: Verdict, camera: Camera | None = None
+) -> Answer:
+    """Return what would make measurements consistent; nothing if they are.
+
+    Single corrections are tried first, then another pairing of trials, then another
+    place of the arm, then pairs of corrections.
+
+    Parameters
+    ----------
+    measured
+        The measurements.
+    before
+        Their verdict.
+    camera
+        The camera whose pixels positions may be in.
+    """
+    if before.is_consistent:
+        return find_silent_mistake(measured, before)
+    singles = single_corrections(measured, camera)
+    alone = [(correction,) for correction in singles]
+    proposals = consistent_proposals(measured, before, alone)
+    if not proposals:
+        pairing = find_pairing(measured, before)
+        if pairing:
+            return Answer(pairing=pairing)
+    for candidates in (
+        base_corrections(measured, ()),
+        pair_candidates(measured, singles),
+    ):
+        if not proposals:
+            proposals = consistent_proposals(measured, before, candidates)
+    return Answer(keep_rivals(proposals))
+
+
+def find_silent_mistake(measured: Measurements, before: Verdict) -> Answer:
+    """Return a mistake of measurements that are consistent, but fit better without it.
+
+    A similar motion of another trial, a rate and a base that is off a little leave a
+    possible string.
+    """
+    pairing = find_pairing(measured, before)
+    if pairing or before.misfit < WORST_PERFECT_MISFIT:
+        return Answer(pairing=pairing)
+    candidates = [*((rate,) for rate in RATES), *base_corrections(measured, ())]
+    proposals = consistent_proposals(measured, before, candidates)
+    return Answer(keep_rivals(proposals))
+
+
+def pair_candidates(
+    measured: Measurements, singles: Iterable[Correction]
+) -> Iterator[tuple[Correction, ...]]:
+    """Yield pairs of corrections that people need."""
+    singles = list(singles)
+    # with s in another unit, all points would lie at one place
+    units = [c for c in singles if c.kind == "unit" and "s" not in c.parts]
+    others = [
+        c
+        for c in singles
+        if c.kind in ("y_down", "x_left", "exchange_axes", "degrees", "absolute")
+    ]
+    yield from product(units, others)
+    angles = [c for c in others if c not in DIRECTIONS]
+    yield from product(DIRECTIONS, angles)
+    points = [c for c in units if c.parts == ("xy",)]
+    for correction in (*DIRECTIONS, *points, *angles):
+        yield from base_corrections(measured, (correction,))
+
+
+def consistent_proposals(
+    measured: Measurements,
+    before: Verdict,
+    candidates: Iterable[tuple[Correction, ...]],
+) -> list[Proposal]:
+    """Return the candidates that end in consistent measurements."""
+    proposals = []
+    for corrections in candidates:
+        corrected = apply_corrections(measured, corrections)
+        if corrected is None or broken_limits(corrected):
+            continue
+        verdict = judge(corrected)
+        length = verdict.measured.length or 0.0
+        is_castable = MIN_CORRECTED_LENGTH_M < length < MAX_CORRECTED_LENGTH_M
+        if not is_castable or is_seen_near_hand(corrected, length):
+            continue
+        kinds = {correction.kind for correction in corrections}
+        ratio = MAX_RATE_RATIO if kinds == {"rate"} else MAX_MISFIT_RATIO
+        is_better = bool(before.broken) or verdict.misfit < ratio * before.misfit
+        is_right = verdict.is_consistent and verdict.is_predicted and is_better
+        if is_right and falls_at_its_pace(corrected, verdict):
+            proposals.append(Proposal(corrections, verdict))
+    return sorted(proposals, key=lambda proposal: proposal.verdict.misfit)
+
+
+def falls_at_its_pace(measured: Measurements, verdict: Verdict) -> bool:
+    """Return whether no other pace of all clocks fits much better.
+
+    A unit of length that is wrong by a factor of four falls as if in slow motion.
+    """
+    for factor in (0.5, 2.0):
+        other = scale_all_times(measured, factor)
+        if broken_limits(other):
+            continue
+        if judge(other).misfit < MAX_RATE_RATIO * verdict.misfit:
+            return False
+    return True
+
+
+def is_seen_near_hand(measured: Measurements, length: float) -> bool:
+    """Return whether all points of stated arc length are in the string's beginning."""
+    stated = [t.s for r in measured.recordings for t in r.tracks if t.s is not None]
+    return bool(stated) and max(stated) < MIN_SEEN_LENGTH * length
+
+
+def apply_corrections(
+    measured: Measurements, corrections: Iterable[Correction]
+) -> Measurements | None:
+    """Undo mistakes one after another; None if one of them cannot be there."""
+    corrected: Measurements | None = measured
+    for correction in corrections:
+        if corrected is not None:
+            corrected = correction.undo(corrected)
+    return corrected
+
+
+def keep_rivals(proposals: list[Proposal]) -> list[Proposal]:
+    """Return the proposals that fit about as well as the first."""
+    if not proposals:
+        return []
+    best = proposals[0].verdict.misfit
+    limit = max(RIVAL_RATIO * best, best + RIVAL_MARGIN)
+    return [proposal for proposal in proposals if proposal.verdict.misfit <= limit]
+
+
+# --- the place of the arm ----------------------------------------------------
+
+
+def base_corrections(
+    measured: Measurements, first: tuple[Correction, ...]
+) -> Iterator[tuple[Correction, ...]]:
+    """Yield the arm's place that the string at rest and its motion show."""
+    corrected = apply_corrections(measured, first)
+    if corrected is None or not corrected.has_joints:
+        return
+    lengths = [corrected.length] if corrected.length else list(UNKNOWN_LENGTHS_M)
+    best: tuple[float, np.ndarray, float] | None = None
+    for length in lengths:
+        stated = replace(corrected, length=float(length))
+        fitted = fit_base(stated)
+        if fitted is not None and (best is None or fitted[0] < best[0]):
+            best = fitted
+    if best is None or best[0] > CONSISTENT_MISFIT:
+        return
+    # where the points hardly move, any string fits them at some place
+    if best[2] < MIN_AMPLITUDE_RATIO * best[0]:
+        return
+    x, y = (round(float(value), 3) for value in best[1])
+    yield (*first, base_correction((x, y)))
+
+
+def base_correction(base: tuple[float, float]) -> Correction:
+    """Return the correction that puts the arm to a place [m]."""
+    x, y = base
+    return Correction(
+        DATASET_FILE,
+        "arm.base",
+        f"the arm stands elsewhere: the string's motion fits a base of about "
+        f"({x:.3f}, {y:.3f}) m",
+        f"Measure where joint 1 sits in the coordinates of the points; a fit says "
+        f"base: [{x:.3f}, {y:.3f}]",
+        lambda measured: replace(measured, base=base),
+        "base",
+        values=base,
+    )
+
+
+def fit_base(measured: Measurements) -> tuple[float, np.ndarray, float] | None:
+    """Fit where joint 1 sits.
+
+    A string moves alike everywhere, so the arm's place is off by what points are off
+    from their prediction: first at rest, by stiffness, then over the motion.
+
+    Returns
+    -------
+    tuple or None
+        The misfit, the place (2,) [m], and the mean motion of the tip; misfit and
+        motion in lengths.
+    """
+    trials: list[tuple[Recording, Prediction]] = []
+    for recording in measured.recordings[:MAX_TRIALS]:
+        prediction = predict(measured, recording)
+        if prediction is not None:
+            trials.append((recording, prediction))
+    if not trials:
+        return None
+    # which point rests farthest from the hand is unknown, too
+    tips = {track.point for recording, _ in trials for track in recording.tracks}
+    fits = [fit_base_of_tip(trials, tip) for tip in sorted(tips)]
+    misfit, place, motion = min(fits, key=lambda fit: fit[0])
+    return misfit, np.asarray(measured.base) + place, motion
+
+
+def fit_base_of_tip(
+    trials: list[tuple[Recording, Prediction]], tip: str
+) -> tuple[float, np.ndarray, float]:
+    """Return misfit, shift of the base (2,) [m] and motion, if a point is the tip."""
+    gaps = []
+    motions = []
+    for recording, prediction in trials:
+        track = next((t for t in recording.tracks if t.point == tip), None)
+        if track is None:
+            continue
+        s = track.s or prediction.length
+        gaps.append(track.rest_place - prediction.points(s)[:, 0])
+        xy = thin_track(track, prediction.length).xy
+        distance = np.linalg.norm(xy - xy.mean(axis=0), axis=1)
+        motions.append(float(distance.mean()) / prediction.length)
+    shift = np.median(gaps, axis=0)  # (C, 2)
+    misfit, place = np.inf, np.zeros(2)
+    for _ in range(BASE_STEPS):
+        misfits, residuals = shifted_fits(trials, tip, shift)
+        rung = int(misfits.argmin())
+        if misfits[rung] >= misfit:
+            break
+        misfit, place = float(misfits[rung]), shift[rung]
+        shift = shift + residuals
+    return misfit, place, float(np.median(motions))
+
+
+def shifted_fits(
+    trials: list[tuple[Recording, Prediction]], tip: str, shift: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return misfits (C,) of predictions that are shifted, and what is left (C, 2)."""
+    misfits = []
+    residuals = []
+    for recording, prediction in trials:
+        moved = replace(prediction, nodes=prediction.nodes + shift[:, None, None])
+        fit = fit_trial(moved, recording, tip)
+        if fit is None:
+            continue
+        track = next((t for t in recording.tracks if t.point == tip), None)
+        if track is None:
+            continue
+        misfits.append(fit.misfits)
+        residuals.append(
+            median_residuals(moved, thin_track(track, moved.length), fit.offsets)
+        )
+    if not misfits:
+        return np.full(len(shift), np.inf), np.zeros_like(shift)
+    return np.median(misfits, axis=0), np.median(residuals, axis=0)
+
+
+def median_residuals(
+    prediction: Prediction, track: Track, offsets: np.ndarray
+) -> np.ndarray:
+    """Return the median distance (C, 2) of the tip from its prediction [m]."""
+    points = prediction.points(track.s or prediction.length)
+    residuals = []
+    for rung, offset in enumerate(offsets):
+        index = np.rint((track.t + offset - prediction.t[0]) / TICK_S).astype(int)
+        is_within = index < len(prediction.t)
+        places = points[rung, np.maximum(index[is_within], 0)]
+        residuals.append(np.median(track.xy[is_within] - places, axis=0))
+    return np.array(residuals)
+
+
+# --- the pairing of trials ---------------------------------------------------
+
+
+def tip_alone(recording: Recording, tip: str) -> Recording:
+    """Return a trial with the tip as its only point."""
+    tracks = tuple(track for track in recording.tracks if track.point == tip)
+    return replace(recording, tracks=tracks)
+
+
+def find_pairing(measured: Measurements, verdict: Verdict) -> dict[str, str]:
+    """Return whose points belong to which trial's hand, if not to their own.
+
+    Parameters
+    ----------
+    measured
+        The measurements.
+    verdict
+        Their verdict.
+
+    Returns
+    -------
+    dict
+        The trial whose points fit, by the trial of the hand; only where they differ.
+    """
+    if measured.length is None or any(
+        limit.kind != "gap" for limit in verdict.broken.values()
+    ):
+        return {}
+    is_suspicious = max(verdict.misfits.values(), default=0.0) > SUSPICIOUS_MISFIT
+    if not (verdict.broken or is_suspicious):
+        return {}
+    tip = farthest_point(measured)
+    recordings = measured.recordings[: 2 * MAX_TRIALS]
+    predictions = [predict(measured, recording) for recording in recordings]
+    if len(recordings) < 2 or any(p is None for p in predictions):
+        return {}
+    tips = [tip_alone(recording, tip) for recording in recordings]
+    costs = []  # (N hands, N tracks, C)
+    for prediction in predictions:
+        assert prediction is not None
+        few = replace(prediction, nodes=prediction.nodes[list(PAIRING_RUNGS)])
+        row = []
+        for other in tips:
+            fit = fit_trial(few, other, tip) if other.tracks else None
+            row.append(np.ones(len(few.nodes)) if fit is None else fit.misfits)
+        costs.append(row)
+    table = np.array(costs)
+    own = np.arange(len(recordings))
+    best = None
+    for rung in range(table.shape[2]):
+        _, order = linear_sum_assignment(table[:, :, rung])
+        total = table[own, order, rung].sum()
+        if best is None or total < best[0]:
+            best = (total, order, rung)
+    assert best is not None
+    _, order, rung = best
+    changed = own[order != own]
+    if not len(changed):
+        return {}
+    new = table[changed, order[changed], rung]
+    own_rung = int(table[own, own].sum(axis=0).argmin())
+    old = table[changed, changed, own_rung]
+    if new.max() > CONSISTENT_MISFIT or new.mean() > MAX_MISFIT_RATIO * old.mean():
+        return {}
+    return {recordings[i].name: recordings[order[i]].name for i in changed}
