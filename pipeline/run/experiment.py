@@ -15,6 +15,7 @@ from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.run.stage_graph import StageGraph
+from stringcast.pipeline.settings.bounds import refuse_numbers_out_of_bounds
 from stringcast.pipeline.settings.composition import (
     PLUGINS_SETTING,
     Settings,
@@ -32,6 +33,7 @@ from stringcast.pipeline.settings.typed_settings import (
     build_chosen,
     build_dataclass,
     load_callable,
+    validate_value,
 )
 from stringcast.stages.common import Progress
 from stringcast.stages.execute.interfaces import Lab
@@ -250,13 +252,17 @@ def refuse_lacking_settings(
 
 
 def check_run_settings(config: Settings, where: BlockLocation) -> None:
-    """Raise UserError for a number that is not finite, or a setting of the run."""
+    """Raise UserError for a number that cannot be used, or a setting of the run."""
+    refuse_numbers_out_of_bounds(config, where)
     for name, value in flatten_settings(config).items():
-        if isinstance(value, float) and not math.isfinite(value):
-            place = where(name.partition(".")[0])
-            raise UserError(
-                f"{name} = {value} ({place}): it must be a finite number. Change it."
-            )
+        numbers = value if isinstance(value, list) else [value]
+        for number in numbers:
+            if isinstance(number, float) and not math.isfinite(number):
+                place = where(name.partition(".")[0])
+                raise UserError(
+                    f"{name} = {number} ({place}): it must be a finite number. "
+                    "Change it."
+                )
 
     def refuse(name: str, requirement: str) -> NoReturn:
         setting = f"{name} = {config[name]!r} ({where(name)})"
@@ -378,7 +384,10 @@ def build_string(block: Settings, where: str) -> String:
             known = ", ".join(parameters)
             fault = "there is no such parameter"
             raise UserError(f"{setting} ({where}): {fault}. Known are: {known}.")
-        low, high, start = (float(limits[key]) for key in ("low", "high", "start"))
+        low, high, start = (
+            validate_value(float, limits[key], f"{setting}.{key}", where)
+            for key in ("low", "high", "start")
+        )
         if not low < high:
             fault = f"low = {low} must be below high = {high}"
             raise UserError(f"{setting} ({where}): {fault}. Change one.")
@@ -400,8 +409,6 @@ def refine_string_to_tolerance(
     if tolerance is None:
         return string
     setting = f"string.tolerance = {tolerance!r} ({where})"
-    if not isinstance(tolerance, float | int) or tolerance <= 0:
-        raise UserError(f"{setting}: it must be metres above 0, or null. Change it.")
 
     durations = config["generate"]["shortest"] * config["generate"]["longest"]
     cast = plain_cast(arm, float(np.sqrt(durations)))

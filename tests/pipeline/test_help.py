@@ -59,7 +59,9 @@ def test_the_reference_is_what_it_would_be_made_now():
 
 def test_the_reference_says_values_and_meaning():
     page = reference.reference_page()
-    assert re.search(r"^    camera\.width=640 +picture width \[px\]$", page, re.M)
+    assert re.search(
+        r"^    camera\.width=640 +picture width, 16 to 20000 \[px\]$", page, re.M
+    )
     assert "along_x, along_y -5…5 m/s" in page
     assert not re.search(r"^    \S+( \(default\))?$", page, re.M), (
         "a setting or option without a meaning"
@@ -69,5 +71,7 @@ def test_the_reference_says_values_and_meaning():
 def test_what_stands_behind_a_setting_is_its_own_meaning():
     shown = help_text(["+experiment=stringB", "estimate=least_squares"])
     assert re.search(r"\n  iterations: 20 +# largest number for each start", shown)
-    assert re.search(r"\n  largest_step: 0.0002 +# of the simulation \[s\]", shown)
-    assert re.search(r"\n  x: 0.4 +# centre, to the right \[m\]", shown)
+    assert re.search(
+        r"\n  largest_step: 0.0002 +# of the simulation, 1e-6 to 0.1 \[s\]", shown
+    )
+    assert re.search(r"\n  x: 0.4 +# centre, to the right, -1000 to 1000 \[m\]", shown)

@@ -1,0 +1,115 @@
+"""Check that every number among the settings lies within its bounds.
+
+Bounds stand where a setting is declared, in its comment in `conf`, before its unit:
+`fps: 200.0  # frame rate, 0.1 to 1e5 [1/s]`. Bounds of a block hold for all numbers in
+it that have none of their own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from stringcast.pipeline.settings.composition import (
+    Settings,
+    UserError,
+    conf_folders,
+    flatten_settings,
+)
+from stringcast.pipeline.settings.setting_comments import setting_comments
+
+NUMBER = r"-?\d+(?:\.\d+)?(?:e-?\d+)?"
+BOUNDS = re.compile(rf"(?:^|, )({NUMBER}) to ({NUMBER})(?: \[([^\]]+)\]|;|$)")
+REFERENCE = re.compile(r"\$\{([\w.]+)\}")  # a value that is that of another setting
+WORDS = {"trials_used": ("all",)}  # that stand for a number
+
+
+class Bounds(NamedTuple):
+    """The bounds of a setting, which it may equal, and its unit; empty without one."""
+
+    low: float
+    high: float
+    unit: str
+
+    def describe(self) -> str:
+        """Return the bounds with the unit."""
+        return f"from {self.low:g} to {self.high:g} {self.unit}".rstrip()
+
+
+def bounds_of(name: str) -> Bounds | None:
+    """Return the bounds of a setting, or of the nearest block around it with bounds."""
+    while name:
+        found = BOUNDS.search(setting_comments().get(name, ""))
+        if found:
+            unit = found[3] if found[3] and found[3] != "1" else ""
+            return Bounds(float(found[1]), float(found[2]), unit)
+        name = name.rpartition(".")[0]
+    return None
+
+
+def refuse_numbers_out_of_bounds(config: Settings, where: Callable[[str], str]) -> None:
+    """Raise UserError for a setting outside its bounds, or with no number for one.
+
+    Of settings that refer to one another, the one that was given is named.
+
+    Parameters
+    ----------
+    config : mapping
+        All settings of a run.
+    where : callable
+        Returns the file of a block of settings, for messages.
+    """
+    faults = {}
+    for name, value in flatten_settings(dict(config)).items():
+        bounds = bounds_of(name)
+        if bounds is not None and value not in WORDS.get(name, ()):
+            fault = _fault(value, bounds)
+            if fault:
+                faults[name] = fault
+    references = _referenced_settings(conf_folders())
+    for name, (value, requirement) in faults.items():
+        if references.get(name) not in faults:
+            place = where(name.partition(".")[0])
+            raise UserError(
+                f"{name} = {value} ({place}): it must be {requirement}. Change it "
+                "there or on the command line."
+            )
+
+
+def _fault(value: Any, bounds: Bounds) -> tuple[str, str] | None:
+    """Return the number that does not fit, and what it must be; None if all fit."""
+    for number in _leaves(value):
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            return repr(number), f"a number {bounds.describe()}"
+        if not bounds.low <= number <= bounds.high:
+            return f"{number:g}", bounds.describe()
+    return None
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    """Yield the values in nested lists; nothing where a setting is not given."""
+    if isinstance(value, list | tuple):
+        for inner in value:
+            yield from _leaves(inner)
+    elif value is not None and value != {}:
+        yield value
+
+
+@cache
+def _referenced_settings(folders: tuple[Path, ...]) -> dict[str, str]:
+    """Return the settings that take the value of another one, with its name."""
+    references = {}
+    for folder in folders:
+        for file in sorted(folder.rglob("*/*.yaml")):
+            block = file.parent.relative_to(folder).as_posix()
+            content = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
+            for name, value in flatten_settings(content, block).items():
+                found = REFERENCE.fullmatch(value) if isinstance(value, str) else None
+                if found:
+                    references[name] = found[1]
+    return references
