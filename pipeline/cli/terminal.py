@@ -84,14 +84,18 @@ def explain_hydra_error(error: BaseException) -> str:
     first_line = text.splitlines()[0]
     arguments = sys.argv[1:]
 
-    # such as name=Jörg
+    # such as name=Jörg or plugins=[~/x]
     if not_ascii := re.match(r"LexerNoViableAltException: (.+=.*)", first_line):
         word = not_ascii[1]
         name, _, value = word.partition("=")
+        quoted = f'"{value}"'
+        if value.startswith("[") and value.endswith("]"):
+            values = [f'"{part.strip()}"' for part in value[1:-1].split(",")]
+            quoted = f"[{','.join(values)}]"
         if word in arguments:
-            arguments[arguments.index(word)] = f'{name}="{value}"'
+            arguments[arguments.index(word)] = f"{name}={quoted}"
         remedy = f"Try: python -m pipeline {shlex.join(arguments)}"
-        return f"{word}: letters beyond ASCII need quotes. {remedy}"
+        return f"{word}: signs such as ~ and letters beyond ASCII need quotes. {remedy}"
 
     unreadable_line = "no viable|mismatched|missing|extraneous|token recognition"
     if re.match(unreadable_line, first_line):

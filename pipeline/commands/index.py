@@ -28,7 +28,7 @@ from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.run.file_names import FAILURE_FILE, SUMMARY_FILE
 from stringcast.pipeline.run.provenance import software_versions, stale_reasons
 from stringcast.pipeline.settings.composition import UserError
-from stringcast.pipeline.settings.named_plugins import stored_plugins
+from stringcast.pipeline.settings.named_plugins import UNNAMED_PLUGIN, stored_plugins
 from stringcast.stages.entry_points import DRY_RUNS
 from stringcast.stages.plugins import PluginError
 
@@ -199,7 +199,7 @@ def printable_table(runs: pd.DataFrame) -> TerminalTable:
             str(run.iterations),
             "" if np.isnan(run.best_E) else f"{run.best_E:.3f}",
             f"{run.seconds:.0f}",
-            "yes" if run.stale else "",
+            stale_word(run.stale),
         )
         table.add_row(*map(Text, cells))
     return table
@@ -255,6 +255,13 @@ def step_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
         "seconds": float(sum(seconds)),
         "stale": first_stale_reason(run, steps, settings),
     }
+
+
+def stale_word(reason: str) -> str:
+    """Return a word for the reason why a run is stale; empty for a fresh run."""
+    if UNNAMED_PLUGIN in reason:
+        return "plugin not named"
+    return "yes" if reason else ""
 
 
 def first_stale_reason(

@@ -227,10 +227,16 @@ def main(arguments: Sequence[str]) -> int:
         help="your folder, made if need be; by default my_lab in the current folder",
     )
     options = parser.parse_args(arguments)
-    words = f"new {options.kind} {{}} --to {{}}"
     plugin: Path = options.to.resolve()
-    require_name(options.name, words.format("{}", options.to))
-    require_name(plugin.name, words.format(options.name, "{}"))
+    for name in (options.name, plugin.name):
+        if not is_module_name(name):
+            near = nearest_module_name(options.name)
+            folder = shown_path(plugin.with_name(nearest_module_name(plugin.name)))
+            command = ["new", options.kind, near, "--to", str(folder)]
+            raise UserError(
+                f"{name}: a name consists of small letters, digits and _. "
+                f"Try: {program_name()} {shlex.join(command)}"
+            )
 
     texts, example = FILES_OF_KIND[options.kind](options.name, plugin.name)
     files = {plugin / path: text for path, text in texts.items()}
@@ -255,14 +261,17 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def require_name(name: str, command: str) -> None:
-    """Raise UserError with a corrected command for what is no name of a module."""
-    if not NAME_PATTERN.fullmatch(name) or keyword.iskeyword(name):
-        near = re.sub(r"\W+", "_", name.lower()).strip("_0123456789") or "mine"
-        raise UserError(
-            f"{name}: a name consists of small letters, digits and _. "
-            f"Try: {program_name()} {command.format(near)}"
-        )
+def is_module_name(name: str) -> bool:
+    """Tell whether a module can have this name."""
+    return bool(NAME_PATTERN.fullmatch(name)) and not keyword.iskeyword(name)
+
+
+def nearest_module_name(name: str) -> str:
+    """Return a name that a module can have, near another one."""
+    if is_module_name(name):
+        return name
+    near = re.sub(r"\W+", "_", name.lower()).strip("_0123456789")
+    return near if is_module_name(near) else "mine"
 
 
 def shown_path(path: Path) -> Path:

@@ -5,6 +5,7 @@ Files and settings are compared; no model is built.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -12,11 +13,13 @@ from typing import Any
 
 from stringcast.data import store
 from stringcast.data.schema import DataError
+from stringcast.pipeline.cli.terminal import with_program_name
 from stringcast.pipeline.commands import CommandParser, print_block
 from stringcast.pipeline.commands.stored_runs import (
     read_stored_settings,
     run_folder_of,
 )
+from stringcast.pipeline.modes.stepwise import Stepwise
 from stringcast.pipeline.run.file_names import SUMMARY_FILE, artifact_folder
 from stringcast.pipeline.run.provenance import arm_has_executed, stale_reasons
 from stringcast.pipeline.settings.composition import UserError
@@ -52,6 +55,13 @@ def main(arguments: list[str]) -> int:
             f"({error!r}). Restore it; another version of this code may have made it."
         ) from error
     names = [name for name in states if chosen in (".", name)]
+    mode = build_chosen(settings["mode"], "mode", "config.json")
+    if not names and chosen == "." and isinstance(mode, Stepwise):
+        command = f"python -m pipeline resume {shlex.quote(str(folder))}"
+        raise UserError(
+            f"{folder}: the run has made no step yet. Continue it: "
+            f"{with_program_name(command)}"
+        )
     if not names:
         folders = ", ".join(sorted({stage.folder for stage in stages().values()}))
         raise UserError(

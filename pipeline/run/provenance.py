@@ -13,7 +13,7 @@ import hashlib
 import json
 import platform
 import subprocess
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
@@ -150,7 +150,10 @@ class StoredStep:
 
 
 def load_step_with_staleness(
-    config: Mapping[str, Any], folder: Path, step: Step
+    config: Mapping[str, Any],
+    folder: Path,
+    step: Step,
+    hash_of: Callable[[Path], str] = store.content_hash,
 ) -> StoredStep:
     """Load a step from a run's folder, with all that has changed since it was made.
 
@@ -162,6 +165,8 @@ def load_step_with_staleness(
         Folder of the run.
     step : Step
         The step to look for.
+    hash_of : callable
+        Returns the content hash of a folder.
     """
     step_folder = folder / step.folder
     if not step_folder.is_dir():
@@ -177,7 +182,7 @@ def load_step_with_staleness(
     if getattr(artifact, "was_interrupted", False):
         reasons.append("it was interrupted")
     stored = store.read_origin(step_folder)
-    current = current_origin(config, folder, step)
+    current = current_origin(config, folder, step, hash_of)
     counting = [*step.stage.uses, f"{step.stage.name}.{INPUTS_SETTING}"]
     if step.stage.run.startswith(PLUGIN_PREFIX):
         counting.append("seed")  # it is given one, whether it says so or not
@@ -189,13 +194,16 @@ def load_step_with_staleness(
 
 
 def current_origin(
-    config: Mapping[str, Any], folder: Path, step: Step
+    config: Mapping[str, Any],
+    folder: Path,
+    step: Step,
+    hash_of: Callable[[Path], str] = store.content_hash,
 ) -> dict[str, Any]:
     """Return the origin that a step would have if it were made now."""
     inputs = {}
     for path in step.input_folders:
         if (folder / path).is_dir():
-            inputs[path.as_posix()] = store.content_hash(folder / path)
+            inputs[path.as_posix()] = hash_of(folder / path)
     inputs |= step.file_hashes
     seed = step.derive_seed(int(config["seed"]))
     return step_origin(config, step.stage.name, seed, inputs)

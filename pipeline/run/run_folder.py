@@ -15,7 +15,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -75,6 +75,8 @@ class RunFolder:
         Tells the user about a step that is made again.
     interrupted : bool
         A step was interrupted and ended with what it knew.
+    hashes : dict
+        Content hashes of steps by their folders.
     """
 
     experiment: Experiment
@@ -83,6 +85,13 @@ class RunFolder:
     bar: ProgressBar
     notify: Callable[[str], object]
     interrupted: bool = False
+    hashes: dict[Path, str] = field(default_factory=dict, repr=False)
+
+    def content_hash(self, folder: Path) -> str:
+        """Return the content hash of a step's folder, which is read once."""
+        if folder not in self.hashes:
+            self.hashes[folder] = store.content_hash(folder)
+        return self.hashes[folder]
 
     def obtain(self, step: Step) -> Any:
         """Return a step's artifact: the stored one if it is fresh, else a new one.
@@ -97,7 +106,7 @@ class RunFolder:
         if self.interrupted:
             raise KeyboardInterrupt
         config, folder = self.experiment.config, self.folder / step.folder
-        stored = load_step_with_staleness(config, self.folder, step)
+        stored = load_step_with_staleness(config, self.folder, step, self.content_hash)
         if stored.artifact is not None and not stored.stale_reasons:
             log.info("%s is stored and fresh", step.folder)
             return stored.artifact
@@ -130,11 +139,13 @@ class RunFolder:
                 made = self.experiment.run_step(step, progress)
             self.interrupted = getattr(made, "was_interrupted", False)
             seconds = time.monotonic() - start
-            origin = current_origin(self.experiment.config, self.folder, step)
+            config = self.experiment.config
+            origin = current_origin(config, self.folder, step, self.content_hash)
             origin["made"] = {
                 "at": started_at.isoformat(timespec="seconds"),
                 "seconds": seconds,
             }
+            self.hashes.pop(folder, None)
             store.save(made, folder, origin)
             if not self.interrupted:
                 kept.remove()
@@ -153,7 +164,7 @@ class RunFolder:
         iterations = [each for each in iterations if each.measurement_names]
         if not iterations:
             return
-        hashes = trial_hashes(self.folder, iterations)
+        hashes = trial_hashes(self.folder, iterations, self.content_hash)
         try:
             holds_trials = True
             for table in dataset.RUN_TABLES:
@@ -337,11 +348,15 @@ def publish_dataset(
     dataset.write_dataset(folder, trials, trial_folders, metadata, origin)
 
 
-def trial_hashes(folder: Path, iterations: list[Iteration]) -> dict[str, str]:
+def trial_hashes(
+    folder: Path,
+    iterations: list[Iteration],
+    hash_of: Callable[[Path], str] = store.content_hash,
+) -> dict[str, str]:
     """Return the content hashes of the trials and points of a run, by path."""
     hashes = {}
     for iteration in iterations:
         for artifact in iteration.measurement_names:
             path = artifact_folder(iteration.number, artifact)
-            hashes[path.as_posix()] = store.content_hash(folder / path)
+            hashes[path.as_posix()] = hash_of(folder / path)
     return hashes

@@ -32,6 +32,8 @@ from stringcast.stages.plugins import (
     plugin_folders,
 )
 
+UNNAMED_PLUGIN = "which you have not named"  # of messages
+
 
 def name_plugins(overrides: Sequence[str]) -> None:
     """Name the plugins of a command line, for this process and those it starts.
@@ -102,7 +104,7 @@ def require_named_plugins(settings: Settings, where: str) -> list[str]:
         folders = os.pathsep.join([*named_folders(), *missing])
         raise UserError(
             f"{PLUGINS_SETTING} ({where}): the run uses code of the plugin "
-            f"{' and '.join(missing)}, which you have not named. Nothing of it was "
+            f"{' and '.join(missing)}, {UNNAMED_PLUGIN}. Nothing of it was "
             "imported. If you trust it, name your copy before the command: "
             f"{PLUGINS_VARIABLE}={shlex.quote(folders)}"
         )

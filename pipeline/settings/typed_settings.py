@@ -51,6 +51,7 @@ def bind_stage(block: Settings, place: str, where: str) -> Callable[..., Any]:
         remedy = f"it must hold `_target_` and its settings. Choose +{place}=..."
         raise UserError(f"{place} = {block!r} ({where}): {remedy}")
     function = load_callable(block["_target_"], place, where)
+    refuse_other_inputs(function, block["_target_"], place, where)
     types = setting_types(function)
     given = {name: value for name, value in block.items() if name not in RUN_SETTINGS}
     check_names(given, types, place, where)
@@ -66,6 +67,32 @@ def bind_stage(block: Settings, place: str, where: str) -> Callable[..., Any]:
             }
             arguments[name] = kind(**field_values)
     return functools.partial(function, **arguments)
+
+
+def refuse_other_inputs(
+    function: Callable[..., Any], name: str, place: str, where: str
+) -> None:
+    """Raise UserError for a plugin's function that cannot take what a stage gives it.
+
+    It takes as many artifacts as the package's own functions of this role.
+    """
+    own_names = allowed_names_by_role().get(place, ())
+    if not name.startswith(PLUGIN_PREFIX) or not own_names:
+        return
+    wanted = positional_names(load_object(own_names[0]))
+    if len(positional_names(function)) != len(wanted):
+        raise UserError(
+            f"{place}._target_ = {name} ({where}): it takes "
+            f"({', '.join(positional_names(function))}), but the stage gives it "
+            f"({', '.join(wanted)}). Correct the function's positional arguments."
+        )
+
+
+def positional_names(function: Callable[..., Any]) -> list[str]:
+    """Return the names of the positional arguments of a function."""
+    parameters = inspect.signature(function).parameters.values()
+    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    return [p.name for p in parameters if p.kind in kinds]
 
 
 def setting_types(kind: Callable[..., Any]) -> dict[str, Any]:

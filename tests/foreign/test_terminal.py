@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from stringcast.pipeline.cli.console import progress_bars
-from stringcast.pipeline.cli.terminal import Terminal
+from stringcast.pipeline.cli.terminal import Terminal, explain_hydra_error
 from stringcast.pipeline.run.log import LINE_FORMATTER
 from stringcast.pipeline.sweep.launcher import job_line
 from stringcast.pipeline.sweep.ledger import Job
@@ -75,3 +75,18 @@ def test_all_that_is_shown_is_shown_there():
                 assert ast.unparse(node.args[0]).startswith(
                     ("escape_control_characters(", "json.dumps(")
                 ), file
+
+
+@pytest.mark.parametrize(
+    ("words", "suggestion"),
+    [
+        (["graph", "plugins=[~/x]"], """'plugins=["~/x"]'"""),
+        (["graph", "plugins=[~/x, y]"], """'plugins=["~/x","y"]'"""),
+        (["name=Jörg"], """'name="Jörg"'"""),
+    ],
+)
+def test_signs_that_need_quotes_are_suggested_with_them(words, suggestion, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["pipeline", *words])
+    error = ValueError(f"LexerNoViableAltException: {words[-1]}\n  ^")
+    remedy = explain_hydra_error(error).partition("Try: ")[2]
+    assert remedy.endswith(suggestion)
