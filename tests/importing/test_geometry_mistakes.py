@@ -65,6 +65,8 @@ def test_a_mistake_ends_in_its_correction_or_a_clear_error(
         "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
     )
     truth = benches(name, points)
+    if mistake.startswith("fps"):
+        truth = truth.with_rate(1.0)  # whose frames are even
     make, answer = MISTAKES[mistake]
     words = make(truth).write(tmp_path)
     done = called("import", *words, "--to", tmp_path / "mine")
