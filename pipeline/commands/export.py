@@ -98,7 +98,7 @@ def write_mjcf(options: argparse.Namespace) -> None:
     write_text(options.file, build_mjcf(model, values, mass, step))
     player = options.file.with_name("play.py")
     write_text(player, PLAYER_TEXT.format(file=options.file.name))
-    print(f"{player} shows it")
+    print(escape_control_characters(f"{player} shows it"))
     if options.check:
         for line in compare_with_trials(options.run, string, mass, step):
             print(escape_control_characters(line))

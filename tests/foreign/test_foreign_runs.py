@@ -157,7 +157,7 @@ def test_steps_made_from_each_other_are_one_error(run):
 
 def test_a_folder_that_is_no_iteration_is_left_out(run):
     (run / "iterations/01").rename(run / "iterations/xx")
-    with pytest.raises(UserError, match="there is no such step"):
+    with pytest.raises(UserError, match="no step"):
         load_command("why")([str(run)])
 
 
