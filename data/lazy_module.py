@@ -11,7 +11,6 @@ from stringcast.data.errors import ExpectedError
 
 # libraries that are installed with an extra, by the name of their module
 EXTRAS = {
-    "cv2": ("OpenCV", "lab"),
     "serial": ("pyserial", "lab"),
     "arviz": ("ArviZ", "arviz"),
     "mcap_ros2.writer": ("mcap-ros2-support", "mcap"),

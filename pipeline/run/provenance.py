@@ -16,7 +16,7 @@ import subprocess
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +84,13 @@ def software_versions() -> dict[str, dict[str, str]]:
     return {"code": code_state(), "packages": packages}
 
 
-package_version = cache(version)  # reads a file each time
+@cache  # reads a file each time
+def package_version(name: str) -> str:
+    """Return the version of an installed package; `absent` for one of an extra."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "absent"
 
 
 def code_state() -> dict[str, str]:
