@@ -17,7 +17,6 @@ from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.generate import MotionRanges, SearchBudget, generate
 from stringcast.stages.inference.prepared_trial import prepare_trial
-from stringcast.stages.model.box import Box
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion, resample_joint_motion
 from stringcast.stages.model.library import (
@@ -26,6 +25,7 @@ from stringcast.stages.model.library import (
 )
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from stringcast.stages.model.target import Target
 from stringcast.stages.plugins import PLUGINS_VARIABLE
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
@@ -264,7 +264,7 @@ def test_generation_knows_a_hand_that_lags(arm, camera):
         "budget": SearchBudget(20000, 256, 1),
     }
     known = TRUTH | {"arm_lag.time_constant": 0.05, "tip_mass.ratio": 0.3}
-    box = Box(0.4, 0.7, 0.04, 0.04)
+    box = Target(0.4, 0.7, 0.04, 0.04)
     motion = generate(
         replace(model, start_values=known), box, (), None, None, seed=1, **settings
     )

@@ -7,8 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from tests.faults.toy import toy_experiment, toy_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,14 +32,8 @@ def loaded(*words):
     return {*asked.stdout.splitlines()[-1].split()[1:]}
 
 
-@pytest.mark.parametrize(
-    ("words", "light"),
-    [(["--help"], {"pandas", "pyarrow"}), (["check", "data/sample"], set())],
-)
-def test_a_question_loads_little(words, light):
-    packages = loaded(*words)
-    assert "hydra" in packages
-    assert not (HEAVY | light) & packages
+def test_help_loads_little():
+    assert not (HEAVY | {"pandas", "pyarrow"}) & loaded("--help")
 
 
 def test_what_a_run_was_made_of_is_found_without_loading_it(tmp_path):

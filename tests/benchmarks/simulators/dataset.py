@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +71,7 @@ class GroundTruth:
     chaotic: tuple[str, ...]
     redrawn: int
     unexplained_m: float
-    nuisances: dict[str, float]
+    nuisances: dict[str, float] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
