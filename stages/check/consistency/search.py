@@ -54,14 +54,6 @@ UNKNOWN_LENGTHS_M = np.geomspace(0.12, 1.5, 12)
 MIN_SEEN_LENGTH = 0.3  # of the corrected string
 BASE_STEPS = 3
 MIN_AMPLITUDE_RATIO = 2.0  # of the points' motion over the misfit, for a fitted base
-PAIRING_RUNGS = (
-    0,
-    3,
-    6,
-    7,
-    8,
-    9,
-)  # of the ladder of stiffness: enough to compare hands
 
 
 @dataclass(frozen=True)
@@ -394,11 +386,10 @@ def find_pairing(measured: Measurements, verdict: Verdict) -> dict[str, str]:
     costs = []  # (N hands, N tracks, C)
     for prediction in predictions:
         assert prediction is not None
-        few = replace(prediction, nodes=prediction.nodes[list(PAIRING_RUNGS)])
         row = []
         for other in tips:
-            fit = fit_trial(few, other, tip) if other.tracks else None
-            row.append(np.ones(len(few.nodes)) if fit is None else fit.misfits)
+            fit = fit_trial(prediction, other, tip) if other.tracks else None
+            row.append(np.ones(len(prediction.nodes)) if fit is None else fit.misfits)
         costs.append(row)
     table = np.array(costs)
     own = np.arange(len(recordings))
