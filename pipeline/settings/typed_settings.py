@@ -80,12 +80,18 @@ def refuse_other_inputs(
     if not name.startswith(PLUGIN_PREFIX) or not own_names:
         return
     wanted = positional_names(load_object(own_names[0]))
-    if len(positional_names(function)) != len(wanted):
+    if len(positional_names(function)) != len(wanted) and not takes_any(function):
         raise UserError(
             f"{place}._target_ = {name} ({where}): it takes "
             f"({', '.join(positional_names(function))}), but the stage gives it "
             f"({', '.join(wanted)}). Correct the function's positional arguments."
         )
+
+
+def takes_any(function: Callable[..., Any]) -> bool:
+    """Return whether a function takes any number of positional arguments."""
+    parameters = inspect.signature(function).parameters.values()
+    return any(p.kind is inspect.Parameter.VAR_POSITIONAL for p in parameters)
 
 
 def positional_names(function: Callable[..., Any]) -> list[str]:

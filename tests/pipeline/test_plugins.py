@@ -420,10 +420,10 @@ def test_a_role_takes_only_public_functions_of_its_own_folder(
     (plugin / "estimate" / "mine.py").write_text(
         "import os\n"
         "class Helper: pass\n"
-        "def search(*, size: int): pass\n"
+        "def search(model, observations, previous, *, size: int): pass\n"
         "def _hidden(): pass\n"
-        "def untyped(*, size): pass\n"
-        "def mistyped(*, size: 'Flaot'): pass\n"
+        "def untyped(*given, size): pass\n"
+        "def mistyped(*given, size: 'Flaot'): pass\n"
     )
     block = {"_target_": f"plugins.my_lab.{target}", "size": 1}
     with pytest.raises(UserError, match=message):

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pandas as pd
 import pytest
+from omegaconf import OmegaConf
 
 from stringcast.data import dataset
 from stringcast.data.artifacts import ARM, FRAMES, LINK, POINTS, TICKS, Trial
@@ -64,7 +65,7 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
 
 
 def test_what_a_run_may_leave_is_named():
-    config = compose_settings()
+    config = OmegaConf.to_container(OmegaConf.create(compose_settings()), resolve=True)
     assert config["saved_outputs"] == list(SAVEABLE_OUTPUTS)
     for wrong in (["pictures"], "frames"):
         with pytest.raises(
