@@ -26,7 +26,6 @@ from stringcast.stages.clock.fit import (
     shift_observations,
 )
 from stringcast.stages.clock.posterior import (
-    ClockPosterior,
     clock_posterior,
     time_slopes,
 )
@@ -39,6 +38,7 @@ from stringcast.stages.clock.windows import (
     stretch_by_offset,
 )
 from stringcast.stages.common import Progress, partial_progress
+from stringcast.stages.diagnose.background_effects import BackgroundPosterior
 from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.inference.trial_data import ByTrial
 from stringcast.stages.model.model import Model
@@ -68,7 +68,7 @@ class Interval(NamedTuple):
     high: float
 
     @classmethod
-    def around(cls, value: float, deviation: float, floor: float) -> Interval:
+    def from_deviation(cls, value: float, deviation: float, floor: float) -> Interval:
         """Return the interval of a value with a standard deviation."""
         half = HALF_WIDTH * deviation + floor
         return cls(float(value), float(value - half), float(value + half))
@@ -177,7 +177,7 @@ def _estimate_together(
     common = _posterior(clock, background, _common_columns(clock))
     value = window.middle + clock.offset + common.mean[0]
     floor = STAMP_UNCERTAINTY_FRAMES * frame_s
-    interval = Interval.around(value, common.deviation[0], floor)
+    interval = Interval.from_deviation(value, common.standard_deviation[0], floor)
     apart = _posterior(clock, background, _own_columns(clock))
     drift, offset_with_drift = _estimate_drift(clock, background)
     if drift is not None:
@@ -276,7 +276,7 @@ def _rival_peak(
 
 def _posterior(
     clock: ClockFit, background: ByTrial, columns: ByTrial
-) -> ClockPosterior:
+) -> BackgroundPosterior:
     """Compute the posterior of offsets that may be anything."""
     precision = np.full(len(columns[0]), NO_PRIOR)
     return clock_posterior(
@@ -317,15 +317,17 @@ def _estimate_drift(
         clock.data, clock.fit, clock.index, background, columns, precision
     )
     offset, drift = (
-        Interval.around(mean, deviation, 0.0)
-        for mean, deviation in zip(posterior.mean, posterior.deviation, strict=True)
+        Interval.from_deviation(mean, deviation, 0.0)
+        for mean, deviation in zip(
+            posterior.mean, posterior.standard_deviation, strict=True
+        )
     )
     if max(drift.low, -drift.high) < MIN_DRIFT:
         return None, offset
     return drift, offset
 
 
-def _trials_differ(apart: ClockPosterior, frame_s: float) -> bool:
+def _trials_differ(apart: BackgroundPosterior, frame_s: float) -> bool:
     """Return whether trials cannot have the same offset."""
     count = len(apart.mean)
     if count < 2 or np.ptp(apart.mean) < frame_s:

@@ -8,11 +8,12 @@ unexplained. This is linear about the fit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from scipy.special import logsumexp
 
+from stringcast.stages.diagnose.background_effects import (
+    BackgroundPosterior,
+    mixture_over_scales,
+)
 from stringcast.stages.inference.discrepancy import (
     DISCREPANCY_SCALES_M,
     log_scale_prior,
@@ -24,25 +25,6 @@ from stringcast.stages.inference.trial_data import ByTrial, TrialData
 MAX_SCALE_M = 0.1  # of the effects' displacement of the tip
 SCALES_M = DISCREPANCY_SCALES_M[DISCREPANCY_SCALES_M < MAX_SCALE_M]
 LOG_SCALE_PRIOR = log_scale_prior()[: len(SCALES_M)]
-
-
-@dataclass(frozen=True)
-class ClockPosterior:
-    """Differences of clock parameters from those of a fit.
-
-    Attributes
-    ----------
-    mean : numpy.ndarray, shape (Q,)
-    covariance : numpy.ndarray, shape (Q, Q)
-    """
-
-    mean: np.ndarray
-    covariance: np.ndarray
-
-    @property
-    def deviation(self) -> np.ndarray:
-        """Standard deviations, (Q,)."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
 def time_slopes(fit: Fit, index: int) -> ByTrial:
@@ -62,8 +44,10 @@ def clock_posterior(
     background: ByTrial,
     clock_columns: ByTrial,
     precision: np.ndarray,
-) -> ClockPosterior:
-    """Compute the posterior of clock parameters, averaged over background scales.
+) -> BackgroundPosterior:
+    """Compute the posterior of clock parameters, less those of the fit.
+
+    It is averaged over background scales.
 
     Parameters
     ----------
@@ -107,11 +91,5 @@ def clock_posterior(
         steps.append(step[:count])
         covariances.append(inverse[:count, :count])
 
-    # Moments of the mixture over scales
     log_weight = np.array(log_evidence) + LOG_SCALE_PRIOR
-    weight = np.exp(log_weight - logsumexp(log_weight))
-    mean = weight @ np.array(steps)
-    spread = np.array(steps) - mean
-    within = np.tensordot(weight, np.array(covariances), 1)
-    between = (weight * spread.T) @ spread
-    return ClockPosterior(mean, within + between)
+    return mixture_over_scales(log_weight, steps, covariances)

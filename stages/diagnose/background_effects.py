@@ -10,7 +10,7 @@ further fit.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -37,7 +37,7 @@ PROBE_FRACTION = 0.01  # of the way from absent to the end of a range: about lin
 
 @dataclass(frozen=True)
 class BackgroundPosterior:
-    """The exponents of a fit with every effect a little wrong.
+    """Parameters of a fit, such as its exponents, with every effect a little wrong.
 
     Attributes
     ----------
@@ -50,12 +50,12 @@ class BackgroundPosterior:
 
     @property
     def standard_deviation(self) -> np.ndarray:
-        """Standard deviation of each exponent, (P,)."""
+        """Standard deviation of each parameter, (P,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def correlation(self) -> np.ndarray:
-        """Correlation of each pair of exponents, (P, P)."""
+        """Correlation of each pair of parameters, (P, P)."""
         deviation = self.standard_deviation
         return self.covariance / np.outer(deviation, deviation)
 
@@ -127,14 +127,31 @@ def posterior_with_background(
         steps.append(step[:count])
         covariances.append(np.linalg.inv(normal)[:count, :count])
 
-    # Moments of the mixture over scales
     log_weight = np.array(log_evidence) + LOG_SCALE_PRIOR
+    mixture = mixture_over_scales(log_weight, steps, covariances)
+    return replace(mixture, mean=fit.chi + mixture.mean)
+
+
+def mixture_over_scales(
+    log_weight: np.ndarray,
+    means: Sequence[np.ndarray],
+    covariances: Sequence[np.ndarray],
+) -> BackgroundPosterior:
+    """Compute the moments of a mixture of normal posteriors, one of each scale.
+
+    Parameters
+    ----------
+    log_weight : numpy.ndarray, shape (S,)
+        Of the scales, up to a constant.
+    means : sequence of numpy.ndarray, shape (P,)
+    covariances : sequence of numpy.ndarray, shape (P, P)
+    """
     weight = np.exp(log_weight - logsumexp(log_weight))
-    mean_step = weight @ np.array(steps)
-    spread = np.array(steps) - mean_step
+    mean = weight @ np.array(means)
+    spread = np.array(means) - mean
     within = np.tensordot(weight, np.array(covariances), 1)
     between = (weight * spread.T) @ spread
-    return BackgroundPosterior(fit.chi + mean_step, within + between)
+    return BackgroundPosterior(mean, within + between)
 
 
 def background_log_evidence_gains(

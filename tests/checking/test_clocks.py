@@ -134,9 +134,9 @@ def linear_problem(background):
 def test_an_effect_like_the_offset_widens_its_interval():
     unlike = linear_problem(np.array([[100.0, -100.0, 100.0, -100.0]]))
     assert unlike.mean == pytest.approx([-0.5], abs=1e-5)
-    assert unlike.deviation == pytest.approx([0.5], abs=1e-5)
+    assert unlike.standard_deviation == pytest.approx([0.5], abs=1e-5)
     alike = linear_problem(np.array([[1e3, 1e3, 1e3, 1e3]]))
-    assert alike.deviation[0] > 2 * unlike.deviation[0]
+    assert alike.standard_deviation[0] > 2 * unlike.standard_deviation[0]
 
 
 def written(folder, clock):
