@@ -173,10 +173,11 @@ def _predict_batch(
     distance = np.hypot(nearest[..., 0], nearest[..., 1])
     half_tick = task.model.arm.tick / 2
     velocity = np.diff(path, axis=1) / half_tick
-    distance = np.hypot(distance, target.arrival_error(velocity))
+    arrival_error = target.arrival_error(velocity)
+    distance = np.hypot(distance, arrival_error)
     least = np.where(counts, distance, np.inf).min(axis=1)
 
-    entered = target.is_entered_along(path, half_tick) & counts
+    entered = target.is_crossed_along(path) & (arrival_error <= 1) & counts
     hit = entered.any(axis=1) & finite & ~arm_touches.any(axis=1)
     return CastOutcome(
         np.where(finite, least, np.inf).reshape(shape),
