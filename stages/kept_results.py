@@ -48,10 +48,12 @@ def use_store(store: ResultStore) -> Iterator[None]:
         _store.reset(token)
 
 
-def kept(function: Callable[ArgumentsP, ResultT]) -> Callable[ArgumentsP, ResultT]:
-    """Let the results of a pure function be kept: arrays of real numbers.
+def keep_results(
+    function: Callable[ArgumentsP, ResultT],
+) -> Callable[ArgumentsP, ResultT]:
+    """Keep the results of a pure function while a store is in use.
 
-    The function returns one array, or a tuple of none or several.
+    The function returns one array of real numbers, or a tuple of none or several.
     """
 
     @functools.wraps(function)

@@ -20,7 +20,10 @@ from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import require_allowed
 from stringcast.stages.align.correction import transform_to_arm_frame
 from stringcast.stages.entry_points import DRY_RUNS
-from stringcast.stages.extract.reading_report import describe_poor_reading
+from stringcast.stages.extract.reading_report import (
+    count_frames_read,
+    describe_poor_reading,
+)
 from stringcast.stages.hit_test import HitResult, check_reach, hit_test
 from stringcast.stages.spec import SameIteration, StageSpec
 
@@ -183,19 +186,14 @@ def dry_run_outcome(iteration: Iteration) -> str:
     trial, points = iteration.find(Trial), iteration.find(Points)
     assert trial is not None
     assert points is not None
-    link, readings = trial.link.iloc[0], points.readings
-    is_read = readings["valid"]
-    reasons = readings.loc[~is_read.astype(bool), "reason"]
+    link = trial.link.iloc[0]
 
     parts = []
     if "trip_p50" in link:  # a virtual arm has no round trip
         parts.append(f"a round trip takes {_delay_ms(link, 'trip')}")
     parts.append(f"commands went out {_delay_ms(link, 'jitter', ' late')}")
     parts.append(f"{link['missed']} of {link['ticks']} were late or lost")
-    reading = f"the string was read in {int(is_read.sum())} of {len(is_read)} frames"
-    if len(reasons):
-        reading += f" (most often: {reasons.mode().iloc[0]})"
-    parts.append(reading)
+    parts.append(f"the string was read in {count_frames_read(points.readings)}")
     return (
         f"Dry run: {', '.join(parts)}. "
         f"Nothing is learned from it: {iteration.refusal_reason}."

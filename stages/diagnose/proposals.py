@@ -23,7 +23,7 @@ from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import TIP_SHIFT_WIDTHS_M, Fit
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.kept_results import kept
+from stringcast.stages.kept_results import keep_results
 from stringcast.stages.model.effect import (
     CameraEffect,
     Effect,
@@ -154,7 +154,7 @@ def propose_causes(
     return sorted(proposals, key=lambda proposal: -proposal.gain)
 
 
-@kept
+@keep_results
 def _propose_effect(
     linear: LinearisedFit, effect: type[Effect], seed: int
 ) -> tuple[np.ndarray, ...]:

@@ -34,13 +34,24 @@ def describe_poor_reading(readings: pd.DataFrame) -> str:
     str
         Empty if at least half of the frames were read.
     """
-    is_read = readings["valid"].astype(bool)
-    if not len(readings) or is_read.mean() >= MIN_READ_SHARE:
+    if not len(readings) or readings["valid"].mean() >= MIN_READ_SHARE:
         return ""
-    reason = str(readings.loc[~is_read, "reason"].mode().iloc[0])
     sentence = (
-        f"The string was read in only {int(is_read.sum())} of {len(readings)} frames "
-        f"(most often: {reason}), so the tip may have come closer than was measured."
+        f"The string was read in only {count_frames_read(readings)}, so the tip may "
+        "have come closer than was measured."
     )
-    remedy = REMEDIES.get(reason)
+    remedy = REMEDIES.get(commonest_reason(readings))
     return f"{sentence} Remedy: {remedy}." if remedy else sentence
+
+
+def count_frames_read(readings: pd.DataFrame) -> str:
+    """Say how many frames were read, with the commonest reason against the others."""
+    text = f"{int(readings['valid'].sum())} of {len(readings)} frames"
+    reason = commonest_reason(readings)
+    return f"{text} (most often: {reason})" if reason else text
+
+
+def commonest_reason(readings: pd.DataFrame) -> str:
+    """Return the commonest reason why a frame was not read; empty if all were."""
+    reasons = readings.loc[~readings["valid"].astype(bool), "reason"]
+    return str(reasons.mode().iloc[0]) if len(reasons) else ""

@@ -38,7 +38,7 @@ from stringcast.stages.inference.trial_data import (
     TrialData,
     subtract_by_trial,
 )
-from stringcast.stages.kept_results import kept
+from stringcast.stages.kept_results import keep_results
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.parameter import Parameter
 
@@ -125,7 +125,7 @@ def fit_hypothesis(
     return evaluate_fit(data, hypothesis, chi)
 
 
-@kept
+@keep_results
 def best_exponents(
     data: TrialData,
     hypothesis: Hypothesis,

@@ -26,7 +26,7 @@ from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import mesh_ladder
 from stringcast.stages.inference.solver import MAX_ITERATIONS, fit_least_squares
 from stringcast.stages.inference.whitening import UNIT_ERRORS, IndependentErrors
-from stringcast.stages.kept_results import kept
+from stringcast.stages.kept_results import keep_results
 from stringcast.stages.model.parameter import parameter_values
 from stringcast.stages.model.statics.chain import GRAVITY_M_S2
 
@@ -61,7 +61,7 @@ def screen_candidates(
     return chi[np.argsort(misfit, kind="stable")[:count]]
 
 
-@kept
+@keep_results
 def _mean_square(likelihood: Likelihood, chi: np.ndarray) -> np.ndarray:
     """Compute the mean square of the residuals of candidates (C, P)."""
     return np.asarray(np.mean(likelihood.residuals(chi) ** 2, axis=1))
@@ -115,7 +115,7 @@ def search_parameters(
     return np.asarray(chi[0])
 
 
-@kept
+@keep_results
 def _fit_until_horizon(
     likelihood: Likelihood, starts: np.ndarray, iterations: int
 ) -> np.ndarray:
@@ -171,7 +171,7 @@ def refine_solution(
     return likelihood, chi
 
 
-@kept
+@keep_results
 def _refined_exponents(likelihood: Likelihood, chi: np.ndarray) -> np.ndarray:
     """Refine exponents (P,) at given noise and initial states."""
     runs = fit_least_squares(likelihood, chi[None], min_gain=REFINEMENT_MIN_GAIN)

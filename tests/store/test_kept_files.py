@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stringcast.pipeline.run.kept_files import KeptFiles
-from stringcast.stages.kept_results import content_digest, kept, use_store
+from stringcast.stages.kept_results import content_digest, keep_results, use_store
 
 VERSIONS = {"code": {"source": "abc"}, "packages": {"numpy": "2"}}
 RESULT = (np.arange(6.0).reshape(2, 3) / 7, np.array(1e-300), np.zeros((0, 4)))
@@ -69,7 +69,7 @@ def test_a_damaged_result_is_none(files, damage):
 def test_a_call_is_made_once_for_the_same_content(files):
     calls = []
 
-    @kept
+    @keep_results
     def double(mass, *, factor=2.0):
         calls.append(mass)
         return mass.points * factor
