@@ -13,6 +13,7 @@ from stringcast.data.artifacts import JOINTS, Motion
 from stringcast.data.schema import DataError
 from stringcast.known import KnownString, experiment_for_call, model_for_call
 from stringcast.pipeline.cli.terminal import Terminal
+from stringcast.pipeline.run.cost import LIMIT, ask_about_cost
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.run.single_run import perform_run
 from stringcast.stages.model.hand import resample_joint_motion
@@ -142,4 +143,6 @@ def cast(
         If a setting cannot be used, or the hardware refuses.
     """
     experiment = experiment_for_call(settings, string)
-    return perform_run(experiment, Path(folder), Terminal(stderr=True))
+    console = Terminal(stderr=True)
+    ask_about_cost(experiment, experiment.config[LIMIT], console)
+    return perform_run(experiment, Path(folder), console)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from stringcast.data.errors import escape_control_characters
-from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.composition import UserError, compose_settings
 
 COMMAND_NAMES = (
     "import",
@@ -29,6 +29,8 @@ COMMAND_NAMES = (
     "export",
 )
 
+COST_OPTION = "--max-core-hours "
+
 
 class CommandParser(argparse.ArgumentParser):
     """Parser of a command's arguments that reports errors in one line."""
@@ -39,6 +41,17 @@ class CommandParser(argparse.ArgumentParser):
         plain = plain.replace("arguments are required", "it needs")
         command = self.prog.split()[-1]
         raise UserError(f"{command}: {plain}. Try: {self.prog} --help")
+
+
+def add_cost_option(parser: CommandParser) -> None:
+    """Add the limit above which a person is asked before steps are computed."""
+    parser.add_argument(
+        COST_OPTION.strip(),
+        type=float,
+        default=compose_settings()["max_core_hours"],
+        metavar="HOURS",
+        help="cost of a step above which you are asked first (default: %(default)s)",
+    )
 
 
 def load_command(name: str) -> Callable[[list[str]], int]:

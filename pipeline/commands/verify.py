@@ -16,13 +16,14 @@ from stringcast.data.file_checks import read_json
 from stringcast.data.schema import DataError
 from stringcast.pipeline.cli.console import ProgressBar, progress_bars
 from stringcast.pipeline.cli.terminal import Terminal
-from stringcast.pipeline.commands import CommandParser
+from stringcast.pipeline.commands import COST_OPTION, CommandParser, add_cost_option
 from stringcast.pipeline.commands.stored_runs import (
     NotMadeError,
     read_stored_experiment,
     walk_steps,
 )
 from stringcast.pipeline.run import run_folder
+from stringcast.pipeline.run.cost import ask_about_cost
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.file_names import SUMMARY_FILE
 from stringcast.pipeline.run.iterations import Step
@@ -41,9 +42,12 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "run", type=Path, help="the run's folder; nothing is written into it"
     )
-    folder: Path = parser.parse_args(arguments).run
+    add_cost_option(parser)
+    options = parser.parse_args(arguments)
+    folder: Path = options.run
     experiment = read_stored_experiment(folder)
     console = Terminal(stderr=True)
+    ask_about_cost(experiment, options.max_core_hours, console, COST_OPTION)
     with progress_bars(console) as bar, TemporaryDirectory() as scratch:
         comparison = verify_run(experiment, folder, Path(scratch), bar)
     for line in comparison.lines:

@@ -20,6 +20,7 @@ from stringcast.pipeline.cli.terminal import (
     with_program_name,
 )
 from stringcast.pipeline.run import run_folder
+from stringcast.pipeline.run.cost import LIMIT, ask_about_cost
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
 from stringcast.pipeline.run.log import log_to_folder
 from stringcast.pipeline.run.picture_source import (
@@ -80,6 +81,7 @@ def run_from_config(config: DictConfig, console: Terminal) -> RunResult:
     used_settings = use_given_source(settings, given)
     refuse_unusable_source(used_settings, given)
     experiment = prepare_experiment(used_settings, file_of_block)
+    ask_about_cost(experiment, config[LIMIT], console)
     folder = Path(HydraConfig.get().runtime.output_dir)
     return perform_run(experiment, folder, console)
 

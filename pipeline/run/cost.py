@@ -1,0 +1,228 @@
+"""Estimate what the steps of a run cost, and ask before one takes hours.
+
+The estimates are rough: processor time is proportional to the points and steps of all
+simulated strings, or to the pixels of all frames. Functions of plugins count as free.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stringcast.data import dataset
+from stringcast.pipeline.cli.terminal import Terminal
+from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
+from stringcast.pipeline.run.provenance import setting_of
+from stringcast.pipeline.settings.composition import Settings, UserError
+from stringcast.pipeline.settings.stage_registry import stages
+
+LIMIT = "max_core_hours"
+ESTIMATION = "estimate"  # the stage to which `trials_used` applies
+HOUR_S = 3600.0
+# Measured with the paper's strings on one core (tests/benchmarks/speed/README.md).
+POINT_STEP_S = 2e-8  # [s] a mass point in one step of the simulation
+PIXEL_S = 3e-8  # [s] a pixel of a frame, rendered or read
+# Simulated strings for each unit of a setting, counted in default runs.
+STRINGS_PER_RACING_MOTION = 12
+STRINGS_PER_GENERATION = 48  # finalists of the race times candidates of each
+STRINGS_PER_ITERATION = 10  # slopes by each unknown, and the step itself
+STRINGS_PER_DIAGNOSIS_START = 250
+
+
+@dataclass(frozen=True)
+class StepCost:
+    """Rough cost of the most expensive step of a stage.
+
+    Parameters
+    ----------
+    stage : str
+        Name of the stage.
+    core_hours : float
+        Processor time [h].
+    settings : mapping
+        What it depends on: settings with their values.
+    """
+
+    stage: str
+    core_hours: float
+    settings: Mapping[str, Any]
+
+    def describe(self) -> str:
+        """Return the cost with what it depends on."""
+        causes = [f"{name} = {value}" for name, value in self.settings.items()]
+        return (
+            f"stage {self.stage} would take some {self.core_hours:.3g} h of a core "
+            f"({', '.join(causes)})"
+        )
+
+
+def ask_about_cost(
+    experiment: Experiment,
+    limit_hours: float,
+    console: Terminal,
+    consent: str = f"{LIMIT}=",
+) -> None:
+    """Ask a person before a run with a step that costs more than a limit.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What the run works with.
+    limit_hours : float
+        Limit of this computer's user, not that of a stored run [h].
+    console : Terminal
+        Where the question is shown.
+    consent : str
+        What a person adds to the call, before a number of hours, to agree.
+
+    Raises
+    ------
+    UserError
+        If nobody is at the terminal, or the answer is no.
+    """
+    costs = estimate_costs(experiment)
+    if not costs:
+        return
+    highest = max(costs, key=lambda cost: cost.core_hours)
+    if highest.core_hours <= limit_hours:
+        return
+    fault = f"{highest.describe()}, more than {LIMIT} = {limit_hours:g}."
+    if console.is_terminal and sys.stdin.isatty():
+        console.print_line(fault)
+        if console.input("Begin all the same? (y/N) ").strip().lower() == "y":
+            return
+    raise UserError(
+        f"{fault} Nothing was begun. Change one of these settings, or allow it: "
+        f"{consent}{highest.core_hours * 1.5:.2g}"
+    )
+
+
+def estimate_costs(experiment: Experiment) -> list[StepCost]:
+    """Return the cost of a step of each stage of a run; nothing for a calibration."""
+    config = experiment.config
+    names = experiment.mode.graph(config).stages
+    if not names:
+        return []
+    trials = _planned_trials(config, names)
+    if config["trials"] is not None:
+        trials = _stored_trials(Path(config["trials"]))
+    costs = []
+    for name in names:
+        block = config.get(name)
+        stage = stages()[name]
+        counts = _count_strings(block) if isinstance(block, Mapping) else {}
+        if counts:
+            costs.append(_simulation_cost(experiment, name, counts, trials))
+        elif stage.takes_frames or stage.moves_arm:
+            costs.append(_frame_cost(experiment, name, trials))
+    return costs
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Trials that are planned or stored.
+
+    Parameters
+    ----------
+    seconds : tuple of float
+        Duration of each [s].
+    frames : float
+        Largest number of frames of one.
+    settings : mapping
+        Settings on which both depend, with their values.
+    """
+
+    seconds: tuple[float, ...]
+    frames: float
+    settings: Mapping[str, Any]
+
+
+def _planned_trials(config: Settings, names: Sequence[str]) -> Trials:
+    """Return the trials of casts, each as long as the longest movement."""
+    movement = "excite.duration" if "excite" in names else "generate.longest"
+    settings = {}
+    for name in (movement, "execute.before", "execute.after"):
+        value = setting_of(config, name)
+        if isinstance(value, int | float):
+            settings[name] = value
+    seconds = float(sum(settings.values()))
+    frames = seconds * config["camera"]["fps"]
+    return Trials((seconds,) * config["max_casts"], frames, settings)
+
+
+def _stored_trials(folder: Path) -> Trials:
+    """Return the trials of a folder."""
+    data = dataset.read_dataset(folder)
+    seconds: list[float] = []
+    for trial in data.trials.values():
+        hand = trial.grasp if trial.arm is None else trial.arm
+        assert hand is not None
+        seconds.append(float(np.ptp(hand["t"])) if len(hand) else 0.0)
+    frames = max((len(film.t) for film in data.films.values()), default=0)
+    total = f"{sum(seconds):.3g} s in {len(seconds)} trials of {folder}"
+    return Trials(tuple(seconds), frames, {"trials": total})
+
+
+def _count_strings(block: Settings) -> dict[str, float]:
+    """Return how many strings a stage simulates, for each setting that decides it.
+
+    Empty for a function that simulates none, or of a plugin.
+    """
+    match block.get("_target_"):
+        case "stages.generate.generate.generate":
+            return {"attempts": block["attempts"]}
+        case "stages.generate.robust.generate":
+            searches = block["max_restarts"]
+            refined = block["cma_iterations"] * block["string_samples"]
+            return {
+                "motions": STRINGS_PER_RACING_MOTION * block["motions"] * searches,
+                "cma_iterations": STRINGS_PER_GENERATION * refined * searches,
+                "validation": block["validation"],
+            }
+        case (
+            "stages.estimate.random_search.estimate" | "stages.estimate.cma_es.estimate"
+        ):
+            return {"candidates": block["candidates"]}
+        case "stages.estimate.least_squares.estimate":
+            refined = STRINGS_PER_ITERATION * block["starts"] * block["iterations"]
+            return {"screening": block["screening"], "starts": refined}
+        case "stages.diagnose.diagnose.diagnose":
+            return {"starts": STRINGS_PER_DIAGNOSIS_START * block["starts"]}
+    return {}
+
+
+def _simulation_cost(
+    experiment: Experiment, name: str, counts: Mapping[str, float], trials: Trials
+) -> StepCost:
+    """Return the cost of a stage that simulates so many strings."""
+    config, string = experiment.config, experiment.string
+    block = config[name]
+    if stages()[name].collected_input:
+        longest_first = sorted(trials.seconds, reverse=True)
+        if name == ESTIMATION and config["trials_used"] != ALL_TRIALS:
+            longest_first = longest_first[: int(config["trials_used"])]
+        seconds = sum(longest_first)
+        durations = trials.settings
+    else:
+        seconds = block["longest"]
+        durations = {f"{name}.longest": seconds}
+    steps = seconds / string.largest_step
+    core_seconds = sum(counts.values()) * steps * string.points * POINT_STEP_S
+    settings = {f"{name}.{key}": block[key] for key in counts} | dict(durations)
+    settings["string.points"] = string.points
+    settings["string.largest_step"] = string.largest_step
+    return StepCost(name, core_seconds / HOUR_S, settings)
+
+
+def _frame_cost(experiment: Experiment, name: str, trials: Trials) -> StepCost:
+    """Return the cost of a stage that renders or reads every pixel of a trial."""
+    camera = experiment.camera
+    core_seconds = trials.frames * camera.width * camera.height * PIXEL_S
+    sizes = {"width": camera.width, "height": camera.height, "fps": camera.fps}
+    settings = {f"camera.{key}": value for key, value in sizes.items()}
+    return StepCost(name, core_seconds / HOUR_S, settings | dict(trials.settings))

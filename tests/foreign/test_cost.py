@@ -1,0 +1,95 @@
+"""The cost of every step is estimated, and a person is asked above a limit."""
+
+import io
+import json
+import sys
+
+import pytest
+
+from stringcast.pipeline.cli.terminal import Terminal
+from stringcast.pipeline.commands import load_command
+from stringcast.pipeline.run.cost import ask_about_cost, estimate_costs
+from stringcast.pipeline.run.experiment import prepare_experiment
+from stringcast.pipeline.settings.composition import UserError
+from tests.foreign.test_foreign_settings import resolved
+
+LIMIT_HOURS = 4.0
+SAMPLE = "trials=data/sample"
+
+
+def experiment(*overrides):
+    return prepare_experiment(resolved(*overrides), lambda block: f"conf/{block}")
+
+
+def ask(*overrides, console=None):
+    ask_about_cost(experiment(*overrides), LIMIT_HOURS, console or Terminal(quiet=True))
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("+experiment=stringB",),
+        ("+experiment=gap",),
+        ("+experiment=align",),
+        ("+experiment=diagnose", SAMPLE),
+        ("+experiment=estimate", SAMPLE, "estimate=least_squares", "trials_used=all"),
+        ("+experiment=calibrate",),
+    ],
+)
+def test_what_takes_minutes_is_not_asked_about(overrides):
+    ask(*overrides)
+    costs = estimate_costs(experiment(*overrides))
+    assert all(cost.core_hours < 0.1 for cost in costs)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "stage", "settings"),
+    [
+        (("camera.fps=1e5", "camera.width=20000"), "execute", "camera.fps = 100000.0"),
+        (
+            ("string.largest_step=1e-6", "string.points=10000"),
+            "estimate",
+            "string.largest_step = 1e-06",
+        ),
+        (("method=paper", "generate.attempts=10000000", "generate.longest=60",
+          "max_casts=1"), "generate", "generate.attempts = 10000000"),
+        (("estimate=cma_es", "estimate.candidates=10000000"), "estimate",
+         "estimate.candidates = 10000000"),
+        (("+experiment=diagnose", SAMPLE, "diagnose.starts=10000"), "diagnose",
+         "diagnose.starts = 10000, trials = 3.73 s in 5 trials"),
+    ],
+)  # fmt: skip
+def test_what_takes_hours_is_refused_with_the_setting_and_the_word(
+    overrides, stage, settings
+):
+    with pytest.raises(UserError, match=rf"^stage {stage} would take") as raised:
+        ask(*overrides)
+    message = str(raised.value)
+    assert settings in message
+    allowed = float(message.rpartition("max_core_hours=")[2])
+    ask_about_cost(experiment(*overrides), allowed, Terminal(quiet=True))
+
+
+@pytest.mark.parametrize(("answer", "begins"), [("y", True), ("", False)])
+def test_a_person_at_the_terminal_is_asked(monkeypatch, answer, begins):
+    console = Terminal(file=io.StringIO(), force_terminal=True, width=1000)
+    keyboard = io.StringIO(f"{answer}\n")
+    keyboard.isatty = lambda: True
+    monkeypatch.setattr(sys, "stdin", keyboard)
+    costly = ("estimate=cma_es", "estimate.candidates=10000000")
+    if begins:
+        ask(*costly, console=console)
+    else:
+        with pytest.raises(UserError, match="Nothing was begun"):
+            ask(*costly, console=console)
+    assert "Begin all the same?" in console.file.getvalue()
+
+
+@pytest.mark.parametrize("command", ["resume", "verify"])
+def test_a_run_of_others_does_not_bring_its_own_limit(tmp_path, command):
+    costly = ("estimate=cma_es", "estimate.candidates=10000000")
+    config = resolved(*costly, "max_core_hours=1000000")
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    with pytest.raises(UserError, match=r"= 4\. .* --max-core-hours \d"):
+        load_command(command)([str(tmp_path)])
+    assert {file.name for file in tmp_path.iterdir()} == {"config.json"}
