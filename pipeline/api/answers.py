@@ -65,7 +65,7 @@ class DiagnosisResult:
 
     @property
     def verdict(self) -> str:
-        """The verdict: none, effect, ambiguous, unknown or insufficient."""
+        """The verdict: none, effect, ambiguous, partial, unknown or insufficient."""
         return self.artifact.verdict
 
     @property

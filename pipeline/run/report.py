@@ -137,6 +137,8 @@ def commands_after_diagnosis(
         return [cast, estimate]
     if diagnosis.verdict == "ambiguous":
         return [decide, check]
+    if diagnosis.verdict == "partial":
+        return [check, cast]
     return [cast] if diagnosis.verdict == "none" else [check]
 
 

@@ -605,6 +605,7 @@ def _finding_table(
         unexplained,
         experiment.next_experiment,
         uncertainty,
+        shown.set_aside,
         effects_not_tried(settings, shown),
     )
     sentences = (verdict_sentence(judgement, causes), unexplained["sentence"])

@@ -33,6 +33,7 @@ def diagnosis_document(
     unexplained: Mapping[str, Any],
     next_experiment: Mapping[str, Any] | None,
     uncertainty: Mapping[str, Mapping[str, Any]],
+    set_aside: Mapping[str, str],
     not_tried: Mapping[str, str],
 ) -> dict[str, Any]:
     """Assemble the document diagnosis.json.
@@ -43,8 +44,9 @@ def diagnosis_document(
         Tables CAUSES and HELD_OUT.
     uncertainty : dict
         Intervals and correlations of parameters, of `base` and `extended` model.
-    not_tried : mapping
-        Reasons by name of the effects that were no candidates.
+    set_aside, not_tried : mapping
+        Reasons by name, of effects that explain misfit and are not reported, and of
+        those that were no candidates.
     """
     verdict = judgement.verdict
     used = [trial.name for trial in prepared.data.trials]
@@ -61,9 +63,8 @@ def diagnosis_document(
         "interrupted": judgement.interrupted,
         "causes": [cause_document(causes, name) for name in verdict.causes],
         "alternatives": _alternatives(judgement),
-        "not_tried": [
-            {"effect": name, "reason": reason} for name, reason in not_tried.items()
-        ],
+        "set_aside": _with_reasons(set_aside),
+        "not_tried": _with_reasons(not_tried),
         "indistinguishable": [list(group) for group in verdict.lookalike_groups],
         "base": {"parameters": judgement.base_fit.values, **uncertainty["base"]},
         "extended": uncertainty["extended"],
@@ -77,6 +78,10 @@ def diagnosis_document(
         },
         "next_experiment": next_experiment,
     }
+
+
+def _with_reasons(reasons: Mapping[str, str]) -> list[dict[str, str]]:
+    return [{"effect": name, "reason": reason} for name, reason in reasons.items()]
 
 
 def _alternatives(judgement: Judgement) -> list[dict[str, Any]]:
@@ -183,9 +188,14 @@ def unexplained_document(
         where = _largest_misfit_sentence(data, fit)
         # of the same discrepancy as its place: the budget's share can be 0 where
         # numerical error may explain the misfit
-        left_m = rms(unexplained_tip_rms(data, fit))
-        misfit = f"{MM_PER_M * left_m:.1f} mm"
-        sentences.append(f"A misfit of {misfit} is left at the tip; {where}.")
+        left_mm = MM_PER_M * rms(unexplained_tip_rms(data, fit))
+        misfit = f"A misfit of {left_mm:.1f} mm is left at the tip"
+        if judgement.verdict.kind == "partial":
+            before_mm = MM_PER_M * rms(unexplained_tip_rms(data, judgement.base_fit))
+            misfit = (
+                f"{left_mm:.1f} of {before_mm:.1f} mm remain unexplained at the tip"
+            )
+        sentences.append(f"{misfit}; {where}.")
     return {
         "fraction": fraction,
         "tip_rms_m": {"value": value, "low": low, "high": high},
@@ -241,7 +251,8 @@ def _cause_sentences(judgement: Judgement, causes: pd.DataFrame) -> list[str]:
     sentences = []
     if certain:
         label = "Causes" if len(certain) > 1 else "Cause"
-        sentences.append(f"{label} of the misfit: {_join_with_and(certain)}.")
+        share = " of a part" if verdict.kind == "partial" else ""
+        sentences.append(f"{label}{share} of the misfit: {_join_with_and(certain)}.")
     for group in verdict.lookalike_groups:
         either = ", or ".join(stated[name] for name in group)
         names = _join_with_and(list(group))

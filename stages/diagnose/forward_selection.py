@@ -8,17 +8,19 @@ J. R. Stat. Soc. B 82, 1273, 2020). The rules are in `rules`.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from stringcast.stages.diagnose.agreement import log_bayes_factor_of_trials
 from stringcast.stages.diagnose.base_model import refit_from_new_starts
 from stringcast.stages.diagnose.discretisation import (
     correct_data_on_one_finer_mesh,
     correct_discretisation_once,
 )
+from stringcast.stages.diagnose.left_out_fits import groups_to_leave_out
 from stringcast.stages.diagnose.measures import (
     refit,
     trials_touched_by,
@@ -42,10 +44,12 @@ from stringcast.stages.diagnose.rules import (
     STRONG_LOG_EVIDENCE,
     Criteria,
     has_evidence,
+    is_inside_range,
     is_needed,
     is_resolved,
     is_supported,
     predicts_heldout,
+    trials_agree,
 )
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import TrialData
@@ -55,6 +59,7 @@ log = logging.getLogger(__name__)
 
 INITIAL_PROPOSALS = 6  # the others are fitted if none of these explains what is left
 MAX_RIVALS = 3  # that are refined in one step
+UNRESOLVED_FRACTION = 0.1  # of a trial's mean square misfit that may stay unresolved
 
 
 @dataclass(frozen=True)
@@ -99,16 +104,25 @@ class SelectionState:
         With all causes accepted so far.
     steps : sequence of SelectionStep
         The choices on the way; the last one may have accepted nothing.
+    set_aside : dict
+        Causes that were accepted and then dropped, with the reason.
     """
 
     prepared: PreparedData
     fit: Fit
     steps: Sequence[SelectionStep] = ()
+    set_aside: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def predictions(self) -> list[TrialPrediction]:
         """Each trial as the fit to the others predicts it."""
         return predict_left_out_trials(self.prepared.data, self.fit)
+
+    @property
+    def left_out_exponents(self) -> list[np.ndarray]:
+        """Exponents (P,) of the fit without each group of trials."""
+        groups = groups_to_leave_out(len(self.prepared.data.trials))
+        return [self.predictions[group[0]].chi for group in groups]
 
 
 def select_causes(
@@ -120,8 +134,8 @@ def select_causes(
 ) -> Iterator[SelectionState]:
     """Add one cause at a time while the evidence supports it.
 
-    Yields the state after each cause, and at the end the state without causes that do
-    not help to predict trials left out.
+    Yields the state after each cause, and at the end the state without causes that
+    trials left out do not confirm.
     """
     state = SelectionState(prepared, prepared.base_fit)
     for number in range(criteria.max_causes):
@@ -136,7 +150,7 @@ def select_causes(
         gain = step.best.log_evidence - step.parent.log_evidence
         log.info("accepted: %s, log evidence %+.1f", name, gain)
         yield state
-    yield drop_unpredictive_causes(state, criteria)
+    yield drop_unconfirmed_causes(state, criteria)
 
 
 def compare_candidates(
@@ -174,7 +188,7 @@ def compare_candidates(
 
     # All others, if something is left to explain
     misfit_m = unexplained_tip_rms(prepared.data, parent).max()
-    if not step.accepted and misfit_m > criteria.min_tip_shift_m:
+    if not step.accepted and misfit_m > criteria.tip_tolerance_m:
         others = [p for p in remaining if p not in lookalikes]
         step = _fit_more_proposals(prepared, step, others)
         step = _refine_rivals(prepared, step, criteria, contested)
@@ -220,9 +234,8 @@ def _refine_rivals(
     if contested is None:
         needed = min(MIN_RESOLVED_TRIALS, needed)
         # A fraction of mean squares, and the roots of both
-        may_remain = 1 - criteria.min_explained_fraction_if_misfit
         misfit_m = unexplained_tip_rms(prepared.data, parent)
-        allowance_m = np.sqrt(may_remain) * misfit_m
+        allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
 
     refined = []
     for fit in step.fits[:count]:
@@ -254,7 +267,7 @@ def refine_fit(prepared: PreparedData, fit: Fit) -> RefinedFit:
 def with_fit(state: SelectionState, fit: Fit) -> SelectionState:
     """Replace the fit of a state by another one, refined."""
     refined = refine_fit(state.prepared, fit)
-    return SelectionState(refined.prepared, refined.fit, state.steps)
+    return replace(state, prepared=refined.prepared, fit=refined.fit)
 
 
 def add_cause(
@@ -277,7 +290,7 @@ def add_cause(
 
     # Search more widely if much is left. Other strings are no better if their trials
     # are resolved worse: what is uncertain in these may explain anything.
-    if unexplained_tip_rms(prepared.data, fit).max() > criteria.min_tip_shift_m:
+    if unexplained_tip_rms(prepared.data, fit).max() > criteria.tip_tolerance_m:
         other = refit_from_new_starts(prepared.data, fit, rng, starts)
         refined = refine_fit(prepared, other)
         trials = len(prepared.discretisation_uncertainty_m)
@@ -319,30 +332,53 @@ def drop_redundant_causes(
     return state
 
 
-def drop_unpredictive_causes(
+def drop_unconfirmed_causes(
     state: SelectionState,
     criteria: Criteria,
 ) -> SelectionState:
-    """Drop causes that do not help to predict trials left out, the last one first.
-
-    No other trial can confirm what acts in one trial alone: such a cause stays.
-    """
-    if len(state.prepared.data.trials) < 2:
-        return state
+    """Set aside causes that trials left out do not confirm, the last one first."""
     for cause in reversed(state.fit.hypothesis.causes):
-        data = state.prepared.data
-        fit = state.fit
-        if len(trials_touched_by(data, fit, cause, criteria.min_tip_shift_m)) == 1:
-            continue
-        without = replace(
-            state, fit=refit(data, fit, fit.hypothesis.without_cause(cause))
-        )
-        gains = log_likelihood_gains(without.predictions, state.predictions)
-        log.info("%s: predictive log-likelihoods %s", cause.name, np.round(gains, 1))
-        if not predicts_heldout(gains):
-            log.info("%s is dropped: it does not predict trials left out", cause.name)
-            state = with_fit(state, without.fit)
+        hypothesis = state.fit.hypothesis.without_cause(cause)
+        without = replace(state, fit=refit(state.prepared.data, state.fit, hypothesis))
+        reason = _reason_to_set_aside(state, without, cause, criteria)
+        if reason:
+            log.info("%s is set aside: %s", cause.name, reason)
+            reasons = {**state.set_aside, cause.name: reason}
+            state = replace(with_fit(state, without.fit), set_aside=reasons)
     return state
+
+
+def _reason_to_set_aside(
+    state: SelectionState,
+    without: SelectionState,
+    cause: type[Effect],
+    criteria: Criteria,
+) -> str:
+    """Say why a cause is not confirmed, or nothing if it is.
+
+    without: the state without this cause.
+    """
+    data = state.prepared.data
+    fit = state.fit
+    if not is_inside_range(fit, cause):
+        return "it is at the end of its range, probably a stand-in for another cause"
+    # No other trial can confirm what acts in one trial alone
+    touched = trials_touched_by(data, fit, cause, criteria.tip_tolerance_m)
+    if len(data.trials) < 2 or len(touched) == 1:
+        return ""
+    gains = log_likelihood_gains(without.predictions, state.predictions)
+    log.info("%s: predictive log-likelihoods %s", cause.name, np.round(gains, 1))
+    if not predicts_heldout(gains):
+        return "it does not help to predict trials left out"
+    if unexplained_tip_rms(data, fit).max() < criteria.tip_tolerance_m:
+        return ""  # the model lacks nothing, and its evidence holds
+    bayes_factor = log_bayes_factor_of_trials(
+        data, fit, state.left_out_exponents, cause
+    )
+    log.info("%s: log Bayes factor between trials %.1f", cause.name, bayes_factor)
+    if not trials_agree(bayes_factor, criteria):
+        return "the trials do not agree on it"
+    return ""
 
 
 def _fit_more_proposals(

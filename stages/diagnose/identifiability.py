@@ -141,7 +141,7 @@ def _detection_limit(
     siblings = [r for r in by_effect[response.effect] if r is not response]
     log_evidence = analysis.expected_log_evidence(response, siblings)
     excess = log_evidence - criteria.min_log_bayes_factor
-    value, shift_m = _detection_threshold(response, excess, criteria.min_tip_shift_m)
+    value, shift_m = _detection_threshold(response, excess, criteria.tip_tolerance_m)
     index = -1
     lookalikes = list[str]()
     if not np.isnan(value):

@@ -198,7 +198,7 @@ def _single_effect_posteriors(
             background,
             weights,
             len(effects),
-            criteria.min_tip_shift_m,
+            criteria.tip_tolerance_m,
         )
 
 

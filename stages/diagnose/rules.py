@@ -8,7 +8,7 @@ rule                       passes if
 `is_resolved`              simulation with it resolves at least two trials, or all
                            trials if it would replace an accepted cause
 `has_evidence`             its Bayes factor is at least 1/alpha
-`moves_tip_enough`         it moves the tip of a trial by `min_tip_shift_m`
+`moves_tip_enough`         it moves the tip of a trial by `tip_tolerance_m`
 `explains_its_only_trial`  it touches the string in a single trial, and removes
                            `min_explained_fraction` of the misfit there
 `survives_leave_one_out`   its Bayes factor exceeds 1/alpha without the trial that
@@ -21,6 +21,10 @@ An **accepted cause** stays while later causes are added:
 `is_needed`                without it the Bayes factor drops by more than 1/alpha
 `predicts_heldout`         it raises the likelihood of the median trial, predicted
                            by the fit to the other trials
+`is_inside_range`          none of its amplitudes is at an end of its range
+`trials_agree`             if misfit remains, fits without one trial each agree that
+                           it is there: a t-test with a Bayes factor of at least
+                           1/alpha
 =========================  =========================================================
 
 The **verdict** names the accepted causes only if all of these pass:
@@ -28,15 +32,13 @@ The **verdict** names the accepted causes only if all of these pass:
 =========================  =========================================================
 `can_be_simulated`         no trial diverges with the fitted parameters
 `can_be_confirmed`         there is a second trial
-`explains_enough`          the causes remove `min_explained_fraction` of the misfit;
-                           if misfit remains, `min_explained_fraction_if_misfit`, and
-                           those in addition to the largest remove
-                           `min_explained_fraction` of what that one leaves
+`explains_enough`          the causes remove `min_explained_fraction` of the misfit
 `predicts_better`          the extended model predicts trials that it was not fitted
                            to better; if misfit remains, it removes
                            `min_explained_fraction` of their misfit
 =========================  =========================================================
 
+If misfit remains, the verdict on the named causes is `partial`.
 "Misfit remains" (`misfit_remains`) if the tip of some trial is off by more than
 `tip_tolerance_m` with a probability above one half.
 """
@@ -60,8 +62,9 @@ from stringcast.stages.diagnose.measures import (
     unexplained_tip_rms,
 )
 from stringcast.stages.diagnose.prepared_data import PreparedData
-from stringcast.stages.inference.laplace import Fit
+from stringcast.stages.inference.laplace import ABSENCE_TOLERANCE, Fit
 from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.effect import Effect, amplitude_parameters
 
 STRONG_LOG_EVIDENCE = 5.0  # by Jeffreys' scale
 NEGLIGIBLE_LOG_EVIDENCE = 1.0  # not worth a mention, by the same
@@ -83,22 +86,17 @@ class Criteria:
     alpha : float
         A cause is accepted with a Bayes factor of at least its inverse.
     tip_tolerance_m : float
-        Misfit at the tip that may remain, and to which trials must be resolved [m].
-    min_tip_shift_m : float
-        By which a cause must move the tip [m].
+        What counts at the tip [m]: more misfit must be explained, and a cause that
+        moves it less is too small to report. Trials must be resolved to it.
     min_explained_fraction : float
         Fraction of the mean square misfit that causes must remove.
-    min_explained_fraction_if_misfit : float
-        The same for all causes together, where more than the tolerance remains.
     """
 
     max_causes: Annotated[int, Field(ge=1, le=8)]
     coverage: Fraction
     alpha: Fraction
     tip_tolerance_m: Metres
-    min_tip_shift_m: Metres
     min_explained_fraction: Fraction
-    min_explained_fraction_if_misfit: Fraction
 
     @property
     def min_log_bayes_factor(self) -> float:
@@ -131,10 +129,6 @@ class VerdictNumbers:
         That the extended or the base model is off by more than the tolerance.
     explained_fraction : float
         Of the base model's mean square misfit, by the causes together.
-    largest_cause : str
-        The cause without which most misfit is left, if that was evaluated.
-    explained_beyond_largest : float
-        Fraction of what the largest cause leaves that the others remove.
     mesh_too_coarse : bool
         Whether the configured mesh alone displaces the tip by more than the tolerance.
     heldout_is_closer : bool
@@ -151,8 +145,6 @@ class VerdictNumbers:
     misfit_probability: float = 0.0
     base_misfit_probability: float = 0.0
     explained_fraction: float = 1.0
-    largest_cause: str = ""
-    explained_beyond_largest: float = 1.0
     mesh_too_coarse: bool = False
     heldout_is_closer: bool = True
     heldout_explained_fraction: float = 1.0
@@ -190,7 +182,7 @@ def moves_tip_enough(
 ) -> bool:
     """Whether the tip of some trial differs enough between a fit and its parent."""
     shift = tip_shift_rms(data, parent, fit)
-    return bool(shift.max() >= criteria.min_tip_shift_m)
+    return bool(shift.max() >= criteria.tip_tolerance_m)
 
 
 def explains_its_only_trial(
@@ -229,8 +221,7 @@ def is_supported(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> 
     if not moves_tip_enough(data, parent, fit, criteria):
         return False
     cause = fit.hypothesis.causes[-1]
-    min_tip_shift_m = criteria.min_tip_shift_m
-    touched = trials_touched_by(data, fit, cause, min_tip_shift_m)
+    touched = trials_touched_by(data, fit, cause, criteria.tip_tolerance_m)
     if len(touched) == 1:
         return explains_its_only_trial(data, parent, fit, touched[0], criteria)
     if len(data.trials) == 1:  # a verdict on one trial names nothing
@@ -253,6 +244,29 @@ def predicts_heldout(gains: np.ndarray) -> bool:
     return bool(np.median(gains) > 0)
 
 
+def is_inside_range(fit: Fit, cause: type[Effect]) -> bool:
+    """Whether no amplitude of a cause is at an end of its range.
+
+    One that would go on beyond its range most likely stands for another cause. An end
+    at which the cause is absent does not count, nor one that is only a lower bound.
+    """
+    absent = fit.hypothesis.exponents_from({})
+    amplitudes = [p for p in amplitude_parameters(cause) if not p.is_lower_bound]
+    indices = fit.hypothesis.parameter_indices(cause, amplitudes)
+    is_present = np.abs(fit.chi - absent) > ABSENCE_TOLERANCE
+    is_at_end = np.abs(fit.chi - 0.5) > 0.5 - ABSENCE_TOLERANCE
+    return not (is_present & is_at_end)[indices].any()
+
+
+def trials_agree(log_bayes_factor: float, criteria: Criteria) -> bool:
+    """Whether fits without one trial each agree that a cause is there.
+
+    See `agreement`. The evidence of a model that leaves misfit is too sure of itself;
+    how its estimates scatter between trials is not.
+    """
+    return log_bayes_factor >= criteria.min_log_bayes_factor
+
+
 def misfit_remains(probability: float) -> bool:
     """Whether the tip of some trial is more likely off by the tolerance than not."""
     return probability > 0.5
@@ -270,14 +284,7 @@ def can_be_confirmed(numbers: VerdictNumbers) -> bool:
 
 def explains_enough(numbers: VerdictNumbers, criteria: Criteria) -> bool:
     """Whether the accepted causes remove enough of the base model's misfit."""
-    least = criteria.min_explained_fraction
-    if not misfit_remains(numbers.misfit_probability):
-        return numbers.explained_fraction >= least
-    # A large cause must not carry one that stands in for a cause nobody knows
-    return (
-        numbers.explained_fraction >= criteria.min_explained_fraction_if_misfit
-        and numbers.explained_beyond_largest >= least
-    )
+    return numbers.explained_fraction >= criteria.min_explained_fraction
 
 
 def predicts_better(numbers: VerdictNumbers, criteria: Criteria) -> bool:

@@ -34,10 +34,10 @@ from stringcast.stages.diagnose.measures import (
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.diagnose.verdict import Judgement
-from stringcast.stages.inference.laplace import ABSENCE_TOLERANCE, Fit, mean_discrepancy
+from stringcast.stages.inference.laplace import Fit, mean_discrepancy
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.model.effect import Effect, ModelChange, amplitude_parameters
+from stringcast.stages.model.effect import Effect, ModelChange
 from stringcast.stages.model.library import effects_by_name
 
 MAX_COMPARED_EFFECTS = 8  # the most promising
@@ -246,7 +246,7 @@ def causes_table(
                 ", and differs from trial to trial, by about "
                 f"{between_trials_mm:.0f} mm at the tip"
             )
-        common["sentence"] = sentence + range_end_remark(fit, effect)
+        common["sentence"] = sentence
         posterior = posterior_with_background(data, fit, judgement.background)
         for row in _parameter_rows(fit, effect, posterior, half_width):
             rows.append(common | row)
@@ -260,25 +260,6 @@ def fit_containing(state: SelectionState, judgement: Judgement, name: str) -> Fi
     posteriors = judgement.posteriors
     fits = [each.fits[name] for each in posteriors if name in each.fits]
     return max(fits, key=lambda fit: fit.log_evidence)
-
-
-def range_end_remark(fit: Fit, effect: type[Effect]) -> str:
-    """Remark that a cause's amplitude lies at an end of its range."""
-    absent = fit.hypothesis.exponents_from({})
-    is_present = np.abs(fit.chi - absent) > ABSENCE_TOLERANCE
-    is_at_end = np.abs(fit.chi - 0.5) > 0.5 - ABSENCE_TOLERANCE
-    amplitudes = [p for p in amplitude_parameters(effect) if not p.is_lower_bound]
-    indices = fit.hypothesis.parameter_indices(effect, amplitudes)
-    ends = []
-    for amplitude, index in zip(amplitudes, indices, strict=True):
-        if is_present[index] and is_at_end[index]:
-            ends.append(effect.qualified_name(amplitude))
-    if not ends:
-        return ""
-    return (
-        f", with {' and '.join(ends)} at the end of the range: "
-        "it may stand for a cause that is not in the library"
-    )
 
 
 def _parameter_rows(
@@ -337,11 +318,14 @@ def parameter_interval(
     posterior: BackgroundPosterior,
     half_width: float,
 ) -> tuple[float, float]:
-    """Compute the ends of a parameter's interval, widened to hold its value."""
+    """Compute the ends of a parameter's interval about its value.
+
+    The fit is not the posterior mean, so that its error has a mean as well.
+    """
     chi = fit.chi[index]
-    mean = posterior.mean[index]
-    reach = half_width * posterior.standard_deviation[index]
-    ends = np.clip([min(mean - reach, chi), max(mean + reach, chi)], 0.0, 1.0)
+    bias = posterior.mean[index] - chi
+    reach = half_width * np.hypot(posterior.standard_deviation[index], bias)
+    ends = np.clip([chi - reach, chi + reach], 0.0, 1.0)
     low, high = fit.hypothesis.parameters[index].value(ends)
     return float(low), float(high)
 

@@ -50,7 +50,7 @@ class Verdict:
     Attributes
     ----------
     kind : str
-        none, effect, ambiguous, unknown or insufficient.
+        none, effect, ambiguous, partial, unknown or insufficient.
     misfit_probability : float
         That the model which the verdict leaves is off by more than the tolerance.
     causes : tuple of str
@@ -83,6 +83,8 @@ def name_causes(numbers: VerdictNumbers, criteria: Criteria) -> Verdict:
         groups = tuple(group for group in numbers.credible_sets if len(group) > 1)
         named = dict.fromkeys(chain(*numbers.credible_sets))
         kind = "ambiguous" if groups else "effect"
+        if misfit_remains(numbers.misfit_probability):
+            kind = "partial"
         return Verdict(kind, numbers.misfit_probability, tuple(named), groups)
 
     if misfit_remains(numbers.base_misfit_probability):
@@ -119,18 +121,10 @@ def _closest_explanation(numbers: VerdictNumbers) -> str:
     names = numbers.causes
     if not names or numbers.explained_fraction < 0:
         return ""
-    remark = (
+    return (
         f"The closest explanation, {' with '.join(names)}, removes "
-        f"{100 * numbers.explained_fraction:.0f} % of the mean square misfit"
+        f"{100 * numbers.explained_fraction:.0f} % of the mean square misfit."
     )
-    largest = numbers.largest_cause
-    if largest:
-        others = [name for name in names if name != largest]
-        beyond = 100 * max(numbers.explained_beyond_largest, 0)
-        remark += (
-            f"; {' with '.join(others)} removes {beyond:.0f} % of what {largest} leaves"
-        )
-    return f"{remark}."
 
 
 def _single_trial_remark(numbers: VerdictNumbers) -> str:
@@ -217,54 +211,10 @@ def measure_verdict_numbers(
         base_unexplained_m, unexplained_m, criteria.tip_tolerance_m
     )
     numbers = replace(numbers, explained_fraction=explained)
-    if len(causes) > 1 and misfit_remains(numbers.misfit_probability):
-        largest, fraction = _explained_beyond_largest_cause(
-            data,
-            fit,
-            unexplained_m,
-            criteria,
-        )
-        numbers = replace(
-            numbers, largest_cause=largest, explained_beyond_largest=fraction
-        )
     base_probability = numbers.misfit_probability
     if base_fit is not fit:
         base_probability = misfit_probability(data, base_fit, criteria, seed)
     return replace(numbers, base_misfit_probability=base_probability)
-
-
-def _explained_beyond_largest_cause(
-    data: TrialData,
-    fit: Fit,
-    unexplained_m: np.ndarray,
-    criteria: Criteria,
-) -> tuple[str, float]:
-    """Measure what the other causes explain in addition to the largest one.
-
-    Returns
-    -------
-    largest : str
-        The cause without which most misfit is left.
-    fraction : float
-        Of the mean square misfit left by that cause alone, removed by the others.
-    """
-    causes = fit.hypothesis.causes
-    without = []
-    misfit = []
-    for cause in causes:
-        less = refit(data, fit, fit.hypothesis.without_cause(cause))
-        without.append(less)
-        misfit.append(np.mean(unexplained_tip_rms(data, less) ** 2))
-    number = int(np.argmax(misfit))
-    largest = causes[number]
-    if len(causes) == 2:
-        alone = without[1 - number]
-    else:
-        alone = refit(data, fit, Hypothesis(fit.hypothesis.base, (largest,)))
-    fraction = mean_explained_fraction(
-        unexplained_tip_rms(data, alone), unexplained_m, criteria.tip_tolerance_m
-    )
-    return largest.name, fraction
 
 
 def misfit_probability(
@@ -313,7 +263,7 @@ def judge_interrupted_search(
                 background,
                 weights,
                 len(effects),
-                criteria.min_tip_shift_m,
+                criteria.tip_tolerance_m,
             )
             posteriors.append(posterior)
     probability = misfit_probability(data, fit, criteria, seed)

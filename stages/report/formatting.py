@@ -193,10 +193,14 @@ def verdict_headline(document: Mapping[str, Any]) -> str:
     certain = [effect_title(name) for name in causes if name not in in_groups]
     found = f"Found: {', '.join(certain)}"
     undecided = f"Undecided: {'; '.join(join_effects(group, 'or') for group in groups)}"
+    named = f"{found}. {undecided}" if certain and groups else found
+    if not certain:
+        named = undecided
     return {
         "none": "The simulation agrees with the measurements",
         "effect": found,
-        "ambiguous": f"{found}. {undecided}" if certain else undecided,
+        "ambiguous": named,
+        "partial": f"Partly explained. {named}",
         "unknown": "The simulation has an error of unknown cause",
         "insufficient": "The data do not allow a diagnosis",
     }[document["verdict"]]

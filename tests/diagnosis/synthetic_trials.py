@@ -18,9 +18,7 @@ CRITERIA = Criteria(
     coverage=0.95,
     alpha=0.01,
     tip_tolerance_m=2e-3,
-    min_tip_shift_m=5e-4,
     min_explained_fraction=0.5,
-    min_explained_fraction_if_misfit=0.9,
 )
 
 

@@ -22,7 +22,7 @@ from stringcast.stages.model.effects.contact import Contact
 from stringcast.stages.model.effects.time_offset import TimeOffset
 from stringcast.stages.model.effects.wind import Wind
 
-ANY_SHIFT = replace(CRITERIA, min_tip_shift_m=1e-6)
+ANY_SHIFT = replace(CRITERIA, tip_tolerance_m=1e-6)
 EFFECTS = (ArmLag, CameraOffset, Contact, TimeOffset, Wind)
 PLACES = np.array([8, 14, 20])
 NO_DISCREPANCY = np.zeros(3, dtype=int)
@@ -123,10 +123,10 @@ def test_an_effect_is_evident_from_the_limit_on(arm, model, limits, factor, is_e
 
 def test_a_limit_also_needs_the_smallest_tip_shift(prepared, limits):
     assert limits["camera_offset.x"].detectable_tip_shift_m < 0.05
-    criteria = replace(CRITERIA, min_tip_shift_m=0.05)
+    criteria = replace(CRITERIA, tip_tolerance_m=0.05)
     (limit, *_) = detection_limits(prepared, [CameraOffset], criteria, 0)
     assert limit.detectable_tip_shift_m == pytest.approx(0.05, rel=1e-6)
-    beyond_range = replace(CRITERIA, min_tip_shift_m=0.2)
+    beyond_range = replace(CRITERIA, tip_tolerance_m=0.2)
     (none, *_) = detection_limits(prepared, [CameraOffset], beyond_range, 0)
     assert np.isnan([none.detectable_value, none.detectable_tip_shift_m]).all()
 

@@ -128,12 +128,16 @@ def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
     def touched(*given):
         return np.zeros(0)
 
+    monkeypatch.setattr(forward_selection, "is_inside_range", lambda *_: True)
+    monkeypatch.setattr(
+        forward_selection, "unexplained_tip_rms", lambda *_: np.zeros(2)
+    )
     monkeypatch.setattr(forward_selection, "trials_touched_by", touched)
     monkeypatch.setattr(forward_selection, "refit", refit)
     monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
     monkeypatch.setattr(forward_selection, "predict_left_out_trials", predict)
     state = SelectionState(prepared, fit(wind))
-    state = forward_selection.drop_unpredictive_causes(state, CRITERIA)
+    state = forward_selection.drop_unconfirmed_causes(state, CRITERIA)
     assert state.fit.hypothesis.cause_names == remaining
 
 

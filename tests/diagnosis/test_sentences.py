@@ -1,4 +1,4 @@
-"""Remarks on a cause in addition to its values."""
+"""Ends of ranges, and the sentence on the misfit that is left."""
 
 from types import SimpleNamespace
 
@@ -6,23 +6,23 @@ import numpy as np
 import pytest
 
 from stringcast.stages.diagnose import document
-from stringcast.stages.diagnose.tables import range_end_remark
+from stringcast.stages.diagnose.rules import is_inside_range
 from stringcast.stages.model.library import effects_by_name
 
 
 @pytest.mark.parametrize(
-    ("name", "chi", "ends"),
+    ("name", "chi", "is_inside"),
     [
-        ("wind", (0.0, 0.4), "wind.along_x"),
-        ("wind", (0.0, 1.0), "wind.along_x and wind.along_y"),
-        ("wind", (0.01, 0.4), ""),
-        ("tip_mass", (1.0,), "tip_mass.ratio"),
-        ("tip_mass", (0.0,), ""),  # absent
+        ("wind", (0.0, 0.4), False),
+        ("wind", (0.0, 1.0), False),
+        ("wind", (0.01, 0.4), True),
+        ("tip_mass", (1.0,), False),
+        ("tip_mass", (0.0,), True),  # absent
         # a stiffness is known from below; friction and loss are no amplitudes
-        ("contact", (1.0, 0.5, 0.5, 1.0, 1.0), ""),
+        ("contact", (1.0, 0.5, 0.5, 1.0, 1.0), True),
     ],
 )
-def test_an_amplitude_at_an_end_of_its_range_is_remarked(name, chi, ends):
+def test_an_amplitude_at_an_end_of_its_range_is_no_finding(name, chi, is_inside):
     effect = effects_by_name()[name]
     indices = {p.name: k for k, p in enumerate(effect.parameters)}
     start = np.array([float(p.chi(np.asarray(p.start))) for p in effect.parameters])
@@ -31,12 +31,23 @@ def test_an_amplitude_at_an_end_of_its_range_is_remarked(name, chi, ends):
         exponents_from=lambda known: start,
     )
     fit = SimpleNamespace(hypothesis=hypothesis, chi=np.array(chi))
-    remark = range_end_remark(fit, effect)
-    assert remark.startswith(f", with {ends} at the end") if ends else remark == ""
+    assert is_inside_range(fit, effect) == is_inside
+
+
+PLACE = "most of it in trial b (100 %), largest at 0.20 s, 0.30 m along the string."
 
 
 @pytest.mark.parametrize("budget_m", [0.0, 0.02])
-def test_what_is_left_and_where_are_of_one_quantity(monkeypatch, budget_m):
+@pytest.mark.parametrize(
+    ("kind", "sentence"),
+    [
+        ("unknown", f"A misfit of 14.1 mm is left at the tip; {PLACE}"),
+        ("partial", f"14.1 of 14.1 mm remain unexplained at the tip; {PLACE}"),
+    ],
+)
+def test_what_is_left_and_where_are_of_one_quantity(
+    monkeypatch, budget_m, kind, sentence
+):
     """The budget's share may be 0 where numerical error could explain the misfit."""
     trials = []
     for name in ("a", "b"):
@@ -55,7 +66,7 @@ def test_what_is_left_and_where_are_of_one_quantity(monkeypatch, budget_m):
     )
     monkeypatch.setattr(document, "mean_discrepancy", lambda *_: discrepancy)
     judgement = SimpleNamespace(
-        verdict=SimpleNamespace(kind="unknown", remark="", misfit_probability=1.0),
+        verdict=SimpleNamespace(kind=kind, remark="", misfit_probability=1.0),
         base_fit=None,
     )
     found = document.unexplained_document(
@@ -65,7 +76,4 @@ def test_what_is_left_and_where_are_of_one_quantity(monkeypatch, budget_m):
         SimpleNamespace(unexplained_m=(budget_m, 0.0, 0.03)),
         SimpleNamespace(tip_tolerance_m=1e-3),
     )
-    assert found["sentence"] == (
-        "A misfit of 14.1 mm is left at the tip; most of it in trial b (100 %), "
-        "largest at 0.20 s, 0.30 m along the string."
-    )
+    assert found["sentence"] == sentence

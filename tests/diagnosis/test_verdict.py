@@ -1,19 +1,16 @@
 """The verdict as a pure function of a few numbers, and their measurement."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose import verdict
 from stringcast.stages.diagnose.measures import mean_explained_fraction
 from stringcast.stages.diagnose.rules import VerdictNumbers
 from stringcast.stages.diagnose.verdict import (
     RESOLUTION,
     decide_verdict,
-    measure_verdict_numbers,
     name_causes,
 )
 
@@ -48,28 +45,18 @@ TABLE = {
         "none",
         (),
     ),
-    "misfit remains": (FOUND, {"misfit_probability": 0.6}, "unknown", ()),
-    "misfit remains, nearly all explained": (
+    "misfit remains": (FOUND, {"misfit_probability": 0.6}, "partial", ("wind",)),
+    "misfit remains, with a look-alike": (
         FOUND,
-        {"misfit_probability": 0.6, "explained_fraction": 0.9},
-        "effect",
-        ("wind",),
+        {"misfit_probability": 0.6, "credible_sets": (PAIR,)},
+        "partial",
+        PAIR,
     ),
-    "misfit remains, others add little": (
+    "misfit remains, explains too little": (
         FOUND,
-        {
-            "misfit_probability": 0.6,
-            "explained_fraction": 0.97,
-            "explained_beyond_largest": 0.36,
-        },
+        {"misfit_probability": 0.6, "explained_fraction": 0.49},
         "unknown",
         (),
-    ),
-    "others add little, no misfit": (
-        FOUND,
-        {"explained_beyond_largest": 0.36},
-        "effect",
-        ("wind",),
     ),
     "predicts no trial left out": (FOUND, {"heldout_is_closer": False}, "unknown", ()),
     "predicts little of them": (
@@ -152,17 +139,10 @@ def test_causes_are_named_before_they_are_confirmed():
 
 
 def test_remark_states_the_closest_explanation():
-    numbers = replace(
-        FOUND,
-        causes=("large", "small"),
-        misfit_probability=0.6,
-        explained_fraction=0.97,
-        largest_cause="large",
-        explained_beyond_largest=0.36,
-    )
+    numbers = replace(FOUND, causes=("large", "small"), explained_fraction=0.4)
     assert decide_verdict(numbers, CRITERIA).remark == (
-        "The closest explanation, large with small, removes 97 % of the mean square "
-        "misfit; small removes 36 % of what large leaves."
+        "The closest explanation, large with small, removes 40 % of the mean square "
+        "misfit."
     )
     worse = replace(FOUND, explained_fraction=-0.1)
     assert decide_verdict(worse, CRITERIA).remark == ""
@@ -191,54 +171,3 @@ def test_remark_on_one_trial_states_what_it_would_be():
 def test_each_trial_has_one_vote_on_what_is_explained(before, after, share):
     misfit_m = np.array(before) / 1e3, np.array(after) / 1e3
     assert mean_explained_fraction(*misfit_m, 2e-3) == pytest.approx(share, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("alone", "left", "names", "beyond"),
-    [
-        ((20.0, 20.0), (5.0, 5.0), ("large", "small"), 0.94),
-        ((20.0, 20.0), (16.0, 16.0), ("large", "small"), 0.36),
-        ((20.0, 20.0), (5.0, 5.0), ("large", "small", "least"), 0.94),
-        # not computed where no more than the tolerance is left
-        ((2.1, 2.2), (1.9, 1.9), ("large", "small"), 1.0),
-    ],
-)
-def test_what_others_explain_beyond_the_largest_cause(
-    alone, left, names, beyond, monkeypatch
-):
-    causes = [SimpleNamespace(name=name) for name in names]
-
-    def fit(*some):
-        hypothesis = SimpleNamespace(causes=some, base=None)
-        hypothesis.cause_names = tuple(cause.name for cause in some)
-        hypothesis.without_cause = lambda cause: SimpleNamespace(
-            causes=[c for c in some if c is not cause]
-        )
-        return SimpleNamespace(hypothesis=hypothesis, has_diverged=False)
-
-    def misfit_m(data, fit):
-        present = fit.hypothesis.cause_names
-        misfit = {(): (90.0, 90.0), ("large",): alone, names: left}
-        default = (6.0, 6.0) if "large" in present else (80.0, 80.0)
-        return np.array(misfit.get(present, default)) / 1e3
-
-    def draws(data, fit, rng):
-        return misfit_m(data, fit)[:, None]
-
-    def hypothesis(base, causes=()):
-        return SimpleNamespace(causes=causes)
-
-    def refit(data, near, hypothesis):
-        return fit(*hypothesis.causes)
-
-    monkeypatch.setattr(verdict, "unexplained_tip_rms", misfit_m)
-    monkeypatch.setattr(verdict, "sample_discrepancy_tip_rms", draws)
-    monkeypatch.setattr(verdict, "Hypothesis", hypothesis)
-    monkeypatch.setattr(verdict, "refit", refit)
-    data = SimpleNamespace(trials=(1, 2))
-    state = SimpleNamespace(prepared=SimpleNamespace(data=data), fit=fit(*causes))
-    posteriors = SimpleNamespace(state=state, by_cause=())
-    numbers = measure_verdict_numbers(posteriors, fit(), CRITERIA, 0)
-    assert numbers.explained_beyond_largest == pytest.approx(beyond, abs=0.01)
-    assert numbers.largest_cause == ("large" if beyond < 1 else "")
-    assert numbers.base_misfit_probability == 1.0

@@ -197,6 +197,9 @@ def diagnosed(verdict, names=(), sentence="So it is.", **tables):
     document["causes"] = causes.drop_duplicates("effect")[
         ["effect", "probability", "sentence"]
     ].to_dict("records")
+    document["set_aside"] = [
+        {"effect": "lens_distortion", "reason": "the trials do not agree on it"}
+    ]
     document["not_tried"] = [{"effect": "box_contact", "reason": "it is an obstacle"}]
     document["indistinguishable"] = [list(names)] if verdict == "ambiguous" else []
     document |= {
@@ -269,6 +272,9 @@ VERDICTS = {
     "effect": lambda: diagnosed("effect", ["tip_mass"], entries=entered()),
     "pair": lambda: diagnosed("effect", ["tip_mass", "arm_lag"]),
     "ambiguous": lambda: diagnosed("ambiguous", ["arm_lag", "time_offset"]),
+    "partial": lambda: diagnosed(
+        "partial", ["tip_mass"], missing=displaced(), left="5.0 of 9.0 mm remain."
+    ),
     "unknown": lambda: diagnosed(
         "unknown", missing=displaced(), left="What is left looks like a force."
     ),
@@ -421,6 +427,13 @@ SAID = {
             "do not distinguish arm lag and time offset",
         ),
         *("−12.0 ms", "−12.7 to −11.3 ms"),
+    ],
+    "partial": [
+        "Partly explained. Found: tip mass",
+        "they do not explain all of the misfit",
+        "Set aside",
+        "the trials do not agree on it",
+        "5.0 of 9.0 mm remain.",
     ],
     "unknown": [
         *(

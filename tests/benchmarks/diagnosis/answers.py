@@ -47,7 +47,7 @@ def is_correct(row: Row) -> bool:
         return count_found(row) > 0 and not is_false and reports_remainder(row)
     if kind == NONE:
         return not groups and verdict == NONE
-    if verdict not in ("effect", "ambiguous"):
+    if verdict not in ("effect", "ambiguous", PARTIAL):
         return False
     if kind in SEVERAL:
         return count_found(row) == len(names)

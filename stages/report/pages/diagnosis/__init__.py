@@ -25,7 +25,12 @@ from stringcast.stages.report.pages.diagnosis.verdict import (
 from stringcast.stages.report.records import DiagnosisRecord, StageRecord
 from stringcast.stages.report.theme import STYLE_SHEET
 
-VERDICT_TONES = {"none": "good", "unknown": "bad", "insufficient": "bad"}
+VERDICT_TONES = {
+    "none": "good",
+    "partial": "bad",
+    "unknown": "bad",
+    "insufficient": "bad",
+}
 
 
 def diagnosis_page(facts: StageRecord) -> str:

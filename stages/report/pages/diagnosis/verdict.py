@@ -95,6 +95,11 @@ def causes_section(record: DiagnosisRecord) -> Section:
     if rows:
         alternatives = TableView((), rows, named=True)
     parts.append(Card("Alternatives", [alternatives]))
+    set_aside = []
+    for other in record.document["set_aside"]:
+        set_aside.append((effect_title(other["effect"]), other["reason"]))
+    if set_aside:
+        parts.append(Card("Set aside", [TableView((), set_aside, named=True)]))
     return Section("Causes" if cards else "No cause found", parts)
 
 
@@ -136,6 +141,12 @@ def _explain_verdict(record: DiagnosisRecord) -> list[Markup | str]:
 
 VERDICT_TEXTS: dict[str, list[Markup | str]] = {
     "none": ["The misfit is noise and less than the tolerance. No effect is evident."],
+    "partial": [
+        Markup(
+            "These causes act, but they do not explain all of the misfit: more than "
+            "the tolerance remains at the tip. See {}."
+        ).format(link("#left", "Unexplained misfit"))
+    ],
     "unknown": [
         Markup(
             "The misfit at the tip exceeds the tolerance, and no effects of the "

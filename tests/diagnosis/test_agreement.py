@@ -1,0 +1,71 @@
+"""A t-test of whether trials agree on a cause."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stringcast.stages.diagnose.agreement import log_bayes_factor_of_trials
+
+
+def bayes_factor(estimates, amplitude, *, slopes=((1.0, 0.0), (0.0, 1.0))):
+    """Compare estimates (G, A) of the fits without each group, absent at 0.5."""
+    size = len(amplitude)
+    hypothesis = SimpleNamespace(
+        amplitude_indices=lambda cause: list(range(size)),
+        exponents_from=lambda known: np.full(size, 0.5),
+    )
+    fit = SimpleNamespace(
+        hypothesis=hypothesis,
+        chi=0.5 + np.array(amplitude),
+        slopes=[np.array(slopes)[:size, :size]],
+        scale_indices=None,
+    )
+    data = SimpleNamespace(
+        for_hypothesis=lambda hypothesis: SimpleNamespace(
+            whiten=lambda rows, scale_indices: rows[0]
+        )
+    )
+    left_out = list(0.5 + np.array(estimates))
+    return np.exp(log_bayes_factor_of_trials(data, fit, left_out, cause=None))
+
+
+def leave_each_out(single):
+    """Average all estimates (K, A) of single trials but one, (K, A)."""
+    single = np.array(single)
+    return (single.sum(axis=0) - single) / (len(single) - 1)
+
+
+def test_it_is_the_t_test_of_the_trials_own_estimates():
+    """Of means, the jackknife is the standard error of the mean."""
+    single = np.array([[0.10], [0.14], [0.09], [0.11]])
+    t = single.mean() / (single.std(ddof=1) / 2)
+    expected = (1 + t**2 / 3) ** 2 / 2
+    found = bayes_factor(leave_each_out(single), single.mean(axis=0))
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_trials_that_contradict_each_other_do_not_agree():
+    single = np.array([[0.3], [-0.2], [0.25], [-0.1]])
+    assert bayes_factor(leave_each_out(single), single.mean(axis=0)) < 1
+
+
+def test_a_vector_may_have_a_component_that_is_absent():
+    rng = np.random.default_rng(5)
+    single = [0.2, 0.0] + 0.01 * rng.standard_normal((5, 2))
+    assert bayes_factor(leave_each_out(single), single.mean(axis=0)) > 100
+
+
+def test_trials_that_agree_exactly_give_a_finite_number():
+    single = np.full((3, 1), 0.2)
+    assert 100 < bayes_factor(leave_each_out(single), [0.2]) < np.inf
+
+
+def test_an_absent_cause_seldom_passes():
+    """At a Bayes factor of 100, by chance in less than one of a hundred sets."""
+    rng = np.random.default_rng(7)
+    passed = 0
+    for _ in range(500):
+        single = rng.standard_normal((5, 1))
+        passed += bayes_factor(leave_each_out(single), single.mean(axis=0)) > 100
+    assert passed <= 5
