@@ -33,7 +33,8 @@ MAX_TOUCHED_FRACTION = 0.1  # of the string's path: what acts on more is no cont
 STRING_PATH_POINTS = 1500  # in a trial
 HAND_PATH_POINTS = 300  # in all trials
 REFINEMENT_CANDIDATES = 256
-CANDIDATES_PER_BATCH = 64  # their laws' arguments stay in the processor's cache
+CANDIDATES_PER_BATCH = 16  # their laws' arguments stay in the processor's cache
+FIELD_SAMPLES = 64  # candidates by which a field is told from a contact
 DEPARTURE_SIGMAS = 3.0
 MIN_DEPARTURE_FRACTION = 0.3  # of the largest in any trial: smaller ones are no contact
 # Between contact and departure: the discrepancy is smooth and follows not sooner
@@ -77,7 +78,7 @@ class ContactCandidates:
 
         Then it is no contact but a field, such as a spring to a fixed point.
         """
-        chi = self._range_samples[:CANDIDATES_PER_BATCH]
+        chi = self._range_samples[:FIELD_SAMPLES]
         fractions = []
         for path in self.string_paths:
             fractions.append(self._force_is_nonzero(chi, path).mean(axis=1))
@@ -149,18 +150,22 @@ class ContactCandidates:
         parameters = self.hypothesis.parameters
         effect = cast("type[StringEffect]", self.hypothesis.causes[-1])
         arguments = {name: values[None] for name, values in path.items()}
-        is_nonzero = [np.zeros((0, len(path["x"])), dtype=bool)]
+        values = parameter_values(parameters, chi)
+        material = string.material(values[:, : len(string.parameters)])
+        only_this, own_material = string.with_only_effects((effect,), material)
+        known = DEFAULT_ARGUMENTS | arguments
+        vector_slots = sorted(effect.laws().keys() & {"acceleration", "flow"})
+
+        is_nonzero = np.zeros((len(chi), len(path["x"])), dtype=bool)
         for first in range(0, len(chi), CANDIDATES_PER_BATCH):
-            batch = chi[first : first + CANDIDATES_PER_BATCH]
-            values = parameter_values(parameters, batch)
-            material = string.material(values[:, : len(string.parameters)])
-            only_this = string.with_only_effects((effect,), material)
-            known = DEFAULT_ARGUMENTS | arguments
-            vectors = [load_sum(*only_this, arguments)]
-            for slot in effect.laws().keys() & {"acceleration", "flow"}:
-                vectors.append(vector_slot_sum(*only_this, slot, known))
-            is_nonzero.append(np.any(np.concatenate(vectors, axis=-1) != 0, axis=-1))
-        return np.concatenate(is_nonzero)
+            batch = slice(first, first + CANDIDATES_PER_BATCH)
+            vectors = [load_sum(only_this, own_material[batch], arguments)]
+            for slot in vector_slots:
+                own = own_material[batch]
+                vectors.append(vector_slot_sum(only_this, own, slot, known))
+            for vector in vectors:  # its components apart: a reduction is slow
+                is_nonzero[batch] |= (vector[..., 0] != 0) | (vector[..., 1] != 0)
+        return is_nonzero
 
 
 def varied_parameters(effect: type[Effect]) -> list[Parameter]:

@@ -22,7 +22,6 @@ from typing import Protocol
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.signal import lfilter
 from scipy.sparse import csr_array
 
 from stringcast.stages.inference.basis import (
@@ -77,8 +76,9 @@ class Noise:
         products = np.einsum("fij,fb->fijb", gram_roots, time.toarray())
 
         # L' of the AR(1) process in time: a filter that runs backwards
-        reversed_rows = products.reshape(frames, -1)[::-1]
-        filtered = lfilter([1.0], [1.0, -correlation], reversed_rows, axis=0)[::-1]
+        filtered = products.reshape(frames, -1)
+        for frame in range(frames - 2, -1, -1):
+            filtered[frame] += correlation * filtered[frame + 1]
         filtered[1:] *= np.sqrt(1 - correlation**2)
 
         # L' of the covariance of functions of place
