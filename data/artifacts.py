@@ -81,6 +81,18 @@ MOTION_OUTCOME = Table(
 )
 
 
+PREDICTED_TIPS = Table(
+    "tips",
+    "the tip as the camera would report it, for samples of what is uncertain",
+    parse_columns("""
+    draw [1] (int): number of the sample
+    t [s]: time; 0 is the start of the movement
+    x [m]: position of the tip
+    y [m]: position of the tip
+    """),
+)
+
+
 def outcome_without_target(duration: float, tried: int) -> pd.DataFrame:
     """Return table MOTION_OUTCOME of a motion without a target."""
     names = [column.name for column in MOTION_OUTCOME.columns]
@@ -97,6 +109,7 @@ class Motion:
     string: pd.DataFrame
     attempts: pd.DataFrame
     outcome: pd.DataFrame
+    tips: pd.DataFrame = field(default_factory=PREDICTED_TIPS.empty)
 
     TABLES: ClassVar = tables_by_name(
         COMMANDS,
@@ -104,6 +117,7 @@ class Motion:
         PREDICTED_STRING,
         ATTEMPTS,
         MOTION_OUTCOME,
+        PREDICTED_TIPS,
     )
 
     @property
@@ -458,6 +472,102 @@ class Estimate:
     def values(self) -> dict[str, float]:
         """Return the best value of each parameter, by name."""
         return dict(zip(self.parameters["name"], self.parameters["value"], strict=True))
+
+
+# --- surprise and its explanation
+SURPRISE_SUMMARY = Table(
+    "surprise",
+    "one row: whether the trial is within what was predicted",
+    parse_columns("""
+    draws [1] (int): predictions that the trial is compared with
+    frames [1] (int): frames in which the tip is compared
+    distance [1]: of the tip from the predictions, over their spread; NaN without any
+    p_value [1]: share of predictions that lie as far from the others; NaN without any
+    surprising (bool): the trial is not within what was predicted
+    sentence (text): the same in words
+    """),
+)
+
+
+@dataclass(frozen=True)
+class Surprise:
+    """Whether a trial is within what was predicted, which `surprise` tests."""
+
+    surprise: pd.DataFrame
+
+    TABLES: ClassVar = tables_by_name(SURPRISE_SUMMARY)
+
+    @property
+    def is_surprising(self) -> bool:
+        """Whether the trial is not within what was predicted."""
+        return bool(self.surprise["surprising"].iloc[0])
+
+    @property
+    def p_value(self) -> float:
+        """Predictive p-value of the trial; NaN without predictions."""
+        return float(self.surprise["p_value"].iloc[0])
+
+    @property
+    def sentence(self) -> str:
+        """The result in words."""
+        return str(self.surprise["sentence"].iloc[0])
+
+
+EXPLANATIONS = Table(
+    "explanations",
+    "causes that were compared, the most probable first; none has an empty name",
+    parse_columns("""
+    effect (text): name; empty for the model as it was
+    probability [1]: that it is active, among those compared
+    log_evidence [1]: gain over the model as it was
+    tip_rms [m]: distance of the simulated from the measured tip, root mean square
+    fitted (bool): fitted from many starts; else from probes near the old estimate
+    """),
+)
+EXPLANATION_SUMMARY = Table(
+    "finding",
+    "one row: the cause of a surprising trial",
+    parse_columns("""
+    verdict (text): not asked, none, cause, candidates, unknown or undecided
+    candidates [1] (int): causes that could act in these trials
+    compared [1] (int): causes that were compared
+    seconds [s]: processor time of the comparison
+    sentence (text): the verdict in words
+    """),
+)
+
+
+@dataclass(frozen=True)
+class Explanation(Estimate):
+    """An estimate with the causes that explain surprising trials.
+
+    Its draws are those of all probable causes, as often as each is probable.
+    """
+
+    explanations: pd.DataFrame = field(default_factory=EXPLANATIONS.empty)
+    finding: pd.DataFrame = field(default_factory=EXPLANATION_SUMMARY.empty)
+
+    TABLES: ClassVar = {
+        **Estimate.TABLES,
+        **tables_by_name(EXPLANATIONS, EXPLANATION_SUMMARY),
+    }
+
+    @property
+    def verdict(self) -> str:
+        """The verdict in a word or two."""
+        return str(self.finding["verdict"].iloc[0])
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        return str(self.finding["sentence"].iloc[0])
+
+    @property
+    def causes(self) -> dict[str, float]:
+        """Probability of each effect that was compared, by name."""
+        table = self.explanations
+        pairs = zip(table["effect"], table["probability"], strict=True)
+        return {effect: float(p) for effect, p in pairs if effect}
 
 
 PREDICTED = Table(

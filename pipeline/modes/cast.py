@@ -9,7 +9,15 @@ from pathlib import Path
 
 import pandas as pd
 
-from stringcast.data.artifacts import Estimate, Motion, Points, Trial, TrialSet
+from stringcast.data.artifacts import (
+    Estimate,
+    Explanation,
+    Motion,
+    Points,
+    Surprise,
+    Trial,
+    TrialSet,
+)
 from stringcast.pipeline.modes.stepwise import Stepwise, refuse_trials
 from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
 from stringcast.pipeline.run.iterations import Executor, History, Iteration
@@ -165,6 +173,12 @@ def log_fit(iteration: Iteration) -> None:
         return
     fit = estimate.fit.iloc[0]
     rates, rms_mm = fit[["before", "after"]], 1e3 * fit[["rms_before", "rms_after"]]
+    surprise = iteration.find(Surprise)
+    if surprise is not None:
+        log.info("surprise %d: %s", iteration.number, surprise.sentence)
+    if isinstance(estimate, Explanation):
+        words = "explanation %d (%s): %s"
+        log.info(words, iteration.number, estimate.verdict, estimate.sentence)
     message = "estimate %d: E %.3f to %.3f, rms %.1f to %.1f mm. %s"
     log.info(message, iteration.number, *rates, *rms_mm, fit["sentence"])
 

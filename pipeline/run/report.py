@@ -6,7 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stringcast.data.artifacts import Diagnosis, Estimate, Motion, Points, Trial
+from stringcast.data.artifacts import (
+    Diagnosis,
+    Estimate,
+    Motion,
+    Points,
+    Surprise,
+    Trial,
+)
 from stringcast.data.store import write_text
 from stringcast.pipeline.cli.terminal import program_name
 from stringcast.pipeline.run.experiment import Experiment
@@ -67,7 +74,14 @@ def collect_casts(experiment: Experiment, result: RunResult) -> RunRecord:
         assert points is not None
         observation = iteration.observe(trial, points)
         made = motion, trial, points, estimate
-        cast = simulate_cast(experiment.model, observation, made, verdict, previous)
+        cast = simulate_cast(
+            experiment.model,
+            observation,
+            made,
+            verdict,
+            previous,
+            iteration.find(Surprise),
+        )
         casts.append(cast)
         previous = previous if estimate is None else estimate
     return RunRecord(

@@ -7,9 +7,17 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from stringcast.data.artifacts import Estimate, Prediction
+from stringcast.data.artifacts import (
+    Estimate,
+    Explanation,
+    Motion,
+    Prediction,
+    Surprise,
+)
 from stringcast.pipeline.run.iterations import Iteration
 from stringcast.stages.spec import StageSpec
+
+MIN_SHOWN_PROBABILITY = 0.01  # of a cause in run.json
 
 
 @dataclass(frozen=True)
@@ -74,6 +82,15 @@ def iteration_summary(iteration: Iteration) -> dict[str, Any]:
         score = prediction.score.iloc[0]
         row["held_out"] = score["trial"]
         row["rms_m"], row["tip_rms_m"] = score["rms"], score["tip"]
+    if (motion := iteration.find(Motion)) is not None and verdict is not None:
+        row["hit_probability"] = motion.outcome.iloc[0].get("chance")
+    if (surprise := iteration.find(Surprise)) is not None:
+        row["p_value"], row["surprising"] = surprise.p_value, surprise.is_surprising
+    if isinstance(estimate, Explanation):
+        row["explanation"] = estimate.verdict
+        row["causes"] = {
+            name: p for name, p in estimate.causes.items() if p >= MIN_SHOWN_PROBABILITY
+        }
     if verdict is not None:
         row["hit"] = iteration.has_hit
         row["miss_m"], row["t_closest"] = verdict.distance, verdict.t

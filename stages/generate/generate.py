@@ -35,6 +35,7 @@ from stringcast.stages.generate.hit_probability import CastTask
 from stringcast.stages.hit_test import check_reach
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
+from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.target import Target
@@ -116,7 +117,10 @@ class SimulatedCandidates:
 def run(call: StageCall, motion: Motion | None, estimate: Estimate | None) -> Motion:
     """Generate a motion from what was cast and estimated before, as a stage."""
     setup = call.setup
-    task = (setup.model, setup.target, setup.obstacles)
+    model = setup.model
+    if estimate is not None:  # which may have found causes
+        model = extend_model(model, estimate.values())
+    task = (model, setup.target, setup.obstacles)
     generated: Motion = call.by(
         *task, motion, estimate, seed=call.seed, progress=call.progress
     )

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
@@ -126,20 +127,47 @@ def simulate_motions(
     points : (M K, T, n, 2) array
         Points of the string at the ticks [m].
     """
-    tick = model.arm.tick
-    angles, speeds = curves.sample(tick, float(curves.duration.max()))
-    angles = angles.repeat(len(samples), axis=0)
-    speeds = speeds.repeat(len(samples), axis=0)
     repeated = samples.select(np.tile(np.arange(len(samples)), len(curves.duration)))
-    gain = 1 + repeated.amplitude[:, None]
-    start = angles[:, :1]
-    turned = start + gain * (angles - start)
-    motion = JointMotion(0.0, tick, turned, gain * speeds)
-    times = np.arange(angles.shape[1]) * tick
+    motion = sample_joint_motions(model, curves, samples)
+    times = np.arange(motion.angles.shape[1]) * model.arm.tick
     points = model.simulate_string(motion, repeated.values, times).points
     share = model.string.arc_lengths() / model.string.length
     points += share[:, None] * repeated.tip_error[:, None, None]
     return motion.angles, points
+
+
+def sample_joint_motions(
+    model: Model, curves: Curves, samples: UncertaintySamples
+) -> JointMotion:
+    """Return each of M motions as the joints make it under all K samples in turn."""
+    tick = model.arm.tick
+    angles, speeds = curves.sample(tick, float(curves.duration.max()))
+    angles = angles.repeat(len(samples), axis=0)
+    speeds = speeds.repeat(len(samples), axis=0)
+    gain = 1 + np.tile(samples.amplitude, (len(curves.duration), 1))[:, None]
+    start = angles[:, :1]
+    turned = start + gain * (angles - start)
+    return JointMotion(0.0, tick, turned, gain * speeds)
+
+
+def predict_reported_tips(
+    model: Model, curve: Curves, samples: UncertaintySamples
+) -> tuple[np.ndarray, np.ndarray]:
+    """Predict the tip of one motion as the camera reports it, under K samples.
+
+    Returns the ticks (T,) [s] and the tips (K, T, 2) [m]; NaN where a simulation
+    diverges. The joints' delay shifts each path.
+    """
+    motion = sample_joint_motions(model, curve, samples)
+    times = np.arange(motion.angles.shape[1]) * model.arm.tick
+    points = model.simulate_observation(motion, samples.values, times).points
+    paths = CubicSpline(times, np.nan_to_num(points[:, :, -1]), axis=1)
+    tips = np.empty((len(samples), len(times), 2))
+    for number, lag in enumerate(samples.lag):
+        delayed = np.maximum(times - lag, 0.0)
+        tips[number] = paths(delayed)[number]
+    tips[~np.isfinite(points).all(axis=(1, 2, 3))] = np.nan
+    return times, tips + samples.tip_error[:, None]
 
 
 def _predict_batch(

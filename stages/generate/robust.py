@@ -7,14 +7,14 @@ in the choice, give the hit probability of the chosen motion.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from stringcast.data.artifacts import ATTEMPTS, Estimate, Motion
+from stringcast.data.artifacts import ATTEMPTS, PREDICTED_TIPS, Estimate, Motion
 from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.common import Progress, SettingsGroup, partial_progress
 from stringcast.stages.generate.curves import Curves, join_curves
@@ -28,6 +28,7 @@ from stringcast.stages.generate.hit_probability import (
     CastTask,
     midpoint_tip_path,
     predict_outcome,
+    predict_reported_tips,
     simulate_motions,
 )
 from stringcast.stages.generate.learning import predictive_sd
@@ -47,6 +48,7 @@ stats = LazyModule("scipy.stats")
 
 FINALIST_COUNT = 4  # winners of the race that are refined
 RUNNER_UP_COUNT = 8  # winners of the race that may be chosen unrefined
+TIP_DRAWS = 100  # predicted tips that are kept with the motion
 SUFFICIENT_HIT_SHARE = 0.5  # of the samples: no further search is made
 
 
@@ -285,7 +287,7 @@ def build_motion_artifact(
     attempts = pd.DataFrame(
         {"outcome": ["less likely to hit", HIT], "count": [tried - 1, 1]}
     )
-    return motion_artifact(
+    motion = motion_artifact(
         task,
         curve,
         np.arange(len(points)) * tick,
@@ -299,3 +301,19 @@ def build_motion_artifact(
         chance_low=interval.low,
         chance_high=interval.high,
     )
+    return replace(motion, tips=predicted_tips_table(task.model, curve, samples))
+
+
+def predicted_tips_table(
+    model: Model, curve: Curves, samples: UncertaintySamples
+) -> pd.DataFrame:
+    """Tabulate the tips that samples predict; those that diverge are left out."""
+    times, tips = predict_reported_tips(model, curve, samples.select(slice(TIP_DRAWS)))
+    tips = tips[np.isfinite(tips).all(axis=(1, 2))]
+    columns = {
+        "draw": np.repeat(np.arange(len(tips)), len(times)),
+        "t": np.tile(times, len(tips)),
+        "x": tips[..., 0].ravel(),
+        "y": tips[..., 1].ravel(),
+    }
+    return PREDICTED_TIPS.check(pd.DataFrame(columns))

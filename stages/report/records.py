@@ -17,15 +17,18 @@ from stringcast.data.artifacts import (
     JOINTS,
     Diagnosis,
     Estimate,
+    Explanation,
     Motion,
     Observation,
     Points,
+    Surprise,
     Trial,
 )
 from stringcast.stages.hit_test import HitResult, tip_path
 from stringcast.stages.inference.prepared_trial import observed_motion
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
+from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.target import Target
 from stringcast.stages.report.outcomes import CAST_OUTCOMES, Outcome, parameter_outcome
@@ -82,6 +85,14 @@ class CastRecord:
     verdict: HitResult
     before: np.ndarray = field(repr=False)
     after: np.ndarray = field(repr=False)
+    surprise: Surprise | None = None
+
+    @property
+    def explanation(self) -> Explanation | None:
+        """The estimate with its causes, where these were sought."""
+        if isinstance(self.estimate, Explanation):
+            return self.estimate
+        return None
 
     @cached_property
     def frame_times(self) -> np.ndarray:
@@ -173,6 +184,7 @@ def simulate_cast(
     artifacts: tuple[Motion, Trial, Points, Estimate | None],
     verdict: HitResult,
     previous: Estimate | None,
+    surprise: Surprise | None = None,
 ) -> CastRecord:
     """Simulate the executed motion with the parameters before and after estimation.
 
@@ -186,17 +198,24 @@ def simulate_cast(
     verdict : HitResult
     previous : Estimate, optional
         Estimate with which the motion was generated.
+    surprise : Surprise, optional
+        Whether the trial was within what was predicted, where it was tested.
     """
     motion, trial, points, estimate = artifacts
     values_before = {} if previous is None else previous.values()
     values_after = values_before if estimate is None else estimate.values()
-    values = np.stack([model.values(values_before), model.values(values_after)])
     frame_times = trial.frames["t"].to_numpy()
     performed = observed_motion(observation).extended_until(
         frame_times.max(initial=0.0)
     )
-    before, after = model.simulate_observation(performed, values, frame_times).points
-    return CastRecord(motion, trial, points, estimate, verdict, before, after)
+    simulated = []
+    for values in (values_before, values_after):
+        extended = extend_model(model, values)
+        row = extended.values(values)[None]
+        string = extended.simulate_observation(performed, row, frame_times)
+        simulated.append(string.points[0])
+    before, after = simulated
+    return CastRecord(motion, trial, points, estimate, verdict, before, after, surprise)
 
 
 # --- a diagnosis

@@ -273,13 +273,14 @@ def history_picture(parameter: Parameter, estimates: Sequence[Estimate]) -> Pict
     Bars are 95 % intervals; hollow marks are not determined by the data.
     """
     tables = [estimate.parameters.set_index("name") for estimate in estimates]
-    rows = pd.DataFrame([table.loc[parameter.name] for table in tables])
-    numbers = np.arange(1, len(rows) + 1)
+    known = [n for n, table in enumerate(tables) if parameter.name in table.index]
+    rows = pd.DataFrame([tables[n].loc[parameter.name] for n in known])
+    numbers = np.array(known) + 1
     figure, axes = new_axes(2.5, 1.55)
     lowest, highest = rows["minimum"].min(), rows["maximum"].max()
     axes.axhspan(lowest, highest, color="axis", alpha=0.16, lw=0)
     values = [parameter.start, *rows["value"]]
-    axes.plot(range(len(values)), values, color="after", lw=1.2)
+    axes.plot([0, *numbers], values, color="after", lw=1.2)
     axes.vlines(numbers, rows["low"], rows["high"], color="after", lw=4, alpha=0.35)
     fills = np.where(rows["determined"], "after", "none").tolist()
     axes.scatter(numbers, rows["value"], 25, fills, edgecolors="after", zorder=3)
@@ -288,13 +289,13 @@ def history_picture(parameter: Parameter, estimates: Sequence[Estimate]) -> Pict
         label_decades(axes.yaxis)
     else:
         axes.ticklabel_format(axis="y", scilimits=(-2, 4))
-    axes.set(xticks=range(len(values)), xlim=(-0.3, len(rows) + 0.3))
+    axes.set(xticks=range(len(tables) + 1), xlim=(-0.3, len(tables) + 0.3))
     axes.set_xlabel("estimation", fontsize=8)
     last = rows.iloc[-1]
     suffix = "" if last["determined"] else ", not determined by the data"
     words = (
         f"{parameter.name.replace('_', ' ')} from {format_value(parameter.start)} at "
         f"the start to {format_value(last['value'])} {parameter.unit} after "
-        f"{format_count(len(rows), 'estimation')}{suffix}."
+        f"{format_count(len(tables), 'estimation')}{suffix}."
     )
     return svg_picture(figure, words)

@@ -9,7 +9,8 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib import style
 
-from stringcast.data.artifacts import Estimate
+from stringcast.data.artifacts import Estimate, Surprise
+from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.target import Target
 from stringcast.stages.report.charts.camera import (
@@ -69,6 +70,7 @@ from stringcast.stages.report.theme import FRAME_COLOURS, MM_PER_M, STYLE_SHEET
 
 NOTHING_READ = "No frame of this cast could be read, so there is no comparison."
 NO_JOINT_ANGLES = "The arm reported no joint angles."
+MIN_SHOWN_PROBABILITY = 0.01  # of a cause
 NO_FRAMES = "This cast has no camera frames."
 OVERLAY_LABELS = {
     "before": "simulated, before estimation",
@@ -235,7 +237,8 @@ def _parameters_section(record: RunRecord) -> Section:
         return Section(title, [Text("Nothing was estimated in this run.", "missing")])
     estimate = record.estimates[-1]
     rows = estimate.parameters.set_index("name")
-    parameters = [p for p in record.model.parameters if p.name in rows.index]
+    model = extend_model(record.model, rows.index)
+    parameters = [p for p in model.parameters if p.name in rows.index]
     parts: list[Part] = [Text(sentence_markup(estimate.fit["sentence"].iloc[0]))]
     if len(record.estimates) > 1:
         pictures = []
@@ -287,6 +290,8 @@ def _cast_section(
 ) -> Section:
     """Show everything about a cast; all casts share the colour scale of distances."""
     parts: list[Part] = [Text(_describe_cast(cast))]
+    if cast.surprise is not None:
+        parts.append(_learning_card(cast, cast.surprise))
     if cast.estimate is not None and cast.estimate is not record.estimates[-1]:
         parts.append(Text(sentence_markup(cast.estimate.fit["sentence"].iloc[0])))
     for state, simulated in (("before", cast.before), ("after", cast.after)):
@@ -304,6 +309,31 @@ def _cast_section(
     parts.append(Explore(_comparison(record, cast, region, scale_end), layers))
     parts.append(Container("grid", [_motions_card(cast), _link_card(cast)]))
     return Section(f"Cast {number}", parts, f"cast-{number}", _result(cast), "cast")
+
+
+def _learning_card(cast: CastRecord, surprise: Surprise) -> Card:
+    """Tell what was predicted, whether the trial surprised, and what explains it."""
+    chance = cast.motion.outcome.iloc[0].get("chance", np.nan)
+    rows = [
+        ("predicted hit probability", f"{chance:.2f}"),
+        ("surprise", surprise.sentence),
+    ]
+    parts: list[Part] = []
+    if (explanation := cast.explanation) is not None:
+        rows.append(("cause", explanation.sentence))
+        table = explanation.explanations
+        shown = table[table["probability"] >= MIN_SHOWN_PROBABILITY]
+        causes = []
+        for cause in shown.itertuples():
+            name = str(cause.effect).replace("_", " ") or "none"
+            tip = (
+                "by probes" if np.isnan(cause.tip_rms) else format_mm(cause.tip_rms, 1)
+            )
+            causes.append([name, *number_cells([f"{cause.probability:.2f}", tip])])
+        if causes:
+            parts.append(TableView(("cause", "probability", "tip is off by"), causes))
+    parts.insert(0, TableView((), rows, named=True))
+    return Card("Prediction, surprise and cause", parts)
 
 
 def _comparison(

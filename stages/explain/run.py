@@ -1,0 +1,32 @@
+"""One explanation of a run."""
+
+from __future__ import annotations
+
+from stringcast.data.artifacts import Estimate, Explanation, Surprise, TrialSet
+from stringcast.stages.estimate.trim import trim_at_contact
+from stringcast.stages.spec import StageCall
+
+
+def run(
+    call: StageCall,
+    trials: TrialSet,
+    estimate: Estimate,
+    surprise: Surprise,
+    previous: Explanation | None,
+) -> Explanation:
+    """Explain trials, cut where their string touches an obstacle."""
+    setup = call.setup
+    observations = [trim_at_contact(t, setup.obstacles) for t in trials.observations]
+    target = setup.target
+    explanation: Explanation = call.by(
+        setup.model,
+        observations,
+        estimate,
+        previous,
+        surprise.is_surprising,
+        min(target.w, target.h) / 2,
+        seed=call.seed,
+        manipulation=call.number,
+        progress=call.progress,
+    )
+    return explanation
