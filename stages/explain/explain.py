@@ -135,11 +135,8 @@ def explain(
     """
     began = time.process_time()
     settings = FitSettings(seed, manipulation, starts, screening, iterations, matching)
-    earlier = []
-    if previous is not None:
-        for name, probability in previous.causes.items():
-            if probability >= MIXED_PROBABILITY:
-                earlier.append(name)
+    before = {} if previous is None else previous.causes
+    earlier = [name for name, p in before.items() if p >= MIXED_PROBABILITY]
     explains = tip_rms_m(estimate) <= tolerance_m
     if explains and not is_surprising and not earlier:
         return not_asked(estimate)
