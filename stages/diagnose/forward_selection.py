@@ -23,6 +23,7 @@ from stringcast.stages.diagnose.discretisation import (
 from stringcast.stages.diagnose.left_out_fits import groups_to_leave_out
 from stringcast.stages.diagnose.measures import (
     refit,
+    tip_shift_rms,
     trials_touched_by,
     unexplained_tip_rms,
 )
@@ -48,6 +49,7 @@ from stringcast.stages.diagnose.rules import (
     is_needed,
     is_resolved,
     is_supported,
+    moves_tip_enough,
     predicts_heldout,
     trials_agree,
 )
@@ -58,6 +60,7 @@ from stringcast.stages.model.effect import Effect
 log = logging.getLogger(__name__)
 
 INITIAL_PROPOSALS = 6  # the others are fitted if none of these explains what is left
+MM_PER_M = 1e3
 MAX_RIVALS = 3  # that are refined in one step
 UNRESOLVED_FRACTION = 0.1  # of a trial's mean square misfit that may stay unresolved
 
@@ -142,6 +145,7 @@ def select_causes(
         step = compare_candidates(state.prepared, state.fit, effects, criteria, seed)
         state = replace(state, steps=(*state.steps, step))
         if step.best is None or not step.accepted:
+            state = _set_aside_if_small(state, step, criteria)
             break
         rng = np.random.default_rng([seed, number])
         state = add_cause(state, step.best, criteria, rng, starts)
@@ -151,6 +155,24 @@ def select_causes(
         log.info("accepted: %s, log evidence %+.1f", name, gain)
         yield state
     yield drop_unconfirmed_causes(state, criteria)
+
+
+def _set_aside_if_small(
+    state: SelectionState,
+    step: SelectionStep,
+    criteria: Criteria,
+) -> SelectionState:
+    """Set aside the best cause of a step that is evident and hardly moves the tip."""
+    data = state.prepared.data
+    best = step.best
+    if best is None or not has_evidence(step.parent, best, criteria):
+        return state
+    if moves_tip_enough(data, step.parent, best, criteria):
+        return state
+    shift_mm = MM_PER_M * tip_shift_rms(data, step.parent, best).max()
+    reason = f"small: it moves the tip by {shift_mm:.1f} mm, less than the tolerance"
+    name = best.hypothesis.cause_names[-1]
+    return replace(state, set_aside={**state.set_aside, name: reason})
 
 
 def compare_candidates(

@@ -191,3 +191,28 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
     prepared = SimpleNamespace(data=None)
     forward_selection.compare_candidates(prepared, parent, effects, CRITERIA, 0)
     assert fitted == expected
+
+
+@pytest.mark.parametrize(
+    ("evidence", "shift_m", "reason"),
+    [
+        (50.0, 1.2e-3, "small: it moves the tip by 1.2 mm, less than the tolerance"),
+        (50.0, 3e-3, None),  # large enough, and refused for another reason
+        (1.0, 1.2e-3, None),  # not evident
+    ],
+)
+def test_an_evident_cause_below_the_tolerance_is_set_aside(
+    evidence, shift_m, reason, monkeypatch
+):
+    shift = np.array([0.0, shift_m])
+    monkeypatch.setattr(forward_selection, "tip_shift_rms", lambda *_: shift)
+    monkeypatch.setattr(
+        forward_selection, "moves_tip_enough", lambda *_: shift_m > 2e-3
+    )
+    parent = SimpleNamespace(log_evidence=0.0)
+    hypothesis = SimpleNamespace(cause_names=("wind",))
+    best = SimpleNamespace(log_evidence=evidence, hypothesis=hypothesis)
+    step = forward_selection.SelectionStep(parent, (), (best,))
+    state = SelectionState(SimpleNamespace(data=None), parent, (step,))
+    state = forward_selection._set_aside_if_small(state, step, CRITERIA)
+    assert state.set_aside == ({"wind": reason} if reason else {})
