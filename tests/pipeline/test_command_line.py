@@ -476,7 +476,7 @@ def test_every_experiment_composes_and_is_valid(name):
         else []
     )
     points = {"stringD": 25, "long": 30}
-    points |= dict.fromkeys(("window", "gap", "several", "estimate"), 20)
+    points |= dict.fromkeys(("window", "gap", "several", "estimate", "adaptive"), 20)
     points |= dict.fromkeys(("diagnose", "decide"), 57)
     own = ("align", "calibrate")  # experiments that simulate no string
     points |= dict.fromkeys(own, 57)
