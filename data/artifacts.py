@@ -491,7 +491,7 @@ SURPRISE_SUMMARY = Table(
 
 @dataclass(frozen=True)
 class Surprise:
-    """Whether a trial is within what was predicted, which `surprise` tests."""
+    """Test of whether a trial is within what was predicted."""
 
     surprise: pd.DataFrame
 
@@ -528,7 +528,7 @@ EXPLANATION_SUMMARY = Table(
     "finding",
     "one row: the cause of a surprising trial",
     parse_columns("""
-    verdict (text): not asked, none, cause, candidates, unknown or undecided
+    verdict (text): not asked, none, cause, candidates, partial, unknown or undecided
     candidates [1] (int): causes that could act in these trials
     compared [1] (int): causes that were compared
     seconds [s]: processor time of the comparison

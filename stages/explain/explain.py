@@ -57,7 +57,7 @@ MM_PER_M = 1e3
 
 @dataclass(frozen=True)
 class Comparison:
-    """One cause, or none, compared with the trials.
+    """Comparison of one cause, or none, with the trials.
 
     Parameters
     ----------
@@ -153,11 +153,7 @@ def explain(
     compare = Comparer(model, observations, estimate, blocks, settings)
     for effect in find_effects(earlier):
         fitted[effect.name] = compare.fit(effect)
-    is_enough = any(
-        tip_rms_m(each.estimate) <= tolerance_m
-        for each in fitted.values()
-        if each.estimate is not None
-    )
+    is_enough = any(tip_rms_m(each.estimate) <= tolerance_m for each in fitted.values())
 
     screened: dict[str, Comparison] = {}
     if is_surprising or not is_enough:
@@ -333,13 +329,7 @@ def not_asked(estimate: Estimate) -> Explanation:
 
 def estimate_tables(estimate: Estimate) -> dict[str, pd.DataFrame]:
     """Return the tables of an estimate by the names of its fields."""
-    return {
-        "parameters": estimate.parameters,
-        "candidates": estimate.candidates,
-        "matching": estimate.matching,
-        "fit": estimate.fit,
-        "draws": estimate.draws,
-    }
+    return {name: getattr(estimate, name) for name in Estimate.TABLES}
 
 
 def build_explanation(
@@ -423,8 +413,9 @@ def mix_draws(
     for name, (_, fit) in mixed.items():
         if name:
             known = fit.values()
-            for parameter in find_effects([name])[0].parameters:
-                qualified = find_effects([name])[0].qualified_name(parameter)
+            (effect,) = find_effects([name])
+            for parameter in effect.parameters:
+                qualified = effect.qualified_name(parameter)
                 if qualified in known:
                     absent[qualified] = parameter.start
     weights = np.array([probability for probability, _ in mixed.values()])

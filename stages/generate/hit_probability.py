@@ -161,11 +161,10 @@ def predict_reported_tips(
     motion = sample_joint_motions(model, curve, samples)
     times = np.arange(motion.angles.shape[1]) * model.arm.tick
     points = model.simulate_observation(motion, samples.values, times).points
-    paths = CubicSpline(times, np.nan_to_num(points[:, :, -1]), axis=1)
-    tips = np.empty((len(samples), len(times), 2))
+    tips = np.nan_to_num(points[:, :, -1])
     for number, lag in enumerate(samples.lag):
         delayed = np.maximum(times - lag, 0.0)
-        tips[number] = paths(delayed)[number]
+        tips[number] = CubicSpline(times, tips[number])(delayed)
     tips[~np.isfinite(points).all(axis=(1, 2, 3))] = np.nan
     return times, tips + samples.tip_error[:, None]
 
