@@ -47,7 +47,10 @@ from stringcast.stages.diagnose.measures import (
     tip_shift_rms,
     unexplained_tip_rms,
 )
-from stringcast.stages.diagnose.posteriors import swap_lookalikes_until_stable
+from stringcast.stages.diagnose.posteriors import (
+    limit_by_agreement,
+    swap_lookalikes_until_stable,
+)
 from stringcast.stages.diagnose.predictions import (
     held_out_table,
     improves_predictions,
@@ -68,6 +71,7 @@ from stringcast.stages.diagnose.verdict import (
     fit_base_to,
     judge_interrupted_search,
     measure_verdict_numbers,
+    misfit_probability,
     name_causes,
 )
 from stringcast.stages.estimate.matching import Matching
@@ -282,10 +286,12 @@ def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagno
         # Look-alikes of the accepted causes, and all probabilities
         posteriors = swap_lookalikes_until_stable(state, effects, criteria, seed)
         state = posteriors.state
+        misfit = misfit_probability(state.prepared.data, state.fit, criteria, seed)
+        posteriors = limit_by_agreement(posteriors, misfit, len(effects))
         base_fit = fit_base_to(state)
 
         # The numbers that decide, and whether held-out trials show something else
-        numbers = measure_verdict_numbers(posteriors, base_fit, criteria, seed)
+        numbers = measure_verdict_numbers(posteriors, misfit, base_fit, criteria, seed)
         numbers = replace(
             numbers, mesh_too_coarse=_mesh_is_too_coarse(prepared, criteria)
         )

@@ -3,17 +3,19 @@
 In each place all candidates compete, and none among them, while every effect may be a
 little wrong everywhere (`background_effects`). Trials are a sample of those that might
 have been: probabilities are averaged over a Bayesian bootstrap of them (pseudo-BMA+:
-Yao, Vehtari, Simpson, Gelman, Bayesian Analysis 13, 917, 2018).
+Yao, Vehtari, Simpson, Gelman, Bayesian Analysis 13, 917, 2018). They are also averaged
+over whether the model lacks something (`limit_by_agreement`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import expit, logsumexp
 
+from stringcast.stages.diagnose.agreement import log_bayes_factor_of_trials
 from stringcast.stages.diagnose.background_effects import (
     background_log_evidence_gains,
     background_responses,
@@ -280,6 +282,60 @@ def single_effect_posterior(
         if tip_shift_rms(data, step.parent, fit).max() < min_tip_shift_m:
             probabilities[""] += probabilities.pop(name)
     return SingleEffectPosterior(probabilities, fits, step.parent)
+
+
+def limit_by_agreement(
+    posteriors: Posteriors,
+    misfit_probability: float,
+    candidates: int,
+) -> Posteriors:
+    """Limit the probability of causes, if misfit remains, to what trials agree on.
+
+    The evidence of a model that lacks something is too sure of itself. Then a cause is
+    at most as probable as by the scatter of its estimates between trials (`agreement`).
+
+    Parameters
+    ----------
+    misfit_probability : float
+        That the model lacks something.
+    candidates : int
+        Number of effects that share the prior probability of one being active.
+    """
+    state = posteriors.state
+    data = state.prepared.data
+    if len(data.trials) < 2:
+        return posteriors
+    log_prior_odds = np.log((1 - PRIOR_NO_EFFECT) / candidates / PRIOR_NO_EFFECT)
+    causes = {cause.name: cause for cause in state.fit.hypothesis.causes}
+    by_cause = []
+    for posterior in posteriors.by_cause:
+        accepted = [name for name in posterior.ranked_causes if name in causes]
+        if not accepted:
+            by_cause.append(posterior)
+            continue
+        log_bayes_factor = log_bayes_factor_of_trials(
+            data, state.fit, state.left_out_exponents, causes[accepted[0]]
+        )
+        limit = float(expit(log_bayes_factor + log_prior_odds))
+        by_cause.append(_limit_presence(posterior, limit, misfit_probability))
+    return replace(posteriors, by_cause=tuple(by_cause))
+
+
+def _limit_presence(
+    posterior: SingleEffectPosterior,
+    limit: float,
+    misfit_probability: float,
+) -> SingleEffectPosterior:
+    """Limit the probability that any cause is there, with some probability."""
+    presence = 1 - posterior.probabilities.get("", 0.0)
+    if presence <= limit:
+        return posterior
+    limited = (1 - misfit_probability) * presence + misfit_probability * limit
+    probabilities = {}
+    for name, probability in posterior.probabilities.items():
+        probabilities[name] = probability * limited / presence
+    probabilities[""] = 1 - limited
+    return replace(posterior, probabilities=probabilities)
 
 
 def inclusion_probabilities(

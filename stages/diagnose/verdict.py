@@ -178,6 +178,7 @@ class Judgement:
 
 def measure_verdict_numbers(
     posteriors: Posteriors,
+    misfit: float,
     base_fit: Fit,
     criteria: Criteria,
     seed: int,
@@ -185,6 +186,11 @@ def measure_verdict_numbers(
     """Measure what the verdict depends on, but for trials left out.
 
     What costs many fits is measured only where the verdict depends on it.
+
+    Parameters
+    ----------
+    misfit : float
+        Probability that the model with the causes is off by more than the tolerance.
     """
     state = posteriors.state
     data = state.prepared.data
@@ -200,7 +206,7 @@ def measure_verdict_numbers(
         credible_sets=tuple(credible_sets),
         inclusion_probability=inclusion_probabilities(posteriors.by_cause),
         diverged=fit.has_diverged,
-        misfit_probability=misfit_probability(data, fit, criteria, seed),
+        misfit_probability=misfit,
     )
     if numbers.diverged:
         return numbers

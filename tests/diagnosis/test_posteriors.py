@@ -255,3 +255,41 @@ def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
     state = SelectionState(SimpleNamespace(data=None), fit("tilt", "play"))
     likeliest = posteriors.with_most_probable_causes(state, by_cause)
     assert likeliest.fit.hypothesis.causes == causes
+
+
+def limited(monkeypatch, probabilities, log_bayes_factor, misfit_probability):
+    """Limit the probabilities of one place, of 50 candidates, to what trials say."""
+    monkeypatch.setattr(
+        posteriors, "log_bayes_factor_of_trials", lambda *given: log_bayes_factor
+    )
+    cause = SimpleNamespace(name="a")
+    state = SimpleNamespace(
+        prepared=SimpleNamespace(data=SimpleNamespace(trials=[1, 2])),
+        fit=SimpleNamespace(hypothesis=SimpleNamespace(causes=(cause,))),
+        left_out_exponents=None,
+    )
+    place = SingleEffectPosterior(probabilities, {}, None)
+    given = posteriors.Posteriors(state, None, (place,))
+    found = posteriors.limit_by_agreement(given, misfit_probability, 50)
+    return found.by_cause[0].probabilities
+
+
+def test_causes_are_no_likelier_than_trials_agree_if_the_model_lacks_something(
+    monkeypatch,
+):
+    """The odds are then the trials' Bayes factor times the prior odds of one cause."""
+    certain = {"a": 0.9, "b": 0.1, "": 0.0}
+    found = limited(monkeypatch, certain, np.log(150), 1.0)
+    assert found == pytest.approx({"a": 0.9 * 0.75, "b": 0.1 * 0.75, "": 0.25})
+
+    halfway = limited(monkeypatch, certain, np.log(150), 0.5)
+    assert halfway[""] == pytest.approx(0.125)
+
+
+@pytest.mark.parametrize(("log_bayes_factor", "misfit"), [(-3.0, 0.0), (30.0, 1.0)])
+def test_probabilities_stay_if_nothing_is_lacking_or_all_trials_agree(
+    monkeypatch, log_bayes_factor, misfit
+):
+    given = {"a": 0.9, "": 0.1}
+    found = limited(monkeypatch, given, log_bayes_factor, misfit)
+    assert found == pytest.approx(given)
