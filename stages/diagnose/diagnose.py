@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -47,6 +47,7 @@ from stringcast.stages.diagnose.measures import (
     tip_shift_rms,
     unexplained_tip_rms,
 )
+from stringcast.stages.diagnose.outlying_trials import find_outlying_trial
 from stringcast.stages.diagnose.posteriors import (
     limit_by_agreement,
     swap_lookalikes_until_stable,
@@ -227,17 +228,20 @@ class TrialsByUse:
     held_out_names : sequence of str
         Names of trials in which only the gain is measured.
     rejected : dict
-        Names of trials that cannot be used or are chaotic, with the reason.
+        Names of trials that cannot be used, with the reason.
+    excluded : dict
+        Names of trials that the search excludes, with the reason.
     """
 
     observations: Sequence[Observation]
     held_out_names: Sequence[str]
     rejected: Mapping[str, str]
+    excluded: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def searched_trials(self) -> list[Observation]:
         """The trials in which causes are searched."""
-        others = {*self.held_out_names, *self.rejected}
+        others = {*self.held_out_names, *self.rejected, *self.excluded}
         return [o for o in self.observations if o.trial not in others]
 
     @property
@@ -245,10 +249,13 @@ class TrialsByUse:
         """The trials in which only the gain is measured."""
         return [o for o in self.observations if o.trial in self.held_out_names]
 
-    def without_chaotic(self, names: Sequence[str]) -> TrialsByUse:
+    def excluding(self, reasons: Mapping[str, str]) -> TrialsByUse:
+        """Exclude trials from the search, by name with the reason."""
+        return replace(self, excluded={**self.excluded, **reasons})
+
+    def excluding_chaotic(self, names: Sequence[str]) -> TrialsByUse:
         """Exclude chaotic trials from the search."""
-        chaotic = dict.fromkeys(names, CHAOTIC_REASON)
-        return replace(self, rejected={**self.rejected, **chaotic})
+        return self.excluding(dict.fromkeys(names, CHAOTIC_REASON))
 
 
 class SearchProgress(NamedTuple):
@@ -331,7 +338,8 @@ def _search_until_trials_settle(
     """Search causes, and again while the causes change which trials are resolved.
 
     A trial that is chaotic without causes is used from then on if a simulation with
-    causes resolves it; one that is chaotic with causes is excluded.
+    causes resolves it; one that is chaotic with causes is excluded, and one that the
+    others do not predict.
     """
     criteria = settings.criteria
     tolerance_m = criteria.tip_tolerance_m
@@ -356,7 +364,7 @@ def _search_until_trials_settle(
             prepared.data.trials,
             settings.excluded_effects,
         )
-        used = trials.without_chaotic(prepared.chaotic_trials)
+        used = trials.excluding_chaotic(prepared.chaotic_trials)
         state = SelectionState(prepared, prepared.base_fit)
         yield SearchProgress(used, prepared, effects, state)
 
@@ -378,10 +386,16 @@ def _search_until_trials_settle(
         chaotic = list[str]()
         if state.fit.hypothesis.causes:
             chaotic = unresolvable_trials(state.prepared, tolerance_m)
-        if not chaotic:
+        if chaotic:
+            log.info("chaotic with the causes: %s", ", ".join(chaotic))
+            trials = trials.excluding_chaotic((*prepared.chaotic_trials, *chaotic))
+            continue
+        outlying = find_outlying_trial(state, criteria)
+        if not outlying:
             return
-        log.info("chaotic with the causes: %s", ", ".join(chaotic))
-        trials = trials.without_chaotic((*prepared.chaotic_trials, *chaotic))
+        for name, reason in outlying.items():
+            log.info("%s: %s", name, reason)
+        trials = trials.excluding(outlying)
 
 
 def _trials_resolved_with_causes(
@@ -607,14 +621,16 @@ def _finding_table(
         budget,
         causes,
         gain.table,
-        trials.rejected,
+        {**trials.rejected, **trials.excluded},
         unexplained,
         experiment.next_experiment,
         uncertainty,
         shown.set_aside,
         effects_not_tried(settings, shown),
     )
-    sentences = (verdict_sentence(judgement, causes), unexplained["sentence"])
+    sentences = [verdict_sentence(judgement, causes), unexplained["sentence"]]
+    for name, reason in trials.excluded.items():
+        sentences.append(f"Trial {name}: {reason}.")
     intervals = uncertainty["extended"]["intervals"]
     row = {
         "verdict": judgement.verdict.kind,

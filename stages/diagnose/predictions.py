@@ -138,14 +138,27 @@ def improves_predictions(
     base: Sequence[TrialPrediction],
     extended: Sequence[TrialPrediction],
 ) -> bool:
-    """Whether the extended model is closer to the trials, and makes them likelier."""
-    squares = []
-    log_likelihoods = []
-    for predictions in (base, extended):
-        squares.append(sum(float(np.sum(p.residual**2)) for p in predictions))
-        log_likelihoods.append(sum(p.log_likelihood for p in predictions))
-    is_closer = squares[1] < squares[0]
-    return is_closer and log_likelihoods[1] > log_likelihoods[0]
+    """Whether the extended model is closer to the median trial, and makes it likelier.
+
+    Sums over trials would follow one that is predicted badly.
+    """
+    ratios = []
+    for less, more in zip(base, extended, strict=True):
+        ratios.append(rms(more.residual) / rms(less.residual))
+    gains = log_likelihood_gains(base, extended)
+    return bool(np.median(ratios) < 1 and np.median(gains) > 0)
+
+
+def tip_errors(
+    data: TrialData,
+    predictions: Sequence[TrialPrediction],
+) -> np.ndarray:
+    """Compute the root mean square error at the tip of each trial [m], (K,)."""
+    errors_m = []
+    for trial, prediction in zip(data.trials, predictions, strict=True):
+        distances = rms_distances(trial, prediction.residual, "trial")
+        errors_m.append(distances["tip_rms_trial"])
+    return np.array(errors_m)
 
 
 def rms_distances(

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from stringcast.stages.diagnose.outlying_trials import OUTLYING
+
 NONE, UNKNOWN, PARTIAL = "none", "unknown", "partial"
 MIXED = "mixed"
 SEVERAL = ("pair", "triple")
@@ -35,13 +37,13 @@ def is_correct(row: Row) -> bool:
     - nothing hidden: no cause is named;
     - one cause hidden: it is in the first group that is named;
     - several hidden: each is named, in a group of its own;
-    - a cause outside the library: the verdict is `unknown`, and nothing is named;
+    - a cause outside the library: nothing is named, and a remainder is reported;
     - both: a cause of the library is named, no false one, and a remainder is reported.
     """
     kind, names = row["truth"]["kind"], row["truth"]["names"]
     verdict, groups = row["diagnosis"]["verdict"], named_groups(row)
     if kind == "outside":
-        return bool(verdict == UNKNOWN and not groups)
+        return reports_remainder(row) and not groups
     if kind == MIXED:
         is_false = count_false(row) > 0
         return count_found(row) > 0 and not is_false and reports_remainder(row)
@@ -73,8 +75,14 @@ def count_false(row: Row) -> int:
 
 
 def reports_remainder(row: Row) -> bool:
-    """Return whether the answer says that a part of the misfit is not explained."""
-    return row["diagnosis"]["verdict"] in (PARTIAL, UNKNOWN)
+    """Return whether the answer says that a part of the misfit is not explained.
+
+    It may be that of one trial, which is then excluded.
+    """
+    diagnosis = row["diagnosis"]
+    reasons = diagnosis.get("trials", {}).get("rejected", {}).values()
+    is_outlying = any(reason.startswith(OUTLYING) for reason in reasons)
+    return diagnosis["verdict"] in (PARTIAL, UNKNOWN) or is_outlying
 
 
 def answer_name(row: Row) -> str:

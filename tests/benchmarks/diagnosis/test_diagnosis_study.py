@@ -21,6 +21,7 @@ from stringcast.data.dataset import read_dataset
 from stringcast.data.store import read_table
 from stringcast.pipeline.paper.scores import share_with_interval
 from stringcast.pipeline.run.provenance import code_state
+from stringcast.stages.diagnose.outlying_trials import OUTLYING
 from tests.benchmarks.diagnosis.answers import (
     answer_name,
     answer_probability,
@@ -213,6 +214,13 @@ def test_of_a_mixture_the_known_cause_is_named_and_a_remainder_reported():
     assert rates.loc["mixed: known cause named", "right"] == 3
     assert rates.loc["mixed: false cause named", "right"] == 1
     assert rates.loc["mixed: remainder reported", "right"] == 3
+
+
+def test_a_trial_that_is_excluded_as_unlike_the_others_reports_a_remainder():
+    silent = row("outside", ["gust"], "none")
+    assert not is_correct(silent)
+    silent["diagnosis"]["trials"] = {"rejected": {"t3": f"{OUTLYING} to 90 mm"}}
+    assert is_correct(silent)
 
 
 def test_a_small_clock_error_of_a_mixture_may_be_named():
