@@ -30,6 +30,7 @@ from stringcast.pipeline.cli.terminal import (
 )
 from stringcast.pipeline.commands import COMMAND_NAMES, load_command
 from stringcast.pipeline.run import log
+from stringcast.pipeline.run.stopping import repeat_ignored_interrupts
 from stringcast.pipeline.settings.composition import refuse_repeated_settings
 from stringcast.pipeline.sweep.lazy_launcher import finish_sweep, sweep_folder
 
@@ -83,6 +84,7 @@ def cli() -> None:
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     # Hydra raises its errors instead of printing them with a traceback.
     os.environ["HYDRA_FULL_ERROR"] = "1"
+    repeat_ignored_interrupts()
     if "-v" in sys.argv:
         sys.argv.remove("-v")
         log.show_log_on_terminal()

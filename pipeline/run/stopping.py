@@ -3,11 +3,40 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
-from threading import current_thread, main_thread
+from contextlib import contextmanager, suppress
+from threading import Timer, current_thread, main_thread
+from typing import TYPE_CHECKING
 
 from stringcast.stages.common import InterruptRequest
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
+REPEAT_AFTER_S = 0.05  # [s], longer than a callback takes
+
+
+def repeat_ignored_interrupts() -> None:
+    """Send an interrupt again that Python ignored, from now on.
+
+    No exception leaves a finalizer or a callback from C. LLVM calls back once it has
+    compiled a loop, which takes seconds: a Ctrl-C in that time would be lost.
+    """
+    former_hook = sys.unraisablehook
+
+    def send_again(ignored: UnraisableHookArgs) -> None:
+        if not issubclass(ignored.exc_type, KeyboardInterrupt):
+            former_hook(ignored)
+            return
+        values = ignored.exc_value.args if ignored.exc_value else ()
+        number = values[0] if values else signal.SIGINT
+        timer = Timer(REPEAT_AFTER_S, signal.raise_signal, [number])
+        timer.daemon = True
+        with suppress(RuntimeError):  # Python is about to end
+            timer.start()
+
+    sys.unraisablehook = send_again
 
 
 @contextmanager
@@ -18,16 +47,24 @@ def stop_stage_on_interrupt() -> Iterator[None]:
     thread, which alone receives them.
     """
     previous = signal.getsignal(signal.SIGINT)
+    former_hook = sys.unraisablehook
 
     def stop(number: int, frame: object) -> None:
         signal.signal(signal.SIGINT, previous)
         raise InterruptRequest
 
+    def await_repetition(ignored: UnraisableHookArgs) -> None:
+        if ignored.exc_type is InterruptRequest:
+            signal.signal(signal.SIGINT, stop)
+        former_hook(ignored)
+
     if not callable(previous) or current_thread() is not main_thread():
         yield
         return
     signal.signal(signal.SIGINT, stop)
+    sys.unraisablehook = await_repetition
     try:
         yield
     finally:
+        sys.unraisablehook = former_hook
         signal.signal(signal.SIGINT, previous)

@@ -3,10 +3,13 @@
 Its results so far are kept and shown, and made again when the run continues.
 """
 
+import ctypes
 import json
 import os
 import signal
+import sys
 import threading
+import time
 from dataclasses import replace
 
 import pandas as pd
@@ -15,7 +18,10 @@ import pytest
 from stringcast.data.artifacts import Diagnosis
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.file_names import SUMMARY_FILE
-from stringcast.pipeline.run.stopping import stop_stage_on_interrupt
+from stringcast.pipeline.run.stopping import (
+    repeat_ignored_interrupts,
+    stop_stage_on_interrupt,
+)
 from stringcast.stages.common import InterruptRequest
 from tests.pipeline.small import about
 
@@ -102,6 +108,50 @@ def test_only_the_first_asks_for_an_end_and_only_meanwhile():
             signal.raise_signal(signal.SIGINT)
         assert raised.type is KeyboardInterrupt
     assert signal.getsignal(signal.SIGINT) is before
+
+
+@ctypes.CFUNCTYPE(None)
+def press_in_a_callback_from_c():
+    """Press Ctrl-C where LLVM calls back: Python ignores what is raised here."""
+    signal.raise_signal(signal.SIGINT)
+
+
+def press_and_work():
+    press_in_a_callback_from_c()
+    time.sleep(5)
+
+
+@pytest.fixture
+def ignored(monkeypatch):
+    """Collect what Python ignores, and send ignored interrupts again."""
+    others = []
+    monkeypatch.setattr(sys, "unraisablehook", others.append)
+    repeat_ignored_interrupts()
+    return others
+
+
+def test_an_interrupt_that_python_ignored_is_sent_again(ignored):
+    with pytest.raises(KeyboardInterrupt):
+        press_and_work()
+    assert not ignored
+
+
+def test_a_stage_hears_of_an_interrupt_that_python_ignored(ignored):
+    with stop_stage_on_interrupt():
+        with pytest.raises(InterruptRequest):
+            press_and_work()
+        with pytest.raises(KeyboardInterrupt) as raised:
+            press_and_work()
+        assert raised.type is KeyboardInterrupt
+
+
+def test_other_errors_that_python_ignores_are_left_to_it(ignored):
+    def fail():
+        raise ValueError
+
+    ctypes.CFUNCTYPE(None)(fail)()
+    time.sleep(0.1)
+    assert [one.exc_type for one in ignored] == [ValueError]
 
 
 def test_where_signals_are_ignored_they_stay_so():
