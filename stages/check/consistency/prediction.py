@@ -13,6 +13,7 @@ import numpy as np
 
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.engine.threads import compile_kernel
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.string import String
 
@@ -191,18 +192,44 @@ def track_errors(
     beyond the prediction's end do not count; before its beginning the string rests.
     """
     points = prediction.points(s)  # (C, N, 2)
-    last = len(prediction.t) - 1
     errors = np.ones((len(offsets), len(points)))
-    for number, offset in enumerate(offsets):
-        place = (track.t + offset - prediction.t[0]) / TICK_S
-        is_within = place <= last
-        if is_within.sum() < MIN_FRAMES:
-            continue
-        place = np.maximum(place[is_within], 0.0)
-        before = np.minimum(place.astype(int), last - 1)
-        share = (place - before)[:, None]
-        places = (1 - share) * points[:, before] + share * points[:, before + 1]
-        distance = np.linalg.norm(places - track.xy[is_within], axis=-1)
-        shares = np.minimum(distance / scale, 1.0)
-        errors[number] = np.nan_to_num(shares, nan=1.0).mean(axis=1)
+    places = (track.t + offsets[:, None] - prediction.t[0]) / TICK_S  # (D, F)
+    _mean_distances(points, track.xy, places, scale, errors)
     return errors
+
+
+@compile_kernel
+def _mean_distances(
+    points: np.ndarray,
+    track: np.ndarray,
+    places: np.ndarray,
+    scale: float,
+    errors: np.ndarray,
+) -> None:
+    """Average a track's distances from predictions, as `track_errors` returns them.
+
+    points: (C, N, 2). track: (F, 2). places: of the frames, in ticks of the prediction,
+    (D, F). errors: ones (D, C), filled in place where enough frames count.
+    """
+    last = points.shape[1] - 1
+    for d in range(places.shape[0]):
+        within = 0
+        for f in range(places.shape[1]):
+            within += places[d, f] <= last
+        if within < MIN_FRAMES:
+            continue
+        for c in range(points.shape[0]):
+            total = 0.0
+            for f in range(places.shape[1]):
+                if places[d, f] > last:
+                    continue
+                place = max(places[d, f], 0.0)
+                before = min(int(place), last - 1)
+                share = place - before
+                first, second = points[c, before], points[c, before + 1]
+                x = (1 - share) * first[0] + share * second[0] - track[f, 0]
+                y = (1 - share) * first[1] + share * second[1] - track[f, 1]
+                distance = np.hypot(x, y) / scale
+                # not `min`: a string that was lost is as far as the farthest
+                total += distance if distance < 1.0 else 1.0
+            errors[d, c] = total / within

@@ -17,7 +17,11 @@ from stringcast.stages.model.engine.sampling import (
     is_bounded,
     last_needed_tick,
 )
-from stringcast.stages.model.engine.stability import averageable_slopes, steps_per_tick
+from stringcast.stages.model.engine.stability import (
+    averageable_slopes,
+    sampled_slopes,
+    steps_per_tick,
+)
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.state import StringState
 from stringcast.stages.model.statics.chain import (
@@ -97,9 +101,10 @@ def simulate(
     position = (times - hand.start) / hand.tick
     last = last_needed_tick(position)
     hand = hand.with_ticks(int(last.max()) + 1)
-    steps, possible = steps_per_tick(
-        *string.without_absent_effects(material), hand.tick
-    )
+    active, active_material = string.without_absent_effects(material)
+    slopes = sampled_slopes(active, active_material)
+    steps, possible = steps_per_tick(active, active_material, hand.tick, slopes)
+    _, gentlest = slopes
     turn = np.broadcast_to(turn, len(material))
 
     points = np.full((len(material), times.shape[-1], string.points, 2), np.nan)
@@ -110,7 +115,13 @@ def simulate(
         free_hand = _free_string_hand(string, some, hand.for_candidates(chosen))
         state = None if initial is None else initial.for_candidates(chosen)
         ticks = _run_candidates(
-            string, some, free_hand, int(group_steps), state, turn[chosen]
+            string,
+            some,
+            gentlest[..., chosen],
+            free_hand,
+            int(group_steps),
+            state,
+            turn[chosen],
         )
         end = last
         moments = position
@@ -158,12 +169,15 @@ def _free_string_hand(
 def _run_candidates(
     string: String,
     material: np.ndarray,
+    gentlest: np.ndarray,
     hand: HandMotion,
     steps: int,
     initial: StringState | None,
     turn: np.ndarray,
 ) -> np.ndarray:
     """Run candidates that share a step.
+
+    gentlest: rise of the laws, as `sampled_slopes`, (2, 3, C).
 
     Returns positions at the ticks, (C, K, n, 2), of no meaning once a candidate
     diverges.
@@ -189,10 +203,11 @@ def _run_candidates(
         reversal = np.broadcast_to(initial.memory_reversal, count)
 
     active, active_material = string.without_absent_effects(material)
+    masses, cells = active.point_masses(active_material)
     constants = string.integrator.row_values(
-        active.point_masses(active_material)[0],
+        masses,
         active.free_segment_lengths(active_material),
-        partial(averageable_slopes, active, active_material),
+        partial(averageable_slopes, active, active_material, gentlest[..., index]),
         dt,
     )
     memory = _memory_rows(
@@ -212,7 +227,12 @@ def _run_candidates(
         angles,
         lengths,
         velocity,
-        {**constants, **memory},
+        {
+            **constants,
+            **memory,
+            "INVERSE_MASS": 1.0 / masses,
+            "LENGTH_PER_MASS": cells / masses,
+        },
         lanes,
     )
 
@@ -344,7 +364,7 @@ def _fill_buffers(
     """Fill the kernel's rows with the initial state.
 
     numbers: of the rows, by name. velocity: of the points, (C, n, 2) [m/s]. further:
-    rows of the integrator and of hinges with a memory, (C, 1 to n) each.
+    rows of masses, of the integrator and of hinges with a memory, (C, 1 to n) each.
     """
     count = len(material)
     blocks = count // lanes
@@ -352,15 +372,12 @@ def _fill_buffers(
     vectors = lengths[..., None] * tangent
     grasp = np.broadcast_to(pose[:, None, :2], (count, 1, 2))
     positions = np.concatenate([grasp, free_positions], axis=1)
-    masses, cells = string.point_masses(material)
     rows = {
         "X": positions[..., 0],
         "Y": positions[..., 1],
         "ANGLE": angles,
         "SEGMENT_X": vectors[..., 0],
         "SEGMENT_Y": vectors[..., 1],
-        "INVERSE_MASS": 1.0 / masses,
-        "LENGTH_PER_MASS": cells / masses,
         "VX": velocity[..., 0],
         "VY": velocity[..., 1],
         "GRASP_REST_ANGLE": grasp_rest_angle(string, material),

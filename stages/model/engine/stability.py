@@ -46,7 +46,7 @@ Slopes = tuple[np.ndarray, np.ndarray]
 
 
 def steps_per_tick(
-    string: String, material: np.ndarray, tick: float
+    string: String, material: np.ndarray, tick: float, slopes: Slopes | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find how many steps each candidate takes in a tick.
 
@@ -61,6 +61,8 @@ def steps_per_tick(
         Material properties, as `String.material`.
     tick : float
         Length of a tick [s].
+    slopes : tuple of ndarray, optional
+        Of the laws, as `sampled_slopes`, where they are known already.
 
     Returns
     -------
@@ -69,7 +71,9 @@ def steps_per_tick(
     possible : ndarray of bool, shape (C,)
         Whether so many are practical.
     """
-    frequency2, damping = frequency_and_damping_bounds(string, material)
+    if slopes is None:
+        slopes = sampled_slopes(string, material)
+    frequency2, damping = frequency_and_damping_bounds(string, material, slopes)
     drag = _drag_rate(string, material)
     stable = string.integrator.largest_stable_step(frequency2, damping, drag)
     step = np.minimum(STEP_SAFETY_FACTOR * stable, string.largest_step)
@@ -100,10 +104,13 @@ def _drag_rate(string: String, material: np.ndarray) -> np.ndarray:
     return np.asarray(steepest * (cells / masses).max(axis=1))
 
 
-def frequency_and_damping_bounds(string: String, material: np.ndarray) -> Slopes:
+def frequency_and_damping_bounds(
+    string: String, material: np.ndarray, slopes: Slopes
+) -> Slopes:
     """Bound squared frequency [1/s^2] and damping rate [1/s] of what stays explicit.
 
-    (3 or more, C) each: axial, bending, grasp, and those that loads declare.
+    (3 or more, C) each: axial, bending, grasp, and those that loads declare. slopes: of
+    the laws, as `sampled_slopes`.
     """
     masses, cells = string.point_masses(material)
     ratio = string.free_length_ratio(material)
@@ -115,7 +122,6 @@ def frequency_and_damping_bounds(string: String, material: np.ndarray) -> Slopes
     operators = np.stack([axial / length, bending / length**3, grasp / length**2])
 
     integrator = string.integrator
-    slopes = sampled_slopes(string, material)
     stiffness, damping = integrator.step_limiting_slope(*slopes)
     memory_stiffness = memory_stiffness_bounds(string, material)
     for row, slot in enumerate(SAMPLED_ARGUMENTS):
@@ -159,13 +165,15 @@ def sampled_slopes(string: String, material: np.ndarray) -> Slopes:
     return np.swapaxes(steepest, 0, 1), np.swapaxes(gentlest, 0, 1)
 
 
-def averageable_slopes(string: String, material: np.ndarray) -> Slopes:
+def averageable_slopes(
+    string: String, material: np.ndarray, gentlest: np.ndarray
+) -> Slopes:
     """Find the stiffness and damping that an implicit step may average, (3, C) each.
 
-    As `sampled_slopes`: what rises everywhere, and the memory of hinges and grasp where
-    they turn back.
+    What rises everywhere, and the memory of hinges and grasp where they turn back.
+    gentlest: rise of the laws, as `sampled_slopes`, (2, 3, C).
     """
-    _, (stiffness, damping) = sampled_slopes(string, material)
+    stiffness, damping = gentlest
     return stiffness + memory_stiffness_bounds(string, material), damping
 
 
