@@ -51,6 +51,8 @@ def build_performance(
         "ticks": len(log.due),
         "missed": int(missed.sum()),
     }
+    is_sent = np.isfinite(lateness)
+    lateness = lateness[is_sent] if is_sent.any() else lateness
     for name, times in (("jitter", lateness), ("trip", trips)):
         link[f"{name}_p50"], link[f"{name}_p99"] = np.percentile(times, [50, 99])
         link[f"{name}_max"] = times.max()
@@ -79,7 +81,7 @@ def _measured_angles(log: MovementLog, start: float) -> pd.DataFrame:
     A message may take long, but not less than no time, so the quickest exchanges
     compare the two clocks best.
     """
-    answered = np.flatnonzero(~np.isnan(log.acknowledged))
+    answered = np.flatnonzero(~np.isnan(log.sent + log.acknowledged))
     sent, acknowledged = log.sent[answered], log.acknowledged[answered]
     clock = log.device_time[answered]
     offset = 0.0

@@ -24,6 +24,7 @@ def folder(arm, camera, tmp_path_factory):
         f"hydra.run.dir={folder / 'run'}",
     )
     assert command.returncode == 0, command.stderr
+    assert "Warning" not in command.stderr
     return folder
 
 

@@ -147,9 +147,10 @@ def test_a_tick_that_was_never_sent_counts_as_missed():
         0.0,
     )
     log.sent[2] = np.nan
-    assert build_performance(log, 0.0, 0.1, 0.5, np.ones(3)).ticks[
-        "missed"
-    ].tolist() == [False, False, True, False]
+    performance = build_performance(log, 0.0, 0.1, 0.5, np.ones(3))
+    assert performance.ticks["missed"].tolist() == [False, False, True, False]
+    assert performance.arm["t"].tolist() == [*log.due[:2], log.due[3]]
+    assert performance.link["jitter_max"].item() == 0
 
 
 def test_the_answer_is_as_long_as_the_specification_says():
