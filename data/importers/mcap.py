@@ -51,23 +51,17 @@ def read(path: Path) -> list[SourceRecording]:
             f"{path}: to read MCAP, two packages are needed: "
             "pip install mcap mcap-ros2-support"
         )
-    from mcap.exceptions import McapError  # noqa: PLC0415
-
     rows: dict[str, list[dict[str, float]]] = {}
     try:
         with require_plain_file(path).open("rb") as file:
             for topic, row in _read_messages(file, path):
                 rows.setdefault(topic, []).append(row)
-    except (
-        McapError,
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-    ) as error:
+    except DataError:
+        raise
+    except Exception as error:  # the packages raise any kind over a damaged file
+        reason = str(error) or type(error).__name__
         raise DataError(
-            f"{path}: cannot be read as MCAP ({error}). "
+            f"{path}: cannot be read as MCAP ({reason}). "
             "Try `mcap recover`, or record it again."
         ) from error
     return [

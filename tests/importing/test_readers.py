@@ -137,11 +137,12 @@ def test_ros_messages_are_read_by_topic(tmp_path):
         what.points["t"] - 1.7e9, 0.01 * np.arange(FRAMES), atol=1e-6
     )
     whole = (tmp_path / "bag.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(
-        DataError, match=r"cut.mcap: cannot be read as MCAP .*mcap recover"
-    ):
-        read_recordings([tmp_path / "cut.mcap"])
+    for size in (0, 3, len(whole) // 2):
+        (tmp_path / "cut.mcap").write_bytes(whole[:size])
+        with pytest.raises(
+            DataError, match=r"cut.mcap: cannot be read as MCAP .*mcap recover"
+        ):
+            read_recordings([tmp_path / "cut.mcap"])
 
 
 def test_json_messages_are_read_by_topic(tmp_path):
