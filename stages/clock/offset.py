@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.schema import DataError
@@ -337,4 +337,4 @@ def _trials_differ(apart: BackgroundPosterior, frame_s: float) -> bool:
     covariance = contrast @ apart.covariance @ contrast.T
     square = float(difference @ np.linalg.solve(covariance, difference))
     widening = HALF_WIDTH / 1.96
-    return bool(chi2.sf(square / widening**2, count - 1) < SIGNIFICANCE)
+    return bool(chdtrc(count - 1, square / widening**2) < SIGNIFICANCE)

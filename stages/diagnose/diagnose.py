@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import yaml
 from pydantic import AfterValidator, Field
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from stringcast.data.artifacts import (
     DIAGNOSIS_SUMMARY,
@@ -213,7 +213,7 @@ class DiagnosisSettings:
     @property
     def interval_half_width(self) -> float:
         """Half width of an interval in standard deviations of the likelihood."""
-        normal = float(norm.ppf(0.5 + self.criteria.coverage / 2))
+        normal = float(ndtri(0.5 + self.criteria.coverage / 2))
         return INTERVAL_WIDENING * normal
 
 

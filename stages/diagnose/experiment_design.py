@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from stringcast.data.artifacts import COMMANDS, CONTROL_POINTS, PREDICTED_STRINGS
 from stringcast.stages.diagnose.candidate_motions import (
@@ -212,7 +212,7 @@ def _most_different_motions(
 def _odds_summary(log_odds: float, deciding: float) -> dict[str, float]:
     """Summarise log odds of a mean, and twice that variance."""
     deviation = np.sqrt(2 * max(log_odds, 1e-12))
-    probability = float(norm.cdf((log_odds - deciding) / deviation))
+    probability = float(ndtr((log_odds - deciding) / deviation))
     return {
         "probability_to_decide": round(probability, 3),
         "expected_log_odds": round(log_odds, 3),

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.diagnose.contact_search import (
     CONTACT_DELAY_S,
     contact_candidates,
@@ -33,6 +33,8 @@ from stringcast.stages.model.effect import (
 )
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.model import Model
+
+qmc = LazyModule("scipy.stats.qmc")  # takes 0.4 s
 
 # Of the way from absent to the end of a range: where the tip shift is measured
 PROBE_FRACTION = 0.03

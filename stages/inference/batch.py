@@ -51,9 +51,7 @@ def normalised_residuals(
         chunk = values[first : first + size]
         simulated = simulate_trials(model, trials, chunk)
         for k, trial in enumerate(trials):
-            distance = trial.sample_at_points(simulated[k]) - trial.points
-            normalised = distance / trial.sigma[:, None]
-            chunks[k].append(normalised.reshape(len(chunk), -1))
+            chunks[k].append(trial.normalised_residuals(simulated[k]))
     return [np.concatenate(residuals) for residuals in chunks]
 
 

@@ -136,6 +136,13 @@ class PreparedTrial:
         position = self.s / self.model.string.segment_length
         return np.asarray(interpolate_measurements(points, self.frame, position))
 
+    def normalised_residuals(self, points: np.ndarray) -> np.ndarray:
+        """Compute strings (C, F, n, 2) less measured points over sigma, (C, 2 N)."""
+        distance = self.sample_at_points(points)
+        distance -= self.points
+        distance /= self.sigma[:, None]
+        return distance.reshape(len(points), -1)
+
     def cut_after(self, last: float) -> PreparedTrial:
         """Cut the trial after a time [s]."""
         return self.first_frames(int(np.searchsorted(self.times, last + 1e-9)))

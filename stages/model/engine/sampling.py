@@ -33,10 +33,20 @@ def is_bounded(ticks: np.ndarray, last: np.ndarray) -> np.ndarray:
 
     Until their last tick. ticks: (C, K, n, 2). last: (C,) or (1,).
     """
-    with np.errstate(invalid="ignore", over="ignore"):
-        within = np.abs(ticks[:, :, -1]).sum(axis=-1) < MAX_TIP_DISTANCE_M
-    later = np.arange(ticks.shape[1]) > last[:, None]
-    return np.asarray((within | later).all(axis=1))
+    bounded = np.ones(len(ticks), dtype=np.bool_)
+    _find_bounded(ticks, np.broadcast_to(last, len(ticks)), bounded)
+    return bounded
+
+
+@compile_kernel
+def _find_bounded(ticks: np.ndarray, last: np.ndarray, bounded: np.ndarray) -> None:
+    """Find candidates as `is_bounded`. bounded: ones (C,), filled in place."""
+    for c in range(len(ticks)):
+        for k in range(min(last[c] + 1, ticks.shape[1])):
+            distance = abs(ticks[c, k, -1, 0]) + abs(ticks[c, k, -1, 1])
+            if not distance < MAX_TIP_DISTANCE_M:  # not even where it is no number
+                bounded[c] = False
+                break
 
 
 def interpolate_ticks(
@@ -159,16 +169,21 @@ def interpolate_measurements(
     """
     count, last = len(points), points.shape[2] - 1
     nodes = min(PLACE_NODES, last + 1)
-    result, weight = np.zeros((count, len(place), 2)), np.empty(nodes)
+    first = np.empty(len(place), dtype=np.int64)
+    weight = np.empty((len(place), nodes))
     for k in range(len(place)):
         inside = min(max(place[k], 0.0), float(last))
-        first = min(max(int(inside) - 1, 0), last + 1 - nodes)
+        first[k] = min(max(int(inside) - 1, 0), last + 1 - nodes)
         for i in range(nodes):
-            weight[i] = _lagrange_weight(inside - first, i, nodes)
-        for c in range(count):
+            weight[k, i] = _lagrange_weight(inside - first[k], i, nodes)
+    result = np.empty((count, len(place), 2))
+    for c in range(count):
+        for k in range(len(place)):
+            x, y = 0.0, 0.0
             for i in range(nodes):
-                result[c, k, 0] += weight[i] * points[c, frame[k], first + i, 0]
-                result[c, k, 1] += weight[i] * points[c, frame[k], first + i, 1]
+                x += weight[k, i] * points[c, frame[k], first[k] + i, 0]
+                y += weight[k, i] * points[c, frame[k], first[k] + i, 1]
+            result[c, k, 0], result[c, k, 1] = x, y
     return result
 
 
@@ -186,14 +201,17 @@ def _interpolate_candidates(
     ticks: (C, K, n, 2). position: (C, F). last: (C,). result: zeros (C, F, n, 2),
     filled in place.
     """
+    weight = np.empty(TIME_NODES)
     for c in range(start, end):
         for f in range(position.shape[1]):
             first = int(np.floor(position[c, f])) - (TIME_NODES // 2 - 1)
             first = min(max(first, 0), last[c] + 1 - TIME_NODES)
             offset = position[c, f] - first
             for i in range(TIME_NODES):
-                weight = _lagrange_weight(offset, i, TIME_NODES)
-                for p in range(ticks.shape[2]):
-                    for axis in range(2):
-                        value = ticks[c, first + i, p, axis]
-                        result[c, f, p, axis] += weight * value
+                weight[i] = _lagrange_weight(offset, i, TIME_NODES)
+            for p in range(ticks.shape[2]):
+                x, y = 0.0, 0.0
+                for i in range(TIME_NODES):
+                    x += weight[i] * ticks[c, first + i, p, 0]
+                    y += weight[i] * ticks[c, first + i, p, 1]
+                result[c, f, p, 0], result[c, f, p, 1] = x, y
