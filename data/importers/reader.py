@@ -29,7 +29,10 @@ MAX_ANGLE_RAD = 4 * np.pi  # [rad] that no joint exceeds: larger numbers are deg
 # rows that share a time stamp, from which the stamps carry no time of the single row
 MIN_ROWS_PER_STAMP = 2.0
 MIN_STAMPED_ROWS = 5  # fewer rows show nothing
-ENCODER_COUNTS = 4096  # of a turn, of most servos
+# a clock that turns back farther, in usual steps, did not just swap a few rows
+MIN_RETURN_STEPS = 10.0
+MAX_RETURN_SHARE = 0.02  # of the rows: more are rows in another order
+COUNTS_PER_TURN = 4096  # of the encoders of most servos
 # of a position: they have other units than lengths, or none
 NO_LENGTH_AXES = {"angle", "likelihood", "valid", *QUATERNION_AXES}
 MIN_LIKELIHOOD = 0.6  # likelihood below which a tracker guesses (DeepLabCut's pcutoff)
@@ -190,6 +193,7 @@ class RecordingReader:
         if clocks := self.columns_of("time"):
             # one that the user named first, then the shortest name
             clocks.sort(key=lambda c: (c.how != "--map", len(c.meaning.name.split())))
+            self._refuse_restarted_clock(clocks[0])
             fault = self._stamp_fault(clocks[0])
             if not fault:
                 return self._read_clock(clocks[0])
@@ -241,6 +245,31 @@ class RecordingReader:
             return f"the time stamps{trial} carry no time: {found}{guess}"
         return ""
 
+    def _refuse_restarted_clock(self, column: SourceColumn) -> None:
+        """Refuse a clock that begins again within a trial: two recordings in one.
+
+        Rows in another order are none: their times do not overlap.
+        """
+        stamps = pd.to_numeric(self.table[column.name], errors="coerce").dropna()
+        for name, values in stamps.groupby(self._rows_of_series()):
+            t = values.to_numpy(dtype=float)
+            steps = np.diff(t)
+            usual = float(np.median(np.abs(steps))) if len(steps) else 0.0
+            returns = np.flatnonzero(steps < -MIN_RETURN_STEPS * usual)
+            if not len(returns) or len(returns) > MAX_RETURN_SHARE * len(t) + 1:
+                continue
+            first = int(returns[0]) + 1
+            before, after = t[:first], t[first:]
+            if not ((after > before.min()) & (after < before.max())).any():
+                continue
+            trial = f" of trial{name}" if str(name).strip() else ""
+            raise DataError(
+                f"{self.recording.file}: column '{column.name}'{trial} goes back from "
+                f"{t[first - 1]:.10g} to {t[first]:.10g} in row {first + 1}, to times "
+                "that were already recorded: two recordings seem to be in one. Give "
+                "each a file of its own, or a column 'trial'."
+            )
+
     def _refuse_unknown_counter(self) -> None:
         """Refuse rows without times if a column may hold the numbers of frames.
 
@@ -274,6 +303,8 @@ class RecordingReader:
                 typical = float(np.median(steps)) if len(steps) else 0.0
                 unit = _time_unit(typical)
                 how = column.how if unit == "s" else "values"
+            else:
+                self._refuse_slow_clock(column, numbers)
             return self.read_numbers(column, "t", unit, TIME_UNITS[unit], how)
         # no number: dates, as seconds since 1970
         try:
@@ -290,6 +321,21 @@ class RecordingReader:
         seconds: np.ndarray = elapsed.dt.total_seconds().to_numpy(dtype=float)
         self._note(column, "t", "dates", "values", seconds)
         return seconds
+
+    def _refuse_slow_clock(self, column: SourceColumn, numbers: pd.Series) -> None:
+        """Refuse a unit in which samples are too far apart to show a motion."""
+        steps = np.diff(np.unique(numbers.dropna()))
+        typical = float(np.median(steps)) if len(steps) else 0.0
+        unit = column.meaning.unit
+        if typical * TIME_UNITS[unit] <= MAX_STEP_S:
+            return
+        likely = _time_unit(typical)
+        renamed = f"t_{likely}" if likely != unit else "t_<unit>"
+        raise DataError(
+            f"{self.recording.file}: column '{column.name}' holds times in {unit} by "
+            f"its name, but its rows are {typical:.4g} {unit} apart, which shows no "
+            f"motion. If they are in {likely}, call the column {renamed}."
+        )
 
     def read_length(self, column: SourceColumn, role: str) -> np.ndarray:
         """Read a column of lengths, (K,) [m], or of pixels."""
@@ -340,8 +386,8 @@ class RecordingReader:
 
     def _read_counts(self, column: SourceColumn, role: str) -> np.ndarray:
         """Read an encoder's counts as an angle that does not wrap, (K,) [rad]."""
-        turn = 2 * np.pi / ENCODER_COUNTS
-        unit = f"counts, {ENCODER_COUNTS} a turn"
+        turn = 2 * np.pi / COUNTS_PER_TURN
+        unit = f"counts, {COUNTS_PER_TURN} a turn"
         angles = self.read_numbers(column, role, unit, turn, "--counts")
         is_known = np.isfinite(angles)
         angles[is_known] = np.unwrap(angles[is_known])
@@ -353,6 +399,7 @@ class RecordingReader:
         if joints:
             joints.sort(key=lambda column: int(column.meaning.name))
             self._refuse_alike_joints(joints)
+            self._refuse_joint_of_other_unit(joints)
             unitless = [c for c in joints if not c.meaning.unit]  # all in one unit
             angles = {
                 f"q{n}": self.read_angle(column, f"q{n}", unitless)
@@ -397,6 +444,26 @@ class RecordingReader:
                     f"'{other.name}' both seem to be joint {one.meaning.name}. Name "
                     f"the joints, base first: --map 'q1={one.name}' --map q2=<column>."
                 )
+
+    def _refuse_joint_of_other_unit(self, joints: Sequence[SourceColumn]) -> None:
+        """Refuse a joint that turns farther than any does, among others that do not."""
+        largest = {}
+        for column in joints:
+            raw = pd.to_numeric(self.table[column.name], errors="coerce")
+            factor = ANGLE_UNITS.get(column.meaning.unit, ANGLE_UNITS["deg"])
+            largest[column.name] = float(raw.abs().quantile(0.9)) * factor
+        too_far = [name for name in largest if largest[name] > MAX_ANGLE_RAD]
+        if len(too_far) in (0, len(joints)):
+            return
+        name = too_far[0]
+        turned = np.degrees(largest[name])
+        raise DataError(
+            f"{self.recording.file}: column '{name}' reaches {turned:.0f} degrees, "
+            "which no joint does, and the other joints do not. If it holds the counts "
+            f"of an encoder, {COUNTS_PER_TURN} a turn, multiply it by "
+            f"{360 / COUNTS_PER_TURN:.6g}; if it is no joint, name those that are: "
+            "--map q1=<column>."
+        )
 
     def _hand_columns(self) -> list[SourceColumn]:
         """Return the columns of the body that is the hand.

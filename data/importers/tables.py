@@ -69,6 +69,11 @@ def read(path: Path) -> list[SourceRecording]:
             f"{path}: it has {len(frame.columns)} columns, at most {MAX_COLUMNS} are "
             "read. Take some out."
         )
+    if frame.empty:
+        raise DataError(
+            f"{path}: it names columns and has no rows. Export it again, or leave it "
+            "out."
+        )
     names = [str(name).strip() for name in frame.columns]
     if all(map(_is_number, names)):
         raise DataError(

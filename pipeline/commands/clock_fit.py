@@ -70,9 +70,12 @@ def wrong_clock_findings(checked: CheckedDataset) -> list[Finding]:
 def apply_offset(imported: ImportedDataset, clock: ClockOffset) -> ImportedDataset:
     """Return the dataset with both clocks together, the interval in its metadata."""
     values = {name: interval.value for name, interval in clock.by_trial.items()}
-    rough = dict(imported.added_times)
-    added = {name: rough[name] + values.get(name, 0.0) for name in rough}
-    shift = imported.points["trial"].map(values).fillna(0.0)
+    rough = imported.added_times
+    # a trial that shows no motion has the clocks of the others
+    usual = float(np.median([*values.values()]))
+    shifts = dict.fromkeys(rough, usual) | values
+    added = {name: rough[name] + shifts[name] for name in rough}
+    shift = imported.points["trial"].map(shifts).fillna(0.0)
     points = imported.points.assign(t=imported.points["t"] + shift)
     block = clock_block(clock, added)
     return replace(

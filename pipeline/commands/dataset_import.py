@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from stringcast.stages.model.arm import Arm
 
 # joints of an arm whose angles our format holds; other arms are stored as hand poses
 FORMAT_JOINTS = 3
+MIN_FRAMES = 5  # of a trial: fewer show no motion
 # relative spread over trials; a string bends more or less by how it is held
 MAX_LENGTH_SPREAD = 0.1
 EXAMPLE_LINKS_M = ("0.25", "0.20", "0.135")
@@ -132,6 +133,7 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
     """
     notes = list(tables.notes)
     grasp = imported_grasp_poses(tables, bench)
+    tables = leave_out_single_frames(tables, notes)
     points, length = locate_points(tables, grasp, bench, notes)
     added_times = {}
     if bench.fit_clock:
@@ -151,6 +153,33 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
     return ImportedDataset(
         hand_table, hand_rows, points, tables.films, metadata, notes, added_times
     )
+
+
+def leave_out_single_frames(tables: ImportedTables, notes: list[str]) -> ImportedTables:
+    """Return tables without the points of trials that were seen in a frame or two.
+
+    Raises
+    ------
+    DataError
+        If no other trial is left.
+    """
+    if tables.points.empty:
+        return tables
+    frames = tables.points.groupby("trial")["t"].nunique()
+    short = frames[frames < MIN_FRAMES]
+    if len(short) == len(frames):
+        files = {c.file.name for c in tables.used_columns if c.role.endswith("x")}
+        raise DataError(
+            f"{', '.join(sorted(files))}: the string was seen in {frames.max()} "
+            f"frame(s) of a trial at most, at least {MIN_FRAMES} are needed: its "
+            "motion is unknown. Export the tracker's whole recording."
+        )
+    for name, count in short.items():
+        notes.append(
+            f"trial {name} is left out: the string was seen in {count} frame(s) of it"
+        )
+    points = tables.points[~tables.points["trial"].isin(short.index)]
+    return replace(tables, points=points)
 
 
 def camera_metadata(tables: ImportedTables, bench: BenchHints) -> dict[str, Any]:
@@ -187,11 +216,13 @@ def imported_grasp_poses(tables: ImportedTables, bench: BenchHints) -> pd.DataFr
     count = len(tables.joints)
     if len(bench.links) != count:
         example = ",".join((EXAMPLE_LINKS_M * count)[:count])
+        files = {c.file.name for c in tables.used_columns if c.role in tables.joints}
         raise DataError(
-            f"the log holds angles of joints: {count}. Lengths of links are given: "
-            f"{len(bench.links)}. Give one for each joint, base first: "
-            f"--links {example} --base 0,0. If some joints do not turn in the plane, "
-            "name those that do: --map q1=<column> --map q2=<column>."
+            f"{', '.join(sorted(files))}: the log holds angles of joints: {count}, and "
+            f"--links gives the lengths of {len(bench.links)} links. Give one for each "
+            f"joint, base first: --links {example} --base 0,0. If some joints do not "
+            "turn in the plane, name those that do: --map q1=<column> "
+            "--map q2=<column>."
         )
     poses = grasp_poses(motion, np.array(bench.links), np.array(bench.base))
     return pd.concat([times, poses], axis=1)
@@ -320,7 +351,10 @@ def align_roughly(
             )
             trials.append(CheckedTrial(observation, UNUSED_ARM, length))
     windows = possible_windows(trials)
-    return {trial.name: windows[trial.name].middle for trial in trials}
+    # a trial that shows no motion has the clocks of the others
+    usual = float(np.median([window.middle for window in windows.values()]))
+    added = dict.fromkeys((trial.name for trial in trials), usual)
+    return added | {name: window.middle for name, window in windows.items()}
 
 
 def write_dataset(

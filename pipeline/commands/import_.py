@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
 import sys
 from collections.abc import Sequence
@@ -11,6 +12,7 @@ from math import degrees, isnan
 from os.path import commonprefix
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pandas as pd
 from rich.table import Table
@@ -43,24 +45,97 @@ from stringcast.pipeline.commands.import_options import (
     read_column_hints,
 )
 from stringcast.pipeline.settings.composition import UserError
-from stringcast.stages.check.finding import Severity
+from stringcast.stages.check.finding import Severity, full_stop
 from stringcast.stages.check.measured import CheckedDataset
 
 # units of points, of the hand and of angles, direction, clock and rows of zeros
 MAX_CORRECTIONS = 8
 
 
+class UnconfirmedChangeError(DataError):
+    """A correction that a person must confirm, with the command that makes it."""
+
+    def __init__(self, change: Change, command: str) -> None:
+        super().__init__(f"it seems: {change.reason}. If that is so: {command}")
+        self.change = change
+        self.command = command
+
+
+class NotUsableError(DataError):
+    """Data in which an error was found, with their overview."""
+
+    def __init__(self, folder: Path, overview: dict[str, Any]) -> None:
+        message = f"{folder}: it was not written, because its data are not usable."
+        for finding in overview["findings"]:
+            if finding["severity"] == Severity.ERROR:
+                message += f" {finding['remedy']}{full_stop(finding['remedy'])}"
+                break
+        super().__init__(message)
+        self.overview = overview
+
+
 def main(arguments: Sequence[str]) -> int:
     """Read, show and write; return 0 if a usable folder was written."""
     options = argument_parser(__doc__).parse_args(arguments)
     options.files = expand_patterns(options.files)
+    console = Terminal(quiet=options.json)
+    if not options.json:
+        import_files(options, console)
+        return 0
+    try:
+        overview = import_files(options, console)
+    except NotUsableError as error:
+        overview = error.overview
+    except (DataError, UserError) as error:
+        overview = overview_of_refusal(options, error)
+    print(json.dumps(overview, indent=2))
+    return 0 if overview["usable"] else 1
+
+
+def overview_of_refusal(
+    options: argparse.Namespace, error: Exception
+) -> dict[str, Any]:
+    """Return the overview of files that were refused, in the form of `check --json`."""
+    message = str(error)
+    place = message.partition(": ")[0]
+    known = {str(file) for file in options.files} | {f.name for f in options.files}
+    is_option = place.startswith("--")
+    names_file = place.split(", ")[0] in known
+    if not (is_option or names_file):
+        message = f": {message}"
+    overview = check.overview_of_unreadable(options.to, message)
+    (finding,) = overview["findings"]
+    if is_option:
+        finding |= {"file": "", "field": place}
+    if isinstance(error, UnconfirmedChangeError):
+        change = error.change
+        finding |= {
+            "file": change.file,
+            "field": change.field,
+            "statement": change.reason,
+            "remedy": error.command,
+        }
+    return overview
+
+
+def import_files(options: argparse.Namespace, console: Terminal) -> dict[str, Any]:
+    """Read, show and write; return the overview of what was written.
+
+    Raises
+    ------
+    NotUsableError
+        If the data are not usable, with their overview.
+    DataError
+        If the files cannot be read, or leave a question open.
+    UserError
+        If an option is wrong.
+    """
     folder: Path = options.to
     if folder.exists():
         raise UserError(
             f"--to {folder}: the folder exists already. Name another one, or remove "
             f"it: rm -r {folder}"
         )
-    console = Terminal()
     recordings = read_recordings(options.files)
     tables, imported, checked = interpret_recordings(recordings, options, console)
     profile = None
@@ -71,25 +146,20 @@ def main(arguments: Sequence[str]) -> int:
     for note in imported.notes:
         console.print(f"[yellow]note[/] {note}.", highlight=False, soft_wrap=True)
     picture = draw_first_trial(checked, folder, profile)
-    overview = check.overview_with_clocks(checked)
-    check.print_overview(overview | {"folder": str(folder)}, console)
+    overview = check.overview_with_clocks(checked) | {"folder": str(folder)}
+    check.print_overview(overview, console)
     if picture is not None:
         console.print_line(f"What was understood, drawn: {picture}")
-    if not overview["usable"]:
-        message = f"{folder}: it was not written, because its data are not usable."
-        for finding in overview["findings"]:
-            if finding["severity"] == Severity.ERROR:
-                message += f" {finding['remedy']}."
-                break
-        raise DataError(message)
-
     command = equivalent_command(options)
+    overview |= {"notes": list(imported.notes), "command": command}
+    if not overview["usable"]:
+        raise NotUsableError(folder, overview)
     with write_atomically(folder) as part:
         write_dataset(imported, part, options.files, command)
     diagnosis = f"+experiment=diagnose trials={shlex.quote(str(folder))}"
     console.print_line(f"Written: {folder}. The same again: {command}")
     console.print_line(f"Next: {program_name()} {diagnosis}")
-    return 0
+    return overview
 
 
 def interpret_recordings(
@@ -208,10 +278,10 @@ def confirm_change(
         If a person must confirm it, and nobody can be asked.
     """
     option = " ".join(change.words)
-    can_ask = sys.stdin.isatty() and not options.yes
+    can_ask = sys.stdin.isatty() and not (options.yes or options.json)
     if change.must_ask and not can_ask and not options.yes:
         command = command_with(options, change.words)
-        raise DataError(f"it seems: {change.reason}. If that is so: {command}")
+        raise UnconfirmedChangeError(change, command)
     console.print(
         f"[yellow]It seems:[/] {change.reason}.", highlight=False, soft_wrap=True
     )

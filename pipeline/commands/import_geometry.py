@@ -31,10 +31,8 @@ from stringcast.stages.check.consistency.check import (
 from stringcast.stages.check.consistency.corrections import Correction
 from stringcast.stages.check.consistency.judge import Verdict, judge
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
-from stringcast.stages.check.consistency.search import (
-    Proposal,
-    find_answer,
-)
+from stringcast.stages.check.consistency.search import Proposal, find_answer
+from stringcast.stages.check.measured import drop_spikes
 
 MIN_ROWS = 5  # of a table: fewer show nothing
 MAX_FLAT_SHARE = 0.02  # of the other coordinate's range: one that never changes
@@ -46,12 +44,14 @@ CERTAIN_KINDS = {"unit", "y_down", "x_left", "exchange_axes", "degrees"}
 class Change(NamedTuple):
     """Options that would explain why the data contradict themselves.
 
-    must_ask: whether a person has to confirm them.
+    must_ask: whether a person has to confirm them. file, field: what they concern.
     """
 
     reason: str
     words: list[str]
     must_ask: bool = False
+    file: str = ""
+    field: str = ""
 
 
 def propose_geometry(
@@ -137,7 +137,7 @@ def tracks_of(points: pd.DataFrame, bench: BenchHints) -> tuple[Track, ...]:
         rows = points[is_here].drop_duplicates("t").sort_values("t")
         if len(rows) >= MIN_ROWS:
             xy = rows[["x", "y"]].to_numpy(float)
-            tracks.append(Track(name, s, rows["t"].to_numpy(), xy))
+            tracks.append(Track(name, s, *drop_spikes(rows["t"].to_numpy(), xy)))
     return tuple(tracks)
 
 
@@ -174,7 +174,22 @@ def change_of(
         if must_state_otherwise(proposal, options):
             remedies = "Look at --y-down and --plane, which are given"
         raise DataError(f"{reason}. {remedies}.")
-    return Change(reason, words, must_ask)
+    files = [table_files(c.table, tables) for c in proposal.corrections]
+    fields = [correction.field for correction in proposal.corrections]
+    unique_files, unique_fields = dict.fromkeys(files), dict.fromkeys(fields)
+    file, field = ", ".join(filter(None, unique_files)), ", ".join(unique_fields)
+    return Change(reason, words, must_ask, file, field)
+
+
+def table_files(table: str, tables: ImportedTables) -> str:
+    """Return the files that make a table of the dataset; empty if options make it."""
+    names = []
+    for column in tables.used_columns:
+        is_point = column.role.endswith((".x", ".y")) or column.role == "s"
+        is_hand = column.role in ("x", "y", "theta") or column.role.startswith("q")
+        if (table == "points" and is_point) or (table in ("arm", "grasp") and is_hand):
+            names.append(column.file.name)
+    return ", ".join(dict.fromkeys(names))
 
 
 def statement_for_files(correction: Correction) -> str:

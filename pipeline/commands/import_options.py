@@ -154,6 +154,11 @@ def argument_parser(description: str | None = None) -> argparse.ArgumentParser:
         action="store_true",
         help="ask nothing: take what seems most likely, and say so",
     )
+    add(
+        "--json",
+        action="store_true",
+        help="ask nothing, and print what was found as JSON, as check does",
+    )
     return parser
 
 
@@ -307,7 +312,7 @@ def equivalent_command(options: argparse.Namespace) -> str:
     words = ["import", *map(str, options.files), "--to", str(options.to)]
     for name, value in vars(options).items():
         option = f"--{name.replace('_', '-')}"
-        if name in ("files", "to", "yes"):
+        if name in ("files", "to", "yes", "json"):
             continue
         if name == "deg" and value is False:
             words.append("--rad")

@@ -9,15 +9,17 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from stringcast.stages.check.measured import CheckedTrial
+from stringcast.stages.check.measured import GRAVITY, CheckedTrial, drop_spikes
 
 # a parabola is fitted over so long: a fast tip turns little in it
 WINDOW_S = 0.04
+MAX_WINDOW_RATIO = 1.5  # of a window's duration over that without lost frames
 MIN_WINDOW_FRAMES = 5
 MIN_WINDOWS = 20
 # rms sine of the angle of the string's end to the vertical: a string that only hangs
 # does not show how it falls
 MIN_SINE = 0.1
+NORMAL_95 = 1.96
 # relative arc length: the piece from there to the tip gives the direction of the end
 DIRECTION_FROM = 0.75
 TIP_FROM = 0.95  # relative arc length from which a point counts as the tip
@@ -45,7 +47,7 @@ def estimate_gravity(trial: CheckedTrial) -> float:
     points = trial.points
     end = points["s"].max()
     last = points[points["s"] > TIP_FROM * end].groupby("t").tail(1)
-    t, tip = last["t"].to_numpy(), last[["x", "y"]].to_numpy()
+    t, tip = drop_spikes(last["t"].to_numpy(), last[["x", "y"]].to_numpy())
     inner = points[points["s"] <= DIRECTION_FROM * end].groupby("t").tail(1)
     before = inner.set_index("t").reindex(t)[["x", "y"]]
     hand_xy = [np.interp(t, trial.hand_t, trial.pose[:, axis]) for axis in (0, 1)]
@@ -69,10 +71,22 @@ def estimate_gravity(trial: CheckedTrial) -> float:
 
     across = direction[middle, ::-1] * (-1.0, 1.0)
     tip_across, gravity_across = (acceleration * across).sum(axis=1), -across[:, 1]
+    # a parabola over lost frames says nothing of a moment
+    is_whole = np.ptp(times, axis=1) <= MAX_WINDOW_RATIO * (size - 1) * interval
+    if is_whole.sum() < MIN_WINDOWS:
+        return float("nan")
+    tip_across, gravity_across = tip_across[is_whole], gravity_across[is_whole]
     mean_square = float(np.mean(gravity_across**2))
     if mean_square <= MIN_SINE**2:
         return float("nan")
-    return float(np.mean(tip_across * gravity_across) / mean_square)
+    gravity = float(np.mean(tip_across * gravity_across) / mean_square)
+    # windows overlap: only every size-th is independent
+    residual_mean_square = float(np.mean((tip_across - gravity * gravity_across) ** 2))
+    independent = max(is_whole.sum() / size, 1.0)
+    error = float(np.sqrt(residual_mean_square / mean_square / independent))
+    if NORMAL_95 * error > max(abs(gravity), GRAVITY):
+        return float("nan")
+    return gravity
 
 
 def median_gravity(trials: Iterable[CheckedTrial]) -> float:

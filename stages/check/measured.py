@@ -13,6 +13,7 @@ import pandas as pd
 from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.dataset import Dataset
 from stringcast.data.lost_samples import zero_row_mask
+from stringcast.data.rows import spike_mask
 from stringcast.stages.common import (
     mad_sigma,
     places_wander,
@@ -212,7 +213,7 @@ class CheckedTrial:
         noise = 0.0 if np.isnan(self.noise) else self.noise
         threshold = max(MOVED_DISTANCE * self.length, CLEAR_SIGMAS * noise)
         onsets = []
-        for t, xy in self.tracks:
+        for t, xy in (drop_spikes(*track) for track in self.tracks):
             start = np.median(xy[:INITIAL_FRAMES], axis=0)
             has_moved = np.linalg.norm(xy - start, axis=1) > threshold
             # one point alone may be an outlier
@@ -220,6 +221,12 @@ class CheckedTrial:
             onsets.append(np.inf if onset is None else onset)
         median = float(np.median(onsets)) if onsets else np.inf
         return median if np.isfinite(median) else None
+
+
+def drop_spikes(t: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (F,) and positions (F, 2) without those that jump away and back."""
+    is_kept = ~spike_mask(t, xy)
+    return t[is_kept], xy[is_kept]
 
 
 def scatter_of_track(t: np.ndarray, xy: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from stringcast.stages.check.consistency.corrections import (
     scale_point_times,
 )
 from stringcast.stages.check.consistency.judge import judge
+from stringcast.stages.check.consistency.limits import broken_limits
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 from stringcast.stages.check.consistency.search import find_answer
 from tests.checking.unusual_scenes import UNUSUAL, scene_measurements
@@ -49,6 +50,18 @@ def test_what_is_right_needs_no_answer(measured):
     answer = find_answer(measured, verdict)
     assert not answer.proposals
     assert not answer.pairing
+
+
+@pytest.mark.parametrize(("wrong_frames", "is_broken"), [(2, False), (10, True)])
+def test_a_string_at_rest_may_have_outliers_among_its_first_frames(
+    measured, wrong_frames, is_broken
+):
+    def move(track):
+        xy = track.xy.copy()
+        xy[:wrong_frames] += 2.0
+        return replace(track, xy=xy)
+
+    assert bool(broken_limits(measured.with_tracks(move))) == is_broken
 
 
 @pytest.mark.long

@@ -18,6 +18,11 @@ def dirty():
     return Dirty()
 
 
+def made(folder):
+    folder.mkdir()
+    return folder
+
+
 def outliers(dirty):
     rows = RNG.random(len(dirty.points)) < 0.05
     dirty.points.loc[rows, ["x", "y"]] += RNG.normal(0, 0.2, (rows.sum(), 2))
@@ -53,6 +58,29 @@ NOTED = {
     smoothed: ("noise.point_sigma", "a lower bound: the track seems smoothed; the"),
     smoothed_unstated: ("sigma", "the track seems smoothed, and its noise is larger"),
 }
+
+
+def test_gross_outliers_change_neither_rest_nor_onset_nor_fall(dirty, tmp_path):
+    clean = looked_at(dirty.write(made(tmp_path / "clean")))
+    frames = dirty.points.groupby(["trial", "t"]).ngroup()
+    is_out = np.isin(frames, RNG.choice(frames.max() + 1, frames.max() // 20))
+    dirty.points.loc[is_out, ["x", "y"]] += 3.0
+    spoilt = looked_at(dirty.write(made(tmp_path / "spoilt")))
+    for before, after in zip(clean.with_points(), spoilt.with_points(), strict=True):
+        assert after.string_onset == pytest.approx(before.string_onset, abs=0.016)
+    statements = [finding.statement for finding in found(tmp_path / "spoilt")]
+    assert any("jump away and back" in words for words in statements)
+    assert not any("falls with" in words for words in statements)
+    assert not any("from the grasp" in words for words in statements)
+
+
+def test_a_tip_hidden_for_half_of_the_time_does_not_seem_to_fall(dirty, tmp_path):
+    times = dirty.points.groupby("trial")["t"]
+    middle = (times.transform("min") + times.transform("max")) / 2
+    is_tip = dirty.points["s"] == dirty.points["s"].max()
+    dirty.points = dirty.points[~(is_tip & (dirty.points["t"] > middle))]
+    statements = [finding.statement for finding in found(dirty.write(tmp_path))]
+    assert not any("falls with" in words for words in statements)
 
 
 @pytest.mark.parametrize("spoil", NOTED, ids=lambda spoil: spoil.__name__)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -25,6 +26,7 @@ STRIP = {
     "grasp_stiffness": 20.0,
     "grasp_damping": 0.02,
 }
+TableEdit: TypeAlias = Callable[[pd.DataFrame, int], pd.DataFrame]
 UNIT_SIZES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 
 
@@ -48,6 +50,12 @@ class Bench:
         Further options.
     fps
         Frame rate, if the tracker writes no times.
+    clock
+        What is to be added to the times of points [s].
+    edits
+        What is changed in the tables "robot" and "tracker", by the number of the trial.
+    csv
+        How tables are written, as options of pandas.
     """
 
     hands: list[tuple[np.ndarray, np.ndarray]]
@@ -61,8 +69,9 @@ class Bench:
     length_name: str = "mm"
     options: tuple[str, ...] = ()
     fps: float | None = None
-    dropped: tuple[str, ...] = ()
-    columns: dict[str, str] = field(default_factory=dict)
+    clock: float = 0.0
+    edits: Mapping[str, TableEdit] = field(default_factory=dict)
+    csv: Mapping[str, Any] = field(default_factory=dict)
 
     def write(self, folder: Path) -> list[str]:
         """Write the files; return the words of the command."""
@@ -73,7 +82,7 @@ class Bench:
             table = {"time_s": t}
             for joint in range(joints.shape[1]):
                 table[f"joint{joint + 1}{ending}"] = joints[:, joint] * unit
-            robots.append(self._write(folder / f"robot_{number}.csv", table))
+            robots.append(self._write(folder, "robot", number, table))
         for number, points in enumerate(self.points, 1):
             first = next(iter(points.values()))[0]
             table = {} if self.fps else {"time_s": first}
@@ -82,7 +91,7 @@ class Bench:
                 for axis in range(2):
                     scaled = xy[:, axis] / UNIT_SIZES[self.length_unit]
                     table[f"{name}_{'xy'[axis]}{ending}"] = scaled
-            trackers.append(self._write(folder / f"tracker_{number}.csv", table))
+            trackers.append(self._write(folder, "tracker", number, table))
         words = [*robots, *(trackers if self.points else [])]
         if self.links:
             words.append("--links=" + ",".join(f"{link:.6g}" for link in self.links))
@@ -94,11 +103,14 @@ class Bench:
             words.append(f"--fps={self.fps:g}")
         return [*words, *self.options]
 
-    def _write(self, path: Path, table: dict[str, np.ndarray]) -> str:
-        kept = {
-            name: column for name, column in table.items() if name not in self.dropped
-        }
-        pd.DataFrame(kept).to_csv(path, index=False)
+    def _write(
+        self, folder: Path, name: str, number: int, columns: dict[str, np.ndarray]
+    ) -> str:
+        table = pd.DataFrame(columns)
+        if name in self.edits:
+            table = self.edits[name](table, number)
+        path = folder / f"{name}_{number}.csv"
+        table.to_csv(path, index=False, **self.csv)
         return str(path)
 
     def with_joints(self, change: Callable[[np.ndarray], np.ndarray]) -> Bench:
@@ -156,7 +168,7 @@ def simulated_bench() -> Bench:
             seen[name] = (frames, moved.points[0, :, node] + noise)
         hands.append((t + 81.0, joints))
         points.append(seen)
-    return Bench(hands, points, links, base, length)
+    return Bench(hands, points, links, base, length, clock=81.0)
 
 
 def two_clocks_bench(folder: Path) -> Bench:
@@ -172,7 +184,8 @@ def two_clocks_bench(folder: Path) -> Bench:
             xy = tracker[[f"{name}_x_mm", f"{name}_y_mm"]].to_numpy() * [1e-3, -1e-3]
             seen[name] = (tracker["time_s"].to_numpy(), xy)
         points.append(seen)
-    return Bench(hands, points, TWO_CLOCKS_LINKS, TWO_CLOCKS_BASE, 0.32)
+    bench = Bench(hands, points, TWO_CLOCKS_LINKS, TWO_CLOCKS_BASE, 0.32)
+    return replace(bench, clock=5135.881)
 
 
 def sample_bench(folder: Path) -> Bench:
@@ -257,6 +270,131 @@ def shifted(x: float, y: float) -> Callable[[Bench], Bench]:
     return change
 
 
+def edited(name: str, edit: TableEdit) -> Callable[[Bench], Bench]:
+    """Return the mistake of the tables "robot" or "tracker" being changed."""
+    return lambda bench: replace(bench, edits={name: edit})
+
+
+def without(name: str, *columns: str) -> Callable[[Bench], Bench]:
+    """Return the mistake of missing columns."""
+    return edited(name, lambda table, _: table.drop(columns=[*columns]))
+
+
+def written(**csv: Any) -> Callable[[Bench], Bench]:
+    """Return the mistake of tables that are written in another way."""
+    return lambda bench: replace(bench, csv=csv)
+
+
+def first_alone(change: Callable[[pd.DataFrame], pd.DataFrame]) -> TableEdit:
+    """Return the change of the first trial's table."""
+    return lambda table, number: change(table) if number == 1 else table
+
+
+def with_times(change: Callable[[np.ndarray], np.ndarray], name: str = "") -> TableEdit:
+    """Return the change of time stamps (K,) [s], and of their column's name."""
+
+    def edit(table: pd.DataFrame, _: int) -> pd.DataFrame:
+        table = table.assign(time_s=change(table["time_s"].to_numpy()))
+        return table.rename(columns={"time_s": name or "time_s"})
+
+    return edit
+
+
+def with_both_times(
+    change: Callable[[np.ndarray], np.ndarray], name: str = ""
+) -> Callable[[Bench], Bench]:
+    """Return the mistake of time stamps in both files."""
+    edit = with_times(change, name)
+    return lambda bench: replace(bench, edits={"robot": edit, "tracker": edit})
+
+
+def repeat_stamps(t: np.ndarray) -> np.ndarray:
+    """Give every tenth row the stamp of the one before."""
+    t = t.copy()
+    t[10::10] = t[9:-1:10]
+    return t
+
+
+def turn_back(t: np.ndarray) -> np.ndarray:
+    """Let a clock begin again in the middle."""
+    return np.where(np.arange(len(t)) < len(t) // 2, t, t - (t[len(t) // 2] - t[0]))
+
+
+def keep_some(table: pd.DataFrame, _: int) -> pd.DataFrame:
+    """Keep rows at random, so that frames are not even."""
+    rng = np.random.default_rng(11)
+    return table[rng.random(len(table)) < 0.6]
+
+
+def lose(share: float) -> TableEdit:
+    """Return the change of a tracker that loses its points in a share of frames."""
+
+    def edit(table: pd.DataFrame, number: int) -> pd.DataFrame:
+        rng = np.random.default_rng(number)
+        positions = [name for name in table if name != "time_s"]
+        table = table.copy()
+        table.loc[rng.random(len(table)) < share, positions] = np.nan
+        return table
+
+    return edit
+
+
+def throw_out(table: pd.DataFrame, number: int) -> pd.DataFrame:
+    """Take something else for the points in one of twenty frames."""
+    rng = np.random.default_rng(number)
+    is_out = rng.random(len(table)) < 0.05
+    names = [name for name in table if name != "time_s"]
+    farther = table[names] + 3 * (table[names].max() - table[names].min())
+    table = table.copy()
+    table.loc[is_out, names] = farther[is_out]
+    return table
+
+
+def hide_half(table: pd.DataFrame, number: int) -> pd.DataFrame:
+    """Lose the tip in the second half of each trial."""
+    table = table.copy()
+    names = [name for name in table if str(name).startswith("tip")]
+    table.loc[len(table) // 2 :, names] = np.nan
+    return table
+
+
+def put_text(table: pd.DataFrame, number: int) -> pd.DataFrame:
+    """Write a word where a point was lost."""
+    table = table.astype(object)
+    table.iloc[::15, 1:] = "lost"
+    return table
+
+
+def film_slowly(bench: Bench) -> Bench:
+    """Film with 5 frames a second."""
+    step = round(0.2 / float(np.median(np.diff(bench.points[0]["tip"][0]))))
+    return edited("tracker", lambda table, _: table[::step])(bench)
+
+
+def rename_joints(*names: str) -> Callable[[Bench], Bench]:
+    """Return the mistake of joints with other names."""
+
+    def edit(table: pd.DataFrame, _: int) -> pd.DataFrame:
+        return table.set_axis(["time_s", *names], axis=1)
+
+    return edited("robot", edit)
+
+
+def wrap_joint(table: pd.DataFrame, _: int) -> pd.DataFrame:
+    """Let an angle [deg] jump by a turn in the middle of its range."""
+    name = table.columns[2]
+    angle = table[name].to_numpy()
+    cut = (angle.min() + angle.max()) / 2
+    return table.assign(**{name: (angle - cut) % 360 + cut})
+
+
+def count_joint(table: pd.DataFrame, _: int) -> pd.DataFrame:
+    """Write the second joint as an encoder's counts among degrees."""
+    name = table.columns[2]
+    counts = encoder_counts(np.radians(table[name].to_numpy()))
+    return table.assign(**{name: counts})
+
+
 # mistake -> (how it is made, what the answer holds); an answer is the words of an
 # option that is taken, or of a message
 MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
@@ -265,11 +403,11 @@ MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
     "joints 2 and 3 swapped": (misorder(0, 2, 1), "--map q2=joint3_deg"),
     "joints 1 and 3 swapped": (misorder(2, 1, 0), "--map q1=joint3_deg"),
     "missing y of the tip": (
-        lambda bench: replace(bench, dropped=("tip_y_mm",)),
+        without("tracker", "tip_y_mm"),
         "column 'tip_x_mm' is the only coordinate",
     ),
     "missing joint": (
-        lambda bench: replace(bench, dropped=("joint2_deg",)),
+        without("robot", "joint2_deg"),
         "angles of joints: 2",
     ),
     "degrees named rad": (lambda bench: replace(bench, angle_name="rad"), "--deg"),
@@ -287,7 +425,9 @@ MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
     "cm named mm": (in_unit("cm", "mm"), "=cm"),
     "inch named mm": (in_unit("in", "mm"), "=in"),
     "links in inch": (scaled("links", 1 / 0.0254), "--links="),
+    "links in mm": (scaled("links", 1000.0), "would be metres|--links="),
     "links in cm": (scaled("links", 100.0), "would be metres|--links="),
+    "length in mm": (scaled("length", 1000.0), "would be metres|--length="),
     "length in cm": (scaled("length", 100.0), "would be metres|--length="),
     "length in inch": (scaled("length", 1 / 0.0254), "would be metres|--length="),
     "no length": (lambda bench: replace(bench, length=None), "Measure it"),
@@ -320,6 +460,80 @@ MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
     "mm and y down": (
         lambda bench: in_unit("mm")(matrix((1, 0), (0, -1))(bench)),
         "--y-down",
+    ),
+}
+FILE_MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
+    "tracker's stamps doubled": (
+        edited("tracker", with_times(repeat_stamps)),
+        "another value at the same trial, t",
+    ),
+    "robot's stamps doubled": (
+        edited("robot", with_times(repeat_stamps)),
+        "another value at the same trial, t",
+    ),
+    "tracker's stamps turn back": (
+        edited("tracker", with_times(turn_back)),
+        "two recordings seem to be in one",
+    ),
+    "robot's stamps turn back": (
+        edited("robot", with_times(turn_back)),
+        "two recordings seem to be in one",
+    ),
+    "rows in reverse": (
+        edited("tracker", lambda table, _: table[::-1]),
+        "They are put in order",
+    ),
+    "uneven frames": (edited("tracker", keep_some), "Usable"),
+    "epoch seconds": (with_both_times(lambda t: t + 1.7e9), "times begin at"),
+    "epoch seconds of the robot": (
+        edited("robot", with_times(lambda t: t + 1.7e9)),
+        "--clock fit",
+    ),
+    "epoch ns": (with_both_times(lambda t: (t + 1.7e9) * 1e9, "stamp_ns"), "Usable"),
+    "epoch ns named s": (
+        with_both_times(lambda t: (t + 1.7e9) * 1e9),
+        "call the column t_ns",
+    ),
+    "epoch float32": (
+        with_both_times(lambda t: (t + 1.7e9).astype(np.float32).astype(float)),
+        "stored as float32",
+    ),
+    "ms named s": (with_both_times(lambda t: t * 1e3), "call the column t_ms"),
+    "10 % NaN": (edited("tracker", lose(0.1)), "x is not a finite number"),
+    "90 % NaN": (edited("tracker", lose(0.9)), "too few are left to show anything"),
+    "10 % NaN of the robot": (edited("robot", lose(0.1)), "not a finite number"),
+    "outliers": (edited("tracker", throw_out), "jump away and back"),
+    "tip hidden half of the time": (
+        edited("tracker", hide_half),
+        "x is not a finite number",
+    ),
+    "text in cells": (edited("tracker", put_text), "not a (finite )?number"),
+    "5 fps": (film_slowly, "Film faster"),
+    "one frame": (edited("tracker", lambda table, _: table[:1]), "in 1 frame"),
+    "one frame in one trial": (
+        edited("tracker", first_alone(lambda table: table[:1])),
+        "is left out: the string was seen in 1 frame",
+    ),
+    "empty file": (
+        edited("tracker", first_alone(lambda _: pd.DataFrame())),
+        "tracker_1.csv: it is empty",
+    ),
+    "heading alone": (
+        edited("tracker", first_alone(lambda table: table[:0])),
+        "has no rows",
+    ),
+    "joints called A1": (rename_joints("A1_deg", "A2_deg", "A3_deg"), "Usable"),
+    "joints called alpha": (rename_joints("alpha", "beta", "gamma"), "--map"),
+    "angle wraps at 180 degrees": (edited("robot", wrap_joint), "Usable"),
+    "one joint in counts": (edited("robot", count_joint), "counts of an encoder"),
+    "decimal comma": (written(sep=";", decimal=","), "Usable"),
+    "BOM and CRLF": (
+        written(encoding="utf-8-sig", lineterminator="\r\n"),
+        "Usable",
+    ),
+    "clock 100 ppm fast": (
+        edited("tracker", with_times(lambda t: t * 1.0001)),
+        "Usable",
     ),
 }
 # of what one point shows nothing

@@ -1,5 +1,6 @@
 """Logs of arms and tables of trackers become the dataset that they record."""
 
+import json
 import re
 from math import pi
 
@@ -206,6 +207,51 @@ def test_nothing_is_written_where_the_string_cannot_be(sample, called, tmp_path)
     assert (tmp_path / "mine.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize(
+    ("changes", "file", "field", "statement", "remedy"),
+    [
+        ({"--base": "0.2,0.5"}, "", "arm.base", "the arm stands elsewhere", "--base="),
+        ({"--links": "0.25,0.2"}, "robot_08.csv", "", "lengths of 2 links", "--links"),
+        ({"--map": "q1=gear"}, "", "--map q1=gear", "no file has such", "There are"),
+    ],
+    ids=["correction", "file", "option"],
+)
+def test_programs_find_file_field_and_remedy_of_a_mistake(
+    sample, called, tmp_path, changes, file, field, statement, remedy
+):
+    robots, trackers = logs(tmp_path, sample, clock=0.0)
+    options = dict(zip(BENCH[::2], BENCH[1::2], strict=True)) | changes
+    words = [word for pair in options.items() for word in pair]
+    done = called(
+        "import", *robots, *trackers, "--json", "--to", tmp_path / "m", *words
+    )
+    assert done.returncode == 1, done.stderr
+    overview = json.loads(done.stdout)
+    (finding,) = overview["findings"]
+    assert not overview["usable"]
+    assert finding["field"] == field
+    assert file in finding["file"]
+    assert statement in finding["statement"]
+    assert remedy in finding["remedy"]
+
+
+def test_programs_get_the_command_and_what_was_found(
+    sample, called, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(
+        "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
+    )
+    robots, trackers = logs(tmp_path, sample, clock=0.0)
+    folder = tmp_path / "mine"
+    done = called("import", *robots, *trackers, "--json", "--to", folder, *BENCH)
+    overview = json.loads(done.stdout)
+    assert done.returncode == 0
+    assert overview["usable"]
+    assert overview["folder"] == str(folder)
+    assert f"--to {folder}" in overview["command"]
+    assert (folder / "dataset.yaml").exists()
+
+
 def test_on_a_terminal_it_asks_and_a_no_writes_nothing(
     sample, called, tmp_path, monkeypatch
 ):
@@ -392,7 +438,7 @@ def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_pat
     assert any("give it with --length" in note for note in made.notes)
     with pytest.raises(
         DataError,
-        match=r"angles of joints: 2. Lengths of links are given: 3.*--links 0.25,0.20 ",
+        match=r"angles of joints: 2, .* of 3 links.*--links 0.25,0.20 ",
     ):
         convert_recordings(
             of(arm, tmp_path / "track.csv"), BenchHints(links=(0.3, 0.3, 0.1))

@@ -233,3 +233,42 @@ def test_markers_of_the_same_name_are_told_apart_by_their_set_or_refused(tmp_pat
     path.write_text(path.read_text().replace("right:tip", "left:tip"))
     with pytest.raises(DataError, match=r"the same name.*in Motive"):
         read(path, plane="x,y")
+
+
+@pytest.mark.parametrize(
+    ("order", "is_restart"),
+    [
+        (np.r_[0:20, 0:20], True),
+        (np.r_[20:40, 0:20], False),  # blocks in another order
+        (np.r_[0:20, 21, 20, 22:40], False),  # a packet that came late
+        (np.r_[39:-1:-1], False),
+    ],
+    ids=["restart", "blocks", "packet", "reverse"],
+)
+def test_a_clock_that_begins_again_is_no_order_of_rows(
+    arm, tmp_path, order, is_restart
+):
+    tip = write(tmp_path, "tip.csv", time_s=T[order], tip_x=TURN, tip_y=-TURN)
+    if is_restart:
+        with pytest.raises(DataError, match=r"goes back from 0\.095 to 0 in row 21"):
+            read(arm, tip)
+    else:
+        assert len(read(arm, tip).points) == COUNT
+
+
+def test_a_unit_in_which_nothing_would_move_is_refused(arm, tmp_path):
+    wrong = write(tmp_path, "wrong.csv", time_s=1e3 * T, tip_x=TURN, tip_y=-TURN)
+    with pytest.raises(DataError, match=r"rows are 5 s apart.* call the column t_ms"):
+        read(arm, wrong)
+    right = write(tmp_path, "right.csv", time_ms=1e3 * T, tip_x=TURN, tip_y=-TURN)
+    np.testing.assert_allclose(read(arm, right).points["t"], T)
+
+
+def test_one_joint_among_others_is_no_encoder(arm, tmp_path):
+    tip = write(tmp_path, "tip.csv", t=T, tip_x=TURN, tip_y=-TURN)
+    angles = {"j1_deg": 40 * TURN, "j2_deg": -60 * TURN}
+    mixed = write(tmp_path, "mixed.csv", t=T, **angles, j3_deg=2048 + 500 * TURN)
+    with pytest.raises(DataError, match=r"'j3_deg' reaches 24\d\d degrees"):
+        read(mixed, tip)
+    counts = {f"j{n}_deg": 2048 + 500 * TURN for n in (1, 2, 3)}
+    read(write(tmp_path, "counts.csv", t=T, **counts), tip)

@@ -13,11 +13,11 @@ from itertools import permutations
 
 import numpy as np
 
+from stringcast.data.importers.reader import COUNTS_PER_TURN
 from stringcast.data.metadata import DATASET_FILE
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 from stringcast.stages.model.camera import Camera
 
-COUNTS = 4096  # of a turn, of most servos' encoders
 MAX_PERMUTED_JOINTS = 3  # of more, only neighbours are exchanged
 MIN_LENGTH_RATIO = 1.3  # of a stated length that may be another, to the last point
 MIN_COUNT = 100.0  # joint angles that are counts go beyond
@@ -336,7 +336,7 @@ def relative_angles(joints: np.ndarray) -> np.ndarray:
 
 def counts_to_radians(counts: np.ndarray, zero: float) -> np.ndarray:
     """Return angles of an encoder's counts that wrap after a turn."""
-    return np.unwrap((counts - zero) * 2 * np.pi / COUNTS, axis=0)
+    return np.unwrap((counts - zero) * 2 * np.pi / COUNTS_PER_TURN, axis=0)
 
 
 def undo_counts(measured: Measurements, zero: float) -> Measurements | None:
@@ -349,7 +349,7 @@ def undo_counts(measured: Measurements, zero: float) -> Measurements | None:
         if recording.joints is not None:
             largest = max(largest, float(np.abs(recording.joints).max()))
     factor = 1.0 if largest > MIN_COUNT else 180 / np.pi
-    if not MIN_COUNT < largest * factor <= 2 * COUNTS:
+    if not MIN_COUNT < largest * factor <= 2 * COUNTS_PER_TURN:
         return None
     return change_joints(
         measured, lambda joints: counts_to_radians(joints * factor, zero)
@@ -369,12 +369,12 @@ def joint_corrections(count: int) -> Iterator[Correction]:
         "degrees",
         "degrees",
     )
-    for zero in (0, COUNTS // 2):
+    for zero in (0, COUNTS_PER_TURN // 2):
         yield Correction(
             "arm",
             field,
-            f"angles are an encoder's counts, {COUNTS} a turn, from {zero}",
-            f"Subtract {zero}, multiply them by 2 pi / {COUNTS} and unwrap them",
+            f"angles are an encoder's counts, {COUNTS_PER_TURN} a turn, from {zero}",
+            f"Subtract {zero}, multiply them by 2 pi / {COUNTS_PER_TURN} and unwrap",
             partial(undo_counts, zero=zero),
             "counts",
             str(zero),

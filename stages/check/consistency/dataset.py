@@ -13,6 +13,7 @@ from stringcast.stages.check.measured import (
     MIN_TRACK_FRAMES,
     CheckedDataset,
     CheckedTrial,
+    drop_spikes,
 )
 from stringcast.stages.common import (
     places_wander,
@@ -79,13 +80,14 @@ def tracks_of(trial: CheckedTrial) -> tuple[Track, ...]:
         for number, place in enumerate(places):
             is_seen = np.isfinite(lines[:, number, 0])
             if is_seen.sum() >= MIN_TRACK_FRAMES:
-                seen = lines[is_seen, number]
-                found.append(Track(f"{number}", float(place), times[is_seen], seen))
+                t, xy = drop_spikes(times[is_seen], lines[is_seen, number])
+                found.append(Track(f"{number}", float(place), t, xy))
         return tuple(found)
     arcs = np.array([np.median(s[track]) for track in tracks])
     nearest = {int(np.abs(arcs - s).argmin()): place for place, s in enumerate(wanted)}
     found = []
     for number, place in sorted(nearest.items()):
         track, s_track = tracks[number], float(arcs[number])
-        found.append(Track(f"{place}", s_track, times[frame[track]], xy[track]))
+        t, places = drop_spikes(times[frame[track]], xy[track])
+        found.append(Track(f"{place}", s_track, t, places))
     return tuple(found)

@@ -12,7 +12,8 @@ from stringcast.stages.check.consistency.record import Measurements, Recording, 
 
 # no point is so much further from the hand than its arc length, relative to the length
 MAX_GAP = 0.25
-GAP_QUANTILE = 0.8  # so many points must be possible: others may be outliers
+# so many points of a motion must be possible: others may be outliers
+GAP_QUANTILE = 0.8
 MAX_STRETCH = 1.5  # no piece is so many times as long as its arc length
 PLAUSIBLE_LENGTHS_M = (0.01, 20.0)
 MAX_HAND_SPEED = 40.0  # [m/s]
@@ -111,8 +112,9 @@ def reach_excess(
     """Return by how much a point is beyond its arc length [m], at the best offset.
 
     A string that rests at the beginning is looked at there: the hand is at its own
-    time, or where its log begins. Another is looked at all the time, with any offset of
-    the clocks.
+    time, or where its log begins. Of these few frames the median counts, because two of
+    ten may well be outliers. Another is looked at all the time, with any offset of the
+    clocks.
     """
     if not len(track.t):
         return 0.0
@@ -122,7 +124,7 @@ def reach_excess(
         excesses = []
         for hand in (at_own_time, pose[:1, :2]):
             distance = np.linalg.norm(xy - hand, axis=1)
-            excesses.append(float(np.quantile(distance, GAP_QUANTILE)) - s)
+            excesses.append(float(np.median(distance)) - s)
         return min(excesses)
 
     excesses = []
