@@ -271,6 +271,8 @@ READINGS = Table(
     tip_y [m]: tip of the string; NaN if not read
     tip_sigma [m]: one standard deviation of a coordinate of the tip
     length [m]: length of the centre-line that was read
+    hand_shift [m] (optional): distance of the hand from where its joints put it
+    joint_error [rad] (optional): largest error of a joint, as the arm is seen
     """),
 )
 MASKS = Table(

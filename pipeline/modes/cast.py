@@ -30,6 +30,7 @@ from stringcast.stages.align.correction import transform_to_arm_frame
 from stringcast.stages.entry_points import DRY_RUNS
 from stringcast.stages.extract.reading_report import (
     count_frames_read,
+    describe_arm_misfit,
     describe_poor_reading,
 )
 from stringcast.stages.hit_test import HitResult, check_reach, hit_test
@@ -136,6 +137,10 @@ def measure_hit(
 def log_verdict(iteration: Iteration) -> None:
     """Log how close the tip came, and why a trial is not used."""
     assert iteration.verdict is not None
+    points = iteration.find(Points)
+    misfit = describe_arm_misfit(points.readings) if points is not None else ""
+    if misfit:
+        log.warning("cast %d: %s", iteration.number, misfit)
     log.info(
         "cast %d: the tip came within %.1f mm of the target",
         iteration.number,
@@ -192,7 +197,9 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
     sentence = f"The tip did not reach the target in {tries}; the budget is spent."
     points = last.find(Points)
     assert points is not None
-    return f"{sentence} {describe_poor_reading(points.readings)}".rstrip()
+    readings = points.readings
+    reasons = [describe_arm_misfit(readings), describe_poor_reading(readings)]
+    return " ".join([sentence, *filter(None, reasons)])
 
 
 def dry_run_outcome(iteration: Iteration) -> str:

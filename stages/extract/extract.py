@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -14,6 +15,7 @@ from stringcast.data.images import CachedImages
 from stringcast.data.lazy_module import LazyModule
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress
+from stringcast.stages.extract.arm_in_image import ArmFit, fit_arm
 from stringcast.stages.extract.centreline import (
     MIN_PROFILE_REACH_PX,
     Centreline,
@@ -49,6 +51,7 @@ MAX_EXTRA_HALF_WIDTH_PX = 2.0  # of one frame's string over that of the film
 STRETCH_ERROR_SHARE = 0.3
 # from this half width on, brightness alone does not show where the middle is
 WIDE_STRING_HALF_WIDTH_PX = 3.0
+HAND_SIGMA_PX = 0.5  # of a coordinate of the hand that was found in the frames
 TRACE_START_MARGIN_PX = 8.0  # beyond the hidden length, within which a line begins
 
 
@@ -136,16 +139,27 @@ def extract(
         )
     images, sway = stabilise_film(CachedImages(footage.images))
     footage = replace(footage, images=images)
+    arm_width_px = arm_width * camera.px_per_m
+    frames = _sample_frames(images)
+    uncovered = uncovered_brightness(frames)
+    arm_fit = fit_arm(footage, camera, uncovered, arm_width_px)
+    if arm_fit is not None:
+        footage = footage.with_body(arm_fit.body)
+    length_px = string_length * camera.px_per_m
+    scene, half = _estimate_scene(
+        frames, uncovered, footage, camera, arm_width_px, length_px
+    )
     reader = FrameReader(
         footage,
         camera,
-        _estimate_backdrop(footage, camera, string_length, arm_width, sway),
+        Backdrop(scene, string_brightness(images, scene), half, sway),
         np.linspace(0, string_length, points),
         sigmas,
-        arm_width * camera.px_per_m,
+        arm_width_px,
         hidden * camera.px_per_m,
         shorter,
         longer,
+        0.0 if arm_fit is None else HAND_SIGMA_PX,
     )
     readings: list[FrameReading | str] = []
     for number in range(len(footage.t)):
@@ -154,40 +168,46 @@ def extract(
         except UnreadableError as reason:
             readings.append(str(reason))
         progress((number + 1) / len(footage.t))
-    return _build_tables(footage.t, readings, reader.arc_lengths)
+    return _build_tables(footage.t, readings, reader.arc_lengths, arm_fit)
 
 
-def _estimate_backdrop(
-    footage: Footage,
-    camera: Camera,
-    string_length: float,
-    arm_width: float,
-    sway: float,
-) -> Backdrop:
-    """Estimate the scene that all frames share, from a sample of them.
-
-    sway: standard deviation of the camera's direction [px].
-    """
+def _sample_frames(images: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Choose the frames from which the scene is estimated, uint8."""
     frames = []
-    arms = []
-    for number in sample_numbers(len(footage.images)):
-        image = footage.images[number]
+    for number in sample_numbers(len(images)):
+        image = images[number]
         if image.dtype != np.uint8:
             image = cv2.convertScaleAbs(image)
+        frames.append(image)
+    return frames
+
+
+def _estimate_scene(
+    frames: Sequence[np.ndarray],
+    uncovered: np.ndarray,
+    footage: Footage,
+    camera: Camera,
+    arm_width: float,
+    string_length: float,
+) -> tuple[np.ndarray, float]:
+    """Estimate the scene that all frames share, and half the string's width [px].
+
+    frames: those of `_sample_frames`. uncovered: result of `uncovered_brightness`.
+    arm_width, string_length: [px].
+    """
+    arms = []
+    for number in sample_numbers(len(footage.images)):
         joints = np.zeros((0, 2, 2))
         if footage.body is not None:
             joints = camera.pixels(footage.body[number])
-        silhouette = rasterise(joints, image.shape, arm_width * camera.px_per_m)
-        frames.append(image)
-        arms.append(pack_mask(silhouette))
-    uncovered = uncovered_brightness(frames)
+        arms.append(pack_mask(rasterise(joints, uncovered.shape, arm_width)))
     half = typical_half_width(frames, uncovered, arms)
     scene = fill_never_uncovered(
         estimate_background(frames, arms, uncovered, half),
         camera.pixels(footage.grasp[:, :2]),
-        string_length * camera.px_per_m,
+        string_length,
     )
-    return Backdrop(scene, string_brightness(footage.images, scene), half, sway)
+    return scene, half
 
 
 @dataclass(frozen=True)
@@ -204,6 +224,7 @@ class FrameReader:
     arm_width : of the arm's links [px]
     hidden : length near the grasp that may be out of sight [px]
     shorter, longer : shares by which the line may differ from the string's length
+    hand_sigma : standard deviation of a coordinate of the grasp [px]
     """
 
     footage: Footage
@@ -215,6 +236,7 @@ class FrameReader:
     hidden: float
     shorter: float
     longer: float
+    hand_sigma: float
 
     def read(self, number: int) -> FrameReading:
         """Read one frame; raise UnreadableError with the reason if that fails."""
@@ -277,6 +299,7 @@ class FrameReader:
 
         points = np.concatenate([grasp[None], line.points[1:] + window.corner])
         sigma = np.hypot(line.sigma, self.backdrop.sway)
+        sigma[0] = np.hypot(sigma[0], self.hand_sigma)
         near_line = rasterise(points - window.corner, frame.mask.shape, 9 + 2 * half)
         mask = window.paste(frame.mask & (near_line > 0), image.shape)
         return replace(line, points=points, sigma=sigma), mask
@@ -326,7 +349,10 @@ def arc_lengths_on_line(s: np.ndarray, length: float) -> np.ndarray:
 
 
 def _build_tables(
-    t: np.ndarray, readings: list[FrameReading | str], s: np.ndarray
+    t: np.ndarray,
+    readings: list[FrameReading | str],
+    s: np.ndarray,
+    arm_fit: ArmFit | None,
 ) -> Points:
     """Build the artifact from the readings of frames at times t (F,) [s].
 
@@ -347,7 +373,12 @@ def _build_tables(
         line = {"t": t[number], "s": s, "x": x, "y": y, "sigma": sigma, "valid": True}
         points.append(pd.DataFrame(line))
         masks.append({**frame, "png": reading.mask})
-    table = READINGS.check(pd.DataFrame(rows))
+    table = pd.DataFrame(rows)
+    if arm_fit is not None:
+        table = table.assign(
+            hand_shift=arm_fit.hand_shift, joint_error=arm_fit.joint_error
+        )
+    table = READINGS.check(table)
     if not points:
         return Points(POINTS.empty(), table, MASKS.empty())
     return Points(

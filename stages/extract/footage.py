@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -31,6 +31,10 @@ class Footage:
     grasp: np.ndarray
     body: np.ndarray | None = None
 
+    def with_body(self, body: np.ndarray) -> Footage:
+        """Place the arm (F, J + 1, 2) [m], and the grasp at its hand."""
+        return replace(self, body=body, grasp=pose_of_hand(body))
+
 
 def footage_from_joints(film: Film, arm: Arm) -> Footage:
     """Compute grasp and arm from joint angles, or the grasp from its measured poses."""
@@ -53,10 +57,15 @@ def aligned_footage(film: Film, model: Model) -> Footage:
     )
     motion = motion.extended_until(film.t[-1])
     body = model.observed_arm(motion, model.values({})[None], film.t)[0]
+    return Footage(film.t, film.images, pose_of_hand(body), body)
+
+
+def pose_of_hand(body: np.ndarray) -> np.ndarray:
+    """Compute the pose (F, 3) [m], [rad] of the hand of joints (F, J + 1, 2) [m]."""
     hand = body[:, -1]
     link = hand - body[:, -2]
     direction = np.unwrap(np.arctan2(link[:, 1], link[:, 0]))
-    return Footage(film.t, film.images, np.column_stack([hand, direction]), body)
+    return np.column_stack([hand, direction])
 
 
 def _interpolate_columns(

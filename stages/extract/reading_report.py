@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 
 MIN_READ_SHARE = 0.5  # of the frames: below, the outcome of a cast is in doubt
@@ -42,6 +43,31 @@ def describe_poor_reading(readings: pd.DataFrame) -> str:
     )
     remedy = REMEDIES.get(commonest_reason(readings))
     return f"{sentence} Remedy: {remedy}." if remedy else sentence
+
+
+def describe_arm_misfit(readings: pd.DataFrame) -> str:
+    """Say that the arm is not where its joints say, and what would help.
+
+    Parameters
+    ----------
+    readings : table READINGS
+        Of all frames of a film.
+
+    Returns
+    -------
+    str
+        Empty if the arm is where its joints say, or if it is not seen clearly.
+    """
+    if "hand_shift" not in readings or not len(readings):
+        return ""
+    shift_mm = 1e3 * readings["hand_shift"].max()
+    error_deg = np.degrees(readings["joint_error"].max())
+    return (
+        f"The arm is not where its joints say: the hand is up to {shift_mm:.0f} mm "
+        f"off, as if a joint were off by {error_deg:.1f} degrees. The string was read "
+        "from where the arm is seen. The gain of the joints, the camera or its clock "
+        "may be the cause. Remedy: measure them with +experiment=align."
+    )
 
 
 def count_frames_read(readings: pd.DataFrame) -> str:

@@ -6,7 +6,11 @@ from pathlib import Path
 import pandas as pd
 
 from stringcast.stages import extract
-from stringcast.stages.extract.reading_report import REMEDIES, describe_poor_reading
+from stringcast.stages.extract.reading_report import (
+    REMEDIES,
+    describe_arm_misfit,
+    describe_poor_reading,
+)
 
 
 def readings(reasons):
@@ -32,6 +36,16 @@ def test_a_reason_of_another_reader_has_no_remedy():
     sentence = describe_poor_reading(readings(["fog", "fog"]))
     assert "fog" in sentence
     assert "Remedy" not in sentence
+
+
+def test_an_arm_elsewhere_is_described_in_mm_and_degrees():
+    plain = readings(["", ""])
+    assert describe_arm_misfit(plain) == ""
+    moved = plain.assign(hand_shift=[0.01, 0.029], joint_error=[0.05, 0.0942])
+    sentence = describe_arm_misfit(moved)
+    assert "up to 29 mm off" in sentence
+    assert "5.4 degrees" in sentence
+    assert "+experiment=align" in sentence
 
 
 def test_every_reason_has_a_remedy():

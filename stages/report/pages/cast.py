@@ -10,6 +10,7 @@ from markupsafe import Markup
 from matplotlib import style
 
 from stringcast.data.artifacts import Estimate, Surprise
+from stringcast.stages.extract.reading_report import describe_arm_misfit
 from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.target import Target
@@ -424,6 +425,9 @@ def _describe_cast(cast: CastRecord) -> Markup:
         if len(cast.points.readings):
             reason = "no frame shows the string clearly enough"
         sentences = [f"The tip was not read in this cast: {reason}."]
+    misfit = describe_arm_misfit(cast.points.readings)
+    if misfit:
+        sentences.append(misfit)
     if verdict.touched:
         sentences.append(
             f"The string touched an obstacle in {verdict.touched} frame(s). Nothing is "

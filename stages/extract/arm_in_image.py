@@ -1,0 +1,217 @@
+"""The place of the arm in the frames, where it is not where its joints say.
+
+A joint that turns more than it reports, a camera that was moved or a clock that is off
+puts the arm elsewhere in the picture: by more than its width, and frames are refused
+because the arm itself is taken for string. What is bright and as wide as a link is the
+arm. The links are fitted to it by least squares (iterative closest point, ICP): each
+joint may have an offset, a gain and a lag over the whole film, and the base a shift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stringcast.data.lazy_module import LazyModule
+from stringcast.stages.extract.footage import Footage
+from stringcast.stages.extract.segment import estimate_noise
+from stringcast.stages.model.camera import Camera
+
+cv2 = LazyModule("cv2")
+
+SAMPLE_FRAMES = 40  # to which the links are fitted
+OPENING_SHARE = 0.6  # of a link's width: narrower bright things are string
+MIN_CONTRAST_SIGMAS = 10.0  # of the noise, by which the arm outshines the wall
+MAX_PIXELS = 300  # of the arm in a frame to which the links are fitted
+MIN_PIXELS = 2000  # of the arm in all frames: fewer show no arm
+# largest distance of a pixel from the links, in link widths: as the fit goes on
+CUTS_WIDTHS = (8.0, 8.0, 4.0, 4.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0)
+# what is expected of each number before the fit, one standard deviation
+OFFSET_SIGMA_RAD = 0.1
+GAIN_SIGMA = 0.1
+LAG_SIGMA_S = 0.01
+BASE_SIGMA_M = 0.02
+OUTLINE_MARGIN_PX = 2.0  # within which a pixel counts as the arm's
+MAX_MISSED_SHARE = 0.1  # of the arm's pixels, by the links where they are fitted
+MAX_MISSED_RATIO = 0.5  # of those pixels that the links miss where the joints say
+MIN_HAND_SHIFT_PX = 2.0  # less is within what the arm's outline allows
+QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # of row vectors, to the left
+
+
+@dataclass(frozen=True)
+class ArmFit:
+    """The arm in the frames of a film.
+
+    Parameters
+    ----------
+    body : (F, J + 1, 2) joints as they are seen [m]
+    hand_shift : (F,) distance of the hand from where its joints put it [m]
+    joint_error : (F,) largest difference of a joint's angle from the reported [rad]
+    """
+
+    body: np.ndarray
+    hand_shift: np.ndarray
+    joint_error: np.ndarray
+
+
+@dataclass(frozen=True)
+class ReportedArm:
+    """The arm as its joints report it, and what may be wrong about it.
+
+    Parameters
+    ----------
+    body : (F, J + 1, 2) joints [m]
+    basis : (F, J, 3) change of each angle for an offset, a gain and a lag of 1
+    """
+
+    body: np.ndarray
+    basis: np.ndarray
+
+    @classmethod
+    def build(cls, t: np.ndarray, body: np.ndarray) -> ReportedArm:
+        """Build it from joints (F, J + 1, 2) [m] at times (F,) [s]."""
+        links = np.diff(body, axis=1)
+        directions = np.unwrap(np.arctan2(links[..., 1], links[..., 0]), axis=0)
+        angles = np.diff(directions, axis=1, prepend=0)
+        speeds = np.gradient(angles, t, axis=0)
+        basis = np.stack([np.ones_like(angles), angles - angles[0], speeds], axis=-1)
+        return cls(body, basis)
+
+    @property
+    def sigmas(self) -> np.ndarray:
+        """Standard deviations of the numbers to fit, (3 J + 2,)."""
+        of_joint = [OFFSET_SIGMA_RAD, GAIN_SIGMA, LAG_SIGMA_S]
+        joints = self.basis.shape[1]
+        return np.array([*np.tile(of_joint, joints), BASE_SIGMA_M, BASE_SIGMA_M])
+
+    def turns(self, numbers: np.ndarray) -> np.ndarray:
+        """Compute by how much the joints turn more than reported, (F, J) [rad]."""
+        by_joint = numbers[:-2].reshape(-1, 3)
+        return np.asarray(np.einsum("fjk,jk->fj", self.basis, by_joint))
+
+    def move(self, numbers: np.ndarray) -> np.ndarray:
+        """Compute the joints (F, J + 1, 2) [m] for numbers to fit.
+
+        numbers: (3 J + 2,) offset, gain and lag of each joint, then the base's shift.
+        """
+        angle = np.cumsum(self.turns(numbers), axis=1)[..., None]
+        links = np.diff(self.body, axis=1)
+        moved = np.cos(angle) * links + np.sin(angle) * (links @ QUARTER_TURN)
+        base = self.body[:, :1] + numbers[-2:]
+        return np.concatenate([base, base + np.cumsum(moved, axis=1)], axis=1)
+
+
+def fit_arm(
+    footage: Footage, camera: Camera, uncovered: np.ndarray, width_px: float
+) -> ArmFit | None:
+    """Find the arm in the frames.
+
+    Parameters
+    ----------
+    footage : Footage
+        Stabilised frames, with the arm where its joints say.
+    camera : Camera
+        Its geometry.
+    uncovered : (height, width) array
+        Brightness without string and arm [grey levels].
+    width_px : float
+        Width of a link [px].
+
+    Returns
+    -------
+    ArmFit or None
+        None if the arm is where its joints say, or if it is not seen clearly.
+    """
+    if footage.body is None or width_px < 1:
+        return None
+    arm = ReportedArm.build(footage.t, footage.body)
+    pixels = bright_wide_pixels(footage.images, uncovered, width_px)
+    frame = np.concatenate([np.full(len(p), f) for f, p in pixels.items()])
+    place = camera.world(np.concatenate(list(pixels.values())))
+    if len(place) < MIN_PIXELS:
+        return None
+
+    width_m = width_px / camera.px_per_m
+    prior = 1 / arm.sigmas
+    numbers = np.zeros(len(prior))
+    for cut in CUTS_WIDTHS:
+        residual, jacobian = _link_distances(arm, numbers, frame, place)
+        is_near = np.abs(residual) < cut * width_m
+        j, r = jacobian[is_near] / width_m, residual[is_near] / width_m
+        normal = j.T @ j + np.diag(prior**2)
+        numbers = numbers - np.linalg.solve(normal, j.T @ r + prior**2 * numbers)
+
+    body = arm.move(numbers)
+    hand_shift = np.linalg.norm(body[:, -1] - footage.body[:, -1], axis=-1)
+    reach = width_m / 2 + OUTLINE_MARGIN_PX / camera.px_per_m
+    missed = _share_beyond(reach, arm, numbers, frame, place)
+    missed_before = _share_beyond(reach, arm, np.zeros_like(numbers), frame, place)
+    is_seen = missed <= min(MAX_MISSED_SHARE, MAX_MISSED_RATIO * missed_before)
+    if not is_seen or hand_shift.max() * camera.px_per_m < MIN_HAND_SHIFT_PX:
+        return None
+    return ArmFit(body, hand_shift, np.abs(arm.turns(numbers)).max(axis=1))
+
+
+def bright_wide_pixels(
+    images: Sequence[np.ndarray], uncovered: np.ndarray, width_px: float
+) -> dict[int, np.ndarray]:
+    """Find pixels (N, 2) of bright things as wide as a link, of a sample of frames."""
+    size = max(round(OPENING_SHARE * width_px), 2)
+    link = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    pixels = {}
+    count = len(images)
+    for number in np.unique(np.linspace(0, count - 1, SAMPLE_FRAMES).astype(int)):
+        above = images[int(number)] - uncovered
+        threshold = MIN_CONTRAST_SIGMAS * estimate_noise(above[::3, ::3])
+        bright = (above > threshold).astype(np.uint8)
+        rows, columns = np.nonzero(cv2.morphologyEx(bright, cv2.MORPH_OPEN, link))
+        step = max(len(rows) // MAX_PIXELS, 1)
+        pixels[int(number)] = np.stack([columns, rows], axis=-1)[::step].astype(float)
+    return pixels
+
+
+def _share_beyond(
+    reach: float,
+    arm: ReportedArm,
+    numbers: np.ndarray,
+    frame: np.ndarray,
+    place: np.ndarray,
+) -> float:
+    """Share of places (N, 2) that are farther from the links than `reach` [m]."""
+    distance, _ = _link_distances(arm, numbers, frame, place)
+    return float(np.mean(np.abs(distance) > reach))
+
+
+def _link_distances(
+    arm: ReportedArm, numbers: np.ndarray, frame: np.ndarray, place: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (N,) [m] of places (N, 2) from the nearest link, and Jacobian (N, P).
+
+    A distance is signed across the link, and positive beyond its ends.
+    """
+    body = arm.move(numbers)[frame]  # (N, J + 1, 2)
+    start, link = body[:, :-1], np.diff(body, axis=1)
+    length = np.linalg.norm(link, axis=-1)
+    away = place[:, None] - start
+    share = np.clip(np.sum(away * link, axis=-1) / length**2, 0, 1)
+    foot = start + share[..., None] * link  # (N, J, 2)
+    nearest = np.argmin(np.linalg.norm(place[:, None] - foot, axis=-1), axis=1)
+    each = np.arange(len(place))
+    foot = foot[each, nearest]
+    normal = (link @ QUARTER_TURN)[each, nearest] / length[each, nearest, None]
+    beyond = place - foot
+    apart = np.linalg.norm(beyond, axis=-1, keepdims=True)
+    is_end = (share[each, nearest] == 0) | (share[each, nearest] == 1)
+    normal = np.where(is_end[:, None] & (apart > 0), beyond / apart, normal)
+
+    joints = arm.basis.shape[1]
+    turning = np.zeros((len(place), joints))  # d distance / d angle
+    for joint in range(joints):
+        lever = (foot - start[:, joint]) @ QUARTER_TURN
+        is_moved = nearest >= joint
+        turning[:, joint] = -np.where(is_moved, np.sum(normal * lever, axis=-1), 0)
+    by_joint = turning[..., None] * arm.basis[frame]
+    jacobian = np.concatenate([by_joint.reshape(len(place), -1), -normal], axis=1)
+    return np.sum(normal * beyond, axis=-1), jacobian
