@@ -22,6 +22,7 @@ from stringcast.stages.calibrate.acceptance import CalibrationSolution
 from stringcast.stages.calibrate.fit import lens_values
 from stringcast.stages.calibrate.views import BoardView
 from stringcast.stages.common import rms
+from stringcast.stages.model.camera import Camera
 
 cv2 = LazyModule("cv2")
 
@@ -91,11 +92,7 @@ def calibration_tables(
         "plane_rms": solution.plane_rms,
         "coverage": float(solution.covered_cells.mean()),
         "spread": solution.spread,
-        "camera": mark_yaml_end(
-            yaml.safe_dump(
-                _plain_values(asdict(camera)), sort_keys=False, default_flow_style=None
-            )
-        ),
+        "camera": camera_settings(camera),
     }
     return Calibration(
         VIEWS.check(_view_rows(solution, views)),
@@ -103,6 +100,13 @@ def calibration_tables(
         MEASURED_PARAMETERS.check(measured),
         CALIBRATION_SUMMARY.check(pd.DataFrame([outcome])),
     )
+
+
+def camera_settings(camera: Camera) -> str:
+    """Return the text of camera.yaml: the settings of a camera."""
+    values = _plain_values(asdict(camera))
+    text = yaml.safe_dump(values, sort_keys=False, default_flow_style=None)
+    return mark_yaml_end(text)
 
 
 def _view_rows(

@@ -1,6 +1,7 @@
 """Every stored document can be read again, and every cut copy is one clear error."""
 
 import json
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -15,11 +16,16 @@ from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
 from stringcast.data.store import read_origin, read_table, write_table, write_text
 from stringcast.pipeline.api.known import KnownString
+from stringcast.pipeline.commands.dataset_import import ImportedDataset, write_dataset
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.settings_from_runs import (
     read_extended_model,
     read_measured_camera,
 )
+from stringcast.pipeline.settings.typed_settings import build_dataclass
+from stringcast.stages.calibrate.tables import camera_settings
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.lens import Lens
 
 COUNT = 40
 NAMES = st.text(st.characters(codec="utf-8", exclude_characters="$"), max_size=20)
@@ -76,6 +82,74 @@ def test_an_extended_model_is_read_as_it_was_saved(place, ranges):
     saved = KnownString({**MODEL, "parameter_values": known})
     saved.save(place)
     assert KnownString.load(place).settings == saved.settings
+
+
+POSITIVE = st.floats(1e-6, 1e6)
+LENGTHS = st.floats(0.01, 20.0)  # [m] that import writes: others are refused
+SECONDS = st.floats(-1e11, 1e11)
+TRIAL_NAMES = st.sampled_from(["t1", "null", "1e3", "01", "on", "Straße 7"])
+CLOCKS = st.fixed_dictionaries(
+    {
+        "low": st.floats(-1e3, -1e-6),
+        "high": st.floats(1e-6, 1e3),
+        "added": SECONDS | st.dictionaries(TRIAL_NAMES, SECONDS, min_size=1),
+    }
+)
+
+
+@given(
+    st.fixed_dictionaries(
+        {"format": st.just(1), "string": st.fixed_dictionaries({"length": LENGTHS})},
+        optional={
+            "arm": st.fixed_dictionaries(
+                {
+                    "links": st.lists(LENGTHS, min_size=3, max_size=3),
+                    "base": st.lists(VALUES, min_size=2, max_size=2),
+                }
+            ),
+            "clock": CLOCKS,
+            "initial": st.just("moving"),
+        },
+    )
+)
+@settings(deadline=None, max_examples=25)
+def test_a_description_is_read_as_the_import_wrote_it(place, metadata):
+    rows = pd.DataFrame({"trial": ["a"], "t": 0.0, "q1": 0.1, "q2": 0.2, "q3": 0.3})
+    points = pd.DataFrame()
+    imported = ImportedDataset(ARM, rows, points, {}, metadata, [])
+    folder = place / "imported"
+    shutil.rmtree(folder, ignore_errors=True)
+    write_dataset(imported, folder, (), "")
+    assert read_metadata(folder) == metadata | {"imported": {}}
+
+
+@given(
+    st.builds(
+        Camera,
+        width=st.integers(16, 4000),
+        height=st.integers(16, 4000),
+        px_per_m=POSITIVE,
+        origin_px=st.tuples(VALUES, VALUES),
+        fps=st.floats(1, 1e5),
+        exposure=st.floats(0, 1e-2),
+        rotation=st.floats(-3, 3),
+        tilt=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)),
+        lens=st.builds(
+            Lens,
+            st.tuples(POSITIVE, POSITIVE),
+            st.tuples(VALUES, VALUES),
+            st.tuples(*[st.floats(-1, 1)] * 4),
+        ),
+    )
+)
+@settings(deadline=None, max_examples=25)
+def test_a_camera_is_read_as_its_calibration_wrote_it(place, camera):
+    text = camera_settings(camera)
+    (place / "camera.yaml").write_text(text)
+    read = build_dataclass(Camera, read_measured_camera(place), "camera", "conf/camera")
+    assert camera_settings(read) == text  # written to ten digits
+    assert read.origin_px == pytest.approx(camera.origin_px, rel=1e-9)
+    assert read.lens.focal == pytest.approx(camera.lens.focal, rel=1e-9)
 
 
 @given(st.lists(NUMBERS, min_size=1, max_size=10), NAMES)
