@@ -26,6 +26,7 @@ from stringcast.stages.check.at_rest import (
     estimate_arc_lengths,
     grasp_poses,
 )
+from stringcast.stages.check.clocks import SAMPLING_REMEDY, describe_sampling
 from stringcast.stages.check.measured import CheckedTrial
 from stringcast.stages.clock.windows import possible_windows
 from stringcast.stages.model.arm import Arm
@@ -336,7 +337,7 @@ def align_roughly(
     Raises
     ------
     DataError
-        If nothing moves.
+        If nothing moves, or the string was seen too seldom.
     """
     hands = dict(list(grasp.groupby("trial")))
     trials = []
@@ -350,6 +351,8 @@ def align_roughly(
                 grasp=hands[name].drop(columns="trial").sort_values("t"),
             )
             trials.append(CheckedTrial(observation, UNUSED_ARM, length))
+    if all(trial.is_undersampled for trial in trials):
+        raise DataError(f"points: {describe_sampling(trials[0])}. {SAMPLING_REMEDY}.")
     windows = possible_windows(trials)
     # a trial that shows no motion has the clocks of the others
     usual = float(np.median([window.middle for window in windows.values()]))

@@ -278,11 +278,18 @@ def option_words(
 def direction_words(
     correction: Correction, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
-    """Return the option that turns the points' directions, not those of a hand."""
-    if options.y_down or options.plane or not tables.joints:
+    """Return the option that turns the points' directions, not those of a hand.
+
+    `--plane` would turn a measured hand, too, and `--y-down` one in the same file.
+    """
+    if options.y_down or options.plane:
         return []
+    if correction.kind == "y_down":
+        hand_files = {c.file for c in tables.used_columns if c.role == "y"}
+        point_files = {c.file for c in tables.used_columns if c.role.endswith(".y")}
+        return [] if hand_files & point_files else ["--y-down"]
     planes = {"x_left": "--plane=-x,y", "exchange_axes": "--plane=y,x"}
-    return [planes.get(correction.kind, "--y-down")]
+    return [planes[correction.kind]] if tables.joints else []
 
 
 def rate_words(

@@ -24,6 +24,9 @@ TRIED_RATES, MAX_RATE_FRAMES = 501, 1000
 MAX_LEAD_S, MAX_LAG_S = 0.1, 0.3
 MAX_CLOCK_FRAMES = 4.0  # in which the clocks' offset is known: more is worth a note
 MIN_FRAME_S = 1e-6
+SAMPLING_REMEDY = (
+    "Film faster, or track more frames: how the string moves between them is unknown"
+)
 GAP_INTERVALS = 10.0  # a gap is so many usual intervals
 MIN_GAP_S = 0.05
 MIN_GAP_DISTANCE = 0.01  # of the hand within a gap, relative to the string's length
@@ -247,15 +250,18 @@ def check_sampling(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find strings that were seen too seldom to show their motion."""
     for trial in trials_in_seconds(dataset, dataset.with_points()):
         if trial.is_undersampled:
-            statement = (
-                f"each place was seen {trial.rate:.2g} times a second; a string of "
-                f"{trial.length:.3g} m needs at least {trial.least_rate:.2g}"
+            statement = describe_sampling(trial)
+            yield error(
+                dataset.points_file, "t", statement, SAMPLING_REMEDY, trial.name
             )
-            remedy = (
-                "Film faster, or track more frames: how the string moves between "
-                "them is unknown"
-            )
-            yield error(dataset.points_file, "t", statement, remedy, trial.name)
+
+
+def describe_sampling(trial: CheckedTrial) -> str:
+    """Return how often a string was seen, and how often it must be."""
+    return (
+        f"each place was seen {trial.rate:.2g} times a second; a string of "
+        f"{trial.length:.3g} m needs at least {trial.least_rate:.2g}"
+    )
 
 
 def is_restless(trial: CheckedTrial) -> bool:

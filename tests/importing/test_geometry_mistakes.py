@@ -50,7 +50,9 @@ QUICK = {
         "decimal comma",
     ),
 }
-MAX_ERROR_M = 0.02  # of a fitted base, and of clocks that are aligned
+MAX_ERROR_M = 0.02  # of a fitted base
+# of clocks that are aligned: how far intervals are right, the study of clocks says
+CLOCK_ERRORS_S = np.arange(-20, 21) * 1e-3
 SHARE_TRUE = 0.9  # of the points: others may be outliers
 
 
@@ -145,6 +147,9 @@ def is_true(folder, bench):
 
 def is_near(times, places, true_times, true_places):
     """Return whether most places (N, 2) are the true ones at their times."""
-    at_times = [np.interp(times, true_times, axis) for axis in true_places.T]
-    errors = np.linalg.norm(places - np.stack(at_times, axis=-1), axis=1)
-    return len(errors) > 0 and np.quantile(errors, SHARE_TRUE) < MAX_ERROR_M
+    smallest = np.inf
+    for offset in CLOCK_ERRORS_S:
+        at_times = [np.interp(times + offset, true_times, xy) for xy in true_places.T]
+        errors = np.linalg.norm(places - np.stack(at_times, axis=-1), axis=1)
+        smallest = min(smallest, np.quantile(errors, SHARE_TRUE))
+    return smallest < MAX_ERROR_M

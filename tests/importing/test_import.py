@@ -24,6 +24,7 @@ from stringcast.pipeline.commands.dataset_import import (
 )
 from stringcast.pipeline.commands.import_options import argument_parser, expand_patterns
 from stringcast.pipeline.settings.composition import UserError
+from stringcast.stages.check.consistency.record import arm_poses
 
 SAMPLE = ROOT / "data" / "sample"
 BENCH = ("--links", "0.25,0.20,0.135", "--base", "0.2,0.2", "--length", "304mm")
@@ -189,6 +190,42 @@ def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(
     read = dataset.read_dataset(tmp_path / "mine").trials["t0"]
     np.testing.assert_allclose(read.points["y"], sample[0][1]["y"], atol=1e-9)
     np.testing.assert_allclose(read.arm["q1"], sample[0][0]["q1"], atol=1e-9)
+
+
+@pytest.mark.parametrize("together", [False, True], ids=["own file", "one file"])
+def test_y_down_is_mended_beside_poses_of_the_hand(
+    sample, called, tmp_path, monkeypatch, together
+):
+    """Points in a file of their own are turned; an option would turn both in one."""
+    monkeypatch.setattr(
+        "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
+    )
+    angles = sample[0][0][["q1", "q2", "q3"]].to_numpy()
+    x, y, theta = arm_poses(angles, (0.25, 0.2, 0.135), (0.2, 0.2)).T
+    hand = pd.DataFrame(
+        {"t": sample[0][0]["t"], "tcp_x": x, "tcp_y": y, "tcp_yaw": theta}
+    )
+    tip = pd.DataFrame(
+        {
+            "t": sample[0][1]["t"],
+            "tip_x": sample[0][1]["x"],
+            "tip_y": -sample[0][1]["y"],
+        }
+    )
+    if together:
+        hand = hand.merge(tip, on="t")
+    else:
+        tip.to_csv(tmp_path / "tip_1.csv", index=False)
+    hand.to_csv(tmp_path / "hand_1.csv", index=False)
+    files = sorted(tmp_path.glob("*.csv"))
+    done = called("import", *files, "--to", tmp_path / "mine", "--length", "304mm")
+    if together:
+        assert done.returncode == 2
+        assert "y points down, not up" in done.stderr
+        assert "Multiply y by -1" in done.stderr
+    else:
+        assert done.returncode == 0, done.stderr
+        assert "Taken as --y-down" in done.stdout
 
 
 def test_nothing_is_written_where_the_string_cannot_be(sample, called, tmp_path):
