@@ -330,7 +330,7 @@ def _read_footage(
         for path in films:
             video = Video(path)
             # the rate as filmed, not as played
-            shots[path.stem] = np.arange(len(video)) / float(camera["fps"]), video
+            shots[path.stem] = video.frame_times(float(camera["fps"])), video
     return shots
 
 

@@ -117,6 +117,35 @@ class Video(Images):
         """Frame rate that the file states; of slow motion, maybe of playing [1/s]."""
         return float(self._capture.get(cv2.CAP_PROP_FPS))
 
+    def frame_times(self, fps: float) -> np.ndarray:
+        """Return when each frame was filmed, from 0, (F,) [s].
+
+        Phones film at an uneven rate, and their files say when each frame is shown.
+        These times are scaled so that the usual interval is that of the stated rate: a
+        file of slow motion is played at another.
+
+        Parameters
+        ----------
+        fps
+            Frame rate as filmed [1/s].
+        """
+        even = np.arange(len(self)) / fps
+        shown = self._shown_times()
+        usual = float(np.median(np.diff(shown))) if len(shown) > 1 else 0.0
+        if len(shown) != len(even) or usual <= 0:
+            return even
+        uneven: np.ndarray = (shown - shown[0]) / usual / fps
+        is_even = np.abs(uneven - even).max() < 0.5 / fps
+        return even if is_even else uneven
+
+    def _shown_times(self) -> np.ndarray:
+        """Read when each frame is shown, (F,) [ms]."""
+        capture = cv2.VideoCapture(str(self.path))
+        times = []
+        while capture.grab():
+            times.append(capture.get(cv2.CAP_PROP_POS_MSEC))
+        return np.array(times)
+
     def __len__(self) -> int:
         """Return the number of frames that the file states."""
         return int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
