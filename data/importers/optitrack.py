@@ -8,7 +8,8 @@ is a position or a quaternion.
 from __future__ import annotations
 
 import csv as lines
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -38,11 +39,66 @@ def recognises(path: Path) -> bool:
     return path.suffix.lower() == ".csv" and begins_with(path, FIRST_CELL, ENCODING)
 
 
+@dataclass(frozen=True)
+class Heading:
+    """The lines above the numbers.
+
+    Attributes
+    ----------
+    recording
+        Values of the whole recording by name, such as `Length Units`.
+    kinds, names, quantities, axes
+        Of each column: rigid body or marker, its name, position or rotation, and x, y,
+        z or w.
+    line_count
+        How many lines there are.
+    """
+
+    recording: dict[str, str]
+    kinds: Sequence[str]
+    names: Sequence[str]
+    quantities: Sequence[str]
+    axes: Sequence[str]
+    line_count: int
+
+
 def read(path: Path) -> list[SourceRecording]:
     """Read positions, and quaternions of rigid bodies, by time, as one recording.
 
     Raises DataError if the file is damaged.
     """
+    heading = read_heading(path)
+    rotation = heading.recording.get("Rotation Type", "Quaternion")
+    if rotation != "Quaternion":
+        raise DataError(
+            f"{path}: its rotations are {rotation}. Export it with the type Quaternion."
+        )
+    unit = UNIT_SYMBOLS.get(heading.recording.get("Length Units", "Meters"), "m")
+    columns = column_labels(heading, unit)
+    seen = set()
+    for label in columns.values():
+        if label in seen:
+            raise DataError(
+                f"{path}: two markers or bodies have the same name ('{label}'). "
+                "Give each a name of its own in Motive, and export it again."
+            )
+        seen.add(label)
+    frame = read_frame(
+        path,
+        "Motive's CSV",
+        "Export it again.",
+        header=None,
+        skiprows=heading.line_count,
+        encoding=ENCODING,
+        names=range(len(heading.axes)),
+    )
+    table = frame[list(columns)].rename(columns=columns)
+    table, notes = join_unlabeled(table, f" [{unit}]")
+    return [SourceRecording(path, table, notes=tuple(notes))]
+
+
+def read_heading(path: Path) -> Heading:
+    """Read the lines above the numbers; raise DataError if they are not there."""
     with check_csv(path).open(encoding=ENCODING, errors="replace", newline="") as file:
         head = list(islice(lines.reader(file), MAX_HEADING_LINES))
     last = next((n for n, line in enumerate(head) if line[:1] == ["Frame"]), 0)
@@ -53,55 +109,37 @@ def read(path: Path) -> list[SourceRecording]:
             "Export it again, with header and names."
         )
     recording = dict(zip(head[0][::2], head[0][1::2], strict=False))
-    rotation = recording.get("Rotation Type", "Quaternion")
-    if rotation != "Quaternion":
-        raise DataError(
-            f"{path}: its rotations are {rotation}. Export it with the type Quaternion."
-        )
-    unit = UNIT_SYMBOLS.get(recording.get("Length Units", "Meters"), "m")
-    axes = head[last]
-    frame = read_frame(
-        path,
-        "Motive's CSV",
-        "Export it again.",
-        header=None,
-        skiprows=last + 1,
-        encoding=ENCODING,
-        names=range(len(axes)),
-    )
-    # names that state what a column is: `marker 1 x [m]`, `hand qx`
-    columns = {0: "frame", 1: "time [s]"}
     kinds, names, quantities = above[0], above[1], above[-1]
-    owners = _marker_names(names)
-    for n in range(2, min(len(kinds), len(names), len(quantities), len(axes))):
-        name = owners[n]
-        axis = axes[n].lower()
-        if kinds[n] in COLUMN_KINDS and quantities[n].startswith("Position"):
-            owner = "hand " if kinds[n] == RIGID_BODY else ""
-            columns[n] = f"{owner}{name} {axis} [{unit}]"
-        elif kinds[n] == RIGID_BODY and quantities[n].startswith("Rotation"):
-            columns[n] = f"hand {name} q{axis}"
-    labels = list(columns.values())
-    for label in labels:
-        if labels.count(label) > 1:
-            raise DataError(
-                f"{path}: two markers or bodies have the same name ('{label}'). "
-                "Give each a name of its own in Motive, and export it again."
-            )
-    table = frame[list(columns)].rename(columns=columns)
-    table, notes = join_unlabeled(table, f" [{unit}]")
-    return [SourceRecording(path, table, notes=tuple(notes))]
+    return Heading(recording, kinds, names, quantities, head[last], last + 1)
+
+
+def column_labels(heading: Heading, unit: str) -> dict[int, str]:
+    """Return names that state what a column is, by its number.
+
+    They are such as `marker 1 x [m]` and `hand qx`; other columns are left out.
+    """
+    labels = {0: "frame", 1: "time [s]"}
+    owners = _marker_names(heading.names)
+    columns = zip(heading.kinds, owners, heading.quantities, heading.axes, strict=False)
+    for number, (kind, owner, quantity, axis) in enumerate(columns):
+        if number < 2:
+            continue
+        if kind == RIGID_BODY and quantity.startswith("Rotation"):
+            labels[number] = f"hand {owner} q{axis.lower()}"
+        elif kind in COLUMN_KINDS and quantity.startswith("Position"):
+            prefix = "hand " if kind == RIGID_BODY else ""
+            labels[number] = f"{prefix}{owner} {axis.lower()} [{unit}]"
+    return labels
 
 
 def _marker_names(names: Sequence[str]) -> list[str]:
     """Return names without the set of markers before the colon, where they differ."""
+    short_names = [name.rpartition(":")[2] or name for name in names]
     full_names_of: dict[str, set[str]] = {}
-    for name in names:
-        short = name.rpartition(":")[2] or name
+    for name, short in zip(names, short_names, strict=True):
         full_names_of.setdefault(short, set()).add(name)
     shortened = []
-    for name in names:
-        short = name.rpartition(":")[2] or name
+    for name, short in zip(names, short_names, strict=True):
         is_unique = len(full_names_of[short]) == 1
         shortened.append(short if is_unique else name.replace(":", " "))
     return shortened
@@ -128,73 +166,88 @@ def join_unlabeled(table: pd.DataFrame, unit: str) -> tuple[pd.DataFrame, list[s
     notes : list of str
         What became of each unlabeled marker.
     """
-    places: dict[str, list[str]] = {}
-    for column in table:
-        marker, _, axis = str(column).removesuffix(unit).rpartition(" ")
-        is_position = axis in ("x", "y", "z") and str(column).endswith(unit)
-        if is_position and not marker.startswith("hand "):
-            places.setdefault(marker, []).append(str(column))
-    lost = [name for name in places if name.lower().startswith(UNLABELED)]
-    labelled = [name for name in places if name not in lost]
+    columns_of = _position_columns(table, unit)
+    lost = [name for name in columns_of if name.lower().startswith(UNLABELED)]
+    labelled = [name for name in columns_of if name not in lost]
     if not lost or not labelled:
         return table, []
 
-    table = table.copy()
+    tracks = {}  # positions (F, 3) by marker, NaN where it was not seen
+    for name, columns in columns_of.items():
+        tracks[name] = table[columns].to_numpy(dtype=float)
     notes = []
-    for name in sorted(lost, key=lambda marker: _first_row(table, places[marker])):
-        there = table[places[name]].notna().all(axis=1).to_numpy()
-        count = f"in {there.sum()} of {len(table)} frames"
-        owner = _continued_marker(table, places, name, labelled)
+    for name in sorted(lost, key=lambda marker: int(is_seen(tracks[marker]).argmax())):
+        seen = is_seen(tracks[name])
+        if not seen.any():
+            continue
+        count = f"in {seen.sum()} of {len(table)} frames"
+        owner = find_continued(tracks[name], {m: tracks[m] for m in labelled})
         if owner is None:
             notes.append(
                 f"the marker {name}, seen {count}, continues no labelled marker and "
                 "is left out: a reflection? Label it in Motive if it is none"
             )
         else:
-            rows = table.index[there]
-            table.loc[rows, places[owner]] = table.loc[rows, places[name]].to_numpy()
+            tracks[owner][seen] = tracks[name][seen]
             notes.append(
                 f"the marker {name}, seen {count}, is taken for {owner}, which was "
                 "lost meanwhile. Label it in Motive if it is another"
             )
-    unlabeled_columns = [column for name in lost for column in places[name]]
-    return table.drop(columns=unlabeled_columns), notes
+    table = table.drop(columns=[c for name in lost for c in columns_of[name]])
+    for name in labelled:
+        table[columns_of[name]] = tracks[name]
+    return table, notes
 
 
-def _first_row(table: pd.DataFrame, columns: Sequence[str]) -> int:
-    return int(table[columns].notna().all(axis=1).to_numpy().argmax())
+def _position_columns(table: pd.DataFrame, unit: str) -> dict[str, list[str]]:
+    """Return the columns of each marker's position, by its name."""
+    columns_of: dict[str, list[str]] = {}
+    for column in map(str, table):
+        marker, _, axis = column.removesuffix(unit).rpartition(" ")
+        is_position = axis in ("x", "y", "z") and column.endswith(unit)
+        if is_position and not marker.startswith("hand "):
+            columns_of.setdefault(marker, []).append(column)
+    return columns_of
 
 
-def _continued_marker(
-    table: pd.DataFrame,
-    places: dict[str, list[str]],
-    name: str,
-    labelled: Sequence[str],
-) -> str | None:
-    """Find the labelled marker that an unlabeled one continues; None if none does."""
-    track = table[places[name]].to_numpy(dtype=float)
-    rows = np.flatnonzero(np.isfinite(track).all(axis=1))
-    if not len(rows):
-        return None
+def is_seen(track: np.ndarray) -> np.ndarray:
+    """Return in which frames of a track (F, 3) the marker was seen, (F,)."""
+    return np.asarray(np.isfinite(track).all(axis=1))
+
+
+def find_continued(track: np.ndarray, labelled: Mapping[str, np.ndarray]) -> str | None:
+    """Find the labelled marker that an unlabeled one continues; None if none does.
+
+    It is the nearest one when the other appears, and much nearer than the next. It was
+    lost meanwhile, and did not move farther than it usually does in such a gap.
+
+    Parameters
+    ----------
+    track
+        Positions (F, 3) [m] of the unlabeled marker, NaN where it was not seen.
+    labelled
+        Positions of the others, by name.
+    """
+    rows = np.flatnonzero(is_seen(track))
     distances = {}
-    limits = {}
-    for marker in labelled:
-        other = table[places[marker]].to_numpy(dtype=float)
-        is_seen = np.isfinite(other).all(axis=1)
-        seen_rows = np.flatnonzero(is_seen)
+    gaps = {}
+    for name, other in labelled.items():
+        seen_rows = np.flatnonzero(is_seen(other))
         if not len(seen_rows):
             continue
-        near = seen_rows[np.argmin(np.abs(seen_rows - rows[0]))]
-        distances[marker] = float(np.linalg.norm(track[rows[0]] - other[near]))
-        steps = np.linalg.norm(np.diff(other[seen_rows], axis=0), axis=1)
-        usual = float(np.quantile(steps, 0.9)) if len(steps) else np.inf
-        gap = abs(int(near - rows[0]))
-        limits[marker] = MAX_RETURN_RATIO * usual * gap
-        if is_seen[rows].any():  # both at once are two markers
-            limits[marker] = -1.0
+        nearest_row = seen_rows[np.argmin(np.abs(seen_rows - rows[0]))]
+        distances[name] = float(np.linalg.norm(track[rows[0]] - other[nearest_row]))
+        gaps[name] = abs(int(nearest_row - rows[0]))
     if not distances:
         return None
-    nearest = sorted(distances, key=lambda marker: distances[marker])
-    owner = nearest[0]
-    is_alone = len(nearest) == 1 or 2 * distances[owner] < distances[nearest[1]]
-    return owner if distances[owner] <= limits[owner] and is_alone else None
+    owner, *others = sorted(distances, key=lambda name: distances[name])
+    if others and 2 * distances[owner] >= distances[others[0]]:
+        return None
+
+    seen = is_seen(labelled[owner])
+    if seen[rows].any():  # both at once are two markers
+        return None
+    steps = np.linalg.norm(np.diff(labelled[owner][seen], axis=0), axis=1)
+    usual_step = float(np.quantile(steps, 0.9)) if len(steps) else np.inf
+    limit = MAX_RETURN_RATIO * usual_step * gaps[owner]
+    return owner if distances[owner] <= limit else None

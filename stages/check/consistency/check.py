@@ -57,22 +57,10 @@ def check_consistency(dataset: CheckedDataset) -> Iterator[Finding]:
     elif verdict.broken:
         for name, limit in verdict.broken.items():
             yield unexplained_finding(dataset, name, limit)
-    elif verdict.misfit > WRONG_MISFIT:
-        yield error(
-            dataset.points_file,
-            "x, y",
-            describe_misfit(verdict),
-            LOOK_AT_GEOMETRY,
-            *names,
-        )
     else:
-        yield warning(
-            dataset.points_file,
-            "x, y",
-            describe_misfit(verdict),
-            LOOK_AT_GEOMETRY,
-            *names,
-        )
+        report = error if verdict.misfit > WRONG_MISFIT else warning
+        statement = describe_misfit(verdict)
+        yield report(dataset.points_file, "x, y", statement, LOOK_AT_GEOMETRY, *names)
 
 
 @lru_cache(maxsize=4)

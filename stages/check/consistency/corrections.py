@@ -25,7 +25,7 @@ MIN_COUNT = 100.0  # joint angles that are counts go beyond
 
 @dataclass(frozen=True)
 class Correction:
-    """What undoes a common mistake.
+    """A common mistake and its undoing.
 
     Attributes
     ----------

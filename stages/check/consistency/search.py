@@ -66,7 +66,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Answer:
-    """What would make measurements consistent.
+    """The corrections, or the pairing, that make measurements consistent.
 
     Attributes
     ----------
@@ -377,36 +377,54 @@ def find_pairing(measured: Measurements, verdict: Verdict) -> dict[str, str]:
     is_suspicious = max(verdict.misfits.values(), default=0.0) > SUSPICIOUS_MISFIT
     if not (verdict.broken or is_suspicious):
         return {}
-    tip = farthest_point(measured)
     recordings = measured.recordings[: 2 * MAX_TRIALS]
-    predictions = [predict(measured, recording) for recording in recordings]
-    if len(recordings) < 2 or any(p is None for p in predictions):
+    costs = pairing_costs(measured, recordings)
+    if costs is None:
         return {}
+    order, rung = cheapest_pairing(costs)
+    own = np.arange(len(recordings))
+    changed = own[order != own]
+    if not len(changed):
+        return {}
+    new = costs[changed, order[changed], rung]
+    own_rung = int(costs[own, own].sum(axis=0).argmin())
+    old = costs[changed, changed, own_rung]
+    if new.max() > CONSISTENT_MISFIT or new.mean() > MAX_MISFIT_RATIO * old.mean():
+        return {}
+    return {recordings[i].name: recordings[order[i]].name for i in changed}
+
+
+def pairing_costs(
+    measured: Measurements, recordings: Sequence[Recording]
+) -> np.ndarray | None:
+    """Return the misfit of each trial's tip in each trial's hand, (N, N, C).
+
+    The first index is that of the hand, the last the rung of the ladder. None if there
+    is one trial only, or if a hand predicts nothing.
+    """
+    if len(recordings) < 2:
+        return None
+    tip = farthest_point(measured)
     tips = [tip_alone(recording, tip) for recording in recordings]
-    costs = []  # (N hands, N tracks, C)
-    for prediction in predictions:
-        assert prediction is not None
+    rows = []
+    for recording in recordings:
+        prediction = predict(measured, recording)
+        if prediction is None:
+            return None
         row = []
         for other in tips:
             fit = fit_trial(prediction, other, tip) if other.tracks else None
             row.append(np.ones(len(prediction.nodes)) if fit is None else fit.misfits)
-        costs.append(row)
-    table = np.array(costs)
-    own = np.arange(len(recordings))
-    best = None
-    for rung in range(table.shape[2]):
-        _, order = linear_sum_assignment(table[:, :, rung])
-        total = table[own, order, rung].sum()
-        if best is None or total < best[0]:
-            best = (total, order, rung)
-    assert best is not None
-    _, order, rung = best
-    changed = own[order != own]
-    if not len(changed):
-        return {}
-    new = table[changed, order[changed], rung]
-    own_rung = int(table[own, own].sum(axis=0).argmin())
-    old = table[changed, changed, own_rung]
-    if new.max() > CONSISTENT_MISFIT or new.mean() > MAX_MISFIT_RATIO * old.mean():
-        return {}
-    return {recordings[i].name: recordings[order[i]].name for i in changed}
+        rows.append(row)
+    return np.array(rows)
+
+
+def cheapest_pairing(costs: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return the track of each hand (N,), and the rung at which they fit best."""
+    hands = np.arange(len(costs))
+    pairings = []
+    for rung in range(costs.shape[2]):
+        _, order = linear_sum_assignment(costs[:, :, rung])
+        pairings.append((float(costs[hands, order, rung].sum()), rung, order))
+    _, rung, order = min(pairings, key=lambda pairing: pairing[:2])
+    return order, rung
