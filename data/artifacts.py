@@ -523,7 +523,7 @@ EXPLANATIONS = Table(
     probability [1]: that it is active, among those compared
     log_evidence [1]: gain over the model as it was
     tip_rms [m]: distance of the simulated from the measured tip, root mean square
-    fitted (bool): fitted from many starts; else from probes near the old estimate
+    fitted (bool): fitted from many starts; else compared to first order
     """),
 )
 EXPLANATION_SUMMARY = Table(
@@ -532,8 +532,7 @@ EXPLANATION_SUMMARY = Table(
     parse_columns("""
     verdict (text): not asked, none, cause, candidates, partial, unknown or undecided
     candidates [1] (int): causes that could act in these trials
-    compared [1] (int): causes that were compared
-    seconds [s]: processor time of the comparison
+    fitted [1] (int): causes that were fitted
     sentence (text): the verdict in words
     """),
 )

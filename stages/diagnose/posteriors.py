@@ -267,21 +267,46 @@ def single_effect_posterior(
         if not fit.has_diverged:
             fits[fit.hypothesis.cause_names[-1]] = fit
 
-    log_posterior = {}  # (samples,) each, not normalised
-    prior_of_each = (1 - PRIOR_NO_EFFECT) / candidates
+    log_evidence = {}  # (samples,) each
     for name, fit in {"": step.parent, **fits}.items():
-        log_prior = np.log(prior_of_each if name else PRIOR_NO_EFFECT)
         resampled = fit.log_evidence + (weights - 1) @ fit.log_likelihood_by_trial
         gains = background_log_evidence_gains(data, fit, background, weights)
-        log_posterior[name] = resampled + gains + log_prior
-    total = logsumexp(list(log_posterior.values()), axis=0)
-    probabilities = {}
-    for name, value in log_posterior.items():
-        probabilities[name] = float(np.mean(np.exp(value - total)))
+        log_evidence[name] = resampled + gains
+    probabilities = effect_probabilities(log_evidence, candidates)
     for name, fit in fits.items():
         if tip_shift_rms(data, step.parent, fit).max() < min_tip_shift_m:
             probabilities[""] += probabilities.pop(name)
     return SingleEffectPosterior(probabilities, fits, step.parent)
+
+
+def effect_probabilities(
+    log_evidence: Mapping[str, np.ndarray], candidates: int
+) -> dict[str, float]:
+    """Compute the probability of each effect, and of none, from their evidence.
+
+    Parameters
+    ----------
+    log_evidence : mapping of str to numpy.ndarray, shape (samples,)
+        By name of the effect; that of none is empty.
+    candidates : int
+        Number of effects that share the prior probability of one being active.
+
+    Returns
+    -------
+    dict of str to float
+        Means over the samples.
+    """
+    prior_of_each = (1 - PRIOR_NO_EFFECT) / candidates
+    log_posterior = {}
+    for name, evidence in log_evidence.items():
+        log_posterior[name] = evidence + np.log(
+            prior_of_each if name else PRIOR_NO_EFFECT
+        )
+    total = logsumexp(list(log_posterior.values()), axis=0)
+    probabilities = {}
+    for name, value in log_posterior.items():
+        probabilities[name] = float(np.mean(np.exp(value - total)))
+    return probabilities
 
 
 def limit_by_agreement(

@@ -1,8 +1,9 @@
-"""The quick comparison of causes: the likeliest first, until the budget is used up.
+"""The quick comparison of causes: the most evident first, until the budget is used up.
 
-Each effect is tried from probes near the estimate, on a coarse mesh. The most evident
-ones are then fitted as from nothing: a cause that moves much, such as a heavy tip,
-moves the other parameters along, so that a fit that begins nearby may end nearby.
+Every effect is tried at a few sizes on a coarse mesh, and the other parameters follow
+to first order. The most evident effects are then fitted as from nothing: a cause that
+moves much, such as a heavy tip, moves the other parameters along, so that a fit that
+begins nearby may end nearby.
 
 The evidence is that of the Bayesian information criterion (Schwarz 1978) for
 independent blocks of time. A diagnosis compares more carefully and takes minutes.
@@ -18,7 +19,6 @@ from typing import Annotated
 import numpy as np
 import pandas as pd
 from pydantic import Field
-from scipy.special import logsumexp
 
 from stringcast.data.artifacts import (
     EXPLANATION_SUMMARY,
@@ -28,6 +28,7 @@ from stringcast.data.artifacts import (
     Observation,
 )
 from stringcast.stages.common import Progress
+from stringcast.stages.diagnose.posteriors import effect_probabilities
 from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.estimate.least_squares import estimate as fit_from_nothing
 from stringcast.stages.estimate.matching import Matching
@@ -36,22 +37,22 @@ from stringcast.stages.inference.likelihood import Likelihood, time_blocks
 from stringcast.stages.inference.mesh import mesh_ladder
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import with_estimated_noise
-from stringcast.stages.inference.solver import fit_least_squares
+from stringcast.stages.inference.solver import DIVERGED_RESIDUAL, forward_differences
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import effects_by_name, find_effects
 from stringcast.stages.model.model import Model
 
-PRIOR_NO_EFFECT = 0.5  # probability that no effect of the library is active
 NAMED_PROBABILITY = 0.9  # of a cause that is named alone
 MIXED_PROBABILITY = 0.05  # of a cause whose draws the next plan uses
 MIN_EXPLAINED_FRACTION = 0.5  # of the mean square misfit, by a cause that is named
-SCREENING_SHARE = 0.65  # of the budget, until when effects are tried by probes
-SCREENING_ITERATIONS = 3
-PROBE_FRACTIONS = (0.03, 0.1, 0.3)  # of the way from absent to a random amplitude
-PROBES = 9
+PROBE_FRACTIONS = (0.01, 0.03, 0.1, 0.3)  # of the way from absent to an amplitude
+PROBES = 16
+SLOPE_WIDTH = 0.01  # of exponents, over which slopes are taken
+MAX_EXTRAPOLATION = 2.0  # of a probe's size, where it is still about linear
 COARSE_LEVEL = 2  # of the mesh, halvings
 NO_CAUSE = ""
+TIME_IS_UP = "the processor time was used up before all likely causes were fitted"
 MM_PER_M = 1e3
 
 
@@ -62,7 +63,7 @@ class Comparison:
     Parameters
     ----------
     name : of the effect; empty for the model as it was
-    log_evidence : gain over the model as it was
+    log_evidence : gain over the model as it was; to first order without an estimate
     estimate : of the model with the cause, where it was fitted from nothing
     """
 
@@ -120,9 +121,9 @@ def explain(
     seed, manipulation : int
         Of the random starts.
     seconds : float
-        Processor time after which no further cause is tried [s].
+        Processor time after which no further cause is fitted [s].
     finalists : int
-        Number of causes that are fitted from nothing.
+        Number of the most evident causes, which are fitted as if nothing were known.
     starts, screening, iterations, matching
         Of such a fit, as of `least_squares.estimate`.
     progress : callable
@@ -155,28 +156,27 @@ def explain(
         fitted[effect.name] = compare.fit(effect)
     is_enough = any(tip_rms_m(each.estimate) <= tolerance_m for each in fitted.values())
 
+    is_complete = True
     screened: dict[str, Comparison] = {}
     if is_surprising or not is_enough:
         for effect in effects:
-            if time_used() > SCREENING_SHARE * seconds:
-                break
             screened[effect.name] = compare.screen(effect)
+            time_used()
         ranked = sorted(screened.values(), key=lambda each: -each.log_evidence)
         for each in ranked[:finalists]:
-            if time_used() > seconds or each.log_evidence <= 0:
+            if time_used() > seconds:
+                is_complete = False
                 break
             if each.name not in fitted:
                 fitted[each.name] = compare.fit(*find_effects([each.name]))
-    # a cause that was screened and not fitted is as evident as it seemed
+    # a cause that was not fitted is as evident as it seems to first order
     compared = screened | fitted
-    is_complete = not screened or len(screened) == len(effects)
     probabilities = posterior_probabilities(compared, len(effects))
     verdict, sentence = decide(compared, probabilities, tolerance_m, is_complete)
     finding = {
         "verdict": verdict,
         "candidates": len(effects),
-        "compared": len(compared) - 1,
-        "seconds": time_used(),
+        "fitted": len(fitted) - 1,
         "sentence": sentence,
     }
     if verdict == "none":
@@ -187,7 +187,16 @@ def explain(
 
 @dataclass(frozen=True)
 class Comparer:
-    """What comparisons share: model, trials, estimate without a cause, settings."""
+    """Compare causes by the same trials.
+
+    Parameters
+    ----------
+    model : without a cause
+    observations : the trials
+    estimate : of the model without a cause
+    blocks : number of independent blocks of time in the trials
+    settings : of the fits
+    """
 
     model: Model
     observations: Sequence[Observation]
@@ -201,9 +210,8 @@ class Comparer:
         return float(gain - 0.5 * parameters * np.log(self.blocks))
 
     def screen(self, effect: type[Effect]) -> Comparison:
-        """Fit an effect from probes near the estimate, on a coarse mesh."""
-        base = Hypothesis(self.model)
-        hypothesis = base.with_cause(effect)
+        """Compute the evidence of an effect to first order, on a coarse mesh."""
+        hypothesis = Hypothesis(self.model).with_cause(effect)
         trials = [prepare_trial(hypothesis.model, o) for o in self.observations]
         likelihood = Likelihood(TrialData(tuple(trials)), hypothesis.model)
         ladder = mesh_ladder(likelihood)
@@ -212,28 +220,45 @@ class Comparer:
         exponents = dict(zip(rows["name"], rows["chi"], strict=True))
         start = hypothesis.exponents_from(exponents)
         coarse = with_estimated_noise(coarse, start)
+
         probes = self._probes(hypothesis, effect, start)
-        runs = fit_least_squares(coarse, probes, SCREENING_ITERATIONS)
-        unfitted = coarse.residuals(start[None])
-        ratio = float(runs.loss.min() / np.mean(unfitted**2))
-        return Comparison(effect.name, self.log_evidence(ratio, len(effect.parameters)))
+        residuals = coarse.residuals(np.concatenate([start[None], probes]))
+        unfitted, probed = residuals[0], residuals[1:]  # (N,) and (C, N)
+        is_finite = (probed != DIVERGED_RESIDUAL).all(axis=1)
+        widths = np.full((1, len(start)), SLOPE_WIDTH)
+        slopes = forward_differences(coarse, start[None], unfitted[None], widths)[0]
+        followed, _ = np.linalg.qr(slopes[hypothesis.base_indices].T)  # (N, P)
+
+        # what a probe changes, with the other parameters following it, times a factor
+        response = probed[is_finite] - unfitted
+        response = response - (response @ followed) @ followed.T
+        square = np.sum(response**2, axis=1) + np.finfo(float).tiny
+        factor = -(response @ unfitted) / square
+        factor = np.clip(factor, 0, MAX_EXTRAPOLATION)
+        left = np.mean((unfitted + factor[:, None] * response) ** 2, axis=1)
+        ratio = left.min(initial=np.inf) / np.mean(unfitted**2)
+        evidence = self.log_evidence(min(ratio, 1.0), len(effect.parameters))
+        return Comparison(effect.name, evidence)
 
     def _probes(
         self, hypothesis: Hypothesis, effect: type[Effect], start: np.ndarray
     ) -> np.ndarray:
-        """Choose exponents (C, P) near the estimate at which a fit begins."""
+        """Choose exponents (C, P) at which an effect acts, near the estimate."""
         rng = np.random.default_rng([self.settings.seed, PROBES])
         own = hypothesis.parameter_indices(effect, effect.parameters)
         amplitudes = hypothesis.amplitude_indices(effect)
-        probes = np.tile(start, (PROBES + 1, 1))
-        probes[1:, own] = rng.uniform(0, 1, (PROBES, len(own)))
-        fractions = np.resize(PROBE_FRACTIONS, PROBES)[:, None]
-        distance = probes[1:, amplitudes] - start[amplitudes]
-        probes[1:, amplitudes] = start[amplitudes] + fractions * distance
+        probes = np.tile(start, (PROBES, 1))
+        probes[:, own] = rng.uniform(0, 1, (PROBES, len(own)))
+        # half of them to either end of the range of the first amplitude
+        probes[::2, amplitudes[0]] = 0.0
+        probes[1::2, amplitudes[0]] = 1.0
+        fractions = np.repeat(PROBE_FRACTIONS, PROBES // len(PROBE_FRACTIONS))[:, None]
+        distance = probes[:, amplitudes] - start[amplitudes]
+        probes[:, amplitudes] = start[amplitudes] + fractions * distance
         return probes
 
     def fit(self, effect: type[Effect]) -> Comparison:
-        """Fit the model with an effect from nothing."""
+        """Fit the model with an effect as if nothing were known."""
         settings = self.settings
         made = fit_from_nothing(
             self.model.with_effects(effect),
@@ -265,14 +290,12 @@ def posterior_probabilities(
     compared: Mapping[str, Comparison], candidates: int
 ) -> dict[str, float]:
     """Compute the probability of each cause and of none, the most probable first."""
-    prior_of_each = (1 - PRIOR_NO_EFFECT) / candidates
-    log_posterior = {}
+    log_evidence = {}
     for name, each in compared.items():
-        prior = prior_of_each if name else PRIOR_NO_EFFECT
-        log_posterior[name] = each.log_evidence + np.log(prior)
-    total = logsumexp(list(log_posterior.values()))
-    ranked = sorted(log_posterior, key=lambda name: -log_posterior[name])
-    return {name: float(np.exp(log_posterior[name] - total)) for name in ranked}
+        log_evidence[name] = np.array([each.log_evidence])
+    probabilities = effect_probabilities(log_evidence, candidates)
+    ranked = sorted(probabilities, key=lambda name: -probabilities[name])
+    return {name: probabilities[name] for name in ranked}
 
 
 def decide(
@@ -286,27 +309,14 @@ def decide(
     assert base is not None
     best = next(iter(probabilities))
     found = compared[best].estimate
-    base_mm = MM_PER_M * tip_rms_m(base)
-    explained = 0.0
     if best and found is not None:
         explained = 1 - (rms_m(found) / rms_m(base)) ** 2
-    if explained >= MIN_EXPLAINED_FRACTION:
-        left_mm = MM_PER_M * tip_rms_m(found)
-        effect = f"With {best} the tip is {left_mm:.1f} mm off instead of {base_mm:.1f}"
-        if probabilities[best] < NAMED_PROBABILITY:
-            others = [
-                f"{name or 'none'} ({p:.2f})"
-                for name, p in probabilities.items()
-                if p >= MIXED_PROBABILITY
-            ]
-            return "candidates", f"{effect}, but others may act: {', '.join(others)}."
-        probability = f"(probability {probabilities[best]:.2f})"
-        if left_mm <= MM_PER_M * tolerance_m:
-            return "cause", f"{effect} {probability}."
-        return "partial", f"{effect} {probability}; something else is left."
+        if explained >= MIN_EXPLAINED_FRACTION:
+            return _decide_about(found, base, probabilities, tolerance_m, is_complete)
     if not is_complete:
-        return "undecided", "No cause was found before the processor time was used up."
-    if base_mm > MM_PER_M * tolerance_m:
+        return "undecided", f"No cause was found; {TIME_IS_UP}."
+    base_mm = MM_PER_M * tip_rms_m(base)
+    if tip_rms_m(base) > tolerance_m:
         return (
             "unknown",
             f"No single effect explains why the tip is {base_mm:.1f} mm off.",
@@ -314,13 +324,39 @@ def decide(
     return "none", "No cause is needed: the trials agree with the model."
 
 
+def _decide_about(
+    found: Estimate,
+    base: Estimate,
+    probabilities: Mapping[str, float],
+    tolerance_m: float,
+    is_complete: bool,
+) -> tuple[str, str]:
+    """Decide whether the most probable cause, which explains much, is named."""
+    best = next(iter(probabilities))
+    left_mm, base_mm = MM_PER_M * tip_rms_m(found), MM_PER_M * tip_rms_m(base)
+    effect = f"With {best} the tip is {left_mm:.1f} mm off instead of {base_mm:.1f}"
+    is_explained = tip_rms_m(found) <= tolerance_m
+    if not is_complete and not is_explained:
+        return "undecided", f"{effect}; {TIME_IS_UP}."
+    if probabilities[best] < NAMED_PROBABILITY:
+        others = [
+            f"{name or 'none'} ({p:.2f})"
+            for name, p in probabilities.items()
+            if p >= MIXED_PROBABILITY
+        ]
+        return "candidates", f"{effect}, but others may act: {', '.join(others)}."
+    probability = f"(probability {probabilities[best]:.2f})"
+    if is_explained:
+        return "cause", f"{effect} {probability}."
+    return "partial", f"{effect} {probability}; something else is left."
+
+
 def not_asked(estimate: Estimate) -> Explanation:
     """Return the estimate as it is: nothing needs an explanation."""
     finding = {
         "verdict": "not asked",
         "candidates": 0,
-        "compared": 0,
-        "seconds": 0.0,
+        "fitted": 0,
         "sentence": "The model explains the trials; no cause was sought.",
     }
     table = EXPLANATION_SUMMARY.check(pd.DataFrame([finding]))
@@ -339,7 +375,7 @@ def build_explanation(
     finding: Mapping[str, object],
     seed: int,
 ) -> Explanation:
-    """Build the artifact: the most probable fit, with draws of all probable ones."""
+    """Build the artifact from the most probable fit and draws of all probable ones."""
     mixed: dict[str, tuple[float, Estimate]] = {}
     for name, probability in probabilities.items():
         fit = compared[name].estimate

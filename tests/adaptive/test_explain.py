@@ -1,0 +1,104 @@
+"""Causes of surprising casts: named where they explain, and never without a reason."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+from omegaconf import OmegaConf
+
+from stringcast.data.artifacts import Explanation
+from stringcast.pipeline.run.experiment import prepare_experiment
+from stringcast.pipeline.settings.composition import compose_settings
+from stringcast.stages.explain.explain import (
+    NO_CAUSE,
+    Comparison,
+    decide,
+    posterior_probabilities,
+)
+from tests.benchmarks.casting.point_executor import PointExecutor
+
+TOLERANCE_M = 0.02
+CANDIDATES = 26
+NOISE_M = 0.7e-3
+
+
+def fitted(name, log_evidence, rms_m):
+    fit = pd.DataFrame([{"rms_after": rms_m, "tip_after": rms_m}])
+    return Comparison(name, log_evidence, SimpleNamespace(fit=fit))
+
+
+def decided(*found, is_complete=True):
+    """Return verdict and sentence where the model as it was leaves 40 mm."""
+    compared = {each.name: each for each in (fitted(NO_CAUSE, 0.0, 0.04), *found)}
+    probabilities = posterior_probabilities(compared, CANDIDATES)
+    return decide(compared, probabilities, TOLERANCE_M, is_complete)
+
+
+def test_a_cause_that_explains_is_named_even_if_the_search_was_cut_short():
+    for is_complete in (True, False):
+        verdict, sentence = decided(
+            fitted("wind", 80.0, 0.001), is_complete=is_complete
+        )
+        assert verdict == "cause"
+        assert "wind" in sentence
+
+
+def test_a_cause_that_leaves_much_is_not_named_if_others_were_not_fitted():
+    found = fitted("density_taper", 38.0, 0.025)
+    assert decided(found)[0] == "partial"
+    verdict, sentence = decided(found, is_complete=False)
+    assert verdict == "undecided"
+    assert "time was used up" in sentence
+
+
+def test_a_cause_that_explains_little_is_not_named():
+    little = fitted("density_taper", 9.0, 0.035)
+    assert decided(little)[0] == "unknown"
+    assert decided(little, is_complete=False)[0] == "undecided"
+
+
+def test_causes_that_explain_equally_are_candidates():
+    pair = (fitted("tip_mass", 80.0, 0.001), fitted("density_taper", 80.1, 0.001))
+    verdict, sentence = decided(*pair)
+    assert verdict == "candidates"
+    assert "tip_mass" in sentence
+    assert "density_taper" in sentence
+
+
+def cast_adaptively(*overrides):
+    """Return the casts of the adaptive loop on the virtual lab, without filming."""
+    settings = compose_settings(["+experiment=adaptive", *overrides])
+    config = OmegaConf.to_container(OmegaConf.create(settings), resolve=True)
+    experiment = prepare_experiment(config, lambda block: f"conf/{block}")
+    executor = PointExecutor(experiment, NOISE_M)
+    result = experiment.mode.run_steps(experiment, Path(), executor)
+    return result.iterations
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("hidden", "cause"),
+    [
+        ("tip_mass.ratio=0.3", "tip_mass"),
+        ("joint_gain.gain=0.04", "joint_gain"),
+        ("wind.along_x=1.1", "wind"),
+    ],
+)
+def test_a_hidden_cause_is_named_after_the_first_cast_and_the_loop_hits(hidden, cause):
+    casts = cast_adaptively(
+        "specimen=C", "target=at_500_900", f"+specimen.hidden.{hidden}"
+    )
+    explanation = casts[0].find(Explanation)
+    assert explanation.verdict == "cause", explanation.sentence
+    assert next(iter(explanation.causes)) == cause
+    assert casts[-1].has_hit
+    assert len(casts) <= 3
+
+
+@pytest.mark.long
+def test_nothing_is_named_where_nothing_is_hidden():
+    casts = cast_adaptively("specimen=C", "target=at_500_900")
+    assert casts[-1].has_hit
+    for cast in casts:
+        assert cast.find(Explanation).verdict in ("not asked", "none")

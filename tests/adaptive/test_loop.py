@@ -1,0 +1,129 @@
+"""The loop of casts, surprise and explanation survives a kill, and can be verified."""
+
+import os
+from contextlib import contextmanager
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+
+from stringcast.data.artifacts import (
+    EXPLANATION_SUMMARY,
+    EXPLANATIONS,
+    Estimate,
+    Explanation,
+)
+from stringcast.data.store import load
+from stringcast.pipeline.commands.verify import verify_run
+from stringcast.pipeline.modes import Cast
+from tests.faults.toy import STAGES, contents, number, rows, toy_experiment, toy_run
+
+LOOP = Cast(("generate", "execute", "extract", "surprise", "estimate", "explain"))
+EARLIER = []  # explanation of the casts before, of each call
+
+
+class Killed(BaseException):
+    """The end of a process at any place."""
+
+
+def explain(
+    model,
+    observations,
+    estimate,
+    previous,
+    is_surprising,
+    tolerance_m,
+    *,
+    seed,
+    manipulation,
+    progress,
+):
+    EARLIER.append(previous)
+    x = number(*(o.points for o in observations), estimate.values(), seed)
+    tables = {name: getattr(estimate, name) for name in Estimate.TABLES}
+    tables["parameters"] = tables["parameters"].assign(value=[x, -x])
+    row = {"verdict": "cause", "candidates": 1, "fitted": 1, "sentence": "So."}
+    return Explanation(
+        **tables,
+        explanations=rows(EXPLANATIONS, 1, effect=["wind"], probability=[1.0]),
+        finding=EXPLANATION_SUMMARY.check(pd.DataFrame([row])),
+    )
+
+
+def adaptive(**stages):
+    here = toy_experiment(2, mode=LOOP)
+    return replace(here, stages={**here.stages, "explain": explain, **stages})
+
+
+@contextmanager
+def silent(name):
+    yield lambda share: None
+
+
+@pytest.fixture(autouse=True)
+def _in_memory(monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda handle: None)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("adaptive") / "run"
+    EARLIER.clear()
+    toy_run(folder, adaptive())
+    return folder
+
+
+def test_a_cast_is_planned_with_the_explanation_of_those_before(whole):
+    first = load(Explanation, whole / "iterations/01/explanation")
+    last = load(Estimate, whole / "iterations/02/estimate")
+    assert EARLIER[0] is None
+    assert EARLIER[1].values() == first.values()
+    planned_with = []
+
+    def generate(model, target, obstacles, motion, estimate, *, seed, progress):
+        planned_with.append(estimate)
+        return STAGES["generate"](
+            model, target, obstacles, motion, estimate, seed=seed, progress=progress
+        )
+
+    folder = whole.with_name("again")
+    toy_run(folder, adaptive(generate=generate))
+    assert planned_with[0] is None
+    assert planned_with[1].values() == first.values() != last.values()
+
+
+def test_a_run_killed_between_explanation_and_next_cast_ends_as_if_it_was_not(
+    whole, tmp_path
+):
+    def struck(model, target, obstacles, motion, estimate, *, seed, progress):
+        if estimate is not None:
+            raise Killed
+        return STAGES["generate"](
+            model, target, obstacles, motion, estimate, seed=seed, progress=progress
+        )
+
+    folder = tmp_path / "run"
+    with pytest.raises(Killed):
+        toy_run(folder, adaptive(generate=struck))
+    assert (folder / "iterations/01/explanation").is_dir()
+    assert not (folder / "iterations/02").exists()
+    made, _ = toy_run(folder, adaptive())
+    assert made == ["generate", "execute", "extract", "estimate"]
+    assert contents(folder) == contents(whole)
+
+
+def test_an_adaptive_run_is_verified_to_the_bit(whole, tmp_path):
+    outcome = verify_run(adaptive(), whole, tmp_path, silent)
+    assert outcome.is_same, outcome.lines
+    assert "iterations/02/explanation: the same to the bit" in outcome.lines
+    assert "iterations/02/surprise: the same to the bit" in outcome.lines
+
+
+def test_verify_notices_another_explanation(whole, tmp_path):
+    def other(*given, **how):
+        found = explain(*given, **how)
+        return replace(found, parameters=found.parameters.assign(value=[0.5, 0.5]))
+
+    outcome = verify_run(adaptive(explain=other), whole, tmp_path, silent)
+    assert not outcome.is_same
+    assert "iterations/02/explanation: DIFFERS" in outcome.lines
