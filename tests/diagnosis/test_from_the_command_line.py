@@ -19,7 +19,7 @@ def folder(arm, camera, tmp_path_factory):
     command = pipeline(
         "+experiment=diagnose",
         f"trials={folder / 'data'}",
-        "diagnose.design.motions=60",
+        "diagnose.design.motions=20",
         "diagnose.criteria.tip_tolerance_m=0.0005",  # the lag moves the tip by 1 mm
         f"hydra.run.dir={folder / 'run'}",
     )

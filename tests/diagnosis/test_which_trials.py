@@ -21,17 +21,13 @@ from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.model.library import effects_by_name
 
 
-@pytest.mark.parametrize(
-    ("predicts", "verdict"), [(True, "effect"), (False, "unknown")]
-)
-def test_causes_that_predict_no_trial_left_out_are_not_named(
-    arm, monkeypatch, predicts, verdict
-):
+def test_causes_that_predict_no_trial_left_out_are_not_named(arm, monkeypatch):
     """Causes that predict no trial left out are not named.
 
-    The joints turn 3 % further than they report.
+    The joints turn 3 % further than they report, which is named where it predicts
+    (`test_hidden_causes`).
     """
-    monkeypatch.setattr(module, "improves_predictions", lambda base, extended: predicts)
+    monkeypatch.setattr(module, "improves_predictions", lambda base, extended: False)
     real = with_second_order_mesh(ordinary(arm))
     real = real.with_effects(effects_by_name()["joint_gain"]).with_segments(80)
     values, rng = TRUTH | {"joint_gain.gain": 0.03}, np.random.default_rng(5)
@@ -39,10 +35,11 @@ def test_causes_that_predict_no_trial_left_out_are_not_named(
     for k, angles in enumerate(swing_angles(arm, 2)):
         trials.append(simulate_trial(f"t{k}", arm, real, values, angles, places, rng))
     diagnosis = diagnose_trials(ordinary(arm), trials, 4)
-    assert diagnosis.finding["verdict"].iloc[0] == verdict
-    named = list(diagnosis.causes["effect"].unique())
-    assert named == (["joint_gain"] if predicts else [])
-    assert ("joint_gain" in diagnosis.finding["extended"].iloc[0]) == predicts
+    assert diagnosis.finding["verdict"].iloc[0] == "unknown"
+    assert list(diagnosis.causes["effect"].unique()) == []
+    assert "joint_gain" not in diagnosis.finding["extended"].iloc[0]
+    # it was found, and is not named for this reason alone
+    assert diagnosis.hypotheses["causes"].str.contains("joint_gain").any()
 
 
 @pytest.mark.parametrize(

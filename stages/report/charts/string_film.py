@@ -48,22 +48,24 @@ def string_film_data(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, 
     px_per_m = (FILM_SIZE_PX - 2 * FILM_EDGE_PX) / max(float((high - low).max()), 1e-3)
     width, height = (high - low) * px_per_m + 2 * FILM_EDGE_PX
 
-    def pixels(rows: pd.DataFrame, pair: list[str]) -> list[list[float]]:
+    def pixels(rows: pd.DataFrame, pair: list[str]) -> np.ndarray:
         x, y = ((rows[pair].to_numpy() - low) * px_per_m + FILM_EDGE_PX).T
-        rounded: list[list[float]] = np.round(
-            np.stack([x, height - y], axis=-1), 1
-        ).tolist()
-        return rounded
+        return np.round(np.stack([x, height - y], axis=-1), 1)
 
     # every n-th frame, so that all films of the page stay small
     stride = -(-2 * len(points) * len(record.drawn_trials) // MAX_COORDINATES)
-    frames = {t: rows.sort_values("s") for t, rows in table.groupby("t")}
+    rows = table.sort_values(["t", "s"])
+    frame_times, first_rows = np.unique(rows["t"].to_numpy(), return_index=True)
     start = float(worst_frame(table)["t"].iloc[0])
-    times = [t for i, t in enumerate(frames) if i % stride == 0 or t == start]
+    numbers = np.arange(len(frame_times))
+    shown = np.flatnonzero((numbers % stride == 0) | (frame_times == start))
+    times = frame_times[shown].tolist()
+    tips = tip_points(table)
     strings, paths = {}, {}
     for name, pair in columns.items():
-        strings[name] = [pixels(frames[t], pair) for t in times]
-        paths[name] = pixels(tip_points(table), pair)
+        frames = np.split(pixels(rows, pair), first_rows[1:])
+        strings[name] = [frames[i].tolist() for i in shown]
+        paths[name] = pixels(tips, pair).tolist()
     return {
         "width": round(width),
         "height": round(height),
