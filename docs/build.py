@@ -42,6 +42,7 @@ def main(arguments: list[str]) -> int:
     command = [sys.executable, "-m", "sphinx", "-b", builder, *options, *folders]
     status = subprocess.run(command, cwd=ROOT, check=False).returncode
     if status == 0 and builder == "html":
+        number_captions(SITE / builder)
         print(f"The site: {SITE / 'html' / 'index.html'}")
     return status
 
@@ -81,6 +82,18 @@ def collect_page(page: Path, source: Path) -> None:
     # a public host draws these; here their text is read
     text = text.replace("```mermaid", "```text")
     target.write_text(text, encoding="utf-8")
+
+
+def number_captions(site: Path) -> None:
+    """Give the captions of the contents a level, which Sphinx leaves out.
+
+    A screen reader needs it for a heading that is a paragraph.
+    """
+    caption = 'class="caption" role="heading"'
+    for page in site.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        text = text.replace(f"{caption}>", f'{caption} aria-level="2">')
+        page.write_text(text, encoding="utf-8")
 
 
 def api_page() -> str:

@@ -251,10 +251,9 @@ def _experiment_document(
     else:
         sentence += (
             f"one distinguishes {' and '.join(names)} with a probability of "
-            f"{summary['probability_to_decide']:.2f} (expected log odds "
-            f"{summary['expected_log_odds']:.1f}, spread {summary['spread']:.1f}; "
-            f"{deciding:.1f} decides). Repeating trial {repeated_name} would decide "
-            f"with {repeated_summary['probability_to_decide']:.2f}."
+            f"{summary['probability_to_decide']:.2f}; repeating trial "
+            f"{repeated_name} does so with "
+            f"{repeated_summary['probability_to_decide']:.2f}."
         )
     return {
         "sentence": sentence,

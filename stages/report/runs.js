@@ -85,7 +85,7 @@ function curves(svg, runs, values, title, top = 0) {
   }
   for (let cast = 0; cast < length; cast += Math.ceil(length / 10))
     add(svg, "text", { x: x(cast), y: HEIGHT - BOTTOM + 16, "text-anchor": "middle" }, cast + 1);
-  add(svg, "text", { x: (LEFT + WIDTH) / 2, y: HEIGHT - 3, "text-anchor": "middle" }, `cast; ${title}`);
+  add(svg, "text", { x: (LEFT + WIDTH) / 2, y: HEIGHT - 3, "text-anchor": "middle" }, `${title} by cast`);
   runs.forEach((run, number) => {
     const stroke = `hsl(${(number * 137) % 360} 65% 50%)`, points = [];
     values(run).forEach((value, cast) => value !== null && points.push(`${x(cast)},${y(value)}`));

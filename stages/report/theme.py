@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import get_named_colors_mapping
 from matplotlib.figure import Figure
+from matplotlib.style import context as style_context
 from PIL import Image
 
 STYLE_SHEET = Path(__file__).parent / "theme.mplstyle"
@@ -71,9 +72,11 @@ def svg_picture(figure: Figure, alt: str) -> Picture:
     """Draw a figure as an SVG that follows the reader's light or dark theme."""
     buffer = io.StringIO()
     figure.set_facecolor("none")
-    FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]
-        buffer, metadata={"Date": None}
-    )  # savefig draws twice
+    # the style sheet makes text of text; savefig would draw twice
+    with style_context(STYLE_SHEET):
+        FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]
+            buffer, metadata={"Date": None}
+        )
     text = buffer.getvalue()
     svg = apply_theme(text[text.index("<svg") :])
     return _as_picture(figure, "svg+xml", svg.encode(), alt)

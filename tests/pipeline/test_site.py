@@ -3,10 +3,13 @@
 import importlib.util
 import re
 import shutil
+import socket
 import subprocess
 import sys
 from fnmatch import filter as filter_names
 from fnmatch import fnmatch
+from html import unescape as html_text
+from urllib.parse import unquote, urlsplit
 
 import pytest
 
@@ -26,21 +29,74 @@ def test_every_page_is_in_the_contents_of_the_site():
         assert filter_names([*pages, "api"], name), name
 
 
-@pytest.mark.long
-@pytest.mark.skipif(
+needs_sphinx = pytest.mark.skipif(
     not all(map(importlib.util.find_spec, NEEDED)),
     reason="Sphinx, furo and MyST are installed by `python3 tasks.py docs`",
 )
+
+
+@pytest.mark.long
+@needs_sphinx
 def test_the_site_is_built_without_a_warning_and_needs_no_network():
     assert main([]) == 0
     html = ROOT / "docs" / "site" / "html"
-    assert (html / "searchindex.js").stat().st_size > 1e5
-    for page in html.rglob("*.html"):
+    words = (html / "searchindex.js").read_text("utf-8")
+    assert all(word in words for word in ("watchdog", "fisher", "extended_model"))
+    pages = {page: page.read_text("utf-8") for page in html.rglob("*.html")}
+    for page, text in pages.items():
         loaded = re.findall(
-            r"<(?:script|link|img)[^>]+(?:src|href)=\"(http[^\"]+)",
-            page.read_text("utf-8"),
+            r"<(?:script|link|img)[^>]+(?:src|href)=\"(http[^\"]+)", text
         )
         assert loaded == [], page
+        assert text.count('role="heading"') == text.count('role="heading" aria-level')
+    assert broken_links(pages) == []
+
+
+def broken_links(pages):
+    """Return links within a site to files or places of a page that do not exist."""
+    places = {page: set(re.findall(r' id="([^"]+)"', pages[page])) for page in pages}
+    broken = []
+    for page, text in pages.items():
+        for link in re.findall(
+            r'<(?:a|img|script)\b[^>]* (?:href|src)="([^"]+)"', text
+        ):
+            address = urlsplit(html_text(link))
+            if address.scheme:
+                continue
+            path = page.parent / unquote(address.path)
+            target = page if not address.path else path.resolve()
+            place = unquote(address.fragment)
+            if not target.exists() or place not in {"", *places.get(target, [place])}:
+                broken.append(f"{page.name}: {link}")
+    return broken
+
+
+def test_a_broken_link_is_found(tmp_path):
+    page, other = tmp_path / "page.html", tmp_path / "other.html"
+    page.touch()
+    other.touch()
+    pages = {
+        page: (
+            '<a href="other.html#there"></a> <a href="https://example.org"></a>'
+            ' <a href="#own"></a><p id="own"></p> <img alt="" src="none.png">'
+            ' <a class="x" href="other.html#nowhere"></a>'
+        ),
+        other: '<h1 id="there">',
+    }
+    assert broken_links(pages) == [
+        "page.html: none.png",
+        "page.html: other.html#nowhere",
+    ]
+
+
+@pytest.mark.long
+@needs_sphinx
+def test_links_to_other_sites_lead_somewhere():
+    try:
+        socket.getaddrinfo("keepachangelog.com", 443)
+    except OSError:
+        pytest.skip("NO NETWORK HERE: LINKS TO OTHER SITES WERE NOT CHECKED.")
+    assert main(["linkcheck"]) == 0
 
 
 def test_five_commands_lead_from_an_installation_to_a_diagnosis(tmp_path):

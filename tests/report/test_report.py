@@ -17,6 +17,7 @@ import pytest
 from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
 
 from stringcast.data.artifacts import JOINTS, Estimate, Motion, Points, Trial
 from stringcast.stages.hit_test import MAX_GAP_S, HitResult
@@ -44,7 +45,7 @@ from stringcast.stages.report.charts.cast import (
 from stringcast.stages.report.page import Page as ReportPage
 from stringcast.stages.report.pages.cast import cast_page
 from stringcast.stages.report.records import CastRecord, RunRecord
-from stringcast.stages.report.theme import STYLE_SHEET, THEME
+from stringcast.stages.report.theme import STYLE_SHEET, THEME, svg_picture
 
 VOID = {"meta", "img", "input", "br", "link"}
 STRING = String(0.3)
@@ -372,6 +373,14 @@ def test_every_colour_of_a_figure_has_a_dark_side(page):
                 f"{image['alt']}: {left} does not follow the theme"
             )
     assert len({light for light, _ in THEME.values()}) == len(THEME)
+
+
+def test_text_of_a_figure_stays_text():
+    """As outlines, whose scale would be rounded, it was too small to be read."""
+    figure = Figure()
+    figure.subplots().set_xlabel("time [s]")
+    drawn = decoded(svg_picture(figure, "A figure.").source).decode()
+    assert "time [s]</text>" in drawn
 
 
 def test_no_label_is_cut_off(record, monkeypatch):

@@ -37,7 +37,7 @@ class EqualPoints(StringEffect):
     @staticmethod
     def describe(values: Values) -> str:
         return (
-            f"the trials are as if made of about "
+            f"the measured string behaves as a chain of about "
             f"{1 + 0.5 / max(values['excess'], 1e-9):.0f} equal mass points"
         )
 

@@ -24,7 +24,6 @@ from stringcast.stages.report.theme import (
 )
 
 MODEL_COLOURS = {"base": "before", "extended": "after"}
-MODEL_LABELS = {"base": "base model", "extended": "extended model"}
 # Zero is the page itself, light or dark; both ends stand out on either.
 NEGATIVE_COLOUR, POSITIVE_COLOUR = (0.10, 0.50, 0.80), (0.93, 0.45, 0.08)
 DIVERGING_COLOURS = LinearSegmentedColormap.from_list(
@@ -39,6 +38,13 @@ DIVERGING_COLOURS = LinearSegmentedColormap.from_list(
 MIN_SCALE_SIGMAS = 5.0  # smallest end of the colour scale
 COMPONENTS = {"normal": "across the string", "tangential": "along the string"}
 SCALE_TICKS = (1, 3, 10, 30, 100, 300, 1000)
+
+
+def model_labels(record: DiagnosisRecord) -> dict[str, str]:
+    """Return what a reader calls each simulated string."""
+    if not record.is_extended:
+        return {"base": "simulated"}
+    return {"base": "without the causes", "extended": "with the causes"}
 
 
 # --- maps
@@ -107,8 +113,8 @@ def residual_charts(record: DiagnosisRecord, table: pd.DataFrame) -> list[Chart]
     """Chart the residual of each model in a trial, over the string and at the tip."""
     frames, ends = table.groupby("t"), tip_points(table)
     whole, tip = [], []
-    for model in record.models:
-        label, colour = MODEL_LABELS[model], MODEL_COLOURS[model]
+    for model, label in model_labels(record).items():
+        colour = MODEL_COLOURS[model]
         sizes = np.array([rms(model_distances(frame, model)) for _, frame in frames])
         whole.append(Line(label, sizes * MM_PER_M, colour))
         tip.append(Line(label, model_distances(ends, model) * MM_PER_M, colour))
@@ -137,8 +143,9 @@ def trial_rms_picture(record: DiagnosisRecord) -> Picture | None:
     axes.plot(
         expected["sigma"], rows, "|", label="noise floor", ms=14, mew=1.6, color="ink"
     )
+    labels = model_labels(record)
     for model, residual in residuals.items():
-        label, colour = MODEL_LABELS[model], MODEL_COLOURS[model]
+        label, colour = labels[model], MODEL_COLOURS[model]
         axes.plot(residual * MM_PER_M, rows, "o", ms=6, color=colour, label=label)
     axes.set(xlabel="residual, RMS [mm]", xlim=(0, None))
     axes.set_yticks(rows, names)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from stringcast.stages.common import rms
 from stringcast.stages.report.charts.residual import (
+    MODEL_COLOURS,
+    model_labels,
     residual_charts,
     residual_maps,
     trial_rms_picture,
@@ -69,11 +71,9 @@ def opening_part(record: DiagnosisRecord) -> Part:
 def film_layers(record: DiagnosisRecord) -> list[Layer]:
     """Return the strings of a film: simulated ones by model, and the measured one."""
     simulated = [
-        Layer("base", "before", label="without the causes"),
-        Layer("extended", "after", label="with the causes"),
+        Layer(model, MODEL_COLOURS[model], label=label)
+        for model, label in model_labels(record).items()
     ]
-    if not record.is_extended:
-        simulated = [Layer("base", "before", label="simulated")]
     return [*simulated, Layer("measured", "measured", dots=True)]
 
 
