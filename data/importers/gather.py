@@ -323,7 +323,10 @@ def _trial_names(recordings: Sequence[SourceRecording]) -> dict[int, str]:
     reversed_stems = [stem[::-1] for stem in stems]
     # numbers stay whole
     begin = len(commonprefix(stems).rstrip("0123456789"))  # noqa: RUF071
-    end = len(commonprefix(reversed_stems).rstrip("0123456789"))  # noqa: RUF071
+    ending = commonprefix(reversed_stems)[::-1].lstrip("0123456789")  # noqa: RUF071
+    # of drive_a and release_a, the ending is _a, not e_a
+    separator = re.search(r"[^A-Za-z0-9]", ending)
+    end = len(ending) - (separator.start() if separator else 0)
     names = {}
     for recording, stem in zip(recordings, stems, strict=True):
         names[id(recording)] = trial_name(stem[begin : len(stem) - end])

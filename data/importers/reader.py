@@ -550,7 +550,11 @@ class RecordingReader:
         """
         axes_of: dict[str, dict[str, SourceColumn]] = {}
         for column in self.columns_of("point"):
-            axes_of.setdefault(column.meaning.name, {})[column.meaning.axis] = column
+            axes = axes_of.setdefault(column.meaning.name, {})
+            # of a place in metres and in pixels, that in metres counts
+            if column.meaning.axis in axes and column.meaning.unit == "px":
+                continue
+            axes[column.meaning.axis] = column
         tables = []
         for name, axes in axes_of.items():
             coordinates = sorted({"x", "y", "z"} & {*axes})

@@ -59,6 +59,8 @@ class BenchHints:
         Arc length of each point by its name [m].
     fit_clock
         Whether the clocks of arm and camera are aligned by the motion.
+    clock_error
+        How far the stated offset of the clocks may be off [s]; None if that is unknown.
     starts_moving
         Whether the string moves already when trials begin.
     hand_turn
@@ -72,6 +74,7 @@ class BenchHints:
     base: tuple[float, float] = (0.0, 0.0)
     point_arc_lengths: Mapping[str, float] = field(default_factory=dict)
     fit_clock: bool = False
+    clock_error: float | None = None
     starts_moving: bool = False
     hand_turn: float = 0.0
     fps: float | None = None
@@ -149,6 +152,8 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
         metadata["arm"] = {"links": list(bench.links), "base": list(bench.base)}
     if tables.films:
         metadata["camera"] = camera_metadata(tables, bench)
+    if bench.clock_error:
+        metadata["clock"] = {"low": -bench.clock_error, "high": bench.clock_error}
     if bench.starts_moving:
         metadata["initial"] = "moving"
     return ImportedDataset(

@@ -109,7 +109,8 @@ def argument_parser(description: str | None = None) -> argparse.ArgumentParser:
     )
     add(
         "--clock",
-        help="to be added to the times of points [s], or fit: by the motion of both",
+        help="to be added to the times of points [s], or fit: by the motion of both; "
+        "-0.35,0.002 also states how far it may be off, and is believed",
     )
     add(
         "--fps",
@@ -246,15 +247,7 @@ def read_column_hints(options: argparse.Namespace) -> ColumnHints:
             f"--plane {options.plane}: it names no two directions. "
             "Write such as x,z or --plane=-z,y"
         )
-    clock = 0.0
-    if options.clock not in (None, "fit"):
-        try:
-            clock = float(options.clock)
-        except ValueError as error:
-            raise UserError(
-                f"--clock {options.clock}: neither seconds nor fit. "
-                "Write such as --clock=-0.35"
-            ) from error
+    clock, _ = read_clock(options.clock)
     return ColumnHints(
         dict(parse_name_values(options.map, "--map", "q1=joint_a")),
         units,
@@ -272,6 +265,20 @@ def read_column_hints(options: argparse.Namespace) -> ColumnHints:
     )
 
 
+def read_clock(text: str | None) -> tuple[float, float | None]:
+    """Return the seconds that `--clock` adds, and their error if it is stated."""
+    if text in (None, "fit"):
+        return 0.0, None
+    seconds, _, error = text.partition(",")
+    try:
+        return float(seconds), abs(float(error)) if error else None
+    except ValueError as fault:
+        raise UserError(
+            f"--clock {text}: neither seconds nor fit. Write such as --clock=-0.35, or "
+            "--clock=-0.35,0.002 if it is known to 2 ms"
+        ) from fault
+
+
 def read_bench_hints(options: argparse.Namespace) -> BenchHints:
     """Return what the options say about the bench."""
     arc_lengths = {}
@@ -283,6 +290,7 @@ def read_bench_hints(options: argparse.Namespace) -> BenchHints:
         base=options.base,
         point_arc_lengths=arc_lengths,
         fit_clock=options.clock == "fit",
+        clock_error=read_clock(options.clock)[1],
         starts_moving=options.moving,
         hand_turn=radians(options.turn),
         fps=options.fps,

@@ -56,7 +56,8 @@ NO_PRIOR = 1e-6  # precision that is as good as none [1/s2]
 DRIFT_PRIOR = 0.05  # standard deviation of the drift as a share of time
 CLOCK_REMEDY = (
     "Add that to t of points, or import with --clock fit; if it is the arm that lags, "
-    "say how well the clocks agree in dataset.yaml: 'clock: {low: -0.001, high: 0.001}'"
+    "say how well the clocks agree in dataset.yaml: 'clock: {low: -0.001, high: "
+    "0.001}', or import with --clock=0,0.001"
 )
 
 

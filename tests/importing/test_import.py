@@ -22,7 +22,13 @@ from stringcast.pipeline.commands.dataset_import import (
     convert_recordings,
     write_dataset,
 )
-from stringcast.pipeline.commands.import_options import argument_parser, expand_patterns
+from stringcast.pipeline.commands.import_options import (
+    argument_parser,
+    expand_patterns,
+    read_bench_hints,
+    read_clock,
+    read_column_hints,
+)
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.check.consistency.record import arm_poses
 
@@ -270,6 +276,20 @@ def test_programs_find_file_field_and_remedy_of_a_mistake(
     assert file in finding["file"]
     assert statement in finding["statement"]
     assert remedy in finding["remedy"]
+
+
+def test_how_far_a_clock_may_be_off_is_stated_in_the_dataset(sample, tmp_path):
+    robots, trackers = logs(tmp_path, sample, clock=0.0)
+    recordings = read_recordings([*robots, *trackers])
+    for text, clock in (("0.1", None), ("0.1,0.002", {"low": -0.002, "high": 0.002})):
+        words = ["a.csv", *BENCH, f"--clock={text}"]
+        options = argument_parser().parse_args(words)
+        tables = gather_tables(recordings, read_column_hints(options))
+        made = convert_recordings(tables, read_bench_hints(options))
+        assert made.points["t"].min() == pytest.approx(0.1)
+        assert made.metadata.get("clock") == clock
+    with pytest.raises(UserError, match="neither seconds nor fit"):
+        read_clock("0.1,soon")
 
 
 def test_programs_get_the_command_and_what_was_found(

@@ -256,6 +256,34 @@ def test_a_clock_that_begins_again_is_no_order_of_rows(
         assert len(read(arm, tip).points) == COUNT
 
 
+def test_of_metres_and_pixels_those_in_metres_count(arm, tmp_path):
+    places = {"x": TURN, "y": -TURN, "u": 300 + TURN, "v": 200 + TURN}
+    for order in (["x", "y", "u", "v"], ["u", "v", "x", "y"]):
+        columns = {name: places[name] for name in order}
+        tip = write(tmp_path, "tip.csv", t=T, **columns)
+        np.testing.assert_array_equal(read(arm, tip).points["y"], -TURN)
+    pixels = write(tmp_path, "pixels.csv", t=T, u=places["u"], v=places["v"])
+    with pytest.raises(DataError, match="positions are in pixels"):
+        read(arm, pixels)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "trials"),
+    [
+        ("drive_black", "release_black", {"drive", "release"}),
+        ("runA_x", "runB_x", {"A", "B"}),
+        ("take07", "take17", {"t07", "t17"}),
+    ],
+)
+def test_names_of_trials_end_with_a_word(tmp_path, first, second, trials):
+    files = []
+    for name in (first, second):
+        angles = {"q1": TURN, "q2": TURN, "q3": TURN}
+        files.append(write(tmp_path, f"{name}_arm.csv", t=T, **angles))
+        files.append(write(tmp_path, f"{name}_tip.csv", t=T, tip_x=TURN, tip_y=TURN))
+    assert set(read(*files).points["trial"]) == trials
+
+
 def test_a_unit_in_which_nothing_would_move_is_refused(arm, tmp_path):
     wrong = write(tmp_path, "wrong.csv", time_s=1e3 * T, tip_x=TURN, tip_y=-TURN)
     with pytest.raises(DataError, match=r"rows are 5 s apart.* call the column t_ms"):
