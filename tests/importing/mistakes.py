@@ -140,7 +140,12 @@ class Bench:
                 columns = [np.interp(even, times, column) for column in xy.T]
                 new[name] = (even, np.stack(columns, axis=-1))
             evened.append(new)
-        return replace(self, points=evened, fps=round(rate) * stated)
+        fps = round(rate) * stated
+        if self.clock:
+            return replace(self, points=evened, fps=fps)
+        # frames that are counted begin at 0, clocks that are together do not
+        options = (*self.options, f"--clock={t[0]:g}")
+        return replace(self, points=evened, fps=fps, options=options)
 
 
 def simulated_bench() -> Bench:
