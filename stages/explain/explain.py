@@ -216,8 +216,8 @@ class Comparer:
         likelihood = Likelihood(TrialData(tuple(trials)), hypothesis.model)
         ladder = mesh_ladder(likelihood)
         coarse = ladder[min(COARSE_LEVEL, len(ladder) - 1)]
-        rows = self.estimate.parameters
-        exponents = dict(zip(rows["name"], rows["chi"], strict=True))
+        fitted = self.estimate.parameters
+        exponents = dict(zip(fitted["name"], fitted["chi"], strict=True))
         start = hypothesis.exponents_from(exponents)
         coarse = with_estimated_noise(coarse, start)
 
@@ -229,14 +229,14 @@ class Comparer:
         slopes = forward_differences(coarse, start[None], unfitted[None], widths)[0]
         followed, _ = np.linalg.qr(slopes[hypothesis.base_indices].T)  # (N, P)
 
-        # what a probe changes, with the other parameters following it, times a factor
-        response = probed[is_finite] - unfitted
-        response = response - (response @ followed) @ followed.T
+        # what is left, and what a probe changes, once the other parameters follow
+        rows = np.concatenate([unfitted[None], probed[is_finite] - unfitted])
+        rows = rows - (rows @ followed) @ followed.T
+        remainder, response = rows[0], rows[1:]
         square = np.sum(response**2, axis=1) + np.finfo(float).tiny
-        factor = -(response @ unfitted) / square
-        factor = np.clip(factor, 0, MAX_EXTRAPOLATION)
-        left = np.mean((unfitted + factor[:, None] * response) ** 2, axis=1)
-        ratio = left.min(initial=np.inf) / np.mean(unfitted**2)
+        factor = np.clip(-(response @ remainder) / square, 0, MAX_EXTRAPOLATION)
+        left = np.mean((remainder + factor[:, None] * response) ** 2, axis=1)
+        ratio = left.min(initial=np.inf) / np.mean(remainder**2)
         evidence = self.log_evidence(min(ratio, 1.0), len(effect.parameters))
         return Comparison(effect.name, evidence)
 

@@ -1,26 +1,35 @@
 """Causes of surprising casts: named where they explain, and never without a reason."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
-from stringcast.data.artifacts import Explanation
+from stringcast.data.artifacts import JOINTS, Explanation, Observation
+from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.stages.explain.explain import (
     NO_CAUSE,
+    Comparer,
     Comparison,
     decide,
     posterior_probabilities,
 )
-from tests.benchmarks.casting.point_executor import PointExecutor
+from stringcast.stages.model.library import find_effects
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
+from tests.benchmarks.casting.point_executor import PointExecutor, measure_points
+from tests.conftest import specimen, swing
 
 TOLERANCE_M = 0.02
 CANDIDATES = 26
 NOISE_M = 0.7e-3
+BLOCKS = 6  # of 50 ms
 
 
 def fitted(name, log_evidence, rms_m):
@@ -64,6 +73,51 @@ def test_causes_that_explain_equally_are_candidates():
     assert verdict == "candidates"
     assert "tip_mass" in sentence
     assert "density_taper" in sentence
+
+
+@pytest.fixture(scope="module")
+def screened(arm, camera):
+    """Return a function that compares effects by a swing with a hidden cause."""
+
+    def screen(hidden, effects):
+        lab = VirtualBench(arm, camera, replace(specimen("A"), hidden=hidden), seed=3)
+        device, motion = VirtualArm(lab), swing(duration=0.3)
+        device.move_to(motion.commands[list(JOINTS)].iloc[0].tolist())
+        joints = device.perform(motion.commands).arm
+        t = np.arange(0, 0.3, 0.01)
+        points = measure_points(lab, t, NOISE_M, np.random.default_rng(0))
+        observation = Observation(
+            "t01", points.points, points.readings, points.masks, arm=joints
+        )
+
+        model = Model(String(0.3, points=20), arm, camera)
+        true = lab.specimen.parameters
+        rows = []
+        for parameter in model.parameters:
+            value = np.asarray(true.get(parameter.name, parameter.start))
+            rows.append({"name": parameter.name, "chi": float(parameter.chi(value))})
+        estimate = SimpleNamespace(parameters=pd.DataFrame(rows))
+        settings = SimpleNamespace(seed=0)
+        compare = Comparer(model, [observation], estimate, BLOCKS, settings)
+        found = [compare.screen(effect) for effect in find_effects(effects)]
+        return {each.name: each.log_evidence for each in found}
+
+    return screen
+
+
+@pytest.mark.parametrize(
+    ("cause", "value"),
+    [("tip_mass", ("ratio", 0.3)), ("joint_gain", ("gain", 0.04))],
+)
+def test_the_hidden_cause_is_the_most_evident_to_first_order(screened, cause, value):
+    found = screened({cause: dict([value])}, ["tip_mass", "joint_gain"])
+    assert max(found, key=found.get) == cause
+    assert found[cause] > 0
+
+
+def test_no_effect_is_evident_to_first_order_where_none_is_hidden(screened):
+    found = screened({}, ["tip_mass", "joint_gain"])
+    assert max(found.values()) < 0
 
 
 def cast_adaptively(*overrides):

@@ -328,7 +328,9 @@ def _learning_card(cast: CastRecord, surprise: Surprise) -> Card:
         for cause in shown.itertuples():
             name = str(cause.effect).replace("_", " ") or "none"
             tip = (
-                "by probes" if np.isnan(cause.tip_rms) else format_mm(cause.tip_rms, 1)
+                "to first order"
+                if np.isnan(cause.tip_rms)
+                else format_mm(cause.tip_rms, 1)
             )
             causes.append([name, *number_cells([f"{cause.probability:.2f}", tip])])
         if causes:
