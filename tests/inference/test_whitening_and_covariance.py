@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from stringcast.stages.inference.covariance import jackknife_covariance
-from stringcast.stages.inference.huber import huber_weights
-from stringcast.stages.inference.whitening import LowRankWhitening
+from stringcast.stages.inference.huber import HUBER_LIMIT, huber_weights
+from stringcast.stages.inference.whitening import IndependentErrors, LowRankWhitening
 
 
 def test_whitened_noise_is_white():
@@ -83,3 +83,35 @@ def test_outliers_that_count_less_widen_nothing():
         for r in (residual, spoilt)
     ]
     assert sure[1] < 1.1 * sure[0]
+
+
+def test_a_residual_that_all_blocks_share_does_not_widen_the_interval():
+    """Away from the optimum all steps are longer by the same: their mean is no spread."""
+    block = np.repeat(np.arange(10), 5)
+    slope = np.full((1, 50), 20.0)
+    noise = np.random.default_rng(3).standard_normal(50)
+    widths = [
+        jackknife_covariance(slope, noise + shift, np.ones(50), block).half_width_95[0]
+        for shift in (0.0, 5.0)
+    ]
+    assert widths[1] == pytest.approx(widths[0])
+
+
+def test_errors_are_whitened_by_their_scale_and_their_shapes():
+    rng = np.random.default_rng(4)
+    shapes = rng.standard_normal((20, 3))
+    alone = IndependentErrors(scale=2.0).whiten(np.eye(20))
+    np.testing.assert_allclose(alone, np.eye(20) / 2)
+    whiten = IndependentErrors(2.0, shapes).whiten(np.eye(20))
+    covariance = 4 * np.eye(20) + shapes @ shapes.T
+    np.testing.assert_allclose(whiten @ covariance @ whiten.T, np.eye(20), atol=1e-10)
+
+
+def test_hubers_limit_costs_one_hundredth_of_normal_noise():
+    """Its efficiency is E(psi')^2 / E(psi^2), of normal noise (Huber 1964)."""
+    size = np.linspace(-8, 8, 160_001)
+    density = np.exp(-(size**2) / 2) / np.sqrt(2 * np.pi) * (size[1] - size[0])
+    score = huber_weights(size, HUBER_LIMIT) * size
+    is_inside = np.abs(size) < HUBER_LIMIT
+    efficiency = np.sum(density[is_inside]) ** 2 / np.sum(density * score**2)
+    assert efficiency == pytest.approx(0.989, abs=0.002)

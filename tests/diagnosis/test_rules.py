@@ -1,0 +1,281 @@
+"""Each rule passes at its limit and fails just beyond it, and they act in order.
+
+Fits are replaced by the numbers that a rule looks at.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from synthetic_trials import CRITERIA
+
+from stringcast.stages.diagnose import rules, verdict
+from stringcast.stages.diagnose.rules import VerdictNumbers
+
+LIMIT = CRITERIA.min_log_bayes_factor
+TOLERANCE_M = CRITERIA.tip_tolerance_m
+SLIGHTLY_LESS = 1 - 1e-9
+SLIGHTLY_MORE = 1 + 1e-9
+
+
+def fit_of(log_evidence=0.0, **more):
+    hypothesis = SimpleNamespace(causes=("first", "last"))
+    values = {"has_diverged": False, "hypothesis": hypothesis, **more}
+    return SimpleNamespace(log_evidence=log_evidence, **values)
+
+
+def uncertain(*uncertainty_m):
+    return SimpleNamespace(discretisation_uncertainty_m=np.array(uncertainty_m))
+
+
+def test_limits_are_those_that_the_settings_state():
+    assert pytest.approx(np.log(100)) == LIMIT
+    assert CRITERIA.deciding_log_odds == pytest.approx(np.log(19))
+
+
+def test_a_trial_is_resolved_to_the_tolerance_or_as_well_as_the_worst_before():
+    before = uncertain(1e-4, 1e-4)
+    at, above = TOLERANCE_M, SLIGHTLY_MORE * TOLERANCE_M
+    assert rules.is_resolved(uncertain(at, at), before, CRITERIA, 2)
+    assert not rules.is_resolved(uncertain(at, above), before, CRITERIA, 2)
+    assert rules.is_resolved(uncertain(at, above), before, CRITERIA, 1)
+    poor = uncertain(1e-4, 8e-3)
+    assert rules.is_resolved(uncertain(8e-3, 8e-3), poor, CRITERIA, 2)
+    assert not rules.is_resolved(uncertain(8e-3, 9e-3), poor, CRITERIA, 2)
+    allowed_m = np.array([0.0, 9e-3])
+    assert rules.is_resolved(uncertain(8e-3, 9e-3), poor, CRITERIA, 2, allowed_m)
+
+
+def test_evidence_counts_from_its_limit_on():
+    parent = fit_of(7.0)
+    assert rules.has_evidence(parent, fit_of(7.0 + SLIGHTLY_MORE * LIMIT), CRITERIA)
+    weaker = fit_of(7.0 + SLIGHTLY_LESS * LIMIT)
+    assert not rules.has_evidence(parent, weaker, CRITERIA)
+    assert not rules.is_needed(parent, weaker, CRITERIA)
+    assert rules.trials_agree(LIMIT, CRITERIA)
+    assert not rules.trials_agree(SLIGHTLY_LESS * LIMIT, CRITERIA)
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "is_enough"),
+    [
+        ((0.0, TOLERANCE_M), True),
+        ((0.0, SLIGHTLY_LESS * TOLERANCE_M), False),
+        ((1.0, 0.0), True),
+    ],
+)
+def test_the_tip_must_move_by_the_tolerance_in_some_trial(
+    monkeypatch, shift_m, is_enough
+):
+    monkeypatch.setattr(rules, "tip_shift_rms", lambda *_: np.array(shift_m))
+    assert rules.moves_tip_enough(None, None, None, CRITERIA) is is_enough
+
+
+@pytest.mark.parametrize(("left", "is_enough"), [(0.70, True), (0.72, False)])
+def test_a_contact_must_explain_half_of_the_trial_that_it_touches(
+    monkeypatch, left, is_enough
+):
+    tip = {"parent": np.array([1.0, 1.0]), "fit": np.array([1.0, left])}
+    monkeypatch.setattr(rules, "unexplained_tip_rms", lambda data, fit: tip[fit])
+    enough = rules.explains_its_only_trial(None, "parent", "fit", 1, CRITERIA)
+    assert enough is is_enough
+    assert not rules.explains_its_only_trial(None, "parent", "fit", 0, CRITERIA)
+
+
+@pytest.mark.parametrize("strong", [None, 0, 1, 2])
+def test_one_way_to_leave_the_strongest_trial_out_is_enough(monkeypatch, strong):
+    names = (
+        "fixed_leave_one_out_gain",
+        "refitted_leave_one_out_gain",
+        "cross_validated_gain",
+    )
+    for number, name in enumerate(names):
+        gain = LIMIT * (SLIGHTLY_MORE if number == strong else 1)
+        monkeypatch.setattr(rules, name, lambda *_, gain=gain: gain)
+    survives = rules.survives_leave_one_out(None, None, None, CRITERIA)
+    assert survives is (strong is not None)
+
+
+SUPPORTED = {
+    "evidence": LIMIT * SLIGHTLY_MORE,
+    "diverged": False,
+    "moves": True,
+    "touched": (),
+    "explains": False,
+    "trials": 3,
+    "survives": True,
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "is_supported"),
+    [
+        ({}, True),
+        ({"evidence": 0.9 * LIMIT}, False),
+        ({"diverged": True}, False),
+        ({"moves": False}, False),
+        ({"survives": False}, False),
+        # a contact with one trial is judged there
+        ({"touched": (2,)}, False),
+        ({"touched": (2,), "explains": True, "survives": False}, True),
+        ({"touched": (1, 2), "explains": True, "survives": False}, False),
+        # of one trial, nothing can be left out
+        ({"trials": 1, "survives": False}, True),
+        ({"trials": 2, "survives": False}, False),
+    ],
+)
+def test_a_cause_is_accepted_by_all_rules_together(monkeypatch, changed, is_supported):
+    case = SimpleNamespace(**SUPPORTED | changed)
+    judged = []
+
+    def explains(data, parent, fit, touched, criteria):
+        judged.append(touched)
+        return case.explains
+
+    monkeypatch.setattr(rules, "moves_tip_enough", lambda *_: case.moves)
+    monkeypatch.setattr(
+        rules,
+        "trials_touched_by",
+        lambda data, fit, cause, least: case.touched if cause == "last" else (0,),
+    )
+    monkeypatch.setattr(rules, "explains_its_only_trial", explains)
+    monkeypatch.setattr(rules, "survives_leave_one_out", lambda *_: case.survives)
+    data = SimpleNamespace(trials=[None] * case.trials)
+    fit = fit_of(case.evidence, has_diverged=case.diverged)
+    assert rules.is_supported(data, fit_of(), fit, CRITERIA) is is_supported
+    assert judged in ([], [2])
+
+
+@pytest.mark.parametrize(
+    ("gains", "helps"),
+    [((-9.0, 1.0, 1.0), True), ((9.0, -1.0, -1.0), False), ((0.0, 0.0), False)],
+)
+def test_the_median_trial_decides_on_prediction(gains, helps):
+    assert rules.predicts_heldout(np.array(gains)) is helps
+
+
+def test_half_is_enough_to_explain_and_not_enough_to_be_off():
+    half = VerdictNumbers(2, misfit_probability=0.6)
+    half = replace(half, explained_fraction=0.5, heldout_explained_fraction=0.5)
+    assert rules.explains_enough(half, CRITERIA)
+    assert rules.predicts_better(half, CRITERIA)
+    assert not rules.predicts_better(
+        replace(half, heldout_explained_fraction=0.49), CRITERIA
+    )
+    assert not rules.misfit_remains(0.5)
+    assert rules.misfit_remains(0.51)
+    assert rules.can_be_confirmed(half)
+
+
+def test_misfit_is_likely_if_the_worst_trial_is_mostly_off(monkeypatch):
+    """Of four draws, the tip of some trial is beyond the tolerance in three."""
+    drawn_m = TOLERANCE_M * np.array([[0.5, 2.0, 0.5, 1.0], [2.0, 0.5, 2.0, 1.0]])
+    seeds = []
+
+    def sample(data, fit, rng):
+        seeds.append(rng.bit_generator.random_raw())
+        return drawn_m
+
+    monkeypatch.setattr(verdict, "sample_discrepancy_tip_rms", sample)
+    off = [verdict.misfit_probability(None, None, CRITERIA, 3) for _ in range(2)]
+    assert off == [0.75, 0.75]
+    assert seeds[0] == seeds[1]
+    verdict.misfit_probability(None, None, CRITERIA, 4)
+    assert seeds[2] != seeds[0]
+
+
+@pytest.mark.parametrize("has_cause", [True, False])
+def test_the_verdicts_numbers_compare_the_causes_with_the_base_model(
+    monkeypatch, has_cause
+):
+    hypothesis = SimpleNamespace(cause_names=("wind",) if has_cause else ())
+    fit = fit_of(hypothesis=hypothesis)
+    base_fit = fit_of() if has_cause else fit
+    tip_m = {id(fit): 0.5 * TOLERANCE_M, id(base_fit): TOLERANCE_M}
+    posterior = SimpleNamespace(
+        credible_set=lambda coverage: ("wind", "", "tilt")[: int(100 * coverage)]
+    )
+    prepared = SimpleNamespace(data=SimpleNamespace(trials=[1, 2, 3]))
+    posteriors = SimpleNamespace(
+        state=SimpleNamespace(prepared=prepared, fit=fit),
+        by_cause=(posterior,) if has_cause else (),
+    )
+    monkeypatch.setattr(verdict, "inclusion_probabilities", lambda by_cause: {"a": 0.9})
+    monkeypatch.setattr(
+        verdict, "unexplained_tip_rms", lambda data, one: np.array([tip_m[id(one)]])
+    )
+    monkeypatch.setattr(verdict, "misfit_probability", lambda *_: 0.8)
+    numbers = verdict.measure_verdict_numbers(posteriors, 0.2, base_fit, CRITERIA, 0)
+    assert numbers == VerdictNumbers(
+        trials=3,
+        causes=("wind",) if has_cause else (),
+        credible_sets=(("wind", "tilt"),) if has_cause else (),
+        inclusion_probability={"a": 0.9},
+        misfit_probability=0.2,
+        base_misfit_probability=0.8 if has_cause else 0.2,
+        explained_fraction=0.75 if has_cause else 0.0,
+    )
+    fit.has_diverged = True
+    numbers = verdict.measure_verdict_numbers(posteriors, 0.2, base_fit, CRITERIA, 0)
+    assert numbers.diverged
+    assert numbers.base_misfit_probability == 0.0
+
+
+def test_the_base_is_fitted_again_only_beside_causes(monkeypatch):
+    refitted = []
+    monkeypatch.setattr(
+        verdict, "refit", lambda data, base, hypothesis: refitted.append(base) or "new"
+    )
+    for causes in ((), ("wind",)):
+        hypothesis = SimpleNamespace(causes=causes, base="model")
+        prepared = SimpleNamespace(data=None, base_fit="base")
+        fit = fit_of(hypothesis=hypothesis)
+        state = SimpleNamespace(fit=fit, prepared=prepared)
+        assert verdict.fit_base_to(state) == ("new" if causes else fit)
+    assert refitted == ["base"]
+
+
+def test_a_mesh_that_is_too_coarse_is_named_with_certainty():
+    probabilities = {"wind": 0.3}
+    numbers = VerdictNumbers(2, inclusion_probability=probabilities)
+    coarse = verdict.Verdict("effect", 0.1, (verdict.RESOLUTION,))
+    judged = verdict.Judgement(coarse, numbers, (), None, ())
+    named = {"wind": 0.3, verdict.RESOLUTION: 1.0}
+    assert judged.inclusion_probability == named
+    other = replace(judged, verdict=verdict.Verdict("effect", 0.1, ("wind",)))
+    assert other.inclusion_probability == probabilities
+
+
+def test_an_interrupted_search_says_what_it_had_found(monkeypatch):
+    """Of two causes of the fit, the second was there before the search."""
+
+    def step(name, accepted=True):
+        best = SimpleNamespace(hypothesis=SimpleNamespace(cause_names=("x", name)))
+        return SimpleNamespace(accepted=accepted, best=best)
+
+    monkeypatch.setattr(verdict, "background_responses", lambda *_: ["response"])
+    monkeypatch.setattr(verdict, "misfit_probability", lambda *_: 0.4)
+    monkeypatch.setattr(verdict, "fit_base_to", lambda state: "base fit")
+    monkeypatch.setattr(
+        verdict, "single_effect_posterior", lambda data, step, *_: step.best
+    )
+    monkeypatch.setattr(
+        verdict,
+        "inclusion_probabilities",
+        lambda posteriors: {p.hypothesis.cause_names[-1]: 0.9 for p in posteriors},
+    )
+    fit = fit_of(hypothesis=SimpleNamespace(cause_names=("wind", "given")))
+    empty = SimpleNamespace(accepted=True, best=None)
+    steps = [step("wind"), step("tilt", accepted=False), empty]
+    prepared = SimpleNamespace(data=SimpleNamespace(trials=[1, 2]))
+    state = SimpleNamespace(prepared=prepared, fit=fit, steps=steps)
+    judged = verdict.judge_interrupted_search(state, [], CRITERIA, 0)
+    assert judged.verdict.kind == "insufficient"
+    assert judged.verdict.remark.endswith("so far it had found wind (0.90).")
+    assert judged.verdict.misfit_probability == 0.4
+    assert [p.hypothesis.cause_names[-1] for p in judged.posteriors] == ["wind"]
+    assert judged.numbers.trials == 2
+    assert judged.numbers.causes == ("wind", "given")
+    assert (judged.base_fit, judged.background) == ("base fit", ["response"])
+    assert judged.interrupted
