@@ -223,7 +223,7 @@ def read_origin(path: Path) -> dict[str, Any]:
         file_checks.require_plain_file(path)
     try:
         metadata = pq.read_schema(path).metadata or {}
-    except pa.ArrowException as error:
+    except READ_ERRORS as error:
         raise DataError(
             f"{path}: not a whole Parquet file ({error}). Restore it or delete it and "
             "run again."

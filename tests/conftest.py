@@ -209,6 +209,8 @@ def called(monkeypatch, capsys):
         monkeypatch.setattr(shell.main.__wrapped__, "__module__", "__main__")
         # set here so that monkeypatch restores it
         monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
+        # set here, too: a program that was called keeps its own until it ends
+        monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
         # reset, because only a sweep sets it
         monkeypatch.setattr(LazyLauncher, "current", None)
         monkeypatch.chdir(ROOT)

@@ -151,6 +151,13 @@ class RecordingReader:
         """The recording's table, with rows by number."""
         return self.recording.table.reset_index(drop=True)
 
+    def _numbers(self, name: str) -> pd.Series:
+        """Return the numbers of a column, (K,); what is none, or infinite, is NaN."""
+        numbers = pd.to_numeric(self.table[name], errors="coerce")
+        if numbers.dtype == bool:
+            numbers = numbers.astype(float)
+        return numbers.where(np.isfinite(numbers))
+
     def columns_of(self, kind: str) -> list[SourceColumn]:
         """Return the columns of one kind of meaning."""
         return [column for column in self.columns if column.meaning.kind == kind]
@@ -162,8 +169,8 @@ class RecordingReader:
 
         Raises DataError if it holds no number.
         """
-        raw = pd.to_numeric(self.table[column.name], errors="coerce")
-        values: np.ndarray = column.sign * raw.to_numpy(dtype=float) + column.shift
+        raw = self._numbers(column.name).to_numpy(dtype=float)
+        values: np.ndarray = column.sign * raw + column.shift
         values = values * factor
         if not np.isfinite(values).any():
             raise DataError(
@@ -182,11 +189,21 @@ class RecordingReader:
         )
 
     def read_names(self, column: SourceColumn) -> np.ndarray:
-        """Read names of trials, (K,)."""
+        """Read names of trials, (K,).
+
+        Raises DataError if a row has none.
+        """
+        names = self.table[column.name]
+        count = int(names.isna().sum())
+        if count > 0:
+            raise DataError(
+                f"{self.recording.file}: {count} of {len(names)} rows name no trial in "
+                f"column '{column.name}'. Name it there, or take the rows out."
+            )
         self.used_columns.append(
             UsedColumn(self.recording.file, column.name, "trial", "", column.how)
         )
-        return np.asarray(self.table[column.name].astype(str).map(trial_name))
+        return np.asarray(names.astype(str).map(trial_name))
 
     def read_times(self) -> np.ndarray:
         """Read times, (K,) [s], of the best column of times or of the frame numbers."""
@@ -227,7 +244,7 @@ class RecordingReader:
 
     def _stamp_fault(self, column: SourceColumn) -> str:
         """Say why the time stamps of a column carry no time; empty if they do."""
-        stamps = pd.to_numeric(self.table[column.name], errors="coerce").dropna()
+        stamps = self._numbers(column.name).dropna()
         for name, values in stamps.groupby(self._rows_of_series()):
             distinct = np.unique(values)
             few = len(distinct) * MIN_ROWS_PER_STAMP > len(values)
@@ -295,7 +312,7 @@ class RecordingReader:
     def _read_clock(self, column: SourceColumn) -> np.ndarray:
         """Read a column of times [s]: numbers of any unit, or dates."""
         raw = self.table[column.name]
-        numbers = pd.to_numeric(raw, errors="coerce")
+        numbers = self._numbers(column.name)
         if numbers.notna().any():
             unit, how = column.meaning.unit, column.how
             if not unit:
@@ -312,10 +329,11 @@ class RecordingReader:
         except (ValueError, TypeError, OverflowError):
             dates = pd.Series(pd.NaT, index=raw.index)
         if dates.isna().all():
+            found = repr(str(raw.iloc[0])[:40]) if len(raw) else "no row"
             raise DataError(
                 f"{self.recording.file}: column '{column.name}' holds neither numbers "
                 "nor dates such as 2026-01-31 12:00:00.005; it holds "
-                f"{str(raw.iloc[0])[:40]!r}. Name another with --map t=<column>."
+                f"{found}. Name another with --map t=<column>."
             )
         elapsed = dates - pd.Timestamp(0, tz="UTC")
         seconds: np.ndarray = elapsed.dt.total_seconds().to_numpy(dtype=float)
@@ -376,7 +394,7 @@ class RecordingReader:
             raise DataError(f"{self.recording.file}: {self.recording.angle_question}")
         if not unit:
             names = [c.name for c in same_unit or [column]]
-            numbers = self.table[names].apply(pd.to_numeric, errors="coerce")
+            numbers = pd.DataFrame({name: self._numbers(name) for name in names})
             # of the joint that turns farthest
             largest = float(numbers.abs().quantile(0.9).max())
             unit = "rad"

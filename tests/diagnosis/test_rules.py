@@ -20,7 +20,7 @@ SLIGHTLY_MORE = 1 + 1e-9
 
 
 def fit_of(log_evidence=0.0, **more):
-    hypothesis = SimpleNamespace(causes=("first", "last"))
+    hypothesis = SimpleNamespace(causes=("first", "second", "last"))
     values = {"has_diverged": False, "hypothesis": hypothesis, **more}
     return SimpleNamespace(log_evidence=log_evidence, **values)
 

@@ -442,6 +442,18 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     assert f"resume {tmp_path / 'run'}" in said.replace("\n", "")
 
 
+def test_a_page_that_a_full_disk_cost_is_drawn_again_to_the_byte(
+    quick, called, tmp_path
+):
+    continued = shutil.copytree(quick, tmp_path / "quick")
+    page = (continued / "report.html").read_bytes()
+    (continued / "report.html").unlink()
+    (continued / "run.json").unlink()
+    shutil.rmtree(continued / "iterations/02/estimate")
+    assert called("resume", continued).returncode == 0
+    assert (continued / "report.html").read_bytes() == page
+
+
 def test_a_damaged_trial_is_named(quick, called, tmp_path):
     broken = tmp_path / "broken"
     shutil.copytree(quick, broken)
