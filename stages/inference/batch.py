@@ -52,7 +52,12 @@ def normalised_residuals(
         simulated = simulate_trials(model, trials, chunk)
         for k, trial in enumerate(trials):
             chunks[k].append(trial.normalised_residuals(simulated[k]))
-    return [np.concatenate(residuals) for residuals in chunks]
+    return [_join_rows(residuals) for residuals in chunks]
+
+
+def _join_rows(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Concatenate rows, without a copy of a single part."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def simulate_trials(

@@ -64,5 +64,6 @@ class MeshCorrection:
         # One by one: a candidate has the same bits in any batch
         changes = []
         for slope in self.slopes:
-            changes.append(np.stack([row @ slope[known] for row in limited]))
+            own_slope = slope[known]
+            changes.append(np.stack([row @ own_slope for row in limited]))
         return changes

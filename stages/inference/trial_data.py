@@ -137,13 +137,14 @@ class TrialData:
         values = parameter_values(model.parameters, chi)
         residuals = []
         for residual in normalised_residuals(model, self.trials, values):
-            residuals.append(np.nan_to_num(residual, nan=DIVERGED_RESIDUAL))
+            np.nan_to_num(residual, copy=False, nan=DIVERGED_RESIDUAL)
+            residuals.append(residual)
         if self.mesh_correction is not None:
             changes = self.mesh_correction.correction_at(model.names, chi)
             for k, change in enumerate(changes):
                 diverged = residuals[k] == DIVERGED_RESIDUAL
-                corrected = residuals[k] + change
-                residuals[k] = np.where(diverged, DIVERGED_RESIDUAL, corrected)
+                residuals[k] += change
+                residuals[k][diverged] = DIVERGED_RESIDUAL
         self._residual_cache.store(model, chi, residuals)
         return residuals
 

@@ -62,6 +62,13 @@ def silent(name):
     yield lambda share: None
 
 
+@pytest.fixture(autouse=True)
+def clocks_are_together(monkeypatch):
+    """Spare each run the estimate of the clocks, which takes 5 s; others test it."""
+    place = "stringcast.pipeline.modes.diagnose.refuse_unlike_clocks"
+    monkeypatch.setattr(place, lambda *given: None)
+
+
 def decide(trials, folder, experiment="decide"):
     here = about(trials, f"+experiment={experiment}")
     SEEN.clear()

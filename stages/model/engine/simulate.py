@@ -110,7 +110,7 @@ def simulate(
     gentlest = slopes[1][..., place]
     turn = np.broadcast_to(turn, len(material))
 
-    points = np.full((len(material), times.shape[-1], string.points, 2), np.nan)
+    points = np.empty((len(material), times.shape[-1], string.points, 2))
     finite = np.zeros(len(material), dtype=bool)
     for group_steps in np.unique(steps[possible]):  # who shares a step shares the loop
         chosen = np.flatnonzero(possible & (steps == group_steps))
