@@ -67,6 +67,9 @@ RUN = {
     "pipeline +experiment=stringB": Run(**CAST),
     "pipeline +experiment=stringB method=robust": Run(**CAST),
     "pipeline +experiment=window": Run(**CAST),
+    "pipeline +experiment=adaptive specimen=C target=at_500_900 +specimen.hidden.tip_mass.ratio=0.3": Run(
+        **CAST
+    ),
     "pipeline target.x=0.45 target.y=0.65 seed=3": Run(**CAST),
     "pipeline 'effects=[tip_mass,arm_lag]'": Run(**CAST),
     "pipeline +experiment=stringB seed=0 hydra.run.dir=outputs/gallery": Run(**CAST),
