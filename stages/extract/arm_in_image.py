@@ -35,6 +35,7 @@ LAG_SIGMA_S = 0.01
 BASE_SIGMA_M = 0.02
 OUTLINE_MARGIN_PX = 2.0  # within which a pixel counts as the arm's
 MAX_MISSED_SHARE = 0.1  # of the arm's pixels, by the links where they are fitted
+MIN_MISSED_SHARE = 0.02  # where the joints say: with less, the joints are right
 MAX_MISSED_RATIO = 0.5  # of those pixels that the links miss where the joints say
 MIN_HAND_SHIFT_PX = 2.0  # less is within what the arm's outline allows
 QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # of row vectors, to the left
@@ -149,7 +150,9 @@ def fit_arm(
     missed = _share_beyond(reach, arm, numbers, frame, place)
     missed_before = _share_beyond(reach, arm, np.zeros_like(numbers), frame, place)
     is_seen = missed <= min(MAX_MISSED_SHARE, MAX_MISSED_RATIO * missed_before)
-    if not is_seen or hand_shift.max() * camera.px_per_m < MIN_HAND_SHIFT_PX:
+    shift_px = hand_shift.max() * camera.px_per_m
+    is_elsewhere = missed_before >= MIN_MISSED_SHARE and shift_px >= MIN_HAND_SHIFT_PX
+    if not (is_seen and is_elsewhere):
         return None
     return ArmFit(body, hand_shift, np.abs(arm.turns(numbers)).max(axis=1))
 

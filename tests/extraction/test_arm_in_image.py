@@ -10,7 +10,7 @@ from stringcast.hardware.virtual.render import Look
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.extract.arm_in_image import ReportedArm, fit_arm
 from stringcast.stages.extract.extract import extract
-from stringcast.stages.extract.footage import footage_from_joints
+from stringcast.stages.extract.footage import Footage, footage_from_joints
 from stringcast.stages.extract.segment import uncovered_brightness
 from tests.conftest import specimen, swing
 
@@ -95,6 +95,28 @@ def test_an_arm_that_is_right_or_unseen_is_left_alone(arm, camera, hidden, arm_l
     slow = replace(camera, fps=100.0)
     footage, _, _ = film_cast(arm, slow, hidden, Look(arm=arm_level))
     assert find_arm(footage, camera) is None
+
+
+@pytest.mark.parametrize(("beside_px", "is_moved"), [(4.0, False), (12.0, True)])
+def test_what_lies_within_the_outline_moves_no_arm(
+    arm, camera, monkeypatch, beside_px, is_moved
+):
+    """One edge of the last link alone may be seen, where the rest is out of view."""
+    t = np.linspace(0, 0.5, 50)
+    body = arm.joint_positions(np.stack([2 * t, t, -t], axis=-1))
+    footage = Footage(t, [np.zeros((640, 640), np.uint8)] * 50, body[:, -1], body)
+    start, hand = camera.pixels(body[:, -2]), camera.pixels(body[:, -1])
+    across = (hand - start)[:, ::-1] * [1, -1]
+    across *= beside_px / np.linalg.norm(across, axis=1, keepdims=True)
+    share = np.linspace(0.3, 1, 100)[:, None]
+    seen = {}
+    for frame in range(50):
+        seen[frame] = start[frame] + share * (hand - start)[frame] + across[frame]
+    monkeypatch.setattr(
+        "stringcast.stages.extract.arm_in_image.bright_wide_pixels", lambda *_: seen
+    )
+    fit = fit_arm(footage, camera, None, ARM_WIDTH_M * camera.px_per_m)
+    assert (fit is not None) == is_moved
 
 
 def test_an_offset_a_gain_and_a_lag_move_the_arm_as_they_say(arm):
