@@ -26,7 +26,7 @@ DIGEST_ATTRIBUTE = "_content_digest"  # of a frozen dataclass, once it is known
 
 
 class ResultStore(Protocol):
-    """Where results are kept between two processes."""
+    """Keep results beyond the process that computed them."""
 
     def find(self, key: str) -> Arrays | None:
         """Return the result that was kept under a key, if there is one."""

@@ -606,6 +606,11 @@ def rejected(cast):
     return replace(cast, before=np.full_like(cast.before, np.nan))
 
 
+def arm_elsewhere(cast):
+    readings = cast.points.readings.assign(hand_shift=0.029, joint_error=0.0942)
+    return replace(cast, points=replace(cast.points, readings=readings))
+
+
 def unreported(cast):
     motion = replace(cast.motion, attempts=cast.motion.attempts.iloc[:0])
     link = cast.trial.link.assign(
@@ -644,6 +649,7 @@ def unreported(cast):
                 "not known → not known",
             ],
         ),
+        (arm_elsewhere, ["the hand is up to 29 mm off", "off by 5.4 degrees"]),
         (rejected, ["before estimation diverged; it is not drawn"]),
         (
             unreported,
