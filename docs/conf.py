@@ -19,6 +19,8 @@ numpydoc_show_class_members = False
 html_theme = "furo"
 html_title = "stringcast"
 html_copy_source = False
+html_static_path = ["static"]
+html_css_files = ["wrap.css"]
 html_show_sphinx = False
 # commands of pages are typed as they are
 smartquotes = False

@@ -12,7 +12,8 @@ from stringcast.stages.report.theme import MM_PER_M
 
 FRAME_QUANTILE = 0.75  # along the string, of the misfit of a frame: ignores outliers
 FILM_SIZE_PX = 420  # of the longer side
-FILM_EDGE_PX = 24  # free around the strings, and for the line that shows the scale
+FILM_EDGE_PX = 24  # free around the strings
+SCALE_ROOM_PX = 24  # below the strings, for the scale
 MAX_COORDINATES = 60_000  # in all films of a page: 0.3 MB
 # share of the length within which a point stands for the tip
 TIP_LENGTH_TOLERANCE = 0.05
@@ -68,7 +69,7 @@ def string_film_data(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, 
         paths[name] = pixels(tips, pair).tolist()
     return {
         "width": round(width),
-        "height": round(height),
+        "height": round(height) + SCALE_ROOM_PX,
         "metre": px_per_m,
         "t": [round(t * MM_PER_M, 1) for t in times],
         "start": times.index(start),
