@@ -33,6 +33,8 @@ ALL_MISTAKES = MISTAKES | FILE_MISTAKES
 QUICK = {
     "simulated": ("clean", "missing y of the tip", "trackers shuffled"),
     "sample": (
+        "joints 1 and 2 swapped",
+        "cm named mm",
         "tracker's stamps doubled",
         "tracker's stamps turn back",
         "robot's stamps turn back",
