@@ -293,7 +293,7 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(
             "there is no such setting. It belongs to estimate=random_search[.]",
         ),
         (["hardwear=virtual"], "Try: .* hardware=virtual"),
-        (["hydra.run.dir=/proc/nope"], "cannot be written"),
+        (["hydra.run.dir=README.md/nope"], "cannot be written"),
         (
             ["hardware=serial", "hardware.port=/dev/nowhere", "generate.longest=0.4"],
             "source.number",

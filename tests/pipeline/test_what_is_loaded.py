@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.faults.toy import toy_experiment, toy_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,6 +36,11 @@ def loaded(*words):
 
 def test_help_loads_little():
     assert not (HEAVY | {"pandas", "pyarrow"}) & loaded("--help")
+
+
+@pytest.mark.long
+def test_points_are_checked_without_opencv_and_serial():
+    assert not {"cv2", "serial"} & loaded("check", "data/sample")
 
 
 def test_what_a_run_was_made_of_is_found_without_loading_it(tmp_path):

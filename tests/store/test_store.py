@@ -120,6 +120,9 @@ def test_a_file_is_hashed_piece_by_piece_as_it_was_hashed_whole(
         assert store.content_hash(tmp_path / "a") == folder.hexdigest()
 
 
+@pytest.mark.skipif(
+    not Path("/proc/self/fd").exists(), reason="only Linux names an open file"
+)
 def test_everything_is_on_the_disk_before_it_has_its_name(
     points, tmp_path, monkeypatch
 ):
