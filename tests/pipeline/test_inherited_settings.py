@@ -1,0 +1,117 @@
+"""What folders bring along, and what the command line keeps for itself."""
+
+import pytest
+import yaml
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from stringcast.pipeline.run.provenance import input_hashes
+from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.settings_from_runs import (
+    add_clock_interval,
+    inherit_settings,
+    refuse_unknown_bench,
+    restore_given_settings,
+    settings_of_trials,
+)
+from tests.pipeline.test_readme_commands import ROOT
+
+
+def model_settings(**values):
+    return OmegaConf.create({"effects": ["wind"], "parameter_values": values})
+
+
+def test_the_offset_of_the_clocks_is_unknown_in_a_wider_interval_than_stated():
+    merged = model_settings()
+    add_clock_interval(merged, {"clock": {"low": -0.1, "high": 0.3}})
+    assert merged.effects == ["wind", "time_offset"]
+    offset = merged.parameter_values["time_offset.offset"]
+    assert offset == pytest.approx({"value": 0.1, "low": -0.2, "high": 0.4})
+
+
+def test_a_known_offset_stays_and_no_clock_adds_nothing():
+    merged = model_settings()
+    add_clock_interval(merged, {})
+    assert merged == model_settings()
+    known = {"time_offset.offset": 0.05}
+    merged = OmegaConf.create({"effects": ["time_offset"], "parameter_values": known})
+    add_clock_interval(merged, {"clock": {"low": -0.1, "high": 0.3}})
+    assert merged == {"effects": ["time_offset"], "parameter_values": known}
+
+
+def test_only_given_settings_are_restored():
+    config = OmegaConf.create({"seed": 1, "arm": {"tick": 2, "speed": 3}})
+    merged = OmegaConf.create({"seed": 10, "arm": {"tick": 20, "speed": 30}})
+    restore_given_settings(merged, config, {"arm.tick", "unheard_of"})
+    assert merged == {"seed": 10, "arm": {"tick": 2, "speed": 30}}
+
+
+@pytest.mark.parametrize(
+    ("given", "length", "points"),
+    [((), 0.41, 12), (("string.length=0.27",), 0.27, 12), (("seed=3",), 0.41, 12)],
+)
+def test_a_model_changes_what_it_names_and_the_command_line_wins(
+    tmp_path, given, length, points
+):
+    model = {"string": {"length": 0.41}, "effects": ["wind"]}
+    (tmp_path / "extended.yaml").write_text(yaml.safe_dump(model))
+    words = [f"model_from={tmp_path}", f"string.points={points}", *given]
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        config = compose("config", words)
+    names = {word.partition("=")[0] for word in given}
+    settings = inherit_settings(config, names)
+    assert settings["string"]["length"] == length
+    assert settings["string"]["points"] == points
+    assert settings["effects"] == ["wind"]
+    assert settings["seed"] == (3 if "seed" in names else config.seed)
+
+
+SAMPLE = ROOT / "data/sample"
+
+
+def test_a_dataset_brings_what_it_states_but_not_what_is_given():
+    stored = settings_of_trials(SAMPLE, set())
+    assert stored["arm.links"] == [0.25, 0.2, 0.135]
+    assert stored["string.length"] == pytest.approx(0.303859, abs=1e-6)
+    assert stored["camera.fps"] == 200.0
+    assert "camera.lens" not in stored  # it states none
+    others = settings_of_trials(SAMPLE, {"camera.fps", "arm", "string"})
+    assert stored.keys() - others.keys() == {"camera.fps", "arm.links", "arm.base"}
+    assert "string.length" not in settings_of_trials(SAMPLE, {"string.length"})
+
+
+def test_an_arm_moves_only_where_the_bench_of_the_trials_is_known(tmp_path):
+    with pytest.raises(UserError, match="does not state the bench"):
+        refuse_unknown_bench(SAMPLE, {"seed"})
+    refuse_unknown_bench(SAMPLE, {"hardware"})
+    (tmp_path / "config.json").write_text("{}")
+    refuse_unknown_bench(tmp_path, set())
+
+
+def test_inputs_are_read_in_the_run_and_in_its_trials_only(tmp_path):
+    run = tmp_path / "run"
+    (run / "iterations/01/trial").mkdir(parents=True)
+    (run / "iterations/01/trial/0.png").write_bytes(b"a")
+    (tmp_path / "secret").write_bytes(b"b")
+    names = [
+        "iterations/01/trial",
+        "iterations/../../secret",
+        str(tmp_path / "secret"),
+        str(SAMPLE / "points.parquet"),
+        str(SAMPLE / "unheard_of.parquet"),
+    ]
+    assert [*input_hashes(run, names, None)] == names[:1]
+    assert [*input_hashes(run, names, str(SAMPLE))] == [names[0], names[3]]
+
+
+def test_of_the_trials_only_folders_of_frames_are_read(tmp_path):
+    films = tmp_path / "data" / "films"
+    films.mkdir(parents=True)
+    (films / "0.png").write_bytes(b"a")
+    run = tmp_path / "run"
+    run.mkdir()
+    trials = str(tmp_path / "data")
+    names = [str(films), trials]
+    assert not input_hashes(run, names, trials)  # this is no dataset
+    (tmp_path / "data" / "dataset.yaml").write_text("format: 1")
+    assert [*input_hashes(run, names, trials)] == [str(films)]
