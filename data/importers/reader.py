@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -267,7 +268,7 @@ class RecordingReader:
 
         Rows in another order are none: their times do not overlap.
         """
-        stamps = pd.to_numeric(self.table[column.name], errors="coerce").dropna()
+        stamps = self._numbers(column.name).dropna()
         for name, values in stamps.groupby(self._rows_of_series()):
             t = values.to_numpy(dtype=float)
             steps = np.diff(t)
@@ -297,7 +298,7 @@ class RecordingReader:
         for name in map(str, self.table):
             if name in used:
                 continue
-            numbers = pd.to_numeric(self.table[name], errors="coerce")
+            numbers = self._numbers(name)
             if not np.isfinite(numbers).all() or (numbers % 1 != 0).any():
                 continue
             steps = numbers.groupby(series).diff().dropna()
@@ -324,16 +325,15 @@ class RecordingReader:
                 self._refuse_slow_clock(column, numbers)
             return self.read_numbers(column, "t", unit, TIME_UNITS[unit], how)
         # no number: dates, as seconds since 1970
-        try:
-            dates = pd.to_datetime(raw, errors="coerce", utc=True, format="ISO8601")
-        except (ValueError, TypeError, OverflowError):
-            dates = pd.Series(pd.NaT, index=raw.index)
+        dates = pd.Series(pd.NaT, index=raw.index)
+        if not pd.api.types.is_float_dtype(raw):  # as of infinite numbers
+            with suppress(ValueError, TypeError, OverflowError):
+                dates = pd.to_datetime(raw, errors="coerce", utc=True, format="ISO8601")
         if dates.isna().all():
-            found = repr(str(raw.iloc[0])[:40]) if len(raw) else "no row"
             raise DataError(
                 f"{self.recording.file}: column '{column.name}' holds neither numbers "
                 "nor dates such as 2026-01-31 12:00:00.005; it holds "
-                f"{found}. Name another with --map t=<column>."
+                f"{str(raw.iloc[0])[:40]!r}. Name another with --map t=<column>."
             )
         elapsed = dates - pd.Timestamp(0, tz="UTC")
         seconds: np.ndarray = elapsed.dt.total_seconds().to_numpy(dtype=float)
@@ -449,7 +449,7 @@ class RecordingReader:
         values = np.empty((len(self.table), len(columns)))
         for number, column in enumerate(columns):
             units = ANGLE_UNITS | LENGTH_UNITS
-            raw = pd.to_numeric(self.table[column.name], errors="coerce")
+            raw = self._numbers(column.name)
             values[:, number] = raw * units.get(column.meaning.unit, 1.0)
         return zero_row_mask(values)
 
@@ -467,7 +467,7 @@ class RecordingReader:
         """Refuse a joint that turns farther than any does, among others that do not."""
         largest = {}
         for column in joints:
-            raw = pd.to_numeric(self.table[column.name], errors="coerce")
+            raw = self._numbers(column.name)
             factor = ANGLE_UNITS.get(column.meaning.unit, ANGLE_UNITS["deg"])
             largest[column.name] = float(raw.abs().quantile(0.9)) * factor
         too_far = [name for name in largest if largest[name] > MAX_ANGLE_RAD]

@@ -37,6 +37,12 @@ def test_a_column_without_a_finite_number_is_named(tmp_path, angle):
         import_motion(tmp_path, *rows_with(angle))
 
 
+def test_infinite_times_are_no_times(tmp_path):
+    rows = [row.replace(f"a,0.0{n}", "a,-inf") for n, row in enumerate(rows_with(0.1))]
+    with pytest.raises(DataError, match=r"column 't \[s\]' holds neither numbers"):
+        import_motion(tmp_path, *rows)
+
+
 def test_truth_values_are_numbers(tmp_path):
     assert import_motion(tmp_path, *rows_with("true"))["q1"].tolist() == [1.0] * 5
 
@@ -49,7 +55,7 @@ def test_rows_without_a_trial_are_counted(tmp_path):
 
 
 def test_a_table_without_rows_is_an_error(tmp_path):
-    with pytest.raises(DataError, match="it holds no row"):
+    with pytest.raises(DataError, match="has no rows"):
         import_motion(tmp_path, heading="t [s],q1,q2,q3,tip.x [m],tip.y [m]")
 
 
