@@ -212,6 +212,7 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "tests/benchmarks/speed/test_speed.py",
     "tasks.py bench diagnosis": "as bench; a diagnosis of the sample runs elsewhere",
     "pip install dynamixel-sdk": "installs",
+    "pipeline": "how commands begin: tests/pipeline/test_command_line.py",
 }
 
 
