@@ -442,6 +442,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     assert f"resume {tmp_path / 'run'}" in said.replace("\n", "")
 
 
+@pytest.mark.long  # to draw the page again takes 8 s
 def test_a_page_that_a_full_disk_cost_is_drawn_again_to_the_byte(
     quick, called, tmp_path
 ):
