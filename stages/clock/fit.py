@@ -13,6 +13,7 @@ from stringcast.stages.diagnose.background_effects import background_responses
 from stringcast.stages.diagnose.base_model import fit_base_model
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.noise import (
     estimate_initial_noise,
     trim_trailing_rest,
@@ -34,6 +35,7 @@ OFFSET = "time_offset.offset"
 STARTS = 6  # of the search for the string's parameters and the offset
 # Effects that are the clock itself
 CLOCK_EFFECTS = ("time_offset", "clock_drift")
+FIXED_WITHIN_S = 1e-4  # of an offset that is given
 PROFILE_SIZE = 41  # offsets at which the likelihood is profiled
 
 
@@ -98,6 +100,24 @@ def fit_clock(
     residuals = data.residuals(hypothesis.model, chi[None])
     scales = best_scale_index(data.log_likelihood_by_scale(residuals))[:, 0]
     return ClockFit(data, fit_hypothesis(data, hypothesis, chi[None], scales))
+
+
+def explained_by_offset(clock: ClockFit, other: float) -> float:
+    """Return how much of the misfit at the tip the fit's offset removes.
+
+    other: offset with which it is compared [s], with the string fitted to it.
+    """
+    fit = clock.fit
+    model = fit.hypothesis.model
+    fixed = {OFFSET: (other - FIXED_WITHIN_S, other + FIXED_WITHIN_S)}
+    hypothesis = Hypothesis(
+        replace(model, measured_ranges={**model.measured_ranges, **fixed})
+    )
+    start = hypothesis.exponents_from({**fit.exponents, OFFSET: 0.5})
+    without = fit_hypothesis(clock.data, hypothesis, start[None], fit.scale_indices)
+    before = unexplained_tip_rms(clock.data, without)
+    after = unexplained_tip_rms(clock.data, fit)
+    return float(1 - np.sum(after**2) / np.sum(before**2))
 
 
 def effect_responses(clock: ClockFit) -> ByTrial:

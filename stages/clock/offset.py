@@ -20,6 +20,7 @@ from stringcast.stages.check.measured import CheckedTrial
 from stringcast.stages.clock.fit import (
     ClockFit,
     effect_responses,
+    explained_by_offset,
     fit_clock,
     profile_offset,
     refit_from,
@@ -52,6 +53,7 @@ RIVAL_LOG_LIKELIHOOD = 30.0  # a profile's other peak is refitted if it is so ne
 RIVAL_DISTANCE = 4  # steps of the profile between two peaks
 SIGNIFICANCE = 1e-3  # below, trials do not have the same offset
 MIN_DRIFT = 0.005  # beyond which the whole interval of a drift lies that is named
+MIN_EXPLAINED_FRACTION = 0.5  # of the misfit, by an offset that is certain
 NO_PRIOR = 1e-6  # precision that is as good as none [1/s2]
 DRIFT_PRIOR = 0.05  # standard deviation of the drift as a share of time
 CLOCK_REMEDY = (
@@ -96,12 +98,16 @@ class ClockOffset:
     profile : pandas.DataFrame
         By offset [s], in the first trial: `stretch` by which points seem to be beyond
         their string [m], and `log_likelihood` of the string model, to first order.
+    explained_fraction : float
+        Of the mean square misfit at the tip without an offset, by the offset; 1 where
+        geometry leaves no doubt.
     """
 
     by_trial: Mapping[str, Interval]
     is_common: bool
     drift: Interval | None
     profile: pd.DataFrame
+    explained_fraction: float = 1.0
 
 
 def estimate_clock_offset(
@@ -147,7 +153,10 @@ def estimate_clock_offset(
         estimate = _estimate_together(model, [trial], window, rng, part)
         estimates.append(estimate)
         by_trial |= estimate.by_trial
-    return ClockOffset(by_trial, False, estimates[0].drift, estimates[0].profile)
+    explained = max(estimate.explained_fraction for estimate in estimates)
+    return ClockOffset(
+        by_trial, False, estimates[0].drift, estimates[0].profile, explained
+    )
 
 
 def _estimate_together(
@@ -185,6 +194,9 @@ def _estimate_together(
         value = window.middle + clock.offset + offset_with_drift.value
         half = offset_with_drift.width / 2 + floor
         interval = Interval(value, value - half, value + half)
+    explained = 1.0
+    if window.low <= 0 <= window.high and _is_harmful(interval):
+        explained = explained_by_offset(clock, -window.middle)
     progress(1.0)
 
     offsets = window.middle + profile.offsets
@@ -198,6 +210,7 @@ def _estimate_together(
         is_common=not _trials_differ(apart, frame_s),
         drift=drift,
         profile=pd.DataFrame(columns),
+        explained_fraction=explained,
     )
 
 
@@ -210,8 +223,10 @@ def find_wrong_clock(
     """Return the offset of clocks that are certainly not together, or None.
 
     The string model is asked only if geometry leaves larger offsets than a diagnosis
-    searches. Trials that cannot be used, or do not begin at rest, are left out.
-    Parameters as of `estimate_clock_offset`.
+    searches. Its answer is certain only if the offset explains the motion: a model that
+    lacks something else may fit a little better at any offset. Trials that cannot be
+    used, or do not begin at rest, are left out. Parameters as of
+    `estimate_clock_offset`.
     """
     usable, _ = usable_trials(model, observations)
     resting = []
@@ -223,10 +238,14 @@ def find_wrong_clock(
         return None
     resting_observations = [trial.observation for trial in resting]
     clock = estimate_clock_offset(model, resting_observations, rng, progress)
-    for interval in clock.by_trial.values():
-        if max(interval.low, -interval.high) > HARMLESS_OFFSET_S:
-            return clock
-    return None
+    is_certain = clock.explained_fraction >= MIN_EXPLAINED_FRACTION
+    is_wrong = any(map(_is_harmful, clock.by_trial.values()))
+    return clock if is_certain and is_wrong else None
+
+
+def _is_harmful(interval: Interval) -> bool:
+    """Whether all of an interval lies beyond what a diagnosis searches."""
+    return max(interval.low, -interval.high) > HARMLESS_OFFSET_S
 
 
 def refuse_wrong_clock(

@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from conftest import ROOT
@@ -19,7 +20,10 @@ from stringcast.pipeline.commands.clock_fit import plain_model
 from stringcast.stages.check.clocks import check_clock_interval
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset
+from stringcast.stages.clock import offset
 from stringcast.stages.clock.offset import (
+    ClockOffset,
+    Interval,
     estimate_clock_offset,
     find_wrong_clock,
     refuse_wrong_clock,
@@ -33,6 +37,7 @@ from stringcast.stages.clock.windows import (
 )
 
 SAMPLE = ROOT / "data" / "sample"
+MEASURED = ROOT.parent / "shared" / "measured" / "tudelft_cable_fr3"
 CASE = ROOT.parent / "shared" / "cases" / "two_clocks"
 CHECKED = read_measurements(SAMPLE, [])
 TRIALS = CHECKED.trials
@@ -117,6 +122,35 @@ def test_a_wrong_clock_is_refused_and_a_right_one_is_not():
     wrong = [late(seen, 0.12).observation for seen in TRIALS[:2]]
     with pytest.raises(DataError, match=r"differ by -1[12]\d ms .*--clock fit"):
         refuse_wrong_clock(model, wrong, rng)
+
+
+@pytest.mark.parametrize(("explained", "is_refused"), [(0.3, False), (0.8, True)])
+def test_an_offset_that_leaves_most_of_the_misfit_is_not_certain(
+    explained, is_refused, monkeypatch
+):
+    """A string that the model does not describe fits a little better at some offset."""
+    interval = Interval(0.2, 0.1, 0.3)
+    found = ClockOffset({"t00": interval}, True, None, pd.DataFrame(), explained)
+    monkeypatch.setattr(offset, "estimate_clock_offset", lambda *given: found)
+    wrong = [late(seen, 0.12).observation for seen in TRIALS[:1]]
+    model = plain_model(CHECKED)
+    answer = find_wrong_clock(model, wrong, np.random.default_rng(0))
+    assert (answer is found) == is_refused
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not MEASURED.exists(), reason="the measured sets are not here")
+@pytest.mark.parametrize("name", ["orange_short_unweighted", "black_unweighted"])
+def test_clocks_of_real_cables_with_friction_and_a_set_are_not_refused(tmp_path, name):
+    for table in ("grasp", "points"):
+        rows = pd.read_parquet(MEASURED / f"{table}.parquet")
+        is_of_cable = rows["trial"].isin([f"drive_{name}", f"release_{name}"])
+        rows[is_of_cable].to_parquet(tmp_path / f"{table}.parquet")
+    longest = rows.loc[is_of_cable, "s"].max()
+    checked = read_measurements(tmp_path, [f"string.length={longest}"])
+    observations = [trial.observation for trial in checked.trials]
+    model = plain_model(checked)
+    assert find_wrong_clock(model, observations, np.random.default_rng(0)) is None
 
 
 def linear_problem(background):
