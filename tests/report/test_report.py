@@ -375,6 +375,14 @@ def test_every_colour_of_a_figure_has_a_dark_side(page):
     assert len({light for light, _ in THEME.values()}) == len(THEME)
 
 
+def test_the_name_of_a_trial_is_never_mathematics():
+    name = r"$\bad{0$"  # matplotlib would stop here with a traceback
+    with style.context(STYLE_SHEET):
+        figure = Figure()
+        figure.text(0.5, 0.5, name)
+    assert name in decoded(svg_picture(figure, "A figure.").source).decode()
+
+
 def test_text_of_a_figure_stays_text():
     """As outlines, whose scale would be rounded, it was too small to be read."""
     figure = Figure()
