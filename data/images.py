@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from PIL import Image
@@ -169,8 +170,10 @@ def _image_size(path: Path) -> str:
     Raises DataError if it would unpack to gigabytes.
     """
     try:
-        with Image.open(require_plain_file(path, MAX_IMAGE_BYTES)) as header:
-            width, height = header.size
+        with catch_warnings():
+            simplefilter("ignore", Image.DecompressionBombWarning)  # has no remedy
+            with Image.open(require_plain_file(path, MAX_IMAGE_BYTES)) as header:
+                width, height = header.size
     except (Image.DecompressionBombError, OSError, ValueError, SyntaxError) as error:
         raise DataError(
             f"{path}: the frame is missing or damaged ({error}). "
