@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import expit, logsumexp
+from scipy.special import logsumexp
 
 from stringcast.stages.diagnose.agreement import log_bayes_factor_of_trials
 from stringcast.stages.diagnose.background_effects import (
@@ -330,7 +330,6 @@ def limit_by_agreement(
     data = state.prepared.data
     if len(data.trials) < 2:
         return posteriors
-    log_prior_odds = np.log((1 - PRIOR_NO_EFFECT) / candidates / PRIOR_NO_EFFECT)
     causes = {cause.name: cause for cause in state.fit.hypothesis.causes}
     by_cause = []
     for posterior in posteriors.by_cause:
@@ -338,10 +337,12 @@ def limit_by_agreement(
         if not accepted:
             by_cause.append(posterior)
             continue
+        name = accepted[0]
         log_bayes_factor = log_bayes_factor_of_trials(
-            data, state.fit, state.left_out_exponents, causes[accepted[0]]
+            data, state.fit, state.left_out_exponents, causes[name]
         )
-        limit = float(expit(log_bayes_factor + log_prior_odds))
+        log_evidence = {"": np.zeros(1), name: np.array([log_bayes_factor])}
+        limit = effect_probabilities(log_evidence, candidates)[name]
         by_cause.append(_limit_presence(posterior, limit, misfit_probability))
     return replace(posteriors, by_cause=tuple(by_cause))
 
