@@ -515,6 +515,7 @@ class Surprise:
         return str(self.surprise["sentence"].iloc[0])
 
 
+MIN_SHOWN_PROBABILITY = 0.01  # of a cause, in run.json and on pages
 EXPLANATIONS = Table(
     "explanations",
     "causes that were compared, the most probable first; none has an empty name",

@@ -32,7 +32,7 @@ class ResultStore(Protocol):
         """Return the result that was kept under a key, if there is one."""
 
     def keep(self, key: str, result: Arrays) -> None:
-        """Keep a result."""
+        """Keep a result under a key, for whoever asks for that key later."""
 
 
 _store: ContextVar[ResultStore | None] = ContextVar("store of results", default=None)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from stringcast.data.artifacts import (
+    MIN_SHOWN_PROBABILITY,
     Estimate,
     Explanation,
     Motion,
@@ -16,8 +17,6 @@ from stringcast.data.artifacts import (
 )
 from stringcast.pipeline.run.iterations import Iteration
 from stringcast.stages.spec import StageSpec
-
-MIN_SHOWN_PROBABILITY = 0.01  # of a cause in run.json
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from stringcast.stages.spec import SameIteration, StageSpec, StageSummary
 
 
 def summary(surprise: Surprise) -> StageSummary:
-    """Summarise the test."""
+    """State in words and numbers whether the trial is a surprise."""
     return StageSummary("surprise", surprise.sentence, surprise.surprise)
 
 

@@ -72,10 +72,16 @@ def sandbox(tmp_path_factory):
     return make_folder
 
 
+def run_commands(commands, inside):
+    """Run commands, by name with their words, under guard."""
+    for name, words in commands.items():
+        run_guarded(load_command(name), [str(word) for word in words], inside)
+
+
 def ask_all(folder, inside):
     """Let every command that looks at a run look at it, and continue it."""
     fit = next(iter(folder.glob("iterations/01/estimate/fit.parquet")), folder)
-    for name, words in {
+    commands = {
         "why": [folder],
         "index": [folder.parent, "--to", inside / "runs.csv"],
         "lineage": [fit],
@@ -83,8 +89,8 @@ def ask_all(folder, inside):
         "export": [folder, inside / "string.csv"],
         "resume": [folder, "--max-core-hours", SOME_SECONDS],
         "verify": [folder, "--max-core-hours", SOME_SECONDS],
-    }.items():
-        run_guarded(load_command(name), [str(word) for word in words], inside)
+    }
+    run_commands(commands, inside)
 
 
 @fuzzed(30)
@@ -145,12 +151,13 @@ def tables():
 
 
 def look_at(folder, inside):
-    for name, words in {
+    """Let every command that looks at a dataset look at it."""
+    commands = {
         "check": [folder],
         "index": [folder.parent],
         "import": [folder / "points.csv", folder / "arm.csv", "--to", inside / "new"],
-    }.items():
-        run_guarded(load_command(name), [str(word) for word in words], inside)
+    }
+    run_commands(commands, inside)
 
 
 @fuzzed(60)

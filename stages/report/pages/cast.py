@@ -9,7 +9,7 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib import style
 
-from stringcast.data.artifacts import Estimate, Surprise
+from stringcast.data.artifacts import MIN_SHOWN_PROBABILITY, Estimate, Surprise
 from stringcast.stages.extract.reading_report import describe_arm_misfit
 from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.parameter import Parameter
@@ -71,7 +71,6 @@ from stringcast.stages.report.theme import FRAME_COLOURS, MM_PER_M, STYLE_SHEET
 
 NOTHING_READ = "No frame of this cast could be read, so there is no comparison."
 NO_JOINT_ANGLES = "The arm reported no joint angles."
-MIN_SHOWN_PROBABILITY = 0.01  # of a cause
 NO_FRAMES = "This cast has no camera frames."
 OVERLAY_LABELS = {
     "before": "simulated, before estimation",
