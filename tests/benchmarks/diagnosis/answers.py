@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from stringcast.stages.diagnose.outlying_trials import OUTLYING
+from stringcast.stages.diagnose.verdict import RESOLUTION
 
-NONE, UNKNOWN, PARTIAL = "none", "unknown", "partial"
+NONE, EFFECT, UNKNOWN, PARTIAL = "none", "effect", "unknown", "partial"
 MIXED = "mixed"
 SEVERAL = ("pair", "triple")
 Row = Mapping[str, Any]
@@ -15,13 +16,19 @@ CauseGroup = frozenset[str]  # look-alikes that the data cannot distinguish
 
 
 def named_groups(row: Row) -> list[CauseGroup]:
-    """Return the named causes in order, each as the group of its look-alikes."""
+    """Return the named causes in order, each as the group of its look-alikes.
+
+    That the diagnosed mesh is too coarse is none of them: no simulator hides it, and it
+    is so wherever ten mass points stand for a continuous string.
+    """
     diagnosis, synonyms = row["diagnosis"], row["truth"].get("alike", {})
     look_alikes = []
     for group in diagnosis.get("indistinguishable") or []:
         look_alikes.append(frozenset(synonyms.get(name, name) for name in group))
     groups: list[CauseGroup] = []
     for cause in diagnosis.get("causes") or []:
+        if cause["effect"] == RESOLUTION:
+            continue
         name = synonyms.get(cause["effect"], cause["effect"])
         group = next(
             (group for group in look_alikes if name in group), frozenset({name})
@@ -48,8 +55,8 @@ def is_correct(row: Row) -> bool:
         is_false = count_false(row) > 0
         return count_found(row) > 0 and not is_false and reports_remainder(row)
     if kind == NONE:
-        return not groups and verdict == NONE
-    if verdict not in ("effect", "ambiguous", PARTIAL):
+        return not groups and verdict in (NONE, EFFECT)
+    if verdict not in (EFFECT, "ambiguous", PARTIAL):
         return False
     if kind in SEVERAL:
         return count_found(row) == len(names)

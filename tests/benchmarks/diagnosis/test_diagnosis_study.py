@@ -230,6 +230,17 @@ def test_a_small_clock_error_of_a_mixture_may_be_named():
     assert is_correct(named)
 
 
+def test_a_coarse_mesh_is_no_cause():
+    """Only a wrong cause makes an answer wrong, not that ten points are too few."""
+    coarse = ("resolution", 1.0)
+    assert is_correct(row("none", [], "effect", [coarse]))
+    assert not is_correct(row("none", [], "effect", [coarse, WIND]))
+    outlying = row("outside", ["gust"], "effect", [coarse])
+    assert not is_correct(outlying)  # nothing says that the gust is there
+    outlying["diagnosis"]["trials"] = {"rejected": {"t01": f"{OUTLYING} more"}}
+    assert is_correct(outlying)
+
+
 def test_tables_of_known_rows():
     tables = score_rows([*RIGHT.values(), *WRONG.values()])
     assert set(tables) == set(TABLES)
