@@ -8,13 +8,17 @@ from typing import Any
 
 from stringcast.data import store
 from stringcast.data.compare import folder_differences
-from stringcast.data.file_checks import read_json
 from stringcast.data.schema import DataError
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser, print_block
 from stringcast.pipeline.commands.stored_runs import read_stored_settings
 from stringcast.pipeline.run.file_names import FAILURE_FILE, LOG_FILE, SUMMARY_FILE
-from stringcast.pipeline.run.provenance import differing_values
+from stringcast.pipeline.run.provenance import (
+    PARTS_OF_ORIGIN,
+    UNKNOWN_CODE,
+    differing_values,
+)
+from stringcast.pipeline.run.result import read_summary
 from stringcast.pipeline.settings.composition import flatten_settings
 
 # compared under another heading, or drawn
@@ -111,7 +115,7 @@ def run_facts(run: Path) -> dict[str, dict[str, Any]]:
     origins = []
     for file in sorted(run.rglob("*.parquet")):
         origin = store.read_origin(file)
-        if "code" in origin:
+        if origin.keys() >= PARTS_OF_ORIGIN:
             origins.append(origin)
     if not origins:
         raise DataError(
@@ -119,16 +123,14 @@ def run_facts(run: Path) -> dict[str, dict[str, Any]]:
             f"`python -m pipeline resume {run}` continues it."
         )
     first = origins[0]
-    code = first["code"]
+    code = UNKNOWN_CODE | first["code"]
     data: dict[str, str] = {}
     for origin in origins:
         for name, digest in origin["inputs"].items():
             if not name.startswith("iterations/"):
                 data[Path(name).name] = f"content {digest[:8]}"
 
-    summary: dict[str, Any] = {"ended": False, "iterations": []}
-    if (run / SUMMARY_FILE).exists():
-        summary = read_json(run / SUMMARY_FILE)
+    summary = read_summary(run) or {"ended": False, "iterations": []}
     summary["iterations"] = {str(row["number"]): row for row in summary["iterations"]}
     results = {}
     for name, value in flatten_settings(summary).items():

@@ -25,8 +25,9 @@ from stringcast.data.file_checks import (
 from stringcast.data.schema import Column, DataError, Table
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
-from stringcast.pipeline.run.file_names import FAILURE_FILE, SUMMARY_FILE
+from stringcast.pipeline.run.file_names import FAILURE_FILE
 from stringcast.pipeline.run.provenance import software_versions, stale_reasons
+from stringcast.pipeline.run.result import read_summary
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.named_plugins import UNNAMED_PLUGIN, stored_plugins
 from stringcast.stages.entry_points import DRY_RUNS
@@ -59,8 +60,9 @@ RUNS_TABLE = Table(
         Column("said", "", "how it ended or why it stopped, in words", "text"),
     ),
 )
-# first characters of a cell that a spreadsheet takes for a formula
-FORMULA_STARTS = ("=", "+", "-", "@", "\t")
+# first characters of a cell that a spreadsheet takes for a formula; the last four are
+# those of keyboards for Chinese and Japanese
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\n", "＝", "＋", "－", "＠")
 # characters, so that a row fits into 80 columns
 RUN_COLUMN_WIDTH, COLUMN_WIDTH = 38, 10
 
@@ -139,7 +141,7 @@ def casts_of_runs(
     """Return closest approach [mm] and matching rate E of each cast of ended runs."""
     casts = {}
     for name in runs.loc[runs["outcome"].isin(["hit", "missed"]), "run"]:
-        rows = read_json(folder / name / SUMMARY_FILE)["iterations"]
+        rows = read_summary(folder / name)["iterations"]
         misses = [row.get("miss_m") for row in rows]
         casts[name] = {
             "miss_mm": [None if miss is None else 1e3 * miss for miss in misses],
@@ -163,11 +165,15 @@ def run_row(run: Path) -> dict[str, Any]:
     """Return the row of a run, which says what is wrong if the run is damaged."""
     try:
         settings = read_json(run / "config.json")
-        return {
+        row = {
             "experiment": str(settings["name"]),
             **ending_columns(run, settings),
             **step_columns(run, settings),
         }
+        for name, value in row.items():
+            if isinstance(value, str):
+                row[name] = escape_control_characters(value)
+        return row
     except Exception as error:  # a run of others may be damaged in any way
         reason = str(error) if isinstance(error, DataError) else repr(error)
         return {
@@ -207,8 +213,7 @@ def printable_table(runs: pd.DataFrame) -> TerminalTable:
 
 def ending_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, str]:
     """Return state, outcome, causes and sentence of a run with these settings."""
-    summary_file, failure_file = run / SUMMARY_FILE, run / FAILURE_FILE
-    summary = read_json(summary_file) if summary_file.is_file() else {}
+    summary, failure_file = read_summary(run), run / FAILURE_FILE
     if not summary:
         reason = ""
         if failure_file.is_file():
@@ -220,7 +225,7 @@ def ending_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, str]:
     outcome, causes = "estimated", ""
     if (run / "diagnosis.json").is_file():
         diagnosis = read_json(run / "diagnosis.json")
-        outcome = diagnosis["verdict"]
+        outcome = str(diagnosis["verdict"])
         causes = ", ".join(cause["effect"] for cause in diagnosis["causes"])
     elif any("hit" in iteration for iteration in summary["iterations"]):
         # without the arm, or with a slow one, nothing was thrown at the target
@@ -244,8 +249,7 @@ def step_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
         rates.append(float(summary["after"].iloc[0]))
 
     count = len({step.parent for step in steps})
-    summary_file = run / SUMMARY_FILE
-    summary = read_json(summary_file) if summary_file.is_file() else {}
+    summary = read_summary(run)
     if summary:  # a step may use all trials before it
         count = len(summary["iterations"])
     return {

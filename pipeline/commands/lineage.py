@@ -13,11 +13,9 @@ from stringcast.data import store
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.commands.stored_runs import enclosing_run, run_folder_of
+from stringcast.pipeline.run.provenance import PARTS_OF_ORIGIN, UNKNOWN_CODE
 from stringcast.pipeline.settings.composition import flatten_settings
 from stringcast.pipeline.settings.stage_registry import stages
-
-# without one of them, a footer does not say what made its file
-PARTS_OF_ORIGIN = {"step", "seed", "inputs", "config", "code", "packages", "python"}
 
 
 def main(arguments: list[str]) -> int:
@@ -107,7 +105,7 @@ def origin_of_file(place: Path, run: Path) -> dict[str, Any]:
 def describe_origin(origin: Mapping[str, Any]) -> list[str]:
     """Return lines with step, seed, the step's settings, code and packages."""
     step, config = origin["step"], origin["config"]
-    code = {"commit": "unknown", "source": "unknown"} | origin["code"]
+    code = UNKNOWN_CODE | origin["code"]
     made_by = f"made by {step}, seed {origin['seed']}"
     if "made" in origin:
         made_by += f", {origin['made']['at']}, {origin['made']['seconds']:.1f} s"

@@ -44,6 +44,9 @@ RECORDED_PACKAGES = (
 MAX_SOURCE_BYTES = 2**26  # [bytes] of a file of a plugin whose content counts
 CODE_FOLDERS = ("data", "hardware", "pipeline", "stages")
 VIRTUAL_LAB_PREFIX = "hardware.virtual."  # its trials can be repeated bit by bit
+# without one of them, a footer does not say what made its file
+PARTS_OF_ORIGIN = {"step", "seed", "inputs", "config", "code", "packages", "python"}
+UNKNOWN_CODE = {"commit": "unknown", "source": "unknown"}
 ABSENT_VALUE = "absent"
 CODE_NAME = "the code"
 HASHED_KINDS = ("input ", CODE_NAME)  # their values are hashes, which are not shown

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -15,8 +16,21 @@ from stringcast.data.artifacts import (
     Prediction,
     Surprise,
 )
+from stringcast.data.file_checks import read_json
+from stringcast.data.schema import DataError
+from stringcast.pipeline.run.file_names import SUMMARY_FILE
 from stringcast.pipeline.run.iterations import Iteration
 from stringcast.stages.spec import StageSpec
+
+# Types of the parts of run.json that commands read, and of those of an iteration
+SUMMARY_TYPES = {"hit": bool, "sentence": str, "iterations": list}
+ITERATION_TYPES = {
+    "number": int,
+    "hit": bool | None,
+    "miss_m": float | None,
+    "E_before": float | None,
+    "E_after": float | None,
+}
 
 
 @dataclass(frozen=True)
@@ -100,3 +114,38 @@ def iteration_summary(iteration: Iteration) -> dict[str, Any]:
         if isinstance(value, float) and not isfinite(value):
             row[name] = None
     return row
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """Read run.json of a run's folder; empty for a run that has not ended.
+
+    Raises
+    ------
+    DataError
+        If it is damaged or has another shape: others may have written it.
+    """
+    path = folder / SUMMARY_FILE
+    summary = read_json(path) if path.is_file() else {}
+    if summary:
+        has_shape = has_types(summary, SUMMARY_TYPES) and all(
+            has_types(iteration, ITERATION_TYPES) for iteration in summary["iterations"]
+        )
+        if not has_shape:
+            raise DataError(
+                f"{path}: it does not say how the run ended. Delete it, and resume the "
+                "run."
+            )
+    return summary
+
+
+def has_types(values: Any, types: Mapping[str, Any]) -> bool:
+    """Tell whether values by name have these types, and their numbers are finite."""
+    if not isinstance(values, Mapping):
+        return False
+    for name, kind in types.items():
+        value = values.get(name)
+        if not isinstance(value, kind):
+            return False
+        if isinstance(value, float) and not isfinite(value):
+            return False
+    return True

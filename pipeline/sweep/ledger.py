@@ -15,9 +15,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from stringcast.data.file_checks import read_json
 from stringcast.data.schema import DataError
 from stringcast.data.store import write_text
+from stringcast.pipeline.run.result import read_summary
 
 LOCK_POLL_S = 0.1  # time between attempts at a lock; the results take about 1 s
 PENDING_STATE = "pending"
@@ -156,10 +156,7 @@ class Ledger:
 
     def casts(self, key: str) -> list[dict[str, Any]]:
         """Return the casts or estimations of a job's run from its run.json, if any."""
-        path = self.job_folder(key) / "run.json"
-        if not path.exists():
-            return []
-        return list(read_json(path)["iterations"])
+        return list(read_summary(self.job_folder(key)).get("iterations", []))
 
     def _change_state(
         self, key: str, states: Sequence[str], state: str, error: str = ""

@@ -1,6 +1,7 @@
 """Runs of others, damaged or malicious, and the answers of the commands."""
 
 import json
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -106,9 +107,49 @@ def test_a_damaged_run_is_a_line_of_the_index(run, tmp_path, text):
     assert states.get("hostile", "damaged") == "damaged"
 
 
+CAST = {"number": 1, "hit": True, "miss_m": 0.1}
+SUMMARIES = {
+    "no mapping": {"iterations": ["hit"]},
+    "a mapping": {"iterations": {"hit": 1}},
+    "a text": {"iterations": [CAST | {"miss_m": "near"}]},
+    "a list": {"iterations": [CAST | {"miss_m": [0.1]}]},
+    "too large": {"iterations": [CAST | {"miss_m": 10**400}]},
+    "infinite": {"iterations": [CAST | {"E_after": float("inf")}]},
+    "no number": {"iterations": [CAST | {"number": None}]},
+    "no sentence": {"sentence": None},
+}
+
+
+@pytest.mark.parametrize("fault", SUMMARIES)
+def test_a_summary_of_another_shape_is_one_error(run, tmp_path, fault):
+    summary = {"hit": True, "sentence": "It hit.", "iterations": [CAST]}
+    for name, change in (("good", {}), ("hostile", SUMMARIES[fault])):
+        other = shutil.copytree(run, run.parent / name)
+        (other / "run.json").write_text(json.dumps(summary | change))
+    for ending in ("html", "csv"):
+        to = tmp_path / f"runs.{ending}"
+        assert load_command("index")([str(run.parent), "--to", str(to)]) == 0
+    states = pd.read_csv(to).set_index("run")["state"]
+    assert states["good"] == "ended"
+    assert states["hostile"] == "damaged"
+    with pytest.raises(DataError, match="does not say how the run ended"):
+        load_command("diff")([str(run), str(other)])
+
+
+@pytest.mark.parametrize("verdict", [5, ["effect"], "\ud800"])
+def test_a_verdict_that_is_no_text_is_a_line_of_the_index(run, tmp_path, verdict):
+    document = {"verdict": verdict, "causes": []}
+    (run / "diagnosis.json").write_text(json.dumps(document))
+    for ending in ("html", "parquet", "csv"):
+        to = str(tmp_path / f"runs.{ending}")
+        assert load_command("index")([str(run.parent), "--to", to]) == 0
+
+
 def test_a_table_for_spreadsheets_holds_no_formula():
     assert neutralise_formula("=1+1") == "'=1+1"
     assert neutralise_formula("@SUM(A1)") == "'@SUM(A1)"
+    assert neutralise_formula("\n=1+1") == "'\n=1+1"
+    assert neutralise_formula("＝1+1") == "'＝1+1"
     assert neutralise_formula("\x1b[2J") == r"\x1b[2J"
     assert neutralise_formula("a run") == "a run"
     assert neutralise_formula(-1.5) == -1.5
@@ -173,6 +214,20 @@ def test_a_footer_that_lacks_a_part_is_no_traceback(run, part):
     is_compared = part in ("config", "packages", "python")
     made, _ = toy_run(run, toy_experiment(1))
     assert made == (["estimate"] if is_compared else [])
+
+
+@pytest.mark.parametrize("part", ["inputs", "packages", "python", "code"])
+def test_a_run_is_compared_whose_footers_lack_a_part(run, part):
+    other = shutil.copytree(run, run.parent / "other")
+    for table in other.glob("iterations/01/*/*.parquet"):
+        rewrite_origin(
+            table,
+            lambda origin: json.dumps({k: v for k, v in origin.items() if k != part}),
+        )
+    rewrite_origin(
+        other / "arm.parquet", lambda origin: json.dumps(origin | {"code": {}})
+    )
+    assert load_command("diff")([str(run), str(other)]) == 1
 
 
 def test_a_few_bytes_that_stand_for_many_frames_are_refused(run):
