@@ -33,6 +33,7 @@ from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.plugins import PLUGINS_VARIABLE
+from stringcast.stages.workers import use_workers
 from tests.benchmarks.simulators import draw
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -140,10 +141,10 @@ def cores_are_shared():
 
     Workers with all cores each would wait for one another. Linear algebra has one
     thread, as in a command: two threads spin while they wait and take 4 of a diagnosis'
-    24 s of processor time.
+    24 s of processor time. A stage has one process, in which tests replace functions.
     """
     numba.set_num_threads(share())
-    with threadpool_limits(1, "blas"):
+    with threadpool_limits(1, "blas"), use_workers(1):
         yield
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import yaml
 from matplotlib.figure import Figure
+from threadpoolctl import threadpool_limits
 
 from stringcast.data import dataset
 from stringcast.data.artifacts import Diagnosis, Estimate
@@ -35,6 +36,7 @@ from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.common import Progress
 from stringcast.stages.report.pages.diagnosis import diagnosis_page
 from stringcast.stages.report.records import StageRecord
+from stringcast.stages.workers import use_workers
 
 MM_PER_M = 1e3  # [mm] in a metre
 # few enough for a terminal of 80 columns
@@ -245,7 +247,13 @@ def diagnose(trials: Trials, *settings: str) -> DiagnosisResult:
     experiment, data = prepare_trials(trials, ("+experiment=diagnose", *settings))
     observations = list(data.trials.values())
     refuse_unlike_clocks(experiment, trials.folder, observations)
-    with progress_bar("diagnose") as progress, stop_stage_on_interrupt():
+    workers = use_workers(experiment.config["workers"])
+    with (
+        progress_bar("diagnose") as progress,
+        stop_stage_on_interrupt(),
+        threadpool_limits(1, "blas"),  # as in a command
+        workers,
+    ):
         artifact = experiment.stages["diagnose"](
             experiment.model,
             observations,

@@ -275,6 +275,8 @@ def check_run_settings(config: Settings, where: BlockLocation) -> None:
         refuse("trials_used", f"a whole number from 1, or {ALL_TRIALS}")
     if not is_whole_number(config["seed"], least=0):
         refuse("seed", "a whole number from 0")
+    if not is_whole_number(config["workers"], least=0):
+        refuse("workers", "a whole number from 0")
     saved = config["saved_outputs"]
     if not isinstance(saved, list) or not set(saved) <= set(SAVEABLE_OUTPUTS):
         refuse("saved_outputs", f"a list of {', '.join(SAVEABLE_OUTPUTS)}")

@@ -35,6 +35,7 @@ from stringcast.pipeline.settings.settings_from_runs import (
     refuse_unknown_bench,
     run_moves_arm,
 )
+from stringcast.stages.workers import use_workers
 
 # it warns about names of trials that look like dates
 logging.getLogger("matplotlib").setLevel(logging.WARNING)
@@ -102,7 +103,8 @@ def file_of_block(block: str) -> str:
 
 def perform_run(experiment: Experiment, folder: Path, console: Terminal) -> RunResult:
     """Perform a run in its folder; steps that are stored and fresh are not repeated."""
-    with run_folder.exclusive_access(folder), log_to_folder(folder):
+    workers = use_workers(experiment.config["workers"])
+    with run_folder.exclusive_access(folder), log_to_folder(folder), workers:
         run_folder.begin_run(experiment, folder)
         with run_folder.record_failure(folder):
             return experiment.mode.perform(experiment, folder, console)

@@ -56,6 +56,7 @@ from stringcast.stages.diagnose.rules import (
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
+from stringcast.stages.workers import map_in_workers
 
 log = logging.getLogger(__name__)
 
@@ -411,10 +412,11 @@ def _fit_more_proposals(
     """Fit more of a step's proposals, promising ones with their own numerical error."""
     parent = step.parent
     min_gain = NEGLIGIBLE_LOG_EVIDENCE  # a fit need not be more precise
-    fits: list[Fit] = []
-    for number, proposal in enumerate(proposals, 1):
+
+    def fit_proposal(number: int) -> Fit:
+        proposal = proposals[number]
         name = proposal.effect.name
-        log.info("%d of %d: %s", number, len(proposals), name)
+        log.info("%d of %d: %s", number + 1, len(proposals), name)
         hypothesis = proposal.hypothesis
         fit = fit_hypothesis(
             prepared.data,
@@ -435,7 +437,13 @@ def _fit_more_proposals(
             )
         gains = (fit.log_evidence - parent.log_evidence, first_gain, proposal.gain)
         log.info("%s: log evidence %+.1f, at first %+.1f, proposed %.1f", name, *gains)
-        fits.append(fit)
+        return fit
+
+    fits = []
+    fitted = map_in_workers(fit_proposal, range(len(proposals)))
+    for fit, proposal in zip(fitted, proposals, strict=True):
+        # A worker returns a copy of the hypothesis
+        fits.append(replace(fit, hypothesis=proposal.hypothesis))
     return replace(step, fits=_by_evidence([*step.fits, *fits]))
 
 

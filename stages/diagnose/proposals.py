@@ -33,6 +33,7 @@ from stringcast.stages.model.effect import (
 )
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.model import Model
+from stringcast.stages.workers import map_in_workers
 
 qmc = LazyModule("scipy.stats.qmc")  # takes 0.4 s
 
@@ -145,9 +146,15 @@ def propose_causes(
     Effects that can act nowhere in these trials are left out.
     """
     linear = LinearisedFit(data, parent)
+    # A search of contacts takes longest
+    ordered = sorted(effects, key=is_position_dependent, reverse=True)
+    found_by_effect = map_in_workers(
+        lambda effect: _propose_effect(linear, effect, seed), ordered
+    )
+    found_of = dict(zip(ordered, found_by_effect, strict=True))
     proposals = []
     for effect in effects:
-        found = _propose_effect(linear, effect, seed)
+        found = found_of[effect]
         if found:
             starts, gain, direction = found
             hypothesis = parent.hypothesis.with_cause(effect)
