@@ -11,11 +11,13 @@ import stat
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any, ClassVar
+from warnings import catch_warnings, simplefilter
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
+from pandas.errors import ParserWarning
 
 from stringcast.data.schema import DataError
 
@@ -280,14 +282,38 @@ def begins_with(path: Path, text: str, encoding: str) -> bool:
 def read_frame(path: Path, kind: str, remedy: str, **options: Any) -> pd.DataFrame:
     """Read a CSV file with the options of `pandas.read_csv`.
 
-    Raises DataError naming the kind of file and the remedy.
+    Raises DataError naming the kind of file and the remedy. Rows may end with a
+    separator, but not with values for which there is no column: pandas would lose them.
     """
     try:
-        return pd.read_csv(path, **options)
+        with catch_warnings(record=True) as caught:
+            simplefilter("always")
+            frame = pd.read_csv(path, **options)
+        if any(issubclass(warning.category, ParserWarning) for warning in caught):
+            _refuse_unnamed_values(path, frame.shape[1], options)
+        return frame
     except (ValueError, OSError) as error:
+        reason = " ".join(str(error).split())
         raise DataError(
-            f"{path}: cannot be read as {kind} ({error}). {remedy}"
+            f"{path}: cannot be read as {kind} ({reason}). {remedy}"
         ) from error
+
+
+def _refuse_unnamed_values(path: Path, named: int, options: dict[str, Any]) -> None:
+    """Raise DataError for a CSV file whose rows hold more values than columns."""
+    dialect = ("sep", "encoding", "skipinitialspace")
+    rows = pd.read_csv(
+        path,
+        header=None,
+        skiprows=options.get("skiprows", 0) + 1,
+        **{name: options[name] for name in dialect if name in options},
+    )
+    if rows.iloc[:, named:].notna().any(axis=None):
+        raise DataError(
+            f"{path}: its rows hold {rows.shape[1]} values, its first line names "
+            f"{named} columns. Name all columns. Decimals need a point, or semicolons "
+            "between the columns."
+        )
 
 
 def text_options(names: Iterable[str], texts: Collection[str]) -> dict[str, Any]:

@@ -85,6 +85,7 @@ def cli() -> None:
     # Hydra raises its errors instead of printing them with a traceback.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     repeat_ignored_interrupts()
+    log.log_warnings()
     if "-v" in sys.argv:
         sys.argv.remove("-v")
         log.show_log_on_terminal()

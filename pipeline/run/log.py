@@ -81,6 +81,12 @@ def show_log_on_terminal() -> None:
     add_handler(logging.StreamHandler())
 
 
+def log_warnings() -> None:
+    """Write the warnings of libraries into the log instead of onto the terminal."""
+    logging.captureWarnings(True)
+    logging.getLogger("py.warnings").parent = LOGGER
+
+
 @contextmanager
 def attach_handler(handler: logging.Handler) -> Iterator[None]:
     """Add a handler to the log of this package for the duration of the context."""

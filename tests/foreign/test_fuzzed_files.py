@@ -43,6 +43,18 @@ def test_infinite_times_are_no_times(tmp_path):
         import_motion(tmp_path, *rows)
 
 
+def test_values_without_a_column_are_not_lost_in_silence(tmp_path):
+    rows = [f"{row},9" for row in rows_with(0.1)]
+    with pytest.raises(DataError, match="rows hold 8 values, its first line names 7"):
+        import_motion(tmp_path, *rows)
+
+
+def test_rows_may_end_with_a_comma(tmp_path, recwarn):
+    rows = [f"{row}," for row in rows_with(0.1)]
+    assert list(import_motion(tmp_path, *rows)["q1"]) == [0.1] * 5
+    assert not recwarn.list
+
+
 def test_truth_values_are_numbers(tmp_path):
     assert import_motion(tmp_path, *rows_with("true"))["q1"].tolist() == [1.0] * 5
 

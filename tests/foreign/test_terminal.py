@@ -6,7 +6,9 @@ Escape sequences in names are spelt out.
 import ast
 import io
 import logging
+import warnings
 
+import numpy as np
 import pytest
 from conftest import ROOT
 from rich.table import Table
@@ -14,7 +16,11 @@ from rich.text import Text
 
 from stringcast.pipeline.cli.console import progress_bars
 from stringcast.pipeline.cli.terminal import Terminal, explain_hydra_error
-from stringcast.pipeline.run.log import LINE_FORMATTER
+from stringcast.pipeline.run.log import (
+    LINE_FORMATTER,
+    log_to_folder,
+    log_warnings,
+)
 from stringcast.pipeline.sweep.launcher import job_line
 from stringcast.pipeline.sweep.ledger import Job
 
@@ -49,6 +55,18 @@ def test_control_characters_are_spelt(kind):
     assert "mine" in said
     assert not {"\x1b", "\x07", "\x9b"} & set(said)
     assert r"\x1b]0;mine" in said
+
+
+def test_warnings_of_libraries_are_in_the_log_alone(tmp_path, capfd):
+    warnings.simplefilter("always")
+    log_warnings()
+    try:
+        with log_to_folder(tmp_path):
+            np.divide(1.0, 0.0)
+    finally:
+        logging.captureWarnings(False)
+    assert "divide by zero" in (tmp_path / "run.log").read_text()
+    assert "divide by zero" not in "".join(capfd.readouterr())
 
 
 def test_a_bar_moves_and_its_name_does_not_steer():
