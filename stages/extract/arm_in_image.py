@@ -135,26 +135,42 @@ def fit_arm(
         return None
 
     width_m = width_px / camera.px_per_m
-    prior = 1 / arm.sigmas
-    numbers = np.zeros(len(prior))
-    for cut in CUTS_WIDTHS:
-        residual, jacobian = _link_distances(arm, numbers, frame, place)
-        is_near = np.abs(residual) < cut * width_m
-        j, r = jacobian[is_near] / width_m, residual[is_near] / width_m
-        normal = j.T @ j + np.diag(prior**2)
-        numbers = numbers - np.linalg.solve(normal, j.T @ r + prior**2 * numbers)
-
+    numbers = _fit_numbers(arm, frame, place, width_m)
     body = arm.move(numbers)
     hand_shift = np.linalg.norm(body[:, -1] - footage.body[:, -1], axis=-1)
+
     reach = width_m / 2 + OUTLINE_MARGIN_PX / camera.px_per_m
+    as_reported = np.zeros_like(numbers)
+    missed_before = _share_beyond(reach, arm, as_reported, frame, place)
     missed = _share_beyond(reach, arm, numbers, frame, place)
-    missed_before = _share_beyond(reach, arm, np.zeros_like(numbers), frame, place)
     is_seen = missed <= min(MAX_MISSED_SHARE, MAX_MISSED_RATIO * missed_before)
     shift_px = hand_shift.max() * camera.px_per_m
     is_elsewhere = missed_before >= MIN_MISSED_SHARE and shift_px >= MIN_HAND_SHIFT_PX
     if not (is_seen and is_elsewhere):
         return None
-    return ArmFit(body, hand_shift, np.abs(arm.turns(numbers)).max(axis=1))
+    joint_error = np.abs(arm.turns(numbers)).max(axis=1)
+    return ArmFit(body, hand_shift, joint_error)
+
+
+def _fit_numbers(
+    arm: ReportedArm, frame: np.ndarray, place: np.ndarray, width_m: float
+) -> np.ndarray:
+    """Fit the numbers of an arm (3 J + 2,) to places (N, 2) of its pixels [m].
+
+    Gauss-Newton steps with the prior of the numbers. Distances count in link widths,
+    and places far from the links less and less, as something else than the arm.
+    """
+    precision = np.diag(arm.sigmas**-2.0)
+    numbers = np.zeros(len(precision))
+    for cut in CUTS_WIDTHS:
+        distance, jacobian = _link_distances(arm, numbers, frame, place)
+        is_near = np.abs(distance) < cut * width_m
+        slopes = jacobian[is_near] / width_m
+        residual = distance[is_near] / width_m
+        curvature = slopes.T @ slopes + precision
+        gradient = slopes.T @ residual + precision @ numbers
+        numbers = numbers - np.linalg.solve(curvature, gradient)
+    return numbers
 
 
 def bright_wide_pixels(
@@ -190,31 +206,74 @@ def _share_beyond(
 def _link_distances(
     arm: ReportedArm, numbers: np.ndarray, frame: np.ndarray, place: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (N,) [m] of places (N, 2) from the nearest link, and Jacobian (N, P).
+    """Compute signed distances of places from the nearest link, and their slopes.
 
-    A distance is signed across the link, and positive beyond its ends.
+    Parameters
+    ----------
+    arm : ReportedArm
+    numbers : numpy.ndarray, shape (P,)
+    frame : numpy.ndarray, shape (N,)
+        Number of the frame of each place.
+    place : numpy.ndarray, shape (N, 2)
+        [m]
+
+    Returns
+    -------
+    distance : numpy.ndarray, shape (N,)
+        Across the link, and positive beyond its ends [m].
+    jacobian : numpy.ndarray, shape (N, P)
+        Slopes by the numbers.
     """
     body = arm.move(numbers)[frame]  # (N, J + 1, 2)
-    start, link = body[:, :-1], np.diff(body, axis=1)
-    length = np.linalg.norm(link, axis=-1)
-    away = place[:, None] - start
-    share = np.clip(np.sum(away * link, axis=-1) / length**2, 0, 1)
-    foot = start + share[..., None] * link  # (N, J, 2)
-    nearest = np.argmin(np.linalg.norm(place[:, None] - foot, axis=-1), axis=1)
-    each = np.arange(len(place))
-    foot = foot[each, nearest]
-    normal = (link @ QUARTER_TURN)[each, nearest] / length[each, nearest, None]
-    beyond = place - foot
-    apart = np.linalg.norm(beyond, axis=-1, keepdims=True)
-    is_end = (share[each, nearest] == 0) | (share[each, nearest] == 1)
-    normal = np.where(is_end[:, None] & (apart > 0), beyond / apart, normal)
+    nearest, foot, normal = _nearest_feet(body, place)
+    distance = np.sum(normal * (place - foot), axis=-1)
 
+    # A joint turns what lies beyond it; the base moves everything
     joints = arm.basis.shape[1]
-    turning = np.zeros((len(place), joints))  # d distance / d angle
+    turning = np.zeros((len(place), joints))  # slope of a distance by an angle
     for joint in range(joints):
-        lever = (foot - start[:, joint]) @ QUARTER_TURN
-        is_moved = nearest >= joint
-        turning[:, joint] = -np.where(is_moved, np.sum(normal * lever, axis=-1), 0)
+        lever = (foot - body[:, joint]) @ QUARTER_TURN
+        slope = np.where(nearest >= joint, np.sum(normal * lever, axis=-1), 0.0)
+        turning[:, joint] = -slope
     by_joint = turning[..., None] * arm.basis[frame]
     jacobian = np.concatenate([by_joint.reshape(len(place), -1), -normal], axis=1)
-    return np.sum(normal * beyond, axis=-1), jacobian
+    return distance, jacobian
+
+
+def _nearest_feet(
+    body: np.ndarray, place: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Find the nearest point of the links to each place.
+
+    Parameters
+    ----------
+    body : numpy.ndarray, shape (N, J + 1, 2)
+        Joints at each place's frame [m].
+    place : numpy.ndarray, shape (N, 2)
+
+    Returns
+    -------
+    nearest : numpy.ndarray, shape (N,)
+        Number of the link.
+    foot : numpy.ndarray, shape (N, 2)
+        The point on it.
+    normal : numpy.ndarray, shape (N, 2)
+        Unit vector across the link, or from its end to the place.
+    """
+    start = body[:, :-1]
+    link = np.diff(body, axis=1)
+    length = np.linalg.norm(link, axis=-1)
+    along = np.sum((place[:, None] - start) * link, axis=-1)
+    share = np.clip(along / length**2, 0, 1)
+    feet = start + share[..., None] * link  # (N, J, 2)
+    distances = np.linalg.norm(place[:, None] - feet, axis=-1)
+    nearest = np.argmin(distances, axis=1)
+
+    chosen = np.arange(len(place)), nearest
+    foot = feet[chosen]
+    normal = link[chosen] @ QUARTER_TURN / length[chosen][:, None]
+    is_end = (share[chosen] == 0) | (share[chosen] == 1)
+    is_end &= distances[chosen] > 0
+    beyond = place[is_end] - foot[is_end]
+    normal[is_end] = beyond / distances[chosen][is_end, None]
+    return nearest, foot, normal
