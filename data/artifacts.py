@@ -735,7 +735,7 @@ DIAGNOSIS_SUMMARY = Table(
     "finding",
     "one row: the verdict",
     parse_columns("""
-    verdict (text): none, effect, ambiguous, unknown or insufficient
+    verdict (text): none, effect, ambiguous, partial, unknown or insufficient
     sentence (text): in words
     diagnosis (text): diagnosis.json
     extended (text): the extended model as settings, YAML
@@ -780,7 +780,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """The verdict: none, effect, ambiguous, unknown or insufficient."""
+        """The verdict: none, effect, ambiguous, partial, unknown or insufficient."""
         return str(self.finding["verdict"].iloc[0])
 
     @property

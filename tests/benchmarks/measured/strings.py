@@ -47,7 +47,10 @@ STRINGS = Table(
         Column("string", "", "its name", "text"),
         Column("trials", "1", "used trials", "int"),
         Column(
-            "verdict", "", "none, effect, ambiguous, unknown or insufficient", "text"
+            "verdict",
+            "",
+            "none, effect, ambiguous, partial, unknown or insufficient",
+            "text",
         ),
         Column("named", "", "causes and their probabilities, joined by ', '", "text"),
         Column(
