@@ -27,7 +27,7 @@ from stringcast.stages.diagnose.forward_selection import (
     with_fit,
 )
 from stringcast.stages.diagnose.measures import refit, tip_shift_rms
-from stringcast.stages.diagnose.rules import Criteria
+from stringcast.stages.diagnose.rules import Criteria, is_inside_range
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
@@ -251,8 +251,9 @@ def single_effect_posterior(
 ) -> SingleEffectPosterior:
     """Compute the probability of each candidate of a step, and of none.
 
-    Only refined fits compete, if there are any. An effect that moves the tip by less
-    than counts is counted as none.
+    Only refined fits compete, if there are any, and none at the end of its range, which
+    most likely stands for another cause. An effect that moves the tip by less than
+    counts is counted as none.
 
     Parameters
     ----------
@@ -264,8 +265,9 @@ def single_effect_posterior(
     competing = step.refined or step.fits
     fits = {}
     for fit in competing:
-        if not fit.has_diverged:
-            fits[fit.hypothesis.cause_names[-1]] = fit
+        cause = fit.hypothesis.causes[-1]
+        if not fit.has_diverged and is_inside_range(fit, cause):
+            fits[cause.name] = fit
 
     log_evidence = {}  # (samples,) each
     for name, fit in {"": step.parent, **fits}.items():

@@ -167,6 +167,21 @@ def test_what_one_trial_says_against_the_others_is_not_certain(
 
     All gain 80, which without the bootstrap is certain.
     """
+    posterior = posterior_of_wind(monkeypatch, by_trial, inside_range=True)
+    assert sum(posterior.probabilities.values()) == pytest.approx(1.0)
+    assert (posterior.probabilities["wind"] > 0.9) == is_certain
+
+
+@pytest.mark.parametrize("inside_range", [True, False])
+def test_a_rival_at_the_end_of_its_range_does_not_compete(inside_range, monkeypatch):
+    """What would go on beyond its range is no finding in the place of another cause."""
+    posterior = posterior_of_wind(monkeypatch, (20.0,) * 4, inside_range)
+    assert ("wind" in posterior.probabilities) == inside_range
+    assert ("wind" in posterior.fits) == inside_range
+
+
+def posterior_of_wind(monkeypatch, gain_by_trial, inside_range):
+    """Compute the posterior of a place for which wind alone competes, by 80."""
     monkeypatch.setattr(
         posteriors,
         "background_log_evidence_gains",
@@ -175,19 +190,18 @@ def test_what_one_trial_says_against_the_others_is_not_certain(
     monkeypatch.setattr(
         posteriors, "tip_shift_rms", lambda data, parent, fit: np.ones(4)
     )
+    monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: inside_range)
     parent = SimpleNamespace(log_evidence=0.0, log_likelihood_by_trial=np.zeros(4))
     fit = SimpleNamespace(
         log_evidence=80.0,
-        log_likelihood_by_trial=np.array(by_trial),
-        hypothesis=SimpleNamespace(cause_names=("wind",)),
+        log_likelihood_by_trial=np.array(gain_by_trial),
+        hypothesis=SimpleNamespace(causes=(SimpleNamespace(name="wind"),)),
         has_diverged=False,
     )
     rng = np.random.default_rng(0)
     weights = 4 * rng.dirichlet(np.ones(4), posteriors.BOOTSTRAP_SAMPLES)
     step = SelectionStep(parent, (), [fit])
-    posterior = posteriors.single_effect_posterior(None, step, (), weights, 20, 1e-3)
-    assert sum(posterior.probabilities.values()) == pytest.approx(1.0)
-    assert (posterior.probabilities["wind"] > 0.9) == is_certain
+    return posteriors.single_effect_posterior(None, step, (), weights, 20, 1e-3)
 
 
 SET_AND_SOFTENING = ({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1})
