@@ -55,6 +55,7 @@ SEVERITY_COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
 FIELD_PATTERN = re.compile(
     r"([a-z_]+(?:\.[\w]+)+) is |.*column '([^']*)'|not valid YAML \((line \d+)"
 )
+OPTION_PATTERN = re.compile(r"--[a-z][\w-]*")  # the first option in a message
 NUMBER_HEADINGS = (
     "seen [s]",
     "with arm [s]",
@@ -69,10 +70,16 @@ NUMBER_HEADINGS = (
 
 def main(arguments: Sequence[str]) -> int:
     """Print what is in a folder and return whether it is usable."""
-    options = argument_parser().parse_intermixed_args(arguments)
-    report: Path | None = options.report
-    if report is not None and report.suffix != ".html":
-        raise UserError(f"--report {report}: it must end in .html. Change it.")
+    try:
+        options = argument_parser().parse_intermixed_args(arguments)
+        report: Path | None = options.report
+        if report is not None and report.suffix != ".html":
+            raise UserError(f"--report {report}: it must end in .html. Change it.")
+    except UserError as error:
+        if "--json" not in arguments:
+            raise
+        print(json.dumps(overview_of_wrong_options(error), indent=2))
+        return NOT_USABLE
     try:
         checked = read_measurements(options.folder, options.settings)
         overview = overview_with_clocks(checked)
@@ -217,6 +224,15 @@ def overview_of_unreadable(folder: Path, message: str) -> dict[str, Any]:
         "rejected": {},
         "findings": [finding],
     }
+
+
+def overview_of_wrong_options(error: UserError) -> dict[str, Any]:
+    """Return the overview of options that cannot be understood."""
+    overview = overview_of_unreadable(Path(), f": {error}")
+    (finding,) = overview["findings"]
+    option = OPTION_PATTERN.search(finding["statement"])
+    finding["field"] = option[0] if option else ""
+    return overview | {"folder": ""}
 
 
 def print_overview(overview: Mapping[str, Any], console: Terminal) -> None:

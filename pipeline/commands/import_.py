@@ -76,7 +76,13 @@ class NotUsableError(DataError):
 
 def main(arguments: Sequence[str]) -> int:
     """Read, show and write; return 0 if a usable folder was written."""
-    options = argument_parser(__doc__).parse_args(arguments)
+    try:
+        options = argument_parser(__doc__).parse_args(arguments)
+    except UserError as error:
+        if "--json" not in arguments:
+            raise
+        print(json.dumps(check.overview_of_wrong_options(error), indent=2))
+        return check.NOT_USABLE
     options.files = expand_patterns(options.files)
     console = Terminal(quiet=options.json)
     if not options.json:

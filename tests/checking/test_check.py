@@ -928,3 +928,24 @@ def test_of_real_strings_nothing_is_certainly_wrong_but_the_missing_description_
         if f.severity is Severity.ERROR
     )
     assert {"string.length", "s", "t"} <= {f.field for f in told}
+
+
+@pytest.mark.parametrize(
+    ("words", "field"),
+    [
+        (("import", "a.csv", "--length", "short"), "--length"),
+        (("import", "a.csv", "--frobnicate"), "--frobnicate"),
+        (("check", SAMPLE, "--report", "page.txt"), "--report"),
+        (("check",), ""),
+    ],
+)
+def test_options_that_cannot_be_understood_are_a_finding_in_json(called, words, field):
+    done = called(*words, "--json")
+    (finding,) = json.loads(done.stdout)["findings"]
+    assert done.returncode == 1
+    assert finding["field"] == field
+    assert finding["remedy"]
+    # a person reads a sentence
+    plain = called(*words)
+    assert not plain.stdout
+    assert finding["statement"] in plain.stderr
