@@ -98,16 +98,49 @@ class ClockOffset:
     profile : pandas.DataFrame
         By offset [s], in the first trial: `stretch` by which points seem to be beyond
         their string [m], and `log_likelihood` of the string model, to first order.
-    explained_fraction : float
-        Of the mean square misfit at the tip without an offset, by the offset; 1 where
-        geometry leaves no doubt.
     """
 
     by_trial: Mapping[str, Interval]
     is_common: bool
     drift: Interval | None
     profile: pd.DataFrame
-    explained_fraction: float = 1.0
+
+
+@dataclass(frozen=True)
+class FittedOffset:
+    """An offset, with the fits that it comes from.
+
+    Attributes
+    ----------
+    clock : ClockOffset
+        The offset.
+    fits : sequence of ClockFit
+        One for all trials, or one for each.
+    windows : sequence of Window
+        What geometry leaves in each fit.
+    """
+
+    clock: ClockOffset
+    fits: Sequence[ClockFit]
+    windows: Sequence[Window]
+
+    def is_certainly_wrong(self) -> bool:
+        """Whether an offset beyond what a diagnosis searches explains the motion.
+
+        It does where geometry leaves no other, or if it removes enough of the mean
+        square misfit at the tip. The fit that compares them takes seconds.
+        """
+        intervals = list(self.clock.by_trial.values())[: len(self.fits)]
+        for interval, fit, window in zip(
+            intervals, self.fits, self.windows, strict=True
+        ):
+            if not _is_harmful(interval):
+                continue
+            if not window.low <= 0 <= window.high:
+                return True
+            if explained_by_offset(fit, -window.middle) >= MIN_EXPLAINED_FRACTION:
+                return True
+        return False
 
 
 def estimate_clock_offset(
@@ -136,12 +169,22 @@ def estimate_clock_offset(
     DataError
         If nothing moves, or if a trial cannot be used.
     """
+    return fit_clock_offset(model, observations, rng, progress).clock
+
+
+def fit_clock_offset(
+    model: Model,
+    observations: Sequence[Observation],
+    rng: np.random.Generator,
+    progress: Progress,
+) -> FittedOffset:
+    """Estimate the offset, and keep its fits. Parameters as of the estimate."""
     trials = [CheckedTrial(o, model.arm, model.string.length) for o in observations]
     windows = possible_windows(trials)
     used = [trial for trial in trials if trial.name in windows]
     if len(set(windows.values())) == 1:
         together = _estimate_together(model, used, windows[used[0].name], rng, progress)
-        if together.is_common:
+        if together.clock.is_common:
             return together
 
     # The trials do not agree: each has a clock of its own
@@ -152,10 +195,12 @@ def estimate_clock_offset(
         part = partial_progress(progress, number, len(used))
         estimate = _estimate_together(model, [trial], window, rng, part)
         estimates.append(estimate)
-        by_trial |= estimate.by_trial
-    explained = max(estimate.explained_fraction for estimate in estimates)
-    return ClockOffset(
-        by_trial, False, estimates[0].drift, estimates[0].profile, explained
+        by_trial |= estimate.clock.by_trial
+    first = estimates[0].clock
+    return FittedOffset(
+        ClockOffset(by_trial, False, first.drift, first.profile),
+        [estimate.fits[0] for estimate in estimates],
+        [estimate.windows[0] for estimate in estimates],
     )
 
 
@@ -165,7 +210,7 @@ def _estimate_together(
     window: Window,
     rng: np.random.Generator,
     progress: Progress,
-) -> ClockOffset:
+) -> FittedOffset:
     """Estimate one offset of trials within a window."""
     # The string model with the offset as a parameter
     half_width = window.half_width + EDGE_S
@@ -194,9 +239,6 @@ def _estimate_together(
         value = window.middle + clock.offset + offset_with_drift.value
         half = offset_with_drift.width / 2 + floor
         interval = Interval(value, value - half, value + half)
-    explained = 1.0
-    if window.low <= 0 <= window.high and _is_harmful(interval):
-        explained = explained_by_offset(clock, -window.middle)
     progress(1.0)
 
     offsets = window.middle + profile.offsets
@@ -205,13 +247,13 @@ def _estimate_together(
         "stretch": stretch_by_offset(trials[0], offsets),
         "log_likelihood": profile.log_likelihood - profile.log_likelihood.max(),
     }
-    return ClockOffset(
+    estimate = ClockOffset(
         by_trial=dict.fromkeys(names, interval),
         is_common=not _trials_differ(apart, frame_s),
         drift=drift,
         profile=pd.DataFrame(columns),
-        explained_fraction=explained,
     )
+    return FittedOffset(estimate, [clock], [window])
 
 
 def find_wrong_clock(
@@ -237,10 +279,8 @@ def find_wrong_clock(
     if largest_possible_offset(resting) < HARMLESS_OFFSET_S:
         return None
     resting_observations = [trial.observation for trial in resting]
-    clock = estimate_clock_offset(model, resting_observations, rng, progress)
-    is_certain = clock.explained_fraction >= MIN_EXPLAINED_FRACTION
-    is_wrong = any(map(_is_harmful, clock.by_trial.values()))
-    return clock if is_certain and is_wrong else None
+    fitted = fit_clock_offset(model, resting_observations, rng, progress)
+    return fitted.clock if fitted.is_certainly_wrong() else None
 
 
 def _is_harmful(interval: Interval) -> bool:

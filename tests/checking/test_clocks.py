@@ -23,6 +23,7 @@ from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.clock import offset
 from stringcast.stages.clock.offset import (
     ClockOffset,
+    FittedOffset,
     Interval,
     estimate_clock_offset,
     find_wrong_clock,
@@ -30,6 +31,7 @@ from stringcast.stages.clock.offset import (
 )
 from stringcast.stages.clock.posterior import clock_posterior
 from stringcast.stages.clock.windows import (
+    Window,
     common_window,
     narrow_by_stretch,
     onset_window,
@@ -98,8 +100,10 @@ def test_clocks_of_a_string_that_never_moves_stay_unknown():
         possible_windows([still])
 
 
-def test_the_string_model_tells_the_offset_within_its_interval():
+def test_the_string_model_tells_the_offset_within_its_interval(monkeypatch):
     """The interval holds the truth although the sample hides a cause."""
+    # a fit that only a refusal needs
+    monkeypatch.delattr(offset, "explained_by_offset")
     by = -35.678
     late_trials = [late(seen, by).observation for seen in TRIALS[:2]]
     model = plain_model(CHECKED)
@@ -130,12 +134,25 @@ def test_an_offset_that_leaves_most_of_the_misfit_is_not_certain(
 ):
     """A string that the model does not describe fits a little better at some offset."""
     interval = Interval(0.2, 0.1, 0.3)
-    found = ClockOffset({"t00": interval}, True, None, pd.DataFrame(), explained)
-    monkeypatch.setattr(offset, "estimate_clock_offset", lambda *given: found)
+    found = ClockOffset({"t00": interval}, True, None, pd.DataFrame())
+    fitted = FittedOffset(found, ["fit"], [Window(-0.3, 0.3)])
+    monkeypatch.setattr(offset, "fit_clock_offset", lambda *given: fitted)
+    monkeypatch.setattr(offset, "explained_by_offset", lambda *given: explained)
     wrong = [late(seen, 0.12).observation for seen in TRIALS[:1]]
     model = plain_model(CHECKED)
     answer = find_wrong_clock(model, wrong, np.random.default_rng(0))
     assert (answer is found) == is_refused
+
+
+def test_a_trial_whose_clock_is_right_makes_no_other_certain(monkeypatch):
+    right, wrong = Interval(0.0, -0.01, 0.01), Interval(0.2, 0.1, 0.3)
+    found = ClockOffset({"t00": right, "t01": wrong}, False, None, pd.DataFrame())
+    fitted = FittedOffset(found, ["right", "wrong"], [Window(-0.3, 0.3)] * 2)
+    explained = {"right": 0.9, "wrong": 0.1}
+    monkeypatch.setattr(offset, "explained_by_offset", lambda fit, _: explained[fit])
+    assert not fitted.is_certainly_wrong()
+    explained["wrong"] = 0.9
+    assert fitted.is_certainly_wrong()
 
 
 @pytest.mark.long
