@@ -57,6 +57,12 @@ RUNS_TABLE = Table(
         Column(
             "stale", "", "why a step of it is stale; empty if all are fresh", "text"
         ),
+        Column(
+            "not_kept",
+            "",
+            "'frames' if a step's frames were not kept, or empty",
+            "text",
+        ),
         Column("said", "", "how it ended or why it stopped, in words", "text"),
     ),
 )
@@ -186,6 +192,7 @@ def run_row(run: Path) -> dict[str, Any]:
             "seconds": 0.0,
             "state": "damaged",
             "stale": "",
+            "not_kept": "",
             "said": reason,
         }
 
@@ -198,15 +205,20 @@ def printable_table(runs: pd.DataFrame) -> TerminalTable:
     table.add_column("ended as", max_width=COLUMN_WIDTH)
     for heading in ("casts", "best E", "time [s]", "stale"):
         table.add_column(Text(heading), justify="right", max_width=COLUMN_WIDTH)
+    lacks_outputs = bool(runs["not_kept"].any())
+    if lacks_outputs:
+        table.add_column("not kept", max_width=COLUMN_WIDTH)
     for run in runs.itertuples(index=False):
-        cells = (
+        cells = [
             run.run,
             run.outcome or run.state,
             str(run.iterations),
             "" if np.isnan(run.best_E) else f"{run.best_E:.3f}",
             f"{run.seconds:.0f}",
             stale_word(run.stale),
-        )
+        ]
+        if lacks_outputs:
+            cells.append(run.not_kept)
         table.add_row(*map(Text, cells))
     return table
 
@@ -258,6 +270,7 @@ def step_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
         "best_E": max(rates, default=float("nan")),
         "seconds": float(sum(seconds)),
         "stale": first_stale_reason(run, steps, settings),
+        "not_kept": "frames" if any(map(store.images_not_kept, steps)) else "",
     }
 
 

@@ -50,6 +50,8 @@ def add_origin(tree: Tree, place: Path, run: Path, shown: set[Path | str]) -> bo
     """
     origin = {} if place in shown else origin_of_file(place, run)
     shown.add(place)
+    if origin and place.is_dir() and store.images_not_kept(place):
+        tree.add(Text("its frames were not kept"))
     for line in describe_origin(origin) if origin else []:
         if line not in shown:
             tree.add(Text(line))

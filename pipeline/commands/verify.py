@@ -116,6 +116,9 @@ def verify_run(
                 faults.append(f"since it was made: {reason}")
         comparison.note(name, faults)
         if not_kept:
+            comparison.lines.append(
+                "    its frames were not kept: digests are compared"
+            )
             return replace(stored.artifact, images=artifact.images)
         return stored.artifact
 

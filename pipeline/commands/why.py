@@ -71,6 +71,8 @@ def main(arguments: list[str]) -> int:
         )
     for name in sorted(names, key=lambda name: Path(name).parent):
         state, reasons = states[name]
+        if state == FRESH_STEP[0] and store.images_not_kept(folder / name):
+            state += "; its frames were not kept"
         print_block(f"{name}: {state}", reasons)
     return int(any(states[name] != FRESH_STEP for name in names))
 

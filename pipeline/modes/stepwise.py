@@ -72,7 +72,7 @@ def write_page(experiment: Experiment, result: RunResult, console: Terminal) -> 
     """
     page = result.folder / "report.html"
     if page.exists() and run_folder.lacks_frames(result):
-        log.info("report.html stays: the frames were not kept")
+        console.print_line("report.html stays as it is: the frames were not kept.")
         return
     # loaded here, because drawing takes a second and more to load
     report = import_module("stringcast.pipeline.run.report")

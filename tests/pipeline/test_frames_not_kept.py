@@ -6,6 +6,7 @@ import pytest
 
 from stringcast.data import dataset
 from stringcast.pipeline.commands import load_command
+from stringcast.pipeline.commands.index import list_runs
 from stringcast.pipeline.commands.verify import verify_run
 from tests.faults.toy import toy_experiment, toy_run
 
@@ -25,12 +26,28 @@ def run(tmp_path):
     return folder
 
 
-def test_every_step_stays_fresh(run, capsys):
-    assert load_command("why")([str(run)]) == 0
-    assert "stale" not in capsys.readouterr().out
-    made, _ = toy_run(run, toy_experiment(2, saved_outputs=["report"]))
+def test_every_step_stays_fresh_and_frames_are_called_not_kept(run, capsys):
+    said = {}
+    for name, place in (
+        ("why", run),
+        ("lineage", run / "iterations/02/trial"),
+        ("index", run.parent),
+    ):
+        assert load_command(name)([str(place)]) == 0
+        said[name] = capsys.readouterr().out
+    assert "stale" not in said["why"]
+    assert "iterations/02/trial: fresh; its frames were not kept" in said["why"]
+    assert "its frames were not kept" in said["lineage"]
+    assert "HAS CHANGED" not in said["lineage"]
+    assert "not kept" in said["index"]
+    (row,) = list_runs(run.parent).itertuples()
+    assert (row.stale, row.not_kept) == ("", "frames")
+
+
+def test_a_run_that_is_continued_makes_nothing_again(run):
+    made, said = toy_run(run, toy_experiment(2, saved_outputs=["report"]))
     assert made == []
-    assert load_command("lineage")([str(run / "iterations/02/estimate")]) == 0
+    assert "report.html stays as it is: the frames were not kept" in said
 
 
 def test_frames_are_filmed_again_to_verify_them(run, tmp_path):
@@ -39,7 +56,8 @@ def test_frames_are_filmed_again_to_verify_them(run, tmp_path):
     scratch.mkdir()
     outcome = verify_run(here, run, scratch, silent)
     assert outcome.is_same, outcome.lines
-    assert "iterations/02/trial: the same to the bit" in outcome.lines
+    place = outcome.lines.index("iterations/02/trial: the same to the bit")
+    assert "its frames were not kept" in outcome.lines[place + 1]
 
 
 def test_the_dataset_has_no_film_and_loses_no_rows(run):
