@@ -185,6 +185,7 @@ class Metadata(Block):
     arm: ArmBlock = UNSET
     camera: CameraBlock = UNSET
     clock: ClockBlock = UNSET
+    geometry: Literal["measured"] = UNSET
     trials: dict[str | int | float, TrialBlock | None] = UNSET
     initial: Literal["rest", "moving"] = UNSET
 

@@ -61,6 +61,8 @@ class BenchHints:
         Whether the clocks of arm and camera are aligned by the motion.
     clock_error
         How far the stated offset of the clocks may be off [s]; None if that is unknown.
+    geometry_is_measured
+        Whether a motion that no string in this hand seems to make is to be believed.
     starts_moving
         Whether the string moves already when trials begin.
     hand_turn
@@ -75,6 +77,7 @@ class BenchHints:
     point_arc_lengths: Mapping[str, float] = field(default_factory=dict)
     fit_clock: bool = False
     clock_error: float | None = None
+    geometry_is_measured: bool = False
     starts_moving: bool = False
     hand_turn: float = 0.0
     fps: float | None = None
@@ -154,6 +157,8 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
         metadata["camera"] = camera_metadata(tables, bench)
     if bench.clock_error:
         metadata["clock"] = {"low": -bench.clock_error, "high": bench.clock_error}
+    if bench.geometry_is_measured:
+        metadata["geometry"] = "measured"
     if bench.starts_moving:
         metadata["initial"] = "moving"
     return ImportedDataset(

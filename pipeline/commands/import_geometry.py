@@ -194,7 +194,12 @@ def table_files(table: str, tables: ImportedTables) -> str:
 
 def statement_for_files(correction: Correction) -> str:
     """Return what is wrong, with the place where it is."""
-    place = {"points": "points of the string", "arm": "the arm's log", "grasp": "hand"}
+    place = {
+        "points": "points of the string",
+        "arm": "the arm's log",
+        "grasp": "hand",
+        "arm, points": "the arm's log and points of the string",
+    }
     table = place.get(correction.table, "the stated geometry")
     field = correction.field.removeprefix("string.").removeprefix("arm.")
     return f"{table}, {field}: {correction.statement}"

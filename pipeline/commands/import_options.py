@@ -135,6 +135,12 @@ def argument_parser(description: str | None = None) -> argparse.ArgumentParser:
         help="the string moves already when trials begin",
     )
     add(
+        "--geometry-measured",
+        action="store_true",
+        help="arm, string and directions were measured: a motion that the model of the "
+        "string misses is no error",
+    )
+    add(
         "--hand",
         default="",
         help="the body that holds the string, where files name several",
@@ -291,6 +297,7 @@ def read_bench_hints(options: argparse.Namespace) -> BenchHints:
         point_arc_lengths=arc_lengths,
         fit_clock=options.clock == "fit",
         clock_error=read_clock(options.clock)[1],
+        geometry_is_measured=options.geometry_measured,
         starts_moving=options.moving,
         hand_turn=radians(options.turn),
         fps=options.fps,

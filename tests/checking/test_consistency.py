@@ -1,18 +1,25 @@
 """Measurements are judged by one model: mistakes are found, right ones left alone."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from stringcast.stages.check.consistency.check import misfit_finding
 from stringcast.stages.check.consistency.corrections import (
     change_joints,
+    scale_all_times,
     scale_point_times,
 )
-from stringcast.stages.check.consistency.judge import judge
+from stringcast.stages.check.consistency.judge import is_wrong_geometry, judge
 from stringcast.stages.check.consistency.limits import broken_limits
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
-from stringcast.stages.check.consistency.search import find_answer
+from stringcast.stages.check.consistency.search import (
+    base_corrections,
+    find_answer,
+)
+from stringcast.stages.check.finding import Severity
 from tests.checking.unusual_scenes import UNUSUAL, scene_measurements
 from tests.importing.mistakes import simulated_bench
 
@@ -30,18 +37,62 @@ def measured():
 
 
 SPOILT = {
-    "joint_order": lambda m: change_joints(m, lambda q: q[:, [0, 2, 1]]),
+    "joint order": lambda m: change_joints(m, lambda q: q[:, [0, 2, 1]]),
     "absolute": lambda m: change_joints(m, lambda q: np.cumsum(q, axis=1)),
     "rate": lambda m: scale_point_times(m, 2.0),
     "base": lambda m: replace(m, base=(m.base[0] + 0.3, m.base[1])),
+    # links of a tenth would be possible, too, but fit ten times worse
+    "base up": lambda m: replace(m, base=(m.base[0], m.base[1] + 0.3)),
+    # with a stiffer string, and any offset of the clocks, these are possible
+    "pace 2": lambda m: scale_all_times(m, 2.0),
+    "pace 8": lambda m: scale_all_times(m, 8.0),
 }
+KINDS = {"joint order": "joint_order", "base up": "base"}
 
 
-@pytest.mark.parametrize("kind", SPOILT)
-def test_a_mistake_has_one_answer(measured, kind):
-    spoilt = SPOILT[kind](measured)
+@pytest.mark.parametrize("mistake", SPOILT)
+def test_a_mistake_has_one_answer(measured, mistake):
+    spoilt = SPOILT[mistake](measured)
     (proposal,) = find_answer(spoilt, judge(spoilt)).proposals
+    kind = KINDS.get(mistake, mistake.split()[0])
     assert [correction.kind for correction in proposal.corrections] == [kind]
+
+
+def test_a_base_that_the_motion_does_not_show_is_asked_for(measured):
+    """Without a length, a longer string in a higher hand moves alike."""
+    ((correction,),) = base_corrections(replace(measured, length=None), ())
+    assert correction.values == ()
+    assert "others up to" in correction.statement
+
+
+@pytest.mark.parametrize("shift", [(-0.12, 0.0), (0.2, 0.0), (0.1, 0.05)])
+@pytest.mark.parametrize("is_stated", [False, True])
+def test_a_doubtful_misfit_is_an_error_unless_the_geometry_was_measured(
+    measured, shift, is_stated
+):
+    x, y = measured.base
+    verdict = judge(replace(measured, base=(x + shift[0], y + shift[1])))
+    assert 0.12 < verdict.misfit < 0.25
+    metadata = {"geometry": "measured"} if is_stated else {}
+    data = SimpleNamespace(metadata=metadata)
+    dataset = SimpleNamespace(data=data, points_file="points.csv")
+    finding = misfit_finding(dataset, verdict, ["t0"])
+    assert finding.severity == (Severity.WARNING if is_stated else Severity.ERROR)
+    assert is_stated or "--geometry-measured" in finding.remedy
+
+
+def test_a_misfit_that_grows_from_a_right_beginning_is_a_warning():
+    """At 5 m/s the string whips."""
+    measured = scene_measurements("nodal", 2, speed=5.0)
+    verdict = judge(measured)
+    assert not verdict.is_consistent
+    assert not is_wrong_geometry(verdict)
+    assert not find_answer(measured, verdict).proposals
+
+
+def test_a_right_pace_stays_though_slower_points_would_move_less():
+    measured = scene_measurements("nodal", 3)
+    assert not find_answer(measured, judge(measured)).proposals
 
 
 def test_what_is_right_needs_no_answer(measured):

@@ -24,6 +24,7 @@ from stringcast.pipeline.commands.dataset_import import (
 )
 from stringcast.pipeline.commands.import_options import (
     argument_parser,
+    equivalent_command,
     expand_patterns,
     read_bench_hints,
     read_clock,
@@ -290,6 +291,21 @@ def test_how_far_a_clock_may_be_off_is_stated_in_the_dataset(sample, tmp_path):
         assert made.metadata.get("clock") == clock
     with pytest.raises(UserError, match="neither seconds nor fit"):
         read_clock("0.1,soon")
+
+
+@pytest.mark.parametrize(
+    ("words", "geometry"), [([], None), (["--geometry-measured"], "measured")]
+)
+def test_that_the_geometry_was_measured_is_stated_in_the_dataset(
+    sample, tmp_path, words, geometry
+):
+    robots, trackers = logs(tmp_path, sample, clock=0.0)
+    options = argument_parser().parse_args(["a.csv", *BENCH, *words])
+    recordings = read_recordings([*robots, *trackers])
+    tables = gather_tables(recordings, read_column_hints(options))
+    made = convert_recordings(tables, read_bench_hints(options))
+    assert made.metadata.get("geometry") == geometry
+    assert "--geometry-measured" in equivalent_command(options) or not words
 
 
 def test_programs_get_the_command_and_what_was_found(

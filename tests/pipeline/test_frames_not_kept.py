@@ -1,14 +1,19 @@
 """Runs whose frames were not kept are datasets, and as reproducible as others."""
 
 from contextlib import contextmanager
+from dataclasses import replace
 
+import numpy as np
+import pandas as pd
 import pytest
+from conftest import ROOT
 
 from stringcast.data import dataset
+from stringcast.data.artifacts import Points, Trial
 from stringcast.pipeline.commands import load_command
 from stringcast.pipeline.commands.index import list_runs
 from stringcast.pipeline.commands.verify import verify_run
-from tests.faults.toy import toy_experiment, toy_run
+from tests.faults.toy import STAGES, rows, toy_experiment, toy_run
 
 
 @contextmanager
@@ -76,3 +81,56 @@ def test_a_damaged_frame_is_filmed_again(tmp_path):
     assert made == ["execute"]
     assert "images/1.png is damaged" in said
     assert frame.read_bytes() == whole
+
+
+def recorded_stages():
+    """Return stages that perform and read a trial of the sample."""
+    arm, points = (
+        pd.read_parquet(ROOT / "data/sample" / f"{name}.parquet").query(
+            "trial == 't00'"
+        )
+        for name in ("arm", "points")
+    )
+    times = np.unique(points["t"])
+    files = [f"images/{number}.png" for number in range(len(times))]
+
+    def perform(motion, arm_model, camera):
+        trial = STAGES["execute"](motion, arm_model, camera)
+        joints = arm[["t", "q1", "q2", "q3"]].to_dict("list")
+        return replace(
+            trial,
+            arm=rows(Trial.TABLES["arm"], len(arm), **joints),
+            frames=rows(Trial.TABLES["frames"], len(times), t=times, file=files),
+            images=[trial.images[0]] * len(times),
+        )
+
+    def read(footage, camera, *, progress):
+        found = STAGES["extract"](footage, camera, progress=progress)
+        columns = points[["t", "s", "x", "y"]].assign(sigma=7e-4).to_dict("list")
+        table = Points.TABLES["points"]
+        seen = rows(table, len(points), **columns, valid=[True] * len(points))
+        return replace(found, points=seen)
+
+    return STAGES | {"execute": perform, "extract": read}
+
+
+def test_stored_points_are_checked_estimated_and_prepared_for_a_diagnosis(
+    called, tmp_path
+):
+    folder = tmp_path / "run"
+    here = toy_experiment(1, saved_outputs=["report"])
+    string = {**here.config["string"], "length": 0.304}
+    here = toy_experiment(1, saved_outputs=["report"], string=string)
+    toy_run(folder, replace(here, stages=recorded_stages()))
+    assert not list(folder.rglob("*.png"))
+
+    checked = called("check", folder)
+    assert checked.returncode == 0, checked.stdout
+    assert "Usable: 1 trial" in checked.stdout
+    assert "left out" not in checked.stdout
+
+    words = (f"trials={folder}", "saved_outputs=[]", f"hydra.run.dir={tmp_path / 'e'}")
+    small = ("estimate=quick", "estimate.candidates=32")
+    estimated = called("+experiment=estimate", *small, *words)
+    assert estimated.returncode == 0, estimated.stderr
+    assert "Estimated from 1 trial" in estimated.stderr

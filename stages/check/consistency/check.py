@@ -10,7 +10,7 @@ import numpy as np
 from stringcast.data.dataset import exclude_stray_points
 from stringcast.stages.check.consistency.corrections import Correction
 from stringcast.stages.check.consistency.dataset import judge_dataset, measurements_of
-from stringcast.stages.check.consistency.judge import WRONG_MISFIT, Verdict
+from stringcast.stages.check.consistency.judge import Verdict, is_wrong_geometry
 from stringcast.stages.check.consistency.limits import BrokenLimit
 from stringcast.stages.check.consistency.search import (
     Answer,
@@ -35,8 +35,12 @@ REMEDIES = {
     ),
 }
 LOOK_AT_GEOMETRY = (
-    "Look at arm.links, arm.base, the order and signs of the joints, the directions of "
-    "x and y, and which points belong to which trial"
+    "Look at arm.links, arm.base, string.length, the order and signs of the joints, "
+    "the directions of x and y, and which points belong to which trial"
+)
+STATE_GEOMETRY = (
+    "If all of that was measured, state 'geometry: measured' in dataset.yaml, or "
+    "import with --geometry-measured"
 )
 
 
@@ -58,9 +62,7 @@ def check_consistency(dataset: CheckedDataset) -> Iterator[Finding]:
         for name, limit in verdict.broken.items():
             yield unexplained_finding(dataset, name, limit)
     else:
-        report = error if verdict.misfit > WRONG_MISFIT else warning
-        statement = describe_misfit(verdict)
-        yield report(dataset.points_file, "x, y", statement, LOOK_AT_GEOMETRY, *names)
+        yield misfit_finding(dataset, verdict, names)
 
 
 @lru_cache(maxsize=4)
@@ -97,6 +99,26 @@ def proposal_findings(
             file = dataset.file(file)
         text = f"{correction.statement} as it seems: {statement}"
         yield error(file, correction.field, text, correction.remedy, *names)
+
+
+def misfit_finding(
+    dataset: CheckedDataset, verdict: Verdict, names: Sequence[str]
+) -> Finding:
+    """Return the finding of a misfit that no common mistake explains.
+
+    It is an error unless the beginning fits, or the geometry is stated to be measured.
+    """
+    is_measured = dataset.data.metadata.get("geometry") == "measured"
+    statement, remedy = describe_misfit(verdict), LOOK_AT_GEOMETRY
+    if not is_wrong_geometry(verdict):
+        statement += "; at the beginning they are nearer, as of a string that whips"
+        report = warning
+    elif is_measured:
+        report = warning
+    else:
+        remedy += f". {STATE_GEOMETRY}"
+        report = error
+    return report(dataset.points_file, "x, y", statement, remedy, *names)
 
 
 def describe_corrections(corrections: Sequence[Correction]) -> str:

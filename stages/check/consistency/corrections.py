@@ -457,6 +457,27 @@ RATES = tuple(
     )
 )
 
+# slow motion, or ticks of another length, on both clocks
+PACES = tuple(
+    Correction(
+        "arm, points",
+        "t",
+        f"hand and string move at {words} the pace of a string that falls",
+        f"Multiply t of both by {factor:g}: is it slow motion, or another unit?",
+        partial(scale_all_times, factor=factor),
+        "pace",
+        factor=factor,
+    )
+    for factor, words in (
+        (0.125, "an eighth of"),
+        (0.25, "a quarter of"),
+        (0.5, "half"),
+        (2.0, "twice"),
+        (4.0, "four times"),
+        (8.0, "eight times"),
+    )
+)
+
 
 def single_corrections(
     measured: Measurements, camera: Camera | None = None
@@ -468,6 +489,7 @@ def single_corrections(
         *ARC_LENGTHS,
         *DIRECTIONS,
         *RATES,
+        *PACES,
     ]
     if camera is not None:
         corrections.append(pixel_correction(camera))

@@ -8,6 +8,7 @@ string's length, a wrong stiffness or a missing effect by a few hundredths.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,11 +44,7 @@ OTHER_PARAMETERS = {
 DAMPING_TIME_S = 1e-3  # damping over stiffness
 TICK_S = 0.005
 LEAD_S = 0.3  # of rest before the motion
-# of motion, in sqrt(length / g): later, errors of the model have grown in fast casts;
-# a slow motion is followed until it has gone some way
-DURATION = 2.5
 MAX_DURATION_S = 10.0
-SWUNG_SHARE = 0.7  # of the length
 GRAVITY = 9.81  # [m/s2]
 MOVED_SHARE = 0.03  # of the length: beyond, a place was left
 MIN_HAND_PATH = 0.1  # in lengths: a shorter path predicts nothing
@@ -57,6 +54,28 @@ OFFSET_STEP_S = 0.02
 MIN_OVERLAP = 0.6  # share of a track's frames that a clock offset must leave
 # arc lengths that are tried where none is stated, in lengths
 ARC_LENGTH_GRID = np.arange(0.2, 1.001, 0.1)
+
+
+class Horizon(NamedTuple):
+    """How much of a motion is looked at.
+
+    Errors of the model grow in fast casts; a slow motion is followed until it has gone
+    some way.
+
+    Attributes
+    ----------
+    duration
+        Of motion, in sqrt(length / g).
+    swung
+        How far it has gone at least, in lengths.
+    """
+
+    duration: float
+    swung: float
+
+
+WHOLE = Horizon(2.5, 0.7)
+BEGINNING = Horizon(1.2, 0.3)
 
 
 @dataclass(frozen=True)
@@ -71,11 +90,14 @@ class Prediction:
         Positions (C, N, n, 2) [m], evenly along the string.
     length
         Length of the string [m].
+    horizon
+        How much of the motion is predicted.
     """
 
     t: np.ndarray
     nodes: np.ndarray
     length: float
+    horizon: Horizon
 
     def points(self, s: float) -> np.ndarray:
         """Return positions (C, N, 2) [m] at an arc length [m]."""
@@ -87,7 +109,9 @@ class Prediction:
         return np.asarray(below + share * (above - below))
 
 
-def predict(measured: Measurements, recording: Recording) -> Prediction | None:
+def predict(
+    measured: Measurements, recording: Recording, horizon: Horizon = WHOLE
+) -> Prediction | None:
     """Predict the string of a trial; None if the trial predicts nothing.
 
     That is so if the string moves from the beginning, or the hand never does.
@@ -103,7 +127,7 @@ def predict(measured: Measurements, recording: Recording) -> Prediction | None:
         return None
     lever = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
     end = pose[:, :2] + length * lever
-    begin, until, path = motion_span(t, end, length)
+    begin, until, path = motion_span(t, end, length, horizon)
     if path < MIN_HAND_PATH * length:
         return None
     in_span = (t >= begin) & (t <= until)
@@ -112,11 +136,11 @@ def predict(measured: Measurements, recording: Recording) -> Prediction | None:
     motion = resample_hand_motion(t[in_span], pose[in_span], TICK_S)
     string = String(length)
     result = simulate(string, motion, ladder_values(string), motion.times)
-    return Prediction(motion.times, result.points, length)
+    return Prediction(motion.times, result.points, length, horizon)
 
 
 def motion_span(
-    t: np.ndarray, xy: np.ndarray, length: float
+    t: np.ndarray, xy: np.ndarray, length: float, horizon: Horizon
 ) -> tuple[float, float, float]:
     """Return when a point's motion begins and what follows of it, with a lead.
 
@@ -124,8 +148,8 @@ def motion_span(
     """
     distance = np.linalg.norm(xy - np.median(xy[:3], axis=0), axis=1)
     onset = first_beyond(t, distance, MOVED_SHARE * length, float(t[0]))
-    swung = first_beyond(t, distance, SWUNG_SHARE * length, float(t[-1]))
-    duration = DURATION * float(np.sqrt(length / GRAVITY))
+    swung = first_beyond(t, distance, horizon.swung * length, float(t[-1]))
+    duration = horizon.duration * float(np.sqrt(length / GRAVITY))
     until = min(max(onset + duration, swung), onset + MAX_DURATION_S)
     return onset - LEAD_S, until, float(np.quantile(distance, 0.95))
 
@@ -157,13 +181,13 @@ def ladder_values(string: String) -> np.ndarray:
     return np.array(rows)
 
 
-def thin_track(track: Track, length: float) -> Track:
+def thin_track(track: Track, length: float, horizon: Horizon = WHOLE) -> Track:
     """Return at most MAX_FRAMES finite frames about the track's motion."""
     is_known = np.isfinite(track.xy).all(axis=1) & np.isfinite(track.t)
     t, xy = track.t[is_known], track.xy[is_known]
     if not len(t):
         return replace(track, t=t, xy=xy)
-    begin, until, _ = motion_span(t, xy, length)
+    begin, until, _ = motion_span(t, xy, length, horizon)
     chosen = np.flatnonzero((t >= begin) & (t <= until))
     step = int(np.ceil(len(chosen) / MAX_FRAMES)) or 1
     return replace(track, t=t[chosen[::step]], xy=xy[chosen[::step]])
