@@ -109,14 +109,12 @@ def recorded_stages():
         columns = points[["t", "s", "x", "y"]].assign(sigma=7e-4).to_dict("list")
         table = Points.TABLES["points"]
         seen = rows(table, len(points), **columns, valid=[True] * len(points))
-        return replace(found, points=seen)
+        return replace(found, points=seen, masks=Points.TABLES["masks"].empty())
 
     return STAGES | {"execute": perform, "extract": read}
 
 
-def test_stored_points_are_checked_estimated_and_prepared_for_a_diagnosis(
-    called, tmp_path
-):
+def test_stored_points_are_checked_and_estimated(called, tmp_path):
     folder = tmp_path / "run"
     here = toy_experiment(1, saved_outputs=["report"])
     string = {**here.config["string"], "length": 0.304}
