@@ -12,7 +12,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stringcast.data import store
+from stringcast.data.file_checks import (
+    MAX_TABLE_BYTES,
+    check_parquet,
+    require_plain_file,
+)
+from stringcast.data.images import image_size
 from stringcast.data.lazy_module import LazyModule
+from stringcast.data.schema import DataError
 
 cv2 = LazyModule("cv2")
 MAX_VALUE_CHARACTERS = 60  # characters of a value that are shown
@@ -44,10 +51,14 @@ def file_differences(a: Path, b: Path) -> list[str]:
 
     The origin in the footer of a table is ignored.
     """
-    if not a.is_file():
-        return ["it is only in the second"]
-    if not b.is_file():
-        return ["it is only in the first"]
+    for path, other in ((a, "second"), (b, "first")):
+        if not path.is_file():
+            return [f"it is only in the {other}"]
+    try:
+        for path in (a, b):
+            require_readable(path)
+    except (DataError, *store.READ_ERRORS) as error:
+        return [str(error)]
     if a.suffix == ".parquet":
         return _table_differences(a, b)
     if a.read_bytes() == b.read_bytes():
@@ -55,6 +66,15 @@ def file_differences(a: Path, b: Path) -> list[str]:
     if a.suffix == ".png":
         return _image_differences(a, b)
     return ["it has another content"]
+
+
+def require_readable(path: Path) -> None:
+    """Raise DataError for a file that would not fit into memory."""
+    require_plain_file(path, MAX_TABLE_BYTES)
+    if path.suffix == ".parquet":
+        check_parquet(path, ())
+    if path.suffix == ".png":
+        image_size(path)
 
 
 def _image_differences(a: Path, b: Path) -> list[str]:

@@ -26,6 +26,8 @@ MAX_TEXT_BYTES = 2**20
 # [bytes] of a table: 11 points at 240 frames a second for an hour, which readers copy
 # once
 MAX_TABLE_BYTES = 2**28
+# [bytes] of what a Parquet file says of itself: ours with the largest settings 4e6
+MAX_FOOTER_BYTES = 2**24
 MAX_CSV_BYTES = 2**26  # [bytes], which take up to ten times as much memory
 NUMBER_BYTES = 8  # [bytes] of a number
 # of a table: ours have at most 30, and pandas takes a minute to compare two million
@@ -376,6 +378,23 @@ def read_parquet(
         ) from error
 
 
+def read_schema(path: Path) -> pa.Schema:
+    """Read the schema of a Parquet file, if what it says of itself fits into memory.
+
+    Its last eight bytes are the length of that footer (4 bytes) and "PAR1".
+    """
+    with require_plain_file(path).open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - 8, 0))
+        length, magic = int.from_bytes(file.read(4), "little"), file.read(4)
+    if magic == b"PAR1" and length > MAX_FOOTER_BYTES:
+        raise DataError(
+            f"{path}: its footer has {length} bytes, at most {MAX_FOOTER_BYTES} are "
+            "read. Restore the file, or write it again."
+        )
+    return pq.read_schema(path)
+
+
 def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[str]]:
     """Check a Parquet file before it is read.
 
@@ -401,8 +420,9 @@ def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[
     DataError
         If the file does not fit into memory, or a needed column is nested.
     """
-    with pq.ParquetFile(require_plain_file(path)) as file:
-        metadata, schema = file.metadata, file.schema_arrow
+    schema = read_schema(path)
+    with pq.ParquetFile(path) as file:
+        metadata = file.metadata
     stored = 0
     for group in range(metadata.num_row_groups):
         stored += metadata.row_group(group).total_byte_size

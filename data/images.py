@@ -54,7 +54,7 @@ class ImageFiles(Images):
 
     @cached_property
     def _first_size(self) -> str:
-        return _image_size(self.folder / self.files[0])
+        return image_size(self.folder / self.files[0])
 
     def __len__(self) -> int:
         """Return the number of images."""
@@ -63,7 +63,7 @@ class ImageFiles(Images):
     def read(self, index: int) -> np.ndarray:
         """Read an image file, uint8 (height, width)."""
         path = self.folder / self.files[index]
-        size = _image_size(path)
+        size = image_size(path)
         if size != self._first_size:
             raise DataError(
                 f"{path}: it has {size} pixels, the first frame of its trial has "
@@ -164,7 +164,7 @@ class Video(Images):
         return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
-def _image_size(path: Path) -> str:
+def image_size(path: Path) -> str:
     """Read width x height of an image from its first bytes.
 
     Raises DataError if it would unpack to gigabytes.

@@ -42,6 +42,7 @@ ORIGIN_TYPES = {
     "made": dict,
 }
 DIGEST_COLUMN = "sha256"  # of the table `frames`
+MAX_INPUTS = 10_000  # of a step: up to three for each trial
 CHUNK_BYTES = 2**20  # [bytes] of a file that are hashed at a time
 READ_ERRORS = file_checks.READ_ERRORS
 
@@ -219,10 +220,8 @@ def read_origin(path: Path) -> dict[str, Any]:
         folder, path = path, min(path.glob("*.parquet"), default=path)
         if path == folder:
             raise DataError(f"{folder}: there is no table in it. Delete the folder.")
-    if path.exists():
-        file_checks.require_plain_file(path)
     try:
-        metadata = pq.read_schema(path).metadata or {}
+        metadata = file_checks.read_schema(path).metadata or {}
     except READ_ERRORS as error:
         raise DataError(
             f"{path}: not a whole Parquet file ({error}). Restore it or delete it and "
@@ -248,6 +247,8 @@ def has_shape_of_origin(origin: Mapping[str, Any]) -> bool:
     for name in ("inputs", "code", "packages"):
         if not all(isinstance(value, str) for value in origin.get(name, {}).values()):
             return False
+    if len(origin.get("inputs", {})) > MAX_INPUTS:
+        return False
     made = origin.get("made", {"at": "", "seconds": 0.0})
     return isinstance(made.get("at"), str) and isinstance(made.get("seconds"), float)
 
@@ -293,7 +294,7 @@ def _file_hash(file: Path) -> str:
         if file.suffix == ".parquet":
             # It ends with the footer, the footer's length (4 bytes) and "PAR1"; before
             # that are the pages of the columns.
-            schema = pq.read_schema(file).remove_metadata()
+            schema = file_checks.read_schema(file).remove_metadata()
             digest.update(schema.serialize().to_pybytes())
             end = content.seek(-8, os.SEEK_END)
             size = end - int.from_bytes(content.read(4), "little")
@@ -308,7 +309,9 @@ def _file_hash(file: Path) -> str:
 def _image_digests(folder: Path) -> dict[str, str]:
     """Return the digests of a trial's images by file, as its table records them."""
     path = folder / "frames.parquet"
-    if not path.is_file() or DIGEST_COLUMN not in pq.read_schema(path).names:
+    if not path.is_file():
+        return {}
+    if DIGEST_COLUMN not in file_checks.read_schema(path).names:
         return {}
     columns = ["file", DIGEST_COLUMN]
     _, texts = file_checks.check_parquet(path, columns)

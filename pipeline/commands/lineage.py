@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +25,20 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("file", type=Path, help="a file of a run, or a step's folder")
     file: Path = parser.parse_args(arguments).file
     tree = Tree(Text(str(file)))
-    has_changed = add_origin(tree, file.resolve(), run_folder_of(file), set())
+    hash_of = cache(store.content_hash)  # footers may name a folder many times
+    place, run = file.resolve(), run_folder_of(file)
+    has_changed = add_origin(tree, place, run, set(), hash_of)
     Terminal(highlight=False).print(tree)
     return 1 if has_changed else 0
 
 
-def add_origin(tree: Tree, place: Path, run: Path, shown: set[Path | str]) -> bool:
+def add_origin(
+    tree: Tree,
+    place: Path,
+    run: Path,
+    shown: set[Path | str],
+    hash_of: Callable[[Path], str],
+) -> bool:
     """Add the origin of a file and of all its inputs to a tree.
 
     Parameters
@@ -42,6 +51,8 @@ def add_origin(tree: Tree, place: Path, run: Path, shown: set[Path | str]) -> bo
         Folder of its run.
     shown : set
         Places and lines that are shown already; changed by it.
+    hash_of : callable
+        Returns the content hash of a path.
 
     Returns
     -------
@@ -67,19 +78,19 @@ def add_origin(tree: Tree, place: Path, run: Path, shown: set[Path | str]) -> bo
             has_changed = True
             continue
         path = paths[0]
-        state = change_of(path, digest)
+        state = change_of(path, digest, hash_of)
         seen = " (see above)" if path in shown else ""
         branch = tree.add(Text(f"{name}{state}{seen}"))
         input_run = enclosing_run(path) or run
         has_changed |= bool(state)
-        has_changed |= add_origin(branch, path, input_run, shown)
+        has_changed |= add_origin(branch, path, input_run, shown, hash_of)
     return has_changed
 
 
-def change_of(path: Path, digest: str) -> str:
+def change_of(path: Path, digest: str, hash_of: Callable[[Path], str]) -> str:
     """Say how a path differs from its hash; return an empty text if it does not."""
     try:
-        return "" if store.content_hash(path) == digest else " HAS CHANGED SINCE"
+        return "" if hash_of(path) == digest else " HAS CHANGED SINCE"
     except store.READ_ERRORS:
         return " IS DAMAGED"
 

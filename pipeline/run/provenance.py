@@ -260,6 +260,7 @@ def input_hashes(
     if trials is not None:
         allowed_folders.append(Path(trials).resolve())
     hashes = {}
+    hash_of = cache(store.content_hash)  # a footer may name a folder many times
     for name in paths:
         path = folder / name if name.startswith("iterations/") else Path(name)
         path = path.resolve()
@@ -267,7 +268,7 @@ def input_hashes(
         is_step = path.is_dir() and path.is_relative_to(allowed_folders[0])
         is_film = is_allowed and path.is_dir() and holds_frames_of(path, trials)
         if is_allowed and (is_step or is_film or path.is_file()):
-            hashes[name] = store.content_hash(path)
+            hashes[name] = hash_of(path)
     return hashes
 
 

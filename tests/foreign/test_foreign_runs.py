@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from stringcast.data import store
 from stringcast.data.errors import ExpectedError
 from stringcast.data.schema import DataError
 from stringcast.data.store import images_not_kept, read_origin
@@ -17,6 +18,7 @@ from stringcast.pipeline.commands import load_command
 from stringcast.pipeline.commands.index import neutralise_formula
 from stringcast.pipeline.commands.verify import verify_run
 from stringcast.pipeline.run import report
+from stringcast.pipeline.run.provenance import input_hashes
 from stringcast.pipeline.run.single_run import perform_run
 from stringcast.pipeline.settings.composition import UserError
 from tests.faults.toy import toy_experiment, toy_run
@@ -47,6 +49,9 @@ FOOTERS = {
     "numbers": lambda origin: json.dumps({**origin, "inputs": {"a": 1}}),
     "code": lambda origin: json.dumps({**origin, "code": "new"}),
     "made": lambda origin: json.dumps({**origin, "made": {"at": 1}}),
+    "many": lambda origin: json.dumps(
+        {**origin, "inputs": dict.fromkeys(map(str, range(10_001)), "0")}
+    ),
 }
 
 
@@ -62,6 +67,47 @@ def test_a_footer_of_another_shape_is_one_error(run, capsys, footer):
     assert load_command("index")([str(run.parent)]) == 0
     with pytest.raises(DataError, match="its footer"):
         load_command("lineage")([str(path)])
+
+
+def test_a_footer_that_hardly_ends_is_not_read(run, capsys):
+    """Arrow would take many times its size of the memory."""
+    path = run / "iterations/01/estimate/fit.parquet"
+    with path.open("r+b") as file:
+        file.truncate(2**31)  # sparse: it takes no space
+        file.seek(-8, 2)
+        file.write((2**30).to_bytes(4, "little") + b"PAR1")
+    assert load_command("why")([str(run)]) == 1
+    assert "its footer has 1073741824 bytes" in capsys.readouterr().out
+    assert load_command("index")([str(run.parent)]) == 0
+    with pytest.raises(DataError, match="its footer has"):
+        load_command("diff")([str(run), str(run)])
+
+
+def test_a_folder_that_a_footer_names_in_many_ways_is_read_once(run, monkeypatch):
+    names = ["iterations/" + "./" * times + "01/points" for times in range(50)]
+    inputs = {"inputs": dict.fromkeys(names, "0")}
+    for table in run.glob("iterations/01/estimate/*.parquet"):
+        rewrite_origin(table, lambda origin: json.dumps(origin | inputs))
+    read = []
+    content_hash = store.content_hash
+    monkeypatch.setattr(
+        "stringcast.data.store.content_hash",
+        lambda path: read.append(path) or content_hash(path),
+    )
+    load_command("lineage")([str(run / "iterations/01/estimate/fit.parquet")])
+    assert len(read) == len(set(read))
+    input_hashes(run, names, None)
+    assert len(read) - len(set(read)) == 1  # once for either
+
+
+@pytest.mark.parametrize("name", ["iterations/01/x.bin", "iterations/01/x.png"])
+def test_a_file_that_hardly_ends_is_not_compared(run, capsys, name):
+    other = shutil.copytree(run, run.parent / "other")
+    for folder in (run, other):
+        with (folder / name).open("wb") as file:
+            file.truncate(2**40)  # sparse: it takes no space
+    assert load_command("diff")([str(run), str(other)]) == 1
+    assert "at most 268435456 are read" in capsys.readouterr().out
 
 
 def test_a_folder_elsewhere_that_a_footer_names_is_not_read(
