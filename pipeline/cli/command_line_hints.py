@@ -258,7 +258,7 @@ def check_choice(word: Word) -> Iterator[Answer]:
     """
     options = group_options(word.setting)
     is_several = re.search(r"[,()\[{$]", word.value)
-    if not options or word.value in ("", "null", *options) or is_several:
+    if not options or word.value in options or is_several:
         return
     # an option may lie in a folder of the group
     if (CONF_FOLDER / word.setting / word.value).with_suffix(".yaml").exists():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -33,6 +34,8 @@ from stringcast.pipeline.settings.typed_settings import (
     build_chosen,
     build_dataclass,
     load_callable,
+    refuse_odd_paths,
+    require_block,
     validate_value,
 )
 from stringcast.stages.common import Progress
@@ -215,7 +218,11 @@ def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
     model = replace(model, start_values=start_values, measured_ranges=measured_ranges)
 
     obstacles = []
-    for number, box in enumerate(config["obstacles"]["boxes"]):
+    boxes = require_block(config["obstacles"], "obstacles", where("obstacles"))["boxes"]
+    if not isinstance(boxes, list):
+        setting = f"obstacles.boxes = {boxes!r} ({where('obstacles')})"
+        raise UserError(f"{setting}: it must be a list. Change it.")
+    for number, box in enumerate(boxes):
         place = f"obstacles.boxes.{number}"
         obstacles.append(build_dataclass(Box, box, place, where("obstacles")))
     functions = {
@@ -254,6 +261,7 @@ def refuse_lacking_settings(
 def check_run_settings(config: Settings, where: BlockLocation) -> None:
     """Raise UserError for a number that cannot be used, or a setting of the run."""
     refuse_numbers_out_of_bounds(config, where)
+    refuse_odd_paths(config, where("trials"))
     for name, value in flatten_settings(config).items():
         numbers = value if isinstance(value, list) else [value]
         for number in numbers:
@@ -278,7 +286,7 @@ def check_run_settings(config: Settings, where: BlockLocation) -> None:
     if not is_whole_number(config["workers"], least=0):
         refuse("workers", "a whole number from 0")
     saved = config["saved_outputs"]
-    if not isinstance(saved, list) or not set(saved) <= set(SAVEABLE_OUTPUTS):
+    if not isinstance(saved, list) or any(x not in SAVEABLE_OUTPUTS for x in saved):
         refuse("saved_outputs", f"a list of {', '.join(SAVEABLE_OUTPUTS)}")
 
 
@@ -328,7 +336,7 @@ def read_parameter_values(
         Lower and upper end of each measured parameter.
     """
     given: dict[str, Any] = {}
-    for name, value in block.items():
+    for name, value in require_block(block, "parameter_values", where).items():
         # +parameter_values.tip_mass.ratio=0.05 on the command line is a nested block
         if isinstance(value, Mapping) and "value" not in value:
             given |= {f"{name}.{inner}": number for inner, number in value.items()}
@@ -345,7 +353,7 @@ def read_parameter_values(
             raise UserError(f"{setting} ({where}): {fault}. {remedy}.")
         is_measured = isinstance(value, Mapping) and set(value) == {*MEASURED_PARTS}
         numbers = [value[part] for part in MEASURED_PARTS] if is_measured else [value]
-        if not all(isinstance(n, float | int) and math.isfinite(n) for n in numbers):
+        if not all(is_finite_number(number) for number in numbers):
             remedy = "it must be a number, or value, low and high. Change it."
             raise UserError(f"{setting} = {value!r} ({where}): {remedy}")
         values[name] = float(numbers[0])
@@ -356,6 +364,11 @@ def read_parameter_values(
                 raise UserError(f"{setting} ({where}): {fault}. Change it.")
             ranges[name] = float(low), float(high)
     return values, ranges
+
+
+def is_finite_number(value: Any) -> bool:
+    """Tell whether a value is a finite number that a float can hold."""
+    return isinstance(value, float | int) and abs(value) <= sys.float_info.max
 
 
 def unknown_parameter_remedy(name: str, model: Model) -> str:
@@ -369,11 +382,14 @@ def unknown_parameter_remedy(name: str, model: Model) -> str:
 
 def build_string(block: Settings, where: str) -> String:
     """Build the string model with the ranges of its parameters."""
-    fields = dict(block)
-    limits_by_name, choice = fields.pop("ranges"), fields.pop("integrator")
+    fields = dict(require_block(block, "string", where))
+    limits_by_name, choice = (
+        require_block(fields.pop(name), f"string.{name}", where)
+        for name in ("ranges", "integrator")
+    )
     del fields["tolerance"]
     string = build_dataclass(String, fields, "string", where)
-    integrator = load_callable(choice["_target_"], "string.integrator", where)
+    integrator = load_callable(choice.get("_target_"), "string.integrator", where)
     if len(choice) > 1:
         setting = f"string.integrator = {dict(choice)} ({where})"
         raise UserError(f"{setting}: it must hold only `_target_`. Change it.")
@@ -410,6 +426,7 @@ def refine_string_to_tolerance(
     tolerance = config["string"]["tolerance"]
     if tolerance is None:
         return string
+    tolerance = validate_value(float, tolerance, "string.tolerance", where)
     setting = f"string.tolerance = {tolerance!r} ({where})"
 
     durations = config["generate"]["shortest"] * config["generate"]["longest"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import sys
 from pathlib import Path
+from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
@@ -35,6 +36,7 @@ from stringcast.pipeline.settings.settings_from_runs import (
     refuse_unknown_bench,
     run_moves_arm,
 )
+from stringcast.pipeline.settings.typed_settings import refuse_odd_paths
 from stringcast.stages.workers import use_workers
 
 # it warns about names of trials that look like dates
@@ -73,7 +75,8 @@ def main(config: DictConfig) -> float | None:
 
 def run_from_config(config: DictConfig, console: Terminal) -> RunResult:
     """Check the settings, above all those that move an arm, then perform the run."""
-    own_settings = OmegaConf.to_container(config, resolve=True)
+    own_settings: Any = OmegaConf.to_container(config, resolve=True)
+    refuse_odd_paths(own_settings, "the command line")
     given = given_names(HydraConfig.get().overrides.task)
     if config.trials is not None and run_moves_arm(own_settings):
         refuse_unknown_bench(Path(config.trials), given)

@@ -8,7 +8,8 @@ it that have none of their own.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -65,20 +66,31 @@ def refuse_numbers_out_of_bounds(config: Settings, where: Callable[[str], str]) 
         Returns the file of a block of settings, for messages.
     """
     faults = {}
+    references = _referenced_settings(conf_folders())
     for name, value in flatten_settings(dict(config)).items():
-        bounds = bounds_of(name)
+        bounds = bounds_of(name) or bounds_of(_follow(name, references))
         if bounds is not None and value not in WORDS.get(name, ()):
             fault = _fault(value, bounds)
             if fault:
                 faults[name] = fault
-    references = _referenced_settings(conf_folders())
     for name, (value, requirement) in faults.items():
-        if references.get(name) not in faults:
+        original = _follow(name, references)
+        if original == name or original not in faults:
             place = where(name.partition(".")[0])
             raise UserError(
                 f"{name} = {value} ({place}): it must be {requirement}. Change it "
                 "there or on the command line."
             )
+
+
+def _follow(name: str, references: Mapping[str, str]) -> str:
+    """Return the name of the setting whose value a setting takes, or its own name."""
+    block = name
+    while block:
+        if block in references:
+            return references[block] + name[len(block) :]
+        block = block.rpartition(".")[0]
+    return name
 
 
 def _fault(value: Any, bounds: Bounds) -> tuple[str, str] | None:
@@ -87,16 +99,23 @@ def _fault(value: Any, bounds: Bounds) -> tuple[str, str] | None:
         if isinstance(number, bool) or not isinstance(number, int | float):
             return repr(number), f"a number {bounds.describe()}"
         if not bounds.low <= number <= bounds.high:
-            return f"{number:g}", bounds.describe()
+            is_huge = isinstance(number, int) and abs(number) > sys.float_info.max
+            shown = "a number beyond 1e308" if is_huge else f"{number:g}"
+            return shown, bounds.describe()
     return None
 
 
 def _leaves(value: Any) -> Iterator[Any]:
-    """Yield the values in nested lists; nothing where a setting is not given."""
-    if isinstance(value, list | tuple):
+    """Yield the values in nested lists and the blocks in them.
+
+    There are none where a setting is not given.
+    """
+    if isinstance(value, Mapping):
+        yield from _leaves(list(value.values()))
+    elif isinstance(value, list | tuple):
         for inner in value:
             yield from _leaves(inner)
-    elif value is not None and value != {}:
+    elif value is not None:
         yield value
 
 

@@ -26,6 +26,7 @@ BuiltT = TypeVar("BuiltT")
 # Arguments that a run supplies itself.
 RUN_ARGUMENTS = ("seed", "manipulation", "trial", "progress")
 # Settings of a stage's block that are no arguments: the function and its wiring.
+PATH_SETTINGS = ("trials", "model_from", "camera_from")
 RUN_SETTINGS = ("_target_", "inputs")
 
 
@@ -143,9 +144,30 @@ def build_dataclass(
     kind: type[BuiltT], block: Settings, place: str, where: str
 ) -> BuiltT:
     """Build a validated dataclass from a block whose names are its fields."""
+    require_block(block, place, where)
     check_names(block, expected_fields(kind, block), place, where)
     built: BuiltT = validate_value(kind, block, place, where)
     return built
+
+
+def refuse_odd_paths(settings: Mapping[Any, Any], where: str) -> None:
+    """Raise UserError for a setting that must name a folder and holds no text."""
+    for name in PATH_SETTINGS:
+        value = settings[name]
+        if value is not None and not isinstance(value, str):
+            raise UserError(
+                f"{name} = {value!r} ({where}): it must be the path of a folder. Write "
+                f"{name}=./<folder>."
+            )
+
+
+def require_block(block: Any, place: str, where: str) -> Settings:
+    """Return a block of settings; raise UserError if it is no block."""
+    if not isinstance(block, Mapping):
+        raise UserError(
+            f"{place} = {block!r} ({where}): it must hold names and values. Change it."
+        )
+    return block
 
 
 def expected_fields(kind: Any, block: Settings) -> list[str]:

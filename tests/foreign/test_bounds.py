@@ -74,6 +74,9 @@ def with_setting(name, value, *overrides):
         ("string.ranges.axial_damping.low", "x", "a number from 0 to 1e\\+12 N s"),
         ("specimen.parameters.axial_damping", True, "a number from 0 to 1e\\+12"),
         ("trials_used", 0, "from 1 to 100000"),
+        ("seed", 10**400, "from 0 to"),
+        ("hardware.specimen.points", 10**9, "from 2 to 10000"),
+        ("hardware.specimen.parameters.axial_damping", -1.0, "from 0 to 1e\\+12"),
     ],
 )
 def test_a_number_out_of_bounds_is_refused_by_its_own_name(name, value, requirement):
@@ -87,6 +90,21 @@ def test_a_number_out_of_bounds_is_refused_by_its_own_name(name, value, requirem
         UserError, match=rf"^{name} = .*\(file of {block}\): it must be {requirement}"
     ):
         prepare_experiment(settings, lambda name: f"file of {name}")
+
+
+def test_a_source_of_pictures_in_a_run_has_the_bounds_of_its_own_group():
+    settings = with_setting(
+        "hardware.source.seconds", 1e300, "hardware=serial", "source=device"
+    )
+    with pytest.raises(UserError, match=r"^hardware\.source\.seconds = 1e\+300"):
+        prepare_experiment(settings, lambda block: block)
+
+
+def test_a_box_in_a_list_of_boxes_has_bounds():
+    box = {"x": 0.5, "y": 0.5, "w": 0.1, "h": 1e300}
+    for name in ("obstacles.boxes", "hardware.obstacles.boxes"):
+        with pytest.raises(UserError, match=r"boxes = 1e\+300 .* from -100 to 100 m"):
+            prepare_experiment(with_setting(name, [box]), lambda block: block)
 
 
 def test_a_range_without_a_number_is_refused():

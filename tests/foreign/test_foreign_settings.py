@@ -189,12 +189,33 @@ def test_what_would_fill_the_memory_or_is_no_number_is_refused(words, message):
         prepare_experiment(resolved(*words), lambda block: block)
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("arm", "camera", "target", "obstacles", "parameter_values", "string"),
+        *("string.ranges", "string.integrator", "obstacles.boxes", "saved_outputs"),
+        *("string.tolerance", "trials", "model_from"),
+    ],
+)
+def test_a_setting_of_another_shape_is_refused_by_its_name(settings, name):
+    for value in (5, [5], [[]]):
+        with pytest.raises(UserError, match=name.replace(".", r"\.")):
+            prepare_experiment(poisoned(settings, name, value), lambda block: block)
+
+
+@pytest.mark.parametrize("value", [10**400, 1e300])
+def test_a_known_value_is_no_larger_than_any_setting(settings, value):
+    known = {"bending_stiffness": value}
+    with pytest.raises(UserError, match="parameter_values"):
+        prepare_experiment(settings | {"parameter_values": known}, lambda block: block)
+
+
 def test_what_is_known_is_finite():
     settings = resolved("effects=[tip_mass]") | {
         "parameter_values": {"tip_mass.ratio": float("nan")}
     }
     with pytest.raises(
-        UserError, match=r"parameter_values\.tip_mass\.ratio = nan .* a finite number"
+        UserError, match=r"parameter_values\.tip_mass\.ratio = nan .* from -1e\+12"
     ):
         prepare_experiment(settings, lambda block: block)
 

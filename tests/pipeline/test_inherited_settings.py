@@ -1,5 +1,7 @@
 """What folders bring along, and what the command line keeps for itself."""
 
+import json
+
 import pytest
 import yaml
 from hydra import compose, initialize_config_dir
@@ -9,6 +11,7 @@ from stringcast.pipeline.run.provenance import input_hashes
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.settings_from_runs import (
     add_clock_interval,
+    add_weighed_tip_mass,
     inherit_settings,
     refuse_unknown_bench,
     restore_given_settings,
@@ -39,6 +42,24 @@ def test_a_known_offset_stays_and_no_clock_adds_nothing():
     assert merged == {"effects": ["time_offset"], "parameter_values": known}
 
 
+def test_a_weighed_tip_mass_is_known_to_a_thousandth():
+    merged = model_settings()
+    add_weighed_tip_mass(merged, {"string": {"tip_mass": 0.002, "mass": 0.02}})
+    assert merged.effects == ["wind", "tip_mass"]
+    ratio = merged.parameter_values["tip_mass.ratio"]
+    assert ratio == pytest.approx({"value": 0.1, "low": 0.0999, "high": 0.1001})
+
+
+def test_a_known_tip_mass_stays_and_none_adds_nothing():
+    merged = model_settings()
+    add_weighed_tip_mass(merged, {"string": {"length": 0.3}})
+    assert merged == model_settings()
+    known = {"tip_mass.ratio": 0.05}
+    merged = OmegaConf.create({"effects": ["tip_mass"], "parameter_values": known})
+    add_weighed_tip_mass(merged, {"string": {"tip_mass": 0.002, "mass": 0.02}})
+    assert merged == {"effects": ["tip_mass"], "parameter_values": known}
+
+
 def test_only_given_settings_are_restored():
     config = OmegaConf.create({"seed": 1, "arm": {"tick": 2, "speed": 3}})
     merged = OmegaConf.create({"seed": 10, "arm": {"tick": 20, "speed": 30}})
@@ -67,6 +88,39 @@ def test_a_model_changes_what_it_names_and_the_command_line_wins(
 
 
 SAMPLE = ROOT / "data/sample"
+
+
+def inherited(*words):
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        config = compose("config", words)
+    return inherit_settings(config, {word.partition("=")[0] for word in words})
+
+
+def test_a_measured_camera_replaces_that_of_the_settings(tmp_path):
+    (tmp_path / "camera.yaml").write_text("fps: 120.0")
+    settings = inherited(f"camera_from={tmp_path}")
+    assert settings["camera"] == {"fps": 120.0}
+    # what refers to another setting has its value
+    assert settings["hardware"]["specimen"] == settings["specimen"]
+
+
+def test_what_a_dataset_weighs_counts_unless_it_is_that_of_a_run(tmp_path):
+    metadata = yaml.safe_load((SAMPLE / "dataset.yaml").read_text())
+    metadata["string"] |= {"mass": 0.02, "tip_mass": 0.002}
+    (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(metadata))
+    assert inherited(f"trials={tmp_path}")["effects"] == ["tip_mass"]
+    (tmp_path / "config.json").write_text("{}")
+    assert inherited(f"trials={tmp_path}")["effects"] == []
+
+
+def test_a_run_brings_the_settings_that_it_states(tmp_path):
+    (tmp_path / "config.json").write_text('{"seed": 3, "name": "x"}')
+    assert settings_of_trials(tmp_path, set()) == {"seed": 3}
+    string = {"length": 0.3, "points": 11}
+    (tmp_path / "config.json").write_text(json.dumps({"string": string}))
+    brought = {"string": string, "string.length": 0.3}
+    assert settings_of_trials(tmp_path, set()) == brought
+    assert settings_of_trials(tmp_path, {"string"}) == {"string.length": 0.3}
 
 
 def test_a_dataset_brings_what_it_states_but_not_what_is_given():

@@ -85,6 +85,9 @@ def test_what_nothing_is_like_says_what_there_is():
         match=r"arm=ours: .*; there is paper; .*python.* -m pipeline new arm ours writes your own",
     ):
         refuse_mistakes(["arm=ours"])
+    for word in ("specimen=null", "specimen="):  # Hydra would end in a traceback
+        with pytest.raises(UserError, match=f"{word}: there is no such option"):
+            refuse_mistakes([word])
 
 
 @pytest.mark.parametrize("given", sorted({given for _, given in CALLS}))
