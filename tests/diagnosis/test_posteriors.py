@@ -307,3 +307,18 @@ def test_probabilities_stay_if_nothing_is_lacking_or_all_trials_agree(
     given = {"a": 0.9, "": 0.1}
     found = limited(monkeypatch, given, log_bayes_factor, misfit)
     assert found == pytest.approx(given)
+
+
+def test_without_a_cause_the_last_step_alone_has_a_posterior(monkeypatch):
+    """An earlier step may have entered a cause that was dropped again."""
+    monkeypatch.setattr(
+        posteriors, "single_effect_posterior", lambda data, step, *given: step
+    )
+    state = SimpleNamespace(
+        prepared=SimpleNamespace(data=SimpleNamespace(trials=(0, 1))),
+        fit=SimpleNamespace(hypothesis=SimpleNamespace(causes=())),
+        steps=("entered", "none"),
+    )
+    criteria = SimpleNamespace(tip_tolerance_m=1e-3)
+    found = posteriors._single_effect_posteriors(state, (), (), criteria, seed=0)
+    assert list(found) == ["none"]

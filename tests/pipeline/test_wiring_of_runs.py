@@ -201,6 +201,20 @@ def test_data_files_of_a_plugin_count_as_its_code(tmp_path, monkeypatch):
     code_state_with.cache_clear()
 
 
+def test_the_commit_and_all_folders_of_the_code_count(monkeypatch):
+    answers = {"rev-parse": "abc\n", "status": " M stages/a.py\n"}
+    monkeypatch.setattr(provenance, "git_output", lambda *words: answers[words[0]])
+    find_state = code_state_with.__wrapped__  # without its cache
+    whole = find_state(())
+    assert whole["commit"] == "abc+"
+    answers["status"] = " M docs/a.md\n"
+    assert find_state(())["commit"] == "abc"
+    answers["rev-parse"] = ""
+    assert find_state(())["commit"] == "unknown"
+    monkeypatch.setattr(provenance, "CODE_FOLDERS", provenance.CODE_FOLDERS[:-1])
+    assert find_state(())["source"] != whole["source"]
+
+
 def test_the_code_counts_with_the_plugins_that_are_named_now(tmp_path, monkeypatch):
     (tmp_path / "late_lab").mkdir()
     (tmp_path / "late_lab/helper.py").write_text("a = 1\n")
