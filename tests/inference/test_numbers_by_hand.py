@@ -1,0 +1,214 @@
+"""Priors, scales, horizons and intervals, compared with what they are by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from stringcast.stages.inference import basis, discrepancy, laplace, likelihood, search
+from stringcast.stages.inference.covariance import Covariance
+from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.search import horizons
+from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.statics.chain import GRAVITY_M_S2
+
+ONE_SIDED = Parameter("a", "1", "", low=0.0, high=1.0, start=0.0)
+TWO_SIDED = Parameter("a", "1", "", low=-1.0, high=1.0, start=0.0)
+
+
+@pytest.mark.parametrize(("amplitude", "whole"), [(ONE_SIDED, 1.0), (TWO_SIDED, 0.5)])
+def test_the_prior_of_a_tip_shift_is_a_density_to_either_side(amplitude, whole):
+    def density(tip_shift):
+        return laplace.tip_shift_density(np.asarray(tip_shift), amplitude)
+
+    assert quad(density, 0, 1, points=[0.001, 0.01, 0.1])[0] == pytest.approx(whole)
+    widths_m = np.array([1e-3, 3e-3, 1e-2, 3e-2])
+    at_zero = whole * np.mean(np.sqrt(2 / np.pi) / widths_m)
+    assert density(0.0) == pytest.approx(at_zero)
+
+
+def test_the_prior_of_an_exponent_is_that_of_its_tip_shift():
+    found = laplace.log_prior(ONE_SIDED, 0.2, 0.004, 0.5)
+    density = laplace.tip_shift_density(np.asarray(0.004), ONE_SIDED)
+    assert found == pytest.approx(np.log(density * 0.004 / 0.2))
+    # where the cause is absent, its slope counts
+    found = laplace.log_prior(ONE_SIDED, 0.0, 0.004, 0.5)
+    density = laplace.tip_shift_density(np.asarray(0.0), ONE_SIDED)
+    assert found == pytest.approx(np.log(density * 0.5))
+    assert laplace.log_prior(ONE_SIDED, 0.5, 9.0, 0.5) == np.log(np.finfo(float).tiny)
+
+
+def test_the_volume_is_that_of_a_normal_distribution():
+    expected = np.log(2 * np.pi) - 0.5 * np.log(4.0 * 9.0)
+    assert laplace.log_volume(np.diag([4.0, 9.0])) == pytest.approx(expected)
+
+
+def test_scales_of_a_discrepancy_are_half_cauchy():
+    prior = np.exp(discrepancy.log_scale_prior())
+    scales = discrepancy.DISCREPANCY_SCALES_M
+    assert prior.sum() == pytest.approx(1.0)
+    assert prior[0] == pytest.approx(2 / np.pi * np.arctan(2.5e-5 / 5e-4))
+    edge = np.sqrt(scales[-2] * scales[-1])
+    assert prior[-1] == pytest.approx(1 - 2 / np.pi * np.arctan(edge / 5e-4))
+    edges = np.sqrt(scales[1:-1] * scales[2:])[[0, 1]]
+    inside = 2 / np.pi * (np.arctan(edges / 5e-4) @ [-1, 1])
+    assert prior[2] == pytest.approx(inside)
+
+
+def test_the_scale_is_integrated_out_and_the_most_probable_one_is_chosen():
+    same = np.full((2, len(discrepancy.DISCREPANCY_SCALES_M)), -7.0)
+    assert discrepancy.marginal_log_likelihood(same) == pytest.approx([-7.0, -7.0])
+    likeliest = int(np.argmax(discrepancy.log_scale_prior()))
+    assert list(discrepancy.best_scale_index(same)) == [likeliest, likeliest]
+    same[1, 3] += 20.0
+    assert list(discrepancy.best_scale_index(same)) == [likeliest, 3]
+    assert discrepancy.marginal_log_likelihood(same)[1] == pytest.approx(
+        np.logaddexp(-7.0, 13.0 + discrepancy.log_scale_prior()[3]), abs=1e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("blocks", "quantile"), [(1, 12.7062), (2, 12.7062), (5, 2.7764)]
+)
+def test_an_interval_has_students_width(blocks, quantile):
+    covariance = Covariance(np.array([[4.0, 3.0], [3.0, 9.0]]), blocks)
+    expected = [2 * quantile, 3 * quantile]
+    assert covariance.half_width_95 == pytest.approx(expected, rel=1e-4)
+    assert covariance.correlation == pytest.approx(np.array([[1, 0.5], [0.5, 1]]))
+
+
+def test_blocks_of_time_are_counted_through_all_trials():
+    trials = [
+        SimpleNamespace(point_times=np.array([0.0, 0.049, 0.051, 0.5])),
+        SimpleNamespace(point_times=np.array([0.26, 0.24])),
+    ]
+    blocks = likelihood.time_blocks(trials)
+    assert list(blocks) == [0, 0, 0, 0, 1, 1, 2, 2, 4, 4, 3, 3]
+
+
+def test_uniform_parameters_are_kept_in_the_middle_where_no_data_speaks():
+    model = SimpleNamespace(parameters=(ONE_SIDED,) * 3)
+    data = SimpleNamespace(
+        residuals=lambda model, chi: [np.ones((len(chi), 2))],
+        whiten_by_trial=lambda residuals, scales: residuals,
+    )
+    fitted = Likelihood(data, model, uniform_indices=(0, 2))
+    residuals = fitted.residuals(np.array([[0.5, 0.9, 1.0]]))
+    assert residuals == pytest.approx(np.array([[1, 1, 0.0, np.sqrt(12.0) * 0.5]]))
+
+
+def moving(onset_s, state=None):
+    """Return a trial whose hand begins to move 3 mm at a time, of a 0.3 m string."""
+    pose = np.zeros((10, 3))
+    pose[:, 2] = 0.2 * (np.arange(10) * 0.01 > onset_s)  # the hand turns
+    hand = SimpleNamespace(pose=pose[None], start=1.0, tick=0.01)
+    return SimpleNamespace(
+        initial_state=state,
+        times=np.array([1.02, 1.03, 1.04]),
+        motion=SimpleNamespace(actual_hand_motion=lambda arm, effects: hand),
+        model=SimpleNamespace(arm=None, string=SimpleNamespace(length=0.3)),
+        cut_after=lambda last: last,
+    )
+
+
+@pytest.mark.parametrize(
+    ("trial", "last"),
+    [
+        (moving(0.045), 1.05 + 0.1),
+        (moving(0.045, "known"), 1.02 + 0.1),
+        (moving(-1.0), 1.0 + 0.1),
+    ],
+)
+def test_trials_are_cut_after_the_hand_began_to_move(monkeypatch, trial, last):
+    monkeypatch.setattr(Likelihood, "with_trials", lambda self, trials: trials)
+    fitted = Likelihood(SimpleNamespace(trials=[trial]), None)
+    assert fitted.cut_after_onset(0.1) == pytest.approx([last])
+    assert fitted.cut_after_onset(0.0)[0] >= 1.03  # two frames at least
+
+
+def test_horizons_widen_until_most_of_the_longest_trial():
+    def search_of(parameters, seconds, points):
+        trial = SimpleNamespace(times=np.linspace(0, seconds, 9), s=np.zeros(points))
+        string = SimpleNamespace(length=GRAVITY_M_S2 * 0.04)
+        return SimpleNamespace(
+            data=SimpleNamespace(trials=[trial]),
+            model=SimpleNamespace(string=string),
+            parameters=[None] * parameters,
+        )
+
+    swing = np.pi / 2.405 * 0.2  # a quarter of its period
+    found = horizons(search_of(4, 0.9, 1000))
+    assert found == pytest.approx([swing, 1.75 * swing, np.inf])
+    # 40 numbers are needed, and 100 come in a second
+    assert horizons(search_of(4, 1.0, 50)) == pytest.approx([0.4, 0.7, np.inf])
+    assert horizons(search_of(4, 0.0, 50)) == pytest.approx([swing, np.inf])
+    assert horizons(search_of(4, swing, 1000)) == pytest.approx([swing, np.inf])
+
+
+def test_the_better_half_of_the_starts_goes_on_from_different_places():
+    loss = np.linspace(1.0, 2.0, 20)
+    apart = 10.0 * np.arange(20)[:, None] * np.ones(4)
+    assert search._survivors(apart, loss) == list(range(10))
+    assert search._survivors(apart[:12], loss[:12]) == list(range(8))
+    apart[1] = apart[0] + 0.09  # less than a tenth of the residual from the best
+    apart[2] = apart[0] + 0.11
+    assert search._survivors(apart, loss) == [0, *range(2, 10)]
+
+
+def test_refinement_ends_where_the_noise_falls_no_further(monkeypatch):
+    scales = iter([1.0, 0.9, 0.895, 0.5])
+
+    def refine_states(likelihood, chi, span=np.inf):
+        return SimpleNamespace(noise_scales=(next(scales),))
+
+    monkeypatch.setattr(search, "with_refined_initial_states", refine_states)
+    monkeypatch.setattr(search, "_refined_exponents", lambda fitted, chi: chi + 1)
+    fitted, chi = search.refine_solution(None, 0)
+    assert fitted.noise_scales == (0.895,)
+    assert chi == 2
+
+
+def test_a_round_that_makes_it_worse_is_not_taken_but_for_the_first(monkeypatch):
+    def refine(*noise):
+        scales = iter(noise)
+        monkeypatch.setattr(
+            search,
+            "with_refined_initial_states",
+            lambda *given: SimpleNamespace(noise_scales=(next(scales),)),
+        )
+        fitted, chi = search.refine_solution(None, 0)
+        return fitted.noise_scales[0], chi
+
+    monkeypatch.setattr(search, "_refined_exponents", lambda fitted, chi: chi + 1)
+    assert refine(1.0, 1.1) == (1.1, 1)
+    assert refine(1.0, 0.8, 0.9) == (0.8, 1)
+
+
+def test_splines_leave_some_frames_to_the_noise():
+    assert basis.knot_spacing(np.arange(5) * 0.01) == pytest.approx(0.02)
+    assert basis.knot_spacing(np.arange(5) * 0.001) == pytest.approx(0.015)
+    assert basis.knot_spacing(np.array([3.0])) == pytest.approx(0.015)
+    times = 2.0 + np.arange(11) * 0.01
+    assert basis.time_nodes(times, 0.03) == pytest.approx(
+        [2.0, 2.025, 2.05, 2.075, 2.1]
+    )
+    assert len(basis.time_nodes(np.array([0.0, 100.0]), 0.015)) == 64
+    assert basis.highest_frequency(np.array([0.0, 0.15])) == pytest.approx(1 / 0.03)
+
+
+def test_tips_of_trials_are_averaged_by_their_squares():
+    def trial(size):
+        return SimpleNamespace(
+            is_tip=np.array([False, True]),
+            tip_rms=lambda at_tip: size * np.sqrt((at_tip**2).sum(axis=-1)),
+        )
+
+    shapes = tuple(np.array([[9.0], [9.0], [3.0], [4.0]]) for _ in range(2))
+    data = TrialData((trial(1.0), trial(2.0)), {"wind": shapes})
+    assert data.between_trial_tip_rms("wind") == pytest.approx(np.sqrt(62.5))
+    assert data.between_trial_tip_rms("tip_mass") == 0.0
+    second = data.subset([1])
+    assert second.between_trial_tip_rms("wind") == pytest.approx(10.0)
+    assert second.mesh_correction is None
