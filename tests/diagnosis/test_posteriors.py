@@ -322,3 +322,38 @@ def test_without_a_cause_the_last_step_alone_has_a_posterior(monkeypatch):
     criteria = SimpleNamespace(tip_tolerance_m=1e-3)
     found = posteriors._single_effect_posteriors(state, (), (), criteria, seed=0)
     assert list(found) == ["none"]
+
+
+def test_an_effect_is_included_if_it_is_in_one_place_or_another():
+    places = [
+        SingleEffectPosterior({"wind": 0.5, "": 0.5}, {}, None),
+        SingleEffectPosterior({"wind": 0.4, "tip_mass": 0.2, "": 0.4}, {}, None),
+    ]
+    found = posteriors.inclusion_probabilities(places)
+    assert found == pytest.approx({"wind": 0.7, "tip_mass": 0.2})
+
+
+@pytest.mark.parametrize(
+    ("first_best", "is_known"), [(None, False), (("b",), False), (("a",), True)]
+)
+def test_the_first_comparison_counts_for_the_cause_that_it_accepted(
+    monkeypatch, first_best, is_known
+):
+    others = SimpleNamespace(
+        with_cause=lambda cause: SimpleNamespace(exponents_from=lambda known: None)
+    )
+    hypothesis = SimpleNamespace(cause_names=("a",), without_cause=lambda cause: others)
+    best = first_best and SimpleNamespace(
+        hypothesis=SimpleNamespace(cause_names=first_best)
+    )
+    first = SimpleNamespace(best=best)
+    state = SimpleNamespace(
+        steps=(first,),
+        fit=SimpleNamespace(hypothesis=hypothesis, exponents={}),
+        prepared=SimpleNamespace(data=None),
+    )
+    for name in ("evaluate_fit", "refit"):
+        monkeypatch.setattr(posteriors, name, lambda *given: None)
+    monkeypatch.setattr(posteriors, "compare_candidates", lambda *given: "compared")
+    found = posteriors._compare_alternatives(state, "a", (), None, 0)
+    assert found is (first if is_known else "compared")
