@@ -22,6 +22,7 @@ from stringcast.stages.diagnose.discretisation import (
 )
 from stringcast.stages.diagnose.left_out_fits import groups_to_leave_out
 from stringcast.stages.diagnose.measures import (
+    mean_explained_fraction,
     refit,
     tip_shift_rms,
     trials_touched_by,
@@ -32,6 +33,7 @@ from stringcast.stages.diagnose.predictions import (
     TrialPrediction,
     log_likelihood_gains,
     predict_left_out_trials,
+    tip_errors,
 )
 from stringcast.stages.diagnose.prepared_data import PreparedData, RefinedFit
 from stringcast.stages.diagnose.proposals import (
@@ -391,7 +393,13 @@ def _reason_to_set_aside(
         return ""
     gains = log_likelihood_gains(without.predictions, state.predictions)
     log.info("%s: predictive log-likelihoods %s", cause.name, np.round(gains, 1))
-    if not predicts_heldout(gains):
+    errors_m = tip_errors(data, state.predictions)
+    errors_without_m = tip_errors(data, without.predictions)
+    explained = mean_explained_fraction(
+        errors_without_m, errors_m, criteria.tip_tolerance_m
+    )
+    log.info("%s: explains %.2f at tips of trials left out", cause.name, explained)
+    if not predicts_heldout(gains, explained):
         return "it does not help to predict trials left out"
     if unexplained_tip_rms(data, fit).max() < criteria.tip_tolerance_m:
         return ""  # the model lacks nothing, and its evidence holds

@@ -19,8 +19,8 @@ An **accepted cause** stays while later causes are added:
 
 =========================  =========================================================
 `is_needed`                without it the Bayes factor drops by more than 1/alpha
-`predicts_heldout`         it raises the likelihood of the median trial, predicted
-                           by the fit to the other trials
+`predicts_heldout`         trials are predicted by fits to the others: it raises the
+                           likelihood of the median trial, and tips are closer
 `is_inside_range`          none of its amplitudes is at an end of its range
 `trials_agree`             if misfit remains, fits without one trial each agree that
                            it is there: a t-test with a Bayes factor of at least
@@ -234,14 +234,22 @@ def is_needed(without: Fit, fit: Fit, criteria: Criteria) -> bool:
     return has_evidence(without, fit, criteria)
 
 
-def predicts_heldout(gains: np.ndarray) -> bool:
-    """Whether a cause raises the log-likelihood of the median trial left out.
+def predicts_heldout(gains: np.ndarray, explained_fraction: float) -> bool:
+    """Whether a cause makes trials left out likelier, and their tips closer.
 
-    The sum over trials, (K,), would follow one that is predicted badly, such as a
+    The likelihood alone may rise by a stand-in, which makes misfit smoother and not
+    smaller. The sum over trials would follow one that is predicted badly, such as a
     chaotic one (cross-validation by trials: Vehtari, Gelman, Gabry, Stat. Comput. 27,
     1413, 2017).
+
+    Parameters
+    ----------
+    gains : numpy.ndarray, shape (K,)
+        Of the log-likelihood of each trial.
+    explained_fraction : float
+        Of the tips' mean square error, as of `mean_explained_fraction`.
     """
-    return bool(np.median(gains) > 0)
+    return bool(np.median(gains) > 0) and explained_fraction > 0
 
 
 def is_inside_range(fit: Fit, cause: type[Effect]) -> bool:

@@ -148,11 +148,16 @@ def test_a_cause_is_accepted_by_all_rules_together(monkeypatch, changed, is_supp
 
 
 @pytest.mark.parametrize(
-    ("gains", "helps"),
-    [((-9.0, 1.0, 1.0), True), ((9.0, -1.0, -1.0), False), ((0.0, 0.0), False)],
+    ("gains", "explained", "helps"),
+    [
+        ((-9.0, 1.0, 1.0), 0.1, True),
+        ((9.0, -1.0, -1.0), 0.1, False),
+        ((0.0, 0.0), 0.1, False),
+        ((9.0, 1.0, 1.0), -0.1, False),  # likelier, and tips are farther
+    ],
 )
-def test_the_median_trial_decides_on_prediction(gains, helps):
-    assert rules.predicts_heldout(np.array(gains)) is helps
+def test_the_median_trial_and_the_tips_decide_on_prediction(gains, explained, helps):
+    assert rules.predicts_heldout(np.array(gains), explained) is helps
 
 
 def test_half_is_enough_to_explain_and_not_enough_to_be_off():

@@ -136,6 +136,8 @@ def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
     monkeypatch.setattr(forward_selection, "refit", refit)
     monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
     monkeypatch.setattr(forward_selection, "predict_left_out_trials", predict)
+    monkeypatch.setattr(forward_selection, "tip_errors", lambda *_: np.zeros(5))
+    monkeypatch.setattr(forward_selection, "mean_explained_fraction", lambda *_: 0.9)
     state = SelectionState(prepared, fit(wind))
     state = forward_selection.drop_unconfirmed_causes(state, CRITERIA)
     assert state.fit.hypothesis.cause_names == remaining
