@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from stringcast.data import disk, store
+from stringcast.data.file_checks import MAX_TABLE_BYTES
 from stringcast.stages.kept_results import Arrays
 
 NUMBER_TYPE = np.dtype("<f8")  # of all results
@@ -39,9 +40,9 @@ class KeptFiles:
     versions: Mapping[str, Any]
 
     def find(self, key: str) -> Arrays | None:
-        """Return the result of a key; None if it is missing or damaged."""
+        """Return the result of a key; None if it is missing, damaged or too large."""
         path = self._path(key)
-        if not path.is_file():
+        if not path.is_file() or path.stat().st_size > MAX_TABLE_BYTES:
             return None
         header, _, numbers = path.read_bytes().partition(b"\n")
         try:

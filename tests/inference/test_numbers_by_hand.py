@@ -118,6 +118,7 @@ def moving(onset_s, state=None):
     [
         (moving(0.045), 1.05 + 0.1),
         (moving(0.045, "known"), 1.02 + 0.1),
+        (moving(0.005), 1.01 + 0.1),
         (moving(-1.0), 1.0 + 0.1),
     ],
 )
@@ -145,6 +146,65 @@ def test_horizons_widen_until_most_of_the_longest_trial():
     assert horizons(search_of(4, 1.0, 50)) == pytest.approx([0.4, 0.7, np.inf])
     assert horizons(search_of(4, 0.0, 50)) == pytest.approx([swing, np.inf])
     assert horizons(search_of(4, swing, 1000)) == pytest.approx([swing, np.inf])
+
+
+class Mesh:
+    """A likelihood on a mesh, of which only the name is known."""
+
+    def __init__(self, name):
+        self.name = name
+
+    def cut_after_onset(self, horizon):
+        return self.name, horizon
+
+
+@pytest.mark.parametrize(
+    ("horizons_s", "fitted"),
+    [
+        (
+            [0.1, 0.2, np.inf],
+            [("coarse", 0.1, 5), ("middle", 0.2, 5), ("fine", np.inf, 60)],
+        ),
+        (
+            [0.1, 0.2, 0.3, np.inf],
+            [("coarse", 0.1, 3), ("coarse", 0.2, 3), ("middle", 0.3, 3)]
+            + [("fine", np.inf, 60)],
+        ),
+        ([np.inf], [("fine", np.inf, 60)]),
+    ],
+)
+def test_iterations_are_shared_by_the_horizons_before_the_last(
+    monkeypatch, horizons_s, fitted
+):
+    ladder = [Mesh(name) for name in ("fine", "middle", "coarse")]
+    monkeypatch.setattr(search, "horizons", lambda likelihood: horizons_s)
+    monkeypatch.setattr(search, "mesh_ladder", lambda likelihood: ladder)
+    calls = []
+    monkeypatch.setattr(
+        search,
+        "_fit_until_horizon",
+        lambda early, chi, iterations: calls.append((*early, iterations)) or chi[:1],
+    )
+    progress = []
+    starts = np.array([[0.1, 0.2], [0.3, 0.4]])
+    found = search.search_parameters(None, starts, 11, progress.append)
+    assert calls == fitted
+    assert list(found) == [0.1, 0.2]
+    count = len(horizons_s)
+    assert progress == pytest.approx([(k + 1) / count for k in range(count)])
+
+
+def test_candidates_are_screened_on_the_coarsest_mesh_at_the_first_horizon(monkeypatch):
+    ladder = [Mesh("fine"), Mesh("coarse")]
+    monkeypatch.setattr(search, "horizons", lambda likelihood: [0.1, np.inf])
+    monkeypatch.setattr(search, "mesh_ladder", lambda likelihood: ladder)
+    asked = []
+    monkeypatch.setattr(
+        search, "_mean_square", lambda early, chi: asked.append(early) or chi[:, 0]
+    )
+    chi = np.array([[0.3], [0.1], [0.2]])
+    assert search.screen_candidates(None, chi, 2).ravel() == pytest.approx([0.1, 0.2])
+    assert asked == [("coarse", 0.1)]
 
 
 def test_the_better_half_of_the_starts_goes_on_from_different_places():

@@ -66,6 +66,14 @@ def test_a_damaged_result_is_none(files, damage):
     assert files.find("key") is None
 
 
+def test_a_result_that_hardly_ends_is_not_read(files):
+    files.keep("key", RESULT)
+    (file,) = files.folder.iterdir()
+    with file.open("r+b") as content:
+        content.truncate(2**40)  # sparse: it takes no space
+    assert files.find("key") is None
+
+
 def test_a_call_is_made_once_for_the_same_content(files):
     calls = []
 
