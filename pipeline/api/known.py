@@ -96,7 +96,17 @@ class KnownString:
         if (run / EXTENDED).exists() or not estimates:
             return cls.load(run)
         settings = read_json(run / "config.json")
+        for name in ("string", "effects"):
+            if name not in settings:
+                raise UserError(
+                    f"{run / 'config.json'}: the setting {name!r} is missing. Another "
+                    "version of this code made the run."
+                )
         table = read_table(PARAMETERS, estimates[-1]).set_index("name")
+        if not table.index.is_unique:
+            raise UserError(
+                f"{estimates[-1]}: it has a parameter twice. Delete it and run again."
+            )
         table = table[["value", "low", "high"]].astype(float)
         parameter_values: dict[str, Any] = table["value"].to_dict()
         parameter_values |= table.dropna().to_dict("index")  # those with an interval

@@ -234,6 +234,23 @@ def test_settings_of_another_shape_are_one_error(run, change):
     assert load_command("index")([str(run.parent)]) == 0
 
 
+@pytest.mark.parametrize("name", ["string", "effects"])
+def test_a_run_without_a_setting_of_its_string_is_not_exported(run, tmp_path, name):
+    config = json.loads((run / "config.json").read_text())
+    del config[name]
+    (run / "config.json").write_text(json.dumps(config))
+    with pytest.raises(UserError, match=f"the setting '{name}' is missing"):
+        load_command("export")([str(run), str(tmp_path / "string.csv")])
+
+
+def test_a_parameter_that_is_there_twice_is_one_error(run, tmp_path):
+    file = run / "iterations/01/estimate/parameters.parquet"
+    table = pq.read_table(file)
+    pq.write_table(pa.concat_tables([table, table]), file)
+    with pytest.raises(UserError, match="it has a parameter twice"):
+        load_command("export")([str(run), str(tmp_path / "string.csv")])
+
+
 def test_steps_made_from_each_other_are_one_error(run):
     inputs = {"inputs": {"iterations/01/estimate": "a"}}
     for table in (run / "iterations/01/points").glob("*.parquet"):

@@ -33,9 +33,9 @@ def test_a_rung_has_half_the_segments_and_half_as_many_steps_down_to_ten(given):
         for r in mesh_ladder(likelihood(given, 41, 5e-4))
     ]
     assert found == [(40, 5e-4), (20, 1e-3), (10, 2e-3)]
-    assert [
-        r.model.string.points for r in mesh_ladder(likelihood(given, 10, 1e-3))
-    ] == [10]
+    for points, rungs in ((10, [10]), (19, [19]), (20, [20, 11])):
+        ladder = mesh_ladder(likelihood(given, points, 1e-3))
+        assert [rung.model.string.points for rung in ladder] == rungs
     assert all(
         t.model is r.model
         for r in mesh_ladder(likelihood(given, 41, 5e-4))
