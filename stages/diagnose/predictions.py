@@ -14,7 +14,11 @@ from stringcast.stages.diagnose.left_out_fits import (
     exponents_without_groups,
     groups_to_leave_out,
 )
-from stringcast.stages.estimate.matching import Matching, matching_targets
+from stringcast.stages.estimate.matching import (
+    Matching,
+    MatchingTarget,
+    matching_targets,
+)
 from stringcast.stages.inference.discrepancy import (
     best_scale_index,
     marginal_log_likelihood,
@@ -103,7 +107,9 @@ def held_out_table(
     rows = []
     gains = log_likelihood_gains(base, extended)
     by_known = predict_trials(data, known)
+    model = known.hypothesis.model
     for number, trial in enumerate(data.trials):
+        target = matching_target(model, trial, observations[number], matching)
         row: dict[str, object] = {
             "trial": trial.name,
             "log_likelihood_difference": gains[number],
@@ -112,13 +118,7 @@ def held_out_table(
         for name, predictions in (("base", base), ("extended", extended)):
             prediction = predictions[number]
             row |= rms_distances(trial, prediction.residual, name)
-            row[f"E_{name}"] = matching_rate(
-                prediction.hypothesis.model,
-                prediction.chi,
-                trial,
-                observations[number],
-                matching,
-            )
+            row[f"E_{name}"] = matching_rate(target, prediction)
         residual = by_known[number].residual
         row["rms_known"] = rms_distances(trial, residual, "known")["rms_known"]
         rows.append(row)
@@ -177,20 +177,25 @@ def rms_distances(
     }
 
 
-def matching_rate(
+def matching_target(
     model: Model,
-    chi: np.ndarray,
     trial: PreparedTrial,
     observation: Observation,
     matching: Matching,
-) -> float:
-    """Compute the matching rate E (Eq. 5) from a prepared trial's initial state."""
+) -> MatchingTarget:
+    """Draw some frames of a trial for the matching rate, from its initial state."""
     (target,) = matching_targets(model, [thin_frames(observation)], matching)
     state = trial.initial_state
     thinned = replace(target.trial, initial_state=state, turn=trial.turn)
-    values = parameter_values(model.parameters, chi[None])
-    rates = replace(target, trial=thinned).rates_by_frame(values)
-    return float(np.mean(rates[0]))
+    return replace(target, trial=thinned)
+
+
+def matching_rate(target: MatchingTarget, prediction: TrialPrediction) -> float:
+    """Compute the matching rate E (Eq. 5) of a prediction on the target's mesh."""
+    model = prediction.hypothesis.model
+    values = parameter_values(model.parameters, prediction.chi[None])
+    predicted = replace(target, trial=replace(target.trial, model=model))
+    return float(np.mean(predicted.rates_by_frame(values)[0]))
 
 
 def thin_frames(observation: Observation) -> Observation:

@@ -21,7 +21,6 @@ Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425. Higdon et al. 2008, JASA 1
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -42,6 +41,7 @@ from stringcast.stages.inference.basis import (
     time_nodes,
     time_splines,
 )
+from stringcast.stages.inference.content_cache import ContentCache
 from stringcast.stages.inference.noise import MeasuredTrial, gram_roots
 from stringcast.stages.inference.whitening import LowRankWhitening
 
@@ -90,13 +90,7 @@ class NoiseBasis:
             noise.place_covariance,
             np.array([length, noise.frame_correlation]),
         )
-        content = b" ".join(part.tobytes() for part in parts)
-        key = hashlib.sha256(content).digest()
-        basis = _KEPT_BASES.pop(key, None) or cls._build(trial)
-        _KEPT_BASES[key] = basis  # the last one is the newest
-        while len(_KEPT_BASES) > MAX_KEPT_BASES:
-            _KEPT_BASES.pop(next(iter(_KEPT_BASES)))
-        return basis
+        return _KEPT_BASES.find_or_make(parts, lambda: cls._build(trial))
 
     @classmethod
     def _build(cls, trial: MeasuredTrial) -> NoiseBasis:
@@ -112,7 +106,7 @@ class NoiseBasis:
         return cls(splines, whiten, vectors, gram)
 
 
-_KEPT_BASES: dict[bytes, NoiseBasis] = {}
+_KEPT_BASES: ContentCache[NoiseBasis] = ContentCache(MAX_KEPT_BASES)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.schema import DataError
+from stringcast.stages.inference.content_cache import ContentCache
 from stringcast.stages.inference.discrepancy import Discrepancy
 from stringcast.stages.inference.initial_state import (
     estimate_initial_state,
@@ -30,6 +31,7 @@ from stringcast.stages.model.state import StringState
 INITIAL_MODES = 6  # of a trial's initial state, in shape and in turning rate each
 MAX_BATCH_CANDIDATES = 128  # candidates simulated at once: bounds the memory
 TIP_TOLERANCE_M = 1e-3  # [m]: points so near to the outermost are the tip
+MAX_KEPT_STARTS = 256  # of trials
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,9 @@ class PreparedTrial:
         return float(squares.mean()), float(squares[outermost].mean())
 
 
+_KEPT_STARTS: ContentCache[StringState] = ContentCache(MAX_KEPT_STARTS)
+
+
 def with_model(
     trials: Sequence[PreparedTrial],
     model: Model,
@@ -223,21 +228,28 @@ def _estimate_start(
     hand: HandMotion,
     sigma_is_known: bool,
 ) -> StringState:
-    """Estimate the state in which a trial begins from its first frames."""
+    """Estimate the state in which a trial begins from its first frames.
+
+    Every stage prepares its trials: the last states are kept.
+    """
     length = trial.model.string.length
     sigma = float(np.median(trial.sigma)) if sigma_is_known else None
-    try:
+    parts = (
+        *(trial.times, trial.frame, trial.s, trial.points),
+        *(hand.pose, hand.rate, np.array([hand.start, hand.tick])),
+        np.array([length, np.nan if sigma is None else sigma]),
+    )
+
+    def estimate() -> StringState:
         seen = first_frame_kinematics(
-            trial.times,
-            trial.frame,
-            trial.s,
-            trial.points,
-            sigma,
-            length,
+            trial.times, trial.frame, trial.s, trial.points, sigma, length
         )
+        return estimate_initial_state(hand, length, trial.times, seen)
+
+    try:
+        return _KEPT_STARTS.find_or_make(parts, estimate)
     except DataError as error:
         raise DataError(f"trial {trial.name}: {error}") from error
-    return estimate_initial_state(hand, length, trial.times, seen)
 
 
 def _turn_from_hand(hand: HandMotion, start: StringState) -> float:

@@ -20,7 +20,9 @@ from stringcast.stages.diagnose.document import (
 )
 from stringcast.stages.diagnose.predictions import (
     RATED_FRAMES,
+    TrialPrediction,
     matching_rate,
+    matching_target,
     thin_frames,
 )
 from stringcast.stages.diagnose.preparation import usable_trials
@@ -90,13 +92,17 @@ def test_matching_rate_uses_the_initial_state_of_the_whole_trial(model, moving_t
     count = thin_frames(moving_trial).points["t"].nunique()
     assert RATED_FRAMES <= count < 2 * RATED_FRAMES
     trial = prepare_trial(model, moving_trial)
-    chi = true_exponents(Hypothesis(model), TRUTH)
-    rate = matching_rate(model, chi, trial, moving_trial, FINE_MATCHING)
+    hypothesis = Hypothesis(model)
+    chi = true_exponents(hypothesis, TRUTH)
+    prediction = TrialPrediction(hypothesis, chi, np.zeros(0), 0.0)
     state = trial.initial_state
     turned = replace(trial, initial_state=replace(state, angle=state.angle + 0.5))
-    turned_rate = matching_rate(model, chi, turned, moving_trial, FINE_MATCHING)
-    assert rate > 0.8
-    assert turned_rate < rate - 0.3
+    rates = []
+    for prepared in (trial, turned):
+        target = matching_target(model, prepared, moving_trial, FINE_MATCHING)
+        rates.append(matching_rate(target, prediction))
+    assert rates[0] > 0.8
+    assert rates[1] < rates[0] - 0.3
 
 
 def held_out_rows(**columns):

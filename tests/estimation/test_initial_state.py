@@ -246,6 +246,16 @@ def test_a_state_stays_where_the_string_cannot_be_simulated(model):
     )
 
 
+def test_a_state_is_kept_until_what_was_measured_changes(model):
+    t, seen = released(TURN, PLACES["two"], 30, 3e-3)
+    trial = observed(t, seen, PLACES["two"], starts_moving=True)
+    state = prepare_trial(model, trial).initial_state
+    assert prepare_trial(model, trial).initial_state is state
+    points = trial.points.assign(x=trial.points["x"] + 1e-4)
+    moved = prepare_trial(model, replace(trial, points=points)).initial_state
+    assert not np.array_equal(moved.angle, state.angle)
+
+
 def test_a_dataset_that_begins_moving_is_estimated(model, tmp_path):
     """A dataset that begins moving is estimated, from disk to parameters.
 

@@ -217,9 +217,10 @@ def test_a_basis_is_kept_until_places_times_or_noise_of_a_trial_change(
     assert len({id(each) for each in (basis, *bases)}) == 6
     assert NoiseBasis.for_trial(trial) is basis
 
-    monkeypatch.setattr(discrepancy, "MAX_KEPT_BASES", 2)
-    NoiseBasis.for_trial(changed[0])
-    assert len(discrepancy._KEPT_BASES) == 2
+    monkeypatch.setattr(discrepancy._KEPT_BASES, "size", 2)
+    assert NoiseBasis.for_trial(changed[0]) is bases[0]
+    assert NoiseBasis.for_trial(trial) is basis
+    assert NoiseBasis.for_trial(changed[1]) is not bases[1]
 
 
 def test_discrepancies_drawn_at_some_points_are_those_drawn_at_all(trial):

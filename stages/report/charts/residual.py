@@ -7,7 +7,6 @@ import pandas as pd
 from matplotlib.colors import AsinhNorm, LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from stringcast.stages.common import rms
 from stringcast.stages.report.charts.axes import (
     add_legend_above,
     draw_map,
@@ -111,17 +110,23 @@ def residual_components(table: pd.DataFrame, model: str) -> dict[str, np.ndarray
 # --- over time
 def residual_charts(record: DiagnosisRecord, table: pd.DataFrame) -> list[Chart]:
     """Chart the residual of each model in a trial, over the string and at the tip."""
-    frames, ends = table.groupby("t"), tip_points(table)
+    times, frame = np.unique(table["t"], return_inverse=True)
+    counts = np.bincount(frame)
+
+    def rms_by_frame(distances: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sqrt(np.bincount(frame, distances**2) / counts))
+
+    ends = tip_points(table)
     whole, tip = [], []
     for model, label in model_labels(record).items():
         colour = MODEL_COLOURS[model]
-        sizes = np.array([rms(model_distances(frame, model)) for _, frame in frames])
+        sizes = rms_by_frame(model_distances(table, model))
         whole.append(Line(label, sizes * MM_PER_M, colour))
         tip.append(Line(label, model_distances(ends, model) * MM_PER_M, colour))
-    floor = np.sqrt(2) * frames["sigma"].apply(rms)
-    whole.append(Line("noise floor", floor.to_numpy() * MM_PER_M, "soft", dashed=True))
+    floor = np.sqrt(2) * rms_by_frame(table["sigma"].to_numpy())
+    whole.append(Line("noise floor", floor * MM_PER_M, "soft", dashed=True))
     return [
-        Chart("Residual", floor.index.to_numpy(), whole, "RMS [mm]"),
+        Chart("Residual", times, whole, "RMS [mm]"),
         Chart("Tip", ends["t"].to_numpy(), tip, "residual [mm]"),
     ]
 
