@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -34,7 +35,7 @@ from stringcast.pipeline.settings.settings_from_runs import (
     is_run_folder,
 )
 from stringcast.pipeline.settings.typed_settings import build_dataclass
-from stringcast.stages.check.finding import full_stop
+from stringcast.stages.check.finding import Finding, full_stop, note
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.check.overview import (
     DETECTION_NOTE,
@@ -50,6 +51,7 @@ from stringcast.stages.model.camera import Camera
 from stringcast.stages.report.formatting import format_count
 
 USABLE, NOT_USABLE = 0, 1  # exit statuses
+SHORT_TRIAL_S = 2.0  # a diagnosis follows all motion of a string in it
 SEVERITY_COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
 # the field in a message: a setting, a column, or a line of YAML
 FIELD_PATTERN = re.compile(
@@ -157,6 +159,8 @@ def overview_with_clocks(checked: CheckedDataset) -> dict[str, Any]:
     if geometry leaves a large one.
     """
     overview = dataset_overview(checked)
+    notes = [asdict(found) for found in long_trial_notes(checked)]
+    overview |= {"findings": [*overview["findings"], *notes]}
     trials = list(checked.informative_trials())
     states_clock = "clock" in checked.data.metadata
     if not overview["usable"] or states_clock or is_run_folder(checked.data.folder):
@@ -170,6 +174,29 @@ def overview_with_clocks(checked: CheckedDataset) -> dict[str, Any]:
         "usable": not findings,
         "findings": [*findings, *overview["findings"]],
     }
+
+
+def long_trial_notes(checked: CheckedDataset) -> list[Finding]:
+    """Return a note of trials in which a diagnosis does not follow fast misfit."""
+    long_trials = []
+    for trial in checked.trials:
+        if len(trial.frame_t) > 1 and np.ptp(trial.frame_t) > SHORT_TRIAL_S:
+            long_trials.append(trial)
+    if not long_trials:
+        return []
+    # takes a part of a second to import
+    basis = import_module("stringcast.stages.inference.basis")
+    times = max((trial.frame_t for trial in long_trials), key=np.ptp)
+    frequency = basis.highest_frequency(times)
+    if frequency > basis.LOW_FREQUENCY_HZ:
+        return []
+    statement = (
+        f"up to {np.ptp(times):.1f} s long: a diagnosis follows misfit there up to "
+        f"{frequency:.0f} Hz"
+    )
+    remedy = "Split it into trials of 2 s to see faster misfit"
+    names = [trial.name for trial in long_trials]
+    return [note(checked.points_file, "t", statement, remedy, *names)]
 
 
 def settings_for_data(

@@ -31,7 +31,7 @@ from stringcast.stages.diagnose.prepared_data import (
     with_initial_states_of,
 )
 from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
-from stringcast.stages.inference.basis import highest_frequency
+from stringcast.stages.inference.basis import LOW_FREQUENCY_HZ, highest_frequency
 from stringcast.stages.inference.discrepancy import best_scale_index
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_modes import (
@@ -49,7 +49,6 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
 
 INITIAL_NOISE_M = 1e-3  # before anything is known
-LOW_FREQUENCY_HZ = 15.0  # half of what trials of a second are followed to
 
 log = logging.getLogger(__name__)
 

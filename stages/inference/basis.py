@@ -19,6 +19,7 @@ PLACE_CORRELATION_SHARE = 0.35
 PLACE_FUNCTIONS = 6  # nodes along the string: two for each correlation length
 KNOT_SPACING_S = 0.015  # [s] from spline to spline: motion up to 30 Hz
 MAX_SPLINES = 64  # longer trials have coarser splines
+LOW_FREQUENCY_HZ = 15.0  # half of what trials of a second are followed to
 MIN_FRAMES_PER_SPLINE = 2  # frames from spline to spline where the noise is estimated
 RANK_TOLERANCE = 1e-8  # of the largest eigenvalue: less is no direction of its own
 NODE_JITTER = 1e-9  # of the variance: keeps the covariance of nodes positive

@@ -20,7 +20,7 @@ from conftest import ROOT, pipeline
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands import check_effects
-from stringcast.pipeline.commands.check import read_measurements
+from stringcast.pipeline.commands.check import long_trial_notes, read_measurements
 from stringcast.stages.check.check import CHECKS, collect_findings, refuse_errors
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.frames import check_camera_view
@@ -778,6 +778,24 @@ EFFECT = {
 
 
 NOT_TRIED = {"contact": "it depends on the place"}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "frequency"), [((0.9, 2.05), None), ((1.0, 4.0), 8), ((10.0, 4.0), 3)]
+)
+def test_a_long_trial_is_noted_with_what_a_diagnosis_follows_in_it(seconds, frequency):
+    trials = [
+        SimpleNamespace(name=f"t{k}", frame_t=np.arange(0, end, 1 / 240))
+        for k, end in enumerate(seconds)
+    ]
+    notes = long_trial_notes(SimpleNamespace(trials=trials, points_file="points.csv"))
+    if frequency is None:
+        assert not notes
+        return
+    (found,) = notes
+    assert found.severity == Severity.NOTE
+    assert f"up to {frequency} Hz" in found.statement
+    assert set(found.trials) == {f"t{k}" for k in range(2) if seconds[k] > 2}
 
 
 def test_what_the_trials_can_tell_is_said_where_it_is_asked(
