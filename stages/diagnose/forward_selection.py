@@ -262,13 +262,20 @@ def _refine_rivals(
         misfit_m = unexplained_tip_rms(prepared.data, parent)
         allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
 
-    refined = []
-    for fit in step.fits[:count]:
+    def refine_rival(fit: Fit) -> tuple[Fit, bool]:
         rival = RefinedFit(prepared, fit)
         if fit is not contested:
             rival = refine_fit(prepared, fit)
-        if is_resolved(rival.prepared, prepared, criteria, needed, allowance_m):
-            refined.append(rival.fit)
+        resolved = is_resolved(rival.prepared, prepared, criteria, needed, allowance_m)
+        return rival.fit, resolved
+
+    refined = []
+    rivals = step.fits[:count]
+    answers = map_in_workers(refine_rival, rivals)
+    for rival, (fit, resolved) in zip(rivals, answers, strict=True):
+        if resolved:
+            # A worker returns a copy of the hypothesis
+            refined.append(replace(fit, hypothesis=rival.hypothesis))
     fits = _by_evidence([*refined, *step.fits[count:]])
     is_accepted = bool(fits) and is_supported(prepared.data, parent, fits[0], criteria)
     return replace(step, fits=fits, refined=refined, accepted=is_accepted)

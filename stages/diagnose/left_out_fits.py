@@ -24,6 +24,7 @@ from stringcast.stages.inference.solver import (
     minimise_in_box,
 )
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
+from stringcast.stages.workers import map_in_workers
 
 MAX_GROUPS = 8  # of trials that are left out together
 MAX_STEPS = 5  # with the same slopes; it mostly takes two
@@ -47,18 +48,21 @@ def exponents_without_groups(
     """
     steps = _GaussNewtonSteps(data, fit, groups)
     steps.run()
-    exponents = []
-    for number, group in enumerate(groups):
-        chi = steps.chi[number]
-        if not steps.has_converged[number]:
-            others = [k for k in range(len(data.trials)) if k not in group]
-            chi = best_exponents(
-                data.subset(others),
-                fit.hypothesis,
-                fit.chi[None],
-                fit.scale_indices[others],
-            )
-        exponents.append(chi)
+
+    def refit_without_group(number: int) -> np.ndarray:
+        others = [k for k in range(len(data.trials)) if k not in groups[number]]
+        return best_exponents(
+            data.subset(others),
+            fit.hypothesis,
+            fit.chi[None],
+            fit.scale_indices[others],
+        )
+
+    exponents = list(steps.chi)
+    refitted = np.flatnonzero(~steps.has_converged).tolist()
+    refits = map_in_workers(refit_without_group, refitted)
+    for number, chi in zip(refitted, refits, strict=True):
+        exponents[number] = chi
     return exponents
 
 

@@ -14,6 +14,7 @@ from synthetic_trials import CRITERIA, true_exponents
 
 from stringcast.data.artifacts import Diagnosis
 from stringcast.stages.common import InterruptRequest
+from stringcast.stages.diagnose import left_out_fits
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.forward_selection import compare_candidates
@@ -190,6 +191,20 @@ def test_two_workers_choose_causes_to_the_same_bits(prepared):
     )
     assert steps[0].best.hypothesis.cause_names == ("wind",)
     assert content_digest(one) == content_digest(other)
+
+
+def test_two_workers_refit_without_trials_to_the_same_bits(prepared, monkeypatch):
+    monkeypatch.setattr(left_out_fits, "MIN_GAIN", -1.0)  # no step is enough
+    refits = []
+    for workers in (1, 2):
+        with use_workers(workers):
+            groups = [[0], [1], [2]]
+            fitted = left_out_fits.exponents_without_groups(
+                prepared.data, prepared.base_fit, groups
+            )
+        refits.append(fitted)
+    np.testing.assert_array_equal(*refits)
+    assert len(np.unique(refits[0], axis=0)) == 3
 
 
 @pytest.mark.long

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from matplotlib import style
 
 from stringcast.stages.report.formatting import verdict_headline
-from stringcast.stages.report.page import stage_page
+from stringcast.stages.report.page import Part, stage_page
 from stringcast.stages.report.pages.diagnosis.held_out import held_out_section
 from stringcast.stages.report.pages.diagnosis.residuals import (
     misfit_section,
@@ -24,6 +26,7 @@ from stringcast.stages.report.pages.diagnosis.verdict import (
 )
 from stringcast.stages.report.records import DiagnosisRecord, StageRecord
 from stringcast.stages.report.theme import STYLE_SHEET
+from stringcast.stages.workers import map_in_workers
 
 VERDICT_TONES = {
     "none": "good",
@@ -31,24 +34,25 @@ VERDICT_TONES = {
     "unknown": "bad",
     "insufficient": "bad",
 }
+SECTIONS: tuple[Callable[[DiagnosisRecord], Part | None], ...] = (
+    opening_part,
+    rejected_card,
+    causes_section,
+    budget_section,
+    misfit_section,
+    trials_section,
+    search_section,
+    held_out_section,
+    unexplained_section,
+    parameters_section,
+)
 
 
 def diagnosis_page(facts: StageRecord) -> str:
     """Render the page; the same facts give the same text."""
     record = DiagnosisRecord(facts.artifact, facts.model)
     with style.context(STYLE_SHEET):
-        sections = [
-            opening_part(record),
-            rejected_card(record),
-            causes_section(record),
-            budget_section(record),
-            misfit_section(record),
-            trials_section(record),
-            search_section(record),
-            held_out_section(record),
-            unexplained_section(record),
-            parameters_section(record),
-        ]
+        sections = map_in_workers(lambda section: section(record), SECTIONS)
     heading = verdict_headline(record.document)
     tone = VERDICT_TONES.get(record.document["verdict"], "")
     return stage_page(facts, "diagnosis", sections, heading, tone=tone)
