@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from stringcast.stages.inference import basis, discrepancy, laplace, likelihood, search
+from stringcast.stages.common import mad_sigma
+from stringcast.stages.inference import (
+    basis,
+    discrepancy,
+    initial_modes,
+    laplace,
+    likelihood,
+    search,
+)
 from stringcast.stages.inference.covariance import Covariance
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.search import horizons
@@ -99,10 +107,10 @@ def test_uniform_parameters_are_kept_in_the_middle_where_no_data_speaks():
     assert residuals == pytest.approx(np.array([[1, 1, 0.0, np.sqrt(12.0) * 0.5]]))
 
 
-def moving(onset_s, state=None):
-    """Return a trial whose hand begins to move 3 mm at a time, of a 0.3 m string."""
+def moving(onset_s, state=None, turn=0.2):
+    """Return a trial of a 0.3 m string whose hand turns at once, by so much [rad]."""
     pose = np.zeros((10, 3))
-    pose[:, 2] = 0.2 * (np.arange(10) * 0.01 > onset_s)  # the hand turns
+    pose[:, 2] = turn * (np.arange(10) * 0.01 > onset_s)
     hand = SimpleNamespace(pose=pose[None], start=1.0, tick=0.01)
     return SimpleNamespace(
         initial_state=state,
@@ -120,6 +128,8 @@ def moving(onset_s, state=None):
         (moving(0.045, "known"), 1.02 + 0.1),
         (moving(0.005), 1.01 + 0.1),
         (moving(-1.0), 1.0 + 0.1),
+        (moving(0.045, turn=0.012), 1.05 + 0.1),
+        (moving(0.045, turn=0.008), 1.0 + 0.1),  # less than a hundredth of its length
     ],
 )
 def test_trials_are_cut_after_the_hand_began_to_move(monkeypatch, trial, last):
@@ -159,22 +169,30 @@ class Mesh:
 
 
 @pytest.mark.parametrize(
-    ("horizons_s", "fitted"),
+    ("horizons_s", "most", "fitted"),
     [
         (
             [0.1, 0.2, np.inf],
+            11,
             [("coarse", 0.1, 5), ("middle", 0.2, 5), ("fine", np.inf, 60)],
         ),
         (
             [0.1, 0.2, 0.3, np.inf],
+            11,
             [("coarse", 0.1, 3), ("coarse", 0.2, 3), ("middle", 0.3, 3)]
             + [("fine", np.inf, 60)],
         ),
-        ([np.inf], [("fine", np.inf, 60)]),
+        ([0.1, np.inf], 11, [("middle", 0.1, 11), ("fine", np.inf, 60)]),
+        (
+            [0.1, 0.2, np.inf],
+            1,
+            [("coarse", 0.1, 1), ("middle", 0.2, 1), ("fine", np.inf, 60)],
+        ),
+        ([np.inf], 11, [("fine", np.inf, 60)]),
     ],
 )
 def test_iterations_are_shared_by_the_horizons_before_the_last(
-    monkeypatch, horizons_s, fitted
+    monkeypatch, horizons_s, most, fitted
 ):
     ladder = [Mesh(name) for name in ("fine", "middle", "coarse")]
     monkeypatch.setattr(search, "horizons", lambda likelihood: horizons_s)
@@ -187,7 +205,7 @@ def test_iterations_are_shared_by_the_horizons_before_the_last(
     )
     progress = []
     starts = np.array([[0.1, 0.2], [0.3, 0.4]])
-    found = search.search_parameters(None, starts, 11, progress.append)
+    found = search.search_parameters(None, starts, most, progress.append)
     assert calls == fitted
     assert list(found) == [0.1, 0.2]
     count = len(horizons_s)
@@ -244,6 +262,54 @@ def test_a_round_that_makes_it_worse_is_not_taken_but_for_the_first(monkeypatch)
     monkeypatch.setattr(search, "_refined_exponents", lambda fitted, chi: chi + 1)
     assert refine(1.0, 1.1) == (1.1, 1)
     assert refine(1.0, 0.8, 0.9) == (0.8, 1)
+
+
+def test_slopes_of_the_initial_state_are_taken_inwards(monkeypatch):
+    start = np.array([0.4, 0.0, -0.3])
+    shapes = np.arange(12.0).reshape(3, 4)
+    asked = []
+
+    def residuals(trial, values, amplitudes):
+        asked.append(amplitudes)
+        return amplitudes @ shapes
+
+    monkeypatch.setattr(initial_modes, "initial_amplitudes", lambda trial: start)
+    monkeypatch.setattr(initial_modes, "replace", lambda trial, **changed: trial)
+    monkeypatch.setattr(initial_modes, "_residuals_at_amplitudes", residuals)
+    trial = SimpleNamespace(initial_state="known", points=np.zeros((2, 2)))
+    columns = initial_modes.initial_mode_slopes(trial, None)
+    assert columns == pytest.approx(shapes.T)
+    assert list(np.sign(np.diag(asked[0][1:] - asked[0][0]))) == [-1, 1, 1]
+
+
+def film(frames, points, rng):
+    """Return a trial of a 0.3 m string, with places that differ from frame to frame."""
+    return SimpleNamespace(
+        times=0.01 * np.arange(frames),
+        frame=np.repeat(np.arange(frames), points),
+        s=rng.uniform(0.02, 0.3, frames * points),
+        model=SimpleNamespace(string=SimpleNamespace(length=0.3)),
+    )
+
+
+def test_noise_is_found_beside_smooth_motion():
+    rng = np.random.default_rng(3)
+    trial = film(200, 12, rng)
+    noise = rng.standard_normal((2400, 2))
+    swing = 50 * np.sin(9 * trial.times[trial.frame]) * trial.s / 0.3
+    rest, found = discrepancy.remove_smooth_motion(trial, noise + swing[:, None])
+    assert found == pytest.approx(1.0, abs=0.03)
+    assert np.std(rest) < 0.95  # splines follow some of the noise
+    assert np.corrcoef(rest[:, 0], noise[:, 0])[0, 1] > 0.9
+
+
+def test_nothing_is_removed_where_splines_follow_every_point():
+    rng = np.random.default_rng(3)
+    trial = film(20, 2, rng)
+    residual = rng.standard_normal((40, 2))
+    rest, found = discrepancy.remove_smooth_motion(trial, residual)
+    assert rest is residual
+    assert found == pytest.approx(mad_sigma(residual))
 
 
 def test_splines_leave_some_frames_to_the_noise():
