@@ -16,7 +16,9 @@ from stringcast.stages.inference import (
     search,
 )
 from stringcast.stages.inference.covariance import Covariance
+from stringcast.stages.inference.initial_state import first_frame_kinematics
 from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.noise import WHITE_NOISE
 from stringcast.stages.inference.search import horizons
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.parameter import Parameter
@@ -310,6 +312,34 @@ def test_nothing_is_removed_where_splines_follow_every_point():
     rest, found = discrepancy.remove_smooth_motion(trial, residual)
     assert rest is residual
     assert found == pytest.approx(mad_sigma(residual))
+
+
+def test_shapes_of_the_nuisance_are_added_and_replaced_in_order():
+    rng = np.random.default_rng(3)
+    trial = film(20, 12, rng)
+    trial.noise, trial.sigma = WHITE_NOISE, np.full(240, 1e-3)
+    first, second, third = (rng.standard_normal((480, m)) for m in (2, 3, 1))
+    errors = discrepancy.Discrepancy.for_trial(trial, np.ones(20), first)
+    errors = errors.with_nuisance(second)
+    for shapes in ((first, second), (third, second)):
+        together = np.hstack(shapes)
+        assert errors.nuisance_shapes == pytest.approx(together)
+        expanded = errors.coefficients(together.T).T
+        assert errors.nuisance_coefficients == pytest.approx(expanded)
+        errors = errors.replace_leading_nuisance(third, 2)
+
+
+@pytest.mark.parametrize(("sigma", "least"), [(None, 9e-5), (2e-3, 2e-3), (1e-6, 9e-5)])
+def test_no_place_is_known_better_than_stated(sigma, least):
+    times = 0.01 * np.arange(8)
+    places = np.array([0.1, 0.2, 0.3])
+    frame, s = np.repeat(np.arange(8), 3), np.tile(places, 8)
+    points = np.column_stack([s, 0.5 * s])
+    known = first_frame_kinematics(times, frame, s, points, sigma, 0.3)
+    exact = first_frame_kinematics(times, frame, s, points, 1.0, 0.3)
+    assert known.position_sigma == pytest.approx(least * exact.position_sigma)
+    assert known.velocity_sigma == pytest.approx(least * exact.velocity_sigma)
+    assert known.position == pytest.approx(points[:3])
 
 
 def test_splines_leave_some_frames_to_the_noise():
