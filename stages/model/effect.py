@@ -247,10 +247,14 @@ class CameraEffect(Effect):
     corrected_by_calibration : bool
         A calibrated lens leaves nothing of it, so that a diagnosis does not look for
         it.
+    uses_velocity : bool
+        `observe` depends on the velocity. Otherwise that may be zero, which saves two
+        thirds of the simulated moments.
     """
 
     law_names = ("observe",)
     corrected_by_calibration: ClassVar[bool] = False
+    uses_velocity: ClassVar[bool] = True
 
     @staticmethod
     @abstractmethod

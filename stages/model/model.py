@@ -244,13 +244,17 @@ class Model(Parametrised):
         (M,) or (C, M) [s]. times: (F,) of the camera's clock.
         """
         times = self._arm_times(values, times)
-        if not self.camera_effects:
+        if not self._camera_uses_velocity:
             return times
         # Nothing later than the last frame: its string should not depend on whether
         # velocities are wanted.
         last = times.max(axis=-1, keepdims=True)
         after = np.minimum(times + VELOCITY_STEP_S, last)
         return np.concatenate([times - VELOCITY_STEP_S, times, after], axis=-1)
+
+    @property
+    def _camera_uses_velocity(self) -> bool:
+        return any(effect.uses_velocity for effect in self.camera_effects)
 
     def _arm_times(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Return the arm's times, (F,) or (C, F), at the camera's times (F,) [s]."""
@@ -277,12 +281,13 @@ class Model(Parametrised):
         ndarray of shape (C, F, n, 2)
             Reported positions [m].
         """
-        if not self.camera_effects:
-            return points
-        before, now, after = np.split(points, 3, axis=1)
-        moments = np.atleast_2d(self.required_times(values, times))
-        first, _, last = np.split(moments, 3, axis=1)
-        velocity = (after - before) / (last - first)[..., None, None]
+        now = points
+        velocity = np.zeros((1, 1, 1, 2))
+        if self._camera_uses_velocity:
+            before, now, after = np.split(points, 3, axis=1)
+            moments = np.atleast_2d(self.required_times(values, times))
+            first, _, last = np.split(moments, 3, axis=1)
+            velocity = (after - before) / (last - first)[..., None, None]
         for effect in self.camera_effects:
             parameters = self._effect_values(effect, values, 4)
             now = effect.observe(now, velocity, times, self.camera, **parameters)

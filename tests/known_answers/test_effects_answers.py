@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.model.effect import StringEffect
+from stringcast.stages.model.effect import CameraEffect, StringEffect
 from stringcast.stages.model.effects.arm_lag import ArmLag
 from stringcast.stages.model.effects.backlash import Backlash
 from stringcast.stages.model.effects.contact import Contact
@@ -773,6 +773,28 @@ def test_the_camera_knows_how_fast_the_string_goes():
         errors.append(np.abs(seen - exact).max())
     assert errors[0] < 1e-3
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+
+
+CAMERA_EFFECTS = {
+    name: effect
+    for name, effect in effects_by_name().items()
+    if issubclass(effect, CameraEffect)
+}
+
+
+@pytest.mark.parametrize("name", CAMERA_EFFECTS)
+def test_velocity_is_simulated_exactly_if_what_is_seen_depends_on_it(name, monkeypatch):
+    effect = CAMERA_EFFECTS[name]
+    model, known, motion = views(name)
+    high = {f"{name}.{p.name}": p.high for p in effect.parameters}
+    t = np.linspace(0.1, 0.9, 9)
+    seen = {}
+    for uses_velocity in (True, False):
+        monkeypatch.setattr(effect, "uses_velocity", uses_velocity)
+        values = model.values(known | high)[None]
+        seen[uses_velocity] = model.simulate_observation(motion, values, t).points
+    monkeypatch.undo()
+    assert np.array_equal(seen[True], seen[False]) is not effect.uses_velocity
 
 
 def test_more_mass_points_are_nearer_to_the_string():

@@ -19,6 +19,7 @@ class CameraOffset(CameraEffect):
     """
 
     name = "camera_offset"
+    uses_velocity = False
     parameters = (
         Parameter("x", "m", "how far to the right everything is seen", -0.1, 0.1, 0.0),
         Parameter("y", "m", "how far up everything is seen", -0.1, 0.1, 0.0),

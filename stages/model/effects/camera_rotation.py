@@ -16,6 +16,7 @@ class CameraRotation(CameraEffect):
     """A rotation of the reported points about the image's middle, counter-clockwise."""
 
     name = "camera_rotation"
+    uses_velocity = False
     parameters = (
         Parameter(
             "angle", "rad", "angle by which what is seen is turned", -0.2, 0.2, 0.0

@@ -19,6 +19,7 @@ class LensDistortion(CameraEffect):
     """
 
     name = "lens_distortion"
+    uses_velocity = False
     order = 1  # it bends what a camera sees from where it stands
     corrected_by_calibration = True
     parameters = (

@@ -19,6 +19,7 @@ class PixelScale(CameraEffect):
     """
 
     name = "pixel_scale"
+    uses_velocity = False
     order = 2  # the last: pixels become metres
     parameters = (
         Parameter("excess", "1", "reported over true size, less 1", -0.1, 0.1, 0.0),
