@@ -137,7 +137,7 @@ class TrialData:
         values = parameter_values(model.parameters, chi)
         residuals = []
         for residual in normalised_residuals(model, self.trials, values):
-            np.nan_to_num(residual, copy=False, nan=DIVERGED_RESIDUAL)
+            np.copyto(residual, DIVERGED_RESIDUAL, where=np.isnan(residual))
             residuals.append(residual)
         if self.mesh_correction is not None:
             changes = self.mesh_correction.correction_at(model.names, chi)

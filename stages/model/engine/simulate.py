@@ -132,7 +132,11 @@ def simulate(
             end = last[chosen]
             moments = position[chosen]
         at_moments = interpolate_ticks(ticks, moments, end)
-        points[chosen] = _at_stated_arc_lengths(string, some, at_moments)
+        at_arc_lengths = _at_stated_arc_lengths(string, some, at_moments)
+        if len(chosen) == len(points):
+            points = at_arc_lengths  # mostly: a copy would take as long as to fill it
+        else:
+            points[chosen] = at_arc_lengths
         finite[chosen] = is_bounded(ticks, end)
     with np.errstate(invalid="ignore", over="ignore"):
         # a sum is not finite where a number is not
