@@ -36,6 +36,10 @@ STARTS = 6  # of the search for the string's parameters and the offset
 # Effects that are the clock itself
 CLOCK_EFFECTS = ("time_offset", "clock_drift")
 FIXED_WITHIN_S = 1e-4  # of an offset that is given
+# Stiffness up to which strings are sought [N m/(rad kg)], unless more is configured: of
+# a strip that a clamp holds. Within the range of a limp string, a strip is fitted as a
+# rigid pendulum, some 10 ms off.
+CLAMPED_STRIP = {"bending_stiffness": 400.0, "grasp_stiffness": 300.0}
 PROFILE_SIZE = 41  # offsets at which the likelihood is profiled
 
 
@@ -72,6 +76,17 @@ def model_with_offset(model: Model, half_width: float) -> Model:
     return replace(model, measured_ranges=ranges)
 
 
+def model_up_to_strips(model: Model) -> Model:
+    """Return the model with ranges of stiffness that hold limp strings and strips."""
+    ranges = dict(model.string.ranges)
+    for parameter in model.string.parameters:
+        name = parameter.name
+        if name in CLAMPED_STRIP and name not in model.measured_ranges:
+            high = max(parameter.high, CLAMPED_STRIP[name])
+            ranges[name] = replace(parameter, high=high)
+    return replace(model, string=replace(model.string, ranges=ranges))
+
+
 def fit_clock(
     model: Model,
     observations: Sequence[Observation],
@@ -84,7 +99,8 @@ def fit_clock(
     Numerical error is not corrected: it moves the tip by a millimetre at most, which
     the discrepancy holds.
     """
-    second_order = with_second_order_mesh(model_with_offset(model, half_width))
+    model = model_with_offset(model_up_to_strips(model), half_width)
+    second_order = with_second_order_mesh(model)
     noise_is_given = all("sigma" in o.points for o in observations)
     trials = []
     for observation in observations:

@@ -21,6 +21,7 @@ from stringcast.stages.check.clocks import check_clock_interval
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.clock import offset
+from stringcast.stages.clock.fit import model_up_to_strips
 from stringcast.stages.clock.offset import (
     ClockOffset,
     FittedOffset,
@@ -116,6 +117,23 @@ def test_the_string_model_tells_the_offset_within_its_interval(monkeypatch):
     # the profile is highest near the truth
     best = found.profile.loc[found.profile["log_likelihood"].idxmax(), "offset"]
     assert best == pytest.approx(-by, abs=FRAME_S)
+
+
+def test_strings_are_sought_up_to_a_clamped_strip():
+    plain = plain_model(CHECKED)
+    wide = model_up_to_strips(plain)
+    by_name = {parameter.name: parameter for parameter in wide.string.parameters}
+    assert by_name["grasp_stiffness"].high == 300.0
+    before = {parameter.name: parameter for parameter in plain.string.parameters}
+    for name in ("linear_drag", "grasp_damping"):
+        assert by_name[name] == before[name]
+    # what is configured to be wider stays, and what was measured too
+    grasp = replace(by_name["grasp_stiffness"], high=5e3)
+    cable = replace(wide.string, ranges={**wide.string.ranges, grasp.name: grasp})
+    assert model_up_to_strips(replace(wide, string=cable)).string == cable
+    measured = replace(plain, measured_ranges={"grasp_stiffness": (1.0, 2.0)})
+    ranges = model_up_to_strips(measured).string.ranges
+    assert ranges["grasp_stiffness"] == before["grasp_stiffness"]
 
 
 def test_a_wrong_clock_is_refused_and_a_right_one_is_not():
@@ -251,11 +269,20 @@ def test_check_names_a_wrong_clock_unless_the_dataset_states_it():
 
 @pytest.mark.long
 @pytest.mark.skipif(not CASE.exists(), reason="needs shared/cases/two_clocks")
+@pytest.mark.parametrize("tip_alone", [False, True])
 def test_slow_motions_of_another_simulation_give_an_interval_with_the_truth(
-    called, tmp_path
+    called, tmp_path, tip_alone
 ):
-    files = [*sorted(CASE.glob("robot_*.csv")), *sorted(CASE.glob("tracker_*.csv"))]
-    options = ["--length", "320mm", "--at", "mid=0.160", "--at", "tip=0.320"]
+    files = sorted(CASE.glob("robot_*.csv"))
+    options = ["--length", "320mm"]
+    for tracker in sorted(CASE.glob("tracker_*.csv")):
+        table = pd.read_csv(tracker)
+        if tip_alone:
+            table = table[["time_s", "tip_x_mm", "tip_y_mm"]]
+        files.append(tmp_path / tracker.name)
+        table.to_csv(files[-1], index=False)
+    if not tip_alone:
+        options += ["--at", "mid=0.160", "--at", "tip=0.320"]
     options += ["--links", "0.28,0.22,0.12", "--base", "0.1,0.3", "--y-down"]
     folder = tmp_path / "mine"
     done = called("import", *files, "--to", folder, *options, "--clock", "fit")
@@ -263,3 +290,4 @@ def test_slow_motions_of_another_simulation_give_an_interval_with_the_truth(
     clock = read_metadata(folder)["clock"]
     still_missing = 5135.881 - clock["added"]
     assert clock["low"] < still_missing < clock["high"]
+    assert clock["high"] - clock["low"] < 10 * FRAME_S
