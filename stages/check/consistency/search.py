@@ -225,7 +225,8 @@ def relative_misfit(verdict: Verdict) -> float:
         for track in recording.tracks:
             if recording.name in verdict.misfits and track.point == tip:
                 motions.append(motion_of(track, length))
-    return verdict.misfit / max(float(np.median(motions)), MIN_MOTION)
+    motion = float(np.median(motions)) if motions else 0.0
+    return verdict.misfit / max(motion, MIN_MOTION)
 
 
 def motion_of(track: Track, length: float) -> float:
