@@ -342,6 +342,23 @@ def test_no_place_is_known_better_than_stated(sigma, least):
     assert known.position == pytest.approx(points[:3])
 
 
+def test_the_noise_of_the_first_frames_is_how_far_places_leave_parabolas():
+    rng = np.random.default_rng(3)
+    times = 0.01 * np.arange(8)
+    places = np.linspace(0.01, 0.3, 60)
+    frame, s = np.repeat(np.arange(8), 60), np.tile(places, 8)
+    falling = np.column_stack([s + 0.3 * times[frame], 5.0 * times[frame] ** 2])
+    noisy = falling + 1e-3 * rng.standard_normal(falling.shape)
+    found = first_frame_kinematics(times, frame, s, noisy, None, 0.3)
+    exact = first_frame_kinematics(times, frame, s, falling, 1e-3, 0.3)
+    ratio = found.position_sigma.mean() / exact.position_sigma.mean()
+    assert ratio == pytest.approx(1.0, abs=0.1)
+    assert exact.velocity[:, 0] == pytest.approx(np.full(60, 0.3))
+    assert np.std(found.position - exact.position) == pytest.approx(
+        exact.position_sigma.mean(), rel=0.2
+    )
+
+
 def test_splines_leave_some_frames_to_the_noise():
     assert basis.knot_spacing(np.arange(5) * 0.01) == pytest.approx(0.02)
     assert basis.knot_spacing(np.arange(5) * 0.001) == pytest.approx(0.015)
