@@ -57,6 +57,10 @@ class LazyModule:
     def _module(self) -> ModuleType:
         return import_optional(self._name)
 
+    def import_now(self) -> None:
+        """Import the module, so that worker processes need not do so one by one."""
+        self._module  # noqa: B018
+
     def __getattr__(self, name: str) -> Any:
         """Return an attribute of the module."""
         return getattr(self._module, name)

@@ -146,6 +146,7 @@ def propose_causes(
     Effects that can act nowhere in these trials are left out.
     """
     linear = LinearisedFit(data, parent)
+    qmc.import_now()
     # A search of contacts takes longest
     ordered = sorted(effects, key=is_position_dependent, reverse=True)
     found_by_effect = map_in_workers(
