@@ -342,6 +342,19 @@ def test_no_place_is_known_better_than_stated(sigma, least):
     assert known.position == pytest.approx(points[:3])
 
 
+@pytest.mark.parametrize(("lost", "seen"), [(1, [0.1, 0.2, 0.3]), (2, [0.1, 0.3])])
+def test_a_place_is_followed_in_three_of_the_first_four_frames(lost, seen):
+    times = 0.01 * np.arange(8)
+    frame, s = np.repeat(np.arange(8), 3), np.tile([0.1, 0.2, 0.3], 8)
+    points = np.column_stack([s, 0.5 * s])
+    points[frame >= 4] += 1.0  # later frames do not count
+    kept = ~((s == 0.2) & (frame >= 4 - lost) & (frame < 4))
+    found = first_frame_kinematics(times, frame[kept], s[kept], points[kept], 1e-3, 0.3)
+    assert list(found.s) == seen
+    assert found.position == pytest.approx(np.column_stack([seen, 0.5 * found.s]))
+    assert found.velocity == pytest.approx(np.zeros((len(seen), 2)), abs=1e-9)
+
+
 def test_the_noise_of_the_first_frames_is_how_far_places_leave_parabolas():
     rng = np.random.default_rng(3)
     times = 0.01 * np.arange(8)

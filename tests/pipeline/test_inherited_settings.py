@@ -113,6 +113,11 @@ def test_what_a_dataset_weighs_counts_unless_it_is_that_of_a_run(tmp_path):
     assert inherited(f"trials={tmp_path}")["effects"] == []
 
 
+def test_a_run_brings_its_blocks_as_they_are(tmp_path):
+    (tmp_path / "config.json").write_text('{"camera": {"fps": 5.0}}')
+    assert inherited(f"trials={tmp_path}")["camera"] == {"fps": 5.0}
+
+
 def test_a_run_brings_the_settings_that_it_states(tmp_path):
     (tmp_path / "config.json").write_text('{"seed": 3, "name": "x"}')
     assert settings_of_trials(tmp_path, set()) == {"seed": 3}

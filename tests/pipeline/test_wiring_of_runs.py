@@ -186,11 +186,11 @@ def test_data_files_of_a_plugin_count_as_its_code(tmp_path, monkeypatch):
     table.parent.mkdir(parents=True)
     monkeypatch.setenv(PLUGINS_VARIABLE, str(tmp_path / "data_lab"))
     digests = set()
-    for text in ("1.0", "2.0", "3.00"):
+    for text in ("1.0", "2.0", "3.00", "4.0," * 1000, "5.0," * 1000):
         table.write_text(text)
         code_state_with.cache_clear()
         digests.add(code_state()["source"])
-    assert len(digests) == 3
+    assert len(digests) == 5
     monkeypatch.setattr(provenance, "MAX_SOURCE_BYTES", 2)  # then the size counts
     table.write_text("4.00")
     code_state_with.cache_clear()
