@@ -20,6 +20,7 @@ from stringcast.stages.inference.initial_state import first_frame_kinematics
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.noise import WHITE_NOISE
 from stringcast.stages.inference.search import horizons
+from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.statics.chain import GRAVITY_M_S2
@@ -48,6 +49,60 @@ def test_the_prior_of_an_exponent_is_that_of_its_tip_shift():
     density = laplace.tip_shift_density(np.asarray(0.0), ONE_SIDED)
     assert found == pytest.approx(np.log(density * 0.5))
     assert laplace.log_prior(ONE_SIDED, 0.5, 9.0, 0.5) == np.log(np.finfo(float).tiny)
+
+
+def test_a_slope_across_the_edge_of_what_can_be_simulated_is_none():
+    shapes = np.array([[3.0, -1.0], [0.5, 2.0]])
+    chi = np.array([0.9, 0.2])
+
+    def simulate(model, points):
+        diverged = np.where(points[:, [1]] > 0.2, DIVERGED_RESIDUAL, points @ shapes)
+        return [points @ shapes, diverged]
+
+    data = SimpleNamespace(
+        residuals=simulate, whiten=lambda slopes, scales: np.hstack(slopes)
+    )
+    residuals = [rows[0] for rows in simulate(None, chi[None])]
+    further = np.array([[0.5, 0.1]])
+    slopes, others = laplace._residual_slopes(
+        data, SimpleNamespace(model=None), chi, residuals, None, further
+    )
+    assert slopes[0] == pytest.approx(shapes)
+    assert slopes[1] == pytest.approx(np.array([[3.0, -1.0], [0.0, 0.0]]))
+    assert others[1] == pytest.approx(further @ shapes)
+
+
+def test_the_likeliest_discrepancy_follows_smooth_misfit_in_each_trial():
+    rng = np.random.default_rng(3)
+    trials = []
+    residuals = []
+    for size in (30.0, -10.0):
+        trial = film(20, 12, rng)
+        trial.noise, trial.sigma = WHITE_NOISE, np.full(240, 1e-3)
+        trial.discrepancy = discrepancy.Discrepancy.for_trial(
+            trial, np.ones(20), np.zeros((480, 0))
+        )
+        trial.is_tip = trial.s > 0.28
+        trial.tip_rms = lambda at_tip: np.sqrt(np.mean(at_tip**2, axis=-1))
+        trials.append(trial)
+        wave = size * np.sin(9 * trial.times[trial.frame]) * trial.s / 0.3
+        residuals.append(np.repeat(wave, 2))
+    data = TrialData(tuple(trials))
+    hypothesis = SimpleNamespace(cause_names=())
+    wide = int(np.searchsorted(discrepancy.DISCREPANCY_SCALES_M, 0.1))
+    fit = SimpleNamespace(
+        hypothesis=hypothesis, residuals=residuals, scale_indices=[wide, wide]
+    )
+    for mean, residual in zip(
+        laplace.mean_discrepancy(data, fit), residuals, strict=True
+    ):
+        assert mean == pytest.approx(residual, abs=0.2)
+    sizes = laplace.sample_discrepancy_tip_rms(data, fit, rng)
+    assert sizes.shape == (2, laplace.DISCREPANCY_DRAWS)
+    expected = data.tip_rms_by_trial(residuals)
+    assert sizes.mean(axis=1) == pytest.approx(expected, rel=0.05)
+    fit.scale_indices = [0, wide]
+    assert not laplace.mean_discrepancy(data, fit)[0].any()
 
 
 def test_the_volume_is_that_of_a_normal_distribution():
