@@ -536,6 +536,10 @@ FILE_MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
         written(encoding="utf-8-sig", lineterminator="\r\n"),
         "Usable",
     ),
+    "slow motion on both clocks": (
+        with_both_times(lambda t: 4 * t),
+        "Multiply t of both by 0.25",
+    ),
     "clock 100 ppm fast": (
         edited("tracker", with_times(lambda t: t * 1.0001)),
         "Usable",

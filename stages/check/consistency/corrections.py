@@ -463,7 +463,7 @@ PACES = tuple(
         "arm, points",
         "t",
         f"hand and string move at {words} the pace of a string that falls",
-        f"Multiply t of both by {factor:g}: is it slow motion, or another unit?",
+        f"Multiply t of both by {factor:g}: it is slow motion, or in another unit",
         partial(scale_all_times, factor=factor),
         "pace",
         factor=factor,
