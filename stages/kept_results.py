@@ -95,9 +95,9 @@ def _content_parts(value: Any) -> Iterator[bytes]:
         yield from _content_parts([value.shape, value.data])
         yield from _content_parts([value.indices, value.indptr])
     elif isinstance(value, Mapping):
-        for key, inner in value.items():
-            yield from _content_parts(key)
-            yield from _content_parts(inner)
+        # in any order: stored settings are sorted, those of a command are not
+        for digest in sorted(map(content_digest, value.items())):
+            yield digest.encode()
     elif isinstance(value, Sequence) and not isinstance(value, str | bytes):
         for inner in value:
             yield from _content_parts(inner)

@@ -1,12 +1,15 @@
 """Results that a step has reached are found again, by what decides them."""
 
+import json
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
+from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.run.kept_files import KeptFiles
 from stringcast.stages.kept_results import content_digest, keep_results, use_store
+from tests.foreign.test_foreign_settings import resolved
 
 VERSIONS = {"code": {"source": "abc"}, "packages": {"numpy": "2"}}
 RESULT = (np.arange(6.0).reshape(2, 3) / 7, np.array(1e-300), np.zeros((0, 4)))
@@ -112,3 +115,21 @@ def test_other_content_has_another_digest():
     assert len({content_digest(other) for other in others}) == len(others)
     with pytest.raises(TypeError, match="no content"):
         content_digest(object())
+
+
+def test_the_order_of_names_does_not_count():
+    digest = content_digest({"a": 1, "b": {"c": 2, "d": 3}})
+    assert digest == content_digest({"b": {"d": 3, "c": 2}, "a": 1})
+    assert digest != content_digest({"a": 1, "b": {"c": 3, "d": 2}})
+    assert digest != content_digest({"b": 1, "a": {"c": 2, "d": 3}})
+
+
+def test_a_resumed_run_asks_for_the_same_results():
+    """`resume` reads its settings sorted by name; all results were made again."""
+    settings = resolved("+experiment=diagnose", "trials=data/sample")
+    stored = json.loads(json.dumps(settings, sort_keys=True))
+    digests = set()
+    for config in (settings, stored):
+        experiment = prepare_experiment(config, lambda block: block)
+        digests.add(content_digest(experiment.model))
+    assert len(digests) == 1
