@@ -47,7 +47,10 @@ from stringcast.stages.diagnose.measures import (
     tip_shift_rms,
     unexplained_tip_rms,
 )
-from stringcast.stages.diagnose.outlying_trials import find_outlying_trial
+from stringcast.stages.diagnose.outlying_trials import (
+    find_outlying_trial,
+    find_predicted_trials,
+)
 from stringcast.stages.diagnose.posteriors import (
     limit_by_agreement,
     swap_lookalikes_until_stable,
@@ -253,6 +256,11 @@ class TrialsByUse:
         """Exclude trials from the search, by name with the reason."""
         return replace(self, excluded={**self.excluded, **reasons})
 
+    def including(self, names: Sequence[str]) -> TrialsByUse:
+        """Include trials in the search that were excluded."""
+        excluded = {n: r for n, r in self.excluded.items() if n not in names}
+        return replace(self, excluded=excluded)
+
     def excluding_chaotic(self, names: Sequence[str]) -> TrialsByUse:
         """Exclude chaotic trials from the search."""
         return self.excluding(dict.fromkeys(names, CHAOTIC_REASON))
@@ -338,8 +346,8 @@ def _search_until_trials_settle(
     """Search causes, and again while the causes change which trials are resolved.
 
     A trial that is chaotic without causes is used from then on if a simulation with
-    causes resolves it; one that is chaotic with causes is excluded, and one that the
-    others do not predict.
+    causes resolves it; one that is chaotic with causes is excluded. So is one that the
+    others do not predict, until the causes found without it predict it.
     """
     criteria = settings.criteria
     tolerance_m = criteria.tip_tolerance_m
@@ -347,6 +355,8 @@ def _search_until_trials_settle(
     starts = settings.starts
     progress = settings.progress
     resolved_with_causes = list[str]()
+    outlying = list[str]()
+    predicted_after_all = list[str]()
     while True:
         log.info("fitting the base model")
         prepared = prepare_data(
@@ -390,12 +400,22 @@ def _search_until_trials_settle(
             log.info("chaotic with the causes: %s", ", ".join(chaotic))
             trials = trials.excluding_chaotic((*prepared.chaotic_trials, *chaotic))
             continue
-        outlying = find_outlying_trial(state, criteria)
-        if not outlying:
+        found = find_outlying_trial(state, criteria)
+        newly_outlying = [name for name in found if name not in predicted_after_all]
+        for name in newly_outlying:
+            log.info("%s: %s", name, found[name])
+            trials = trials.excluding({name: found[name]})
+            outlying.append(name)
+        if newly_outlying:
+            continue
+        excluded = [o for o in trials.observations if o.trial in outlying]
+        predicted = find_predicted_trials(state, excluded, criteria)
+        if not predicted:
             return
-        for name, reason in outlying.items():
-            log.info("%s: %s", name, reason)
-        trials = trials.excluding(outlying)
+        log.info("predicted after all, and used again: %s", ", ".join(predicted))
+        trials = trials.including(predicted)
+        outlying = [name for name in outlying if name not in predicted]
+        predicted_after_all += predicted
 
 
 def _trials_resolved_with_causes(

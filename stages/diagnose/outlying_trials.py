@@ -7,10 +7,14 @@ would hide what the others agree on.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from stringcast.data.artifacts import Observation
 from stringcast.stages.diagnose.forward_selection import SelectionState
-from stringcast.stages.diagnose.predictions import tip_errors
+from stringcast.stages.diagnose.predictions import predict_trials, tip_errors
+from stringcast.stages.diagnose.preparation import prepare_further_trials
 from stringcast.stages.diagnose.rules import Criteria
 
 MM_PER_M = 1e3
@@ -35,11 +39,41 @@ def find_outlying_trial(state: SelectionState, criteria: Criteria) -> dict[str, 
     errors_m = tip_errors(data, state.predictions)
     worst = int(np.argmax(errors_m))
     others_m = float(np.median(np.delete(errors_m, worst)))
-    limit_m = max(criteria.tip_tolerance_m, MAX_ERROR_RATIO * others_m)
-    if errors_m[worst] <= limit_m:
+    if errors_m[worst] <= _largest_error(others_m, criteria):
         return {}
     reason = (
         f"{OUTLYING} to {MM_PER_M * errors_m[worst]:.0f} mm, "
         f"and each other to {MM_PER_M * others_m:.1f} mm; excluded"
     )
     return {data.trials[worst].name: reason}
+
+
+def find_predicted_trials(
+    state: SelectionState, excluded: Sequence[Observation], criteria: Criteria
+) -> list[str]:
+    """Find excluded trials that the causes found without them predict after all.
+
+    They were outlying by causes, or a string, that were wrong.
+
+    Returns
+    -------
+    list of str
+        Their names.
+    """
+    if not excluded:
+        return []
+    data = state.prepared.data
+    others_m = float(np.median(tip_errors(data, state.predictions)))
+    names = []
+    for observation in excluded:
+        further, _ = prepare_further_trials(state.prepared, [observation], state.fit)
+        predictions = predict_trials(further, state.fit)
+        (error_m,) = tip_errors(further, predictions)
+        if error_m <= _largest_error(others_m, criteria):
+            names.append(observation.trial)
+    return names
+
+
+def _largest_error(others_m: float, criteria: Criteria) -> float:
+    """Return the largest error of a trial [m] that is not outlying."""
+    return max(criteria.tip_tolerance_m, MAX_ERROR_RATIO * others_m)
