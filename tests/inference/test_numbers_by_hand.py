@@ -16,15 +16,19 @@ from stringcast.stages.inference import (
     search,
 )
 from stringcast.stages.inference.covariance import Covariance
+from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_state import first_frame_kinematics
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.noise import WHITE_NOISE
+from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.search import horizons
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.statics.chain import GRAVITY_M_S2
 
+TipMass, Wind = find_effects(["tip_mass", "wind"])
 ONE_SIDED = Parameter("a", "1", "", low=0.0, high=1.0, start=0.0)
 TWO_SIDED = Parameter("a", "1", "", low=-1.0, high=1.0, start=0.0)
 
@@ -425,6 +429,56 @@ def test_the_noise_of_the_first_frames_is_how_far_places_leave_parabolas():
     assert np.std(found.position - exact.position) == pytest.approx(
         exact.position_sigma.mean(), rel=0.2
     )
+
+
+def test_only_directions_that_points_determine_are_in_a_basis():
+    rng = np.random.default_rng(3)
+    trial = film(20, 2, rng)
+    trial.noise = WHITE_NOISE
+    found = discrepancy.NoiseBasis.for_trial(trial)
+    gram = (found.splines.T @ found.splines).toarray()
+    assert len(found.whiten) == np.linalg.matrix_rank(gram, tol=1e-8 * np.max(gram))
+    assert len(found.whiten) < len(gram)
+    white = found.whiten @ gram @ found.whiten.T
+    assert white == pytest.approx(np.eye(len(white)), abs=1e-4)
+
+
+def test_what_lets_a_string_back_is_the_last_amplitude(monkeypatch):
+    count = 2 * initial_modes.INITIAL_MODES
+    modes = np.arange(1.0, count + 1)
+    trial = SimpleNamespace(
+        initial_state=SimpleNamespace(memory_reversal=0.3),
+        mode_amplitudes=modes,
+        model=SimpleNamespace(string=None),
+    )
+    for memories in (0, 1):
+        monkeypatch.setattr(
+            initial_modes,
+            "initial_state_parameters",
+            lambda string, more=memories: [None] * (count + more),
+        )
+        expected = [*modes, *[0.3 / initial_modes.LET_BACK_SIGMA] * memories]
+        assert initial_modes.initial_amplitudes(trial) == pytest.approx(expected)
+
+
+def test_residuals_of_trials_stand_side_by_side():
+    doubled = SimpleNamespace(whiten=lambda residual, scale: scale * residual)
+    data = TrialData(tuple(SimpleNamespace(error_model=doubled) for _ in range(2)))
+    residuals = [np.array([[1.0, 2.0]]), np.array([[3.0, 4.0, 5.0]])]
+    white = data.whiten(residuals, np.array([2, 10]))
+    assert white == pytest.approx(np.array([[2.0, 4.0, 30.0, 40.0, 50.0]]))
+
+
+def test_residuals_are_displacements_in_metres():
+    trial = SimpleNamespace(sigma=np.array([0.1, 0.2]))
+    found = PreparedTrial.displacements_m(trial, np.array([1.0, 2.0, 3.0, 4.0]))
+    assert found == pytest.approx(np.array([[0.1, 0.2], [0.6, 0.8]]))
+
+
+def test_a_cause_is_added_at_the_end_and_removed_by_itself():
+    both = Hypothesis(None).with_cause(TipMass).with_cause(Wind)
+    assert both.cause_names == ("tip_mass", "wind")
+    assert both.without_cause(TipMass).causes == (Wind,)
 
 
 def test_splines_leave_some_frames_to_the_noise():
