@@ -33,8 +33,8 @@ def transform_to_arm_frame(points: Points, model: Model) -> Points:
     if not model.measured_ranges:
         return points
     values = model.values({})[None]
-    # camera effects need places at three times, which are the same: nothing moves
-    moments = 3 if model.camera_effects else 1
+    # a velocity needs places at three times, which are the same: nothing moves
+    moments = 3 if model.camera_uses_velocity else 1
     corrected = []
     for table, columns in (
         (points.points, ["x", "y"]),

@@ -244,7 +244,7 @@ class Model(Parametrised):
         (M,) or (C, M) [s]. times: (F,) of the camera's clock.
         """
         times = self._arm_times(values, times)
-        if not self._camera_uses_velocity:
+        if not self.camera_uses_velocity:
             return times
         # Nothing later than the last frame: its string should not depend on whether
         # velocities are wanted.
@@ -253,7 +253,8 @@ class Model(Parametrised):
         return np.concatenate([times - VELOCITY_STEP_S, times, after], axis=-1)
 
     @property
-    def _camera_uses_velocity(self) -> bool:
+    def camera_uses_velocity(self) -> bool:
+        """Whether what the camera reports depends on how fast points move."""
         return any(effect.uses_velocity for effect in self.camera_effects)
 
     def _arm_times(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -283,7 +284,7 @@ class Model(Parametrised):
         """
         now = points
         velocity = np.zeros((1, 1, 1, 2))
-        if self._camera_uses_velocity:
+        if self.camera_uses_velocity:
             before, now, after = np.split(points, 3, axis=1)
             moments = np.atleast_2d(self.required_times(values, times))
             first, _, last = np.split(moments, 3, axis=1)
