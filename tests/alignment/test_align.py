@@ -428,7 +428,7 @@ def test_the_tip_is_judged_where_it_is(model, later):
         np.linspace(0, 1, 30),
         np.random.default_rng(0).uniform(-0.2, 0.8, (30, 2)),
     )
-    stills = true[None, :, None]
+    stills = np.tile(true[None, :, None], (1, 3, 1, 1))
     x, y = (
         measurement_model(model)
         .observed_points(stills, measurement_model(model).values(OFF)[None], t)[0, :, 0]
