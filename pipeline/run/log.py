@@ -47,8 +47,9 @@ class LossyFileHandler(logging.FileHandler):
     """A log file on a disk that may be full: it loses lines rather than stop a run."""
 
     def _open(self) -> TextIOWrapper:
-        # A link in the folder of somebody else could lead into any file of the user.
-        no_link = getattr(os, "O_NOFOLLOW", 0)
+        # A link in the folder of somebody else could lead into any file of the user,
+        # and a pipe would block.
+        no_link = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
         def open_file(path: str, flags: int) -> int:
             return os.open(path, flags | no_link, 0o666)

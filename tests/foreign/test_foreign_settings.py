@@ -238,6 +238,13 @@ def test_lines_of_the_log_do_not_go_through_a_link(tmp_path):
     assert "a line" in (run / "run.log").read_text()
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="only POSIX has named pipes")
+def test_a_log_that_is_a_pipe_blocks_no_run(tmp_path):
+    os.mkfifo(tmp_path / "run.log")
+    with log.log_to_folder(tmp_path):
+        log.LOGGER.info("a line")
+
+
 @pytest.mark.parametrize("name", ["iterations", "iterations/01/trial", "config.json"])
 def test_a_run_that_holds_a_link_is_refused(tmp_path, name):
     """A run that holds a link is refused.
