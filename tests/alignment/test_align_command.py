@@ -47,7 +47,7 @@ def test_what_was_measured_is_where_a_search_begins_and_all_it_searches():
         ({"value": 0.012, "low": 0.01}, "it must be a number, or value, low and high"),
         (
             {"value": "soon", "low": 0.0, "high": 0.1},
-            "it must be a number, or value, low and high",
+            "time_offset.offset.value = 'soon' .*: it must be a number",
         ),
     ],
 )
