@@ -1,6 +1,6 @@
 """Comparison of fits, and acceptance and removal of causes."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +11,15 @@ from stringcast.stages.diagnose import forward_selection, measures, rules
 from stringcast.stages.diagnose.forward_selection import SelectionState, SelectionStep
 from stringcast.stages.diagnose.prepared_data import RefinedFit
 from stringcast.stages.diagnose.proposals import Proposal
+
+
+@dataclass(frozen=True)
+class NamedFit:
+    """A fit of which little is known."""
+
+    name: str
+    log_evidence: float
+    hypothesis: None = None
 
 
 @pytest.mark.parametrize(
@@ -28,10 +37,7 @@ from stringcast.stages.diagnose.proposals import Proposal
 def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
     before, uncertain, misfit, best, monkeypatch
 ):
-    fits = [
-        SimpleNamespace(log_evidence=60.0, name="uncertain"),
-        SimpleNamespace(log_evidence=50.0, name="resolved"),
-    ]
+    fits = [NamedFit("uncertain", 60.0), NamedFit("resolved", 50.0)]
     uncertainty_m = {
         "uncertain": np.array(uncertain),
         "resolved": np.zeros(len(before)),

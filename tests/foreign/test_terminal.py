@@ -59,6 +59,7 @@ def test_control_characters_are_spelt(kind):
 
 def test_warnings_of_libraries_are_in_the_log_alone(tmp_path, capfd):
     warnings.simplefilter("always")
+    logging.captureWarnings(False)  # a command of another test leaves it on
     log_warnings()
     try:
         with log_to_folder(tmp_path):

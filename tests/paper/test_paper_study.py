@@ -143,7 +143,13 @@ def leave_run(place, hits):
     ]
     rates = {"E_before": 0.5, "E_after": None}
     (place / "run.json").write_text(
-        json.dumps({"hit": any(hits), "iterations": [cast | rates for cast in casts]})
+        json.dumps(
+            {
+                "hit": any(hits),
+                "sentence": "It has ended.",
+                "iterations": [cast | rates for cast in casts],
+            }
+        )
     )
     for cast in casts:
         leave_cast(place / "iterations" / f"{cast['number']:02d}")

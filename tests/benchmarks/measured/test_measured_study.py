@@ -85,7 +85,7 @@ def put(folder):
     t = np.arange(0, 0.6, 1 / 30)
     tables = {"grasp": [], "points": []}
     for trial in ("release_red", "drive_red"):
-        x = 0.0 if trial.startswith("release") else 0.02 * np.sin(8 * t)
+        x = 0.0 if trial.startswith("release") else 0.02 * np.sin(t)  # no swing
         tables["grasp"].append(
             pd.DataFrame(
                 {
