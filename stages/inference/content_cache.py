@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
 import numpy as np
+
+from stringcast.stages.kept_results import content_digest
 
 ResultT = TypeVar("ResultT")
 
@@ -22,17 +23,13 @@ class ContentCache(Generic[ResultT]):
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self._results: dict[bytes, ResultT] = {}
+        self._results: dict[str, ResultT] = {}
 
     def find_or_make(
         self, parts: Sequence[np.ndarray], make: Callable[[], ResultT]
     ) -> ResultT:
         """Return the result that belongs to these arrays, made if it is not kept."""
-        digest = hashlib.sha256()
-        for part in parts:
-            digest.update(f"{part.dtype}{part.shape}".encode())
-            digest.update(np.ascontiguousarray(part).data)
-        key = digest.digest()
+        key = content_digest(parts)
         result = self._results.pop(key) if key in self._results else make()
         self._results[key] = result  # the last one is the newest
         while len(self._results) > self.size:
