@@ -171,10 +171,11 @@ def run_row(run: Path) -> dict[str, Any]:
     """Return the row of a run, which says what is wrong if the run is damaged."""
     try:
         settings = read_json(run / "config.json")
+        summary = read_summary(run)
         row = {
             "experiment": str(settings["name"]),
-            **ending_columns(run, settings),
-            **step_columns(run, settings),
+            **ending_columns(run, settings, summary),
+            **step_columns(run, settings, summary),
         }
         for name, value in row.items():
             if isinstance(value, str):
@@ -223,9 +224,11 @@ def printable_table(runs: pd.DataFrame) -> TerminalTable:
     return table
 
 
-def ending_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, str]:
-    """Return state, outcome, causes and sentence of a run with these settings."""
-    summary, failure_file = read_summary(run), run / FAILURE_FILE
+def ending_columns(
+    run: Path, settings: Mapping[str, Any], summary: Mapping[str, Any]
+) -> dict[str, str]:
+    """Return state, outcome, causes and sentence of a run, with its run.json."""
+    failure_file = run / FAILURE_FILE
     if not summary:
         reason = ""
         if failure_file.is_file():
@@ -249,7 +252,9 @@ def ending_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, str]:
     return {"state": "ended", "outcome": outcome, "causes": causes, "said": said}
 
 
-def step_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
+def step_columns(
+    run: Path, settings: Mapping[str, Any], summary: Mapping[str, Any]
+) -> dict[str, Any]:
     """Return date, time spent, best matching rate and staleness of a run's steps."""
     steps = sorted({file.parent for file in run.glob("iterations/*/*/*.parquet")})
     origins = [store.read_origin(step).get("made", {}) for step in steps]
@@ -257,11 +262,10 @@ def step_columns(run: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
     seconds = [origin.get("seconds", 0.0) for origin in origins]
     rates: list[float] = []
     for file in run.glob("iterations/*/estimate/fit.parquet"):
-        summary = store.read_table(ESTIMATION_SUMMARY, file)
-        rates.append(float(summary["after"].iloc[0]))
+        estimation = store.read_table(ESTIMATION_SUMMARY, file)
+        rates.append(float(estimation["after"].iloc[0]))
 
     count = len({step.parent for step in steps})
-    summary = read_summary(run)
     if summary:  # a step may use all trials before it
         count = len(summary["iterations"])
     return {
