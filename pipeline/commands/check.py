@@ -78,10 +78,7 @@ def main(arguments: Sequence[str]) -> int:
         if report is not None and report.suffix != ".html":
             raise UserError(f"--report {report}: it must end in .html. Change it.")
     except UserError as error:
-        if "--json" not in arguments:
-            raise
-        print(json.dumps(overview_of_wrong_options(error), indent=2))
-        return NOT_USABLE
+        return report_wrong_options(error, arguments)
     try:
         checked = read_measurements(options.folder, options.settings)
         overview = overview_with_clocks(checked)
@@ -251,6 +248,14 @@ def overview_of_unreadable(folder: Path, message: str) -> dict[str, Any]:
         "rejected": {},
         "findings": [finding],
     }
+
+
+def report_wrong_options(error: UserError, arguments: Sequence[str]) -> int:
+    """Print options that cannot be understood, if as JSON; else raise their error."""
+    if "--json" not in arguments:
+        raise error
+    print(json.dumps(overview_of_wrong_options(error), indent=2))
+    return NOT_USABLE
 
 
 def overview_of_wrong_options(error: UserError) -> dict[str, Any]:

@@ -79,10 +79,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         options = argument_parser(__doc__).parse_args(arguments)
     except UserError as error:
-        if "--json" not in arguments:
-            raise
-        print(json.dumps(check.overview_of_wrong_options(error), indent=2))
-        return check.NOT_USABLE
+        return check.report_wrong_options(error, arguments)
     options.files = expand_patterns(options.files)
     console = Terminal(quiet=options.json)
     if not options.json:
