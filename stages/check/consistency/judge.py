@@ -11,7 +11,7 @@ from stringcast.stages.check.consistency.limits import BrokenLimit, broken_limit
 from stringcast.stages.check.consistency.prediction import (
     ARC_LENGTH_GRID,
     BEGINNING,
-    WHOLE,
+    WHOLE_MOTION,
     Horizon,
     Prediction,
     clock_offsets,
@@ -154,7 +154,9 @@ def hanging_lengths(measured: Measurements) -> list[float]:
     return [ratio * chord for ratio in LENGTH_RATIOS]
 
 
-def judge_prediction(measured: Measurements, horizon: Horizon = WHOLE) -> Verdict:
+def judge_prediction(
+    measured: Measurements, horizon: Horizon = WHOLE_MOTION
+) -> Verdict:
     """Return how well the model predicts measurements of a string of known length."""
     tip = farthest_point(measured)
     fits: dict[str, TrialFit] = {}

@@ -74,7 +74,7 @@ class Horizon(NamedTuple):
     swung: float
 
 
-WHOLE = Horizon(2.5, 0.7)
+WHOLE_MOTION = Horizon(2.5, 0.7)
 BEGINNING = Horizon(1.2, 0.3)
 
 
@@ -110,7 +110,7 @@ class Prediction:
 
 
 def predict(
-    measured: Measurements, recording: Recording, horizon: Horizon = WHOLE
+    measured: Measurements, recording: Recording, horizon: Horizon = WHOLE_MOTION
 ) -> Prediction | None:
     """Predict the string of a trial; None if the trial predicts nothing.
 
@@ -181,7 +181,7 @@ def ladder_values(string: String) -> np.ndarray:
     return np.array(rows)
 
 
-def thin_track(track: Track, length: float, horizon: Horizon = WHOLE) -> Track:
+def thin_track(track: Track, length: float, horizon: Horizon = WHOLE_MOTION) -> Track:
     """Return at most MAX_FRAMES finite frames about the track's motion."""
     is_known = np.isfinite(track.xy).all(axis=1) & np.isfinite(track.t)
     t, xy = track.t[is_known], track.xy[is_known]
