@@ -19,6 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stringcast.stages.diagnose.probabilities import effect_probabilities
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
@@ -59,3 +60,17 @@ def log_bayes_factor_of_trials(
         0.5 * groups * np.log1p(t**2 / (groups - 1))
         - 0.5 * len(indices) * np.log(groups)
     )
+
+
+def probability_by_agreement(log_bayes_factor: float, candidates: int) -> float:
+    """Compute the probability that a cause is there, by the trials' t-test alone.
+
+    Parameters
+    ----------
+    log_bayes_factor : float
+        As of `log_bayes_factor_of_trials`.
+    candidates : int
+        Number of effects that share the prior probability of one being active.
+    """
+    log_evidence = {"": np.zeros(1), "cause": np.array([log_bayes_factor])}
+    return effect_probabilities(log_evidence, candidates)["cause"]

@@ -14,7 +14,10 @@ from functools import cached_property
 
 import numpy as np
 
-from stringcast.stages.diagnose.agreement import log_bayes_factor_of_trials
+from stringcast.stages.diagnose.agreement import (
+    log_bayes_factor_of_trials,
+    probability_by_agreement,
+)
 from stringcast.stages.diagnose.base_model import refit_from_new_starts
 from stringcast.stages.diagnose.discretisation import (
     correct_data_on_one_finer_mesh,
@@ -157,7 +160,7 @@ def select_causes(
         gain = step.best.log_evidence - step.parent.log_evidence
         log.info("accepted: %s, log evidence %+.1f", name, gain)
         yield state
-    yield drop_unconfirmed_causes(state, criteria)
+    yield drop_unconfirmed_causes(state, criteria, len(effects))
 
 
 def _set_aside_if_small(
@@ -367,12 +370,16 @@ def drop_redundant_causes(
 def drop_unconfirmed_causes(
     state: SelectionState,
     criteria: Criteria,
+    candidates: int,
 ) -> SelectionState:
-    """Set aside causes that trials left out do not confirm, the last one first."""
+    """Set aside causes that trials left out do not confirm, the last one first.
+
+    candidates: number of effects that share the prior probability of one being active.
+    """
     for cause in reversed(state.fit.hypothesis.causes):
         hypothesis = state.fit.hypothesis.without_cause(cause)
         without = replace(state, fit=refit(state.prepared.data, state.fit, hypothesis))
-        reason = _reason_to_set_aside(state, without, cause, criteria)
+        reason = _reason_to_set_aside(state, without, cause, criteria, candidates)
         if reason:
             log.info("%s is set aside: %s", cause.name, reason)
             reasons = {**state.set_aside, cause.name: reason}
@@ -385,6 +392,7 @@ def _reason_to_set_aside(
     without: SelectionState,
     cause: type[Effect],
     criteria: Criteria,
+    candidates: int,
 ) -> str:
     """Say why a cause is not confirmed, or nothing if it is.
 
@@ -414,7 +422,8 @@ def _reason_to_set_aside(
         data, fit, state.left_out_exponents, cause
     )
     log.info("%s: log Bayes factor between trials %.1f", cause.name, bayes_factor)
-    if not trials_agree(bayes_factor, criteria):
+    probability = probability_by_agreement(bayes_factor, candidates)
+    if not trials_agree(probability):
         return "the trials do not agree on it"
     return ""
 

@@ -13,9 +13,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
-from stringcast.stages.diagnose.agreement import log_bayes_factor_of_trials
+from stringcast.stages.diagnose.agreement import (
+    log_bayes_factor_of_trials,
+    probability_by_agreement,
+)
 from stringcast.stages.diagnose.background_effects import (
     background_log_evidence_gains,
     background_responses,
@@ -27,13 +29,13 @@ from stringcast.stages.diagnose.forward_selection import (
     with_fit,
 )
 from stringcast.stages.diagnose.measures import refit, tip_shift_rms
+from stringcast.stages.diagnose.probabilities import effect_probabilities
 from stringcast.stages.diagnose.rules import Criteria, is_inside_range
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import Effect
 
-PRIOR_NO_EFFECT = 0.5  # probability that no effect of the library is active
 BOOTSTRAP_SAMPLES = 100  # probabilities are then known to 0.05
 
 
@@ -281,36 +283,6 @@ def single_effect_posterior(
     return SingleEffectPosterior(probabilities, fits, step.parent)
 
 
-def effect_probabilities(
-    log_evidence: Mapping[str, np.ndarray], candidates: int
-) -> dict[str, float]:
-    """Compute the probability of each effect, and of none, from their evidence.
-
-    Parameters
-    ----------
-    log_evidence : mapping of str to numpy.ndarray, shape (samples,)
-        By name of the effect; that of none is empty.
-    candidates : int
-        Number of effects that share the prior probability of one being active.
-
-    Returns
-    -------
-    dict of str to float
-        Means over the samples.
-    """
-    prior_of_each = (1 - PRIOR_NO_EFFECT) / candidates
-    log_posterior = {}
-    for name, evidence in log_evidence.items():
-        log_posterior[name] = evidence + np.log(
-            prior_of_each if name else PRIOR_NO_EFFECT
-        )
-    total = logsumexp(list(log_posterior.values()), axis=0)
-    probabilities = {}
-    for name, value in log_posterior.items():
-        probabilities[name] = float(np.mean(np.exp(value - total)))
-    return probabilities
-
-
 def limit_by_agreement(
     posteriors: Posteriors,
     misfit_probability: float,
@@ -343,8 +315,7 @@ def limit_by_agreement(
         log_bayes_factor = log_bayes_factor_of_trials(
             data, state.fit, state.left_out_exponents, causes[name]
         )
-        log_evidence = {"": np.zeros(1), name: np.array([log_bayes_factor])}
-        limit = effect_probabilities(log_evidence, candidates)[name]
+        limit = probability_by_agreement(log_bayes_factor, candidates)
         by_cause.append(_limit_presence(posterior, limit, misfit_probability))
     return replace(posteriors, by_cause=tuple(by_cause))
 

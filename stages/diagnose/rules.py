@@ -22,9 +22,8 @@ An **accepted cause** stays while later causes are added:
 `predicts_heldout`         trials are predicted by fits to the others: it raises the
                            likelihood of the median trial, and tips are closer
 `is_inside_range`          none of its amplitudes is at an end of its range
-`trials_agree`             if misfit remains, fits without one trial each agree that
-                           it is there: a t-test with a Bayes factor of at least
-                           1/alpha
+`trials_agree`             if misfit remains, it is there with a probability above
+                           one half by how fits without one trial each scatter
 =========================  =========================================================
 
 The **verdict** names the accepted causes only if all of these pass:
@@ -266,13 +265,13 @@ def is_inside_range(fit: Fit, cause: type[Effect]) -> bool:
     return not (is_present & is_at_end)[indices].any()
 
 
-def trials_agree(log_bayes_factor: float, criteria: Criteria) -> bool:
-    """Whether fits without one trial each agree that a cause is there.
+def trials_agree(probability: float) -> bool:
+    """Whether a cause is more likely there than not, by the scatter between trials.
 
     See `agreement`. The evidence of a model that leaves misfit is too sure of itself;
     how its estimates scatter between trials is not.
     """
-    return log_bayes_factor >= criteria.min_log_bayes_factor
+    return probability > 0.5
 
 
 def misfit_remains(probability: float) -> bool:

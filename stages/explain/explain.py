@@ -28,7 +28,7 @@ from stringcast.data.artifacts import (
     Observation,
 )
 from stringcast.stages.common import Progress
-from stringcast.stages.diagnose.posteriors import effect_probabilities
+from stringcast.stages.diagnose.probabilities import effect_probabilities
 from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.estimate.least_squares import estimate as fit_from_nothing
 from stringcast.stages.estimate.matching import Matching

@@ -5,7 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stringcast.stages.diagnose.agreement import log_bayes_factor_of_trials
+from stringcast.stages.diagnose.agreement import (
+    log_bayes_factor_of_trials,
+    probability_by_agreement,
+)
 
 
 def bayes_factor(estimates, amplitude, *, slopes=((1.0, 0.0), (0.0, 1.0))):
@@ -69,3 +72,9 @@ def test_an_absent_cause_seldom_passes():
         single = rng.standard_normal((5, 1))
         passed += bayes_factor(leave_each_out(single), single.mean(axis=0)) > 100
     assert passed <= 5
+
+
+def test_the_odds_are_the_bayes_factor_over_the_number_of_candidates():
+    """One of the candidates is as likely as none, before the trials are seen."""
+    assert probability_by_agreement(np.log(20), 20) == pytest.approx(0.5)
+    assert probability_by_agreement(np.log(60), 20) == pytest.approx(0.75)

@@ -53,8 +53,8 @@ def test_evidence_counts_from_its_limit_on():
     weaker = fit_of(7.0 + SLIGHTLY_LESS * LIMIT)
     assert not rules.has_evidence(parent, weaker, CRITERIA)
     assert not rules.is_needed(parent, weaker, CRITERIA)
-    assert rules.trials_agree(LIMIT, CRITERIA)
-    assert not rules.trials_agree(SLIGHTLY_LESS * LIMIT, CRITERIA)
+    assert rules.trials_agree(0.5 * SLIGHTLY_MORE)
+    assert not rules.trials_agree(0.5)
 
 
 @pytest.mark.parametrize(

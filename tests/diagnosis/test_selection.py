@@ -145,7 +145,7 @@ def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
     monkeypatch.setattr(forward_selection, "tip_errors", lambda *_: np.zeros(5))
     monkeypatch.setattr(forward_selection, "mean_explained_fraction", lambda *_: 0.9)
     state = SelectionState(prepared, fit(wind))
-    state = forward_selection.drop_unconfirmed_causes(state, CRITERIA)
+    state = forward_selection.drop_unconfirmed_causes(state, CRITERIA, 10)
     assert state.fit.hypothesis.cause_names == remaining
 
 

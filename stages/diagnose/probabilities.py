@@ -1,0 +1,40 @@
+"""Probabilities of effects that compete for one place, from their evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.special import logsumexp
+
+PRIOR_NO_EFFECT = 0.5  # probability that no effect of the library is active
+
+
+def effect_probabilities(
+    log_evidence: Mapping[str, np.ndarray], candidates: int
+) -> dict[str, float]:
+    """Compute the probability of each effect, and of none, from their evidence.
+
+    Parameters
+    ----------
+    log_evidence : mapping of str to numpy.ndarray, shape (samples,)
+        By name of the effect; that of none is empty.
+    candidates : int
+        Number of effects that share the prior probability of one being active.
+
+    Returns
+    -------
+    dict of str to float
+        Means over the samples.
+    """
+    prior_of_each = (1 - PRIOR_NO_EFFECT) / candidates
+    log_posterior = {}
+    for name, evidence in log_evidence.items():
+        log_posterior[name] = evidence + np.log(
+            prior_of_each if name else PRIOR_NO_EFFECT
+        )
+    total = logsumexp(list(log_posterior.values()), axis=0)
+    probabilities = {}
+    for name, value in log_posterior.items():
+        probabilities[name] = float(np.mean(np.exp(value - total)))
+    return probabilities
