@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stringcast.data.artifacts import Diagnosis, TrialSet
-from stringcast.data.dataset import describe_rejected
 from stringcast.pipeline.modes.batch import Batch
 from stringcast.pipeline.modes.stored_trials import (
     STORED_ARTIFACTS,
@@ -89,11 +88,9 @@ class Diagnose(Batch):
 
 
 def diagnosis_outcome(diagnosis: Diagnosis) -> str:
-    """Describe the verdict, the rejected trials and the next experiment."""
+    """Describe the verdict and the next experiment."""
     details = json.loads(diagnosis.finding["diagnosis"].iloc[0])
     sentences = [diagnosis.sentence]
-    if rejected := details["trials"]["rejected"]:
-        sentences.append(f"Left out: {describe_rejected(rejected)}.")
     if next_experiment := details["next_experiment"]:
         sentences.append(next_experiment["sentence"])
     return " ".join(filter(None, sentences))

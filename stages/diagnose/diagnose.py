@@ -21,6 +21,7 @@ from stringcast.data.artifacts import (
     Observation,
     TrialSet,
 )
+from stringcast.data.dataset import describe_rejected
 from stringcast.data.file_checks import mark_yaml_end
 from stringcast.data.schema import DataError
 from stringcast.stages.common import InterruptRequest, Progress
@@ -95,7 +96,7 @@ log = logging.getLogger(__name__)
 INTERVAL_WIDENING = 1.4
 # keeps the random motions apart from the random starts of fits
 DESIGN_RANDOM_STREAM = 1
-CHAOTIC_REASON = "too sensitive to be simulated to the tolerance; excluded"
+CHAOTIC_REASON = "too sensitive to be simulated to the tolerance"
 BASE_MODEL_HEADER = "# No effect is named: this is the base model.\n"
 
 
@@ -635,13 +636,14 @@ def _finding_table(
     unexplained = unexplained_document(
         data, shown.fit, judgement, budget, settings.criteria
     )
+    left_out = {**trials.rejected, **trials.excluded}
     document = diagnosis_document(
         shown.prepared,
         judgement,
         budget,
         causes,
         gain.table,
-        {**trials.rejected, **trials.excluded},
+        left_out,
         unexplained,
         experiment.next_experiment,
         uncertainty,
@@ -649,8 +651,8 @@ def _finding_table(
         effects_not_tried(settings, shown),
     )
     sentences = [verdict_sentence(judgement, causes), unexplained["sentence"]]
-    for name, reason in trials.excluded.items():
-        sentences.append(f"Trial {name}: {reason}.")
+    if left_out:
+        sentences.append(f"Left out: {describe_rejected(left_out)}.")
     intervals = uncertainty["extended"]["intervals"]
     row = {
         "verdict": judgement.verdict.kind,

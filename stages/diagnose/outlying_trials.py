@@ -43,7 +43,7 @@ def find_outlying_trial(state: SelectionState, criteria: Criteria) -> dict[str, 
         return {}
     reason = (
         f"{OUTLYING} to {MM_PER_M * errors_m[worst]:.0f} mm, "
-        f"and each other to {MM_PER_M * others_m:.1f} mm; excluded"
+        f"and each other to {MM_PER_M * others_m:.1f} mm"
     )
     return {data.trials[worst].name: reason}
 

@@ -124,4 +124,4 @@ def test_a_diagnosis_alone_leaves_the_motion_and_moves_nothing(null_trials, tmp_
     motion = load(Motion, tmp_path / said["motion"])
     assert motion.duration == pytest.approx(0.2)
     assert not list((tmp_path / "iterations").rglob("trial"))
-    assert result.sentence == "So. Left out: t99: no light. Swing."
+    assert result.sentence == "So. Swing."
