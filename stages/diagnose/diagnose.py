@@ -42,7 +42,11 @@ from stringcast.stages.diagnose.experiment_design import (
     Rivals,
     design_experiment,
 )
-from stringcast.stages.diagnose.forward_selection import SelectionState, select_causes
+from stringcast.stages.diagnose.forward_selection import (
+    SelectionState,
+    select_causes,
+    with_causes_found_before,
+)
 from stringcast.stages.diagnose.measures import (
     mean_explained_fraction,
     tip_shift_rms,
@@ -233,19 +237,31 @@ class TrialsByUse:
         Names of trials in which only the gain is measured.
     rejected : dict
         Names of trials that cannot be used, with the reason.
-    excluded : dict
-        Names of trials that the search excludes, with the reason.
+    chaotic : sequence of str
+        Names of trials that simulation does not resolve.
+    outlying : dict
+        Names of trials that the others do not predict, with the reason.
+    predicted : sequence of str
+        Names of trials that were outlying before the causes that predict them.
     """
 
     observations: Sequence[Observation]
     held_out_names: Sequence[str]
     rejected: Mapping[str, str]
-    excluded: Mapping[str, str] = field(default_factory=dict)
+    chaotic: Sequence[str] = ()
+    outlying: Mapping[str, str] = field(default_factory=dict)
+    predicted: Sequence[str] = ()
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """The trials that are not used, by name with the reason."""
+        chaotic = dict.fromkeys(self.chaotic, CHAOTIC_REASON)
+        return {**self.rejected, **chaotic, **self.outlying}
 
     @property
     def searched_trials(self) -> list[Observation]:
         """The trials in which causes are searched."""
-        others = {*self.held_out_names, *self.rejected, *self.excluded}
+        others = {*self.held_out_names, *self.left_out}
         return [o for o in self.observations if o.trial not in others]
 
     @property
@@ -253,18 +269,14 @@ class TrialsByUse:
         """The trials in which only the gain is measured."""
         return [o for o in self.observations if o.trial in self.held_out_names]
 
-    def excluding(self, reasons: Mapping[str, str]) -> TrialsByUse:
-        """Exclude trials from the search, by name with the reason."""
-        return replace(self, excluded={**self.excluded, **reasons})
-
-    def including(self, names: Sequence[str]) -> TrialsByUse:
-        """Include trials in the search that were excluded."""
-        excluded = {n: r for n, r in self.excluded.items() if n not in names}
-        return replace(self, excluded=excluded)
-
     def excluding_chaotic(self, names: Sequence[str]) -> TrialsByUse:
         """Exclude chaotic trials from the search."""
-        return self.excluding(dict.fromkeys(names, CHAOTIC_REASON))
+        return replace(self, chaotic=(*self.chaotic, *names))
+
+    def including_predicted(self, names: Sequence[str]) -> TrialsByUse:
+        """Include outlying trials in the search, because they are predicted."""
+        outlying = {n: r for n, r in self.outlying.items() if n not in names}
+        return replace(self, outlying=outlying, predicted=(*self.predicted, *names))
 
 
 class SearchProgress(NamedTuple):
@@ -344,26 +356,23 @@ def _search_until_trials_settle(
     trials: TrialsByUse,
     settings: DiagnosisSettings,
 ) -> Iterator[SearchProgress]:
-    """Search causes, and again while the causes change which trials are resolved.
+    """Search causes, and again while the causes change which trials are used.
 
-    A trial that is chaotic without causes is used from then on if a simulation with
-    causes resolves it; one that is chaotic with causes is excluded. So is one that the
-    others do not predict, until the causes found without it predict it.
+    The causes that predict a trial which was outlying are kept: a search with this
+    trial has found others.
     """
     criteria = settings.criteria
-    tolerance_m = criteria.tip_tolerance_m
     seed = settings.seed
     starts = settings.starts
     progress = settings.progress
     resolved_with_causes = list[str]()
-    outlying = list[str]()
-    predicted_after_all = list[str]()
+    known_fit: Fit | None = None
     while True:
         log.info("fitting the base model")
         prepared = prepare_data(
             settings.model,
             trials.searched_trials,
-            tolerance_m,
+            criteria.tip_tolerance_m,
             np.random.default_rng(seed),
             starts,
             lambda share: progress(0.3 * share),
@@ -377,14 +386,18 @@ def _search_until_trials_settle(
         )
         used = trials.excluding_chaotic(prepared.chaotic_trials)
         state = SelectionState(prepared, prepared.base_fit)
+        if known_fit is not None:
+            state = with_causes_found_before(
+                prepared, known_fit, criteria, seed, starts
+            )
         yield SearchProgress(used, prepared, effects, state)
 
         newly_resolved = list[str]()
-        states = select_causes(prepared, effects, criteria, seed, starts)
+        states = select_causes(state, effects, criteria, seed, starts)
         for number, state in enumerate(states, 1):
             progress(0.3 + 0.5 * number / (criteria.max_causes + 1))
             newly_resolved = _trials_resolved_with_causes(
-                state, trials.searched_trials, tolerance_m
+                state, trials.searched_trials, criteria.tip_tolerance_m
             )
             if newly_resolved:
                 break
@@ -394,29 +407,43 @@ def _search_until_trials_settle(
             log.info("resolved with the causes: %s", ", ".join(newly_resolved))
             resolved_with_causes += newly_resolved
             continue
-        chaotic = list[str]()
-        if state.fit.hypothesis.causes:
-            chaotic = unresolvable_trials(state.prepared, tolerance_m)
+        searched = trials
+        trials = _trials_for_another_search(searched, state, criteria)
+        if trials is searched:
+            return
+        if trials.predicted != searched.predicted and state.fit.hypothesis.causes:
+            known_fit = state.fit
+
+
+def _trials_for_another_search(
+    trials: TrialsByUse,
+    state: SelectionState,
+    criteria: Criteria,
+) -> TrialsByUse:
+    """Exclude or include trials by the causes found, or return the same trials.
+
+    A trial that is chaotic without causes is used from then on if a simulation with
+    causes resolves it; one that is chaotic with causes is excluded. So is one that the
+    others do not predict, until the causes found without it predict it.
+    """
+    if state.fit.hypothesis.causes:
+        chaotic = unresolvable_trials(state.prepared, criteria.tip_tolerance_m)
         if chaotic:
             log.info("chaotic with the causes: %s", ", ".join(chaotic))
-            trials = trials.excluding_chaotic((*prepared.chaotic_trials, *chaotic))
-            continue
-        found = find_outlying_trial(state, criteria)
-        newly_outlying = [name for name in found if name not in predicted_after_all]
-        for name in newly_outlying:
-            log.info("%s: %s", name, found[name])
-            trials = trials.excluding({name: found[name]})
-            outlying.append(name)
-        if newly_outlying:
-            continue
-        excluded = [o for o in trials.observations if o.trial in outlying]
-        predicted = find_predicted_trials(state, excluded, criteria)
-        if not predicted:
-            return
-        log.info("predicted after all, and used again: %s", ", ".join(predicted))
-        trials = trials.including(predicted)
-        outlying = [name for name in outlying if name not in predicted]
-        predicted_after_all += predicted
+            chaotic_before = state.prepared.chaotic_trials
+            return trials.excluding_chaotic((*chaotic_before, *chaotic))
+
+    for name, reason in find_outlying_trial(state, criteria).items():
+        if name not in trials.predicted:
+            log.info("%s: %s", name, reason)
+            return replace(trials, outlying={**trials.outlying, name: reason})
+
+    outlying = [o for o in trials.observations if o.trial in trials.outlying]
+    predicted = find_predicted_trials(state, outlying, criteria)
+    if not predicted:
+        return trials
+    log.info("predicted after all, and used again: %s", ", ".join(predicted))
+    return trials.including_predicted(predicted)
 
 
 def _trials_resolved_with_causes(
@@ -609,8 +636,9 @@ def effects_not_tried(
     trials = state.prepared.data.trials
     reasons = effects_left_out(base, library, trials, settings.excluded_effects)
     if state.steps:
-        proposed = {proposal.effect.name for proposal in state.steps[0].proposals}
-        for name in library.keys() - reasons.keys() - proposed:
+        tried = set(state.fit.hypothesis.cause_names)
+        tried |= {proposal.effect.name for proposal in state.steps[0].proposals}
+        for name in library.keys() - reasons.keys() - tried:
             reasons[name] = "it can do nothing in these trials"
     return dict(sorted(reasons.items()))
 
@@ -636,14 +664,13 @@ def _finding_table(
     unexplained = unexplained_document(
         data, shown.fit, judgement, budget, settings.criteria
     )
-    left_out = {**trials.rejected, **trials.excluded}
     document = diagnosis_document(
         shown.prepared,
         judgement,
         budget,
         causes,
         gain.table,
-        left_out,
+        trials.left_out,
         unexplained,
         experiment.next_experiment,
         uncertainty,
@@ -651,8 +678,8 @@ def _finding_table(
         effects_not_tried(settings, shown),
     )
     sentences = [verdict_sentence(judgement, causes), unexplained["sentence"]]
-    if left_out:
-        sentences.append(f"Left out: {describe_rejected(left_out)}.")
+    if trials.left_out:
+        sentences.append(f"Left out: {describe_rejected(trials.left_out)}.")
     intervals = uncertainty["extended"]["intervals"]
     row = {
         "verdict": judgement.verdict.kind,

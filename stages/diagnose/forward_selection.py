@@ -58,6 +58,7 @@ from stringcast.stages.diagnose.rules import (
     predicts_heldout,
     trials_agree,
 )
+from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
@@ -135,19 +136,18 @@ class SelectionState:
 
 
 def select_causes(
-    prepared: PreparedData,
+    state: SelectionState,
     effects: Sequence[type[Effect]],
     criteria: Criteria,
     seed: int,
     starts: int,
 ) -> Iterator[SelectionState]:
-    """Add one cause at a time while the evidence supports it.
+    """Add one cause at a time to a state while the evidence supports it.
 
     Yields the state after each cause, and at the end the state without causes that
     trials left out do not confirm.
     """
-    state = SelectionState(prepared, prepared.base_fit)
-    for number in range(criteria.max_causes):
+    for number in range(len(state.fit.hypothesis.causes), criteria.max_causes):
         step = compare_candidates(state.prepared, state.fit, effects, criteria, seed)
         state = replace(state, steps=(*state.steps, step))
         if step.best is None or not step.accepted:
@@ -312,7 +312,7 @@ def add_cause(
     rng: np.random.Generator,
     starts: int,
 ) -> SelectionState:
-    """Take the best fit of a step, with noise and numerical error as they are there."""
+    """Take a fit with more causes, with noise and numerical error as they are there."""
     with_noise = reestimate_noise(state.prepared, best)
     joined = correct_discretisation_once(with_noise, best)
     prepared = joined.prepared
@@ -346,6 +346,22 @@ def _refit_step(data: TrialData, step: SelectionStep) -> SelectionStep:
             others.append(evaluate_fit(data, fit.hypothesis, fit.chi))
     fits = _by_evidence([*refined, *others])
     return replace(step, parent=parent, fits=fits, refined=refined)
+
+
+def with_causes_found_before(
+    prepared: PreparedData,
+    found: Fit,
+    criteria: Criteria,
+    seed: int,
+    starts: int,
+) -> SelectionState:
+    """Fit the causes that were found in fewer trials to the prepared ones."""
+    base = prepared.base_fit
+    hypothesis = Hypothesis(base.hypothesis.base, found.hypothesis.causes)
+    start = hypothesis.exponents_from(base.exponents | found.exponents)
+    fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.scale_indices)
+    rng = np.random.default_rng(seed)
+    return add_cause(SelectionState(prepared, base), fit, criteria, rng, starts)
 
 
 def drop_redundant_causes(

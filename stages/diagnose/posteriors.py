@@ -215,11 +215,12 @@ def _compare_alternatives(
 ) -> SelectionStep:
     """Compare what else may be in the place of a cause, the others staying."""
     # The only cause was compared with all others when it was accepted
-    first = state.steps[0]
     hypothesis = state.fit.hypothesis
-    best = first.best
-    if best is not None and best.hypothesis.cause_names == hypothesis.cause_names:
-        return first
+    names = hypothesis.cause_names
+    if len(names) == 1 and state.steps:
+        best = state.steps[0].best
+        if best is not None and best.hypothesis.cause_names == names:
+            return state.steps[0]
     data = state.prepared.data
     others = hypothesis.without_cause(cause)
     reordered = others.with_cause(cause)

@@ -57,7 +57,7 @@ def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
 
     def prepare(model, observations, tolerance_m, rng, starts, progress, keep):
         kept.append(tuple(keep))
-        hypothesis = SimpleNamespace(model=None)
+        hypothesis = SimpleNamespace(model=None, causes=())
         return SimpleNamespace(
             chaotic_trials=() if keep else ("t2",),
             data=SimpleNamespace(trials=()),
@@ -72,7 +72,8 @@ def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
     def fit(*causes):
         return SimpleNamespace(hypothesis=SimpleNamespace(causes=causes))
 
-    def select(prepared, *given):
+    def select(state, *given):
+        prepared = state.prepared
         yield SelectionState(prepared, fit("wind"))
         # where a cause resolves the trial, no more are sought without it
         assert prepared.chaotic_trials == tuple(rejected)
@@ -80,9 +81,9 @@ def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
 
     monkeypatch.setattr(module, "find_outlying_trial", lambda *given: {})
     monkeypatch.setattr(module, "prepare_further_trials", prepare_further)
-    used, prepared = settle(monkeypatch, prepare, select)
+    used, prepared, _ = settle(monkeypatch, prepare, select)
     assert kept == kept_each_time
-    assert [*used.excluded] == rejected == [*prepared.chaotic_trials]
+    assert [*used.left_out] == rejected == [*prepared.chaotic_trials]
 
 
 @pytest.mark.parametrize("is_predicted", [True, False])
@@ -92,12 +93,12 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
     """A trial may be outlying by causes that were wrong.
 
     The last trial is outlying whenever it is asked. Once the causes found without it
-    predict it, it stays.
+    predict it, it stays, and so do these causes.
     """
 
     def prepare(model, observations, *given):
         searched.append([o.trial for o in observations])
-        hypothesis = SimpleNamespace(model=None)
+        hypothesis = SimpleNamespace(model=None, causes=())
         return SimpleNamespace(
             chaotic_trials=(),
             data=SimpleNamespace(trials=()),
@@ -106,9 +107,18 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
             base_fit=SimpleNamespace(hypothesis=hypothesis),
         )
 
-    def select(prepared, *given):
-        fit = SimpleNamespace(hypothesis=SimpleNamespace(causes=()))
-        yield SelectionState(prepared, fit)
+    def fit(*causes):
+        return SimpleNamespace(hypothesis=SimpleNamespace(causes=causes))
+
+    def select(state, *given):
+        if state.fit.hypothesis.causes:
+            yield state
+        else:
+            cause = "wrong" if "t2" in searched[-1] else "right"
+            yield SelectionState(state.prepared, fit(cause))
+
+    def keep_causes(prepared, found, *given):
+        return SelectionState(prepared, found)
 
     def find_outlying(state, criteria):
         return {"t2": "of another motion"} if "t2" in searched[-1] else {}
@@ -119,11 +129,13 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
     searched = []
     monkeypatch.setattr(module, "find_outlying_trial", find_outlying)
     monkeypatch.setattr(module, "find_predicted_trials", find_predicted)
-    used, _ = settle(monkeypatch, prepare, select)
+    monkeypatch.setattr(module, "with_causes_found_before", keep_causes)
+    used, _, causes = settle(monkeypatch, prepare, select)
+    assert causes == ("right",)
     every = ["t0", "t1", "t2"]
     again = [every] if is_predicted else []
     assert searched == [every, every[:2], *again]
-    assert dict(used.excluded) == ({} if is_predicted else {"t2": "of another motion"})
+    assert used.left_out == ({} if is_predicted else {"t2": "of another motion"})
 
 
 def settle(monkeypatch, prepare, select):
@@ -145,7 +157,7 @@ def settle(monkeypatch, prepare, select):
         progress=lambda share: None,
     )
     *_, last = module._search_until_trials_settle(trials, settings)
-    return last.trials, last.prepared
+    return last.trials, last.prepared, last.state.fit.hypothesis.causes
 
 
 @pytest.mark.parametrize(
