@@ -1,0 +1,229 @@
+"""Fast formulas of normal distributions, compared with dense ones of a few numbers."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+from scipy.stats import multivariate_normal
+
+from stringcast.stages.inference import basis, initial_state, noise
+from stringcast.stages.inference.discrepancy import (
+    DISCREPANCY_SCALES_M,
+    Discrepancy,
+    NoiseBasis,
+    _kernel_root,
+)
+
+FRAMES, POINTS, LENGTH = 9, 6, 0.3
+SCALE_INDEX = int(np.searchsorted(DISCREPANCY_SCALES_M, 2e-3))
+
+
+@pytest.fixture
+def film():
+    """Return a trial of nine frames, at the knots of the splines."""
+    s = np.linspace(0.05, LENGTH, POINTS)
+    return SimpleNamespace(
+        times=2.0 + basis.KNOT_SPACING_S * np.arange(FRAMES),
+        frame=np.repeat(np.arange(FRAMES), POINTS),
+        s=np.tile(s, FRAMES),
+        sigma=np.linspace(5e-4, 2e-3, FRAMES * POINTS),
+        model=SimpleNamespace(string=SimpleNamespace(length=LENGTH)),
+        noise=noise.WHITE_NOISE,
+    )
+
+
+@pytest.fixture
+def shapes():
+    return np.random.default_rng(1).standard_normal((2 * FRAMES * POINTS, 3))
+
+
+@pytest.fixture
+def errors(film, shapes):
+    return Discrepancy.for_trial(film, np.linspace(0.2, 1.5, FRAMES), shapes)
+
+
+def test_a_discrepancy_covaries_as_its_kernel_says(film):
+    growth = np.linspace(0.2, 1.5, FRAMES)
+    root = _kernel_root(film, growth)
+    t = film.times[film.frame]
+    rate = np.sqrt(3) / 0.08
+    gap_s = np.abs(t[:, None] - t)
+    in_time = (1 + rate * gap_s) * np.exp(-rate * gap_s)
+    gap = (film.s[:, None] - film.s) / (0.35 * LENGTH)
+    size = growth / np.sqrt(np.mean(growth**2))
+    each = size[film.frame] * film.s / LENGTH / film.sigma
+    expected = np.outer(each, each) * in_time * np.exp(-0.5 * gap**2)
+    assert root @ root.T == pytest.approx(expected, abs=1e-3 * expected.max())
+    # one that cannot be simulated has none
+    assert not _kernel_root(film, np.zeros(FRAMES)).any()
+
+
+def test_knots_that_are_far_apart_lengthen_the_correlation(film):
+    """Of a minute, 64 splines are 0.95 s apart, and two gaps are the correlation time."""
+    film.times = np.linspace(0.0, 60.0, FRAMES)
+    film.sigma = np.ones(FRAMES * POINTS)
+    root = _kernel_root(film, np.ones(FRAMES))[film.s == LENGTH]
+    gap = np.sqrt(3) * 7.5 / (2 * 60 / 63)
+    expected = (1 + gap) * np.exp(-gap)
+    assert root[0] @ root[1] == pytest.approx(expected, abs=0.02)
+    assert root[0] @ root[0] == pytest.approx(1.0, abs=0.02)
+
+
+def test_white_noise_is_white_in_the_coefficients(errors):
+    coefficients = errors.coefficients(np.eye(2 * FRAMES * POINTS))
+    count = coefficients.shape[1]
+    assert coefficients.T @ coefficients == pytest.approx(np.eye(count), abs=1e-4)
+
+
+def test_the_likelihood_of_every_scale_is_that_of_the_dense_covariance(errors, shapes):
+    residuals = 3.0 * np.random.default_rng(2).standard_normal((4, len(shapes)))
+    coefficients = errors.coefficients(residuals)
+    found = errors.log_likelihood_by_scale(coefficients)
+    assert found.shape == (4, len(DISCREPANCY_SCALES_M))
+    columns = errors.coefficients(shapes.T).T
+    count = coefficients.shape[1]
+    for index, scale_m in enumerate(DISCREPANCY_SCALES_M[:15]):
+        smooth = np.repeat(scale_m**2 * errors.variance, 2)
+        covariance = np.eye(count) + np.diag(smooth) + columns @ columns.T
+        dense = multivariate_normal(cov=covariance).logpdf(coefficients)
+        expected = dense + 0.5 * count * np.log(2 * np.pi)
+        assert found[:, index] == pytest.approx(expected, rel=1e-8)
+        white = errors.whiten(residuals, index)
+        square = np.sum(coefficients.T * np.linalg.solve(covariance, coefficients.T), 0)
+        assert np.sum(white**2, axis=1) == pytest.approx(square)
+
+
+def test_residuals_are_split_into_discrepancy_nuisance_and_noise(errors, shapes):
+    residual = 3.0 * np.random.default_rng(2).standard_normal(len(shapes))
+    coefficients = errors.coefficients(residual[None])[0]
+    columns = errors.coefficients(shapes.T).T
+    variance = DISCREPANCY_SCALES_M[SCALE_INDEX] ** 2 * errors.variance
+    smooth = np.diag(np.repeat(variance, 2))
+    covariance = np.eye(len(columns)) + smooth + columns @ columns.T
+    pull = np.linalg.solve(covariance, coefficients)
+    mean = errors.posterior_mean(coefficients, SCALE_INDEX)
+    found = errors.coefficients(mean[None])[0]
+    assert found == pytest.approx(smooth @ pull, abs=1e-4)
+    explained = errors.nuisance_mean(coefficients, SCALE_INDEX)
+    assert explained == pytest.approx(shapes @ (columns.T @ pull))
+
+
+def test_discrepancies_scatter_by_what_noise_hides(errors, film):
+    """Their variance in coefficients is that of the discrepancy over 1 + that."""
+    coefficients = np.zeros(2 * len(errors.variance))
+    rng = np.random.default_rng(3)
+    everywhere = np.ones(FRAMES * POINTS, dtype=bool)
+    drawn = errors.sample_posterior(coefficients, SCALE_INDEX, 4000, rng, everywhere)
+    variance = DISCREPANCY_SCALES_M[SCALE_INDEX] ** 2 * errors.variance
+    to_points = film_splines(errors) @ errors.to_splines
+    expected = (to_points**2) @ (variance / (1 + variance))
+    assert drawn.var(axis=0) == pytest.approx(np.repeat(expected, 2), rel=0.15)
+    x, y = drawn[:, ::2], drawn[:, 1::2]
+    assert np.mean(x * y) == pytest.approx(0.0, abs=0.1 * np.mean(x**2))
+
+
+def film_splines(errors):
+    return errors.splines.toarray()
+
+
+def test_the_basis_has_the_coefficients_of_its_own_directions(film):
+    found = NoiseBasis.for_trial(film)
+    splines = film_splines(found)
+    assert found.gram == pytest.approx(
+        found.whiten @ splines.T @ splines @ found.vectors
+    )
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.3])
+def test_the_restricted_likelihood_is_that_of_dense_matrices(correlation):
+    """Compare the likelihood of contrasts that hold no smooth motion.
+
+    The prior counts as PLACE_FUNCTIONS frames of white noise.
+    """
+    rng = np.random.default_rng(4)
+    places = basis.PLACE_FUNCTIONS
+    tracks = []
+    for frames, splines in ((12, 3), (9, 2)):
+        smooth = rng.standard_normal((frames, splines))
+        smooth = np.column_stack([smooth, smooth[:, 0]])  # one of them twice
+        values = rng.standard_normal((frames, 2 * places))
+        tracks.append(noise.NoiseTrack(smooth, values))
+
+    scatter = places * np.eye(places)
+    degrees = places
+    log_determinants = 0.0
+    for track in tracks:
+        frames = len(track.place_residuals)
+        in_time = toeplitz(correlation ** np.arange(frames))
+        smooth = track.time_splines[:, :-1]
+        precision = np.linalg.inv(in_time)
+        curvature = smooth.T @ precision @ smooth
+        projection = precision @ smooth @ np.linalg.solve(curvature, smooth.T)
+        contrast = precision - projection @ precision
+        for coordinate in range(2):
+            values = track.place_residuals[:, coordinate::2]
+            scatter += values.T @ contrast @ values
+        degrees += 2 * (frames - smooth.shape[1])
+        log_determinants += np.linalg.slogdet(in_time)[1]
+        log_determinants += np.linalg.slogdet(curvature)[1]
+    covariance = scatter / degrees
+    twice = 2 * places * log_determinants + degrees * np.linalg.slogdet(covariance)[1]
+
+    found, place_covariance = noise._restricted_likelihood(tracks, correlation)
+    assert place_covariance == pytest.approx(covariance)
+    assert found == pytest.approx(-0.5 * twice, abs=1e-6)
+
+
+def test_the_quieter_trials_just_over_half_of_them_give_the_noise():
+    rng = np.random.default_rng(5)
+    frames = 60
+    time = np.column_stack([np.ones(frames), np.arange(frames)])
+    tracks = []
+    for size in (9.0, 1.0, 1.2, 9.0):
+        values = size * rng.standard_normal((frames, 2 * basis.PLACE_FUNCTIONS))
+        tracks.append(noise.NoiseTrack(time, values))
+    quiet = noise._most_likely_noise([tracks[1], tracks[2], tracks[0]])
+    for kept in (tracks[0], tracks[3]):
+        third = noise._most_likely_noise([tracks[1], tracks[2], kept])
+        if third.variance_of_means < quiet.variance_of_means:
+            quiet = third
+    found = noise.fit_noise_model(tracks)
+    assert found.place_covariance == pytest.approx(quiet.place_covariance, rel=1e-3)
+    alone = noise.fit_noise_model(tracks[:2])
+    both = noise._most_likely_noise([tracks[1], tracks[0]])
+    assert alone.place_covariance == pytest.approx(both.place_covariance, rel=1e-3)
+
+
+def test_the_correlation_with_the_frame_before_is_a_half_at_most():
+    smooth = np.cumsum(np.random.default_rng(6).standard_normal((80, 12)), axis=0)
+    track = noise.NoiseTrack(np.ones((80, 1)), smooth)
+    found = noise.fit_noise_model([track])
+    assert found.frame_correlation == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize("hinge", [0.0, 1.0])
+def test_a_random_walk_is_inferred_as_by_a_dense_normal(hinge):
+    """Its steps are independent, and the first one is to the middle of a piece."""
+    rng = np.random.default_rng(7)
+    pieces, places, wander = initial_state.CURVE_PIECES, 5, 0.7
+    slope = rng.standard_normal((2 * places, pieces))
+    offset = rng.standard_normal(2 * places)
+    sigma = rng.uniform(0.5, 2.0, places)
+    step = np.full(pieces, wander**2 / pieces)
+    step[0] = wander**2 * (0.5 / pieces + hinge)
+    adds = np.tril(np.ones((pieces, pieces)))
+    prior = adds @ np.diag(step) @ adds.T
+    covariance = slope @ prior @ slope.T + np.diag(np.repeat(sigma**2, 2))
+    mean, evidence = initial_state._random_walk_posterior(
+        slope, offset, sigma, wander, hinge
+    )
+    assert mean == pytest.approx(prior @ slope.T @ np.linalg.inv(covariance) @ offset)
+    dense = multivariate_normal(cov=covariance).logpdf(offset)
+    assert evidence == pytest.approx(dense + places * np.log(2 * np.pi))
+
+
+def test_means_of_correlated_frames_vary_more():
+    places = basis.PLACE_FUNCTIONS
+    found = noise.Noise(np.diag(np.arange(1.0, places + 1)), 0.5)
+    assert found.variance_of_means == pytest.approx(3.5 * 3)
