@@ -220,22 +220,20 @@ def _step_runs(
     for number, run in enumerate(active):
         best = int(np.argmin(losses[number]))
         lowest = losses[number, best]
-        improved = lowest < runs.loss[run]
-        gain = 0.0
-        if improved:
+        if lowest < runs.loss[run]:
             # finite even if nothing is left
             least = max(lowest, LEAST_LOSS_RATIO * runs.loss[run])
             gain = 0.5 * residuals.shape[-1] * np.log(runs.loss[run] / least)
-        factor = DAMPING_INCREASE
-        if improved:
+            factor = DAMPING_FACTORS[best % len(DAMPING_FACTORS)]
             runs.chi[run] = points[number, best]
             runs.residual[run] = residuals[number, best]
             runs.loss[run] = lowest
-            factor = DAMPING_FACTORS[best % len(DAMPING_FACTORS)]
-        damping = max(runs.damping[run] * factor, MIN_DAMPING)
-        runs.damping[run] = damping
-        runs.stale[run] = improved
-        runs.active[run] = gain > min_gain if improved else damping < MAX_DAMPING
+            runs.damping[run] = max(runs.damping[run] * factor, MIN_DAMPING)
+            runs.stale[run] = True
+            runs.active[run] = gain > min_gain
+        else:
+            runs.damping[run] *= DAMPING_INCREASE
+            runs.active[run] = runs.damping[run] < MAX_DAMPING
 
 
 def _trial_points(

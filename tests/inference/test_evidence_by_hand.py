@@ -1,0 +1,486 @@
+"""Fits, their evidence and covariance, of problems that are solved by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stringcast.stages.inference import covariance, discrepancy, laplace, solver
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
+from stringcast.stages.model.library import find_effects
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.string import String
+
+TipMass, CameraRotation = find_effects(["tip_mass", "camera_rotation"])
+SCALES = len(discrepancy.DISCREPANCY_SCALES_M)
+UNIT = Parameter("a", "1", "", low=0.0, high=1.0, start=0.0)
+FAR = Parameter("b", "1", "", low=0.0, high=4.0, start=1.0)
+
+
+class LinearData:
+    """Two trials whose residuals are linear in three exponents.
+
+    One scale of the discrepancy is likely in each, and numbers are its deviations.
+    """
+
+    likely = np.array([2, 5])
+
+    def __init__(self):
+        rng = np.random.default_rng(0)
+        self.slopes = [rng.standard_normal((3, 4)), rng.standard_normal((3, 6))]
+        self.offsets = [rng.standard_normal(4), rng.standard_normal(6)]
+
+    def for_hypothesis(self, hypothesis):
+        return self
+
+    def residuals(self, model, chi):
+        pairs = zip(self.slopes, self.offsets, strict=True)
+        return [chi @ slope + offset for slope, offset in pairs]
+
+    def whiten(self, residuals, scale_indices):
+        pairs = zip(residuals, scale_indices, strict=True)
+        return np.concatenate([rows / index for rows, index in pairs], axis=1)
+
+    def log_likelihood_by_scale(self, residuals):
+        found = np.full((2, len(residuals[0]), SCALES), -1e6)
+        for k, index in enumerate(self.likely):
+            found[k, :, index] = -0.5 * np.sum((residuals[k] / index) ** 2, axis=1)
+        return found
+
+    def overall_tip_rms(self, displacements):
+        """Compute it of a tip that is the last two numbers, in millimetres."""
+        squares = [np.sum(rows[:, -2:] ** 2, axis=1) for rows in displacements]
+        return 1e-3 * np.sqrt(np.mean(squares, axis=0))
+
+
+def hypothesis_of(amplitude):
+    """Return a hypothesis with one cause, whose amplitude is the second parameter."""
+    return SimpleNamespace(
+        model=None,
+        causes=("cause",),
+        parameters=(UNIT, amplitude, UNIT),
+        base_indices=[0, 2],
+        amplitude_indices=lambda cause: [1],
+        exponents_from=lambda known: np.array([0.0, 0.25, 0.0]),
+    )
+
+
+@pytest.mark.parametrize("chi", [[0.3, 0.6, 0.9], [0.3, 0.1, 0.9]])
+def test_the_evidence_is_likelihood_times_prior_times_volume(chi):
+    data = LinearData()
+    chi = np.array(chi)
+    fit = laplace.evaluate_fit(data, hypothesis_of(FAR), chi)
+    assert list(fit.scale_indices) == [2, 5]
+    prior = discrepancy.log_scale_prior()
+    by_trial = []
+    curvature = np.diag([12.0, 1e-9, 12.0])
+    squares = []
+    for k, index in enumerate(data.likely):
+        residual = chi @ data.slopes[k] + data.offsets[k]
+        assert fit.residuals[k] == pytest.approx(residual)
+        assert fit.slopes[k] == pytest.approx(data.slopes[k])
+        by_trial.append(-0.5 * np.sum((residual / index) ** 2) + prior[index])
+        curvature += data.slopes[k] @ data.slopes[k].T / index**2
+        squares.append(np.sum(data.slopes[k][1, -2:] ** 2))
+    assert fit.log_likelihood_by_trial == pytest.approx(by_trial)
+
+    shift_per_exponent = 1e-3 * np.sqrt(np.mean(squares))
+    widths = np.array([1e-3, 3e-3, 1e-2, 3e-2])
+    shift = abs(chi[1] - 0.25) * shift_per_exponent
+    normal = np.exp(-0.5 * (shift / widths) ** 2) / np.sqrt(2 * np.pi) / widths
+    log_prior = np.log(np.mean(normal) * shift_per_exponent)
+    volume = 1.5 * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(curvature)[1]
+    assert fit.log_evidence == pytest.approx(sum(by_trial) + log_prior + volume)
+
+
+def test_the_best_start_goes_on_with_the_scales_that_are_likeliest(monkeypatch):
+    """The solver does not move, so that the best of three starts is the result."""
+    data = LinearData()
+    calls = []
+
+    def stay(likelihood, starts, iterations=60, min_gain=0.0):
+        calls.append((likelihood, starts, iterations, min_gain))
+        return SimpleNamespace(chi=starts)
+
+    monkeypatch.setattr(laplace.solver, "fit_least_squares", stay)
+    starts = np.random.default_rng(1).uniform(size=(3, 3))
+    by_start = data.log_likelihood_by_scale(data.residuals(None, starts)).max(axis=2)
+    best = int(np.argmax(by_start.sum(axis=0)))
+    starts = starts[np.roll(np.arange(3), 2 - best)]  # the last one is the best
+    first = np.array([7, 7])
+    found = laplace.best_exponents(data, hypothesis_of(UNIT), starts, first, 0.3)
+    assert list(found) == list(starts[2])
+    screening, refinement = calls
+    assert screening[0].scale_indices is first
+    assert screening[0].uniform_indices == [0, 2]
+    assert screening[1] is starts
+    assert screening[2:] == (4, 0.3)
+    assert list(refinement[0].scale_indices) == [2, 5]
+    assert refinement[1].tolist() == [starts[2].tolist()]
+    assert refinement[2:] == (60, 0.3)
+
+
+def test_parameters_and_scales_take_turns_until_no_scale_changes(monkeypatch):
+    rounds = []
+
+    def move(likelihood, starts, iterations=60, min_gain=0.0):
+        rounds.append(likelihood.scale_indices)
+        return SimpleNamespace(chi=starts + 0.01)
+
+    monkeypatch.setattr(laplace.solver, "fit_least_squares", move)
+
+    def scales_after(changes):
+        """Count the rounds of data whose likeliest scales change so many times."""
+        rounds.clear()
+        data = LinearData()
+        later = iter([*range(1, changes + 1), *[changes] * 9])
+
+        def by_scale(residuals):
+            index = next(later)
+            found = np.full((2, len(residuals[0]), SCALES), -1e6)
+            found[0, :, 3] = found[1, :, index] = 0.0
+            return found
+
+        data.log_likelihood_by_scale = by_scale
+        chi = laplace.best_exponents(
+            data, hypothesis_of(UNIT), np.zeros((2, 3)), np.array([0, 0])
+        )
+        assert chi == pytest.approx(np.full(3, 0.01 * len(rounds)))
+        return [list(indices) for indices in rounds]
+
+    assert scales_after(1) == [[0, 0], [3, 1]]
+    assert scales_after(3) == [[0, 0], [3, 1], [3, 2], [3, 3]]
+    assert len(scales_after(9)) == 6
+
+
+def curved(start):
+    """Return residuals 2 + 400 x + 1e6 x^2 of the distance x from a start, (C, 1)."""
+
+    def residuals(chi):
+        x = chi - start
+        return 2 + 400 * x + 1e6 * x**2
+
+    return residuals
+
+
+@pytest.mark.parametrize(
+    ("start", "widths", "slope"),
+    [
+        (0.1, [1e-4, 0.1 / 500], 400 + 1e6 * 0.1 / 500),
+        (0.9, [-1e-4, -0.1 / 300], 400 - 1e6 * 0.1 / 300),
+    ],
+)
+def test_the_first_differences_say_how_wide_the_second_are(start, widths, slope):
+    """Over a tenth of a deviation, into the range."""
+    residuals = curved(start)
+    asked = []
+
+    def simulate(model, chi):
+        asked.append(float(chi[0, 0]) - start)
+        return [residuals(chi)]
+
+    data = SimpleNamespace(
+        residuals=simulate, whiten=lambda slopes, scales: np.hstack(slopes)
+    )
+    slopes, others = laplace._residual_slopes(
+        data,
+        SimpleNamespace(model=None),
+        np.array([start]),
+        [np.array([2.0])],
+        None,
+        np.array([[start + 0.01]]),
+    )
+    assert asked == pytest.approx(widths)
+    assert slopes[0] == pytest.approx(np.array([[slope]]))
+    assert others[0] == pytest.approx(np.array([[2 + 4 + 100]]))
+
+
+@pytest.mark.parametrize("limit", [np.inf, 1.0])
+def test_a_covariance_is_of_slopes_over_a_tenth_of_the_residual(monkeypatch, limit):
+    """Of residuals of 2 with a slope of 500, whose loss is 4, or 3 by Huber."""
+    residuals = curved(0.1)
+    asked = []
+
+    def count(chi):
+        asked.append(float(chi[0, 0]) - 0.1)
+        return np.repeat(residuals(chi), 3, axis=1)
+
+    times = np.array([0.01, 0.06, 0.07])
+    likelihood = SimpleNamespace(
+        residuals=count,
+        limit=limit,
+        data=SimpleNamespace(trials=[SimpleNamespace(point_times=times)]),
+    )
+    monkeypatch.setattr(covariance, "jackknife_covariance", lambda *given: given)
+    slope, residual, weight, block = covariance.parameter_covariance(
+        likelihood, np.array([0.1])
+    )
+    width = 0.1 * np.sqrt(4.0 if limit == np.inf else 3.0) / 500
+    assert asked == pytest.approx([0.0, 1e-4, width], abs=1e-12)
+    assert slope == pytest.approx(np.full((1, 3), 400 + 1e6 * width))
+    assert residual == pytest.approx(np.full(3, 2.0))
+    assert weight == pytest.approx(np.full(3, 1.0 if limit == np.inf else 0.5))
+    assert list(block) == [0, 0, 1, 1, 1, 1]
+
+
+def test_a_jackknife_leaves_out_each_block_in_turn():
+    """Compare with regressions that lack a block, whose numbers are not together."""
+    rng = np.random.default_rng(2)
+    block = rng.permutation(np.repeat([4, 0, 7, 9, 2], [8, 12, 10, 6, 14]))
+    design = 100 * rng.standard_normal((50, 2))
+    measured = rng.standard_normal(50)
+    weight = rng.uniform(0.5, 1.0, 50)
+
+    def regress(kept):
+        root = np.sqrt(weight[kept])
+        return np.linalg.lstsq(
+            root[:, None] * design[kept], root * measured[kept], rcond=None
+        )[0]
+
+    best = regress(np.ones(50, dtype=bool))
+    others = np.array([regress(block != number) for number in np.unique(block)])
+    away = others - others.mean(axis=0)
+    found = covariance.jackknife_covariance(
+        design.T, design @ best - measured, weight, block
+    )
+    assert found.block_count == 5
+    assert found.matrix == pytest.approx(0.8 * away.T @ away, rel=1e-3)
+
+
+def test_a_covariance_holds_what_is_known_beforehand():
+    """Each block has a curvature of 2, and the prior one of 12."""
+    found = covariance.jackknife_covariance(
+        np.ones((1, 4)), np.array([1.0, 1, -1, -1]), np.ones(4), np.array([0, 0, 1, 1])
+    )
+    assert found.matrix[0, 0] == pytest.approx((2 / 14) ** 2 + 12 / 16**2)
+
+
+def test_a_fit_names_its_numbers():
+    model = SimpleNamespace(names=("a", "tip_mass.mass"))
+    mass = Parameter("tip_mass.mass", "1", "", low=1.0, high=100.0, start=1.0)
+    own = SimpleNamespace(name="mass")
+    cause = SimpleNamespace(
+        parameters=(own,), qualified_name=lambda parameter: "tip_mass." + parameter.name
+    )
+    hypothesis = SimpleNamespace(model=model, parameters=(UNIT, mass))
+
+    def fit(last):
+        residuals = [np.zeros(3), np.array([0.0, last])]
+        chi = np.array([0.25, 0.5])
+        return laplace.Fit(hypothesis, chi, residuals, [], None, None, 0.0)
+
+    found = fit(1.0)
+    assert found.exponents == {"a": 0.25, "tip_mass.mass": 0.5}
+    assert found.values == pytest.approx({"a": 0.25, "tip_mass.mass": 10.0})
+    assert found.cause_parameters(cause) == pytest.approx({"mass": 10.0})
+    assert not found.has_diverged
+    assert fit(DIVERGED_RESIDUAL).has_diverged
+
+
+def test_parameters_of_a_hypothesis_are_found_among_those_of_its_model(arm, camera):
+    base = Model(String(0.3), arm, camera)
+    both = Hypothesis(base, (CameraRotation, TipMass))
+    names = both.model.names
+    assert [names[i] for i in both.base_indices] == list(base.names)
+    for cause in (CameraRotation, TipMass):
+        found = [names[i] for i in both.amplitude_indices(cause)]
+        assert found
+        assert all(name.startswith(cause.name) for name in found)
+    absent = both.exponents_from({})
+    named = dict(zip(names, both.parameters, strict=True))
+    for name, chi in zip(names, absent, strict=True):
+        assert chi == pytest.approx(float(named[name].chi(named[name].start)))
+    known = both.exponents_from({names[1]: 0.77})
+    assert known[1] == 0.77
+    assert list(np.delete(known, 1)) == list(np.delete(absent, 1))
+
+
+def test_a_trial_that_diverged_in_part_counts_as_diverged():
+    rows = np.array([[1.0, 2.0], [3.0, DIVERGED_RESIDUAL]])
+    asked = []
+
+    def whiten(residuals, scale_indices):
+        asked.append(list(scale_indices))
+        return [residual / 10 for residual in residuals]
+
+    data = SimpleNamespace(
+        residuals=lambda model, chi: [rows, rows[:, :1]],
+        whiten_by_trial=whiten,
+        trials=[SimpleNamespace(error_model=SimpleNamespace(scale=s)) for s in (2, 3)],
+    )
+    likelihood = Likelihood(data, None)
+    first, second = likelihood.residuals_by_trial(None)
+    assert first.tolist() == [[0.1, 0.2], [DIVERGED_RESIDUAL, DIVERGED_RESIDUAL]]
+    assert second == pytest.approx(np.array([[0.1], [0.3]]))
+    Likelihood(data, None, np.array([4, 5])).residuals_by_trial(None)
+    assert asked == [[0, 0], [4, 5]]
+    assert likelihood.noise_scales == (2, 3)
+
+
+EXPONENTIAL = Parameter("e", "1", "", low=1e-2, high=1.0, start=0.1)
+
+
+@pytest.mark.parametrize(
+    ("chi", "gradient"), [(0.5, 1.0), (0.5, -1.0), (0.1, 1.0), (0.9, -50.0)]
+)
+def test_steps_are_damped_and_go_both_ways_within_bounds(chi, gradient):
+    """One parameter from 0.01 to 1, whose curvature is 4."""
+    runs = SimpleNamespace(
+        chi=np.array([[chi]]),
+        normal=np.array([[[4.0]]]),
+        gradient=np.array([[gradient]]),
+        damping=np.array([0.5]),
+    )
+    found = solver._trial_points([EXPONENTIAL], runs, 0).ravel()
+    value = 0.01 * 100**chi
+    slope = np.log(100) * value
+    ends = [0.01 * 100 ** np.clip(chi + side * 0.5, 0, 1) for side in (-1, 1)]
+    expected = []
+    for factor in (1e-3, 0.1, 10.0):
+        step = -gradient / (4.0 * (1 + 0.5 * factor))
+        expected.append(np.clip(chi + np.clip(step, -0.3, 0.3), 0, 1))
+    for factor in (1e-3, 0.1, 10.0):
+        step = -gradient / (4.0 * (1 + 0.5 * factor))
+        moved = np.clip(value + slope * step, *ends)
+        expected.append(np.clip(np.log(moved / 0.01) / np.log(100), 0, 1))
+    assert found == pytest.approx(expected)
+
+
+def test_steps_end_at_the_bounds_whatever_the_others_do(monkeypatch):
+    boxes = []
+
+    def record(normal, gradient, low, high):
+        boxes.append((low.tolist(), high.tolist()))
+        return low
+
+    monkeypatch.setattr(solver, "minimise_in_box", record)
+    runs = SimpleNamespace(
+        chi=np.array([[0.1, 0.9]]),
+        normal=np.eye(2)[None],
+        gradient=np.zeros((1, 2)),
+        damping=np.ones(1),
+    )
+    solver._trial_points([UNIT, UNIT], runs, 0)
+    in_exponents, in_values = boxes[:2]
+    assert np.array(in_exponents) == pytest.approx(np.array([[-0.1, -0.3], [0.3, 0.1]]))
+    assert np.array(in_values) == pytest.approx(np.array([[-0.1, -0.5], [0.5, 0.1]]))
+
+
+class Line:
+    """Residuals chi @ slopes - measured, of two parameters and four numbers."""
+
+    parameters = (UNIT, UNIT)
+    limit = np.inf
+    slopes = np.array([[1.0, 2.0, 0.0, 1.0], [0.0, 1.0, 3.0, -1.0]])
+    measured = np.array([0.5, 1.5, 1.0, 0.2])
+
+    def residuals(self, chi):
+        return chi @ self.slopes - self.measured
+
+
+@pytest.mark.parametrize("limit", [np.inf, 0.4])
+def test_curvature_and_gradient_are_those_of_half_the_loss(limit):
+    problem = Line()
+    problem.limit = limit
+    chi = np.array([[0.2, 0.3], [0.6, 0.5]])
+    runs = solver.SolverRuns.start(problem, chi)
+    solver._linearise_runs(problem, runs, np.array([1]))
+    assert runs.stale.tolist() == [True, False]
+    residual = problem.residuals(chi)[1]
+    weight = np.minimum(1.0, limit / np.abs(residual))
+    curvature = (problem.slopes * weight) @ problem.slopes.T / 4
+    assert runs.normal[1] == pytest.approx(curvature)
+    assert runs.gradient[1] == pytest.approx(problem.slopes @ (weight * residual) / 4)
+    assert not runs.normal[0].any()
+    slope_rms = np.sqrt(np.mean(problem.slopes**2, axis=1))
+    width = 0.1 * np.sqrt(runs.loss[1]) / slope_rms
+    assert runs.width[1] == pytest.approx(np.clip(width, 1e-6, 1e-3))
+    assert runs.width[0] == pytest.approx([1e-4, 1e-4])
+
+
+def test_widths_move_points_by_a_tenth_of_the_residual_within_limits():
+    slope = np.array([[[3.0, 4.0], [300.0, 400.0], [0.0, 0.0], [3e6, 4e6]]])
+    rms = np.sqrt(12.5)
+    found = solver.difference_widths(slope, np.array([0.25]))
+    assert found == pytest.approx(np.array([[1e-3, 0.05 / (100 * rms), 1e-3, 1e-6]]))
+    assert solver.difference_widths(slope, np.zeros(1))[0, 2] == 1e-6
+
+
+def fake_step(monkeypatch, losses, damping=0.5, min_gain=0.05):
+    """Step a run of loss 1 whose six trial steps have these losses, of ten numbers."""
+    points = np.arange(6.0)[:, None]
+    problem = SimpleNamespace(
+        parameters=(UNIT,),
+        limit=np.inf,
+        residuals=lambda chi: np.repeat(np.sqrt(losses)[:, None], 10, axis=1),
+    )
+    monkeypatch.setattr(solver, "_trial_points", lambda *given: points)
+    runs = solver.SolverRuns(
+        chi=np.array([[9.0]]),
+        residual=np.ones((1, 10)),
+        loss=np.ones(1),
+        width=None,
+        damping=np.array([damping]),
+        stale=np.zeros(1, dtype=bool),
+        active=np.ones(1, dtype=bool),
+        normal=None,
+        gradient=None,
+    )
+    solver._step_runs(problem, runs, np.array([0]), min_gain)
+    return runs
+
+
+@pytest.mark.parametrize(
+    ("best", "damping"), [(0, 5e-4), (1, 0.05), (2, 5.0), (3, 5e-4), (5, 5.0)]
+)
+def test_a_run_takes_the_best_of_its_steps(monkeypatch, best, damping):
+    losses = np.full(6, 0.8)
+    losses[best] = 0.5
+    runs = fake_step(monkeypatch, losses)
+    assert runs.chi[0, 0] == best
+    assert runs.loss[0] == pytest.approx(0.5)
+    assert runs.residual[0] == pytest.approx(np.full(10, np.sqrt(0.5)))
+    assert runs.damping[0] == pytest.approx(damping)
+    assert runs.stale[0]
+    assert runs.active[0]
+
+
+def test_a_run_ends_where_it_gains_too_little_or_no_damping_helps(monkeypatch):
+    """Ten numbers gain 5 ln(loss before / after) of the log-likelihood."""
+    assert fake_step(monkeypatch, np.full(6, np.exp(-0.0102))).active[0]
+    assert not fake_step(monkeypatch, np.full(6, np.exp(-0.0098))).active[0]
+    assert fake_step(monkeypatch, np.zeros(6), min_gain=3000).active[0]
+    assert not fake_step(monkeypatch, np.zeros(6), min_gain=4000).active[0]
+    for losses in (np.ones(6), np.full(6, 2.0)):
+        runs = fake_step(monkeypatch, losses)
+        assert runs.chi[0, 0] == 9.0
+        assert runs.loss[0] == 1.0
+        assert runs.damping[0] == pytest.approx(500.0)
+        assert not runs.stale[0]
+        assert runs.active[0]
+    assert not fake_step(monkeypatch, np.ones(6), damping=11.0).active[0]
+    assert fake_step(monkeypatch, np.zeros(6), 1e-6).damping[0] == pytest.approx(1e-8)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_quadratic_in_a_box_is_least_where_its_gradient_points_outwards(seed):
+    """Karush-Kuhn-Tucker: zero where free, outwards at a bound."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((5, 5))
+    normal = root @ root.T + 0.1 * np.eye(5)
+    gradient = 3 * rng.standard_normal(5)
+    low, high = -rng.uniform(0, 1, 5), rng.uniform(0, 1, 5)
+    low[0] = 0.0
+    step = solver.minimise_in_box(normal, gradient, low, high)
+    slope = gradient + normal @ step
+    for k in range(5):
+        if step[k] == pytest.approx(low[k], abs=1e-12):
+            assert slope[k] > -1e-9
+        elif step[k] == pytest.approx(high[k], abs=1e-12):
+            assert slope[k] < 1e-9
+        else:
+            assert low[k] < step[k] < high[k]
+            assert slope[k] == pytest.approx(0.0, abs=1e-9)
