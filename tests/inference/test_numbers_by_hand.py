@@ -31,9 +31,12 @@ from stringcast.stages.model.statics.chain import GRAVITY_M_S2
 TipMass, Wind = find_effects(["tip_mass", "wind"])
 ONE_SIDED = Parameter("a", "1", "", low=0.0, high=1.0, start=0.0)
 TWO_SIDED = Parameter("a", "1", "", low=-1.0, high=1.0, start=0.0)
+DOWNWARDS = Parameter("a", "1", "", low=0.0, high=1.0, start=1.0)
 
 
-@pytest.mark.parametrize(("amplitude", "whole"), [(ONE_SIDED, 1.0), (TWO_SIDED, 0.5)])
+@pytest.mark.parametrize(
+    ("amplitude", "whole"), [(ONE_SIDED, 1.0), (DOWNWARDS, 1.0), (TWO_SIDED, 0.5)]
+)
 def test_the_prior_of_a_tip_shift_is_a_density_to_either_side(amplitude, whole):
     def density(tip_shift):
         return laplace.tip_shift_density(np.asarray(tip_shift), amplitude)
@@ -168,10 +171,13 @@ def test_uniform_parameters_are_kept_in_the_middle_where_no_data_speaks():
     assert residuals == pytest.approx(np.array([[1, 1, 0.0, np.sqrt(12.0) * 0.5]]))
 
 
-def moving(onset_s, state=None, turn=0.2):
-    """Return a trial of a 0.3 m string whose hand turns at once, by so much [rad]."""
-    pose = np.zeros((10, 3))
-    pose[:, 2] = turn * (np.arange(10) * 0.01 > onset_s)
+def moving(onset_s, state=None, turn=0.2, axis=2):
+    """Return a trial of a 0.3 m string whose hand turns at once, by so much [rad].
+
+    Along axes 0 and 1 it moves by so many metres.
+    """
+    pose = np.repeat([[0.5, -0.4, -1.5]], 10, axis=0)
+    pose[:, axis] += turn * (np.arange(10) * 0.01 > onset_s)
     hand = SimpleNamespace(pose=pose[None], start=1.0, tick=0.01)
     return SimpleNamespace(
         initial_state=state,
@@ -191,6 +197,10 @@ def moving(onset_s, state=None, turn=0.2):
         (moving(-1.0), 1.0 + 0.1),
         (moving(0.045, turn=0.012), 1.05 + 0.1),
         (moving(0.045, turn=0.008), 1.0 + 0.1),  # less than a hundredth of its length
+        (moving(0.045, turn=-0.0032, axis=0), 1.05 + 0.1),
+        (moving(0.045, turn=-0.0028, axis=0), 1.0 + 0.1),
+        (moving(0.045, turn=0.0032, axis=1), 1.05 + 0.1),
+        (moving(0.045, turn=0.0028, axis=1), 1.0 + 0.1),
     ],
 )
 def test_trials_are_cut_after_the_hand_began_to_move(monkeypatch, trial, last):
@@ -294,6 +304,10 @@ def test_the_better_half_of_the_starts_goes_on_from_different_places():
     apart[1] = apart[0] + 0.09  # less than a tenth of the residual from the best
     apart[2] = apart[0] + 0.11
     assert search._survivors(apart, loss) == [0, *range(2, 10)]
+    # of a residual of two, 0.19 is the same place; the opposite is another one
+    for away, kept in ((0.19, [0]), (0.21, [0, 1]), (-4.0, [0, 1])):
+        apart = np.array([2.0, 2.0 + away])[:, None] * np.ones(4)
+        assert search._survivors(apart, np.array([4.0, 4.0])) == kept
 
 
 def test_refinement_ends_where_the_noise_falls_no_further(monkeypatch):
