@@ -74,11 +74,11 @@ def noisy(rng, count=1):
 
     They are correlated along the string and with the frame before.
     """
-    root = np.kron(
-        np.linalg.cholesky(toeplitz(BEFORE ** np.arange(FRAMES))),
-        np.linalg.cholesky(along_string()),
-    )
-    return np.einsum("ij,cjk->cik", root, rng.standard_normal((count, len(root), 2)))
+    in_time = np.linalg.cholesky(toeplitz(BEFORE ** np.arange(FRAMES)))
+    in_place = np.linalg.cholesky(along_string())
+    white = rng.standard_normal((count, FRAMES, 2 * PLACES_SEEN))
+    rows = (in_time @ white).reshape(-1, PLACES_SEEN, 2)
+    return (in_place @ rows).reshape(count, -1, 2)
 
 
 def of_places(covariance):

@@ -26,7 +26,7 @@ T = np.arange(0, 0.5, 1 / 120)
 GRASP = np.column_stack([0.2 * np.clip(T - 0.1, 0, None) ** 2, 0 * T, 0 * T])
 PLACES = {
     "line": np.linspace(0.01, LENGTH, 30),
-    "dense": np.linspace(0.002, LENGTH, 150),
+    "dense": np.linspace(0.002, LENGTH, 75),
     "tip": np.array([LENGTH]),
 }
 
