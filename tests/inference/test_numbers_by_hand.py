@@ -19,7 +19,7 @@ from stringcast.stages.inference.covariance import Covariance
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_state import first_frame_kinematics
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.noise import WHITE_NOISE
+from stringcast.stages.inference.noise import WHITE_NOISE, Noise
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.search import horizons
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
@@ -455,6 +455,10 @@ def test_only_directions_that_points_determine_are_in_a_basis():
     assert len(found.whiten) < len(gram)
     white = found.whiten @ gram @ found.whiten.T
     assert white == pytest.approx(np.eye(len(white)), abs=1e-4)
+    # however large the noise
+    for size in (1e-6, 1e6):
+        trial.noise = Noise(size * WHITE_NOISE.place_covariance, 0.0)
+        assert len(discrepancy.NoiseBasis.for_trial(trial).whiten) == len(white)
 
 
 def test_what_lets_a_string_back_is_the_last_amplitude(monkeypatch):
