@@ -65,11 +65,11 @@ def lying_trial(**changes):
 
 
 def test_a_tip_is_all_points_within_a_millimetre_of_the_outermost():
-    s = np.array([0.1, 0.2989, 0.2991, 0.3])
-    trial = lying_trial(s=s, sigma=np.array([9.0, 9.0, 0.5, 2.0]))
-    assert trial.is_tip.tolist() == [False, False, True, True]
-    at_tip = np.array([[3.0, 4.0, 0.0, 0.0], [0.0, 2.0, 1.0, 0.0]])
-    expected = [np.sqrt(0.25 * 25 / 2), np.sqrt((0.25 * 4 + 4) / 2)]
+    s = np.array([0.1, 0.2989, 0.2991, 0.3, 0.3])
+    trial = lying_trial(s=s, sigma=np.array([9.0, 9.0, 0.5, 2.0, 1.0]))
+    assert trial.is_tip.tolist() == [False, False, True, True, True]
+    at_tip = np.array([[3.0, 4.0, 0.0, 0.0, 0.0, 0.0], [0.0, 2.0, 1.0, 0.0, 3.0, 0.0]])
+    expected = [np.sqrt(0.25 * 25 / 3), np.sqrt((0.25 * 4 + 4 + 9) / 3)]
     assert trial.tip_rms(at_tip) == pytest.approx(expected)
     assert trial.tip_rms(at_tip[0]) == pytest.approx(expected[0])
 
