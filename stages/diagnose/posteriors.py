@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stringcast.stages.common import rms
 from stringcast.stages.diagnose.agreement import (
     log_bayes_factor_of_trials,
     probability_by_agreement,
@@ -28,7 +29,11 @@ from stringcast.stages.diagnose.forward_selection import (
     compare_candidates,
     with_fit,
 )
-from stringcast.stages.diagnose.measures import refit, tip_shift_rms
+from stringcast.stages.diagnose.measures import (
+    refit,
+    tip_shift_rms,
+    unexplained_tip_rms,
+)
 from stringcast.stages.diagnose.probabilities import effect_probabilities
 from stringcast.stages.diagnose.rules import Criteria, is_inside_range
 from stringcast.stages.inference.hypothesis import Hypothesis
@@ -256,7 +261,8 @@ def single_effect_posterior(
 
     Only refined fits compete, if there are any, and none at the end of its range, which
     most likely stands for another cause. An effect that moves the tip by less than
-    counts is counted as none.
+    counts is counted as none. Effects that differ by less than what is left unexplained
+    are equally probable.
 
     Parameters
     ----------
@@ -267,7 +273,7 @@ def single_effect_posterior(
     """
     competing = step.refined or step.fits
     fits = {}
-    for fit in competing:
+    for fit in sorted(competing, key=lambda fit: -fit.log_evidence):
         cause = fit.hypothesis.causes[-1]
         if not fit.has_diverged and is_inside_range(fit, cause):
             fits[cause.name] = fit
@@ -281,7 +287,38 @@ def single_effect_posterior(
     for name, fit in fits.items():
         if tip_shift_rms(data, step.parent, fit).max() < min_tip_shift_m:
             probabilities[""] += probabilities.pop(name)
+    probabilities |= _shared_probabilities(data, probabilities, fits)
     return SingleEffectPosterior(probabilities, fits, step.parent)
+
+
+def _shared_probabilities(
+    data: TrialData,
+    probabilities: Mapping[str, float],
+    fits: Mapping[str, Fit],
+) -> dict[str, float]:
+    """Share the probability among effects whose difference the remainder may hide.
+
+    What none of them explains may be what one has too little of, or another too much:
+    evidence does not know what is missing, and is sure of the difference without reason
+    (Brynjarsdottir, O'Hagan, Inverse Problems 30, 114007, 2014).
+
+    Returns
+    -------
+    dict of str to float
+        Of the most probable effect and those that are at the tip no farther from it
+        than the measured tips are.
+    """
+    names = [name for name in probabilities if name]
+    if not names:
+        return {}
+    best = fits[max(names, key=probabilities.__getitem__)]
+    remainder_m = rms(unexplained_tip_rms(data, best))
+    alike = []
+    for name in names:
+        if rms(tip_shift_rms(data, best, fits[name])) <= remainder_m:
+            alike.append(name)
+    share = sum(probabilities[name] for name in alike) / len(alike)
+    return dict.fromkeys(alike, share)
 
 
 def limit_by_agreement(

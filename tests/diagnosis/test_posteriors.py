@@ -182,26 +182,55 @@ def test_a_rival_at_the_end_of_its_range_does_not_compete(inside_range, monkeypa
 
 def posterior_of_wind(monkeypatch, gain_by_trial, inside_range):
     """Compute the posterior of a place for which wind alone competes, by 80."""
+    monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: inside_range)
+    return posterior_of_place(monkeypatch, {"wind": (80.0, gain_by_trial)}, 1.0)
+
+
+def posterior_of_place(monkeypatch, gains, difference_m):
+    """Compute the posterior of a place, with 1 m at each tip left unexplained.
+
+    gains : of the log evidence, and of the log-likelihood of each trial, by effect
+    difference_m : between the effects at each tip, and to their parent
+    """
     monkeypatch.setattr(
         posteriors,
         "background_log_evidence_gains",
         lambda data, fit, small, weights: np.zeros(len(weights)),
     )
     monkeypatch.setattr(
-        posteriors, "tip_shift_rms", lambda data, parent, fit: np.ones(4)
+        posteriors,
+        "tip_shift_rms",
+        lambda data, one, fit: np.full(4, 0.0 if one is fit else difference_m),
     )
-    monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: inside_range)
+    monkeypatch.setattr(posteriors, "unexplained_tip_rms", lambda *_: np.ones(4))
     parent = SimpleNamespace(log_evidence=0.0, log_likelihood_by_trial=np.zeros(4))
-    fit = SimpleNamespace(
-        log_evidence=80.0,
-        log_likelihood_by_trial=np.array(gain_by_trial),
-        hypothesis=SimpleNamespace(causes=(SimpleNamespace(name="wind"),)),
-        has_diverged=False,
-    )
+    fits = []
+    for name, (gain, by_trial) in gains.items():
+        hypothesis = SimpleNamespace(causes=(SimpleNamespace(name=name),))
+        fit = SimpleNamespace(
+            log_evidence=gain,
+            log_likelihood_by_trial=np.array(by_trial),
+            hypothesis=hypothesis,
+            has_diverged=False,
+        )
+        fits.append(fit)
     rng = np.random.default_rng(0)
     weights = 4 * rng.dirichlet(np.ones(4), posteriors.BOOTSTRAP_SAMPLES)
-    step = SelectionStep(parent, (), [fit])
+    step = SelectionStep(parent, (), fits)
     return posteriors.single_effect_posterior(None, step, (), weights, 20, 1e-3)
+
+
+@pytest.mark.parametrize(("difference_m", "share"), [(0.9, 0.5), (1.1, 0.0)])
+def test_effects_that_the_remainder_could_turn_into_each_other_are_as_likely(
+    difference_m, share, monkeypatch
+):
+    """Evidence alone would be certain of wind, which stays the first to be named."""
+    monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: True)
+    gains = {"tilt": (60.0, (15.0,) * 4), "wind": (80.0, (20.0,) * 4)}
+    posterior = posterior_of_place(monkeypatch, gains, difference_m)
+    assert posterior.probabilities["tilt"] == pytest.approx(share, abs=1e-6)
+    assert sum(posterior.probabilities.values()) == pytest.approx(1.0)
+    assert posterior.ranked_causes[0] == "wind"
 
 
 SET_AND_SOFTENING = ({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1})
