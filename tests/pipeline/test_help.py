@@ -62,7 +62,7 @@ def test_the_reference_says_values_and_meaning():
     assert re.search(
         r"^    camera\.width=640 +picture width, 16 to 20000 \[px\]$", page, re.M
     )
-    assert "along_x, along_y -5…5 m/s" in page
+    assert "along_x, along_y -3…3 m/s" in page
     assert not re.search(r"^    \S+( \(default\))?$", page, re.M), (
         "a setting or option without a meaning"
     )

@@ -19,13 +19,14 @@ COMPASS_DIRECTIONS = (
 class Wind(StringEffect):
     """A steady flow of the air.
 
-    Whatever resists motion through it feels the velocity relative to the wind.
+    Whatever resists motion through it feels the velocity relative to the wind. A
+    draught in a room is 0.1 to 0.3 m/s; a fan beside the arm may reach the range's end.
     """
 
     name = "wind"
     parameters = (
-        Parameter("along_x", "m/s", "velocity of the air to the right", -5.0, 5.0, 0.0),
-        Parameter("along_y", "m/s", "velocity of the air upwards", -5.0, 5.0, 0.0),
+        Parameter("along_x", "m/s", "velocity of the air to the right", -3.0, 3.0, 0.0),
+        Parameter("along_y", "m/s", "velocity of the air upwards", -3.0, 3.0, 0.0),
     )
     reference = "Galilean invariance of air resistance"
 

@@ -321,7 +321,7 @@ LIBRARY_CAUSES = (
     Cause("anisotropic_drag", grow("rod.cross_drag", 8.0)),
     Cause(
         "wind",
-        grow_vector("rod.wind_x", "rod.wind_y", 5.0),
+        grow_vector("rod.wind_x", "rod.wind_y", 3.0),
         parameters=_rename_settings(
             wind__along_x="rod.wind_x", wind__along_y="rod.wind_y"
         ),
