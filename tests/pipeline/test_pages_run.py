@@ -192,6 +192,7 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "stringcast.hardware.dynamixel.emulator [--fault KIND:N ...]": "tests/drivers/test_dynamixel.py::bus",
     "tasks.py study diagnosis diagnosis.simulator=nodal seed=100 diagnosis.datasets=10": "as without datasets",
     "tasks.py study diagnosis diagnosis.simulator=nodal diagnosis.kind=none diagnosis.datasets=100": "as with a seed",
+    "tasks.py study diagnosis diagnosis.simulator=own_kernel diagnosis.kind=mixed seed=4001 diagnosis.datasets=36": "as with a seed",
     "tasks.py study casting casting.seeds=16": "takes hours; one run of it: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study gain casting.seeds=2": "takes hours; as casting",
     "tasks.py study learning casting.seeds=3": "takes hours; as casting",
