@@ -30,6 +30,7 @@ from stringcast.hardware.virtual.bench import (
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.plugins import PLUGINS_VARIABLE
@@ -283,6 +284,19 @@ def ordinary(arm) -> Model:
     """Return the configured base model of an ordinary string before a simple camera."""
     return Model(
         String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)
+    )
+
+
+def implicit_string(points, largest_step, length=0.3, **settings) -> String:
+    """Return a string with half cells at its ends and implicit time steps."""
+    return String(
+        length,
+        points,
+        tip_cell=0.5,
+        grasp_cell=0.5,
+        integrator=ImplicitLeapfrog(),
+        largest_step=largest_step,
+        **settings,
     )
 
 

@@ -6,11 +6,9 @@ Absent causes change nothing. Present ones act as the library's do.
 import numpy as np
 import pytest
 
-from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.string import String
 from tests.benchmarks.simulators import load_simulator
 from tests.benchmarks.simulators.causes import (
     LIBRARY_CAUSES,
@@ -20,6 +18,7 @@ from tests.benchmarks.simulators.causes import (
 from tests.benchmarks.simulators.motions import Cast
 from tests.benchmarks.simulators.rod import Rod
 from tests.benchmarks.simulators.scene import Fidelity, Scene
+from tests.conftest import implicit_string
 
 pytestmark = pytest.mark.long
 POINTS = 41
@@ -90,14 +89,7 @@ def modelled(scene):
     Its arguments are effects.
     """
     [cast] = scene.casts
-    string = String(
-        0.3,
-        POINTS,
-        tip_cell=0.5,
-        grasp_cell=0.5,
-        integrator=ImplicitLeapfrog(),
-        largest_step=4e-4,
-    )
+    string = implicit_string(POINTS, 4e-4)
     motion = resample_joint_motion(cast.fine, cast.angles, 0.001)
 
     def see(effects, parameters):

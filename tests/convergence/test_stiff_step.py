@@ -8,13 +8,13 @@ import pytest
 
 from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.engine import rotation
-from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.integrators import RungeKutta4, SemiImplicitEuler
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.engine.stability import steps_per_tick
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.string import PAPER_EFFECTS, String
+from stringcast.stages.model.string import PAPER_EFFECTS
+from tests.conftest import implicit_string
 
 T = np.arange(0, 0.6, 0.005)
 POSE = np.stack(
@@ -38,17 +38,6 @@ DAMPED = {
 }
 
 
-def implicit(step: float, points: int, length: float = 0.3) -> String:
-    return String(
-        length,
-        points,
-        tip_cell=0.5,
-        grasp_cell=0.5,
-        integrator=ImplicitLeapfrog(),
-        largest_step=step,
-    )
-
-
 @pytest.mark.parametrize("points", [10, 25, 60])
 def test_every_corner_of_table_3_stays_finite_and_whole(points):
     """All 256 corners, and as many strings within, stay finite.
@@ -57,7 +46,7 @@ def test_every_corner_of_table_3_stays_finite_and_whole(points):
     1e5 reach 1.30 lengths at most, as with small explicit steps. Softer ones that are
     stiff in bending fold their segments flat, where Eq. 1 itself has no solution.
     """
-    string = implicit(5e-4, points)
+    string = implicit_string(points, 5e-4)
     low, high = np.array([[p.low, p.high] for p in string.parameters]).T
     corners = np.where(np.indices((2,) * 8).reshape(8, -1).T, high, low)
     chance = np.random.default_rng(0).random((256, 8)).T
@@ -80,7 +69,7 @@ def test_strong_damping_at_many_points_as_near_as_small_steps():
 
     The string has 25 points at the top of c_s and c_h, where the explicit step is 3 us.
     """
-    string = implicit(5e-4, 25)
+    string = implicit_string(25, 5e-4)
     values = string.values(DAMPED)[None]
     exact = replace(string, integrator=RungeKutta4(), largest_step=1e-4)
     apart = simulate(string, HAND, values, T).tip - simulate(exact, HAND, values, T).tip
@@ -101,7 +90,7 @@ class Stiffening(StringEffect):
 
 
 def test_what_is_not_linear_in_a_law_bounds_the_step_and_nothing_else_does():
-    plain = replace(implicit(0.005, 60), ranges={})
+    plain = replace(implicit_string(60, 0.005), ranges={})
     steps, _ = steps_per_tick(
         plain,
         plain.material(plain.values(DAMPED | {"quadratic_drag": 1e-4})[None]),
@@ -154,7 +143,7 @@ def test_undamped_stiff_modes_do_not_grow():
 
     After 2 s it moves no faster than after 0.5 s.
     """
-    string = implicit(5e-4, 25)
+    string = implicit_string(25, 5e-4)
     t = np.arange(0, 2.5, 0.005)
     push = 0.05 * np.exp(-(((t - 0.1) / 0.03) ** 2))
     hand = resample_hand_motion(t, np.stack([push, 0 * t, 0 * t - np.pi / 2], -1))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from conftest import TRUTH, ordinary
+from conftest import TRUTH, implicit_string, ordinary
 from scipy.stats import cauchy, multivariate_normal
 from synthetic_trials import (
     CRITERIA,
@@ -33,7 +33,6 @@ from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesi
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.library import effects_by_name, find_effects
 from stringcast.stages.model.model import Model
@@ -210,14 +209,7 @@ def simulate_casts(arm, camera, truth):
 
     Faster ones would be chaotic and excluded.
     """
-    string = String(
-        0.3,
-        integrator=ImplicitLeapfrog(),
-        points=CAST_SEGMENTS + 1,
-        tip_cell=0.5,
-        grasp_cell=0.5,
-        largest_step=0.015 / CAST_SEGMENTS,
-    )
+    string = implicit_string(CAST_SEGMENTS + 1, 0.015 / CAST_SEGMENTS)
     names = sorted({name.partition(".")[0] for name in truth})
     model = Model(string, arm, camera).with_effects(*find_effects(names))
     values = {**BASE_VALUES, **truth}

@@ -18,23 +18,17 @@ from stringcast.stages.inference.initial_modes import (
     refine_initial_state,
 )
 from stringcast.stages.inference.prepared_trial import prepare_trial
-from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState
-from stringcast.stages.model.string import PAPER_EFFECTS, String
+from stringcast.stages.model.string import PAPER_EFFECTS
+from tests.conftest import implicit_string
 
 LENGTH, NOISE, FPS = 0.3, 5e-4, 60
-STRING = String(
-    LENGTH,
-    points=12,
-    effects=(*PAPER_EFFECTS, effects_by_name()["maxwell_slip"]),
-    tip_cell=0.5,
-    grasp_cell=0.5,
-    integrator=ImplicitLeapfrog(),
-    largest_step=1e-3,
+STRING = implicit_string(
+    12, 1e-3, LENGTH, effects=(*PAPER_EFFECTS, effects_by_name()["maxwell_slip"])
 )
 CABLE = {
     **{

@@ -25,22 +25,14 @@ from stringcast.stages.inference.initial_state import (
     first_frame_kinematics,
 )
 from stringcast.stages.inference.prepared_trial import prepare_trial
-from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState
-from stringcast.stages.model.string import String
+from tests.conftest import implicit_string
 
 LENGTH = 0.3
-STRING = String(
-    LENGTH,
-    points=15,
-    tip_cell=0.5,
-    grasp_cell=0.5,
-    integrator=ImplicitLeapfrog(),
-    largest_step=5e-4,
-)
+STRING = implicit_string(15, 5e-4, LENGTH)
 NAMED = {
     **{
         "axial_stiffness": 9e5,

@@ -25,22 +25,14 @@ from stringcast.pipeline.modes.estimate import EstimateTrials as Estimation
 from stringcast.pipeline.run.result import run_summary
 from stringcast.stages.estimate.prediction.predict import predict, resting_part
 from stringcast.stages.inference.prepared_trial import prepare_trial
-from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState
-from stringcast.stages.model.string import String
+from tests.conftest import implicit_string
 
-STRING = String(
-    0.3,
-    points=12,
-    tip_cell=0.5,
-    grasp_cell=0.5,
-    integrator=ImplicitLeapfrog(),
-    largest_step=1e-3,
-)
+STRING = implicit_string(12, 1e-3)
 TRUTH = {
     "axial_stiffness": 9e5,
     "axial_damping": 1300.0,

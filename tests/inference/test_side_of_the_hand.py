@@ -10,10 +10,9 @@ import pytest
 from stringcast.data.artifacts import MASKS, READINGS, Observation
 from stringcast.stages.inference.batch import simulate_trials
 from stringcast.stages.inference.prepared_trial import prepare_trial
-from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.string import String
+from tests.conftest import implicit_string
 
 LENGTH, NOISE = 0.3, 1.5e-3
 NAMED = {
@@ -33,14 +32,7 @@ PLACES = {
 
 @pytest.fixture
 def model(arm, camera):
-    string = String(
-        LENGTH,
-        points=21,
-        tip_cell=0.5,
-        grasp_cell=0.5,
-        integrator=ImplicitLeapfrog(),
-        largest_step=1e-3,
-    )
+    string = implicit_string(21, 1e-3, LENGTH)
     return Model(string, arm, camera)
 
 

@@ -22,13 +22,12 @@ from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_tr
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.inference.whitening import UNIT_ERRORS, IndependentErrors
-from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.state import StringState
-from stringcast.stages.model.string import String
+from tests.conftest import implicit_string
 
 UNIT = Parameter("a", "1", "", low=0.0, high=1.0, start=0.0)
 LENGTH = 0.3
@@ -36,14 +35,7 @@ LENGTH = 0.3
 
 @pytest.fixture
 def model(arm, camera):
-    string = String(
-        LENGTH,
-        points=8,
-        tip_cell=0.5,
-        grasp_cell=0.5,
-        integrator=ImplicitLeapfrog(),
-        largest_step=1e-3,
-    )
+    string = implicit_string(8, 1e-3, LENGTH)
     return Model(string, arm, camera)
 
 

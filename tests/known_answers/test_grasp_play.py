@@ -11,12 +11,11 @@ from stringcast.stages.model.effects.grasp_spring import GraspSpring
 from stringcast.stages.model.effects.gravity import Gravity
 from stringcast.stages.model.effects.hinge_damper import HingeDamper
 from stringcast.stages.model.effects.hinge_spring import HingeSpring
-from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.state import StringState
-from stringcast.stages.model.string import String
+from tests.conftest import implicit_string
 
 LENGTH = 0.3
 WEIGHT = 9.81 * LENGTH**2 / 2  # [m3/s2] the moment that holds it level
@@ -35,15 +34,7 @@ FORCES = (Gravity, AxialSpring, AxialDamper, HingeSpring, HingeDamper, GraspSpri
 MEMORY = find_effects(
     ["maxwell_slip", "dahl_friction", "standard_linear_solid", "grasp_play"]
 )
-HELD = String(
-    LENGTH,
-    8,
-    (*FORCES, *MEMORY),
-    tip_cell=0.5,
-    grasp_cell=0.5,
-    integrator=ImplicitLeapfrog(),
-    largest_step=5e-4,
-)
+HELD = implicit_string(8, 5e-4, LENGTH, effects=(*FORCES, *MEMORY))
 
 
 def still(theta):

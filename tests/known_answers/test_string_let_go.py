@@ -12,16 +12,9 @@ from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState
-from stringcast.stages.model.string import String
+from tests.conftest import implicit_string
 
-FINE = String(
-    0.3,
-    points=15,
-    tip_cell=0.5,
-    grasp_cell=0.5,
-    integrator=ImplicitLeapfrog(),
-    largest_step=5e-4,
-)
+FINE = implicit_string(15, 5e-4)
 SOFT = {
     **{
         "axial_stiffness": 9e5,
