@@ -279,7 +279,7 @@ def _refine_rivals(
         if resolved:
             # A worker returns a copy of the hypothesis
             refined.append(replace(fit, hypothesis=rival.hypothesis))
-    fits = _by_evidence([*refined, *step.fits[count:]])
+    fits = by_evidence([*refined, *step.fits[count:]])
     is_accepted = bool(fits) and is_supported(prepared.data, parent, fits[0], criteria)
     return replace(step, fits=fits, refined=refined, accepted=is_accepted)
 
@@ -344,7 +344,7 @@ def _refit_step(data: TrialData, step: SelectionStep) -> SelectionStep:
     for fit in step.fits:
         if id(fit) not in was_refined:
             others.append(evaluate_fit(data, fit.hypothesis, fit.chi))
-    fits = _by_evidence([*refined, *others])
+    fits = by_evidence([*refined, *others])
     return replace(step, parent=parent, fits=fits, refined=refined)
 
 
@@ -358,7 +358,7 @@ def with_causes_found_before(
     """Fit the causes that were found in fewer trials to the prepared ones."""
     base = prepared.base_fit
     hypothesis = Hypothesis(base.hypothesis.base, found.hypothesis.causes)
-    start = hypothesis.exponents_from(base.exponents | found.exponents)
+    start = hypothesis.exponents_from(found.exponents)
     fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.scale_indices)
     rng = np.random.default_rng(seed)
     return add_cause(SelectionState(prepared, base), fit, criteria, rng, starts)
@@ -484,8 +484,9 @@ def _fit_more_proposals(
     for fit, proposal in zip(fitted, proposals, strict=True):
         # A worker returns a copy of the hypothesis
         fits.append(replace(fit, hypothesis=proposal.hypothesis))
-    return replace(step, fits=_by_evidence([*step.fits, *fits]))
+    return replace(step, fits=by_evidence([*step.fits, *fits]))
 
 
-def _by_evidence(fits: Sequence[Fit]) -> list[Fit]:
+def by_evidence(fits: Sequence[Fit]) -> list[Fit]:
+    """Sort fits, the most evident first."""
     return sorted(fits, key=lambda fit: -fit.log_evidence)

@@ -26,6 +26,7 @@ from stringcast.stages.diagnose.background_effects import (
 from stringcast.stages.diagnose.forward_selection import (
     SelectionState,
     SelectionStep,
+    by_evidence,
     compare_candidates,
     with_fit,
 )
@@ -271,9 +272,8 @@ def single_effect_posterior(
     candidates : int
         Number of effects that share the prior probability of one being active.
     """
-    competing = step.refined or step.fits
     fits = {}
-    for fit in sorted(competing, key=lambda fit: -fit.log_evidence):
+    for fit in by_evidence(step.refined or step.fits):
         cause = fit.hypothesis.causes[-1]
         if not fit.has_diverged and is_inside_range(fit, cause):
             fits[cause.name] = fit
@@ -309,7 +309,7 @@ def _shared_probabilities(
         than the measured tips are.
     """
     names = [name for name in probabilities if name]
-    if not names:
+    if len(names) < 2:
         return {}
     best = fits[max(names, key=probabilities.__getitem__)]
     remainder_m = rms(unexplained_tip_rms(data, best))
