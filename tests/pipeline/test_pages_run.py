@@ -194,7 +194,7 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "tasks.py study diagnosis diagnosis.simulator=nodal diagnosis.kind=none diagnosis.datasets=100": "as with a seed",
     "tasks.py study diagnosis diagnosis.simulator=own_kernel diagnosis.kind=mixed seed=4001 diagnosis.datasets=36": "as with a seed",
     "tasks.py study casting casting.seeds=16": "takes hours; one run of it: tests/benchmarks/casting/test_casting_study.py",
-    "tasks.py study casting ~casting.methods.paper casting.first=40 casting.seeds=10": "as without seeds",
+    "tasks.py study casting ~casting.methods.paper casting.first=40 casting.seeds=10": "takes minutes; one run of it: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study gain casting.seeds=2": "takes hours; as casting",
     "tasks.py study learning casting.seeds=3": "takes hours; as casting",
     "tasks.py study clocks": "takes half an hour; its summary: "
