@@ -1,7 +1,7 @@
 """Run a study or a benchmark command: `python3 tasks.py study NAME [ARGUMENTS]`.
 
 Studies take settings as Hydra overrides, and `folder=` for their results:
-diagnosis, extraction, casting, learning, gain, measured, clocks.
+diagnosis, extraction, casting, learning, gain, adaptive, forecast, measured, clocks.
 Commands take arguments of their own (see --help): draw, alignment, footage, strings.
 """
 
@@ -25,6 +25,8 @@ STUDIES = {
     "casting": "casting.study.CastingStudy",
     "learning": "casting.study.CastingStudy",
     "gain": "casting.study.CastingStudy",
+    "adaptive": "casting.study.CastingStudy",
+    "forecast": "casting.study.CastingStudy",
     "measured": "measured.study.MeasuredStudy",
     "clocks": "clocks.study.ClocksStudy",
 }

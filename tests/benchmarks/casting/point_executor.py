@@ -43,15 +43,15 @@ class PointExecutor:
         Settings and stages of the run.
     noise
         Standard deviation of a measured coordinate [m].
-    planning_seconds
-        Processor time of planning, by number of the cast.
+    seconds
+        Processor time of each stage, by number of the cast and name of the stage.
     benches
         The virtual lab of each cast, by its number.
     """
 
     experiment: Experiment
     noise: float
-    planning_seconds: dict[int, float] = field(default_factory=dict)
+    seconds: dict[tuple[int, str], float] = field(default_factory=dict)
     benches: dict[int, VirtualBench] = field(default_factory=dict)
 
     def obtain(self, step: Step) -> Any:
@@ -62,8 +62,7 @@ class PointExecutor:
             return self._measure(step)
         started = time.process_time()
         artifact = self.experiment.run_step(step, lambda share: None)
-        if step.stage.name == "generate":
-            self.planning_seconds[step.number] = time.process_time() - started
+        self.seconds[step.number, step.stage.name] = time.process_time() - started
         return artifact
 
     def _perform(self, step: Step) -> Trial:

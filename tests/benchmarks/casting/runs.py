@@ -14,13 +14,21 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from stringcast.data.artifacts import Diagnosis, TrialSet
+from stringcast.data.artifacts import (
+    Diagnosis,
+    Estimate,
+    Explanation,
+    Surprise,
+    TrialSet,
+)
 from stringcast.hardware.virtual.bench import VirtualBench
 from stringcast.pipeline.modes import Cast
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
 from stringcast.pipeline.run.iterations import History, Iteration
+from stringcast.stages.explain.explain import MIXED_PROBABILITY
 from stringcast.stages.generate.curves import first_curves
 from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
+from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.hand import JointMotion
 from tests.benchmarks.casting.point_executor import PointExecutor
 
@@ -29,6 +37,7 @@ Config = Mapping[str, Any]
 REFERENCE_CASTS = 4
 REFERENCE_DURATION_S = (0.3, 1.0)
 REFERENCE_ACCELERATION = 75.0  # [rad/s^2]
+REFERENCE_STEP_S = 0.01
 TRAINING_STAGES = ("generate", "execute", "extract")
 
 
@@ -112,7 +121,12 @@ def run_casts(
         # a run without a motion never hits
         return [{"cast": 1, "hit": False, "reason": str(error)}]
     references = ReferenceCasts(experiment, next(iter(executor.benches.values())))
-    return [cast_row(cast, cast.number - count, executor, references) for cast in casts]
+    rows = []
+    for cast in casts:
+        row = cast_row(cast, cast.number - count, executor, references)
+        # JSON has no NaN
+        rows.append({name: None if pd.isna(x) else x for name, x in row.items()})
+    return rows
 
 
 def perform_training(executor: PointExecutor, count: int) -> list[Iteration]:
@@ -154,10 +168,9 @@ def cast_row(
 ) -> dict[str, Any]:
     """Return the row of a cast."""
     assert cast.verdict is not None
-    plan, estimate = (
-        cast.artifacts["motion"].outcome.iloc[0],
-        cast.artifacts["estimate"],
-    )
+    plan = cast.artifacts["motion"].outcome.iloc[0]
+    estimate = cast.find(Estimate)  # of an explanation, where there is one
+    assert estimate is not None
     truth = executor.true_outcome(cast.number, float(plan["duration"]))
     row = {
         "cast": number,
@@ -165,13 +178,49 @@ def cast_row(
         "believed": cast.has_hit,
         "distance": truth.distance,
         "probability": float(plan.get("chance", np.nan)),
-        "planning": executor.planning_seconds[cast.number],
+        "planning": executor.seconds[cast.number, "generate"],
+        "learning": time_to_learn(executor, cast.number),
         "residual": float(estimate.fit["rms_after"].iloc[0]),
         "prediction_error": references.prediction_error(estimate.values()),
         "effects": " ".join(executor.experiment.config["effects"]),
     }
-    # JSON has no NaN
-    return {name: None if pd.isna(value) else value for name, value in row.items()}
+    bench = executor.benches[cast.number]
+    row["hidden"] = " ".join(bench.specimen.hidden)
+    row["hidden_shift"] = hidden_tip_shift(bench, float(plan["duration"]))
+    return row | found_in_cast(cast)
+
+
+def time_to_learn(executor: PointExecutor, number: int) -> float:
+    """Return the processor time of what follows the trial of a cast [s]."""
+    stages = ("surprise", "estimate", "explain")
+    return sum(executor.seconds.get((number, stage), 0.0) for stage in stages)
+
+
+def hidden_tip_shift(bench: VirtualBench, duration: float) -> float:
+    """Return the rms distance by which hidden effects move the tip in a cast [m].
+
+    `duration` is that of its movement [s]. Effects of camera and clock count as well.
+    """
+    t = np.arange(0, duration, REFERENCE_STEP_S)
+    plain = replace(bench, specimen=replace(bench.specimen, hidden={}))
+    tips = [each.camera_view(each.string_at, t)[:, -1] for each in (bench, plain)]
+    return float(np.sqrt(np.mean(np.sum((tips[0] - tips[1]) ** 2, axis=-1))))
+
+
+def found_in_cast(cast: Iteration) -> dict[str, Any]:
+    """Return whether a cast surprised, and which causes were found."""
+    surprise, explanation = cast.find(Surprise), cast.find(Explanation)
+    found: dict[str, Any] = {}
+    if surprise is not None:
+        found["p_value"] = surprise.p_value
+    if explanation is not None:
+        found["verdict"] = explanation.verdict
+        likely = []
+        for name, probability in explanation.causes.items():
+            if name and probability >= MIXED_PROBABILITY:
+                likely.append(f"{name}={probability:.2f}")
+        found["causes"] = " ".join(likely)
+    return found
 
 
 class ReferenceCasts:
@@ -189,12 +238,13 @@ class ReferenceCasts:
             :REFERENCE_CASTS
         ]
         self.motion = JointMotion(0.0, arm.tick, angles[feasible], speeds[feasible])
-        self.times = np.arange(0, REFERENCE_DURATION_S[1], 2 * arm.tick)
+        self.times = np.arange(0, REFERENCE_DURATION_S[1], REFERENCE_STEP_S)
         values = np.repeat(bench.values, REFERENCE_CASTS, axis=0)
         self.tips = bench.model.simulate_string(self.motion, values, self.times).tip
 
     def prediction_error(self, values: Mapping[str, float]) -> float:
         """Return the rms distance of the predicted tip from the true one [m]."""
-        parameters = np.repeat(self.model.values(values)[None], REFERENCE_CASTS, axis=0)
-        tips = self.model.simulate_string(self.motion, parameters, self.times).tip
+        model = extend_model(self.model, values)
+        parameters = np.repeat(model.values(values)[None], REFERENCE_CASTS, axis=0)
+        tips = model.simulate_string(self.motion, parameters, self.times).tip
         return float(np.sqrt(np.mean(np.sum((tips - self.tips) ** 2, axis=-1))))

@@ -6,20 +6,24 @@ Several methods cast strings of the virtual lab at targets.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import pandas as pd
 from pydantic import Field
 
+from stringcast.pipeline.run.experiment import build_string
 from stringcast.pipeline.run.provenance import code_state
 from stringcast.pipeline.settings.typed_settings import build_dataclass
+from stringcast.stages.model.parameter import parameter_values
 from tests.benchmarks.casting.pictures import draw_hits
 from tests.benchmarks.casting.runs import run_casts
 from tests.benchmarks.casting.scores import ALL_CASES, TABLES, score_casts
 from tests.benchmarks.study import Config, Study, StudyJob
 
+DRAW_STREAM = 7  # tells the numbers that draw strings from others of the same seed
 Count = Annotated[int, Field(ge=1)]
 
 
@@ -43,7 +47,9 @@ class CastingSettings:
     `seeds` is the number of seeds from `first`, the same for all methods. `casts` is
     the largest number of casts in a run. `processes` is 0 for one per core. `noise` is
     the standard deviation of a measured coordinate [m]. `methods` and `cases` change
-    settings.
+    settings. Each case is repeated with each set of effects in `hidden`, by name.
+    Methods in `informed` know the hidden effects and their values. `draw_strings` has
+    every seed draw its string from the ranges of the parameters.
     """
 
     seeds: Count
@@ -54,18 +60,33 @@ class CastingSettings:
     noise: Annotated[float, Field(gt=0)]
     methods: dict[str, dict[str, Any]]
     cases: dict[str, dict[str, Any]]
+    hidden: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
+    informed: list[str] = field(default_factory=list)
+    draw_strings: bool = False
+
+    def cases_with_hidden(self) -> dict[str, dict[str, Any]]:
+        """Return the changes of settings by name of the case and of what is hidden."""
+        if not self.hidden:
+            return self.cases
+        cases = {}
+        for name, case in self.cases.items():
+            for hidden, effects in self.hidden.items():
+                specimen = {**case.get("specimen", {}), "hidden": effects}
+                cases[f"{name}-{hidden}"] = {**case, "specimen": specimen}
+        return cases
 
 
 @dataclass(frozen=True)
 class RunJob(StudyJob):
     """A case, a method and a seed.
 
-    `config` holds the settings of the study.
+    `change` holds the settings of the case, and `config` those of the study.
     """
 
     case: str
     method: str
     seed: int
+    change: Mapping[str, Any]
     config: Mapping[str, Any]
 
     @property
@@ -75,14 +96,31 @@ class RunJob(StudyJob):
 
     def __call__(self) -> list[dict[str, Any]]:
         """Return a row for each cast."""
-        study = self.config["casting"]
-        rows = run_casts(
-            self.config,
-            study["cases"][self.case],
-            study["methods"][self.method],
-            self.seed,
-        )
+        method = self.config["casting"]["methods"][self.method]
+        rows = run_casts(self.config, self.change, method, self.seed)
         return [row | {"code": code_state()["commit"]} for row in rows]
+
+
+def tell_hidden(case: Mapping[str, Any]) -> dict[str, Any]:
+    """Add to the settings of a case that the model has its hidden effects."""
+    hidden = case["specimen"]["hidden"]
+    values = {}
+    for effect, parameters in hidden.items():
+        values |= {f"{effect}.{name}": value for name, value in parameters.items()}
+    return {**case, "effects": list(hidden), "parameter_values": values}
+
+
+def draw_string(config: Config, case: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """Draw the string of a case: each exponent of its range is equally likely."""
+    parameters = build_string(config["string"], "conf/string").parameters
+    rng = np.random.default_rng([seed, DRAW_STREAM])
+    exponents = rng.uniform(0, 1, len(parameters))
+    drawn = {}
+    for parameter, value in zip(
+        parameters, parameter_values(parameters, exponents), strict=True
+    ):
+        drawn[parameter.name] = float(value)
+    return {**case, "specimen": {**case.get("specimen", {}), "parameters": drawn}}
 
 
 @dataclass(frozen=True)
@@ -102,10 +140,15 @@ class CastingStudy(Study):
         )
         jobs = []
         for seed in range(settings.first, settings.first + settings.seeds):
-            for case in settings.cases:
-                jobs += [
-                    RunJob(case, method, seed, config) for method in settings.methods
-                ]
+            for name, case in settings.cases_with_hidden().items():
+                drawn = (
+                    draw_string(config, case, seed) if settings.draw_strings else case
+                )
+                for method in settings.methods:
+                    change = (
+                        tell_hidden(drawn) if method in settings.informed else drawn
+                    )
+                    jobs.append(RunJob(name, method, seed, change, config))
         return jobs
 
     def tables(
