@@ -520,11 +520,11 @@ EXPLANATIONS = Table(
     "explanations",
     "causes that were compared, the most probable first; none has an empty name",
     parse_columns("""
-    effect (text): name; empty for the model as it was
-    probability [1]: that it is active, among those compared
+    effects (text): names, separated by spaces; empty for the model as it was
+    probability [1]: that these alone are active, among those compared
     log_evidence [1]: gain over the model as it was
     tip_rms [m]: distance of the simulated from the measured tip, root mean square
-    fitted (bool): fitted from many starts; else compared to first order
+    fitted (bool): fitted from many starts; else compared on a coarse mesh
     """),
 )
 EXPLANATION_SUMMARY = Table(
@@ -566,10 +566,19 @@ class Explanation(Estimate):
 
     @property
     def causes(self) -> dict[str, float]:
-        """Probability of each effect that was compared, by name."""
+        """Probability of each effect that was compared, alone or with others."""
+        causes: dict[str, float] = {}
+        for names, probability in self.cause_sets.items():
+            for name in names:
+                causes[name] = causes.get(name, 0.0) + probability
+        return causes
+
+    @property
+    def cause_sets(self) -> dict[tuple[str, ...], float]:
+        """Probability of all effects that were compared together, by their names."""
         table = self.explanations
-        pairs = zip(table["effect"], table["probability"], strict=True)
-        return {effect: float(p) for effect, p in pairs if effect}
+        pairs = zip(table["effects"], table["probability"], strict=True)
+        return {tuple(str(names).split()): float(p) for names, p in pairs}
 
 
 PREDICTED = Table(

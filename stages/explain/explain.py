@@ -1,9 +1,9 @@
 """The quick comparison of causes: the most evident first, until the budget is used up.
 
-Every effect is tried at a few sizes on a coarse mesh, and the other parameters follow
-to first order. The most evident effects are then fitted as from nothing: a cause that
-moves much, such as a heavy tip, moves the other parameters along, so that a fit that
-begins nearby may end nearby.
+A few iterations on a coarse mesh rank all effects of the library. The most evident are
+then fitted as from nothing: a cause that moves much, such as a heavy tip, moves the
+other parameters along, so that a fit that begins nearby may end nearby. Where the best
+leaves too much, another effect is sought beside it.
 
 The evidence is that of the Bayesian information criterion (Schwarz 1978) for
 independent blocks of time. A diagnosis compares more carefully and takes minutes.
@@ -28,7 +28,7 @@ from stringcast.data.artifacts import (
     Observation,
 )
 from stringcast.stages.common import Progress
-from stringcast.stages.diagnose.probabilities import effect_probabilities
+from stringcast.stages.diagnose.probabilities import PRIOR_NO_EFFECT
 from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.estimate.least_squares import estimate as fit_from_nothing
 from stringcast.stages.estimate.matching import Matching
@@ -37,37 +37,38 @@ from stringcast.stages.inference.likelihood import Likelihood, time_blocks
 from stringcast.stages.inference.mesh import mesh_ladder
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import with_estimated_noise
-from stringcast.stages.inference.solver import DIVERGED_RESIDUAL, forward_differences
+from stringcast.stages.inference.solver import fit_least_squares
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import effects_by_name, find_effects
 from stringcast.stages.model.model import Model
 
-NAMED_PROBABILITY = 0.9  # of a cause that is named alone
-MIXED_PROBABILITY = 0.05  # of a cause whose draws the next plan uses
+NAMED_PROBABILITY = 0.9  # of causes that are named alone
+MIXED_PROBABILITY = 0.05  # of causes whose draws the next plan uses
 MIN_EXPLAINED_FRACTION = 0.5  # of the mean square misfit, by a cause that is named
+MAX_CAUSES = 3  # together
 PROBE_FRACTIONS = (0.01, 0.03, 0.1, 0.3)  # of the way from absent to an amplitude
 PROBES = 16
-SLOPE_WIDTH = 0.01  # of exponents, over which slopes are taken
-MAX_EXTRAPOLATION = 2.0  # of a probe's size, where it is still about linear
+SCREENED_PROBES = 3  # the best of them, which are refined
+SCREENING_ITERATIONS = 8
 COARSE_LEVEL = 2  # of the mesh, halvings
-NO_CAUSE = ""
+NO_CAUSE: tuple[str, ...] = ()
 TIME_IS_UP = "the processor time was used up before all likely causes were fitted"
 MM_PER_M = 1e3
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of one cause, or none, with the trials.
+    """Comparison of some causes, or none, with the trials.
 
     Parameters
     ----------
-    name : of the effect; empty for the model as it was
-    log_evidence : gain over the model as it was; to first order without an estimate
-    estimate : of the model with the cause, where it was fitted from nothing
+    causes : names of the effects; empty for the model as it was
+    log_evidence : gain over the model as it was
+    estimate : of the model with the causes, where it was fitted from nothing
     """
 
-    name: str
+    causes: tuple[str, ...]
     log_evidence: float
     estimate: Estimate | None = None
 
@@ -82,6 +83,30 @@ class FitSettings:
     screening: int
     iterations: int
     matching: Matching
+
+
+@dataclass
+class Budget:
+    """Processor time that may be used.
+
+    Parameters
+    ----------
+    seconds : how much [s]
+    progress : is called with the share that is used
+    """
+
+    seconds: float
+    progress: Progress
+
+    def __post_init__(self) -> None:
+        """Begin to count."""
+        self.began = time.process_time()
+
+    def is_used_up(self) -> bool:
+        """Tell whether it is used up, and show how much is."""
+        used = time.process_time() - self.began
+        self.progress(min(used / max(self.seconds, 1e-9), 1.0))
+        return used > self.seconds
 
 
 def explain(
@@ -102,12 +127,12 @@ def explain(
     matching: Matching,
     progress: Progress = lambda share: None,
 ) -> Explanation:
-    """Find the cause of trials that surprise or that the estimate does not explain.
+    """Find the causes of trials that surprise or that the estimate does not explain.
 
     Parameters
     ----------
     model : Model
-        Without the cause.
+        Without the causes.
     observations : sequence of Observation
         The trials.
     estimate : Estimate
@@ -134,111 +159,160 @@ def explain(
     Explanation
         The estimate that the next plan uses, with causes and their probabilities.
     """
-    began = time.process_time()
     settings = FitSettings(seed, manipulation, starts, screening, iterations, matching)
-    before = {} if previous is None else previous.causes
-    earlier = [name for name, p in before.items() if p >= MIXED_PROBABILITY]
+    budget = Budget(seconds, progress)
+    before = {} if previous is None else previous.cause_sets
+    earlier = [
+        causes for causes, p in before.items() if causes and p >= MIXED_PROBABILITY
+    ]
     explains = tip_rms_m(estimate) <= tolerance_m
     if explains and not is_surprising and not earlier:
         return not_asked(estimate)
 
-    def time_used() -> float:
-        used = time.process_time() - began
-        progress(min(used / max(seconds, 1e-9), 1.0))
-        return used
-
     trials = [prepare_trial(model, observation) for observation in observations]
     effects = candidate_effects(model, effects_by_name(), trials)
     blocks = int(time_blocks(trials).max()) + 1
-    fitted = {NO_CAUSE: Comparison(NO_CAUSE, 0.0, estimate)}
-    compare = Comparer(model, observations, estimate, blocks, settings)
-    for effect in find_effects(earlier):
-        fitted[effect.name] = compare.fit(effect)
-    is_enough = any(tip_rms_m(each.estimate) <= tolerance_m for each in fitted.values())
+    base = Comparison(NO_CAUSE, 0.0, estimate)
+    compare = Comparer(model, observations, base, blocks, settings)
+    compared = {NO_CAUSE: base}
+    for causes in earlier:
+        compared[causes] = compare.fit(*find_effects(causes))
+    fitted = list(compared.values())
+    is_enough = any(tip_rms_m(each.estimate) <= tolerance_m for each in fitted)
 
     is_complete = True
-    screened: dict[str, Comparison] = {}
     if is_surprising or not is_enough:
-        for effect in effects:
-            screened[effect.name] = compare.screen(effect)
-            time_used()
-        ranked = sorted(screened.values(), key=lambda each: -each.log_evidence)
-        for each in ranked[:finalists]:
-            if time_used() > seconds:
-                is_complete = False
+        is_complete = compare.add_cause(effects, compared, finalists, budget)
+        for _ in range(MAX_CAUSES - 1):
+            best = most_evident_fit(compared)
+            is_enough = tip_rms_m(best.estimate) <= tolerance_m
+            if is_enough or not best.causes or budget.is_used_up():
                 break
-            if each.name not in fitted:
-                fitted[each.name] = compare.fit(*find_effects([each.name]))
-    # a cause that was not fitted is as evident as it seems to first order
-    compared = screened | fitted
+            others = [each for each in effects if each.name not in best.causes]
+            beside = Comparer(
+                model.with_effects(*find_effects(best.causes)),
+                observations,
+                best,
+                blocks,
+                settings,
+            )
+            found: dict[tuple[str, ...], Comparison] = {}
+            beside.add_cause(others, found, finalists, budget)
+            explaining = {
+                causes: each
+                for causes, each in found.items()
+                if explains_half(each, best)
+            }
+            if not explaining:
+                break
+            compared |= explaining
     probabilities = posterior_probabilities(compared, len(effects))
     verdict, sentence = decide(compared, probabilities, tolerance_m, is_complete)
     finding = {
         "verdict": verdict,
         "candidates": len(effects),
-        "fitted": len(fitted) - 1,
+        "fitted": sum(each.estimate is not None for each in compared.values()) - 1,
         "sentence": sentence,
     }
     if verdict == "none":
-        compared = {NO_CAUSE: fitted[NO_CAUSE]}
+        compared = {NO_CAUSE: base}
         probabilities = {NO_CAUSE: 1.0}
     return build_explanation(model, compared, probabilities, finding, seed)
 
 
 @dataclass(frozen=True)
 class Comparer:
-    """Compare causes by the same trials.
+    """Compare effects that are added to a model, by the same trials.
 
     Parameters
     ----------
-    model : without a cause
-    observations : the trials
-    estimate : of the model without a cause
-    blocks : number of independent blocks of time in the trials
-    settings : of the fits
+    model : Model
+        With the causes that were found before, if any.
+    observations : sequence of Observation
+        The trials.
+    base : Comparison
+        Of this model with the trials, fitted.
+    blocks : int
+        Number of independent blocks of time in the trials.
+    settings : FitSettings
+        Of the fits.
     """
 
     model: Model
     observations: Sequence[Observation]
-    estimate: Estimate
+    base: Comparison
     blocks: int
     settings: FitSettings
 
-    def log_evidence(self, square_ratio: float, parameters: int) -> float:
-        """Compute the gain in log evidence by a mean square that falls to a ratio."""
-        gain = self.blocks * -np.log(max(square_ratio, np.finfo(float).tiny))
-        return float(gain - 0.5 * parameters * np.log(self.blocks))
+    def add_cause(
+        self,
+        effects: Sequence[type[Effect]],
+        compared: dict[tuple[str, ...], Comparison],
+        finalists: int,
+        budget: Budget,
+    ) -> bool:
+        """Screen all effects and fit the most evident ones; add them to `compared`.
 
-    def screen(self, effect: type[Effect]) -> Comparison:
-        """Compute the evidence of an effect to first order, on a coarse mesh."""
-        hypothesis = Hypothesis(self.model).with_cause(effect)
+        Returns whether the budget was enough.
+        """
+        plain = self.screened_square(())
+        screened = []
+        for effect in effects:
+            square_ratio = self.screened_square((effect,)) / plain
+            screened.append((effect, self.comparison((effect,), square_ratio)))
+            budget.is_used_up()
+        screened.sort(key=lambda pair: -pair[1].log_evidence)
+        is_complete = True
+        for effect, each in screened[:finalists]:
+            if each.causes in compared:
+                continue
+            if budget.is_used_up():
+                is_complete = False
+                break
+            compared[each.causes] = self.fit(effect)
+        # a cause that was not fitted is as evident as it seems on the coarse mesh
+        for _, each in screened:
+            compared.setdefault(each.causes, each)
+        return is_complete
+
+    def comparison(
+        self,
+        effects: Sequence[type[Effect]],
+        square_ratio: float,
+        estimate: Estimate | None = None,
+    ) -> Comparison:
+        """Compare effects by a mean square that falls to a ratio of the base's."""
+        gain = self.blocks * -np.log(max(square_ratio, np.finfo(float).tiny))
+        added = sum(len(effect.parameters) for effect in effects)
+        evidence = gain - 0.5 * added * np.log(self.blocks)
+        causes = [*self.base.causes, *(effect.name for effect in effects)]
+        return Comparison(
+            tuple(sorted(causes)), self.base.log_evidence + float(evidence), estimate
+        )
+
+    def screened_square(self, effects: Sequence[type[Effect]]) -> float:
+        """Compute the mean square that a few iterations leave on a coarse mesh.
+
+        They begin at the best of some sizes of the last effect.
+        """
+        assert self.base.estimate is not None
+        hypothesis = Hypothesis(self.model, tuple(effects))
         trials = [prepare_trial(hypothesis.model, o) for o in self.observations]
         likelihood = Likelihood(TrialData(tuple(trials)), hypothesis.model)
         ladder = mesh_ladder(likelihood)
         coarse = ladder[min(COARSE_LEVEL, len(ladder) - 1)]
-        fitted = self.estimate.parameters
+        fitted = self.base.estimate.parameters
         exponents = dict(zip(fitted["name"], fitted["chi"], strict=True))
         start = hypothesis.exponents_from(exponents)
         coarse = with_estimated_noise(coarse, start)
 
-        probes = self._probes(hypothesis, effect, start)
-        residuals = coarse.residuals(np.concatenate([start[None], probes]))
-        unfitted, probed = residuals[0], residuals[1:]  # (N,) and (C, N)
-        is_finite = (probed != DIVERGED_RESIDUAL).all(axis=1)
-        widths = np.full((1, len(start)), SLOPE_WIDTH)
-        slopes = forward_differences(coarse, start[None], unfitted[None], widths)[0]
-        followed, _ = np.linalg.qr(slopes[hypothesis.base_indices].T)  # (N, P)
-
-        # what is left, and what a probe changes, once the other parameters follow
-        rows = np.concatenate([unfitted[None], probed[is_finite] - unfitted])
-        rows = rows - (rows @ followed) @ followed.T
-        remainder, response = rows[0], rows[1:]
-        square = np.sum(response**2, axis=1) + np.finfo(float).tiny
-        factor = np.clip(-(response @ remainder) / square, 0, MAX_EXTRAPOLATION)
-        left = np.mean((remainder + factor[:, None] * response) ** 2, axis=1)
-        ratio = left.min(initial=np.inf) / np.mean(remainder**2)
-        evidence = self.log_evidence(min(ratio, 1.0), len(effect.parameters))
-        return Comparison(effect.name, evidence)
+        starts = start[None]
+        if effects:
+            probes = self._probes(hypothesis, effects[-1], start)
+            squares = np.mean(coarse.residuals(probes) ** 2, axis=1)
+            starts = probes[np.argsort(squares, kind="stable")[:SCREENED_PROBES]]
+        runs = fit_least_squares(coarse, starts, SCREENING_ITERATIONS)
+        return float(np.mean(runs.residual[np.argmin(runs.loss)] ** 2))
 
     def _probes(
         self, hypothesis: Hypothesis, effect: type[Effect], start: np.ndarray
@@ -257,13 +331,15 @@ class Comparer:
         probes[:, amplitudes] = start[amplitudes] + fractions * distance
         return probes
 
-    def fit(self, effect: type[Effect]) -> Comparison:
-        """Fit the model with an effect as if nothing were known."""
+    def fit(self, *effects: type[Effect]) -> Comparison:
+        """Fit the model with effects as if nothing were known."""
         settings = self.settings
+        base = self.base.estimate
+        assert base is not None
         made = fit_from_nothing(
-            self.model.with_effects(effect),
+            self.model.with_effects(*effects),
             self.observations,
-            self.estimate,
+            base,
             seed=settings.seed,
             manipulation=settings.manipulation,
             starts=settings.starts,
@@ -271,9 +347,7 @@ class Comparer:
             iterations=settings.iterations,
             matching=settings.matching,
         )
-        ratio = (rms_m(made) / rms_m(self.estimate)) ** 2
-        evidence = self.log_evidence(ratio, len(effect.parameters))
-        return Comparison(effect.name, evidence, made)
+        return self.comparison(effects, (rms_m(made) / rms_m(base)) ** 2, made)
 
 
 def rms_m(estimate: Estimate) -> float:
@@ -286,37 +360,54 @@ def tip_rms_m(estimate: Estimate | None) -> float:
     return np.nan if estimate is None else float(estimate.fit["tip_after"].iloc[0])
 
 
+def most_evident_fit(compared: Mapping[tuple[str, ...], Comparison]) -> Comparison:
+    """Return the most evident comparison among those that were fitted."""
+    fitted = [each for each in compared.values() if each.estimate is not None]
+    return max(fitted, key=lambda each: each.log_evidence)
+
+
+def explains_half(each: Comparison, base: Comparison) -> bool:
+    """Tell whether causes that were fitted explain half of the mean square misfit."""
+    if each.estimate is None or base.estimate is None:
+        return False
+    left = (rms_m(each.estimate) / rms_m(base.estimate)) ** 2
+    return left <= 1 - MIN_EXPLAINED_FRACTION
+
+
 def posterior_probabilities(
-    compared: Mapping[str, Comparison], candidates: int
-) -> dict[str, float]:
-    """Compute the probability of each cause and of none, the most probable first."""
-    log_evidence = {}
-    for name, each in compared.items():
-        log_evidence[name] = np.array([each.log_evidence])
-    probabilities = effect_probabilities(log_evidence, candidates)
-    ranked = sorted(probabilities, key=lambda name: -probabilities[name])
-    return {name: probabilities[name] for name in ranked}
+    compared: Mapping[tuple[str, ...], Comparison], candidates: int
+) -> dict[tuple[str, ...], float]:
+    """Compute the probability of all compared causes, the most probable first.
+
+    Effects are active independently of each other before the trials.
+    """
+    prior_odds = (1 - PRIOR_NO_EFFECT) / candidates / PRIOR_NO_EFFECT
+    log_posterior = {}
+    for causes, each in compared.items():
+        log_posterior[causes] = each.log_evidence + len(causes) * np.log(prior_odds)
+    highest = max(log_posterior.values())
+    weights = {causes: np.exp(p - highest) for causes, p in log_posterior.items()}
+    total = sum(weights.values())
+    ranked = sorted(weights, key=lambda causes: -weights[causes])
+    return {causes: float(weights[causes] / total) for causes in ranked}
 
 
 def decide(
-    compared: Mapping[str, Comparison],
-    probabilities: Mapping[str, float],
+    compared: Mapping[tuple[str, ...], Comparison],
+    probabilities: Mapping[tuple[str, ...], float],
     tolerance_m: float,
     is_complete: bool,
 ) -> tuple[str, str]:
     """Decide the verdict, and state it in words."""
-    base = compared[NO_CAUSE].estimate
-    assert base is not None
-    best = next(iter(probabilities))
-    found = compared[best].estimate
-    if best and found is not None:
-        explained = 1 - (rms_m(found) / rms_m(base)) ** 2
-        if explained >= MIN_EXPLAINED_FRACTION:
-            return _decide_about(found, base, probabilities, tolerance_m, is_complete)
+    base = compared[NO_CAUSE]
+    assert base.estimate is not None
+    best = compared[next(iter(probabilities))]
+    if best.causes and explains_half(best, base):
+        return _decide_about(best, base, probabilities, tolerance_m, is_complete)
     if not is_complete:
         return "undecided", f"No cause was found; {TIME_IS_UP}."
-    base_mm = MM_PER_M * tip_rms_m(base)
-    if tip_rms_m(base) > tolerance_m:
+    base_mm = MM_PER_M * tip_rms_m(base.estimate)
+    if tip_rms_m(base.estimate) > tolerance_m:
         return (
             "unknown",
             f"No single effect explains why the tip is {base_mm:.1f} mm off.",
@@ -325,30 +416,36 @@ def decide(
 
 
 def _decide_about(
-    found: Estimate,
-    base: Estimate,
-    probabilities: Mapping[str, float],
+    best: Comparison,
+    base: Comparison,
+    probabilities: Mapping[tuple[str, ...], float],
     tolerance_m: float,
     is_complete: bool,
 ) -> tuple[str, str]:
-    """Decide whether the most probable cause, which explains much, is named."""
-    best = next(iter(probabilities))
-    left_mm, base_mm = MM_PER_M * tip_rms_m(found), MM_PER_M * tip_rms_m(base)
-    effect = f"With {best} the tip is {left_mm:.1f} mm off instead of {base_mm:.1f}"
-    is_explained = tip_rms_m(found) <= tolerance_m
+    """Decide whether the most probable causes, which explain much, are named."""
+    left_mm = MM_PER_M * tip_rms_m(best.estimate)
+    base_mm = MM_PER_M * tip_rms_m(base.estimate)
+    name = describe_causes(best.causes)
+    effect = f"With {name} the tip is {left_mm:.1f} mm off instead of {base_mm:.1f}"
+    is_explained = tip_rms_m(best.estimate) <= tolerance_m
     if not is_complete and not is_explained:
         return "undecided", f"{effect}; {TIME_IS_UP}."
-    if probabilities[best] < NAMED_PROBABILITY:
-        others = [
-            f"{name or 'none'} ({p:.2f})"
-            for name, p in probabilities.items()
-            if p >= MIXED_PROBABILITY
-        ]
+    probability = probabilities[best.causes]
+    if probability < NAMED_PROBABILITY:
+        others = []
+        for causes, p in probabilities.items():
+            if p >= MIXED_PROBABILITY:
+                others.append(f"{describe_causes(causes)} ({p:.2f})")
         return "candidates", f"{effect}, but others may act: {', '.join(others)}."
-    probability = f"(probability {probabilities[best]:.2f})"
+    effect += f" (probability {probability:.2f})"
     if is_explained:
-        return "cause", f"{effect} {probability}."
-    return "partial", f"{effect} {probability}; something else is left."
+        return "cause", f"{effect}."
+    return "partial", f"{effect}; something else is left."
+
+
+def describe_causes(causes: Sequence[str]) -> str:
+    """Return the names of effects as words."""
+    return " and ".join(name.replace("_", " ") for name in causes) or "none"
 
 
 def not_asked(estimate: Estimate) -> Explanation:
@@ -370,27 +467,28 @@ def estimate_tables(estimate: Estimate) -> dict[str, pd.DataFrame]:
 
 def build_explanation(
     model: Model,
-    compared: Mapping[str, Comparison],
-    probabilities: Mapping[str, float],
+    compared: Mapping[tuple[str, ...], Comparison],
+    probabilities: Mapping[tuple[str, ...], float],
     finding: Mapping[str, object],
     seed: int,
 ) -> Explanation:
     """Build the artifact from the most probable fit and draws of all probable ones."""
-    mixed: dict[str, tuple[float, Estimate]] = {}
-    for name, probability in probabilities.items():
-        fit = compared[name].estimate
+    mixed: dict[tuple[str, ...], tuple[float, Estimate]] = {}
+    for causes, probability in probabilities.items():
+        fit = compared[causes].estimate
         if fit is not None and (probability >= MIXED_PROBABILITY or not mixed):
-            mixed[name] = probability, fit
+            mixed[causes] = probability, fit
     best = next(iter(mixed.values()))[1]
-    estimate = with_absent_effects(model, best, [name for name in mixed if name])
+    names = dict.fromkeys(name for causes in mixed for name in causes)
+    estimate = with_absent_effects(model, best, list(names))
     draws = mix_draws(mixed, estimate, seed)
 
     rows = []
-    for name, probability in probabilities.items():
-        each = compared[name]
+    for causes, probability in probabilities.items():
+        each = compared[causes]
         rows.append(
             {
-                "effect": name,
+                "effects": " ".join(causes),
                 "probability": probability,
                 "log_evidence": each.log_evidence,
                 "tip_rms": tip_rms_m(each.estimate),
@@ -439,17 +537,16 @@ def with_absent_effects(
 
 
 def mix_draws(
-    mixed: Mapping[str, tuple[float, Estimate]], whole: Estimate, seed: int
+    mixed: Mapping[tuple[str, ...], tuple[float, Estimate]], whole: Estimate, seed: int
 ) -> pd.DataFrame:
     """Draw from several estimates as often as each is probable.
 
     Parameters that an estimate does not have are where their effect is absent.
     """
     absent = whole.values()
-    for name, (_, fit) in mixed.items():
-        if name:
-            known = fit.values()
-            (effect,) = find_effects([name])
+    for causes, (_, fit) in mixed.items():
+        known = fit.values()
+        for effect in find_effects(causes):
             for parameter in effect.parameters:
                 qualified = effect.qualified_name(parameter)
                 if qualified in known:

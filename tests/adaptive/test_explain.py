@@ -32,14 +32,14 @@ NOISE_M = 0.7e-3
 BLOCKS = 6  # of 50 ms
 
 
-def fitted(name, log_evidence, rms_m):
+def fitted(names, log_evidence, rms_m):
     fit = pd.DataFrame([{"rms_after": rms_m, "tip_after": rms_m}])
-    return Comparison(name, log_evidence, SimpleNamespace(fit=fit))
+    return Comparison(tuple(names.split()), log_evidence, SimpleNamespace(fit=fit))
 
 
 def decided(*found, is_complete=True):
     """Return verdict and sentence where the model as it was leaves 40 mm."""
-    compared = {each.name: each for each in (fitted(NO_CAUSE, 0.0, 0.04), *found)}
+    compared = {each.causes: each for each in (fitted("", 0.0, 0.04), *found)}
     probabilities = posterior_probabilities(compared, CANDIDATES)
     return decide(compared, probabilities, TOLERANCE_M, is_complete)
 
@@ -71,8 +71,22 @@ def test_causes_that_explain_equally_are_candidates():
     pair = (fitted("tip_mass", 80.0, 0.001), fitted("density_taper", 80.1, 0.001))
     verdict, sentence = decided(*pair)
     assert verdict == "candidates"
-    assert "tip_mass" in sentence
-    assert "density_taper" in sentence
+    assert "tip mass" in sentence
+    assert "density taper" in sentence
+
+
+def test_two_causes_need_more_evidence_than_one():
+    """Each cause costs its prior odds, so that a slightly better pair is a candidate."""
+    verdict, sentence = decided(
+        fitted("wind", 80.0, 0.001), fitted("tip_mass wind", 84.0, 0.001)
+    )
+    assert verdict == "candidates"
+    assert "tip mass and wind" in sentence
+    verdict, sentence = decided(
+        fitted("wind", 80.0, 0.021), fitted("tip_mass wind", 90.0, 0.001)
+    )
+    assert verdict == "cause"
+    assert "tip mass and wind" in sentence
 
 
 @pytest.fixture(scope="module")
@@ -97,10 +111,15 @@ def screened(arm, camera):
             value = np.asarray(true.get(parameter.name, parameter.start))
             rows.append({"name": parameter.name, "chi": float(parameter.chi(value))})
         estimate = SimpleNamespace(parameters=pd.DataFrame(rows))
+        base = Comparison(NO_CAUSE, 0.0, estimate)
         settings = SimpleNamespace(seed=0)
-        compare = Comparer(model, [observation], estimate, BLOCKS, settings)
-        found = [compare.screen(effect) for effect in find_effects(effects)]
-        return {each.name: each.log_evidence for each in found}
+        compare = Comparer(model, [observation], base, BLOCKS, settings)
+        plain = compare.screened_square(())
+        evidence = {}
+        for effect in find_effects(effects):
+            ratio = compare.screened_square((effect,)) / plain
+            evidence[effect.name] = compare.comparison((effect,), ratio).log_evidence
+        return evidence
 
     return screen
 
@@ -109,13 +128,15 @@ def screened(arm, camera):
     ("cause", "value"),
     [("tip_mass", ("ratio", 0.3)), ("joint_gain", ("gain", 0.04))],
 )
-def test_the_hidden_cause_is_the_most_evident_to_first_order(screened, cause, value):
+def test_the_hidden_cause_is_the_most_evident_after_a_few_iterations(
+    screened, cause, value
+):
     found = screened({cause: dict([value])}, ["tip_mass", "joint_gain"])
     assert max(found, key=found.get) == cause
     assert found[cause] > 0
 
 
-def test_no_effect_is_evident_to_first_order_where_none_is_hidden(screened):
+def test_no_effect_is_evident_where_none_is_hidden(screened):
     found = screened({}, ["tip_mass", "joint_gain"])
     assert max(found.values()) < 0
 

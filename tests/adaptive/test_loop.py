@@ -45,7 +45,7 @@ def explain(
     row = {"verdict": "cause", "candidates": 1, "fitted": 1, "sentence": "So."}
     return Explanation(
         **tables,
-        explanations=rows(EXPLANATIONS, 1, effect=["wind"], probability=[1.0]),
+        explanations=rows(EXPLANATIONS, 1, effects=["wind"], probability=[1.0]),
         finding=EXPLANATION_SUMMARY.check(pd.DataFrame([row])),
     )
 

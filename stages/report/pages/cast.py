@@ -325,9 +325,9 @@ def _learning_card(cast: CastRecord, surprise: Surprise) -> Card:
         shown = table[table["probability"] >= MIN_SHOWN_PROBABILITY]
         causes = []
         for cause in shown.itertuples():
-            name = str(cause.effect).replace("_", " ") or "none"
+            name = str(cause.effects).replace(" ", ", ").replace("_", " ") or "none"
             tip = (
-                "to first order"
+                "on a coarse mesh"
                 if np.isnan(cause.tip_rms)
                 else format_mm(cause.tip_rms, 1)
             )
