@@ -10,10 +10,13 @@ import pandas as pd
 
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.paper.scores import SHARE_COLUMNS, share_with_interval
+from stringcast.stages.surprise.surprise import ALARM_P_VALUE
 
 PROBABILITY_BINS = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0])
 TARGET_SHARE = 0.95  # share of the runs that must have hit
 ALL_CASES = "all"
+SHIFT_THAT_MATTERS_M = 0.02  # of the tip: the width of the target
+SURE_HIT = 0.9  # stated probability
 _WHICH = (
     Column("case", "", "string and target; 'all' for all together", "text"),
     Column("method", "", "", "text"),
@@ -43,6 +46,7 @@ CASTS = Table(
             "predicted probability of a hit; NaN where the method predicts none",
         ),
         Column("planning", "s", "processor time of planning"),
+        Column("learning", "s", "processor time of what follows a trial"),
         Column(
             "residual",
             "m",
@@ -55,6 +59,24 @@ CASTS = Table(
         ),
         Column(
             "effects", "", "effects of the method's model beyond the paper's", "text"
+        ),
+        Column("hidden", "", "effects that the lab hides", "text"),
+        Column(
+            "hidden_shift",
+            "m",
+            "rms distance by which they move the measured tip in this cast",
+        ),
+        Column(
+            "p_value",
+            "1",
+            "of the trial, by what was predicted; NaN where the method does not test",
+        ),
+        Column("verdict", "", "of the search for causes", "text"),
+        Column(
+            "causes",
+            "",
+            "what it found, as name=probability, separated by spaces",
+            "text",
         ),
         Column(
             "code",
@@ -99,7 +121,19 @@ CALIBRATION = Table(
         *SHARE_COLUMNS,
     ),
 )
-TABLES = {table.name: table for table in (CASTS, RATES, NEEDED, LEARNED, CALIBRATION)}
+FINDINGS = Table(
+    "findings",
+    "how often surprise and causes are right, by cast",
+    (
+        Column("method", "", "", "text"),
+        Column("finding", "", "what is counted", "text"),
+        *SHARE_COLUMNS,
+    ),
+)
+TABLES = {
+    table.name: table
+    for table in (CASTS, RATES, NEEDED, LEARNED, CALIBRATION, FINDINGS)
+}
 
 
 def score_casts(casts: pd.DataFrame, max_casts: int) -> dict[str, pd.DataFrame]:
@@ -108,9 +142,9 @@ def score_casts(casts: pd.DataFrame, max_casts: int) -> dict[str, pd.DataFrame]:
     `casts` is table CASTS, in which runs may lack columns. `max_casts` is the number of
     casts of a run.
     """
-    casts = CASTS.check(
-        casts.reindex(columns=[column.name for column in CASTS.columns])
-    )
+    casts = casts.reindex(columns=[column.name for column in CASTS.columns])
+    texts = [column.name for column in CASTS.columns if column.kind == "text"]
+    casts = CASTS.check(casts.assign(**casts[texts].astype(object).fillna("")))
     runs = casts.assign(run=casts["case"] + casts["seed"].astype(str))
     runs = pd.concat([runs, runs.assign(case=ALL_CASES)], ignore_index=True)
     counts: list[dict[str, object]] = []
@@ -153,6 +187,7 @@ def score_casts(casts: pd.DataFrame, max_casts: int) -> dict[str, pd.DataFrame]:
         "needed": pd.DataFrame(needed),
         "learned": pd.concat(learned),
         "calibration": count_calibration(casts),
+        "findings": count_findings(casts),
     }
 
 
@@ -177,3 +212,32 @@ def count_calibration(casts: pd.DataFrame) -> pd.DataFrame:
         }
         rows.append(row)
     return pd.DataFrame(rows) if rows else CALIBRATION.empty()
+
+
+def count_findings(casts: pd.DataFrame) -> pd.DataFrame:
+    """Return table FINDINGS of table CASTS."""
+    rows: list[dict[str, object]] = []
+    searched = casts[casts["verdict"] != ""]
+    for method, group in searched.groupby("method", sort=False):
+        named = group["causes"].where(group["verdict"] == "cause", "")
+        is_right, is_false = [], []
+        for causes, hidden in zip(named, group["hidden"], strict=True):
+            names = {cause.partition("=")[0] for cause in causes.split()}
+            is_right.append(bool(names & set(hidden.split())))
+            is_false.append(bool(names - set(hidden.split())))
+        matters = (group["hidden_shift"] > SHIFT_THAT_MATTERS_M).to_numpy()
+        alarm = group["p_value"] <= ALARM_P_VALUE
+        tested = group["p_value"].notna()
+        nothing = tested & (group["hidden"] == "")
+        sure_miss = tested & (group["probability"] >= SURE_HIT) & ~group["hit"]
+        counted = {
+            "a hidden cause that matters is named": pd.Series(is_right)[matters],
+            "another cause is named": pd.Series(is_false),
+            "a surprise where nothing is hidden": alarm[nothing],
+            "no surprise at a miss that was hardly possible": ~alarm[sure_miss],
+        }
+        for finding, outcomes in counted.items():
+            if len(outcomes):
+                shares = share_with_interval(outcomes)
+                rows.append({"method": method, "finding": finding, **shares})
+    return pd.DataFrame(rows) if rows else FINDINGS.empty()

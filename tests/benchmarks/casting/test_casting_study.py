@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,16 +13,17 @@ from omegaconf import OmegaConf
 
 from stringcast.data.artifacts import JOINTS, Diagnosis
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
-from stringcast.pipeline.run.experiment import prepare_experiment
+from stringcast.pipeline.run.experiment import build_string, prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.stages.hit_test import hit_test
 from tests.benchmarks.casting.point_executor import PointExecutor, measure_points
 from tests.benchmarks.casting.runs import (
     diagnosed_model,
+    hidden_tip_shift,
     perform_training,
     run_settings,
 )
-from tests.benchmarks.casting.scores import TABLES, score_casts
+from tests.benchmarks.casting.scores import FINDINGS, TABLES, score_casts
 from tests.benchmarks.casting.study import CastingStudy
 from tests.benchmarks.study import study_settings
 
@@ -115,6 +117,75 @@ def test_hits_are_counted_by_run():
     assert "paper: 0 %, 50 %, 50 % of 2 runs" in CastingStudy().summary(tables)
     for name, table in tables.items():
         TABLES[name].check(table)
+
+
+def test_right_and_false_names_and_surprises_are_counted():
+    found = [
+        # hidden, moved [m], p-value, verdict, causes
+        ("wind", 0.05, 0.01, "cause", "wind=1.00"),
+        ("wind", 0.05, 0.50, "cause", "tip_mass=0.95"),
+        ("wind", 0.01, 0.50, "cause", "wind=0.93"),
+        ("wind tip_mass", 0.05, 0.50, "partial", "clamp=0.99"),
+        ("", 0.0, 0.02, "not asked", ""),
+        ("", 0.0, 0.03, "not asked", ""),
+    ]
+    names = ("hidden", "hidden_shift", "p_value", "verdict", "causes")
+    casts = []
+    for number, values in enumerate(found):
+        (row,) = made("A", "adaptive", number, False, chance=0.95)
+        casts.append(row | dict(zip(names, values, strict=True)))
+    robust = made("A", "robust", 0, True)
+    findings = score_casts(pd.DataFrame(casts + robust), 2)["findings"]
+    FINDINGS.check(findings)
+    assert set(findings["method"]) == {"adaptive"}
+    counts = findings.set_index("finding")[["right", "count"]].to_numpy().tolist()
+    assert counts == [[1, 3], [1, 6], [1, 2], [4, 6]]
+
+
+def test_each_case_is_cast_with_each_set_of_hidden_effects():
+    config = study_settings("adaptive", ["casting.seeds=1"])
+    jobs = CastingStudy().jobs(config, Path())
+    study = config["casting"]
+    expected = len(study["cases"]) * len(study["hidden"]) * len(study["methods"])
+    assert len({job.name for job in jobs}) == len(jobs) == expected
+    changes = {job.name: job.change for job in jobs}
+    seen = changes["B-wind-robust-0000"]
+    assert seen["specimen"]["hidden"] == {"wind": {"along_x": 1.1, "along_y": 0.0}}
+    assert (
+        seen["specimen"]["parameters"] == study["cases"]["B"]["specimen"]["parameters"]
+    )
+    assert "effects" not in seen
+    told = changes["B-wind-informed-0000"]
+    assert told["effects"] == ["wind"]
+    assert told["parameter_values"] == {"wind.along_x": 1.1, "wind.along_y": 0.0}
+
+
+def test_a_seed_draws_one_string_from_the_ranges_for_all_targets():
+    config = study_settings("forecast", ["casting.seeds=20"])
+    strings = {}
+    for job in CastingStudy().jobs(config, Path()):
+        parameters = job.change["specimen"]["parameters"]
+        assert strings.setdefault(job.seed, parameters) == parameters
+    drawn = pd.DataFrame(strings.values())
+    exponents = []
+    for parameter in build_string(config["string"], "conf/string").parameters:
+        values = drawn[parameter.name].to_numpy()
+        assert values.min() >= parameter.low
+        assert values.max() <= parameter.high
+        exponents.append(parameter.chi(values))
+    # of 160 uniform numbers, within four standard errors
+    assert np.mean(exponents) == pytest.approx(0.5, abs=4 * 0.29 / np.sqrt(160))
+    assert np.std(exponents) == pytest.approx(0.29, abs=0.05)
+
+
+def test_a_hidden_effect_moves_the_tip_as_the_camera_sees_it(turned):
+    perform_training(turned, 1)
+    bench = turned.benches[1]
+    t = np.arange(0, 0.4, 0.01)
+    true, seen = bench.string_at(t), bench.camera_view(bench.string_at, t)
+    rolled = np.sqrt(np.mean(np.sum((seen - true)[:, -1] ** 2, axis=1)))
+    assert hidden_tip_shift(bench, 0.4) == pytest.approx(rolled)
+    assert rolled > 0.01
 
 
 def test_a_run_takes_its_settings_from_case_and_method():
