@@ -19,6 +19,7 @@ from stringcast.stages.diagnose.agreement import (
     probability_by_agreement,
 )
 from stringcast.stages.diagnose.base_model import refit_from_new_starts
+from stringcast.stages.diagnose.common_data import fit_to_common_data
 from stringcast.stages.diagnose.discretisation import (
     correct_data_on_one_finer_mesh,
     correct_discretisation_once,
@@ -86,6 +87,9 @@ class SelectionStep:
         Of those fitted, the most evident first.
     refined : sequence of Fit
         Those of them near the most evident, with their own discretisation error.
+    fits_by_data : dict of dict
+        On the data of each of the leading ones, by the name of their cause, the fits of
+        all of these, and of the parent ("").
     accepted : bool
         Whether the best is accepted.
     """
@@ -94,6 +98,7 @@ class SelectionStep:
     proposals: Sequence[Proposal]
     fits: Sequence[Fit]
     refined: Sequence[Fit] = ()
+    fits_by_data: Mapping[str, Mapping[str, Fit]] = field(default_factory=dict)
     accepted: bool = False
 
     @property
@@ -265,23 +270,66 @@ def _refine_rivals(
         misfit_m = unexplained_tip_rms(prepared.data, parent)
         allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
 
-    def refine_rival(fit: Fit) -> tuple[Fit, bool]:
+    def refine_rival(fit: Fit) -> tuple[Fit, TrialData | None]:
         rival = RefinedFit(prepared, fit)
         if fit is not contested:
             rival = refine_fit(prepared, fit)
-        resolved = is_resolved(rival.prepared, prepared, criteria, needed, allowance_m)
-        return rival.fit, resolved
+        if is_resolved(rival.prepared, prepared, criteria, needed, allowance_m):
+            return rival.fit, rival.prepared.data
+        return rival.fit, None
 
-    refined = []
-    rivals = step.fits[:count]
-    answers = map_in_workers(refine_rival, rivals)
-    for rival, (fit, resolved) in zip(rivals, answers, strict=True):
-        if resolved:
-            # A worker returns a copy of the hypothesis
-            refined.append(replace(fit, hypothesis=rival.hypothesis))
-    fits = by_evidence([*refined, *step.fits[count:]])
-    is_accepted = bool(fits) and is_supported(prepared.data, parent, fits[0], criteria)
-    return replace(step, fits=fits, refined=refined, accepted=is_accepted)
+    # Refinement mostly lowers the evidence: none may lead because it was not refined
+    refined: list[tuple[Fit, TrialData]] = []
+    unrefined = list(step.fits)
+    while count:
+        rivals = unrefined[:count]
+        unrefined = unrefined[count:]
+        answers = map_in_workers(refine_rival, rivals)
+        for rival, (fit, data) in zip(rivals, answers, strict=True):
+            if data is not None:
+                # A worker returns a copy of the hypothesis
+                refined.append((replace(fit, hypothesis=rival.hypothesis), data))
+        refined.sort(key=lambda fit_and_data: -fit_and_data[0].log_evidence)
+        best = refined[0][0] if refined else parent
+        count = int(bool(unrefined) and has_evidence(best, unrefined[0], criteria))
+
+    fits = [fit for fit, _ in refined]
+    every_fit = [*fits, *unrefined]
+    is_accepted = bool(every_fit) and is_supported(
+        prepared.data, parent, every_fit[0], criteria
+    )
+    return replace(
+        step,
+        fits=every_fit,
+        refined=fits,
+        fits_by_data=_compare_on_common_data(parent, refined[:MAX_RIVALS]),
+        accepted=is_accepted,
+    )
+
+
+def _compare_on_common_data(
+    parent: Fit, rivals: Sequence[tuple[Fit, TrialData]]
+) -> Mapping[str, Mapping[str, Fit]]:
+    """Fit rivals and their parent to the data of each rival; nothing of a single one.
+
+    Returns fits by the name of the cause whose data they are fitted to, and their own.
+    """
+    if len(rivals) < 2:
+        return {}
+    fits = {"": parent}
+    data_of = {}
+    for fit, data in rivals:
+        name = fit.hypothesis.cause_names[-1]
+        fits[name] = fit
+        data_of[name] = data
+    fits_by_data = fit_to_common_data(fits, data_of)
+    for owner, on_data in fits_by_data.items():
+        gains = []
+        for name in data_of:
+            gain = on_data[name].log_evidence - on_data[""].log_evidence
+            gains.append(f"{name} {gain:+.1f}")
+        log.info("on the data of %s: log evidence %s", owner, ", ".join(gains))
+    return fits_by_data
 
 
 def refine_fit(prepared: PreparedData, fit: Fit) -> RefinedFit:
@@ -345,7 +393,8 @@ def _refit_step(data: TrialData, step: SelectionStep) -> SelectionStep:
         if id(fit) not in was_refined:
             others.append(evaluate_fit(data, fit.hypothesis, fit.chi))
     fits = by_evidence([*refined, *others])
-    return replace(step, parent=parent, fits=fits, refined=refined)
+    # All are now on the same data
+    return replace(step, parent=parent, fits=fits, refined=refined, fits_by_data={})
 
 
 def with_causes_found_before(

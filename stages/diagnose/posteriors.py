@@ -261,8 +261,9 @@ def single_effect_posterior(
     """Compute the probability of each candidate of a step, and of none.
 
     Only refined fits compete, if there are any, and none at the end of its range, which
-    most likely stands for another cause. An effect that moves the tip by less than
-    counts is counted as none. Effects that differ by less than what is left unexplained
+    most likely stands for another cause. Probabilities are averaged over the data of
+    each rival (`common_data`). An effect that moves the tip by less than counts is
+    counted as none. Effects that differ by less than what is left unexplained
     are equally probable.
 
     Parameters
@@ -278,12 +279,26 @@ def single_effect_posterior(
         if not fit.has_diverged and is_inside_range(fit, cause):
             fits[cause.name] = fit
 
-    log_evidence = {}  # (samples,) each
-    for name, fit in {"": step.parent, **fits}.items():
-        resampled = fit.log_evidence + (weights - 1) @ fit.log_likelihood_by_trial
-        gains = background_log_evidence_gains(data, fit, background, weights)
-        log_evidence[name] = resampled + gains
-    probabilities = effect_probabilities(log_evidence, candidates)
+    # On the data of each rival, which are as probable
+    own_fits = {"": step.parent, **fits}
+    alternatives = []
+    for name, fits_to_data in step.fits_by_data.items():
+        if name in fits:
+            alternatives.append({**own_fits, **fits_to_data})
+    alternatives = alternatives or [own_fits]
+    probabilities = dict.fromkeys(own_fits, 0.0)
+    rng = np.random.default_rng(len(weights))
+    for competing in alternatives:
+        log_evidence = {}  # (samples,) each
+        for name in own_fits:
+            fit = competing[name]
+            resampled = fit.log_evidence + (weights - 1) @ fit.log_likelihood_by_trial
+            gains = background_log_evidence_gains(data, fit, background, weights)
+            errors = fit.log_evidence_error * rng.standard_normal(len(weights))
+            log_evidence[name] = resampled + gains + errors
+        on_data = effect_probabilities(log_evidence, candidates)
+        for name, probability in on_data.items():
+            probabilities[name] += probability / len(alternatives)
     for name, fit in fits.items():
         if tip_shift_rms(data, step.parent, fit).max() < min_tip_shift_m:
             probabilities[""] += probabilities.pop(name)

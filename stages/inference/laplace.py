@@ -71,6 +71,10 @@ class Fit:
         Log-likelihood of each trial, whatever that scale, (K,).
     log_evidence
         Ln p(y | h).
+    log_evidence_error
+        By how much it may be wrong because the fit has not converged: the gain of the
+        log-likelihood that one more Gauss-Newton step promises (half the square of the
+        Newton decrement: Boyd and Vandenberghe 2004, Convex Optimization, 9.5.1).
     """
 
     hypothesis: Hypothesis
@@ -80,6 +84,7 @@ class Fit:
     scale_indices: np.ndarray
     log_likelihood_by_trial: np.ndarray
     log_evidence: float
+    log_evidence_error: float = 0.0
 
     @property
     def exponents(self) -> dict[str, float]:
@@ -207,7 +212,14 @@ def evaluate_fit(data: TrialData, hypothesis: Hypothesis, chi: np.ndarray) -> Fi
     precision = np.full(len(chi), PRIOR_PRECISION)
     precision[amplitudes] = AMPLITUDE_PRECISION
     white_slopes = data.whiten(slopes, scale_indices)
-    volume = log_volume(white_slopes @ white_slopes.T + np.diag(precision))
+    curvature = white_slopes @ white_slopes.T + np.diag(precision)
+    volume = log_volume(curvature)
+
+    # What one more step promises
+    white_residual = data.whiten([row[:1] for row in rows], scale_indices)[0]
+    gradient = white_slopes @ white_residual
+    base = hypothesis.base_indices
+    gradient[base] += PRIOR_PRECISION * (chi[base] - 0.5)
 
     return Fit(
         hypothesis,
@@ -217,7 +229,22 @@ def evaluate_fit(data: TrialData, hypothesis: Hypothesis, chi: np.ndarray) -> Fi
         scale_indices,
         by_trial,
         float(by_trial.sum() + prior + volume),
+        promised_gain(curvature, gradient, chi),
     )
+
+
+def promised_gain(
+    curvature: np.ndarray, gradient: np.ndarray, chi: np.ndarray
+) -> float:
+    """Compute by how much a quadratic falls to its minimum within [0, 1].
+
+    Parameters
+    ----------
+    curvature, gradient
+        At exponents chi (P,), (P, P) and (P,).
+    """
+    step = solver.minimise_in_box(curvature, gradient, -chi, 1.0 - chi)
+    return float(-(gradient @ step + 0.5 * step @ curvature @ step))
 
 
 def log_prior(

@@ -186,11 +186,13 @@ def posterior_of_wind(monkeypatch, gain_by_trial, inside_range):
     return posterior_of_place(monkeypatch, {"wind": (80.0, gain_by_trial)}, 1.0)
 
 
-def posterior_of_place(monkeypatch, gains, difference_m):
+def posterior_of_place(monkeypatch, gains, difference_m, error=0.0, by_data=None):
     """Compute the posterior of a place, with 1 m at each tip left unexplained.
 
     gains : of the log evidence, and of the log-likelihood of each trial, by effect
     difference_m : between the effects at each tip, and to their parent
+    error : of the log evidence of the effects
+    by_data : log evidence of all, by the effect whose data these are
     """
     monkeypatch.setattr(
         posteriors,
@@ -203,20 +205,27 @@ def posterior_of_place(monkeypatch, gains, difference_m):
         lambda data, one, fit: np.full(4, 0.0 if one is fit else difference_m),
     )
     monkeypatch.setattr(posteriors, "unexplained_tip_rms", lambda *_: np.ones(4))
-    parent = SimpleNamespace(log_evidence=0.0, log_likelihood_by_trial=np.zeros(4))
-    fits = []
-    for name, (gain, by_trial) in gains.items():
-        hypothesis = SimpleNamespace(causes=(SimpleNamespace(name=name),))
-        fit = SimpleNamespace(
-            log_evidence=gain,
+
+    def place(name, log_evidence, by_trial, error):
+        return SimpleNamespace(
+            log_evidence=log_evidence,
+            log_evidence_error=error,
             log_likelihood_by_trial=np.array(by_trial),
-            hypothesis=hypothesis,
+            hypothesis=SimpleNamespace(causes=(SimpleNamespace(name=name),)),
             has_diverged=False,
         )
-        fits.append(fit)
+
+    parent = place("", 0.0, (0.0,) * 4, 0.0)
+    fits = [place(name, *gain, error) for name, gain in gains.items()]
+    fits_by_data = {}
+    for owner, log_evidence in (by_data or {}).items():
+        on_data = {}
+        for name, value in log_evidence.items():
+            on_data[name] = place(name, value, (value / 4,) * 4, error)
+        fits_by_data[owner] = on_data
     rng = np.random.default_rng(0)
     weights = 4 * rng.dirichlet(np.ones(4), posteriors.BOOTSTRAP_SAMPLES)
-    step = SelectionStep(parent, (), fits)
+    step = SelectionStep(parent, (), fits, fits_by_data=fits_by_data)
     return posteriors.single_effect_posterior(None, step, (), weights, 20, 1e-3)
 
 
@@ -231,6 +240,35 @@ def test_effects_that_the_remainder_could_turn_into_each_other_are_as_likely(
     assert posterior.probabilities["tilt"] == pytest.approx(share, abs=1e-6)
     assert sum(posterior.probabilities.values()) == pytest.approx(1.0)
     assert posterior.ranked_causes[0] == "wind"
+
+
+@pytest.mark.parametrize(("error", "share"), [(0.0, 0.0), (20.0, 0.24)])
+def test_rivals_that_differ_by_less_than_their_errors_share_probability(
+    error, share, monkeypatch
+):
+    """Of a difference of 20 with an error of 28, one in four has the other sign."""
+    monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: True)
+    gains = {"dry": (200.0, (50.0,) * 4), "worn": (180.0, (45.0,) * 4)}
+    posterior = posterior_of_place(monkeypatch, gains, 1.1, error)
+    assert posterior.probabilities["worn"] == pytest.approx(share, abs=0.1)
+    assert (posterior.probabilities["worn"] > 0.1) == (error > 0)
+
+
+@pytest.mark.parametrize(
+    ("on_other_data", "share"),
+    [({"dry": 190.0, "worn": 150.0}, 0.0), ({"dry": 150.0, "worn": 190.0}, 0.5)],
+)
+def test_rivals_that_each_lead_on_their_own_data_share_probability(
+    on_other_data, share, monkeypatch
+):
+    monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: True)
+    gains = {"dry": (230.0, (57.5,) * 4), "worn": (190.0, (47.5,) * 4)}
+    by_data = {
+        "dry": {"": 0.0, "dry": 230.0, "worn": 180.0},
+        "worn": {"": 0.0, **on_other_data},
+    }
+    posterior = posterior_of_place(monkeypatch, gains, 1.1, by_data=by_data)
+    assert posterior.probabilities["worn"] == pytest.approx(share, abs=1e-3)
 
 
 SET_AND_SOFTENING = ({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1})

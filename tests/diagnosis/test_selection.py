@@ -19,7 +19,17 @@ class NamedFit:
 
     name: str
     log_evidence: float
-    hypothesis: None = None
+    hypothesis: SimpleNamespace | None = None
+
+
+def named_fit(name, log_evidence):
+    """Name a fit by its cause."""
+    return NamedFit(name, log_evidence, SimpleNamespace(cause_names=(name,)))
+
+
+def compare_on_own_data(fits, data):
+    """Say that all data give the same evidence."""
+    return dict.fromkeys(data, fits)
 
 
 @pytest.mark.parametrize(
@@ -37,22 +47,26 @@ class NamedFit:
 def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
     before, uncertain, misfit, best, monkeypatch
 ):
-    fits = [NamedFit("uncertain", 60.0), NamedFit("resolved", 50.0)]
+    fits = [named_fit("uncertain", 60.0), named_fit("resolved", 50.0)]
     uncertainty_m = {
         "uncertain": np.array(uncertain),
         "resolved": np.zeros(len(before)),
     }
 
     def refine(prepared, fit):
-        own = SimpleNamespace(discretisation_uncertainty_m=uncertainty_m[fit.name])
+        uncertain_m = uncertainty_m[fit.name]
+        own = SimpleNamespace(discretisation_uncertainty_m=uncertain_m, data="own")
         return RefinedFit(own, fit)
 
-    prepared = SimpleNamespace(discretisation_uncertainty_m=np.array(before), data=None)
+    prepared = SimpleNamespace(
+        discretisation_uncertainty_m=np.array(before), data="prepared"
+    )
     monkeypatch.setattr(forward_selection, "refine_fit", refine)
     monkeypatch.setattr(forward_selection, "is_supported", lambda *given: True)
     monkeypatch.setattr(
         forward_selection, "unexplained_tip_rms", lambda data, fit: np.array(misfit)
     )
+    monkeypatch.setattr(forward_selection, "fit_to_common_data", compare_on_own_data)
     compared = SelectionStep(SimpleNamespace(log_evidence=0.0), (), fits)
     step = forward_selection._refine_rivals(prepared, compared, CRITERIA, None)
     assert (step.best.name, step.accepted) == (best, True)
@@ -61,6 +75,62 @@ def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
     step = forward_selection._refine_rivals(prepared, compared, CRITERIA, fits[1])
     all_as_before = before == (0.0, 5e-3)
     assert step.best.name == ("uncertain" if all_as_before else "resolved")
+
+
+def refine_rivals(monkeypatch, found, refined):
+    """Refine fits of some evidence to another; return the step and who was refined."""
+    asked = []
+
+    def refine(prepared, fit):
+        asked.append(fit.name)
+        own = SimpleNamespace(
+            discretisation_uncertainty_m=np.zeros(2), data=f"of {fit.name}"
+        )
+        return RefinedFit(own, replace(fit, log_evidence=refined[fit.name]))
+
+    def compare(fits, data):
+        assert data == {name: f"of {name}" for name in data}
+        return compare_on_own_data(fits, data)
+
+    prepared = SimpleNamespace(discretisation_uncertainty_m=np.zeros(2), data=None)
+    monkeypatch.setattr(forward_selection, "refine_fit", refine)
+    monkeypatch.setattr(forward_selection, "is_supported", lambda *given: True)
+    monkeypatch.setattr(forward_selection, "fit_to_common_data", compare)
+    monkeypatch.setattr(
+        forward_selection, "unexplained_tip_rms", lambda *given: np.ones(2)
+    )
+    fits = [named_fit(name, value) for name, value in found.items()]
+    compared = SelectionStep(SimpleNamespace(log_evidence=0.0), (), fits)
+    step = forward_selection._refine_rivals(prepared, compared, CRITERIA, None)
+    return step, asked
+
+
+def test_no_rival_leads_because_it_was_not_refined(monkeypatch):
+    """The fourth of 75 mm strips was named, as refinement took 90 from the others."""
+    found = {
+        "set": 730.0,
+        "wind": 694.0,
+        "camera": 669.0,
+        "tilt": 643.0,
+        "angle": 595.0,
+    }
+    refined = {
+        "set": 640.0,
+        "wind": 600.0,
+        "camera": 580.0,
+        "tilt": 550.0,
+        "angle": 0.0,
+    }
+    step, asked = refine_rivals(monkeypatch, found, refined)
+    assert asked == ["set", "wind", "camera"]  # the fourth is ahead by a trifle
+    assert step.best.name == "set"
+
+    refined = {**refined, "set": 600.0}
+    step, asked = refine_rivals(monkeypatch, found, refined)
+    assert asked == ["set", "wind", "camera", "tilt"]
+    assert step.best.name == "set"
+    assert [fit.name for fit in step.refined][-1] == "tilt"
+    assert step.fits_by_data.keys() == {"set", "wind", "camera"}
 
 
 @pytest.mark.parametrize(

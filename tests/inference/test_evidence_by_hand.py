@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from stringcast.stages.inference import covariance, discrepancy, laplace, solver
 from stringcast.stages.inference.hypothesis import Hypothesis
@@ -94,6 +95,41 @@ def test_the_evidence_is_likelihood_times_prior_times_volume(chi):
     log_prior = np.log(np.mean(normal) * shift_per_exponent)
     volume = 1.5 * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(curvature)[1]
     assert fit.log_evidence == pytest.approx(sum(by_trial) + log_prior + volume)
+
+
+@pytest.mark.parametrize(
+    ("gradient", "gain"),
+    [
+        ((0.0, 0.0), 0.0),
+        ((-1.0, 0.0), 0.125),  # g^2 / 2 H
+        ((-1.0, -2.0), 0.125 + 1.0),
+        ((1.0, -2.0), 1.0),  # the first exponent is at its bound
+        ((0.0, -6.0), 5.0),  # the second comes to a bound
+    ],
+)
+def test_one_more_step_promises_what_a_quadratic_falls_within_bounds(gradient, gain):
+    curvature = np.diag([4.0, 2.0])
+    promised = laplace.promised_gain(curvature, np.array(gradient), np.zeros(2))
+    assert promised == pytest.approx(gain)
+
+
+def test_the_evidence_is_wrong_by_what_the_best_exponents_would_gain():
+    data = LinearData()
+    hypothesis = hypothesis_of(FAR)
+    rows = [
+        slope.T / index for slope, index in zip(data.slopes, data.likely, strict=True)
+    ]
+    offsets = [-o / index for o, index in zip(data.offsets, data.likely, strict=True)]
+    prior = np.sqrt(12.0) * np.eye(3)[[0, 2]]  # about the middle, but for the amplitude
+    matrix = np.vstack([*rows, prior])
+    target = np.concatenate([*offsets, prior.sum(axis=1) / 2])
+    best = lsq_linear(matrix, target, bounds=(0.0, 1.0))
+
+    chi = np.array([0.3, 0.6, 0.9])
+    gain = 0.5 * np.sum((matrix @ chi - target) ** 2) - best.cost
+    fit = laplace.evaluate_fit(data, hypothesis, chi)
+    assert fit.log_evidence_error == pytest.approx(gain, rel=1e-6)
+    assert laplace.evaluate_fit(data, hypothesis, best.x).log_evidence_error < 1e-6
 
 
 def test_the_best_start_goes_on_with_the_scales_that_are_likeliest(monkeypatch):
