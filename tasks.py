@@ -1,7 +1,7 @@
 """Set up and run the project with nothing but Python: `python3 tasks.py TASK ...`.
 
 run [OVERRIDES]    the main job, or another experiment or command:
-                   `python -m pipeline +experiment=stringB method=robust OVERRIDES`
+                   `python -m pipeline +experiment=stringB method=adaptive OVERRIDES`
 test [ARGUMENTS]   style, types and tests; arguments go to pytest
 test --all         the same with the long tests
 study NAME ...     a study of tests/benchmarks, such as diagnosis, with its settings
@@ -161,7 +161,7 @@ def run_pipeline(arguments: list[str]) -> int:
     if not is_command and "+experiment" not in given:
         defaults.append("+experiment=stringB")
         if "method" not in given:
-            defaults.append("method=robust")
+            defaults.append("method=adaptive")
     return run_module("pipeline", *defaults, *arguments)
 
 

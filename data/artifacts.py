@@ -539,6 +539,11 @@ EXPLANATION_SUMMARY = Table(
 )
 
 
+def describe_causes(names: Sequence[str]) -> str:
+    """Return the names of effects as words."""
+    return " and ".join(name.replace("_", " ") for name in names) or "none"
+
+
 @dataclass(frozen=True)
 class Explanation(Estimate):
     """An estimate with the causes that explain surprising trials.
@@ -563,6 +568,11 @@ class Explanation(Estimate):
     def sentence(self) -> str:
         """The verdict in words."""
         return str(self.finding["sentence"].iloc[0])
+
+    @property
+    def named_causes(self) -> tuple[str, ...]:
+        """Names of the effects that explain the trials; empty without a verdict."""
+        return next(iter(self.cause_sets)) if self.verdict == "cause" else ()
 
     @property
     def causes(self) -> dict[str, float]:

@@ -36,7 +36,7 @@ HYDRA_FLAGS = (
 # those which take settings from another folder, which are not known here
 OTHER_FOLDER_FLAGS = ("--config-", "-cp", "-cn", "-cd", "hydra.searchpath")
 TASK_NAMES = ("test", "bench", "setup", "study", "docs", "package")
-EXAMPLE_RUN = ["+experiment=stringB", "method=robust"]  # what `tasks.py run` runs
+EXAMPLE_RUN = ["+experiment=stringB", "method=adaptive"]  # what `tasks.py run` runs
 TRIAL_EXPERIMENTS = ("estimate", "diagnose", "decide")  # which need stored trials
 LENGTH_SETTING = re.compile(
     r"(string\.length|(?:target|arm\.base|obstacles)\.[\w.]+)=(-?[\d.]+)(mm|cm|m|)$"

@@ -17,6 +17,7 @@ from stringcast.data.artifacts import (
     Surprise,
     Trial,
     TrialSet,
+    describe_causes,
 )
 from stringcast.pipeline.modes.stepwise import Stepwise, refuse_trials
 from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
@@ -191,15 +192,19 @@ def log_fit(iteration: Iteration) -> None:
 def cast_outcome(iterations: Sequence[Iteration]) -> str:
     """Describe the outcome of the casts in a sentence."""
     last = iterations[-1]
+    explanation = last.find(Explanation)
+    causes = explanation.named_causes if explanation is not None else ()
+    found = f"The model lacked {describe_causes(causes)}." if causes else ""
     if last.has_hit:
-        return f"The tip reached the target in cast {last.number}."
+        sentence = f"The tip reached the target in cast {last.number}."
+        return f"{sentence} {found}".strip()
     tries = f"{len(iterations)} cast{'s' if len(iterations) > 1 else ''}"
     sentence = f"The tip did not reach the target in {tries}; the budget is spent."
     points = last.find(Points)
     assert points is not None
     readings = points.readings
     reasons = [describe_arm_misfit(readings), describe_poor_reading(readings)]
-    return " ".join([sentence, *filter(None, reasons)])
+    return " ".join([sentence, *filter(None, [found, *reasons])])
 
 
 def dry_run_outcome(iteration: Iteration) -> str:

@@ -26,6 +26,7 @@ from stringcast.data.artifacts import (
     Estimate,
     Explanation,
     Observation,
+    describe_causes,
 )
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.probabilities import PRIOR_NO_EFFECT
@@ -441,11 +442,6 @@ def _decide_about(
     if is_explained:
         return "cause", f"{effect}."
     return "partial", f"{effect}; something else is left."
-
-
-def describe_causes(causes: Sequence[str]) -> str:
-    """Return the names of effects as words."""
-    return " and ".join(name.replace("_", " ") for name in causes) or "none"
 
 
 def not_asked(estimate: Estimate) -> Explanation:

@@ -1,5 +1,6 @@
 """The loop of casts, surprise and explanation survives a kill, and can be verified."""
 
+import json
 import os
 from contextlib import contextmanager
 from dataclasses import replace
@@ -117,6 +118,11 @@ def test_an_adaptive_run_is_verified_to_the_bit(whole, tmp_path):
     assert outcome.is_same, outcome.lines
     assert "iterations/02/explanation: the same to the bit" in outcome.lines
     assert "iterations/02/surprise: the same to the bit" in outcome.lines
+
+
+def test_a_run_says_what_its_model_lacked(whole):
+    sentence = json.loads((whole / "run.json").read_text())["sentence"]
+    assert "The model lacked wind." in sentence
 
 
 def test_verify_notices_another_explanation(whole, tmp_path):

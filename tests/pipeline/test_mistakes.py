@@ -23,7 +23,7 @@ MEANT = {
     "diagnose data/sample": "+experiment=diagnose trials=data/sample",
     "+experiment=diagnose data/sample": "+experiment=diagnose trials=data/sample",
     "+experiment=diagnose": "+experiment=diagnose trials=data/sample",
-    "run seed=3": "+experiment=stringB method=robust seed=3",
+    "run seed=3": "+experiment=stringB method=adaptive seed=3",
     "help": "--help",
     "target=at_400_70": "target=at_400_700",
     "target=400,700": "target.x=0.4 target.y=0.7",

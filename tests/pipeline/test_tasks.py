@@ -47,8 +47,8 @@ def test_a_run_of_which_every_test_was_skipped_fails():
 @pytest.mark.parametrize(
     ("given", "called"),
     [
-        ("", "+experiment=stringB method=robust"),
-        ("seed=3", "+experiment=stringB method=robust seed=3"),
+        ("", "+experiment=stringB method=adaptive"),
+        ("seed=3", "+experiment=stringB method=adaptive seed=3"),
         ("method=paper", "+experiment=stringB method=paper"),
         ("+experiment=stringC", "+experiment=stringC"),
         ("seed=1 +experiment=quick", "seed=1 +experiment=quick"),

@@ -9,7 +9,12 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib import style
 
-from stringcast.data.artifacts import MIN_SHOWN_PROBABILITY, Estimate, Surprise
+from stringcast.data.artifacts import (
+    MIN_SHOWN_PROBABILITY,
+    Estimate,
+    Surprise,
+    describe_causes,
+)
 from stringcast.stages.extract.reading_report import describe_arm_misfit
 from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.parameter import Parameter
@@ -325,7 +330,7 @@ def _learning_card(cast: CastRecord, surprise: Surprise) -> Card:
         shown = table[table["probability"] >= MIN_SHOWN_PROBABILITY]
         causes = []
         for cause in shown.itertuples():
-            name = str(cause.effects).replace(" ", ", ").replace("_", " ") or "none"
+            name = describe_causes(str(cause.effects).split())
             tip = (
                 "on a coarse mesh"
                 if np.isnan(cause.tip_rms)
