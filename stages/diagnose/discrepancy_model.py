@@ -16,7 +16,7 @@ import numpy as np
 
 from stringcast.stages.diagnose.linearisation import difference_exponents
 from stringcast.stages.inference import solver
-from stringcast.stages.inference.batch import simulate_trials
+from stringcast.stages.inference.batch import measured_points
 from stringcast.stages.inference.discrepancy import (
     Discrepancy,
     marginal_log_likelihood,
@@ -86,11 +86,11 @@ def sensitivity_by_frame(
     """
     exponents, _ = difference_exponents(chi, solver.FIRST_DIFFERENCE)
     values = parameter_values(hypothesis.parameters, exponents)
-    simulated = simulate_trials(hypothesis.model, trials, values)
+    simulated = measured_points(hypothesis.model, trials, values)
 
     growth = []
-    for trial, strings in zip(trials, simulated, strict=True):
-        nominal, *changed = np.nan_to_num(trial.sample_at_points(strings))
+    for trial, points in zip(trials, simulated, strict=True):
+        nominal, *changed = np.nan_to_num(points)
         square = np.sum((np.stack(changed) - nominal) ** 2, axis=-1)  # (P, n)
         mean_square = square.mean(axis=1, keepdims=True)
         relative = square / np.maximum(mean_square, np.finfo(float).tiny)

@@ -30,7 +30,7 @@ from stringcast.stages.diagnose.rules import (
     NEGLIGIBLE_LOG_EVIDENCE,
 )
 from stringcast.stages.inference import solver
-from stringcast.stages.inference.batch import simulate_trials
+from stringcast.stages.inference.batch import measured_points
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_modes import (
     reset_initial_state_linear,
@@ -262,11 +262,8 @@ def _simulate_on_meshes(
     by_mesh = []
     for factor in factors:
         model, refined = refine_mesh(hypothesis.model, trials, factor)
-        simulated = simulate_trials(model, refined, values)
-        sampled = []
-        for trial, strings in zip(refined, simulated, strict=True):
-            sampled.append(trial.sample_at_points(strings)[0])
-        by_mesh.append(sampled)
+        simulated = measured_points(model, refined, values)
+        by_mesh.append([points[0] for points in simulated])
     return list(zip(*by_mesh, strict=True))
 
 

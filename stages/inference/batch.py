@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import get_num_threads
 
+from stringcast.stages.inference.kept_points import KeptPoints
 from stringcast.stages.inference.prepared_trial import (
     MAX_BATCH_CANDIDATES,
     PreparedTrial,
@@ -31,6 +32,7 @@ BATCH_OVERHEAD_S = 0.8
 MAX_BATCH_S = 1000.0
 # times what steps cost where each candidate has a hand of its own
 SEPARATE_HANDS_COST = 1.15
+_KEPT_POINTS = KeptPoints()
 
 
 def normalised_residuals(
@@ -43,6 +45,44 @@ def normalised_residuals(
     Returns both coordinates of each point of each trial, (C, 2 n); NaN where a run was
     rejected.
     """
+    points = measured_points(model, trials, values)
+    residuals = []
+    for trial, simulated in zip(trials, points, strict=True):
+        residuals.append(trial.normalised_residuals(simulated))
+    return residuals
+
+
+def measured_points(
+    model: Model,
+    trials: Sequence[PreparedTrial],
+    values: np.ndarray,
+) -> list[np.ndarray]:
+    """Simulate the measured points of candidates (C, P) in each trial, (C, n, 2) [m].
+
+    What was simulated a moment ago is looked up: a fit ends where the next begins, and
+    other noise or other measured points change nothing of it.
+    """
+    kept = _KEPT_POINTS.find(model, trials, values)
+    missing = [c for c, points in enumerate(kept) if points is None]
+    new: list[list[np.ndarray]] = []  # of each missing candidate, of each trial
+    if missing:
+        simulated = _simulate_points(model, trials, values[missing])
+        new = [[points[c].copy() for points in simulated] for c in range(len(missing))]
+        _KEPT_POINTS.store(model, trials, values[missing], new)
+
+    simulated_now = iter(new)
+    candidates = []
+    for points in kept:
+        candidates.append(next(simulated_now) if points is None else points)
+    return [np.stack(rows) for rows in zip(*candidates, strict=True)]
+
+
+def _simulate_points(
+    model: Model,
+    trials: Sequence[PreparedTrial],
+    values: np.ndarray,
+) -> list[np.ndarray]:
+    """Simulate the measured points, so many candidates at once as memory allows."""
     chunks: list[list[np.ndarray]] = [[] for _ in trials]
     longest_s = max(float(np.ptp(trial.times)) for trial in trials)
     longest_s = max(longest_s, MAX_BATCH_S / MAX_BATCH_CANDIDATES)
@@ -51,8 +91,8 @@ def normalised_residuals(
         chunk = values[first : first + size]
         simulated = simulate_trials(model, trials, chunk)
         for k, trial in enumerate(trials):
-            chunks[k].append(trial.normalised_residuals(simulated[k]))
-    return [_join_rows(residuals) for residuals in chunks]
+            chunks[k].append(trial.sample_at_points(simulated[k]))
+    return [_join_rows(points) for points in chunks]
 
 
 def _join_rows(parts: Sequence[np.ndarray]) -> np.ndarray:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stringcast.stages.inference.batch import simulate_trials
+from stringcast.stages.inference.batch import measured_points
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import PreparedTrial, with_model
 from stringcast.stages.model.model import Model
@@ -47,12 +47,8 @@ def discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
 
 def _simulated_points(likelihood: Likelihood, values: np.ndarray) -> np.ndarray:
     """Simulate one candidate (1, P) at all measured points, (N, 2) [m]."""
-    trials = likelihood.data.trials
-    strings = simulate_trials(likelihood.model, trials, values)
-    sampled = []
-    for trial, points in zip(trials, strings, strict=True):
-        sampled.append(trial.sample_at_points(points)[0])
-    return np.concatenate(sampled)
+    points = measured_points(likelihood.model, likelihood.data.trials, values)
+    return np.asarray(np.concatenate(points, axis=1)[0])
 
 
 def refine_mesh(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from stringcast.stages.inference.initial_state import (
 )
 from stringcast.stages.inference.noise import WHITE_NOISE, Noise
 from stringcast.stages.inference.whitening import UNIT_ERRORS, IndependentErrors
+from stringcast.stages.kept_results import content_digest
 from stringcast.stages.model.engine.sampling import interpolate_measurements
 from stringcast.stages.model.engine.simulate import StringMotion
 from stringcast.stages.model.hand import (
@@ -139,11 +141,17 @@ class PreparedTrial:
         return np.asarray(interpolate_measurements(points, self.frame, position))
 
     def normalised_residuals(self, points: np.ndarray) -> np.ndarray:
-        """Compute strings (C, F, n, 2) less measured points over sigma, (C, 2 N)."""
-        distance = self.sample_at_points(points)
-        distance -= self.points
+        """Compute simulated (C, N, 2) less measured points over sigma, (C, 2 N)."""
+        distance = points - self.points
         distance /= self.sigma[:, None]
-        return distance.reshape(len(points), -1)
+        return np.asarray(distance.reshape(len(points), -1))
+
+    @cached_property
+    def simulation_digest(self) -> str:
+        """A digest of all that decides what a model simulates at the points."""
+        start = [self.motion, self.initial_state, self.turn]
+        length = self.model.string.segment_length
+        return content_digest([*start, self.times, self.frame, self.s, length])
 
     def cut_after(self, last: float) -> PreparedTrial:
         """Cut the trial after a time [s]."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,9 +16,6 @@ from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 
-CACHED_CANDIDATES = 64  # candidates: those of some iterations
-MAX_CACHED_NUMBERS = 10_000_000  # fewer candidates of many long trials: 80 MB
-
 ByTrial = Sequence[np.ndarray]  # an array for each trial, since their points differ
 
 
@@ -27,32 +23,6 @@ def subtract_by_trial(residuals: ByTrial, others: ByTrial) -> ByTrial:
     """Subtract the arrays of each trial."""
     pairs = zip(residuals, others, strict=True)
     return [residual - other for residual, other in pairs]
-
-
-class ResidualCache:
-    """The residuals of the last candidates, by the values of model and exponents."""
-
-    def __init__(self) -> None:
-        self._keys: deque[tuple[bytes, Model]] = deque()
-        self._residuals: deque[list[np.ndarray]] = deque()
-
-    def find(self, model: Model, chi: np.ndarray) -> ByTrial | None:
-        """Look up the residuals (1, 2 n) of each trial at exponents (P,), or None."""
-        key = (chi.tobytes(), model)
-        if key not in self._keys:
-            return None
-        return list(self._residuals[self._keys.index(key)])
-
-    def store(self, model: Model, chi: np.ndarray, residuals: ByTrial) -> None:
-        """Keep the residuals (C, 2 n) of each trial at exponents (C, P)."""
-        numbers = sum(rows.shape[1] for rows in residuals)  # of one candidate
-        capacity = min(CACHED_CANDIDATES, max(1, MAX_CACHED_NUMBERS // numbers))
-        for k in range(max(len(chi) - capacity, 0), len(chi)):
-            self._keys.append((chi[k].tobytes(), model))
-            self._residuals.append([rows[k : k + 1].copy() for rows in residuals])
-        while len(self._keys) > capacity:
-            self._keys.popleft()
-            self._residuals.popleft()
 
 
 @dataclass(frozen=True)
@@ -77,8 +47,7 @@ class TrialData:
     def for_hypothesis(self, hypothesis: Hypothesis) -> TrialData:
         """Add the random effects of a hypothesis to the trials' error models.
 
-        The result has no further ones: a second call changes nothing. It is kept, as
-        are the residuals that it computes.
+        The result has no further ones: a second call changes nothing. It is kept.
         """
         causes = self.random_effects.keys()
         names = tuple(name for name in hypothesis.cause_names if name in causes)
@@ -125,15 +94,10 @@ class TrialData:
     def residuals(self, model: Model, chi: np.ndarray) -> ByTrial:
         """Compute simulated less measured over sigma of each trial, (C, 2 n).
 
-        A run that diverged is DIVERGED_RESIDUAL throughout. A single candidate that
-        was simulated a moment ago is looked up: a fit ends where the next begins.
+        A run that diverged is DIVERGED_RESIDUAL throughout.
 
         chi: exponents, (C, P).
         """
-        if len(chi) == 1:
-            cached = self._residual_cache.find(model, chi[0])
-            if cached is not None:
-                return cached
         values = parameter_values(model.parameters, chi)
         residuals = []
         for residual in normalised_residuals(model, self.trials, values):
@@ -145,12 +109,7 @@ class TrialData:
                 diverged = residuals[k] == DIVERGED_RESIDUAL
                 residuals[k] += change
                 residuals[k][diverged] = DIVERGED_RESIDUAL
-        self._residual_cache.store(model, chi, residuals)
         return residuals
-
-    @cached_property
-    def _residual_cache(self) -> ResidualCache:
-        return ResidualCache()
 
     def whiten(self, residuals: ByTrial, scale_indices: np.ndarray) -> np.ndarray:
         """Whiten residuals (C, 2 n) of each trial and put them side by side, (C, N).

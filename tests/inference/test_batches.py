@@ -1,4 +1,4 @@
-"""Batches of trials that are simulated together, and residuals that are kept."""
+"""Batches of trials that are simulated together."""
 
 from itertools import chain, product
 
@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numba import get_num_threads
 
-from stringcast.stages.inference import batch, trial_data
-from stringcast.stages.inference.trial_data import ResidualCache
+from stringcast.stages.inference import batch
 from stringcast.stages.model.engine.kernel_codegen import LANES
 
 
@@ -46,14 +45,3 @@ def test_many_long_trials_are_simulated_in_batches_of_bounded_memory():
     batches = batch._plan_batches(seconds, 64)
     assert sorted(chain(*batches)) == list(range(50))
     assert max(len(members) for members in batches) * 64 * 10.0 <= batch.MAX_BATCH_S
-
-
-def test_as_many_residuals_are_kept_as_fit_in_memory(monkeypatch):
-    """The last candidates are found again, fewer of them the longer trials are."""
-    monkeypatch.setattr(trial_data, "MAX_CACHED_NUMBERS", 1000)
-    chi = np.arange(20.0)[:, None]
-    for points, kept in ((5, 20), (100, 5), (2000, 1)):
-        cache = ResidualCache()
-        cache.store("model", chi, [np.ones((20, points)), np.ones((20, points))])
-        found = [cache.find("model", each) is not None for each in chi]
-        assert found == [False] * (20 - kept) + [True] * kept

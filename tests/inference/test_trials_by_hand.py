@@ -87,23 +87,27 @@ def test_a_trial_is_cut_after_frames_with_its_error_model():
     ]
 
 
-def test_residuals_are_simulated_less_measured_over_sigma(monkeypatch):
-    trial = lying_trial(
-        model=SimpleNamespace(string=SimpleNamespace(segment_length=0.05))
-    )
-    asked = []
-
-    def interpolate(points, frame, position):
-        asked.append((frame, position))
-        return points.copy()
-
-    monkeypatch.setattr(prepared_trial, "interpolate_measurements", interpolate)
+def test_residuals_are_simulated_less_measured_over_sigma():
+    trial = lying_trial()
     simulated = trial.points + np.array([1.0, 2.0])[:, None, None]
     found = trial.normalised_residuals(simulated)
     sigma = np.repeat(trial.sigma, 2)
     assert found == pytest.approx(np.array([1 / sigma, 2 / sigma]))
-    assert asked[0][0] is trial.frame
-    assert asked[0][1] == pytest.approx(np.tile([2.0, 6.0], 4))
+
+
+def test_points_are_sampled_at_their_frame_and_place(monkeypatch):
+    trial = lying_trial(
+        model=SimpleNamespace(string=SimpleNamespace(segment_length=0.05))
+    )
+    asked = []
+    monkeypatch.setattr(
+        prepared_trial, "interpolate_measurements", lambda *given: asked.append(given)
+    )
+    trial.sample_at_points("strings")
+    strings, frame, position = asked[0]
+    assert strings == "strings"
+    assert frame is trial.frame
+    assert position == pytest.approx(np.tile([2.0, 6.0], 4))
 
 
 def test_distances_are_of_all_points_and_of_those_nearest_the_tip(monkeypatch):
@@ -301,11 +305,13 @@ def test_residuals_of_many_candidates_are_those_of_chunks(monkeypatch):
 
     monkeypatch.setattr(batch, "simulate_trials", simulate)
     trials = [
-        SimpleNamespace(times=np.array([0.0, t]), normalised_residuals=lambda x: x + 1)
+        SimpleNamespace(
+            times=np.array([0.0, t]), s=[], sample_at_points=lambda x: x + 1
+        )
         for t in (5.0, 4.0)
     ]
     values = np.arange(45.0)[:, None]
-    first, second = batch.normalised_residuals(None, trials, values)
+    first, second = batch._simulate_points(None, trials, values)
     assert first == pytest.approx(values + 1)
     assert second == pytest.approx(2 * values + 1)
     assert asked == [20, 20, 5]  # of 5 s each, in 100 s
@@ -402,17 +408,15 @@ def test_the_error_of_a_mesh_is_the_distance_from_a_finer_one(monkeypatch):
     """Of three points in two trials: 3, 4 and 12 mm in x, and 5 mm in y."""
     away = {"coarse": 0.0, "fine": 1e-3}
     trials = [
-        SimpleNamespace(
-            sample_at_points=lambda points, shape=shape: points * np.array([shape])
-        )
-        for shape in ([[3.0, 0.0], [4.0, 0.0]], [[12.0, 5.0]])
+        np.array([[[3.0, 0.0], [4.0, 0.0]]]),
+        np.array([[[12.0, 5.0]]]),
     ]
     fine = SimpleNamespace(model="fine", data=SimpleNamespace(trials=trials))
     monkeypatch.setattr(mesh, "_likelihood_on_mesh", lambda likelihood, factor: fine)
     monkeypatch.setattr(
         mesh,
-        "simulate_trials",
-        lambda model, trials, values: [np.full((1, 1, 1), away[model])] * 2,
+        "measured_points",
+        lambda model, trials, values: [away[model] * points for points in trials],
     )
     coarse = SimpleNamespace(
         model="coarse", data=SimpleNamespace(trials=trials), parameters=(UNIT,)
