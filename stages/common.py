@@ -52,6 +52,11 @@ def partial_progress(progress: Progress, number: int, count: int) -> Progress:
     return lambda share: progress((number + share) / count)
 
 
+def readable_name(name: str) -> str:
+    """Write the name of an effect for people."""
+    return name.replace("_", " ")
+
+
 def mad_sigma(values: np.ndarray, axis: int | None = None) -> np.ndarray:
     """Estimate the standard deviation about zero from the median magnitude.
 

@@ -62,15 +62,22 @@ def log_bayes_factor_of_trials(
     )
 
 
-def probability_by_agreement(log_bayes_factor: float, candidates: int) -> float:
+def probability_by_agreement(
+    data: TrialData,
+    fit: Fit,
+    left_out: Sequence[np.ndarray],
+    cause: type[Effect],
+    candidates: int,
+) -> float:
     """Compute the probability that a cause is there, by the trials' t-test alone.
 
     Parameters
     ----------
-    log_bayes_factor : float
-        As of `log_bayes_factor_of_trials`.
+    left_out : sequence of numpy.ndarray, shape (P,)
+        Exponents of the fit without each group of trials.
     candidates : int
         Number of effects that share the prior probability of one being active.
     """
+    log_bayes_factor = log_bayes_factor_of_trials(data, fit, left_out, cause)
     log_evidence = {"": np.zeros(1), "cause": np.array([log_bayes_factor])}
     return effect_probabilities(log_evidence, candidates)["cause"]

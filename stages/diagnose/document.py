@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.stages.common import rms
+from stringcast.stages.common import readable_name, rms
 from stringcast.stages.diagnose.budget import ErrorBudget
 from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.prepared_data import PreparedData
@@ -255,7 +255,7 @@ def _cause_sentences(judgement: Judgement, causes: pd.DataFrame) -> list[str]:
         sentences.append(f"{label}{share} of the misfit: {_join_with_and(certain)}.")
     for group in verdict.lookalike_groups:
         either = ", or ".join(stated[name] for name in group)
-        names = _join_with_and(list(group))
+        names = _join_with_and([readable_name(name) for name in group])
         sentences.append(f"These trials cannot distinguish {names}: either {either}.")
     return sentences
 

@@ -9,13 +9,16 @@ another, on one more trial, are normal with mean m and variance 2 m:
 
 d is the difference of the rivals, J the slopes of the other one, I the information of
 the measured trials about its parameters, and V the covariance of noise and discrepancy.
-All motions are compared by d alone, the most different ones by m.
+All motions are compared by d alone, the most different ones by m. Rivals whose tips
+still differ by no more than what the measured trials leave unexplained stay alike: they
+share their probability (`posteriors`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import combinations, permutations
 from typing import Any
 
@@ -24,6 +27,7 @@ import pandas as pd
 from scipy.special import ndtr
 
 from stringcast.data.artifacts import COMMANDS, CONTROL_POINTS, PREDICTED_STRINGS
+from stringcast.stages.common import readable_name, rms
 from stringcast.stages.diagnose.candidate_motions import (
     DesignSettings,
     sample_motions_within_limits,
@@ -35,6 +39,8 @@ from stringcast.stages.diagnose.linearisation import (
     LinearisedFit,
     difference_exponents,
 )
+from stringcast.stages.diagnose.measures import unexplained_tip_rms
+from stringcast.stages.diagnose.rules import remainder_hides
 from stringcast.stages.generate.generate import command_table, control_point_table
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import simulate_trials
@@ -84,6 +90,12 @@ class Rivals:
     data: TrialData
     deciding_log_odds: float
 
+    @cached_property
+    def remainder_m(self) -> float:
+        """What the likeliest leaves unexplained at the tips, root mean square [m]."""
+        likeliest = next(iter(self.fits.values()))
+        return rms(unexplained_tip_rms(self.data, likeliest))
+
     def expected_log_odds(
         self,
         trial: TrialData,
@@ -120,10 +132,14 @@ class Rivals:
             information = LinearisedFit(self.data, fits[other]).information
             normal = information + white_slopes @ white_slopes.T
             step = -np.linalg.solve(normal, white_slopes @ white)
-            remainder = white + step @ white_slopes
-            log_odds[true, other] = 0.5 * float(white @ remainder)
+            left = white + step @ white_slopes
+            log_odds[true, other] = 0.5 * float(white @ left)
+            nearest = residuals[other] + step @ slopes[other]
+            difference_m = trial.tip_rms_by_trial([nearest - residuals[true]])
+            if remainder_hides(float(difference_m[0]), self.remainder_m):
+                log_odds[true, other] = 0.0
             if true == 0:
-                predicted[names[other]] = residuals[other] + step @ slopes[other]
+                predicted[names[other]] = nearest
         return log_odds, predicted
 
 
@@ -244,13 +260,16 @@ def _experiment_document(
 
     sentence = f"Of {motions} motions within the arm's limits, "
     if inseparable:
-        pairs = "; ".join(" and ".join(pair) for pair in inseparable)
+        pairs = "; ".join(
+            " and ".join(map(readable_name, pair)) for pair in inseparable
+        )
         sentence += (
             f"none distinguishes all of them; the best one leaves alike: {pairs}."
         )
     else:
+        between = " and ".join(map(readable_name, names))
         sentence += (
-            f"one distinguishes {' and '.join(names)} with a probability of "
+            f"one distinguishes {between} with a probability of "
             f"{summary['probability_to_decide']:.2f}; repeating trial "
             f"{repeated_name} does so with "
             f"{repeated_summary['probability_to_decide']:.2f}."

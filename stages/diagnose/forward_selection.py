@@ -14,10 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stringcast.stages.diagnose.agreement import (
-    log_bayes_factor_of_trials,
-    probability_by_agreement,
-)
+from stringcast.stages.diagnose.agreement import probability_by_agreement
 from stringcast.stages.diagnose.base_model import refit_from_new_starts
 from stringcast.stages.diagnose.common_data import fit_to_common_data
 from stringcast.stages.diagnose.discretisation import (
@@ -407,7 +404,14 @@ def with_causes_found_before(
     """Fit the causes that were found in fewer trials to the prepared ones."""
     base = prepared.base_fit
     hypothesis = Hypothesis(base.hypothesis.base, found.hypothesis.causes)
-    start = hypothesis.exponents_from(found.exponents)
+    # By values: the ranges may be others with more trials
+    known = {}
+    values = found.values
+    for parameter in hypothesis.parameters:
+        if parameter.name in values:
+            value = np.asarray(values[parameter.name])
+            known[parameter.name] = float(parameter.chi(value))
+    start = hypothesis.exponents_from(known)
     fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.scale_indices)
     rng = np.random.default_rng(seed)
     return add_cause(SelectionState(prepared, base), fit, criteria, rng, starts)
@@ -483,11 +487,10 @@ def _reason_to_set_aside(
         return "it does not help to predict trials left out"
     if unexplained_tip_rms(data, fit).max() < criteria.tip_tolerance_m:
         return ""  # the model lacks nothing, and its evidence holds
-    bayes_factor = log_bayes_factor_of_trials(
-        data, fit, state.left_out_exponents, cause
+    probability = probability_by_agreement(
+        data, fit, state.left_out_exponents, cause, candidates
     )
-    log.info("%s: log Bayes factor between trials %.1f", cause.name, bayes_factor)
-    probability = probability_by_agreement(bayes_factor, candidates)
+    log.info("%s: probability by agreement of trials %.2f", cause.name, probability)
     if not trials_agree(probability):
         return "the trials do not agree on it"
     return ""

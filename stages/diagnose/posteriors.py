@@ -15,10 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stringcast.stages.common import rms
-from stringcast.stages.diagnose.agreement import (
-    log_bayes_factor_of_trials,
-    probability_by_agreement,
-)
+from stringcast.stages.diagnose.agreement import probability_by_agreement
 from stringcast.stages.diagnose.background_effects import (
     background_log_evidence_gains,
     background_responses,
@@ -36,7 +33,11 @@ from stringcast.stages.diagnose.measures import (
     unexplained_tip_rms,
 )
 from stringcast.stages.diagnose.probabilities import effect_probabilities
-from stringcast.stages.diagnose.rules import Criteria, is_inside_range
+from stringcast.stages.diagnose.rules import (
+    Criteria,
+    is_inside_range,
+    remainder_hides,
+)
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
@@ -330,7 +331,8 @@ def _shared_probabilities(
     remainder_m = rms(unexplained_tip_rms(data, best))
     alike = []
     for name in names:
-        if rms(tip_shift_rms(data, best, fits[name])) <= remainder_m:
+        difference_m = rms(tip_shift_rms(data, best, fits[name]))
+        if remainder_hides(difference_m, remainder_m):
             alike.append(name)
     share = sum(probabilities[name] for name in alike) / len(alike)
     return dict.fromkeys(alike, share)
@@ -365,10 +367,9 @@ def limit_by_agreement(
             by_cause.append(posterior)
             continue
         name = accepted[0]
-        log_bayes_factor = log_bayes_factor_of_trials(
-            data, state.fit, state.left_out_exponents, causes[name]
+        limit = probability_by_agreement(
+            data, state.fit, state.left_out_exponents, causes[name], candidates
         )
-        limit = probability_by_agreement(log_bayes_factor, candidates)
         by_cause.append(_limit_presence(posterior, limit, misfit_probability))
     return replace(posteriors, by_cause=tuple(by_cause))
 

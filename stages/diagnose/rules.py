@@ -274,6 +274,11 @@ def trials_agree(probability: float) -> bool:
     return probability > 0.5
 
 
+def remainder_hides(difference_m: float, remainder_m: float) -> bool:
+    """Whether two rivals differ at the tip by no more than the best of them leaves."""
+    return difference_m <= remainder_m
+
+
 def misfit_remains(probability: float) -> bool:
     """Whether the tip of some trial is more likely off by the tolerance than not."""
     return probability > 0.5

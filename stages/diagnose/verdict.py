@@ -8,6 +8,7 @@ from itertools import chain
 
 import numpy as np
 
+from stringcast.stages.common import readable_name
 from stringcast.stages.diagnose.background_effects import background_responses
 from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.measures import (
@@ -121,8 +122,9 @@ def _closest_explanation(numbers: VerdictNumbers) -> str:
     names = numbers.causes
     if not names or numbers.explained_fraction < 0:
         return ""
+    explanation = " with ".join(map(readable_name, names))
     return (
-        f"The closest explanation, {' with '.join(names)}, removes "
+        f"The closest explanation, {explanation}, removes "
         f"{100 * numbers.explained_fraction:.0f} % of the mean square misfit."
     )
 
@@ -137,7 +139,7 @@ def _probable_effects(numbers: VerdictNumbers) -> str:
     probable = []
     for name, probability in numbers.inclusion_probability.items():
         if probability > 0.5:
-            probable.append(f"{name} ({probability:.2f})")
+            probable.append(f"{readable_name(name)} ({probability:.2f})")
     return ", ".join(probable)
 
 

@@ -5,10 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stringcast.stages.diagnose.agreement import (
-    log_bayes_factor_of_trials,
-    probability_by_agreement,
-)
+from stringcast.stages.diagnose import agreement
+from stringcast.stages.diagnose.agreement import log_bayes_factor_of_trials
 
 
 def bayes_factor(estimates, amplitude, *, slopes=((1.0, 0.0), (0.0, 1.0))):
@@ -74,7 +72,13 @@ def test_an_absent_cause_seldom_passes():
     assert passed <= 5
 
 
-def test_the_odds_are_the_bayes_factor_over_the_number_of_candidates():
+@pytest.mark.parametrize(("bayes_factor", "probability"), [(20, 0.5), (60, 0.75)])
+def test_the_odds_are_the_bayes_factor_over_the_number_of_candidates(
+    bayes_factor, probability, monkeypatch
+):
     """One of the candidates is as likely as none, before the trials are seen."""
-    assert probability_by_agreement(np.log(20), 20) == pytest.approx(0.5)
-    assert probability_by_agreement(np.log(60), 20) == pytest.approx(0.75)
+    monkeypatch.setattr(
+        agreement, "log_bayes_factor_of_trials", lambda *given: np.log(bayes_factor)
+    )
+    found = agreement.probability_by_agreement(None, None, (), None, 20)
+    assert found == pytest.approx(probability)

@@ -7,6 +7,7 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import CRITERIA, SIGMA, SWING, true_exponents
 
+from stringcast.stages.diagnose import experiment_design
 from stringcast.stages.diagnose.candidate_motions import (
     DesignSettings,
     sample_motions_within_limits,
@@ -194,6 +195,23 @@ def test_the_proposed_motion_decides_better_than_others(
     assert log_odds > np.median(others)
     assert len(proposal.commands) > 20
     assert set(proposal.predicted["hypothesis"]) == {"arm_lag", "time_offset"}
+    assert "one distinguishes arm lag and time offset with" in experiment["sentence"]
+
+
+def test_rivals_stay_alike_where_the_remainder_may_be_their_difference(
+    slow_trials, rivals, monkeypatch
+):
+    """Noise alone would distinguish them in the motions that were measured."""
+    trial = rivals.data.subset([0])
+    certain = rivals.expected_log_odds(trial)[0]
+    assert certain[0, 1] > 0
+    lacking = replace(rivals)
+    monkeypatch.setattr(
+        experiment_design, "unexplained_tip_rms", lambda *given: np.array([0.0, 1.0])
+    )
+    log_odds, predicted = lacking.expected_log_odds(trial)
+    assert log_odds[0, 1] == log_odds[1, 0] == 0.0
+    assert predicted.keys() == {"arm_lag", "time_offset"}
 
 
 def test_equal_effects_are_stated_to_be_inseparable(model, slow_trials):
@@ -203,6 +221,7 @@ def test_equal_effects_are_stated_to_be_inseparable(model, slow_trials):
     assert experiment["probability_to_decide"] < 0.01
     assert abs(experiment["expected_log_odds"]) < 0.1
     assert "none distinguishes all of them" in experiment["sentence"]
+    assert "alike: lead and time offset." in experiment["sentence"]
     assert proposal.commands.empty
 
 

@@ -27,7 +27,7 @@ def test_accepted_causes_are_reported_and_none_is_named(arm, camera, monkeypatch
     assert document["interrupted"]
     assert document["causes"] == []
     sentence = document["unexplained"]["sentence"]
-    assert "interrupted; so far it had found tip_mass (1.00)" in sentence
+    assert "interrupted; so far it had found tip mass (1.00)" in sentence
     assert "cannot answer" not in diagnosis.sentence
     rows = document["alternatives"]
     probable = [row["effect"] for row in rows if row["probability"] > 0.5]

@@ -8,7 +8,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose import forward_selection, posteriors
+from stringcast.stages.diagnose import agreement, forward_selection, posteriors
 from stringcast.stages.diagnose.background_effects import (
     BACKGROUND_SCALES_M,
     background_log_evidence_gains,
@@ -341,7 +341,7 @@ def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
 def limited(monkeypatch, probabilities, log_bayes_factor, misfit_probability):
     """Limit the probabilities of one place, of 50 candidates, to what trials say."""
     monkeypatch.setattr(
-        posteriors, "log_bayes_factor_of_trials", lambda *given: log_bayes_factor
+        agreement, "log_bayes_factor_of_trials", lambda *given: log_bayes_factor
     )
     cause = SimpleNamespace(name="a")
     state = SimpleNamespace(

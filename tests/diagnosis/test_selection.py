@@ -5,12 +5,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import ordinary
 from synthetic_trials import CRITERIA
 
 from stringcast.stages.diagnose import forward_selection, measures, rules
 from stringcast.stages.diagnose.forward_selection import SelectionState, SelectionStep
 from stringcast.stages.diagnose.prepared_data import RefinedFit
 from stringcast.stages.diagnose.proposals import Proposal
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.laplace import Fit
+from stringcast.stages.model.library import effects_by_name
 
 
 @dataclass(frozen=True)
@@ -294,3 +298,29 @@ def test_an_evident_cause_below_the_tolerance_is_set_aside(
     state = SelectionState(SimpleNamespace(data=None), parent, (step,))
     state = forward_selection._set_aside_if_small(state, step, CRITERIA)
     assert state.set_aside == ({"wind": reason} if reason else {})
+
+
+def test_causes_found_before_begin_at_the_same_values_in_other_ranges(arm, monkeypatch):
+    """With one trial more, the data may ask for a wider range of the base model."""
+    wind = effects_by_name()["wind"]
+    base = ordinary(arm)
+    found = Hypothesis(base, (wind,))
+    (stiffness,) = [p for p in base.parameters if p.name == "bending_stiffness"]
+    ranges = {stiffness.name: replace(stiffness, high=30 * stiffness.high)}
+    wider = replace(base, string=replace(base.string, ranges=ranges))
+
+    def fit(data, hypothesis, starts, scale_indices):
+        started.append((hypothesis, starts[0]))
+
+    started = []
+    monkeypatch.setattr(forward_selection, "fit_hypothesis", fit)
+    monkeypatch.setattr(forward_selection, "add_cause", lambda *given: None)
+    chi = np.linspace(0.2, 0.8, len(found.parameters))
+    before = Fit(found, chi, (), (), None, np.zeros(0), 0.0)
+    base_fit = SimpleNamespace(hypothesis=Hypothesis(wider), scale_indices=None)
+    prepared = SimpleNamespace(base_fit=base_fit, data=None)
+    forward_selection.with_causes_found_before(prepared, before, CRITERIA, 0, 2)
+    ((hypothesis, start),) = started
+    after = replace(before, hypothesis=hypothesis, chi=start)
+    assert after.values == pytest.approx(before.values)
+    assert not np.allclose(start, chi)

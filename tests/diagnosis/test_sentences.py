@@ -1,12 +1,15 @@
-"""Ends of ranges, and the sentence on the misfit that is left."""
+"""Ends of ranges, and sentences on look-alikes and on the misfit that is left."""
 
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from stringcast.stages.diagnose import document
+from stringcast.stages.diagnose.document import verdict_sentence
 from stringcast.stages.diagnose.rules import is_inside_range
+from stringcast.stages.diagnose.verdict import Verdict
 from stringcast.stages.model.library import effects_by_name
 
 
@@ -77,3 +80,17 @@ def test_what_is_left_and_where_are_of_one_quantity(
         SimpleNamespace(tip_tolerance_m=1e-3),
     )
     assert found["sentence"] == sentence
+
+
+def test_look_alikes_are_named_in_words():
+    """Names of effects have underscores."""
+    names = ("maxwell_slip", "dahl_friction")
+    verdict = Verdict("ambiguous", 0.0, names, lookalike_groups=(names,))
+    judgement = SimpleNamespace(
+        verdict=verdict, inclusion_probability=dict.fromkeys(names, 0.5)
+    )
+    causes = pd.DataFrame({"effect": names, "sentence": ["it slips", "it rubs"]})
+    assert verdict_sentence(judgement, causes) == (
+        "These trials cannot distinguish maxwell slip and dahl friction: "
+        "either it slips (probability 0.50), or it rubs (probability 0.50)."
+    )
