@@ -414,6 +414,17 @@ DRAWS = Table(
     draw [1] (int): number of the draw
     """),
 )
+MISFIT = Table(
+    "misfit",
+    "how far the estimate leaves the tip off in the last trial",
+    parse_columns("""
+    t [s]: time of the frame; 0 is the start of the movement
+    x [m]: measured less simulated position of the measured point nearest the tip
+    y [m]: measured less simulated position of the measured point nearest the tip
+    hand_x [m]: position of the hand
+    hand_y [m]: position of the hand
+    """),
+)
 MATCHING = Table(
     "matching",
     "the matching rate frame by frame, before and after estimation",
@@ -450,6 +461,7 @@ class Estimate:
     matching: pd.DataFrame
     fit: pd.DataFrame
     draws: pd.DataFrame = field(default_factory=DRAWS.empty)
+    misfit: pd.DataFrame = field(default_factory=MISFIT.empty)
 
     TABLES: ClassVar = tables_by_name(
         PARAMETERS,
@@ -457,6 +469,7 @@ class Estimate:
         MATCHING,
         ESTIMATION_SUMMARY,
         DRAWS,
+        MISFIT,
     )
 
     def tables(self) -> dict[str, Table]:

@@ -13,12 +13,14 @@ from stringcast.data.artifacts import (
     DRAWS,
     ESTIMATION_SUMMARY,
     MATCHING,
+    MISFIT,
     PARAMETERS,
     Estimate,
 )
 from stringcast.data.schema import DataError
 from stringcast.stages.estimate.matching import MatchingTarget, matching_rate
 from stringcast.stages.estimate.posterior import sample_least_squares_posterior
+from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import (
     Parameter,
@@ -175,7 +177,30 @@ def build_estimate(
         MATCHING.check(matching),
         ESTIMATION_SUMMARY.check(pd.DataFrame([fit])),
         DRAWS.check(pd.DataFrame(numbered | _value_columns(parameters, draws))),
+        tabulate_misfit(targets[-1].trial, pair[1]),
     )
+
+
+def tabulate_misfit(trial: PreparedTrial, values: np.ndarray) -> pd.DataFrame:
+    """Tabulate how far values (P,) of the parameters leave the tip off in a trial."""
+    _, motion = next(trial.simulate(values[None]))
+    misfit = trial.points - trial.sample_at_points(motion.points)[0]  # (N, 2)
+    # the point nearest the tip in each frame
+    order = np.lexsort((trial.s, trial.frame))
+    is_last = np.append(np.diff(trial.frame[order]) > 0, True)
+    tip = order[is_last]
+    hand = trial.motion.actual_hand_motion(trial.model.arm, ())
+    path = hand.pose[0]
+    ticks = hand.start + hand.tick * np.arange(len(path))
+    t = trial.point_times[tip]
+    columns = {
+        "t": t,
+        "x": misfit[tip, 0],
+        "y": misfit[tip, 1],
+        "hand_x": np.interp(t, ticks, path[:, 0]),
+        "hand_y": np.interp(t, ticks, path[:, 1]),
+    }
+    return MISFIT.check(pd.DataFrame(columns).dropna())
 
 
 def insensitive_parameters(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import comb
 
+from stringcast.data.artifacts import JOINTS, Motion
 from stringcast.stages.model.arm import Arm
 
 # degree of the Bezier curves of joint speeds (Eq. 2): six control points each
@@ -50,6 +51,15 @@ class Curves:
     def select(self, chosen: np.ndarray | slice) -> Curves:
         """Select movements by their numbers."""
         return Curves(self.start[chosen], self.duration[chosen], self.control[chosen])
+
+
+def curves_from_motion(motion: Motion) -> Curves:
+    """Restore the curves of an earlier motion."""
+    control = motion.control_points.pivot(
+        index="joint", columns="index", values="velocity"
+    ).to_numpy()
+    start = motion.commands[list(JOINTS)].iloc[:1].to_numpy()
+    return Curves(start, np.array([motion.duration]), control[None])
 
 
 def join_curves(parts: Sequence[Curves]) -> Curves:

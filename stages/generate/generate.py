@@ -28,6 +28,7 @@ from stringcast.stages.common import Progress, SettingsGroup
 from stringcast.stages.generate.curves import (
     INTERVALS,
     Curves,
+    curves_from_motion,
     first_curves,
     next_curves,
 )
@@ -219,15 +220,6 @@ def generate(
         f"no motion hits the target in {counts.total()} tries ({reasons}). "
         "Allow more generate.attempts, a larger target box, or other limits of the arm."
     )
-
-
-def curves_from_motion(motion: Motion) -> Curves:
-    """Restore the curves of an earlier motion."""
-    control = motion.control_points.pivot(
-        index="joint", columns="index", values="velocity"
-    ).to_numpy()
-    start = motion.commands[list(JOINTS)].iloc[:1].to_numpy()
-    return Curves(start, np.array([motion.duration]), control[None])
 
 
 def _try_curves(

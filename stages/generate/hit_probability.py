@@ -10,6 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from stringcast.stages.generate.curves import Curves
+from stringcast.stages.generate.repeated_misfit import RepeatedMisfit
 from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
@@ -31,11 +32,13 @@ class CastTask:
     model : string, arm and camera
     target : box that the tip shall enter, and how it shall arrive
     obstacles : boxes that the arm may not touch, nor the string before it hits
+    misfit : that motions like the last one repeat, if there was one
     """
 
     model: Model
     target: Target
     obstacles: Sequence[Box]
+    misfit: RepeatedMisfit | None = None
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,7 @@ def predict_outcome(
 
 
 def simulate_motions(
-    model: Model, curves: Curves, samples: UncertaintySamples
+    task: CastTask, curves: Curves, samples: UncertaintySamples
 ) -> tuple[np.ndarray, np.ndarray]:
     """Simulate each motion under all samples in turn.
 
@@ -113,8 +116,8 @@ def simulate_motions(
 
     Parameters
     ----------
-    model : Model
-        String and arm.
+    task : CastTask
+        Model, and the misfit that similar motions repeat.
     curves : Curves
         M motions.
     samples : UncertaintySamples
@@ -128,12 +131,32 @@ def simulate_motions(
         Points of the string at the ticks [m].
     """
     repeated = samples.select(np.tile(np.arange(len(samples)), len(curves.duration)))
+    model = task.model
     motion = sample_joint_motions(model, curves, samples)
     times = np.arange(motion.angles.shape[1]) * model.arm.tick
     points = model.simulate_string(motion, repeated.values, times).points
     share = model.string.arc_lengths() / model.string.length
-    points += share[:, None] * repeated.tip_error[:, None, None]
+    points += share[:, None] * tip_errors(task, curves, samples)[:, :, None]
     return motion.angles, points
+
+
+def tip_errors(
+    task: CastTask, curves: Curves, samples: UncertaintySamples
+) -> np.ndarray:
+    """Return errors of the simulated tip on M motions under K samples, (M K, T, 2) [m].
+
+    On a motion like the last one its misfit is repeated, and the less alike it is, the
+    more of the error is random. T is the number of ticks, or 1 for constant errors.
+    """
+    count = len(curves.duration)
+    random = np.tile(samples.tip_error, (count, 1))[:, None]
+    if task.misfit is None:
+        return random
+    correlation = task.misfit.correlation(curves, float(curves.duration.max()))
+    repeated = correlation[..., None] * task.misfit.tip_at_ticks(correlation.shape[1])
+    spread = np.sqrt(1 - correlation**2)[..., None]
+    number = np.arange(count).repeat(len(samples))
+    return np.asarray(repeated[number] + spread[number] * random)
 
 
 def sample_joint_motions(
@@ -151,13 +174,14 @@ def sample_joint_motions(
 
 
 def predict_reported_tips(
-    model: Model, curve: Curves, samples: UncertaintySamples
+    task: CastTask, curve: Curves, samples: UncertaintySamples
 ) -> tuple[np.ndarray, np.ndarray]:
     """Predict the tip of one motion as the camera reports it, under K samples.
 
     Returns the ticks (T,) [s] and the tips (K, T, 2) [m]; NaN where a simulation
     diverges. The joints' delay shifts each path.
     """
+    model = task.model
     motion = sample_joint_motions(model, curve, samples)
     times = np.arange(motion.angles.shape[1]) * model.arm.tick
     points = model.simulate_observation(motion, samples.values, times).points
@@ -166,14 +190,14 @@ def predict_reported_tips(
         delayed = np.maximum(times - lag, 0.0)
         tips[number] = CubicSpline(times, tips[number])(delayed)
     tips[~np.isfinite(points).all(axis=(1, 2, 3))] = np.nan
-    return times, tips + samples.tip_error[:, None]
+    return times, tips + tip_errors(task, curve, samples)
 
 
 def _predict_batch(
     task: CastTask, curves: Curves, samples: UncertaintySamples
 ) -> CastOutcome:
     """Simulate all motions under all samples at once."""
-    angles, points = simulate_motions(task.model, curves, samples)
+    angles, points = simulate_motions(task, curves, samples)
     shape = (len(curves.duration), len(samples))
     end = (curves.duration[:, None] - samples.lag).ravel()
     times = np.arange(points.shape[1]) * task.model.arm.tick

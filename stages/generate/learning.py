@@ -69,7 +69,7 @@ def predictive_sd(
 
     # each sample's tip (K, 2) [m] when the typical one is nearest to the target
     interesting = curves.select(np.array([interest]))
-    _, points = simulate_motions(task.model, interesting, strings)
+    _, points = simulate_motions(task, interesting, strings)
     path = midpoint_tip_path(points[:, :, -1])
     distance = task.target.distance_to_centre(path)
     typical = np.argsort(distance.min(axis=1), kind="stable")[len(path) // 2]
@@ -78,7 +78,7 @@ def predictive_sd(
     result = np.full(len(curves.duration), np.inf)
     for number in range(len(curves.duration)):
         motion = curves.select(np.array([number]))
-        _, points = simulate_motions(task.model, motion, strings)
+        _, points = simulate_motions(task, motion, strings)
         if np.isfinite(points).all():
             from_tip = points[:, ::TICK_STRIDE, ::-1]
             observed = from_tip[:, :, :: points.shape[2] // OBSERVED_PLACES]

@@ -6,6 +6,7 @@ and hyperparameter optimization, AISTATS 2016.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -13,17 +14,21 @@ import numpy as np
 from stringcast.data.artifacts import Motion
 from stringcast.stages.generate.curves import (
     Curves,
+    curves_from_motion,
     first_curves,
     join_curves,
     next_curves,
+    whole_ticks,
 )
-from stringcast.stages.generate.generate import arm_faults, curves_from_motion
+from stringcast.stages.generate.generate import arm_faults
 from stringcast.stages.generate.hit_probability import CastTask, predict_outcome
 from stringcast.stages.generate.refine import MotionSpace
 from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
+from stringcast.stages.model.arm import Arm
 
 # of the accelerations: a gentle cast is predicted better
 SPEED_SHARES = (1.0, 0.5, 0.25)
+MIN_CHANGE_SHARE = 0.03  # of a change of the last motion
 BATCH_SIZE = 128  # movements whose limits are checked together
 MAX_BATCHES = 100  # of one kind
 FIRST_SAMPLES = 3  # with which the race begins
@@ -55,7 +60,8 @@ def sample_feasible_motions(
         last = curves_from_motion(previous)
         feasible.append(feasible_motions(task, last))
         change = (space.alpha, last, fraction)
-        kinds.append(partial(next_curves, arm, rng, BATCH_SIZE, durations, *change))
+        changed = partial(next_curves, arm, rng, BATCH_SIZE, durations, *change)
+        kinds.append(partial(draw_between, arm, rng, last, changed))
     for draw in kinds:
         found = 0
         for _ in range(MAX_BATCHES):
@@ -65,6 +71,20 @@ def sample_feasible_motions(
             found += len(batch.duration)
             feasible.append(batch)
     return join_curves(feasible)
+
+
+def draw_between(
+    arm: Arm, rng: np.random.Generator, last: Curves, draw: Callable[[], Curves]
+) -> Curves:
+    """Draw changes of the last motion of all sizes, from slight ones to whole ones.
+
+    The share of a change is between MIN_CHANGE_SHARE and 1, uniform in its logarithm.
+    """
+    changed = draw()
+    share = np.exp(rng.uniform(np.log(MIN_CHANGE_SHARE), 0, len(changed.duration)))
+    duration = last.duration + share * (changed.duration - last.duration)
+    control = last.control + share[:, None, None] * (changed.control - last.control)
+    return Curves(changed.start, whole_ticks(duration, arm.tick), control)
 
 
 def feasible_motions(task: CastTask, curves: Curves) -> Curves:

@@ -34,6 +34,7 @@ from stringcast.stages.generate.hit_probability import (
 from stringcast.stages.generate.learning import predictive_sd
 from stringcast.stages.generate.race import race_motions, sample_feasible_motions
 from stringcast.stages.generate.refine import MotionSpace, refine_motions
+from stringcast.stages.generate.repeated_misfit import find_repeated_misfit
 from stringcast.stages.generate.uncertainty_samples import (
     PlanningUncertainty,
     UncertaintySamples,
@@ -148,7 +149,8 @@ def generate(
     space = MotionSpace(model.arm, *drawing.durations, drawing.alpha)
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
-    task = CastTask(model, target, obstacles)
+    misfit = find_repeated_misfit(model.arm, model.string.length, previous, estimate)
+    task = CastTask(model, target, obstacles, misfit)
 
     def draw_samples(count: int) -> UncertaintySamples:
         return sample_uncertainty(model, estimate, uncertainty, count, rng)
@@ -275,7 +277,7 @@ def build_motion_artifact(
         )
     hits_first = np.lexsort((distance, ~hit))  # and the nearest of them first
     typical = samples.select(hits_first[[hit.sum() // 2]])
-    points = simulate_motions(task.model, curve, typical)[1][0]
+    points = simulate_motions(task, curve, typical)[1][0]
     path = midpoint_tip_path(points[None, :, -1])[0]
     tick = task.model.arm.tick
     distance = task.target.distance_to_centre(path)
@@ -301,14 +303,14 @@ def build_motion_artifact(
         chance_low=interval.low,
         chance_high=interval.high,
     )
-    return replace(motion, tips=predicted_tips_table(task.model, curve, samples))
+    return replace(motion, tips=predicted_tips_table(task, curve, samples))
 
 
 def predicted_tips_table(
-    model: Model, curve: Curves, samples: UncertaintySamples
+    task: CastTask, curve: Curves, samples: UncertaintySamples
 ) -> pd.DataFrame:
     """Tabulate the tips that samples predict; those that diverge are left out."""
-    times, tips = predict_reported_tips(model, curve, samples.select(slice(TIP_DRAWS)))
+    times, tips = predict_reported_tips(task, curve, samples.select(slice(TIP_DRAWS)))
     tips = tips[np.isfinite(tips).all(axis=(1, 2))]
     columns = {
         "draw": np.repeat(np.arange(len(tips)), len(times)),

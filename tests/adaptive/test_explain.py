@@ -141,9 +141,9 @@ def test_no_effect_is_evident_where_none_is_hidden(screened):
     assert max(found.values()) < 0
 
 
-def cast_adaptively(*overrides):
-    """Return the casts of the adaptive loop on the virtual lab, without filming."""
-    settings = compose_settings(["+experiment=adaptive", *overrides])
+def perform_casts(method, *overrides):
+    """Return the casts of a method on the virtual lab, without filming."""
+    settings = compose_settings([f"method={method}", *overrides])
     config = OmegaConf.to_container(OmegaConf.create(settings), resolve=True)
     experiment = prepare_experiment(config, lambda block: f"conf/{block}")
     executor = PointExecutor(experiment, NOISE_M)
@@ -161,8 +161,8 @@ def cast_adaptively(*overrides):
     ],
 )
 def test_a_hidden_cause_is_named_after_the_first_cast_and_the_loop_hits(hidden, cause):
-    casts = cast_adaptively(
-        "specimen=C", "target=at_500_900", f"+specimen.hidden.{hidden}"
+    casts = perform_casts(
+        "adaptive", "specimen=C", "target=at_500_900", f"+specimen.hidden.{hidden}"
     )
     explanation = casts[0].find(Explanation)
     assert explanation.verdict == "cause", explanation.sentence
@@ -173,7 +173,22 @@ def test_a_hidden_cause_is_named_after_the_first_cast_and_the_loop_hits(hidden, 
 
 @pytest.mark.long
 def test_nothing_is_named_where_nothing_is_hidden():
-    casts = cast_adaptively("specimen=C", "target=at_500_900")
+    casts = perform_casts("adaptive", "specimen=C", "target=at_500_900")
     assert casts[-1].has_hit
     for cast in casts:
         assert cast.find(Explanation).verdict in ("not asked", "none")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("where", "hidden"),
+    [
+        ("specimen=C target=at_500_900", "tip_mass.ratio=0.3"),
+        ("specimen=B target=at_400_700", "rest_curvature.curvature=4"),
+    ],
+)
+def test_a_miss_is_corrected_without_its_cause(where, hidden):
+    """Without the correction these took four casts and more."""
+    casts = perform_casts("robust", *where.split(), f"+specimen.hidden.{hidden}")
+    assert not casts[0].has_hit
+    assert casts[1].has_hit

@@ -3,6 +3,8 @@
 The equations are implemented literally, and known parameters are recovered.
 """
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pandas as pd
@@ -22,6 +24,7 @@ from stringcast.stages.estimate.matching import (
     frame_matching_rates,
     matching_targets,
 )
+from stringcast.stages.estimate.result import tabulate_misfit
 from stringcast.stages.extract.score import pixel_scores, rasterise
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.engine.simulate import simulate
@@ -75,6 +78,22 @@ def observed(seed, noise=7e-4, name="t01"):
         {"t": t, "x": pose[:, 0], "y": pose[:, 1], "theta": pose[:, 2]}
     )
     return Observation(name, points, READINGS.empty(), MASKS.empty(), grasp=grasp)
+
+
+def test_an_estimate_tells_how_far_it_leaves_the_tip_off_in_the_last_trial(arm, camera):
+    model = Model(STRING, arm, camera)
+    seen = observed(3, noise=1e-9)
+    points = seen.points.assign(x=seen.points["x"] + 0.05 * seen.points["s"])
+    trial = prepare_trial(model, replace(seen, points=points))
+    misfit = tabulate_misfit(trial, model.values(TRUTH))
+    assert len(misfit) == len(trial.times)
+    np.testing.assert_allclose(misfit["x"], 0.05 * 0.3, atol=1e-4)
+    np.testing.assert_allclose(misfit["y"], 0.0, atol=1e-4)
+    hand = seen.grasp.iloc[::2]
+    np.testing.assert_allclose(misfit["t"], hand["t"])
+    np.testing.assert_allclose(
+        misfit[["hand_x", "hand_y"]], hand[["x", "y"]], atol=1e-5
+    )
 
 
 def test_matching_rate_is_equations_5_and_6():

@@ -17,6 +17,7 @@ from stringcast.pipeline.settings.typed_settings import bind_stage
 from stringcast.stages.generate import race
 from stringcast.stages.generate.curves import (
     Curves,
+    curves_from_motion,
     first_curves,
     join_curves,
     plain_cast,
@@ -24,7 +25,6 @@ from stringcast.stages.generate.curves import (
 from stringcast.stages.generate.generate import (
     MotionNotFoundError,
     arm_faults,
-    curves_from_motion,
 )
 from stringcast.stages.generate.hit_probability import (
     BATCH_SIZE,
@@ -429,7 +429,7 @@ def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
     swung, hung = predictive_sd(
         CastTask(model, TARGET, ()), join_curves([swing, down]), draws, interest=0
     )
-    tip = simulate_motions(model, swing, draws)[1][:, :, -1]
+    tip = simulate_motions(CastTask(model, TARGET, ()), swing, draws)[1][:, :, -1]
     assert hung > 0.8 * np.linalg.norm(tip.std(axis=0), axis=-1).min()
     assert swung < 0.2 * hung
 

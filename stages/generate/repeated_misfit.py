@@ -1,0 +1,111 @@
+"""The misfit of the last cast, which a similar motion repeats.
+
+What a model lacks moves the tip in nearly the same way on motions that are nearly the
+same. The misfit is therefore a Gaussian process over the path of the hand (Kennedy and
+O'Hagan, J. R. Stat. Soc. B 63, 425, 2001), known on the last cast. A motion close to
+that is corrected by its misfit; one far from it is as uncertain as the misfit is large.
+Iterative learning control repeats a motion for the same reason.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stringcast.data.artifacts import Estimate, Motion
+from stringcast.stages.generate.curves import Curves, curves_from_motion
+from stringcast.stages.model.arm import Arm
+
+# Of the string's length: distance of two paths of the hand, root mean square until now,
+# at which misfits of the tip have a correlation of 0.6. Measured: see README.md.
+SIMILARITY_SHARE = 1 / 3
+
+
+@dataclass(frozen=True)
+class RepeatedMisfit:
+    """The misfit of the tip on the last cast.
+
+    Parameters
+    ----------
+    arm : the arm
+    last : the motion of the last cast
+    times : (T,) [s]
+    tip : (T, 2) measured less simulated tip at these times [m]
+    similarity : distance of two paths of the hand at which misfits are still alike [m]
+    """
+
+    arm: Arm
+    last: Curves
+    times: np.ndarray
+    tip: np.ndarray
+    similarity: float
+
+    def correlation(self, curves: Curves, until: float) -> np.ndarray:
+        """Compute how alike the misfits of M motions are to the last, (M, K) at ticks.
+
+        What the hand does later does not count.
+
+        Parameters
+        ----------
+        curves : Curves
+            M motions.
+        until : float
+            The last tick [s].
+        """
+        squares = (hand_paths(self.arm, curves, until) - self.hand_path(until)) ** 2
+        total = np.cumsum(squares.sum(axis=-1), axis=1)
+        mean = total / np.arange(1, total.shape[1] + 1)
+        return np.asarray(np.exp(-0.5 * mean / self.similarity**2))
+
+    def hand_path(self, until: float) -> np.ndarray:
+        """Return the planned path of the hand in the last cast at ticks, (K, 2) [m]."""
+        return np.asarray(hand_paths(self.arm, self.last, until)[0])
+
+    def tip_at_ticks(self, count: int) -> np.ndarray:
+        """Interpolate the misfit of the last cast at ticks, (K, 2) [m]."""
+        ticks = self.arm.tick * np.arange(count)
+        parts = [np.interp(ticks, self.times, part) for part in self.tip.T]
+        return np.stack(parts, axis=-1)
+
+
+def hand_paths(arm: Arm, curves: Curves, until: float) -> np.ndarray:
+    """Return the paths of the hand on M motions at ticks, (M, K, 2) [m]."""
+    angles, _ = curves.sample(arm.tick, until)
+    return np.asarray(arm.joint_positions(angles)[:, :, -1])
+
+
+def find_repeated_misfit(
+    arm: Arm, length: float, previous: Motion | None, estimate: Estimate | None
+) -> RepeatedMisfit | None:
+    """Find the misfit that a motion like the previous one would repeat.
+
+    Parameters
+    ----------
+    arm : Arm
+        The arm.
+    length : float
+        Length of the string [m].
+    previous : Motion or None
+        The last motion.
+    estimate : Estimate or None
+        The latest estimate.
+
+    Returns
+    -------
+    RepeatedMisfit or None
+        None without a trial, and if the last trial of the estimate is not the previous
+        motion, because that could not be trusted.
+    """
+    if previous is None or estimate is None or estimate.misfit.empty:
+        return None
+    table = estimate.misfit
+    times = table["t"].to_numpy()
+    last = curves_from_motion(previous)
+    similarity = SIMILARITY_SHARE * length
+    misfit = RepeatedMisfit(arm, last, times, table[["x", "y"]].to_numpy(), similarity)
+    planned = misfit.hand_path(previous.duration)
+    ticks = arm.tick * np.arange(len(planned))
+    performed = [np.interp(ticks, times, table[name]) for name in ("hand_x", "hand_y")]
+    distance = np.sqrt(np.mean(np.sum((np.stack(performed, 1) - planned) ** 2, axis=1)))
+    return misfit if distance <= similarity else None
