@@ -77,6 +77,9 @@ MOTION_OUTCOME = Table(
     chance [1] (optional): predicted probability of a hit, where it was computed
     chance_low [1] (optional): lower end of its 95 % interval
     chance_high [1] (optional): upper end
+    likeness [1] (optional): correlation of the tip's error with that of the last
+        cast at t_hit, where there was a last cast
+    correction [m] (optional): distance by which that error moves the tip at t_hit
     """),
 )
 

@@ -302,8 +302,25 @@ def build_motion_artifact(
         chance=float(hit.mean()),
         chance_low=interval.low,
         chance_high=interval.high,
+        **describe_correction(task, curve, nearest * tick / 2),
     )
     return replace(motion, tips=predicted_tips_table(task, curve, samples))
+
+
+def describe_correction(
+    task: CastTask, curve: Curves, t_hit: float
+) -> dict[str, float]:
+    """Return how much of the last cast's misfit one movement repeats at a time [s]."""
+    if task.misfit is None:
+        return {}
+    correlation = task.misfit.correlation(curve, float(curve.duration[0]))[0]
+    tick = min(round(t_hit / task.model.arm.tick), len(correlation) - 1)
+    misfit = task.misfit.tip_at_ticks(len(correlation))[tick]
+    likeness = float(correlation[tick])
+    return {
+        "likeness": likeness,
+        "correction": likeness * float(np.hypot(*misfit)),
+    }
 
 
 def predicted_tips_table(

@@ -20,7 +20,7 @@ from stringcast.stages.generate.repeated_misfit import (
     find_repeated_misfit,
     hand_paths,
 )
-from stringcast.stages.generate.robust import build_motion_artifact
+from stringcast.stages.generate.robust import build_motion_artifact, describe_correction
 from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
@@ -108,6 +108,17 @@ def test_a_target_is_hit_where_the_misfit_brings_the_tip(arm, camera, misfit, sa
     assert not predict_outcome(without, misfit.last, samples).hit.any()
     _, corrected_tips = predict_reported_tips(corrected, misfit.last, samples)
     np.testing.assert_allclose(corrected_tips[0], tips[0] + misfit.tip, atol=1e-9)
+
+
+def test_a_plan_says_by_how_much_it_is_corrected(arm, camera, misfit, samples):
+    task = CastTask(Model(String(LENGTH_M), arm, camera), None, (), misfit)
+    said = describe_correction(task, misfit.last, 0.4)
+    assert said["likeness"] == 1
+    assert said["correction"] == pytest.approx(0.8 * np.hypot(*MISFIT_M))
+    far = replace(misfit.last, start=misfit.last.start + [1.0, 0, 0])
+    said = describe_correction(task, far, 0.4)
+    assert said["correction"] < 1e-3
+    assert describe_correction(replace(task, misfit=None), far, 0.4) == {}
 
 
 def test_the_misfit_of_another_motion_is_not_repeated(arm, camera, misfit, samples):

@@ -450,7 +450,17 @@ def _motions_card(cast: CastRecord) -> Card:
         outcomes = zip(ranked["outcome"], ranked["count"], strict=True)
         rows = [(outcome, number_cell(count)) for outcome, count in outcomes]
         tried = TableView(("outcome", "motions"), rows)
-    return Card("Motions tried until one was chosen", [tried])
+    parts = [tried]
+    plan = cast.motion.outcome.iloc[0]
+    if np.isfinite(plan.get("likeness", np.nan)):
+        parts.append(
+            Text(
+                f"Where the tip is to hit, its error has a correlation of "
+                f"{plan['likeness']:.2f} with that of the last cast. The prediction is "
+                f"corrected by {format_mm(plan['correction'], 1)}."
+            )
+        )
+    return Card("Motions tried until one was chosen", parts)
 
 
 def _link_card(cast: CastRecord) -> Card:
