@@ -1,6 +1,8 @@
 """Damped least squares of many runs side by side, within bounds.
 
-An iteration is two batches: the forward differences of every run, then its trial steps.
+An iteration is two or three batches: the forward differences of every run, its least
+damped steps, and the others where those gain less than the differences promise. A run
+to which they promise next to nothing ends.
 Parameters are exponents chi in [0, 1] (Eq. 3). Two parameters that can take each
 other's place leave a valley: bent in exponents, along which steps are short, and
 straight in values. So each step is tried along both lines: of 48 random starts in the
@@ -34,6 +36,9 @@ from stringcast.stages.model.parameter import (
 # standard deviations: each residual of what cannot be simulated
 DIVERGED_RESIDUAL = 1e3
 MIN_GAIN = 0.05  # of the log-likelihood: a smaller gain ends a run
+NEGLIGIBLE_SHARE = 1e-3  # of that: where slopes promise less, no step is tried
+# Of what slopes promise: where a step gains as much, none of more damping is tried
+SUFFICIENT_SHARE = 0.8
 MAX_ITERATIONS = 60  # at most; it mostly takes fewer than ten
 
 # Widths of differences of chi. One that moves the points by a tenth of the residual
@@ -45,9 +50,9 @@ FIRST_DIFFERENCE = 1e-4
 MIN_DIFFERENCE = 1e-6
 MAX_DIFFERENCE = 1e-3
 
-# Marquardt's damping, a share of the diagonal. Three are tried at once, as lanes of a
-# batch cost little: with two, 0.05 and 3, a search for a stiff strip crept along its
-# valley and ended 3,600 of the log-likelihood short.
+# Marquardt's damping, a share of the diagonal. Three are tried: with two, 0.05 and 3, a
+# search for a stiff strip crept along its valley and ended 3,600 of the log-likelihood
+# short.
 INITIAL_DAMPING = 1e-2  # at first
 DAMPING_FACTORS = (1e-3, 0.1, 10.0)  # times the last that was right
 DAMPING_INCREASE = 1e3  # times as much where none was right
@@ -102,6 +107,8 @@ class SolverRuns:
         Runs that may still gain, (R,).
     normal, gradient
         Curvature (R, P, P) and gradient (R, P) of half the loss.
+    promise
+        Share of the loss that the best step removes if slopes do not change, (R,).
     """
 
     chi: np.ndarray
@@ -113,6 +120,7 @@ class SolverRuns:
     active: np.ndarray
     normal: np.ndarray = field(repr=False)
     gradient: np.ndarray = field(repr=False)
+    promise: np.ndarray
 
     @classmethod
     def start(cls, problem: Problem, chi: np.ndarray) -> SolverRuns:
@@ -129,6 +137,7 @@ class SolverRuns:
             active=np.ones(count, dtype=bool),
             normal=np.zeros((count, size, size)),
             gradient=np.zeros((count, size)),
+            promise=np.zeros(count),
         )
 
 
@@ -155,7 +164,11 @@ def fit_least_squares(
         if not active.size:
             break
         _linearise_runs(problem, runs, active[runs.stale[active]])
-        _step_runs(problem, runs, active, min_gain)
+        promised_gain = 0.5 * runs.residual.shape[1] * runs.promise
+        runs.active &= promised_gain > NEGLIGIBLE_SHARE * min_gain
+        active = np.flatnonzero(runs.active)
+        if active.size:
+            _step_runs(problem, runs, active, min_gain)
     return runs
 
 
@@ -204,6 +217,20 @@ def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> N
     runs.gradient[chosen] = np.einsum("rpn,rn->rp", weighted, residual)
     runs.width[chosen] = difference_widths(slope, runs.loss[chosen])
     runs.stale[chosen] = False
+    for run in chosen:
+        runs.promise[run] = _promised_share(runs, run)
+
+
+def _promised_share(runs: SolverRuns, run: int) -> float:
+    """Share of a run's loss that its best step removes if slopes do not change."""
+    chi = runs.chi[run]
+    normal = runs.normal[run]
+    gradient = runs.gradient[run]
+    flat = FLAT_CURVATURE_SHARE * np.diag(normal).mean() + SMALLEST_FLOAT
+    damped = normal + flat * np.eye(len(chi))
+    step = minimise_in_box(damped, gradient, -chi, 1.0 - chi)
+    decrease = -step @ (2 * gradient + normal @ step)
+    return float(decrease / max(runs.loss[run], SMALLEST_FLOAT))
 
 
 def _step_runs(
@@ -214,9 +241,21 @@ def _step_runs(
 ) -> None:
     """Move each active run to the best of its trial steps, if that improves it."""
     points = np.stack([_trial_points(problem.parameters, runs, run) for run in active])
-    residuals = problem.residuals(points.reshape(-1, points.shape[-1]))
-    residuals = residuals.reshape(*points.shape[:2], -1)
-    losses = huber_loss(residuals, problem.limit)
+    residuals = np.zeros((*points.shape[:2], runs.residual.shape[1]))
+    losses = np.full(points.shape[:2], np.inf)
+
+    # The steps of least damping first, and the others where these gain too little
+    sufficient = runs.loss[active] * (1 - SUFFICIENT_SHARE * runs.promise[active])
+    is_least_damped = np.arange(points.shape[1]) % len(DAMPING_FACTORS) == 0
+    for chosen in (is_least_damped, ~is_least_damped):
+        unsettled = np.flatnonzero(losses.min(axis=1) > sufficient)
+        if not unsettled.size:
+            break
+        tried = np.ix_(unsettled, np.flatnonzero(chosen))
+        simulated = problem.residuals(points[tried].reshape(-1, points.shape[-1]))
+        residuals[tried] = simulated.reshape(len(unsettled), chosen.sum(), -1)
+        losses[tried] = huber_loss(residuals[tried], problem.limit)
+
     for number, run in enumerate(active):
         best = int(np.argmin(losses[number]))
         lowest = losses[number, best]

@@ -18,7 +18,6 @@ from stringcast.stages.inference.solver import (
 )
 from stringcast.stages.model.parameter import (
     Parameter,
-    parameter_exponents,
     parameter_values,
 )
 
@@ -126,20 +125,36 @@ def test_each_run_goes_its_own_way_whoever_runs_beside():
     np.testing.assert_allclose(together, alone, rtol=1e-12)
 
 
-def test_an_iteration_is_two_batches_and_runs_that_are_done_cost_nothing():
-    """An iteration is two batches, and runs that are finished cost nothing.
+def test_an_iteration_is_a_few_batches_and_runs_that_are_done_cost_nothing():
+    """Eight runs of two parameters take their residuals, then 8 x 2 differences.
 
-    Eight runs of two parameters take their residuals, then 8 x 2 differences, then 8 x
-    6 trial steps.
+    Then they take 8 x 2 steps of least damping, and the 8 x 4 others from where these
+    gain too little.
     """
     problem = Decay()
     fit_least_squares(problem, np.full((8, 2), 0.5), 1)
-    assert problem.asked == [8, 16, 48]
+    assert problem.asked == [8, 16, 16]
     problem = Decay()
-    fit_least_squares(
-        problem, np.stack([parameter_exponents(RATES, TRUTH), [0.5, 0.5]]), 30
-    )
-    assert problem.asked[-1] == 6
+    fit_least_squares(problem, np.full((8, 2), 0.9), 1)
+    assert problem.asked == [8, 16, 16, 32]
+
+    noise = np.random.default_rng(3).standard_normal(len(TIMES))
+    optimum = fit_least_squares(Decay(noise=noise), np.full((1, 2), 0.5)).chi[0]
+    problem = Decay(noise=noise)
+    fit_least_squares(problem, np.stack([optimum, [0.1, 0.1]]), 30)
+    assert problem.asked[:2] == [2, 4]
+    assert len(problem.asked) > 4
+    assert max(problem.asked[2:]) <= 4
+
+
+def test_a_run_at_its_optimum_costs_its_differences_only():
+    noise = np.random.default_rng(3).standard_normal(len(TIMES))
+    problem = Decay(noise=noise)
+    optimum = fit_least_squares(problem, np.full((1, 2), 0.5)).chi
+    problem = Decay(noise=noise)
+    again = fit_least_squares(problem, optimum)
+    assert problem.asked == [1, 2]
+    assert again.chi.tolist() == optimum.tolist()
 
 
 def test_a_step_into_what_cannot_be_simulated_is_not_taken_and_a_slope_across_its_edge_is_none():
