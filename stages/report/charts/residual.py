@@ -36,6 +36,10 @@ DIVERGING_COLOURS = LinearSegmentedColormap.from_list(
 ).with_extremes(bad=(0.55, 0.58, 0.62, 0.35))  # where nothing was measured
 MIN_SCALE_SIGMAS = 5.0  # smallest end of the colour scale
 COMPONENTS = {"normal": "across the string", "tangential": "along the string"}
+MAP_WIDTH_IN = 5.4
+MAP_ROW_IN = 1.05
+MAP_TOP_IN = 0.45  # for titles
+MAP_BOTTOM_IN = 0.95  # for the bar of colours
 SCALE_TICKS = (1, 3, 10, 30, 100, 300, 1000)
 
 
@@ -52,8 +56,21 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
     trials = record.drawn_trials
     if not trials:
         return None
-    figure = Figure(figsize=(5.4, 1.3 + 1.05 * len(trials)))
-    panels = figure.subplots(len(trials), 2, sharex=True, sharey=True, squeeze=False)
+    # Fixed margins: a layout that measures all labels takes as long as to draw
+    height = MAP_TOP_IN + MAP_ROW_IN * len(trials) + MAP_BOTTOM_IN
+    figure = Figure(figsize=(MAP_WIDTH_IN, height))
+    figure.set_layout_engine("none")
+    margins = {
+        "left": 0.1,
+        "right": 0.99,
+        "top": 1 - MAP_TOP_IN / height,
+        "bottom": MAP_BOTTOM_IN / height,
+        "wspace": 0.06,
+        "hspace": 0.4,
+    }
+    panels = figure.subplots(
+        len(trials), 2, sharex=True, sharey=True, squeeze=False, gridspec_kw=margins
+    )
 
     # one colour scale for all trials and models
     sizes: list[np.ndarray] = []
@@ -76,7 +93,8 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
     ):
         top.set_title(words, fontsize=9, pad=16)
         bottom.set_xlabel("time [ms]")
-    bar = figure.colorbar(drawn, ax=panels, location="bottom", extend="both", aspect=60)
+    place = figure.add_axes((0.1, 0.42 / height, 0.89, 0.08 / height))
+    bar = figure.colorbar(drawn, cax=place, orientation="horizontal", extend="both")
     positive = [tick for tick in SCALE_TICKS if tick <= end]
     ticks = [*(-tick for tick in reversed(positive)), 0, *positive]
     bar.set_ticks(ticks, labels=[str(tick).replace("-", "−") for tick in ticks])
