@@ -315,7 +315,9 @@ def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagno
         posteriors = swap_lookalikes_until_stable(state, effects, criteria, seed)
         state = posteriors.state
         misfit = misfit_probability(state.prepared.data, state.fit, criteria, seed)
-        posteriors = limit_by_agreement(posteriors, misfit, len(effects))
+        posteriors = limit_by_agreement(
+            posteriors, misfit, len(effects), criteria.tip_tolerance_m
+        )
         base_fit = fit_base_to(state)
 
         # The numbers that decide, and whether held-out trials show something else

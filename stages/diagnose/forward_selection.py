@@ -471,29 +471,47 @@ def _reason_to_set_aside(
     fit = state.fit
     if not is_inside_range(fit, cause):
         return "it is at the end of its range, probably a stand-in for another cause"
+    if len(data.trials) < 2:
+        return ""
     # No other trial can confirm what acts in one trial alone
     touched = trials_touched_by(data, fit, cause, criteria.tip_tolerance_m)
-    if len(data.trials) < 2 or len(touched) == 1:
-        return ""
-    gains = log_likelihood_gains(without.predictions, state.predictions)
-    log.info("%s: predictive log-likelihoods %s", cause.name, np.round(gains, 1))
-    errors_m = tip_errors(data, state.predictions)
-    errors_without_m = tip_errors(data, without.predictions)
-    explained = mean_explained_fraction(
-        errors_without_m, errors_m, criteria.tip_tolerance_m
-    )
-    log.info("%s: explains %.2f at tips of trials left out", cause.name, explained)
-    if not predicts_heldout(gains, explained):
+    acts_alone = len(touched) == 1
+    if not acts_alone and not _predicts_trials(state, without, cause, criteria):
         return "it does not help to predict trials left out"
     if unexplained_tip_rms(data, fit).max() < criteria.tip_tolerance_m:
         return ""  # the model lacks nothing, and its evidence holds
     probability = probability_by_agreement(
-        data, fit, state.left_out_exponents, cause, candidates
+        data,
+        fit,
+        state.left_out_exponents,
+        cause,
+        candidates,
+        criteria.tip_tolerance_m,
     )
     log.info("%s: probability by agreement of trials %.2f", cause.name, probability)
-    if not trials_agree(probability):
-        return "the trials do not agree on it"
-    return ""
+    if trials_agree(probability):
+        return ""
+    alone = "it acts in one trial, which no other confirms, and misfit remains"
+    return alone if acts_alone else "the trials do not agree on it"
+
+
+def _predicts_trials(
+    state: SelectionState,
+    without: SelectionState,
+    cause: type[Effect],
+    criteria: Criteria,
+) -> bool:
+    """Whether a cause helps to predict trials left out. Parameters as before."""
+    data = state.prepared.data
+    gains = log_likelihood_gains(without.predictions, state.predictions)
+    log.info("%s: predictive log-likelihoods %s", cause.name, np.round(gains, 1))
+    explained = mean_explained_fraction(
+        tip_errors(data, without.predictions),
+        tip_errors(data, state.predictions),
+        criteria.tip_tolerance_m,
+    )
+    log.info("%s: explains %.2f at tips of trials left out", cause.name, explained)
+    return predicts_heldout(gains, explained)
 
 
 def _fit_more_proposals(

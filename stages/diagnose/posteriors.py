@@ -342,6 +342,7 @@ def limit_by_agreement(
     posteriors: Posteriors,
     misfit_probability: float,
     candidates: int,
+    min_tip_shift_m: float,
 ) -> Posteriors:
     """Limit the probability of causes, if misfit remains, to what trials agree on.
 
@@ -354,6 +355,8 @@ def limit_by_agreement(
         That the model lacks something.
     candidates : int
         Number of effects that share the prior probability of one being active.
+    min_tip_shift_m : float
+        By which a cause that depends on place moves the tip where it acts [m].
     """
     state = posteriors.state
     data = state.prepared.data
@@ -368,7 +371,12 @@ def limit_by_agreement(
             continue
         name = accepted[0]
         limit = probability_by_agreement(
-            data, state.fit, state.left_out_exponents, causes[name], candidates
+            data,
+            state.fit,
+            state.left_out_exponents,
+            causes[name],
+            candidates,
+            min_tip_shift_m,
         )
         by_cause.append(_limit_presence(posterior, limit, misfit_probability))
     return replace(posteriors, by_cause=tuple(by_cause))

@@ -72,13 +72,22 @@ def test_an_absent_cause_seldom_passes():
     assert passed <= 5
 
 
-@pytest.mark.parametrize(("bayes_factor", "probability"), [(20, 0.5), (60, 0.75)])
+@pytest.mark.parametrize(
+    ("bayes_factor", "touched", "probability"),
+    [
+        (20, [], 0.5),
+        (60, [], 0.75),
+        (60, [1, 2], 0.75),
+        (1e9, [1], 1 / 21),  # one trial confirms nothing
+    ],
+)
 def test_the_odds_are_the_bayes_factor_over_the_number_of_candidates(
-    bayes_factor, probability, monkeypatch
+    bayes_factor, touched, probability, monkeypatch
 ):
     """One of the candidates is as likely as none, before the trials are seen."""
     monkeypatch.setattr(
         agreement, "log_bayes_factor_of_trials", lambda *given: np.log(bayes_factor)
     )
-    found = agreement.probability_by_agreement(None, None, (), None, 20)
+    monkeypatch.setattr(agreement, "trials_touched_by", lambda *given: touched)
+    found = agreement.probability_by_agreement(None, None, (), None, 20, 1e-3)
     assert found == pytest.approx(probability)

@@ -343,6 +343,7 @@ def limited(monkeypatch, probabilities, log_bayes_factor, misfit_probability):
     monkeypatch.setattr(
         agreement, "log_bayes_factor_of_trials", lambda *given: log_bayes_factor
     )
+    monkeypatch.setattr(agreement, "trials_touched_by", lambda *given: np.zeros(0))
     cause = SimpleNamespace(name="a")
     state = SimpleNamespace(
         prepared=SimpleNamespace(data=SimpleNamespace(trials=[1, 2])),
@@ -351,7 +352,7 @@ def limited(monkeypatch, probabilities, log_bayes_factor, misfit_probability):
     )
     place = SingleEffectPosterior(probabilities, {}, None)
     given = posteriors.Posteriors(state, None, (place,))
-    found = posteriors.limit_by_agreement(given, misfit_probability, 50)
+    found = posteriors.limit_by_agreement(given, misfit_probability, 50, 1e-3)
     return found.by_cause[0].probabilities
 
 

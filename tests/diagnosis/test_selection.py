@@ -8,7 +8,7 @@ import pytest
 from conftest import ordinary
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose import forward_selection, measures, rules
+from stringcast.stages.diagnose import agreement, forward_selection, measures, rules
 from stringcast.stages.diagnose.forward_selection import SelectionState, SelectionStep
 from stringcast.stages.diagnose.prepared_data import RefinedFit
 from stringcast.stages.diagnose.proposals import Proposal
@@ -221,6 +221,51 @@ def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
     state = SelectionState(prepared, fit(wind))
     state = forward_selection.drop_unconfirmed_causes(state, CRITERIA, 10)
     assert state.fit.hypothesis.cause_names == remaining
+
+
+@pytest.mark.parametrize(
+    ("touched", "misfit_m", "remaining"),
+    [
+        ([2], 5e-3, ()),
+        ([2], 1e-3, ("contact",)),  # the model lacks nothing
+        ([1, 2], 5e-3, ("contact",)),
+    ],
+)
+def test_a_contact_in_one_trial_is_set_aside_if_misfit_remains(
+    touched, misfit_m, remaining, monkeypatch
+):
+    """A stand-in for an attraction, at 0.99, touched one trial of three."""
+    contact = SimpleNamespace(name="contact")
+    trials = [SimpleNamespace(name=f"t{k}") for k in range(3)]
+    prepared = SimpleNamespace(data=SimpleNamespace(trials=trials))
+
+    def fit(*causes):
+        names = tuple(cause.name for cause in causes)
+        hypothesis = SimpleNamespace(causes=causes, cause_names=names)
+        hypothesis.without_cause = lambda cause: fit().hypothesis
+        return SimpleNamespace(hypothesis=hypothesis)
+
+    def refit(data, fit, hypothesis):
+        return SimpleNamespace(hypothesis=hypothesis)
+
+    def predict(data, fit):
+        return [SimpleNamespace(chi=np.zeros(1)) for _ in trials]
+
+    monkeypatch.setattr(forward_selection, "refit", refit)
+    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
+    monkeypatch.setattr(forward_selection, "is_inside_range", lambda *given: True)
+    monkeypatch.setattr(forward_selection, "predict_left_out_trials", predict)
+    monkeypatch.setattr(forward_selection, "_predicts_trials", lambda *given: True)
+    monkeypatch.setattr(
+        forward_selection, "unexplained_tip_rms", lambda *given: np.full(3, misfit_m)
+    )
+    for module in (forward_selection, agreement):
+        monkeypatch.setattr(module, "trials_touched_by", lambda *given: touched)
+    monkeypatch.setattr(agreement, "log_bayes_factor_of_trials", lambda *given: 20.0)
+    state = SelectionState(prepared, fit(contact))
+    state = forward_selection.drop_unconfirmed_causes(state, CRITERIA, 10)
+    assert state.fit.hypothesis.cause_names == remaining
+    assert list(state.set_aside) == ([] if remaining else ["contact"])
 
 
 SIX = ["e0", "e1", "e2", "e3", "e4", "e5"]
