@@ -10,6 +10,7 @@ import pandas as pd
 
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.paper.scores import SHARE_COLUMNS, share_with_interval
+from stringcast.stages.explain.explain import NAMED_PROBABILITY
 from stringcast.stages.surprise.surprise import ALARM_P_VALUE
 
 PROBABILITY_BINS = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0])
@@ -222,7 +223,11 @@ def count_findings(casts: pd.DataFrame) -> pd.DataFrame:
         named = group["causes"].where(group["verdict"] == "cause", "")
         is_right, is_false = [], []
         for causes, hidden in zip(named, group["hidden"], strict=True):
-            names = {cause.partition("=")[0] for cause in causes.split()}
+            names = set()
+            for cause in causes.split():
+                name, _, probability = cause.partition("=")
+                if float(probability) >= NAMED_PROBABILITY:
+                    names.add(name)
             is_right.append(bool(names & set(hidden.split())))
             is_false.append(bool(names - set(hidden.split())))
         matters = (group["hidden_shift"] > SHIFT_THAT_MATTERS_M).to_numpy()

@@ -124,7 +124,7 @@ def test_right_and_false_names_and_surprises_are_counted():
         # hidden, moved [m], p-value, verdict, causes
         ("wind", 0.05, 0.01, "cause", "wind=1.00"),
         ("wind", 0.05, 0.50, "cause", "tip_mass=0.95"),
-        ("wind", 0.01, 0.50, "cause", "wind=0.93"),
+        ("wind", 0.01, 0.50, "cause", "wind=0.93 clamp=0.07"),
         ("wind tip_mass", 0.05, 0.50, "partial", "clamp=0.99"),
         ("", 0.0, 0.02, "not asked", ""),
         ("", 0.0, 0.03, "not asked", ""),
