@@ -46,6 +46,8 @@ def draw_hits(tables: Mapping[str, pd.DataFrame], path: Path) -> None:
             title="prediction error",
             yscale="log",
         )
+        learned.yaxis.set_major_formatter("{x:g}")
+        learned.yaxis.set_minor_formatter("{x:g}")
         learned.set_xticks(sorted(errors["after"].unique()))
         if len(tables["calibration"]):
             _draw_calibration(
