@@ -75,8 +75,6 @@ class Diagnose(Batch):
         iteration = history.iterations[-1]
         fault = iteration.refusal_reason
         observation = history.observe(iteration, self.stage)
-        if not fault and not observation.readings["valid"].any():
-            fault = "the string could not be read in any frame"
         if fault:
             rejected = {**trials.rejected, iteration.trial_name: fault}
             return replace(trials, rejected=rejected)

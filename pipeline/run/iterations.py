@@ -112,7 +112,12 @@ class Iteration:
         if trial is None:
             return ""
         link = trial.link.iloc[0]
-        return "" if link["valid"] else str(link["reason"])
+        if not link["valid"]:
+            return str(link["reason"])
+        points = self.find(Points)
+        if points is not None and not points.readings["valid"].any():
+            return "the string could not be read in any frame"
+        return ""
 
     @property
     def has_hit(self) -> bool:

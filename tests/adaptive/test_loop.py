@@ -125,6 +125,30 @@ def test_a_run_says_what_its_model_lacked(whole):
     assert "The model lacked wind." in sentence
 
 
+def test_nothing_is_learned_from_a_trial_that_cannot_be_read(tmp_path):
+    """The first cast is not read: the run goes on, and learns from the second alone."""
+    read = []
+
+    def extract(footage, camera, *, progress):
+        read.append(footage)
+        points = STAGES["extract"](footage, camera, progress=progress)
+        if len(read) > 1:
+            return points
+        return replace(
+            points,
+            points=points.points.assign(valid=False),
+            readings=points.readings.assign(valid=False),
+        )
+
+    folder = tmp_path / "run"
+    made, printed = toy_run(folder, adaptive(extract=extract))
+    assert made.count("generate") == 2
+    assert made.count("estimate") == 1
+    assert not (folder / "iterations/01/estimate").exists()
+    assert (folder / "iterations/02/explanation").is_dir()
+    assert "Cast 1: the trial is invalid: the string could not be read" in printed
+
+
 def test_verify_notices_another_explanation(whole, tmp_path):
     def other(*given, **how):
         found = explain(*given, **how)
