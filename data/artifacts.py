@@ -555,11 +555,6 @@ EXPLANATION_SUMMARY = Table(
 )
 
 
-def describe_causes(names: Sequence[str]) -> str:
-    """Return the names of effects as words."""
-    return " and ".join(name.replace("_", " ") for name in names) or "none"
-
-
 @dataclass(frozen=True)
 class Explanation(Estimate):
     """An estimate with the causes that explain surprising trials.

@@ -57,6 +57,11 @@ def readable_name(name: str) -> str:
     return name.replace("_", " ")
 
 
+def describe_causes(names: Sequence[str]) -> str:
+    """Write the names of effects that act together for people."""
+    return " and ".join(map(readable_name, names)) or "none"
+
+
 def mad_sigma(values: np.ndarray, axis: int | None = None) -> np.ndarray:
     """Estimate the standard deviation about zero from the median magnitude.
 

@@ -17,7 +17,6 @@ from stringcast.data.artifacts import (
     Surprise,
     Trial,
     TrialSet,
-    describe_causes,
 )
 from stringcast.pipeline.modes.stepwise import Stepwise, refuse_trials
 from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
@@ -28,6 +27,7 @@ from stringcast.pipeline.settings.composition import Settings
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import require_allowed
 from stringcast.stages.align.correction import transform_to_arm_frame
+from stringcast.stages.common import describe_causes
 from stringcast.stages.entry_points import DRY_RUNS
 from stringcast.stages.extract.reading_report import (
     count_frames_read,

@@ -126,7 +126,7 @@ class Iteration:
 
     @property
     def observation(self) -> Observation:
-        """Its trial with the points that were made last."""
+        """The trial with the points that were made last."""
         trial, points = self.find(Trial), self.find(Points)
         assert trial is not None
         assert points is not None

@@ -27,7 +27,7 @@ import pandas as pd
 from scipy.special import ndtr
 
 from stringcast.data.artifacts import COMMANDS, CONTROL_POINTS, PREDICTED_STRINGS
-from stringcast.stages.common import readable_name, rms
+from stringcast.stages.common import describe_causes, rms
 from stringcast.stages.diagnose.candidate_motions import (
     DesignSettings,
     sample_motions_within_limits,
@@ -92,7 +92,7 @@ class Rivals:
 
     @cached_property
     def remainder_m(self) -> float:
-        """What the likeliest leaves unexplained at the tips, root mean square [m]."""
+        """The misfit at the tips that the likeliest leaves, root mean square [m]."""
         likeliest = next(iter(self.fits.values()))
         return rms(unexplained_tip_rms(self.data, likeliest))
 
@@ -260,14 +260,12 @@ def _experiment_document(
 
     sentence = f"Of {motions} motions within the arm's limits, "
     if inseparable:
-        pairs = "; ".join(
-            " and ".join(map(readable_name, pair)) for pair in inseparable
-        )
+        pairs = "; ".join(describe_causes(pair) for pair in inseparable)
         sentence += (
             f"none distinguishes all of them; the best one leaves alike: {pairs}."
         )
     else:
-        between = " and ".join(map(readable_name, names))
+        between = describe_causes(names)
         sentence += (
             f"one distinguishes {between} with a probability of "
             f"{summary['probability_to_decide']:.2f}; repeating trial "

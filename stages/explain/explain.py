@@ -26,9 +26,8 @@ from stringcast.data.artifacts import (
     Estimate,
     Explanation,
     Observation,
-    describe_causes,
 )
-from stringcast.stages.common import Progress
+from stringcast.stages.common import Progress, describe_causes
 from stringcast.stages.diagnose.probabilities import PRIOR_NO_EFFECT
 from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.estimate.least_squares import estimate as fit_from_nothing

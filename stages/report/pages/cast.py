@@ -9,12 +9,8 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib import style
 
-from stringcast.data.artifacts import (
-    MIN_SHOWN_PROBABILITY,
-    Estimate,
-    Surprise,
-    describe_causes,
-)
+from stringcast.data.artifacts import MIN_SHOWN_PROBABILITY, Estimate, Surprise
+from stringcast.stages.common import describe_causes
 from stringcast.stages.extract.reading_report import describe_arm_misfit
 from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.parameter import Parameter
