@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import logsumexp
 
+NameT = TypeVar("NameT", str, tuple[str, ...])
 PRIOR_NO_EFFECT = 0.5  # probability that no effect of the library is active
 
 
 def effect_probabilities(
-    log_evidence: Mapping[str, np.ndarray], candidates: int
-) -> dict[str, float]:
+    log_evidence: Mapping[NameT, np.ndarray], candidates: int
+) -> dict[NameT, float]:
     """Compute the probability of each effect, and of none, from their evidence.
 
     Parameters
     ----------
-    log_evidence : mapping of str to numpy.ndarray, shape (samples,)
-        By name of the effect; that of none is empty.
+    log_evidence : mapping to numpy.ndarray, shape (samples,)
+        By name of the effect, or names of several; that of none is empty.
     candidates : int
         Number of effects that share the prior probability of one being active.
 
     Returns
     -------
-    dict of str to float
+    dict
         Means over the samples.
     """
     prior_of_each = (1 - PRIOR_NO_EFFECT) / candidates

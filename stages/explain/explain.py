@@ -28,7 +28,10 @@ from stringcast.data.artifacts import (
     Observation,
 )
 from stringcast.stages.common import Progress, describe_causes
-from stringcast.stages.diagnose.probabilities import PRIOR_NO_EFFECT
+from stringcast.stages.diagnose.probabilities import (
+    PRIOR_NO_EFFECT,
+    effect_probabilities,
+)
 from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.estimate.least_squares import estimate as fit_from_nothing
 from stringcast.stages.estimate.matching import Matching
@@ -382,14 +385,14 @@ def posterior_probabilities(
     Effects are active independently of each other before the trials.
     """
     prior_odds = (1 - PRIOR_NO_EFFECT) / candidates / PRIOR_NO_EFFECT
-    log_posterior = {}
+    log_evidence = {}
     for causes, each in compared.items():
-        log_posterior[causes] = each.log_evidence + len(causes) * np.log(prior_odds)
-    highest = max(log_posterior.values())
-    weights = {causes: np.exp(p - highest) for causes, p in log_posterior.items()}
-    total = sum(weights.values())
-    ranked = sorted(weights, key=lambda causes: -weights[causes])
-    return {causes: float(weights[causes] / total) for causes in ranked}
+        # that of one cause is counted in any case
+        further = max(len(causes) - 1, 0) * np.log(prior_odds)
+        log_evidence[causes] = np.array([each.log_evidence + further])
+    probabilities = effect_probabilities(log_evidence, candidates)
+    ranked = sorted(probabilities, key=lambda causes: -probabilities[causes])
+    return {causes: probabilities[causes] for causes in ranked}
 
 
 def decide(
