@@ -15,12 +15,15 @@ from stringcast.stages.model.effect import (
 class GravityDirection(StringEffect):
     """A rotation of gravity, counter-clockwise: the arm's base is not level.
 
+    A floor that slopes by more than 1 in 20 is a ramp (2010 ADA Standards, 403.3). The
+    range is twice that: a base stands off its floor no more than a floor off the level.
+
     The law is the acceleration to be added to the paper's weight.
     """
 
     name = "gravity_direction"
     parameters = (
-        Parameter("tilt", "rad", "angle of gravity from straight down", -0.3, 0.3, 0.0),
+        Parameter("tilt", "rad", "angle of gravity from straight down", -0.1, 0.1, 0.0),
     )
     reference = "Rotation of a vector"
     invariants = (vanishes_at_zero("acceleration", "sine", "versine"),)

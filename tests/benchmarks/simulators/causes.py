@@ -329,7 +329,7 @@ LIBRARY_CAUSES = (
     ),
     Cause(
         "gravity_direction",
-        grow("rod.gravity_x", -0.3 * 9.81, 0.3 * 9.81),
+        grow("rod.gravity_x", -0.1 * 9.81, 0.1 * 9.81),
         parameters=lambda settings: {
             "gravity_direction.tilt": float(np.arctan2(settings["rod.gravity_x"], 9.81))
         },
