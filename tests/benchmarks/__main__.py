@@ -26,6 +26,7 @@ STUDIES = {
     "learning": "casting.study.CastingStudy",
     "gain": "casting.study.CastingStudy",
     "adaptive": "casting.study.CastingStudy",
+    "worlds": "casting.study.CastingStudy",
     "forecast": "casting.study.CastingStudy",
     "measured": "measured.study.MeasuredStudy",
     "clocks": "clocks.study.ClocksStudy",

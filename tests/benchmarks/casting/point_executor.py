@@ -1,7 +1,7 @@
 """An executor that casts on the virtual lab and measures points without filming.
 
 This takes less time than filming. The lab's string differs from the model's (40 points,
-another integrator). Its arm has a velocity loop and repeats itself only approximately.
+another integrator), or a reference simulator moves it (`worlds.py`). Its arm has a velocity loop and repeats itself only approximately.
 Only the camera's picture is left out: points have the noise of extraction.
 """
 
@@ -28,6 +28,7 @@ from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Iteration, Step
 from stringcast.stages.execute.execute import pad_commands
 from stringcast.stages.hit_test import HitResult, hit_test
+from tests.benchmarks.casting.worlds import World
 
 TRUTH_STEP_S = 1e-3  # time step at which the true string is compared with the target
 MARKER_SPACING = 2  # every second point of the lab's string is measured
@@ -43,6 +44,8 @@ class PointExecutor:
         Settings and stages of the run.
     noise
         Standard deviation of a measured coordinate [m].
+    world
+        Reference simulator in place of the lab's string; None for the lab's string.
     seconds
         Processor time of each stage, by number of the cast and name of the stage.
     benches
@@ -51,6 +54,7 @@ class PointExecutor:
 
     experiment: Experiment
     noise: float
+    world: World | None = None
     seconds: dict[tuple[int, str], float] = field(default_factory=dict)
     benches: dict[int, VirtualBench] = field(default_factory=dict)
 
@@ -73,7 +77,10 @@ class PointExecutor:
         )
         arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
         performance = arm.perform(commands)
-        self.benches[step.number] = arm.bench
+        bench = arm.bench
+        self.benches[step.number] = (
+            bench if self.world is None else self.world.replace_string(bench)
+        )
         return Trial(
             performance.arm, performance.ticks, FRAMES.empty(), performance.link, []
         )

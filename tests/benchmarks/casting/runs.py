@@ -31,6 +31,7 @@ from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
 from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.hand import JointMotion
 from tests.benchmarks.casting.point_executor import PointExecutor
+from tests.benchmarks.casting.worlds import World
 
 Config = Mapping[str, Any]
 # casts on which prediction errors are measured, the same for all methods
@@ -83,9 +84,11 @@ def merge_change(block: Any, change: Any) -> Any:
 
 
 def run_casts(
-    config: Config, case: Config, method: Config, seed: int
+    config: Config, case: Config, method: Config, seed: int, world: World | None
 ) -> list[dict[str, Any]]:
     """Cast until the loop believes that a cast has hit; return a row for each cast.
+
+    `world` moves the string in place of the lab, unless it is None.
 
     The training casts of `casting.training` come first and are not counted; they are
     the same for all methods. A method with settings of a stage `diagnose` uses the
@@ -98,7 +101,8 @@ def run_casts(
     settings = run_settings(config, case, method, seed, study["casts"] + count)
     try:
         training_casts = perform_training(
-            PointExecutor(prepare_experiment(training, settings_file), noise), count
+            PointExecutor(prepare_experiment(training, settings_file), noise, world),
+            count,
         )
         if "diagnose" in method:
             diagnosis = prepare_experiment(
@@ -107,7 +111,7 @@ def run_casts(
             for block, value in diagnosed_model(diagnosis, training_casts).items():
                 settings[block] = merge_change(settings[block], value)
         experiment = prepare_experiment(settings, settings_file)
-        executor = PointExecutor(experiment, noise)
+        executor = PointExecutor(experiment, noise, world)
         if training_casts:
             # the last training cast keeps the estimate
             History(executor, training_casts).make_artifact(
@@ -197,9 +201,9 @@ def time_to_learn(executor: PointExecutor, number: int) -> float:
 
 
 def hidden_tip_shift(bench: VirtualBench, duration: float) -> float:
-    """Return the rms distance by which hidden effects move the tip in a cast [m].
+    """Return the rms distance by which hidden causes move the tip in a cast [m].
 
-    `duration` is that of its movement [s]. Effects of camera and clock count as well.
+    `duration` is that of its movement [s]. Those of camera and clock count as well.
     """
     t = np.arange(0, duration, REFERENCE_STEP_S)
     plain = replace(bench, specimen=replace(bench.specimen, hidden={}))
@@ -239,8 +243,13 @@ class ReferenceCasts:
         ]
         self.motion = JointMotion(0.0, arm.tick, angles[feasible], speeds[feasible])
         self.times = np.arange(0, REFERENCE_DURATION_S[1], REFERENCE_STEP_S)
-        values = np.repeat(bench.values, REFERENCE_CASTS, axis=0)
-        self.tips = bench.model.simulate_string(self.motion, values, self.times).tip
+        fine = np.arange(0, REFERENCE_DURATION_S[1], bench.servo.step)
+        performed, _ = curves.select(feasible).sample(bench.servo.step, fine[-1])
+        tips = []
+        for angles in performed:
+            cast = replace(bench, performed_motion=(fine, angles))
+            tips.append(cast.string_at(self.times)[:, -1])
+        self.tips = np.stack(tips)
 
     def prediction_error(self, values: Mapping[str, float]) -> float:
         """Return the rms distance of the predicted tip from the true one [m]."""

@@ -5,6 +5,8 @@ How many runs have hit after how many casts, and whether predicted chances hold.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 
@@ -12,6 +14,7 @@ from stringcast.data.schema import Column, Table
 from stringcast.pipeline.paper.scores import SHARE_COLUMNS, share_with_interval
 from stringcast.stages.explain.explain import NAMED_PROBABILITY
 from stringcast.stages.surprise.surprise import ALARM_P_VALUE
+from tests.benchmarks.simulators.causes import LIBRARY_CAUSES, OUTSIDE_CAUSES
 
 PROBABILITY_BINS = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0])
 TARGET_SHARE = 0.95  # share of the runs that must have hit
@@ -61,7 +64,7 @@ CASTS = Table(
         Column(
             "effects", "", "effects of the method's model beyond the paper's", "text"
         ),
-        Column("hidden", "", "effects that the lab hides", "text"),
+        Column("hidden", "", "causes that the world hides", "text"),
         Column(
             "hidden_shift",
             "m",
@@ -215,28 +218,45 @@ def count_calibration(casts: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows) if rows else CALIBRATION.empty()
 
 
+def right_names(hidden: Sequence[str]) -> set[str]:
+    """Return the names by which the library may call hidden causes."""
+    causes = {cause.name: cause for cause in (*LIBRARY_CAUSES, *OUTSIDE_CAUSES)}
+    names: set[str] = set()
+    for name in hidden:
+        if name not in causes:  # an effect that only the virtual lab hides
+            names.add(name)
+        elif not causes[name].outside:
+            names |= {name, *causes[name].alike}
+    return names
+
+
 def count_findings(casts: pd.DataFrame) -> pd.DataFrame:
     """Return table FINDINGS of table CASTS."""
     rows: list[dict[str, object]] = []
     searched = casts[casts["verdict"] != ""]
     for method, group in searched.groupby("method", sort=False):
         named = group["causes"].where(group["verdict"] == "cause", "")
-        is_right, is_false = [], []
+        is_known, is_right, is_false = [], [], []
         for causes, hidden in zip(named, group["hidden"], strict=True):
             names = set()
             for cause in causes.split():
                 name, _, probability = cause.partition("=")
                 if float(probability) >= NAMED_PROBABILITY:
                     names.add(name)
-            is_right.append(bool(names & set(hidden.split())))
-            is_false.append(bool(names - set(hidden.split())))
-        matters = (group["hidden_shift"] > SHIFT_THAT_MATTERS_M).to_numpy()
+            right = right_names(hidden.split())
+            is_known.append(bool(right))
+            is_right.append(bool(names & right))
+            is_false.append(bool(names - right))
+        moved = (group["hidden_shift"] > SHIFT_THAT_MATTERS_M).to_numpy()
+        matters = moved & np.array(is_known)
         alarm = group["p_value"] <= ALARM_P_VALUE
         tested = group["p_value"].notna()
         nothing = tested & (group["hidden"] == "")
         sure_miss = tested & (group["probability"] >= SURE_HIT) & ~group["hit"]
         counted = {
-            "a hidden cause that matters is named": pd.Series(is_right)[matters],
+            "a hidden cause of the library that matters is named": pd.Series(is_right)[
+                matters
+            ],
             "another cause is named": pd.Series(is_false),
             "a surprise where nothing is hidden": alarm[nothing],
             "no surprise at a miss that was hardly possible": ~alarm[sure_miss],

@@ -21,6 +21,7 @@ from stringcast.stages.model.parameter import parameter_values
 from tests.benchmarks.casting.pictures import draw_hits
 from tests.benchmarks.casting.runs import run_casts
 from tests.benchmarks.casting.scores import ALL_CASES, TABLES, score_casts
+from tests.benchmarks.casting.worlds import World
 from tests.benchmarks.study import Config, Study, StudyJob
 
 DRAW_STREAM = 7  # tells the numbers that draw strings from others of the same seed
@@ -49,7 +50,9 @@ class CastingSettings:
     the standard deviation of a measured coordinate [m]. `methods` and `cases` change
     settings. Each case is repeated with each set of effects in `hidden`, by name.
     Methods in `informed` know the hidden effects and their values. `draw_strings` has
-    every seed draw its string from the ranges of the parameters.
+    every seed draw its string from the ranges of the parameters. `simulator` names the
+    reference simulator that moves the string; then `hidden` holds causes of `causes.py`
+    with their settings. Without it the virtual lab does.
     """
 
     seeds: Count
@@ -63,16 +66,25 @@ class CastingSettings:
     hidden: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
     informed: list[str] = field(default_factory=list)
     draw_strings: bool = False
+    simulator: str | None = None
 
-    def cases_with_hidden(self) -> dict[str, dict[str, Any]]:
-        """Return the changes of settings by name of the case and of what is hidden."""
-        if not self.hidden:
-            return self.cases
-        cases = {}
+    def cases_with_hidden(self) -> list[tuple[str, dict[str, Any], World | None]]:
+        """Return name, changes of settings and world of each case with what is hidden.
+
+        The world is None for the virtual lab.
+        """
+        cases: list[tuple[str, dict[str, Any], World | None]] = []
         for name, case in self.cases.items():
-            for hidden, effects in self.hidden.items():
-                specimen = {**case.get("specimen", {}), "hidden": effects}
-                cases[f"{name}-{hidden}"] = {**case, "specimen": specimen}
+            if not self.hidden:
+                cases.append((name, case, None))
+            for hidden, causes in self.hidden.items():
+                if self.simulator is not None:
+                    world = World(self.simulator, causes)
+                    cases.append((f"{name}-{hidden}", case, world))
+                    continue
+                specimen = {**case.get("specimen", {}), "hidden": causes}
+                changed = {**case, "specimen": specimen}
+                cases.append((f"{name}-{hidden}", changed, None))
         return cases
 
 
@@ -80,7 +92,8 @@ class CastingSettings:
 class RunJob(StudyJob):
     """A case, a method and a seed.
 
-    `change` holds the settings of the case, and `config` those of the study.
+    `change` holds the settings of the case, and `config` those of the study. `world`
+    moves the string in place of the lab, unless it is None.
     """
 
     case: str
@@ -88,6 +101,7 @@ class RunJob(StudyJob):
     seed: int
     change: Mapping[str, Any]
     config: Mapping[str, Any]
+    world: World | None = None
 
     @property
     def name(self) -> str:
@@ -97,7 +111,7 @@ class RunJob(StudyJob):
     def __call__(self) -> list[dict[str, Any]]:
         """Return a row for each cast."""
         method = self.config["casting"]["methods"][self.method]
-        rows = run_casts(self.config, self.change, method, self.seed)
+        rows = run_casts(self.config, self.change, method, self.seed, self.world)
         return [row | {"code": code_state()["commit"]} for row in rows]
 
 
@@ -140,7 +154,7 @@ class CastingStudy(Study):
         )
         jobs = []
         for seed in range(settings.first, settings.first + settings.seeds):
-            for name, case in settings.cases_with_hidden().items():
+            for name, case, world in settings.cases_with_hidden():
                 drawn = (
                     draw_string(config, case, seed) if settings.draw_strings else case
                 )
@@ -148,7 +162,7 @@ class CastingStudy(Study):
                     change = (
                         tell_hidden(drawn) if method in settings.informed else drawn
                     )
-                    jobs.append(RunJob(name, method, seed, change, config))
+                    jobs.append(RunJob(name, method, seed, change, config, world))
         return jobs
 
     def tables(
