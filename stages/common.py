@@ -53,7 +53,7 @@ def partial_progress(progress: Progress, number: int, count: int) -> Progress:
 
 
 def readable_name(name: str) -> str:
-    """Write the name of an effect for people."""
+    """Write the name of an effect or a parameter for people."""
     return name.replace("_", " ")
 
 

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
+from stringcast.stages.common import readable_name
+
 NOT_KNOWN = "not known"
 DISPLAY_UNITS = {
     "s": (1e3, "ms"),
@@ -169,7 +171,7 @@ def flatten_settings(
 
 def effect_title(name: str) -> str:
     """Spell out the name of an effect or verdict, or several joined by ' + '."""
-    return VERDICT_NAMES.get(name, name.replace("_", " "))
+    return VERDICT_NAMES.get(name, readable_name(name))
 
 
 def join_names(names: Sequence[str], word: str = "and") -> str:

@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm, t
 
+from stringcast.stages.common import readable_name
+
 CONFIDENCE = 0.95  # of the intervals of means and rates
 # Fewer values have no interval: Student's is then wider than what is known beforehand.
 MIN_SEEDS = 5
@@ -103,7 +105,7 @@ CAST_OUTCOMES = (
 
 def parameter_outcome(name: str, unit: str) -> Outcome:
     """Describe an estimated parameter as an outcome on a logarithmic scale."""
-    return Outcome(name, name.replace("_", " "), unit, geometric_mean, axis="log")
+    return Outcome(name, readable_name(name), unit, geometric_mean, axis="log")
 
 
 def mean_response(

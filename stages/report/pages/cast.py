@@ -10,7 +10,7 @@ from markupsafe import Markup
 from matplotlib import style
 
 from stringcast.data.artifacts import MIN_SHOWN_PROBABILITY, Estimate, Surprise
-from stringcast.stages.common import describe_causes
+from stringcast.stages.common import describe_causes, readable_name
 from stringcast.stages.extract.reading_report import describe_arm_misfit
 from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.parameter import Parameter
@@ -244,7 +244,7 @@ def _parameters_section(record: RunRecord) -> Section:
     if len(record.estimates) > 1:
         pictures = []
         for parameter in parameters:
-            name = bold_text(parameter.name.replace("_", " "))
+            name = bold_text(readable_name(parameter.name))
             caption = Markup("{} {} <span>[{}]</span>").format(
                 symbol_markup(parameter.symbol), name, unit_markup(parameter.unit)
             )
@@ -273,7 +273,7 @@ def _parameter_row(parameter: Parameter, row: pd.Series) -> list[Any]:
         determined += ", at the end of its range"
     searched = f"{format_value(row['minimum'])} to {format_value(row['maximum'])}"
     return [
-        Cell(parameter.name.replace("_", " "), title=parameter.meaning),
+        Cell(readable_name(parameter.name), title=parameter.meaning),
         symbol_markup(parameter.symbol),
         *number_cells([value, interval, searched]),
         unit_markup(parameter.unit),
