@@ -44,6 +44,9 @@ from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import Effect
 
 BOOTSTRAP_SAMPLES = 100  # probabilities are then known to 0.05
+# Of 42 causes on which trials agreed while misfit remained, 4 were none: something
+# outside the library does about the same in all trials
+STAND_IN_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,11 @@ class SingleEffectPosterior:
     probabilities: Mapping[str, float]
     fits: Mapping[str, Fit]
     fit_without: Fit
+
+    @property
+    def presence(self) -> float:
+        """Probability that any cause is in the place."""
+        return 1 - self.probabilities.get("", 0.0)
 
     @property
     def ranked_causes(self) -> list[str]:
@@ -348,6 +356,7 @@ def limit_by_agreement(
 
     The evidence of a model that lacks something is too sure of itself. Then a cause is
     at most as probable as by the scatter of its estimates between trials (`agreement`).
+    What the trials agree on may still be a stand-in for something outside the library.
 
     Parameters
     ----------
@@ -378,6 +387,7 @@ def limit_by_agreement(
             candidates,
             min_tip_shift_m,
         )
+        limit *= 1 - STAND_IN_SHARE
         by_cause.append(_limit_presence(posterior, limit, misfit_probability))
     return replace(posteriors, by_cause=tuple(by_cause))
 
@@ -388,7 +398,7 @@ def _limit_presence(
     misfit_probability: float,
 ) -> SingleEffectPosterior:
     """Limit the probability that any cause is there, with some probability."""
-    presence = 1 - posterior.probabilities.get("", 0.0)
+    presence = posterior.presence
     if presence <= limit:
         return posterior
     limited = (1 - misfit_probability) * presence + misfit_probability * limit

@@ -31,13 +31,15 @@ The **verdict** names the accepted causes only if all of these pass:
 =========================  =========================================================
 `can_be_simulated`         no trial diverges with the fitted parameters
 `can_be_confirmed`         there is a second trial
-`explains_enough`          the causes remove `min_explained_fraction` of the misfit
+`explains_enough`          the causes remove `min_explained_fraction` of the misfit;
+                           if misfit remains, they make it smaller
 `predicts_better`          the extended model predicts trials that it was not fitted
-                           to better; if misfit remains, it removes
-                           `min_explained_fraction` of their misfit
+                           to better; if misfit remains, their tips are closer
 =========================  =========================================================
 
-If misfit remains, the verdict on the named causes is `partial`.
+If misfit remains, the verdict on the named causes is `partial`. How much they explain
+then says how large they are beside what is missing, and not whether they are there:
+that their effect is the same in all trials does (`trials_agree`).
 "Misfit remains" (`misfit_remains`) if the tip of some trial is off by more than
 `tip_tolerance_m` with a probability above one half.
 """
@@ -119,7 +121,8 @@ class VerdictNumbers:
     causes : tuple of str
         Causes that were accepted.
     credible_sets : tuple of tuple of str
-        For each accepted cause, the effects that explain the trials as well.
+        For each place that more likely holds a cause than not, the effects that explain
+        the trials about equally well.
     inclusion_probability : dict
         Probability that each effect is active.
     diverged : bool
@@ -295,14 +298,19 @@ def can_be_confirmed(numbers: VerdictNumbers) -> bool:
 
 
 def explains_enough(numbers: VerdictNumbers, criteria: Criteria) -> bool:
-    """Whether the accepted causes remove enough of the base model's misfit."""
+    """Whether the accepted causes remove enough of the base model's misfit.
+
+    If misfit remains, something outside the library may do more than the causes.
+    """
+    if misfit_remains(numbers.misfit_probability):
+        return numbers.explained_fraction > 0
     return numbers.explained_fraction >= criteria.min_explained_fraction
 
 
-def predicts_better(numbers: VerdictNumbers, criteria: Criteria) -> bool:
+def predicts_better(numbers: VerdictNumbers) -> bool:
     """Whether the accepted causes help to predict trials that were not fitted."""
     if not numbers.heldout_is_closer:
         return False
     if not misfit_remains(numbers.misfit_probability):
         return True
-    return numbers.heldout_explained_fraction >= criteria.min_explained_fraction
+    return numbers.heldout_explained_fraction > 0

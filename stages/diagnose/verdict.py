@@ -71,7 +71,7 @@ class Verdict:
 
 def decide_verdict(numbers: VerdictNumbers, criteria: Criteria) -> Verdict:
     """Name causes that explain the trials and that other trials confirm."""
-    return require_confirmation(name_causes(numbers, criteria), numbers, criteria)
+    return require_confirmation(name_causes(numbers, criteria), numbers)
 
 
 def name_causes(numbers: VerdictNumbers, criteria: Criteria) -> Verdict:
@@ -80,9 +80,9 @@ def name_causes(numbers: VerdictNumbers, criteria: Criteria) -> Verdict:
         remark = "A trial cannot be simulated with the parameters that fit the others."
         return Verdict("insufficient", numbers.misfit_probability, remark=remark)
 
-    if numbers.causes and explains_enough(numbers, criteria):
+    named = dict.fromkeys(chain(*numbers.credible_sets))
+    if numbers.causes and named and explains_enough(numbers, criteria):
         groups = tuple(group for group in numbers.credible_sets if len(group) > 1)
-        named = dict.fromkeys(chain(*numbers.credible_sets))
         kind = "ambiguous" if groups else "effect"
         if misfit_remains(numbers.misfit_probability):
             kind = "partial"
@@ -96,11 +96,7 @@ def name_causes(numbers: VerdictNumbers, criteria: Criteria) -> Verdict:
     return Verdict("none", numbers.base_misfit_probability)
 
 
-def require_confirmation(
-    verdict: Verdict,
-    numbers: VerdictNumbers,
-    criteria: Criteria,
-) -> Verdict:
+def require_confirmation(verdict: Verdict, numbers: VerdictNumbers) -> Verdict:
     """Withdraw causes that no other trial confirms, or that predict none better."""
     causes = verdict.causes
     # A mesh is too coarse whatever other trials say
@@ -110,7 +106,7 @@ def require_confirmation(
     if not can_be_confirmed(numbers):
         remark = _single_trial_remark(numbers)
         return Verdict("insufficient", verdict.misfit_probability, remark=remark)
-    if causes and not predicts_better(numbers, criteria):
+    if causes and not predicts_better(numbers):
         remark = (
             "The best explanation of these trials does not predict trials left out."
         )
@@ -200,8 +196,9 @@ def measure_verdict_numbers(
     causes = fit.hypothesis.cause_names
     credible_sets = []
     for posterior in posteriors.by_cause:
-        credible = posterior.credible_set(criteria.coverage)
-        credible_sets.append(tuple(filter(None, credible)))
+        if posterior.presence > 0.5:
+            credible = posterior.credible_set(criteria.coverage)
+            credible_sets.append(tuple(filter(None, credible)))
     numbers = VerdictNumbers(
         trials=len(data.trials),
         causes=causes,

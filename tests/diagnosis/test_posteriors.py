@@ -361,18 +361,25 @@ def test_causes_are_no_likelier_than_trials_agree_if_the_model_lacks_something(
 ):
     """The odds are then the trials' Bayes factor times the prior odds of one cause."""
     certain = {"a": 0.9, "b": 0.1, "": 0.0}
+    there = 0.75 * (1 - posteriors.STAND_IN_SHARE)
     found = limited(monkeypatch, certain, np.log(150), 1.0)
-    assert found == pytest.approx({"a": 0.9 * 0.75, "b": 0.1 * 0.75, "": 0.25})
+    assert found == pytest.approx({"a": 0.9 * there, "b": 0.1 * there, "": 1 - there})
 
     halfway = limited(monkeypatch, certain, np.log(150), 0.5)
-    assert halfway[""] == pytest.approx(0.125)
+    assert halfway[""] == pytest.approx((1 - there) / 2)
+
+
+def test_no_cause_is_certain_while_misfit_remains(monkeypatch):
+    """Something outside the library may do about the same in all trials."""
+    found = limited(monkeypatch, {"a": 1.0, "": 0.0}, 30.0, 1.0)
+    assert found["a"] == pytest.approx(1 - posteriors.STAND_IN_SHARE)
 
 
 @pytest.mark.parametrize(("log_bayes_factor", "misfit"), [(-3.0, 0.0), (30.0, 1.0)])
-def test_probabilities_stay_if_nothing_is_lacking_or_all_trials_agree(
+def test_probabilities_stay_if_nothing_is_lacking_or_they_are_lower(
     monkeypatch, log_bayes_factor, misfit
 ):
-    given = {"a": 0.9, "": 0.1}
+    given = {"a": 0.8, "": 0.2}
     found = limited(monkeypatch, given, log_bayes_factor, misfit)
     assert found == pytest.approx(given)
 

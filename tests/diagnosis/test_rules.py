@@ -161,16 +161,21 @@ def test_the_median_trial_and_the_tips_decide_on_prediction(gains, explained, he
 
 
 def test_half_is_enough_to_explain_and_not_enough_to_be_off():
-    half = VerdictNumbers(2, misfit_probability=0.6)
-    half = replace(half, explained_fraction=0.5, heldout_explained_fraction=0.5)
+    half = VerdictNumbers(2, misfit_probability=0.5, explained_fraction=0.5)
     assert rules.explains_enough(half, CRITERIA)
-    assert rules.predicts_better(half, CRITERIA)
-    assert not rules.predicts_better(
-        replace(half, heldout_explained_fraction=0.49), CRITERIA
-    )
+    assert not rules.explains_enough(replace(half, explained_fraction=0.49), CRITERIA)
+    assert rules.predicts_better(replace(half, heldout_explained_fraction=-0.1))
     assert not rules.misfit_remains(0.5)
     assert rules.misfit_remains(0.51)
     assert rules.can_be_confirmed(half)
+
+
+@pytest.mark.parametrize(("fraction", "counts"), [(0.01, True), (0.0, False)])
+def test_what_is_missing_may_be_larger_than_the_causes(fraction, counts):
+    numbers = VerdictNumbers(2, misfit_probability=0.6, explained_fraction=fraction)
+    numbers = replace(numbers, heldout_explained_fraction=fraction)
+    assert rules.explains_enough(numbers, CRITERIA) is counts
+    assert rules.predicts_better(numbers) is counts
 
 
 def test_misfit_is_likely_if_the_worst_trial_is_mostly_off(monkeypatch):
@@ -199,7 +204,8 @@ def test_the_verdicts_numbers_compare_the_causes_with_the_base_model(
     base_fit = fit_of() if has_cause else fit
     tip_m = {id(fit): 0.5 * TOLERANCE_M, id(base_fit): TOLERANCE_M}
     posterior = SimpleNamespace(
-        credible_set=lambda coverage: ("wind", "", "tilt")[: int(100 * coverage)]
+        presence=0.8,
+        credible_set=lambda coverage: ("wind", "", "tilt")[: int(100 * coverage)],
     )
     prepared = SimpleNamespace(data=SimpleNamespace(trials=[1, 2, 3]))
     posteriors = SimpleNamespace(
@@ -221,6 +227,9 @@ def test_the_verdicts_numbers_compare_the_causes_with_the_base_model(
         base_misfit_probability=0.8 if has_cause else 0.2,
         explained_fraction=0.75 if has_cause else 0.0,
     )
+    posterior.presence = 0.5
+    numbers = verdict.measure_verdict_numbers(posteriors, 0.2, base_fit, CRITERIA, 0)
+    assert numbers.credible_sets == ()
     fit.has_diverged = True
     numbers = verdict.measure_verdict_numbers(posteriors, 0.2, base_fit, CRITERIA, 0)
     assert numbers.diverged

@@ -52,9 +52,21 @@ TABLE = {
         "partial",
         PAIR,
     ),
-    "misfit remains, explains too little": (
+    "misfit remains, explains little": (
         FOUND,
-        {"misfit_probability": 0.6, "explained_fraction": 0.49},
+        {"misfit_probability": 0.6, "explained_fraction": 0.05},
+        "partial",
+        ("wind",),
+    ),
+    "misfit grows": (
+        FOUND,
+        {"misfit_probability": 0.6, "explained_fraction": -0.05},
+        "unknown",
+        (),
+    ),
+    "no place holds a cause": (
+        FOUND,
+        {"misfit_probability": 0.6, "credible_sets": ()},
         "unknown",
         (),
     ),
@@ -67,11 +79,13 @@ TABLE = {
     ),
     "misfit remains, predicts little": (
         FOUND,
-        {
-            "misfit_probability": 0.6,
-            "explained_fraction": 0.95,
-            "heldout_explained_fraction": 0.4,
-        },
+        {"misfit_probability": 0.6, "heldout_explained_fraction": 0.05},
+        "partial",
+        ("wind",),
+    ),
+    "misfit remains, tips are farther": (
+        FOUND,
+        {"misfit_probability": 0.6, "heldout_explained_fraction": -0.05},
         "unknown",
         (),
     ),
