@@ -48,6 +48,7 @@ from stringcast.stages.diagnose.rules import (
     STRONG_LOG_EVIDENCE,
     Criteria,
     has_evidence,
+    is_evident,
     is_inside_range,
     is_needed,
     is_resolved,
@@ -118,12 +119,15 @@ class SelectionState:
         The choices on the way; the last one may have accepted nothing.
     set_aside : dict
         Causes that were accepted and then dropped, with the reason.
+    small : tuple of type of Effect
+        Causes in the fit that moved the tip too little to report when they entered.
     """
 
     prepared: PreparedData
     fit: Fit
     steps: Sequence[SelectionStep] = ()
     set_aside: Mapping[str, str] = field(default_factory=dict)
+    small: tuple[type[Effect], ...] = ()
 
     @cached_property
     def predictions(self) -> list[TrialPrediction]:
@@ -150,12 +154,16 @@ def select_causes(
     trials left out do not confirm.
     """
     for number in range(len(state.fit.hypothesis.causes), criteria.max_causes):
-        step = compare_candidates(state.prepared, state.fit, effects, criteria, seed)
-        state = replace(state, steps=(*state.steps, step))
+        rng = np.random.default_rng([seed, number])
+        state = _add_step(state, effects, criteria, seed)
+        if _hides_others(state, criteria):
+            small = _add_small_cause(state, criteria, rng, starts)
+            small = _add_step(small, effects, criteria, seed)
+            state = small if small.steps[-1].accepted else state
+        step = state.steps[-1]
         if step.best is None or not step.accepted:
             state = _set_aside_if_small(state, step, criteria)
             break
-        rng = np.random.default_rng([seed, number])
         state = add_cause(state, step.best, criteria, rng, starts)
         state = drop_redundant_causes(state, step.best, criteria)
         name = step.best.hypothesis.cause_names[-1]
@@ -163,6 +171,47 @@ def select_causes(
         log.info("accepted: %s, log evidence %+.1f", name, gain)
         yield state
     yield drop_unconfirmed_causes(state, criteria, len(effects))
+
+
+def _add_step(
+    state: SelectionState,
+    effects: Sequence[type[Effect]],
+    criteria: Criteria,
+    seed: int,
+) -> SelectionState:
+    """Compare all candidates for one more cause."""
+    step = compare_candidates(state.prepared, state.fit, effects, criteria, seed)
+    return replace(state, steps=(*state.steps, step))
+
+
+def _hides_others(state: SelectionState, criteria: Criteria) -> bool:
+    """Whether the best cause of the last step is evident, small, and not alone.
+
+    What moves the tip less than counts may be more evident than what moves it more,
+    such as a small offset of the clocks in fast motions.
+    """
+    data = state.prepared.data
+    step = state.steps[-1]
+    if step.best is None or moves_tip_enough(data, step.parent, step.best, criteria):
+        return False
+    if unexplained_tip_rms(data, step.best).max() < criteria.tip_tolerance_m:
+        return False
+    return is_evident(data, step.parent, step.best, criteria)
+
+
+def _add_small_cause(
+    state: SelectionState,
+    criteria: Criteria,
+    rng: np.random.Generator,
+    starts: int,
+) -> SelectionState:
+    """Add the best cause of the last step, so that others are sought besides it."""
+    best = state.steps[-1].best
+    assert best is not None
+    cause = best.hypothesis.causes[-1]
+    log.info("%s is small; others are sought in addition to it", cause.name)
+    state = add_cause(state, best, criteria, rng, starts)
+    return replace(state, small=(*state.small, cause))
 
 
 def _set_aside_if_small(
@@ -175,12 +224,19 @@ def _set_aside_if_small(
     best = step.best
     if best is None or not has_evidence(step.parent, best, criteria):
         return state
-    if moves_tip_enough(data, step.parent, best, criteria):
+    reason = _reason_if_small(data, step.parent, best, criteria)
+    if not reason:
         return state
-    shift_mm = MM_PER_M * tip_shift_rms(data, step.parent, best).max()
-    reason = f"small: it moves the tip by {shift_mm:.1f} mm, less than the tolerance"
     name = best.hypothesis.cause_names[-1]
     return replace(state, set_aside={**state.set_aside, name: reason})
+
+
+def _reason_if_small(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> str:
+    """Say by how little a fit moves the tip from its parent, or nothing."""
+    if moves_tip_enough(data, parent, fit, criteria):
+        return ""
+    shift_mm = MM_PER_M * tip_shift_rms(data, parent, fit).max()
+    return f"small: it moves the tip by {shift_mm:.1f} mm, less than the tolerance"
 
 
 def compare_candidates(
@@ -376,8 +432,9 @@ def add_cause(
         trials = len(prepared.discretisation_uncertainty_m)
         is_better = refined.fit.log_evidence > fit.log_evidence
         if is_better and is_resolved(refined.prepared, prepared, criteria, trials):
-            return SelectionState(refined.prepared, refined.fit, steps)
-    return SelectionState(prepared, fit, steps)
+            prepared = refined.prepared
+            fit = refined.fit
+    return replace(state, prepared=prepared, fit=fit, steps=steps)
 
 
 def _refit_step(data: TrialData, step: SelectionStep) -> SelectionStep:
@@ -446,9 +503,14 @@ def drop_unconfirmed_causes(
     candidates: number of effects that share the prior probability of one being active.
     """
     for cause in reversed(state.fit.hypothesis.causes):
+        data = state.prepared.data
         hypothesis = state.fit.hypothesis.without_cause(cause)
-        without = replace(state, fit=refit(state.prepared.data, state.fit, hypothesis))
-        reason = _reason_to_set_aside(state, without, cause, criteria, candidates)
+        without = replace(state, fit=refit(data, state.fit, hypothesis))
+        reason = ""
+        if cause in state.small:
+            reason = _reason_if_small(data, without.fit, state.fit, criteria)
+        if not reason:
+            reason = _reason_to_set_aside(state, without, cause, criteria, candidates)
         if reason:
             log.info("%s is set aside: %s", cause.name, reason)
             reasons = {**state.set_aside, cause.name: reason}

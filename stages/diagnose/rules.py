@@ -218,9 +218,14 @@ def survives_leave_one_out(
 
 def is_supported(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> bool:
     """Whether the last cause of a fit is accepted in addition to its parent's."""
+    return moves_tip_enough(data, parent, fit, criteria) and is_evident(
+        data, parent, fit, criteria
+    )
+
+
+def is_evident(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> bool:
+    """Whether trials support the last cause of a fit, however little it does."""
     if not has_evidence(parent, fit, criteria) or fit.has_diverged:
-        return False
-    if not moves_tip_enough(data, parent, fit, criteria):
         return False
     cause = fit.hypothesis.causes[-1]
     touched = trials_touched_by(data, fit, cause, criteria.tip_tolerance_m)

@@ -345,6 +345,69 @@ def test_an_evident_cause_below_the_tolerance_is_set_aside(
     assert state.set_aside == ({"wind": reason} if reason else {})
 
 
+def fit_with(*causes):
+    """Stand in for a fit with these causes, more evident with each."""
+    hypothesis = SimpleNamespace(
+        causes=causes, cause_names=tuple(cause.name for cause in causes)
+    )
+    hypothesis.without_cause = lambda cause: (
+        fit_with(*(other for other in causes if other is not cause)).hypothesis
+    )
+    return SimpleNamespace(hypothesis=hypothesis, log_evidence=100.0 * len(causes))
+
+
+@pytest.mark.parametrize(
+    ("misfit_m", "further", "found"),
+    [
+        (5e-3, True, ("angle",)),
+        (5e-3, False, ()),  # nothing is accepted in addition to it
+        (1e-3, True, ()),  # nothing is left to explain
+    ],
+)
+def test_a_small_cause_does_not_hide_a_larger_one(
+    misfit_m, further, found, monkeypatch
+):
+    """An offset of the clocks by 0.7 ms was more evident than a turned grasp."""
+    offset = SimpleNamespace(name="offset")
+    angle = SimpleNamespace(name="angle")
+
+    def compare(prepared, parent, effects, criteria, seed):
+        causes = parent.hypothesis.causes
+        if angle in causes:
+            return SelectionStep(parent, (), ())
+        added = angle if offset in causes else offset
+        best = fit_with(*causes, added)
+        return SelectionStep(parent, (), (best,), accepted=added is angle and further)
+
+    def shift_m(data, one, other):
+        has_angle = [angle in fit.hypothesis.causes for fit in (one, other)]
+        return np.array([5e-3 if has_angle[0] != has_angle[1] else 1.3e-3])
+
+    def add(state, best, *given):
+        return replace(state, fit=best)
+
+    def refit(data, fit, hypothesis):
+        return fit_with(*hypothesis.causes)
+
+    monkeypatch.setattr(forward_selection, "compare_candidates", compare)
+    monkeypatch.setattr(forward_selection, "add_cause", add)
+    monkeypatch.setattr(forward_selection, "refit", refit)
+    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
+    monkeypatch.setattr(forward_selection, "is_evident", lambda *given: True)
+    monkeypatch.setattr(forward_selection, "_reason_to_set_aside", lambda *given: "")
+    for module in (forward_selection, rules):
+        monkeypatch.setattr(module, "tip_shift_rms", shift_m)
+    monkeypatch.setattr(
+        forward_selection, "unexplained_tip_rms", lambda *given: np.array([misfit_m])
+    )
+    state = SelectionState(SimpleNamespace(data=None), fit_with())
+    *_, state = forward_selection.select_causes(state, (), CRITERIA, 0, 2)
+    assert state.fit.hypothesis.cause_names == found
+    assert state.set_aside == {
+        "offset": "small: it moves the tip by 1.3 mm, less than the tolerance"
+    }
+
+
 def test_causes_found_before_begin_at_the_same_values_in_other_ranges(arm, monkeypatch):
     """With one trial more, the data may ask for a wider range of the base model."""
     wind = effects_by_name()["wind"]
