@@ -80,6 +80,14 @@ MOTION_OUTCOME = Table(
     likeness [1] (optional): correlation of the tip's error with that of the last
         cast at t_hit, where there was a last cast
     correction [m] (optional): distance by which that error moves the tip at t_hit
+    limit (text, optional): what makes a hit unlikely, where it is: uncertainty,
+        obstacle or arm
+    likely_x [m] (optional): centre of the nearest box that a motion is likely to hit
+    likely_y [m] (optional): the same
+    likely_chance [1] (optional): predicted probability of this hit
+    tip_sd [m] (optional): uncertainty of the tip at the target after this cast
+    taught_sd [m] (optional): the same after the most informative motion that was tried
+    prospects (text, optional): these in sentences; empty where a hit is likely
     """),
 )
 
@@ -99,7 +107,7 @@ PREDICTED_TIPS = Table(
 def outcome_without_target(duration: float, tried: int) -> pd.DataFrame:
     """Return table MOTION_OUTCOME of a motion without a target."""
     names = [column.name for column in MOTION_OUTCOME.columns]
-    row = {"duration": duration, "tried": tried}
+    row = {"duration": duration, "tried": tried, "limit": "", "prospects": ""}
     return MOTION_OUTCOME.check(pd.DataFrame([row], columns=names))
 
 

@@ -113,10 +113,18 @@ class Cast(Stepwise):
             if iteration.refusal_reason and history.lacking_input(name):
                 continue  # what was not learned is not used
             if not collected:
-                history.make_artifact(name)
+                artifact = history.make_artifact(name)
+                if isinstance(artifact, Motion):
+                    log_prospects(iteration.number, artifact)
             elif not iteration.refusal_reason:
                 trials = trials_for_estimation(experiment, history, name)
                 history.make_artifact(name, **{collected: trials})
+
+
+def log_prospects(cast: int, motion: Motion) -> None:
+    """Log why the motion of a cast is likely to miss, if it is."""
+    if prospects := motion.outcome.iloc[0].get("prospects"):
+        log.warning("cast %d: %s", cast, prospects)
 
 
 def measure_hit(

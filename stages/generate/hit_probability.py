@@ -197,7 +197,31 @@ def _predict_batch(
     task: CastTask, curves: Curves, samples: UncertaintySamples
 ) -> CastOutcome:
     """Simulate all motions under all samples at once."""
-    angles, points = simulate_motions(task, curves, samples)
+    return judge_motions(
+        task, curves, samples, *simulate_motions(task, curves, samples)
+    )
+
+
+def judge_motions(
+    task: CastTask,
+    curves: Curves,
+    samples: UncertaintySamples,
+    angles: np.ndarray,
+    points: np.ndarray,
+) -> CastOutcome:
+    """Judge how near M simulated motions come to the target under K samples.
+
+    Parameters
+    ----------
+    task : CastTask
+        Target and obstacles.
+    curves : Curves
+        The motions.
+    samples : UncertaintySamples
+        The samples.
+    angles, points : array
+        As `simulate_motions` returns them.
+    """
     shape = (len(curves.duration), len(samples))
     end = (curves.duration[:, None] - samples.lag).ravel()
     times = np.arange(points.shape[1]) * task.model.arm.tick

@@ -14,7 +14,13 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from stringcast.data.artifacts import ATTEMPTS, PREDICTED_TIPS, Estimate, Motion
+from stringcast.data.artifacts import (
+    ATTEMPTS,
+    MOTION_OUTCOME,
+    PREDICTED_TIPS,
+    Estimate,
+    Motion,
+)
 from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.common import Progress, SettingsGroup, partial_progress
 from stringcast.stages.generate.curves import Curves, join_curves
@@ -32,6 +38,11 @@ from stringcast.stages.generate.hit_probability import (
     simulate_motions,
 )
 from stringcast.stages.generate.learning import predictive_sd
+from stringcast.stages.generate.prospects import (
+    UNLIKELY_HIT,
+    describe_prospects,
+    find_prospects,
+)
 from stringcast.stages.generate.race import race_motions, sample_feasible_motions
 from stringcast.stages.generate.refine import MotionSpace, refine_motions
 from stringcast.stages.generate.repeated_misfit import find_repeated_misfit
@@ -180,12 +191,20 @@ def generate(
         task, candidates, draw_samples(search.string_samples), search.exploration
     )
     progress(1.0)
-    return build_motion_artifact(
+    validation = draw_samples(search.validation)
+    motion = build_motion_artifact(
         task,
         candidates.select(np.array([best])),
-        draw_samples(search.validation),
+        validation,
         sum(result.tried for result in results),
     )
+    if motion.outcome["chance"].iloc[0] >= UNLIKELY_HIT:
+        return motion
+    prospects = find_prospects(task, candidates, best, samples, validation)
+    outcome = motion.outcome.assign(**prospects)
+    sentences = describe_prospects(outcome.iloc[0])
+    outcome = MOTION_OUTCOME.check(outcome.assign(prospects=sentences))
+    return replace(motion, outcome=outcome)
 
 
 def _choose_motion(

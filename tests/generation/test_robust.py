@@ -34,6 +34,7 @@ from stringcast.stages.generate.hit_probability import (
     simulate_motions,
 )
 from stringcast.stages.generate.learning import predictive_sd
+from stringcast.stages.generate.prospects import describe_prospects, find_prospects
 from stringcast.stages.generate.robust import build_motion_artifact
 from stringcast.stages.generate.uncertainty_samples import (
     PlanningUncertainty,
@@ -404,6 +405,7 @@ def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
     told = motion.outcome.iloc[0]
     assert (told["chance"], told["chance_low"]) == (0.0, pytest.approx(0.0))
     assert told["chance_high"] > 0.2
+    assert told["prospects"].startswith("A hit is unlikely (probability 0.00): ")
     assert first.outcome["tried"].iloc[0] == told["tried"]
     # with the string known, the search was repeated once more
     assert again.outcome["tried"].iloc[0] > 1.5 * told["tried"]
@@ -461,3 +463,59 @@ def test_a_wish_makes_a_hit_less_likely_and_no_motion_nearer(model, blind):
     assert (wished.hit <= plain.hit).all()
     assert (wished.distance >= plain.distance).all()
     assert wished.hit.sum() < plain.hit.sum()
+
+
+def prospects(task, curves, draws):
+    """Find the prospects of the first motion, and describe them as a run does."""
+    found = find_prospects(task, curves, 0, draws, draws)
+    target = task.target
+    row = {"chance": 0.0, "target_x": target.x, "target_y": target.y}
+    return found, describe_prospects(pd.Series(row | found))
+
+
+def test_of_a_target_that_no_motion_reaches_the_nearest_box_is_stated(model):
+    """The stated box is hit, and lies where the tip comes nearest to the target."""
+    draws = sample_uncertainty(model, known(SOFT), NONE, 4, np.random.default_rng(0))
+    swing = plain_cast(model.arm, 0.6)
+    nothing = CastTask(model, Target(0.0, 0.0, 0.02, 0.04), ())
+    tip = simulate_motions(nothing, swing, draws)[1][0, :, -1]
+    target = Target(float(tip[:, 0].max()) + 0.1, float(tip[-1, 1]), 0.02, 0.04)
+    task = replace(nothing, target=target)
+    found, sentence = prospects(task, swing, draws)
+    assert (found["limit"], found["likely_chance"]) == ("arm", 1.0)
+    box = replace(target, x=found["likely_x"], y=found["likely_y"])
+    assert predict_outcome(replace(task, target=box), swing, draws).hit.all()
+    distance = np.hypot(box.x - target.x, box.y - target.y)
+    assert distance == pytest.approx(target.distance_to_centre(tip).min(), abs=1e-9)
+    assert f"{1e3 * distance:.0f} mm away" in sentence
+
+
+def test_what_makes_a_hit_unlikely_is_stated(model):
+    """A motion hits one of two strings, another the other; both touch a wall.
+
+    Of a sure hit nothing is said.
+    """
+    two = known(SOFT, STIFF)
+    draws = sample_uncertainty(model, two, NONE, 8, np.random.default_rng(0))
+    quick = SETTINGS | {"motions": 100, "string_samples": 4, "validation": 20}
+    motions = [
+        likeliest(model, TARGET, (), None, known(string), seed=1, **quick)
+        for string in (STIFF, SOFT)
+    ]
+    for sure in motions:
+        assert sure.outcome["chance"].iloc[0] == 1.0
+        assert "prospects" not in sure.outcome
+    curves = join_curves([curves_from_motion(motion) for motion in motions])
+    task = CastTask(model, TARGET, ())
+    hits = predict_outcome(task, curves, draws).hit
+    assert hits.any(axis=0).all()
+    assert not hits[0].all()
+    found, sentence = prospects(task, curves, draws)
+    assert found["limit"] == "uncertainty"
+    assert found["taught_sd"] <= found["tip_sd"]
+    assert "by different motions" in sentence
+
+    around = Box(TARGET.x, TARGET.y, 4 * TARGET.w, 4 * TARGET.h)
+    found, sentence = prospects(replace(task, obstacles=(around,)), curves, draws)
+    assert found["limit"] == "obstacle"
+    assert "obstacle" in sentence

@@ -1,0 +1,156 @@
+"""What limits a cast that is likely to miss, what it could reach, and what would help.
+
+It is said before the cast. The nearest box that is likely to be hit is one of those in
+the way of a motion that was tried; a plan for that box may do better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from stringcast.stages.generate.curves import Curves
+from stringcast.stages.generate.hit_probability import (
+    CastTask,
+    judge_motions,
+    predict_outcome,
+    simulate_motions,
+)
+from stringcast.stages.generate.learning import predictive_sd
+from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
+from stringcast.stages.model.target import Target
+
+UNLIKELY_HIT = 0.5  # probability below which the reason is said
+LIKELY_HIT = 0.8
+MAX_BOXES = 200  # that are tried
+MIN_LEARNING_RATIO = 0.7  # of uncertainties: a gain that is worth a cast
+MM_PER_M = 1e3
+UNCERTAINTY, OBSTACLE, ARM = "uncertainty", "obstacle", "arm"
+REASONS = {
+    UNCERTAINTY: "most of the likely strings could hit, but by different motions",
+    OBSTACLE: "on the best motion found, most strings touch an obstacle first",
+    ARM: "no motion found within the arm's limits brings most of the likely strings "
+    "there",
+}
+
+
+def find_prospects(
+    task: CastTask,
+    candidates: Curves,
+    chosen: int,
+    samples: UncertaintySamples,
+    validation: UncertaintySamples,
+) -> dict[str, float | str]:
+    """Find what limits the chosen motion, what could be reached, and what would help.
+
+    Parameters
+    ----------
+    task : CastTask
+        Model, target and obstacles.
+    candidates : Curves
+        Motions that were tried.
+    chosen : int
+        Number of the motion that is cast.
+    samples, validation : UncertaintySamples
+        Samples of the uncertain quantities, and others by which nothing is chosen.
+
+    Returns
+    -------
+    dict
+        Columns of table MOTION_OUTCOME.
+    """
+    outcome = predict_outcome(task, candidates, samples)
+    misses = ~outcome.hit[chosen]
+    touched = misses & (outcome.free_share[chosen] < 1)
+    limit = ARM
+    if touched.sum() > misses.sum() / 2:
+        limit = OBSTACLE
+    elif outcome.hit.any(axis=0).mean() >= UNLIKELY_HIT:
+        limit = UNCERTAINTY
+    prospects: dict[str, float | str] = {"limit": limit}
+
+    for motion, box in likely_boxes(task, candidates, samples):
+        curve = candidates.select(np.array([motion]))
+        hits = predict_outcome(replace(task, target=box), curve, validation).hit
+        if hits.mean() >= LIKELY_HIT:
+            prospects["likely_x"], prospects["likely_y"] = box.x, box.y
+            prospects["likely_chance"] = float(hits.mean())
+            break
+
+    if limit == UNCERTAINTY:
+        tip_sd = predictive_sd(task, candidates, samples, chosen)
+        prospects["tip_sd"] = float(tip_sd[chosen])
+        prospects["taught_sd"] = float(tip_sd.min())
+    return prospects
+
+
+def likely_boxes(
+    task: CastTask, curves: Curves, samples: UncertaintySamples
+) -> Iterator[tuple[int, Target]]:
+    """Yield boxes that one of M motions is likely to hit, and the number of the motion.
+
+    Boxes lie around the typical tip at ticks at which the tips of many samples are near
+    it, no farther from the target than the string is long. The nearest are the first.
+    """
+    target = task.target
+    simulated = []
+    boxes = []  # distance from the target [m], number of the motion, centre [m]
+    for number in range(len(curves.duration)):
+        curve = curves.select(np.array([number]))
+        angles, points = simulate_motions(task, curve, samples)
+        simulated.append((curve, angles, points))
+        finite = np.isfinite(points).all(axis=(1, 2, 3))
+        if not finite.any():
+            continue
+        tips = points[finite, :, -1]  # (K, T, 2)
+        typical_tip = np.median(tips, axis=0)
+        distances = target.distance_to_centre(typical_tip)
+        near = (np.abs(tips - typical_tip) <= 2 * target.half_size).all(axis=-1)
+        is_dense = near.mean(axis=0) >= LIKELY_HIT / 2
+        is_close = distances <= task.model.string.length
+        for tick in np.flatnonzero(is_dense & is_close):
+            x, y = typical_tip[tick]
+            boxes.append((distances[tick], number, float(x), float(y)))
+    for _, number, x, y in sorted(boxes)[:MAX_BOXES]:
+        box = replace(target, x=x, y=y)
+        curve, angles, points = simulated[number]
+        moved = replace(task, target=box)
+        hits = judge_motions(moved, curve, samples, angles, points).hit
+        if hits.mean() >= LIKELY_HIT:
+            yield number, box
+
+
+def describe_prospects(outcome: pd.Series) -> str:
+    """Describe why a motion is likely to miss, and what would hit or help.
+
+    Parameters
+    ----------
+    outcome : Series
+        The row of table MOTION_OUTCOME, with the columns of `find_prospects`.
+    """
+    chance, reason = outcome["chance"], REASONS[outcome["limit"]]
+    sentences = [f"A hit is unlikely (probability {chance:.2f}): {reason}."]
+    if np.isfinite(outcome.get("likely_chance", np.nan)):
+        x, y = MM_PER_M * outcome[["likely_x", "likely_y"]].astype(float)
+        away_m = np.hypot(
+            outcome["likely_x"] - outcome["target_x"],
+            outcome["likely_y"] - outcome["target_y"],
+        )
+        sentences.append(
+            f"A motion is known that hits a target at ({x:.0f}, {y:.0f}) mm, "
+            f"{MM_PER_M * away_m:.0f} mm away, with a probability of "
+            f"{outcome['likely_chance']:.2f}."
+        )
+    tip_sd, taught_sd = outcome.get("tip_sd", np.nan), outcome.get("taught_sd", np.nan)
+    if np.isfinite(tip_sd):
+        known = f"After this cast the tip is known to {MM_PER_M * tip_sd:.0f} mm there"
+        if taught_sd < MIN_LEARNING_RATIO * tip_sd:
+            known += (
+                f", after the most informative motion that was tried to "
+                f"{MM_PER_M * taught_sd:.0f} mm (generate.exploration=1)"
+            )
+        sentences.append(f"{known}.")
+    return " ".join(sentences)
