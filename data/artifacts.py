@@ -499,6 +499,11 @@ class Estimate:
         """Return the best value of each parameter, by name."""
         return dict(zip(self.parameters["name"], self.parameters["value"], strict=True))
 
+    @property
+    def model_error_m(self) -> float:
+        """Error of the model on motions unlike those of the trials [m]."""
+        return float(self.fit["rms_after"].iloc[0])
+
 
 # --- surprise and its explanation
 SURPRISE_SUMMARY = Table(
@@ -540,6 +545,7 @@ class Surprise:
 
 
 MIN_SHOWN_PROBABILITY = 0.01  # of a cause, in run.json and on pages
+PARTLY_EXPLAINED = ("partial", "undecided")  # verdicts with causes that leave much
 EXPLANATIONS = Table(
     "explanations",
     "causes that were compared, the most probable first; none has an empty name",
@@ -559,6 +565,7 @@ EXPLANATION_SUMMARY = Table(
     candidates [1] (int): causes that could act in these trials
     fitted [1] (int): causes that were fitted
     sentence (text): the verdict in words
+    rms_without [m] (optional): centre-line residual of the model without causes
     """),
 )
 
@@ -587,6 +594,18 @@ class Explanation(Estimate):
     def sentence(self) -> str:
         """The verdict in words."""
         return str(self.finding["sentence"].iloc[0])
+
+    @property
+    def model_error_m(self) -> float:
+        """Error of the model on motions unlike those of the trials [m].
+
+        Causes that leave much may be stand-ins for another, which fit these trials
+        alone. The error is then that of the model without them.
+        """
+        left_m = super().model_error_m
+        if self.verdict not in PARTLY_EXPLAINED:
+            return left_m
+        return max(left_m, float(self.finding["rms_without"].iloc[0]))
 
     @property
     def named_causes(self) -> tuple[str, ...]:

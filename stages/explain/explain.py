@@ -216,6 +216,7 @@ def explain(
         "candidates": len(effects),
         "fitted": sum(each.estimate is not None for each in compared.values()) - 1,
         "sentence": sentence,
+        "rms_without": rms_m(estimate),
     }
     if verdict == "none":
         compared = {NO_CAUSE: base}

@@ -74,8 +74,8 @@ def sample_uncertainty(
 
     Strings are samples of the estimate. Before the first estimate, every exponent
     within a parameter's range is equally likely (Eq. 3), except that known parameters
-    keep their values. The simulation's error is the RMS distance that the estimate
-    leaves between simulated and measured strings.
+    keep their values. The simulation's error is then the model's, as the estimate
+    states it.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def sample_uncertainty(
     lag = rng.uniform(0, uncertainty.lag, count)
     tip_sigma = uncertainty.tip
     if estimate is not None:
-        tip_sigma = float(estimate.fit["rms_after"].iloc[0])
+        tip_sigma = estimate.model_error_m
     tip_error = tip_sigma * rng.standard_normal((count, 2))
     if estimate is None:
         chi = rng.uniform(0, 1, (len(model.names), count)).T

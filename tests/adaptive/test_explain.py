@@ -67,6 +67,21 @@ def test_a_cause_that_explains_little_is_not_named():
     assert decided(little, is_complete=False)[0] == "undecided"
 
 
+def explanation(verdict):
+    """Return an explanation that leaves 5 mm; without causes 40 mm are left."""
+    nothing = pd.DataFrame()
+    fit = pd.DataFrame([{"rms_after": 0.005}])
+    finding = pd.DataFrame([{"verdict": verdict, "rms_without": 0.04}])
+    return Explanation(nothing, nothing, nothing, fit, finding=finding)
+
+
+def test_causes_that_leave_much_are_not_trusted_on_other_motions():
+    for verdict in ("partial", "undecided"):
+        assert explanation(verdict).model_error_m == 0.04
+    for verdict in ("cause", "candidates", "none"):
+        assert explanation(verdict).model_error_m == 0.005
+
+
 def test_causes_that_explain_equally_are_candidates():
     pair = (fitted("tip_mass", 80.0, 0.001), fitted("density_taper", 80.1, 0.001))
     verdict, sentence = decided(*pair)
