@@ -90,35 +90,44 @@ def refine_motions(
     """Refine each start and return the best movement found from it.
 
     All are tried on the same samples, so that chance does not decide between two. The
-    searches take their steps together: one batch of simulations serves them all.
+    searches take their steps together: one batch of simulations serves them all. As in
+    a race, the worse half of them ends in turn, until one is left.
     """
     points = space.points(starts)
     best = points.copy()
     best_closeness = predict_outcome(task, starts, samples).closeness
     searches = []
-    for number, mean in enumerate(np.clip(points, *space.bounds.T)):
+    for start, mean in enumerate(np.clip(points, *space.bounds.T)):
         search = CMA(
             mean=mean,
             sigma=INITIAL_STEP,
             bounds=space.bounds,
             population_size=POPULATION_SIZE,
-            seed=(seed + number) % 2**32,  # NumPy takes no larger seed
+            seed=(seed + start) % 2**32,  # NumPy takes no larger seed
         )
         searches.append(search)
-    for _ in range(iterations):
-        candidates = [_draw_candidates(task, space, search) for search in searches]
-        feasible = np.concatenate([drawn[:count] for drawn, count in candidates])
-        outcome = predict_outcome(task, space.curves(feasible), samples)
-        first = 0
-        for number, (drawn, count) in enumerate(candidates):
-            closeness = outcome.closeness[first : first + count]
-            first += count
-            loss = np.full(len(drawn), INFEASIBLE_LOSS)
-            loss[:count] = 1 - closeness
-            searches[number].tell(list(zip(drawn, loss, strict=True)))
-            if count and closeness.max() > best_closeness[number]:
-                best[number] = drawn[np.argmax(closeness)]
-                best_closeness[number] = closeness.max()
+    active = np.arange(len(searches))
+    rounds = len(searches).bit_length()
+    for steps in np.array_split(np.arange(iterations), rounds):
+        for _ in steps:
+            candidates = [
+                _draw_candidates(task, space, searches[number]) for number in active
+            ]
+            feasible = np.concatenate([drawn[:count] for drawn, count in candidates])
+            outcome = predict_outcome(task, space.curves(feasible), samples)
+            first = 0
+            for number, (drawn, count) in zip(active, candidates, strict=True):
+                closeness = outcome.closeness[first : first + count]
+                first += count
+                loss = np.full(len(drawn), INFEASIBLE_LOSS)
+                loss[:count] = 1 - closeness
+                searches[number].tell(list(zip(drawn, loss, strict=True)))
+                if count and closeness.max() > best_closeness[number]:
+                    best[number] = drawn[np.argmax(closeness)]
+                    best_closeness[number] = closeness.max()
+        # the better half of the searches goes on
+        ranked = active[np.argsort(-best_closeness[active], kind="stable")]
+        active = ranked[: -(-len(ranked) // 2)]
     return space.curves(best)
 
 

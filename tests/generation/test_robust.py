@@ -14,7 +14,7 @@ from scipy.stats import binomtest
 from stringcast.data.artifacts import Estimate
 from stringcast.data.schema import DataError
 from stringcast.pipeline.settings.typed_settings import bind_stage
-from stringcast.stages.generate import race
+from stringcast.stages.generate import race, refine
 from stringcast.stages.generate.curves import (
     Curves,
     curves_from_motion,
@@ -519,3 +519,33 @@ def test_what_makes_a_hit_unlikely_is_stated(model):
     found, sentence = prospects(replace(task, obstacles=(around,)), curves, draws)
     assert found["limit"] == "obstacle"
     assert "obstacle" in sentence
+
+
+def test_the_refinement_drops_the_worse_half_of_its_searches_in_turn(
+    model, monkeypatch
+):
+    """The most is spent on the best start, and no start becomes worse."""
+    task = CastTask(model, TARGET, ())
+    draws = sample_uncertainty(model, None, NONE, 4, np.random.default_rng(0))
+    space = refine.MotionSpace(model.arm, 0.2, 0.8, 150.0)
+    starts = race.sample_feasible_motions(
+        task, space, None, 0.25, 4, np.random.default_rng(1)
+    ).select(slice(4))
+    batches = []
+
+    def count_motions(task, curves, samples):
+        batches.append(len(curves.duration))
+        return predict_outcome(task, curves, samples)
+
+    monkeypatch.setattr(refine, "predict_outcome", count_motions)
+    refined = refine.refine_motions(task, space, starts, draws, 6, 0)
+    population = refine.POPULATION_SIZE
+    most = np.array([4 * population] * 2 + [2 * population] * 2 + [population] * 2)
+    assert batches[0] == 4
+    assert (np.array(batches[1:]) <= most).all()
+    assert batches[-1] > 0
+    before, after = (
+        predict_outcome(task, curves, draws).closeness for curves in (starts, refined)
+    )
+    assert (after >= before).all()
+    assert after.max() > before.max()
