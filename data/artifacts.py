@@ -545,7 +545,8 @@ class Surprise:
 
 
 MIN_SHOWN_PROBABILITY = 0.01  # of a cause, in run.json and on pages
-PARTLY_EXPLAINED = ("partial", "undecided")  # verdicts with causes that leave much
+# verdicts with causes that leave much
+PARTLY_EXPLAINED = ("partial", "undecided", "unknown")
 EXPLANATIONS = Table(
     "explanations",
     "causes that were compared, the most probable first; none has an empty name",

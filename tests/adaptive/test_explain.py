@@ -76,7 +76,7 @@ def explanation(verdict):
 
 
 def test_causes_that_leave_much_are_not_trusted_on_other_motions():
-    for verdict in ("partial", "undecided"):
+    for verdict in ("partial", "undecided", "unknown"):
         assert explanation(verdict).model_error_m == 0.04
     for verdict in ("cause", "candidates", "none"):
         assert explanation(verdict).model_error_m == 0.005
