@@ -262,6 +262,8 @@ class Comparer:
         plain = self.screened_square(())
         screened = []
         for effect in effects:
+            if self.base.causes and budget.is_used_up():
+                return False  # no fit of a further cause would begin
             square_ratio = self.screened_square((effect,)) / plain
             screened.append((effect, self.comparison((effect,), square_ratio)))
             budget.is_used_up()

@@ -15,6 +15,7 @@ from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.stages.explain.explain import (
     NO_CAUSE,
+    Budget,
     Comparer,
     Comparison,
     decide,
@@ -80,6 +81,24 @@ def test_causes_that_leave_much_are_not_trusted_on_other_motions():
         assert explanation(verdict).model_error_m == 0.04
     for verdict in ("cause", "candidates", "none"):
         assert explanation(verdict).model_error_m == 0.005
+
+
+def test_no_further_cause_is_ranked_when_the_time_is_up(monkeypatch):
+    """All effects are ranked once; beside causes that were found only in time."""
+    ranked = []
+
+    def rank(comparer, effects):
+        ranked.append(effects)
+        return 1.0
+
+    monkeypatch.setattr(Comparer, "screened_square", rank)
+    effects = find_effects(["tip_mass", "clamp", "density_taper"])
+    for causes, count in (((), 1 + len(effects)), (("wind",), 1)):
+        ranked.clear()
+        comparer = Comparer(None, (), Comparison(causes, 0.0), BLOCKS, None)
+        used_up = Budget(0.0, lambda share: None)
+        assert not comparer.add_cause(effects, {}, 2, used_up)
+        assert len(ranked) == count
 
 
 def test_causes_that_explain_equally_are_candidates():
