@@ -47,9 +47,12 @@ from stringcast.stages.generate.race import race_motions, sample_feasible_motion
 from stringcast.stages.generate.refine import MotionSpace, refine_motions
 from stringcast.stages.generate.repeated_misfit import find_repeated_misfit
 from stringcast.stages.generate.uncertainty_samples import (
+    DrawUniforms,
     PlanningUncertainty,
     UncertaintySamples,
+    independent_uniforms,
     sample_uncertainty,
+    stratified_uniforms,
 )
 from stringcast.stages.hit_test import check_reach
 from stringcast.stages.model.box import Box
@@ -163,10 +166,11 @@ def generate(
     misfit = find_repeated_misfit(model.arm, model.string.length, previous, estimate)
     task = CastTask(model, target, obstacles, misfit)
 
-    def draw_samples(count: int) -> UncertaintySamples:
-        return sample_uncertainty(model, estimate, uncertainty, count, rng)
+    def draw_samples(count: int, draw_uniforms: DrawUniforms) -> UncertaintySamples:
+        known = (model, estimate, uncertainty)
+        return sample_uncertainty(*known, count, rng, draw_uniforms)
 
-    samples = draw_samples(search.string_samples)
+    samples = draw_samples(search.string_samples, stratified_uniforms)
     # no motion hits half of all strings that are possible before the first trial
     max_searches = 1 if estimate is None else search.max_restarts
     results: list[SearchResult] = []
@@ -187,11 +191,10 @@ def generate(
         if result.share >= SUFFICIENT_HIT_SHARE:
             break
     candidates = join_curves([result.best for result in results])
-    best = _choose_motion(
-        task, candidates, draw_samples(search.string_samples), search.exploration
-    )
+    choice_samples = draw_samples(search.string_samples, stratified_uniforms)
+    best = _choose_motion(task, candidates, choice_samples, search.exploration)
     progress(1.0)
-    validation = draw_samples(search.validation)
+    validation = draw_samples(search.validation, independent_uniforms)
     motion = build_motion_artifact(
         task,
         candidates.select(np.array([best])),

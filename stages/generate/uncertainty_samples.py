@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
+from scipy.special import ndtri
 
 from stringcast.data.artifacts import Estimate
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 
+# Draws numbers between 0 and 1 for so many samples of so many quantities.
+DrawUniforms = Callable[[np.random.Generator, int, int], np.ndarray]
 SmallNumber = Annotated[float, Field(ge=0, le=0.1)]
 
 
@@ -63,12 +67,37 @@ class UncertaintySamples:
         )
 
 
+def independent_uniforms(
+    rng: np.random.Generator, count: int, quantities: int
+) -> np.ndarray:
+    """Draw independent numbers between 0 and 1, (count, quantities)."""
+    return rng.random((count, quantities))
+
+
+def stratified_uniforms(
+    rng: np.random.Generator, count: int, quantities: int
+) -> np.ndarray:
+    """Draw numbers of which each of `count` equal parts of the range holds one.
+
+    Latin hypercube sampling (McKay, Beckman and Conover, Technometrics 21, 239, 1979):
+    means over the samples vary less than those of independent ones.
+
+    Returns
+    -------
+    (count, quantities) array
+        Numbers between 0 and 1.
+    """
+    parts = np.argsort(rng.random((count, quantities)), axis=0)
+    return np.asarray((parts + rng.random((count, quantities))) / count)
+
+
 def sample_uncertainty(
     model: Model,
     estimate: Estimate | None,
     uncertainty: PlanningUncertainty,
     count: int,
     rng: np.random.Generator,
+    draw_uniforms: DrawUniforms = independent_uniforms,
 ) -> UncertaintySamples:
     """Sample the string, how the arm follows, and the simulation's error.
 
@@ -89,26 +118,28 @@ def sample_uncertainty(
         Number of samples K.
     rng : numpy.random.Generator
         Source of randomness.
+    draw_uniforms : callable
+        Draws numbers between 0 and 1, as `independent_uniforms`.
 
     Returns
     -------
     UncertaintySamples
-        K independent samples.
+        K samples.
     """
-    amplitude = rng.standard_normal((count, len(model.arm.links)))
-    amplitude *= uncertainty.amplitude
-    lag = rng.uniform(0, uncertainty.lag, count)
-    tip_sigma = uncertainty.tip
-    if estimate is not None:
-        tip_sigma = estimate.model_error_m
-    tip_error = tip_sigma * rng.standard_normal((count, 2))
+    joints = len(model.arm.links)
+    uniforms = draw_uniforms(rng, count, joints + 3)
+    amplitude = uncertainty.amplitude * ndtri(uniforms[:, :joints])
+    lag = uncertainty.lag * uniforms[:, joints]
+    tip_sigma = uncertainty.tip if estimate is None else estimate.model_error_m
+    tip_error = tip_sigma * ndtri(uniforms[:, joints + 1 :])
     if estimate is None:
-        chi = rng.uniform(0, 1, (len(model.names), count)).T
+        chi = draw_uniforms(rng, count, len(model.names))
         values = parameter_values(model.parameters, chi)
         for number, name in enumerate(model.names):
             if name in model.start_values:
                 values[:, number] = model.start_values[name]
     else:
         possible = [model.values(row) for row in estimate.draws.to_dict("records")]
-        values = np.stack(possible)[rng.integers(0, len(possible), count)]
+        place = draw_uniforms(rng, count, 1)[:, 0]
+        values = np.stack(possible)[(place * len(possible)).astype(int)]
     return UncertaintySamples(values, amplitude, lag, tip_error)
