@@ -368,7 +368,7 @@ def _search_until_trials_settle(
     starts = settings.starts
     progress = settings.progress
     resolved_with_causes = list[str]()
-    known_fit: Fit | None = None
+    known_state: SelectionState | None = None
     while True:
         log.info("fitting the base model")
         prepared = prepare_data(
@@ -388,9 +388,9 @@ def _search_until_trials_settle(
         )
         used = trials.excluding_chaotic(prepared.chaotic_trials)
         state = SelectionState(prepared, prepared.base_fit)
-        if known_fit is not None:
+        if known_state is not None:
             state = with_causes_found_before(
-                prepared, known_fit, criteria, seed, starts
+                prepared, known_state, criteria, seed, starts
             )
         yield SearchProgress(used, prepared, effects, state)
 
@@ -414,7 +414,7 @@ def _search_until_trials_settle(
         if trials is searched:
             return
         if trials.predicted != searched.predicted and state.fit.hypothesis.causes:
-            known_fit = state.fit
+            known_state = state
 
 
 def _trials_for_another_search(

@@ -120,7 +120,8 @@ class SelectionState:
     set_aside : dict
         Causes that were accepted and then dropped, with the reason.
     small : tuple of type of Effect
-        Causes in the fit that moved the tip too little to report when they entered.
+        Causes in the fit that move the tip too little to be named. They stay, as the
+        values of others depend on them.
     """
 
     prepared: PreparedData
@@ -128,6 +129,12 @@ class SelectionState:
     steps: Sequence[SelectionStep] = ()
     set_aside: Mapping[str, str] = field(default_factory=dict)
     small: tuple[type[Effect], ...] = ()
+
+    @property
+    def large_causes(self) -> list[type[Effect]]:
+        """The causes of the fit that are not small."""
+        causes = self.fit.hypothesis.causes
+        return [cause for cause in causes if cause not in self.small]
 
     @cached_property
     def predictions(self) -> list[TrialPrediction]:
@@ -153,7 +160,7 @@ def select_causes(
     Yields the state after each cause, and at the end the state without causes that
     trials left out do not confirm.
     """
-    for number in range(len(state.fit.hypothesis.causes), criteria.max_causes):
+    for number in range(len(state.large_causes), criteria.max_causes):
         rng = np.random.default_rng([seed, number])
         state = _add_step(state, effects, criteria, seed)
         if _hides_others(state, criteria):
@@ -453,17 +460,17 @@ def _refit_step(data: TrialData, step: SelectionStep) -> SelectionStep:
 
 def with_causes_found_before(
     prepared: PreparedData,
-    found: Fit,
+    found: SelectionState,
     criteria: Criteria,
     seed: int,
     starts: int,
 ) -> SelectionState:
     """Fit the causes that were found in fewer trials to the prepared ones."""
     base = prepared.base_fit
-    hypothesis = Hypothesis(base.hypothesis.base, found.hypothesis.causes)
+    hypothesis = Hypothesis(base.hypothesis.base, found.fit.hypothesis.causes)
     # By values: the ranges may be others with more trials
     known = {}
-    values = found.values
+    values = found.fit.values
     for parameter in hypothesis.parameters:
         if parameter.name in values:
             value = np.asarray(values[parameter.name])
@@ -471,7 +478,8 @@ def with_causes_found_before(
     start = hypothesis.exponents_from(known)
     fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.scale_indices)
     rng = np.random.default_rng(seed)
-    return add_cause(SelectionState(prepared, base), fit, criteria, rng, starts)
+    state = SelectionState(prepared, base, small=found.small)
+    return add_cause(state, fit, criteria, rng, starts)
 
 
 def drop_redundant_causes(
@@ -502,20 +510,39 @@ def drop_unconfirmed_causes(
 
     candidates: number of effects that share the prior probability of one being active.
     """
-    for cause in reversed(state.fit.hypothesis.causes):
-        data = state.prepared.data
+    state = _set_aside_small_causes(state, criteria)
+    for cause in reversed(state.large_causes):
         hypothesis = state.fit.hypothesis.without_cause(cause)
-        without = replace(state, fit=refit(data, state.fit, hypothesis))
-        reason = ""
-        if cause in state.small:
-            reason = _reason_if_small(data, without.fit, state.fit, criteria)
-        if not reason:
-            reason = _reason_to_set_aside(state, without, cause, criteria, candidates)
+        without = replace(state, fit=refit(state.prepared.data, state.fit, hypothesis))
+        reason = _reason_to_set_aside(state, without, cause, criteria, candidates)
         if reason:
             log.info("%s is set aside: %s", cause.name, reason)
             reasons = {**state.set_aside, cause.name: reason}
             state = replace(with_fit(state, without.fit), set_aside=reasons)
+    if state.small and not state.large_causes:
+        base = Hypothesis(state.fit.hypothesis.base)
+        fit = refit(state.prepared.data, state.fit, base)
+        state = replace(with_fit(state, fit), small=())
     return state
+
+
+def _set_aside_small_causes(
+    state: SelectionState, criteria: Criteria
+) -> SelectionState:
+    """Say which causes of the fit are small, given the others; they stay in it."""
+    data = state.prepared.data
+    reasons = dict(state.set_aside)
+    small = []
+    for cause in state.small:
+        if cause not in state.fit.hypothesis.causes:
+            continue
+        hypothesis = state.fit.hypothesis.without_cause(cause)
+        without = refit(data, state.fit, hypothesis)
+        reason = _reason_if_small(data, without, state.fit, criteria)
+        if reason:
+            reasons[cause.name] = reason
+            small.append(cause)
+    return replace(state, set_aside=reasons, small=tuple(small))
 
 
 def _reason_to_set_aside(

@@ -389,7 +389,7 @@ def test_without_a_cause_the_last_step_alone_has_a_posterior(monkeypatch):
     monkeypatch.setattr(
         posteriors, "single_effect_posterior", lambda data, step, *given: step
     )
-    state = SimpleNamespace(
+    state = SelectionState(
         prepared=SimpleNamespace(data=SimpleNamespace(trials=(0, 1))),
         fit=SimpleNamespace(hypothesis=SimpleNamespace(causes=())),
         steps=("entered", "none"),

@@ -118,7 +118,7 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
             yield SelectionState(state.prepared, fit(cause))
 
     def keep_causes(prepared, found, *given):
-        return SelectionState(prepared, found)
+        return SelectionState(prepared, found.fit)
 
     def find_outlying(state, criteria):
         return {"t2": "of another motion"} if "t2" in searched[-1] else {}
