@@ -277,9 +277,8 @@ def arm_faults(
         The limit; empty where none is violated.
     """
     faults = np.full(len(angles), "", dtype=object)
-    joints = arm.joint_positions(angles)
     for box in obstacles:
-        touched = box.is_crossed_along(joints)
+        touched = box.is_crossed_along(arm.joint_positions(angles))
         faults[touched.any(axis=(1, 2))] = "the arm touches an obstacle"
     hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1)
     commanded = arm.commanded_velocities(angles)

@@ -21,6 +21,8 @@ from stringcast.stages.model.target import Target
 BATCH_SIZE = 256
 # worth of a sample that touches something only at the end, in that of one that does not
 CONTACT_WORTH = 0.5
+# distance in a corner of the box with the largest error of the arrival, and rounding
+FARTHEST_HIT = math.sqrt(3) + 1e-9
 
 
 @dataclass(frozen=True)
@@ -130,14 +132,33 @@ def simulate_motions(
     points : (M K, T, n, 2) array
         Points of the string at the ticks [m].
     """
+    angles, points = _simulate_without_error(task.model, curves, samples)
+    _add_error(task, curves, samples, points, 0)
+    return angles, points
+
+
+def _simulate_without_error(
+    model: Model, curves: Curves, samples: UncertaintySamples
+) -> tuple[np.ndarray, np.ndarray]:
+    """Simulate each motion under all samples in turn, as `simulate_motions`."""
     repeated = samples.select(np.tile(np.arange(len(samples)), len(curves.duration)))
-    model = task.model
     motion = sample_joint_motions(model, curves, samples)
     times = np.arange(motion.angles.shape[1]) * model.arm.tick
     points = model.simulate_string(motion, repeated.values, times).points
-    share = model.string.arc_lengths() / model.string.length
-    points += share[:, None] * tip_errors(task, curves, samples)[:, :, None]
     return motion.angles, points
+
+
+def _add_error(
+    task: CastTask,
+    curves: Curves,
+    samples: UncertaintySamples,
+    points: np.ndarray,
+    first: int,
+) -> None:
+    """Add the simulation's error to points (M K, T, n, 2) from the first one on."""
+    share = task.model.string.arc_lengths()[first:] / task.model.string.length
+    errors = tip_errors(task, curves, samples)
+    points[:, :, first:] += share[:, None] * errors[:, :, None]
 
 
 def tip_errors(
@@ -252,8 +273,9 @@ def judge_motions(
     distance = np.hypot(distance, arrival_error)
     least = np.where(counts, distance, np.inf).min(axis=1)
 
-    entered = target.is_crossed_along(path) & (arrival_error <= 1) & counts
-    hit = entered.any(axis=1) & finite & ~arm_touches.any(axis=1)
+    hit = finite & ~arm_touches.any(axis=1) & (least <= FARTHEST_HIT)
+    entered = target.is_crossed_along(path[hit]) & (arrival_error[hit] <= 1)
+    hit[hit] = (entered & counts[hit]).any(axis=1)
     return CastOutcome(
         np.where(finite, least, np.inf).reshape(shape),
         free_share.reshape(shape),
