@@ -422,7 +422,8 @@ def _describe_cast(cast: CastRecord) -> Markup:
                 f"The predicted hit probability was {chance:.2f} ({low:.2f} to "
                 f"{high:.2f})."
             )
-            sentences.append(plan.get("prospects", ""))
+            if plan.get("prospects"):
+                sentences.append(f"Stated before the cast: {plan['prospects']}")
     else:
         reason = "there are no frames"
         if len(cast.points.readings):
