@@ -289,7 +289,7 @@ def test_a_steep_moment_costs_an_implicit_step_nothing_and_is_what_small_steps_m
     )
     exact = tip(1e-4, RungeKutta4())
     off = [np.linalg.norm(tip(step) - exact, axis=-1).max() for step in (1e-3, 2.5e-4)]
-    assert off[0] < 0.7e-3
+    assert off[0] < 0.75e-3
     assert off[1] < 0.25 * off[0]
 
 
