@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -93,15 +94,21 @@ class HandMotion:
         before = np.minimum(place.astype(int), known[-1] - 1)
         offset = (place - before)[..., None]
         row = np.arange(len(self.pose))[:, None]
-        spline = interpolate.CubicHermiteSpline(
-            known, self.pose, self.rate * self.tick, axis=1
-        )
-        pose = np.polyval(spline.c[:, before, row], offset)
-        rate = np.polyval(spline.derivative().c[:, before, row], offset)
+        pose_cubics, rate_parabolas = self._polynomials
+        pose = np.polyval(pose_cubics[:, before, row], offset)
+        rate = np.polyval(rate_parabolas[:, before, row], offset)
         moves = (ticks == place)[..., None]
         rate = np.where(moves, rate / self.tick, 0.0)
         start = float(begin) if np.ndim(begin) == 0 else 0.0
         return HandMotion(start, self.tick, pose, rate)
+
+    @cached_property
+    def _polynomials(self) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients of poses and of rates between ticks, (4 or 3, K - 1, C, 3)."""
+        ticks = np.arange(self.pose.shape[1])
+        rate_per_tick = self.rate * self.tick
+        spline = interpolate.CubicHermiteSpline(ticks, self.pose, rate_per_tick, axis=1)
+        return spline.c, spline.derivative().c
 
     def actual_hand_motion(
         self, arm: Arm, effects: Sequence[HandEffectValues]

@@ -42,9 +42,11 @@ class CameraRotation(CameraEffect):
         angle: Quantity,
     ) -> np.ndarray:
         """Return the points rotated about the image's middle."""
-        x, y = np.moveaxis(points - camera.centre, -1, 0)
+        centre_x, centre_y = camera.centre
+        x = points[..., 0] - centre_x
+        y = points[..., 1] - centre_y
         c, s = np.cos(angle[..., 0]), np.sin(angle[..., 0])
-        observed: np.ndarray = camera.centre + np.stack(
-            [c * x - s * y, s * x + c * y], axis=-1
-        )
+        observed = np.empty_like(points)
+        observed[..., 0] = centre_x + c * x - s * y
+        observed[..., 1] = centre_y + s * x + c * y
         return observed
