@@ -29,7 +29,6 @@ from stringcast.stages.diagnose.rules import (
     MIN_RESOLVED_TRIALS,
     NEGLIGIBLE_LOG_EVIDENCE,
 )
-from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import measured_points
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_modes import (
@@ -199,17 +198,17 @@ def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
 
     # The fit follows the error as it changes with the parameters ...
     hypothesis = fit.hypothesis
-    unmoved = evaluate_fit(corrected.data, hypothesis, fit.chi)
+    unmoved = evaluate_fit(corrected.data, hypothesis, fit.chi, fit.width)
     mesh_correction = fit_mesh_correction(corrected, unmoved)
     data = replace(corrected.data, mesh_correction=mesh_correction)
-    chi = best_exponents(data, hypothesis, fit.chi[None], unmoved.scale_indices)
+    chi, width = best_exponents(data, hypothesis, fit.chi[None], unmoved.scale_indices)
 
     # ... and the error is then computed where the fit ended. Of the fit there, only
     # the exponents are known and needed.
     moved = correct_data_at(corrected, replace(unmoved, chi=chi))
     mesh_correction = replace(mesh_correction, chi=chi)
     moved = replace(moved, data=replace(moved.data, mesh_correction=mesh_correction))
-    refitted = evaluate_fit(moved.data, hypothesis, chi)
+    refitted = evaluate_fit(moved.data, hypothesis, chi, width)
     if refitted.log_evidence > unmoved.log_evidence:
         return RefinedFit(moved, refitted)
     return RefinedFit(corrected, unmoved)
@@ -224,10 +223,7 @@ def fit_mesh_correction(prepared: PreparedData, fit: Fit) -> MeshCorrection:
     """
     hypothesis = fit.hypothesis
     data = prepared.data
-    extended = data.for_hypothesis(hypothesis)
-    white_slopes = extended.whiten(fit.slopes, fit.scale_indices)
-    width = solver.difference_widths(white_slopes[None], np.ones(1))[0]
-    chi, offset = difference_exponents(fit.chi, width)
+    chi, offset = difference_exponents(fit.chi, fit.width)
     residuals = []  # of each mesh, of each trial, (1 + P, 2 n)
     for factor in (1, 2):
         model, trials = refine_mesh(hypothesis.model, data.trials, factor)

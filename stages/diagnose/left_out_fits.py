@@ -51,12 +51,13 @@ def exponents_without_groups(
 
     def refit_without_group(number: int) -> np.ndarray:
         others = [k for k in range(len(data.trials)) if k not in groups[number]]
-        return best_exponents(
+        chi, _ = best_exponents(
             data.subset(others),
             fit.hypothesis,
             fit.chi[None],
             fit.scale_indices[others],
         )
+        return chi
 
     exponents = list(steps.chi)
     refitted = np.flatnonzero(~steps.has_converged).tolist()

@@ -44,7 +44,6 @@ from stringcast.stages.model.parameter import Parameter
 
 # Widths of the prior of how far a cause moves the tip [m], each as likely
 TIP_SHIFT_WIDTHS_M = np.array([1e-3, 3e-3, 1e-2, 3e-2])
-MAX_SCALE_ROUNDS = 6  # of parameters and scales in turn, at most; it mostly takes three
 SCREENING_ITERATIONS = 4  # iterations of several starts, before the best alone goes on
 DISCREPANCY_DRAWS = 400  # of a discrepancy: a probability is known to 0.025
 ABSENCE_TOLERANCE = 1e-9  # of a range: an amplitude so near to its start is absent
@@ -65,6 +64,8 @@ class Fit:
         Of each trial, over sigma, (2 n,).
     slopes
         Of the residuals with chi, (P, 2 n) of each trial.
+    width
+        Of chi, over which these were differenced, (P,).
     scale_indices
         The index of the most probable scale of each trial's discrepancy, (K,).
     log_likelihood_by_trial
@@ -81,6 +82,7 @@ class Fit:
     chi: np.ndarray
     residuals: ByTrial
     slopes: ByTrial
+    width: np.ndarray
     scale_indices: np.ndarray
     log_likelihood_by_trial: np.ndarray
     log_evidence: float
@@ -115,7 +117,7 @@ def fit_hypothesis(
     scale_indices: np.ndarray,
     min_gain: float = solver.MIN_GAIN,
 ) -> Fit:
-    """Fit a hypothesis: its parameters and the discrepancies' scales in turn.
+    """Fit a hypothesis: its parameters and the discrepancies' scales.
 
     Parameters
     ----------
@@ -126,8 +128,8 @@ def fit_hypothesis(
     min_gain
         A step that gains less of the log-likelihood ends its turn.
     """
-    chi = best_exponents(data, hypothesis, starts, scale_indices, min_gain)
-    return evaluate_fit(data, hypothesis, chi)
+    chi, width = best_exponents(data, hypothesis, starts, scale_indices, min_gain)
+    return evaluate_fit(data, hypothesis, chi, width)
 
 
 @keep_results
@@ -137,40 +139,52 @@ def best_exponents(
     starts: np.ndarray,
     scale_indices: np.ndarray,
     min_gain: float = solver.MIN_GAIN,
-) -> np.ndarray:
-    """Find the exponents (P,) of a fit. Parameters as of `fit_hypothesis`."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find the exponents of a fit (P,), and over which widths (P,) to difference them.
+
+    Parameters as of `fit_hypothesis`.
+    """
     data = data.for_hypothesis(hypothesis)
     model = hypothesis.model
     uniform = hypothesis.base_indices
 
     # Several starts side by side; the best of them goes on
     likelihood = Likelihood(data, model, scale_indices, uniform_indices=uniform)
-    screened = solver.fit_least_squares(
+    runs = solver.fit_least_squares(
         likelihood,
         starts,
         SCREENING_ITERATIONS,
         min_gain,
-    ).chi
-    by_scale = data.log_likelihood_by_scale(data.residuals(model, screened))
+    )
+    by_scale = data.log_likelihood_by_scale(data.residuals(model, runs.chi))
     log_likelihood = marginal_log_likelihood(by_scale).sum(axis=0)  # (C,)
     best = int(np.argmax(log_likelihood))
-    chi: np.ndarray = screened[best]
-    scale_indices = best_scale_index(by_scale[:, best])
+    run = runs.select(best)
+    updated = best_scale_index(by_scale[:, best])
 
-    for _ in range(MAX_SCALE_ROUNDS - 1):
-        likelihood = replace(likelihood, scale_indices=scale_indices)
-        runs = solver.fit_least_squares(likelihood, chi[None], min_gain=min_gain)
-        chi = runs.chi[0]
-        residuals = data.residuals(model, chi[None])
-        updated = best_scale_index(data.log_likelihood_by_scale(residuals)[:, 0])
-        if (updated == scale_indices).all():
+    # The scales and one step of the parameters in turn
+    for _ in range(solver.MAX_ITERATIONS):
+        if (updated != likelihood.scale_indices).any():
+            likelihood = replace(likelihood, scale_indices=updated)
+            run.reweight(likelihood)
+        elif not run.active.any():
             break
-        scale_indices = updated
-    return chi
+        solver.iterate_runs(likelihood, run, min_gain)
+        by_scale = data.log_likelihood_by_scale(data.residuals(model, run.chi))
+        updated = best_scale_index(by_scale[:, 0])
+    return run.chi[0], run.width[0]
 
 
-def evaluate_fit(data: TrialData, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
-    """Evaluate a hypothesis and its log evidence at exponents (P,)."""
+def evaluate_fit(
+    data: TrialData,
+    hypothesis: Hypothesis,
+    chi: np.ndarray,
+    width: np.ndarray | None = None,
+) -> Fit:
+    """Evaluate a hypothesis and its log evidence at exponents (P,).
+
+    width: over which to difference them, (P,), where it is known from a fit.
+    """
     data = data.for_hypothesis(hypothesis)
     rows = data.residuals(hypothesis.model, chi[None])
     residuals = [row[0] for row in rows]
@@ -187,10 +201,13 @@ def evaluate_fit(data: TrialData, hypothesis: Hypothesis, chi: np.ndarray) -> Fi
     absent = hypothesis.exponents_from({})
     is_absent = np.eye(len(chi), dtype=bool)[amplitudes]  # (A, P)
     without_one = np.where(is_absent, absent, chi)
-    slopes, others = _residual_slopes(
+    if width is None:
+        width = np.full(len(chi), solver.FIRST_DIFFERENCE)
+    slopes, width, others = _residual_slopes(
         data,
         hypothesis,
         chi,
+        width,
         residuals,
         scale_indices,
         without_one,
@@ -226,6 +243,7 @@ def evaluate_fit(data: TrialData, hypothesis: Hypothesis, chi: np.ndarray) -> Fi
         chi,
         residuals,
         slopes,
+        width,
         scale_indices,
         by_trial,
         float(by_trial.sum() + prior + volume),
@@ -329,18 +347,18 @@ def _residual_slopes(
     data: TrialData,
     hypothesis: Hypothesis,
     chi: np.ndarray,
+    width: np.ndarray,
     residuals: ByTrial,
     scale_indices: np.ndarray,
     further_chi: np.ndarray,
-) -> tuple[ByTrial, ByTrial]:
-    """Difference each trial's residuals (2 n,) by the exponents (P,).
+) -> tuple[ByTrial, np.ndarray, ByTrial]:
+    """Difference each trial's residuals (2 n,) by the exponents (P,) over a width (P,).
 
-    Returns slopes (P, 2 n), and residuals (A, 2 n) at further exponents (A, P): more
-    lanes of a batch cost little.
+    Returns slopes (P, 2 n), the width that gave them, and residuals (A, 2 n) at further
+    exponents (A, P): more lanes of a batch cost little.
     """
     count = len(chi)
-    width = np.full(count, solver.FIRST_DIFFERENCE)
-    for _ in range(2):  # the first differences say how wide the second should be
+    for _ in range(2):  # the first differences may say how wide the second should be
         offset = np.where(chi > 0.5, -width, width)
         points = np.concatenate([chi + np.diag(offset), further_chi])
         simulated = data.residuals(hypothesis.model, points)
@@ -351,5 +369,8 @@ def _residual_slopes(
             change = np.where(diverged, 0.0, moved - residual)
             slopes.append(change / offset[:, None])
         white = data.whiten(slopes, scale_indices)[None]
-        width = solver.difference_widths(white, np.ones(1))[0]
-    return slopes, [rows[count:] for rows in simulated]
+        used = width
+        width = solver.difference_widths(white, np.ones(1), used[None])[0]
+        if (width == used).all():
+            break
+    return slopes, used, [rows[count:] for rows in simulated]

@@ -20,7 +20,7 @@ Levenberg 1944, Q. Appl. Math. 2, 164. Marquardt 1963, J. SIAM 11, 431.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Protocol
 
 import numpy as np
@@ -49,6 +49,7 @@ DIFFERENCE_SHARE = 0.1  # of the residual's root mean square
 FIRST_DIFFERENCE = 1e-4
 MIN_DIFFERENCE = 1e-6
 MAX_DIFFERENCE = 1e-3
+WIDTH_TOLERANCE = 2.0  # factor by which a width may be off
 
 # Marquardt's damping, a share of the diagonal. Three are tried: with two, 0.05 and 3, a
 # search for a stiff strip crept along its valley and ended 3,600 of the log-likelihood
@@ -140,6 +141,21 @@ class SolverRuns:
             promise=np.zeros(count),
         )
 
+    def select(self, run: int) -> SolverRuns:
+        """Select one of the runs."""
+        values = {}
+        for each in fields(self):
+            values[each.name] = getattr(self, each.name)[run : run + 1].copy()
+        return SolverRuns(**values)
+
+    def reweight(self, problem: Problem) -> None:
+        """Go on with the same residuals weighted otherwise."""
+        self.residual = problem.residuals(self.chi)
+        self.loss = huber_loss(self.residual, problem.limit)
+        self.damping = np.minimum(self.damping, INITIAL_DAMPING)
+        self.stale[:] = True
+        self.active[:] = True
+
 
 def fit_least_squares(
     problem: Problem,
@@ -160,16 +176,21 @@ def fit_least_squares(
     """
     runs = SolverRuns.start(problem, starts)
     for _ in range(max_iterations):
-        active = np.flatnonzero(runs.active)
-        if not active.size:
+        if not runs.active.any():
             break
-        _linearise_runs(problem, runs, active[runs.stale[active]])
-        promised_gain = 0.5 * runs.residual.shape[1] * runs.promise
-        runs.active &= promised_gain > NEGLIGIBLE_SHARE * min_gain
-        active = np.flatnonzero(runs.active)
-        if active.size:
-            _step_runs(problem, runs, active, min_gain)
+        iterate_runs(problem, runs, min_gain)
     return runs
+
+
+def iterate_runs(problem: Problem, runs: SolverRuns, min_gain: float) -> None:
+    """Linearise all active runs and move them. Parameters as of `fit_least_squares`."""
+    active = np.flatnonzero(runs.active)
+    _linearise_runs(problem, runs, active[runs.stale[active]])
+    promised_gain = 0.5 * runs.residual.shape[1] * runs.promise
+    runs.active &= promised_gain > NEGLIGIBLE_SHARE * min_gain
+    active = np.flatnonzero(runs.active)
+    if active.size:
+        _step_runs(problem, runs, active, min_gain)
 
 
 def forward_differences(
@@ -192,16 +213,32 @@ def forward_differences(
     return change / offset[..., None]
 
 
-def difference_widths(slope: np.ndarray, loss: np.ndarray) -> np.ndarray:
+def difference_widths(
+    slope: np.ndarray,
+    loss: np.ndarray,
+    width: np.ndarray,
+) -> np.ndarray:
     """Choose widths (R, P) over which points move by a tenth of the residual.
 
-    slope: of white residuals, (R, P, N). loss: of each run, (R,).
+    Those that are right to a factor of two stay: differences about the same point are
+    then simulated once.
+
+    Parameters
+    ----------
+    slope
+        Of white residuals, (R, P, N).
+    loss
+        Of each run, (R,).
+    width
+        Of the differences that gave the slope, (R, P).
     """
     slope_rms = np.sqrt(np.mean(slope**2, axis=-1))
     change = DIFFERENCE_SHARE * np.sqrt(loss)[:, None]
     smallest_slope = change / MAX_DIFFERENCE + SMALLEST_FLOAT
-    width = change / np.maximum(slope_rms, smallest_slope)
-    return np.asarray(np.clip(width, MIN_DIFFERENCE, MAX_DIFFERENCE))
+    best = change / np.maximum(slope_rms, smallest_slope)
+    best = np.clip(best, MIN_DIFFERENCE, MAX_DIFFERENCE)
+    is_right = (best >= width / WIDTH_TOLERANCE) & (best <= width * WIDTH_TOLERANCE)
+    return np.where(is_right, width, best)
 
 
 def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> None:
@@ -215,7 +252,7 @@ def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> N
     weighted = slope * weight / residual.shape[1]
     runs.normal[chosen] = weighted @ slope.transpose(0, 2, 1)
     runs.gradient[chosen] = np.einsum("rpn,rn->rp", weighted, residual)
-    runs.width[chosen] = difference_widths(slope, runs.loss[chosen])
+    runs.width[chosen] = difference_widths(slope, runs.loss[chosen], width)
     runs.stale[chosen] = False
     for run in chosen:
         runs.promise[run] = _promised_share(runs, run)

@@ -15,7 +15,7 @@ def fit_of(name, exponents, log_evidence=0.0):
     hypothesis.exponents_from = lambda known: np.array([known[e] for e in exponents])
     chi = np.array([*exponents.values()])
     scales = np.array([3])
-    return Fit(hypothesis, chi, [], [], scales, np.zeros(1), log_evidence)
+    return Fit(hypothesis, chi, [], [], None, scales, np.zeros(1), log_evidence)
 
 
 def test_each_rival_is_fitted_to_the_data_of_each_other(monkeypatch):

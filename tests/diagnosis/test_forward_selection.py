@@ -186,7 +186,7 @@ def test_a_cause_that_hardly_moves_the_tip_is_not_accepted(trial, shift, is_acce
     hypothesis = Hypothesis(trial.model)
     scales = np.zeros(3, dtype=int)
     still = (np.zeros(size),) * 3
-    parent = Fit(hypothesis, np.zeros(8), still, (), scales, np.zeros(3), 0.0)
+    parent = Fit(hypothesis, np.zeros(8), still, (), None, scales, np.zeros(3), 0.0)
     fit = replace(
         parent,
         hypothesis=hypothesis.with_cause(effects_by_name()["tip_mass"]),

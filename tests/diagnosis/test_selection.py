@@ -434,7 +434,7 @@ def test_causes_found_before_begin_at_the_same_values_in_other_ranges(arm, monke
     monkeypatch.setattr(forward_selection, "fit_hypothesis", fit)
     monkeypatch.setattr(forward_selection, "add_cause", lambda *given: None)
     chi = np.linspace(0.2, 0.8, len(found.parameters))
-    before = Fit(found, chi, (), (), None, np.zeros(0), 0.0)
+    before = Fit(found, chi, (), (), None, None, np.zeros(0), 0.0)
     base_fit = SimpleNamespace(hypothesis=Hypothesis(wider), scale_indices=None)
     prepared = SimpleNamespace(base_fit=base_fit, data=None)
     state = SelectionState(None, before)
