@@ -44,7 +44,7 @@ from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import Effect
 
 BOOTSTRAP_SAMPLES = 100  # probabilities are then known to 0.05
-# Of 42 causes on which trials agreed while misfit remained, 4 were none: something
+# Of 43 causes on which trials agreed while misfit remained, 5 were not there: something
 # outside the library does about the same in all trials
 STAND_IN_SHARE = 0.1
 
