@@ -18,7 +18,7 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.target import Target
 
 # strings simulated at once: more would not stay in memory that is used again
-BATCH_SIZE = 256
+BATCH_SIZE = 128
 # worth of a sample that touches something only at the end, in that of one that does not
 CONTACT_WORTH = 0.5
 # distance in a corner of the box with the largest error of the arrival, and rounding
