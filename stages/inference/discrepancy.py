@@ -217,18 +217,27 @@ class Discrepancy:
         scale_index: int,
     ) -> np.ndarray:
         """Compute V(s)^(-1/2) of coefficients (C, 2 M)."""
-        deviation, whitening = self._whitening_by_scale[scale_index]
+        if scale_index not in self._whitenings:
+            deviation = np.sqrt(1.0 + self._variance_at(scale_index))
+            columns = self.nuisance_coefficients / deviation[:, None]
+            whitening = LowRankWhitening.from_columns(columns)
+            self._whitenings[scale_index] = (deviation, whitening)
+        deviation, whitening = self._whitenings[scale_index]
         return whitening(coefficients / deviation)
 
     def log_likelihood_by_scale(self, coefficients: np.ndarray) -> np.ndarray:
-        """Compute the log-likelihood of coefficients (C, 2 M) at all scales, (C, S)."""
-        by_scale = []
-        for deviation, whitening in self._whitening_by_scale:
-            square = np.sum(whitening(coefficients / deviation) ** 2, axis=1)
-            log_deviation = np.log(deviation).sum()
-            log_removed = np.log1p(-whitening.removed_share).sum()
-            by_scale.append(-0.5 * square - log_deviation + log_removed)
-        return np.stack(by_scale, axis=1)
+        """Compute the log-likelihood of coefficients (C, 2 M) at all scales, (C, S).
+
+        With V = D + U U', by the Woodbury identity and the determinant lemma
+        (Harville 1997, Matrix Algebra From a Statistician's Perspective, 18.1-2).
+        """
+        precision, covariance, log_determinant = self._nuisance_by_scale
+        weighted = precision[:, None] * coefficients  # (S, C, 2 M)
+        square = np.sum(weighted * coefficients, axis=2)
+        projected = weighted @ self.nuisance_coefficients  # (S, C, m)
+        explained = np.sum((projected @ covariance) * projected, axis=2)
+        log_likelihood = -0.5 * (square - explained + log_determinant[:, None])
+        return np.asarray(log_likelihood.T)
 
     def posterior_mean(self, coefficients: np.ndarray, scale_index: int) -> np.ndarray:
         """Compute the most likely discrepancy over sigma, (2 n,).
@@ -274,11 +283,10 @@ class Discrepancy:
         coefficients: np.ndarray,
         scale_index: int,
     ) -> np.ndarray:
-        deviation, _ = self._whitening_by_scale[scale_index]
-        root = self.nuisance_coefficients / deviation[:, None]
-        normal = np.eye(root.shape[1]) + root.T @ root
-        projected = root.T @ (coefficients / deviation)
-        return np.asarray(np.linalg.solve(normal, projected))
+        precision, covariance, _ = self._nuisance_by_scale
+        weighted = precision[scale_index] * coefficients
+        projected = weighted @ self.nuisance_coefficients
+        return np.asarray(covariance[scale_index] @ projected)
 
     def _variance_at(self, scale_index: int) -> np.ndarray:
         """Variance of the discrepancy's coefficients at a scale, (2 M,)."""
@@ -286,14 +294,26 @@ class Discrepancy:
         return np.repeat(scale_m**2 * self.variance, 2)
 
     @cached_property
-    def _whitening_by_scale(self) -> list[tuple[np.ndarray, LowRankWhitening]]:
-        """Deviations (2 M,) without nuisance at each scale, and the rest of V there."""
-        by_scale = []
-        for scale_index in range(len(DISCREPANCY_SCALES_M)):
-            deviation = np.sqrt(1.0 + self._variance_at(scale_index))
-            columns = self.nuisance_coefficients / deviation[:, None]
-            by_scale.append((deviation, LowRankWhitening.from_columns(columns)))
-        return by_scale
+    def _whitenings(self) -> dict[int, tuple[np.ndarray, LowRankWhitening]]:
+        """Deviations (2 M,) without nuisance and the rest of V, at scales by index."""
+        return {}
+
+    @cached_property
+    def _nuisance_by_scale(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Compute what the nuisance does at each scale.
+
+        Returns D^-1 (S, 2 M), the covariance (1 + U' D^-1 U)^-1 (S, m, m) of the
+        nuisance's amplitudes given the data, and ln |V| (S,).
+        """
+        scales = range(len(DISCREPANCY_SCALES_M))
+        variance = np.stack([self._variance_at(index) for index in scales])
+        precision = 1.0 / (1.0 + variance)
+        shapes = self.nuisance_coefficients
+        information = (shapes.T * precision[:, None]) @ shapes
+        information += np.eye(shapes.shape[1])
+        log_determinant = np.log1p(variance).sum(axis=1)
+        log_determinant += np.linalg.slogdet(information)[1]
+        return precision, np.linalg.inv(information), log_determinant
 
 
 def remove_smooth_motion(
