@@ -247,22 +247,8 @@ def evaluate_fit(
         scale_indices,
         by_trial,
         float(by_trial.sum() + prior + volume),
-        promised_gain(curvature, gradient, chi),
+        solver.promised_gain(curvature, gradient, chi),
     )
-
-
-def promised_gain(
-    curvature: np.ndarray, gradient: np.ndarray, chi: np.ndarray
-) -> float:
-    """Compute by how much a quadratic falls to its minimum within [0, 1].
-
-    Parameters
-    ----------
-    curvature, gradient
-        At exponents chi (P,), (P, P) and (P,).
-    """
-    step = solver.minimise_in_box(curvature, gradient, -chi, 1.0 - chi)
-    return float(-(gradient @ step + 0.5 * step @ curvature @ step))
 
 
 def log_prior(

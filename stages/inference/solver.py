@@ -186,8 +186,8 @@ def iterate_runs(problem: Problem, runs: SolverRuns, min_gain: float) -> None:
     """Linearise all active runs and move them. Parameters as of `fit_least_squares`."""
     active = np.flatnonzero(runs.active)
     _linearise_runs(problem, runs, active[runs.stale[active]])
-    promised_gain = 0.5 * runs.residual.shape[1] * runs.promise
-    runs.active &= promised_gain > NEGLIGIBLE_SHARE * min_gain
+    gain = 0.5 * runs.residual.shape[1] * runs.promise
+    runs.active &= gain > NEGLIGIBLE_SHARE * min_gain
     active = np.flatnonzero(runs.active)
     if active.size:
         _step_runs(problem, runs, active, min_gain)
@@ -254,20 +254,25 @@ def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> N
     runs.gradient[chosen] = np.einsum("rpn,rn->rp", weighted, residual)
     runs.width[chosen] = difference_widths(slope, runs.loss[chosen], width)
     runs.stale[chosen] = False
-    for run in chosen:
-        runs.promise[run] = _promised_share(runs, run)
+    for run in chosen:  # of half the loss
+        gain = promised_gain(runs.normal[run], runs.gradient[run], runs.chi[run])
+        runs.promise[run] = 2 * gain / max(runs.loss[run], SMALLEST_FLOAT)
 
 
-def _promised_share(runs: SolverRuns, run: int) -> float:
-    """Share of a run's loss that its best step removes if slopes do not change."""
-    chi = runs.chi[run]
-    normal = runs.normal[run]
-    gradient = runs.gradient[run]
-    flat = FLAT_CURVATURE_SHARE * np.diag(normal).mean() + SMALLEST_FLOAT
-    damped = normal + flat * np.eye(len(chi))
+def promised_gain(
+    curvature: np.ndarray, gradient: np.ndarray, chi: np.ndarray
+) -> float:
+    """Compute by how much a quadratic falls to its minimum within [0, 1].
+
+    Parameters
+    ----------
+    curvature, gradient
+        At exponents chi (P,), (P, P) and (P,).
+    """
+    flat = FLAT_CURVATURE_SHARE * np.diag(curvature).mean() + SMALLEST_FLOAT
+    damped = curvature + flat * np.eye(len(chi))
     step = minimise_in_box(damped, gradient, -chi, 1.0 - chi)
-    decrease = -step @ (2 * gradient + normal @ step)
-    return float(decrease / max(runs.loss[run], SMALLEST_FLOAT))
+    return float(-(gradient @ step + 0.5 * step @ curvature @ step))
 
 
 def _step_runs(

@@ -109,7 +109,7 @@ def test_the_evidence_is_likelihood_times_prior_times_volume(chi):
 )
 def test_one_more_step_promises_what_a_quadratic_falls_within_bounds(gradient, gain):
     curvature = np.diag([4.0, 2.0])
-    promised = laplace.promised_gain(curvature, np.array(gradient), np.zeros(2))
+    promised = solver.promised_gain(curvature, np.array(gradient), np.zeros(2))
     assert promised == pytest.approx(gain)
 
 
