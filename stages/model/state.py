@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+SHORTEST_PIECE_M = 1e-12  # between two nodes: shorter ones are taken as so long
+
 
 @dataclass(frozen=True)
 class StringState:
@@ -120,11 +122,11 @@ def _interpolate(x: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> np.nda
     x = np.broadcast_to(x, (*shape, x.shape[-1]))
     nodes = np.broadcast_to(nodes, (*shape, nodes.shape[-1]))
     values = np.broadcast_to(values, nodes.shape)
-    width = np.maximum(np.diff(nodes), np.finfo(float).tiny)
+    width = np.maximum(np.diff(nodes), SHORTEST_PIECE_M)
     rise = np.diff(values) / width
     before, after = rise[..., :-1], rise[..., 1:]
-    square = before**2 + after**2
-    inner = before * after * (before + after) / (square + np.finfo(float).tiny)
+    square = before**2 + after**2 + np.finfo(float).tiny
+    inner = before * after * (before + after) / square
     slopes = np.concatenate([rise[..., :1], inner, rise[..., -1:]], axis=-1)
 
     piece = np.sum(x[..., None] >= nodes[..., None, 1:-1], axis=-1)

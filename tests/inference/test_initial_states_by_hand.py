@@ -386,11 +386,12 @@ def test_a_state_is_read_between_its_nodes_along_a_smooth_curve():
     assert slope[:, 0] == pytest.approx(slope[:, 1], abs=1e-3)
 
 
-def test_a_string_that_begins_just_before_the_grasp_is_bent_nowhere_else():
+@pytest.mark.parametrize("before", [0.0, 1e-7])
+def test_a_string_that_begins_just_before_the_grasp_is_bent_nowhere_else(before):
     s = np.linspace(0.0, 0.3, 7)
     state = StringState(0.0, s, 0.1 * s, 0.0 * s)
     extended = state.extend_before_grasp(
-        np.array([1e-7]), np.array([1.0]), np.array([0.0])
+        np.array([before]), np.array([1.0]), np.array([0.0])
     )
-    angles, _ = extended.segment_angles_and_rates(np.linspace(0.0, 0.3, 50)[None])
-    assert angles[0] == pytest.approx(0.1 * np.linspace(0.0, 0.3, 50), abs=1e-3)
+    angles, _ = extended.segment_angles_and_rates(np.linspace(1e-3, 0.3, 50)[None])
+    assert angles[0] == pytest.approx(0.1 * np.linspace(1e-3, 0.3, 50), abs=1e-3)
