@@ -312,9 +312,16 @@ def _step_runs(
             runs.damping[run] = max(runs.damping[run] * factor, MIN_DAMPING)
             runs.stale[run] = True
             runs.active[run] = gain > min_gain
-        else:
+        elif runs.damping[run] * DAMPING_INCREASE < MAX_DAMPING:
             runs.damping[run] *= DAMPING_INCREASE
-            runs.active[run] = runs.damping[run] < MAX_DAMPING
+        else:
+            # No step gains anything: slopes over narrower differences may be right
+            promised = 0.5 * residuals.shape[-1] * runs.promise[run]
+            is_wide = bool((runs.width[run] > MIN_DIFFERENCE).any())
+            runs.active[run] = is_wide and promised > min_gain
+            runs.width[run] = np.maximum(0.1 * runs.width[run], MIN_DIFFERENCE)
+            runs.damping[run] = INITIAL_DAMPING
+            runs.stale[run] = True
 
 
 def _trial_points(

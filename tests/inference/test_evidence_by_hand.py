@@ -174,11 +174,11 @@ def test_a_fit_maximises_the_likelihood_of_exponents_and_scales(size):
 
 
 def curved(start):
-    """Return residuals 2 + 400 x + 1e6 x^2 of the distance x from a start, (C, 1)."""
+    """Return residuals 2 + 4e3 x + 1e7 x^2 of the distance x from a start, (C, 1)."""
 
     def residuals(chi):
         x = chi - start
-        return 2 + 400 * x + 1e6 * x**2
+        return 2 + 4e3 * x + 1e7 * x**2
 
     return residuals
 
@@ -186,8 +186,8 @@ def curved(start):
 @pytest.mark.parametrize(
     ("start", "widths", "slope"),
     [
-        (0.1, [3e-5, 0.1 / 430], 400 + 1e6 * 0.1 / 430),
-        (0.9, [-3e-5, -0.1 / 370], 400 - 1e6 * 0.1 / 370),
+        (0.1, [1e-4, 0.1 / 5e3], 4e3 + 1e7 * 0.1 / 5e3),
+        (0.9, [-1e-4, -0.1 / 3e3], 4e3 - 1e7 * 0.1 / 3e3),
     ],
 )
 def test_the_first_differences_say_how_wide_the_second_are(start, widths, slope):
@@ -206,7 +206,7 @@ def test_the_first_differences_say_how_wide_the_second_are(start, widths, slope)
         data,
         SimpleNamespace(model=None),
         np.array([start]),
-        np.array([3e-5]),
+        np.array([1e-4]),
         [np.array([2.0])],
         None,
         np.array([[start + 0.01]]),
@@ -214,12 +214,12 @@ def test_the_first_differences_say_how_wide_the_second_are(start, widths, slope)
     assert asked == pytest.approx(widths)
     assert width == pytest.approx([abs(widths[-1])])
     assert slopes[0] == pytest.approx(np.array([[slope]]))
-    assert others[0] == pytest.approx(np.array([[2 + 4 + 100]]))
+    assert others[0] == pytest.approx(np.array([[2 + 40 + 1000]]))
 
 
 @pytest.mark.parametrize("limit", [np.inf, 1.0])
 def test_a_covariance_is_of_slopes_over_a_tenth_of_the_residual(monkeypatch, limit):
-    """Of residuals of 2 with a slope of 500, whose loss is 4, or 3 by Huber."""
+    """Of residuals of 2 with a slope of 5,000, whose loss is 4, or 3 by Huber."""
     residuals = curved(0.1)
     asked = []
 
@@ -237,9 +237,9 @@ def test_a_covariance_is_of_slopes_over_a_tenth_of_the_residual(monkeypatch, lim
     slope, residual, weight, block = covariance.parameter_covariance(
         likelihood, np.array([0.1])
     )
-    width = 0.1 * np.sqrt(4.0 if limit == np.inf else 3.0) / 500
+    width = 0.1 * np.sqrt(4.0 if limit == np.inf else 3.0) / 5e3
     assert asked == pytest.approx([0.0, 1e-4, width], abs=1e-12)
-    assert slope == pytest.approx(np.full((1, 3), 400 + 1e6 * width))
+    assert slope == pytest.approx(np.full((1, 3), 4e3 + 1e7 * width))
     assert residual == pytest.approx(np.full(3, 2.0))
     assert weight == pytest.approx(np.full(3, 1.0 if limit == np.inf else 0.5))
     assert list(block) == [0, 0, 1, 1, 1, 1]
@@ -421,23 +421,23 @@ def test_curvature_and_gradient_are_those_of_half_the_loss(limit):
 
 
 def test_widths_move_points_by_a_tenth_of_the_residual_within_limits():
-    slope = np.array([[[3.0, 4.0], [300.0, 400.0], [0.0, 0.0], [3e6, 4e6]]])
+    slope = np.array([[[3.0, 4.0], [3e3, 4e3], [0.0, 0.0], [3e6, 4e6]]])
     rms = np.sqrt(12.5)
-    width = np.full((1, 4), 3e-5)
+    width = np.full((1, 4), 4e-5)
     found = solver.difference_widths(slope, np.array([0.25]), width)
-    assert found == pytest.approx(np.array([[1e-3, 0.05 / (100 * rms), 1e-3, 1e-6]]))
+    assert found == pytest.approx(np.array([[1e-3, 0.05 / (1e3 * rms), 1e-3, 1e-6]]))
     assert solver.difference_widths(slope, np.zeros(1), width)[0, 2] == 1e-6
 
 
 def test_a_width_that_is_right_to_a_factor_of_two_stays():
     """Differences about the same point are then simulated once."""
-    slope = np.full((1, 4, 1), 1e3)  # a tenth of a residual of one is 1e-4
-    width = np.array([[0.4e-4, 0.6e-4, 1.9e-4, 2.1e-4]])
+    slope = np.full((1, 4, 1), 1e4)  # a tenth of a residual of one is 1e-5
+    width = np.array([[0.4e-5, 0.6e-5, 1.9e-5, 2.1e-5]])
     found = solver.difference_widths(slope, np.ones(1), width)
-    assert found == pytest.approx(np.array([[1e-4, 0.6e-4, 1.9e-4, 1e-4]]))
+    assert found == pytest.approx(np.array([[1e-5, 0.6e-5, 1.9e-5, 1e-5]]))
 
 
-def fake_step(monkeypatch, losses, damping=0.5, min_gain=0.05, promise=0.9):
+def fake_step(monkeypatch, losses, damping=0.5, min_gain=0.05, promise=0.9, width=1e-6):
     """Step a run of loss 1 whose six trial steps have these losses, of ten numbers."""
     points = np.arange(6.0)[:, None]
     problem = SimpleNamespace(
@@ -450,7 +450,7 @@ def fake_step(monkeypatch, losses, damping=0.5, min_gain=0.05, promise=0.9):
         chi=np.array([[9.0]]),
         residual=np.ones((1, 10)),
         loss=np.ones(1),
-        width=None,
+        width=np.full((1, 1), width),
         damping=np.array([damping]),
         stale=np.zeros(1, dtype=bool),
         active=np.ones(1, dtype=bool),

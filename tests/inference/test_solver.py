@@ -206,3 +206,22 @@ def test_hubers_weights_have_the_slope_of_its_loss():
         slope, (2 * huber_weights(size, 2.0) * size)[:, 0], atol=1e-5
     )
     assert huber_loss(size, np.inf) == pytest.approx(size[:, 0] ** 2)
+
+
+class NarrowBowl:
+    """A bowl that is narrower than the first differences are wide."""
+
+    parameters = (LEVEL[2],)
+    limit = np.inf
+
+    def residuals(self, chi):
+        return 1.0 + (1e5 * (chi - 0.50003)) ** 2
+
+
+def test_a_run_that_no_step_improves_looks_at_narrower_slopes():
+    """Over 1e-4 the slope is upwards, to the left of the minimum."""
+    start = np.array([[0.5]])
+    wide = NarrowBowl().residuals(start + 1e-4) - NarrowBowl().residuals(start)
+    assert wide > 0
+    found = fit_least_squares(NarrowBowl(), start, 60)
+    assert found.loss[0] < 2.0  # 100 at first, 1 at the minimum
