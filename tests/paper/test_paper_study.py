@@ -158,6 +158,7 @@ def leave_run(place, hits):
 def leave_cast(place):
     nothing = {name: table.empty() for name, table in Motion.TABLES.items()}
     outcome = {column.name: [0.25] for column in Motion.TABLES["outcome"].columns}
+    outcome |= {"limit": [""], "prospects": [""]}
     motion = Motion(
         **nothing | {"string": strings(1.0), "outcome": pd.DataFrame(outcome)}
     )
