@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-SHORTEST_PIECE_M = 1e-12  # between two nodes: shorter ones are taken as so long
-
 
 @dataclass(frozen=True)
 class StringState:
@@ -111,33 +109,11 @@ def _prepend(first: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
 
 
 def _interpolate(x: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Interpolate values at x between nodes, each (M,) or (C, M).
-
-    By cubics of continuous slope: x may depend on a parameter, on which a result should
-    depend smoothly. A slope at a node is hardly steeper than the gentler of both sides,
-    so that a short piece overshoots in no other (van Albada, van Leer, Roberts 1982,
-    Astron. Astrophys. 108, 76). Constant beyond the ends.
-    """
-    shape = np.broadcast_shapes(x.shape[:-1], nodes.shape[:-1], values.shape[:-1])
-    x = np.broadcast_to(x, (*shape, x.shape[-1]))
-    nodes = np.broadcast_to(nodes, (*shape, nodes.shape[-1]))
-    values = np.broadcast_to(values, nodes.shape)
-    width = np.maximum(np.diff(nodes), SHORTEST_PIECE_M)
-    rise = np.diff(values) / width
-    before, after = rise[..., :-1], rise[..., 1:]
-    square = before**2 + after**2 + np.finfo(float).tiny
-    inner = before * after * (before + after) / square
-    slopes = np.concatenate([rise[..., :1], inner, rise[..., -1:]], axis=-1)
-
-    piece = np.sum(x[..., None] >= nodes[..., None, 1:-1], axis=-1)
-
-    def at_piece(each: np.ndarray) -> np.ndarray:
-        return np.take_along_axis(each, piece, axis=-1)
-
-    size = at_piece(width)
-    u = np.clip((x - at_piece(nodes)) / size, 0.0, 1.0)
-    start, end = at_piece(values), at_piece(values[..., 1:])
-    bend_at_start = size * at_piece(slopes) - (end - start)
-    bend_at_end = (end - start) - size * at_piece(slopes[..., 1:])
-    bend = (1.0 - u) * bend_at_start + u * bend_at_end
-    return np.asarray(start + u * (end - start) + u * (1.0 - u) * bend)
+    """Interpolate values at x between nodes, each (M,) or (C, M)."""
+    if x.ndim == nodes.ndim == values.ndim == 1:
+        interpolated: np.ndarray = np.interp(x, nodes, values)
+        return interpolated
+    arrays = (x, nodes, values)
+    count = max(len(array) for array in arrays if array.ndim == 2)
+    rows = [np.broadcast_to(array, (count, array.shape[-1])) for array in arrays]
+    return np.array([np.interp(*row) for row in zip(*rows, strict=True)])

@@ -368,30 +368,3 @@ def test_points_are_displaced_by_the_modes_among_the_shapes():
     found = initial_modes.reset_initial_state_linear(trial, shapes)
     moved = (2 * np.arange(8.0) + 0.5).reshape(4, 2) * trial.sigma[:, None]
     assert found.points == pytest.approx(trial.points + moved)
-
-
-def test_a_state_is_read_between_its_nodes_along_a_smooth_curve():
-    """It is exact for straight lines and at nodes, constant beyond, and has no kink."""
-    s = np.array([0.0, 0.1, 0.25, 0.3, 0.6])
-    rate = np.array([0.2, -0.1, 0.5, 0.6, 0.0])
-    state = StringState(0.0, s, 3.0 * s, rate)
-    inside = np.linspace(0.0, 0.6, 9)
-    assert state.segment_angles_and_rates(inside)[0] == pytest.approx(3.0 * inside)
-    assert state.segment_angles_and_rates(s)[1] == pytest.approx(rate)
-    beyond = state.segment_angles_and_rates(np.array([-1.0, 0.7]))[1]
-    assert beyond == pytest.approx([0.2, 0.0])
-
-    near = s[1:-1, None] + np.array([-1e-6, 0.0, 1e-6])  # each candidate about a node
-    slope = np.diff(state.segment_angles_and_rates(near)[1]) / 1e-6
-    assert slope[:, 0] == pytest.approx(slope[:, 1], abs=1e-3)
-
-
-@pytest.mark.parametrize("before", [0.0, 1e-7])
-def test_a_string_that_begins_just_before_the_grasp_is_bent_nowhere_else(before):
-    s = np.linspace(0.0, 0.3, 7)
-    state = StringState(0.0, s, 0.1 * s, 0.0 * s)
-    extended = state.extend_before_grasp(
-        np.array([before]), np.array([1.0]), np.array([0.0])
-    )
-    angles, _ = extended.segment_angles_and_rates(np.linspace(1e-3, 0.3, 50)[None])
-    assert angles[0] == pytest.approx(0.1 * np.linspace(1e-3, 0.3, 50), abs=1e-3)
