@@ -73,8 +73,7 @@ def parameter_covariance(likelihood: Likelihood, chi: np.ndarray) -> Covariance:
     width = np.full((1, len(chi)), FIRST_DIFFERENCE)
     for _ in range(2):  # the first differences say how wide the second should be
         slope = forward_differences(likelihood, chi[None], residual, width)
-        loss = huber_loss(residual, likelihood.limit)
-        width = difference_widths(slope, loss, width)
+        width = difference_widths(slope, huber_loss(residual, likelihood.limit))
     weight = huber_weights(residual[0], likelihood.limit)
     return jackknife_covariance(
         slope[0],

@@ -201,16 +201,15 @@ def evaluate_fit(
     absent = hypothesis.exponents_from({})
     is_absent = np.eye(len(chi), dtype=bool)[amplitudes]  # (A, P)
     without_one = np.where(is_absent, absent, chi)
-    if width is None:
+    if width is None:  # the first differences say how wide the second should be
         width = np.full(len(chi), solver.FIRST_DIFFERENCE)
-    slopes, width, others = _residual_slopes(
-        data,
-        hypothesis,
-        chi,
-        width,
-        residuals,
-        scale_indices,
-        without_one,
+        slopes, _ = _residual_slopes(
+            data, hypothesis, chi, width, residuals, without_one
+        )
+        white = data.whiten(slopes, scale_indices)
+        width = solver.difference_widths(white[None], np.ones(1))[0]
+    slopes, others = _residual_slopes(
+        data, hypothesis, chi, width, residuals, without_one
     )
 
     # Log prior of the amplitudes
@@ -335,28 +334,21 @@ def _residual_slopes(
     chi: np.ndarray,
     width: np.ndarray,
     residuals: ByTrial,
-    scale_indices: np.ndarray,
     further_chi: np.ndarray,
-) -> tuple[ByTrial, np.ndarray, ByTrial]:
+) -> tuple[ByTrial, ByTrial]:
     """Difference each trial's residuals (2 n,) by the exponents (P,) over a width (P,).
 
-    Returns slopes (P, 2 n), the width that gave them, and residuals (A, 2 n) at further
-    exponents (A, P): more lanes of a batch cost little.
+    Returns slopes (P, 2 n), and residuals (A, 2 n) at further exponents (A, P): more
+    lanes of a batch cost little.
     """
     count = len(chi)
-    for _ in range(2):  # the first differences may say how wide the second should be
-        offset = np.where(chi > 0.5, -width, width)
-        points = np.concatenate([chi + np.diag(offset), further_chi])
-        simulated = data.residuals(hypothesis.model, points)
-        slopes = []
-        for rows, residual in zip(simulated, residuals, strict=True):
-            moved = rows[:count]
-            diverged = (moved == DIVERGED_RESIDUAL) | (residual == DIVERGED_RESIDUAL)
-            change = np.where(diverged, 0.0, moved - residual)
-            slopes.append(change / offset[:, None])
-        white = data.whiten(slopes, scale_indices)[None]
-        used = width
-        width = solver.difference_widths(white, np.ones(1), used[None])[0]
-        if (width == used).all():
-            break
-    return slopes, used, [rows[count:] for rows in simulated]
+    offset = np.where(chi > 0.5, -width, width)
+    points = np.concatenate([chi + np.diag(offset), further_chi])
+    simulated = data.residuals(hypothesis.model, points)
+    slopes = []
+    for rows, residual in zip(simulated, residuals, strict=True):
+        moved = rows[:count]
+        diverged = (moved == DIVERGED_RESIDUAL) | (residual == DIVERGED_RESIDUAL)
+        change = np.where(diverged, 0.0, moved - residual)
+        slopes.append(change / offset[:, None])
+    return slopes, [rows[count:] for rows in simulated]

@@ -49,7 +49,6 @@ DIFFERENCE_SHARE = 0.1  # of the residual's root mean square
 FIRST_DIFFERENCE = 1e-4
 MIN_DIFFERENCE = 1e-6
 MAX_DIFFERENCE = 1e-3
-WIDTH_TOLERANCE = 2.0  # factor by which a width may be off
 
 # Marquardt's damping, a share of the diagonal. Three are tried: with two, 0.05 and 3, a
 # search for a stiff strip crept along its valley and ended 3,600 of the log-likelihood
@@ -104,6 +103,8 @@ class SolverRuns:
         That was right last, (R,).
     stale
         Runs whose curvature and gradient are those of earlier exponents, (R,).
+    is_narrow
+        Runs whose differences were narrowed, as no step gained anything, (R,).
     active
         Runs that may still gain, (R,).
     normal, gradient
@@ -118,6 +119,7 @@ class SolverRuns:
     width: np.ndarray
     damping: np.ndarray
     stale: np.ndarray
+    is_narrow: np.ndarray
     active: np.ndarray
     normal: np.ndarray = field(repr=False)
     gradient: np.ndarray = field(repr=False)
@@ -135,6 +137,7 @@ class SolverRuns:
             width=np.full(chi.shape, FIRST_DIFFERENCE),
             damping=np.full(count, INITIAL_DAMPING),
             stale=np.ones(count, dtype=bool),
+            is_narrow=np.zeros(count, dtype=bool),
             active=np.ones(count, dtype=bool),
             normal=np.zeros((count, size, size)),
             gradient=np.zeros((count, size)),
@@ -154,6 +157,7 @@ class SolverRuns:
         self.loss = huber_loss(self.residual, problem.limit)
         self.damping = np.minimum(self.damping, INITIAL_DAMPING)
         self.stale[:] = True
+        self.is_narrow[:] = False
         self.active[:] = True
 
 
@@ -213,32 +217,16 @@ def forward_differences(
     return change / offset[..., None]
 
 
-def difference_widths(
-    slope: np.ndarray,
-    loss: np.ndarray,
-    width: np.ndarray,
-) -> np.ndarray:
+def difference_widths(slope: np.ndarray, loss: np.ndarray) -> np.ndarray:
     """Choose widths (R, P) over which points move by a tenth of the residual.
 
-    Those that are right to a factor of two stay: differences about the same point are
-    then simulated once.
-
-    Parameters
-    ----------
-    slope
-        Of white residuals, (R, P, N).
-    loss
-        Of each run, (R,).
-    width
-        Of the differences that gave the slope, (R, P).
+    slope: of white residuals, (R, P, N). loss: of each run, (R,).
     """
     slope_rms = np.sqrt(np.mean(slope**2, axis=-1))
     change = DIFFERENCE_SHARE * np.sqrt(loss)[:, None]
     smallest_slope = change / MAX_DIFFERENCE + SMALLEST_FLOAT
-    best = change / np.maximum(slope_rms, smallest_slope)
-    best = np.clip(best, MIN_DIFFERENCE, MAX_DIFFERENCE)
-    is_right = (best >= width / WIDTH_TOLERANCE) & (best <= width * WIDTH_TOLERANCE)
-    return np.where(is_right, width, best)
+    width = change / np.maximum(slope_rms, smallest_slope)
+    return np.asarray(np.clip(width, MIN_DIFFERENCE, MAX_DIFFERENCE))
 
 
 def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> None:
@@ -252,7 +240,7 @@ def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> N
     weighted = slope * weight / residual.shape[1]
     runs.normal[chosen] = weighted @ slope.transpose(0, 2, 1)
     runs.gradient[chosen] = np.einsum("rpn,rn->rp", weighted, residual)
-    runs.width[chosen] = difference_widths(slope, runs.loss[chosen], width)
+    runs.width[chosen] = difference_widths(slope, runs.loss[chosen])
     runs.stale[chosen] = False
     for run in chosen:  # of half the loss
         gain = promised_gain(runs.normal[run], runs.gradient[run], runs.chi[run])
@@ -311,14 +299,15 @@ def _step_runs(
             runs.loss[run] = lowest
             runs.damping[run] = max(runs.damping[run] * factor, MIN_DAMPING)
             runs.stale[run] = True
+            runs.is_narrow[run] = False
             runs.active[run] = gain > min_gain
         elif runs.damping[run] * DAMPING_INCREASE < MAX_DAMPING:
             runs.damping[run] *= DAMPING_INCREASE
         else:
             # No step gains anything: slopes over narrower differences may be right
             promised = 0.5 * residuals.shape[-1] * runs.promise[run]
-            is_wide = bool((runs.width[run] > MIN_DIFFERENCE).any())
-            runs.active[run] = is_wide and promised > min_gain
+            runs.active[run] = promised > min_gain and not runs.is_narrow[run]
+            runs.is_narrow[run] = True
             runs.width[run] = np.maximum(0.1 * runs.width[run], MIN_DIFFERENCE)
             runs.damping[run] = INITIAL_DAMPING
             runs.stale[run] = True

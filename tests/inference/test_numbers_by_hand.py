@@ -72,8 +72,8 @@ def test_a_slope_across_the_edge_of_what_can_be_simulated_is_none():
     residuals = [rows[0] for rows in simulate(None, chi[None])]
     further = np.array([[0.5, 0.1]])
     width = np.full(2, 1e-4)
-    slopes, _, others = laplace._residual_slopes(
-        data, SimpleNamespace(model=None), chi, width, residuals, None, further
+    slopes, others = laplace._residual_slopes(
+        data, SimpleNamespace(model=None), chi, width, residuals, further
     )
     assert slopes[0] == pytest.approx(shapes)
     assert slopes[1] == pytest.approx(np.array([[3.0, -1.0], [0.0, 0.0]]))
