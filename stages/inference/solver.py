@@ -144,6 +144,11 @@ class SolverRuns:
             promise=np.zeros(count),
         )
 
+    @property
+    def promised_gains(self) -> np.ndarray:
+        """Gains of the log-likelihood that the best steps promise, (R,)."""
+        return np.asarray(0.5 * self.residual.shape[1] * self.promise)
+
     def select(self, run: int) -> SolverRuns:
         """Select one of the runs."""
         values = {}
@@ -190,8 +195,7 @@ def iterate_runs(problem: Problem, runs: SolverRuns, min_gain: float) -> None:
     """Linearise all active runs and move them. Parameters as of `fit_least_squares`."""
     active = np.flatnonzero(runs.active)
     _linearise_runs(problem, runs, active[runs.stale[active]])
-    gain = 0.5 * runs.residual.shape[1] * runs.promise
-    runs.active &= gain > NEGLIGIBLE_SHARE * min_gain
+    runs.active &= runs.promised_gains > NEGLIGIBLE_SHARE * min_gain
     active = np.flatnonzero(runs.active)
     if active.size:
         _step_runs(problem, runs, active, min_gain)
@@ -305,8 +309,8 @@ def _step_runs(
             runs.damping[run] *= DAMPING_INCREASE
         else:
             # No step gains anything: slopes over narrower differences may be right
-            promised = 0.5 * residuals.shape[-1] * runs.promise[run]
-            runs.active[run] = promised > min_gain and not runs.is_narrow[run]
+            is_promising = runs.promised_gains[run] > min_gain
+            runs.active[run] = is_promising and not runs.is_narrow[run]
             runs.is_narrow[run] = True
             runs.width[run] = np.maximum(0.1 * runs.width[run], MIN_DIFFERENCE)
             runs.damping[run] = INITIAL_DAMPING

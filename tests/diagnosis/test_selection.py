@@ -31,6 +31,22 @@ def named_fit(name, log_evidence):
     return NamedFit(name, log_evidence, SimpleNamespace(cause_names=(name,)))
 
 
+def fit_with(*causes):
+    """Stand in for a fit with these causes, more evident with each."""
+    hypothesis = SimpleNamespace(
+        base=None, causes=causes, cause_names=tuple(cause.name for cause in causes)
+    )
+    hypothesis.without_cause = lambda cause: (
+        fit_with(*(other for other in causes if other is not cause)).hypothesis
+    )
+    return SimpleNamespace(hypothesis=hypothesis, log_evidence=100.0 * len(causes))
+
+
+def refit_stand_in(data, fit, hypothesis):
+    """Fit the causes of a hypothesis, whatever the data."""
+    return fit_with(*hypothesis.causes)
+
+
 def compare_on_own_data(fits, data):
     """Say that all data give the same evidence."""
     return dict.fromkeys(data, fits)
@@ -192,15 +208,6 @@ def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
     prepared = SimpleNamespace(data=SimpleNamespace(trials=trials))
     log_likelihoods = {(): np.zeros(5), ("wind",): np.array(gains)}
 
-    def fit(*causes):
-        names = tuple(cause.name for cause in causes)
-        hypothesis = SimpleNamespace(causes=causes, cause_names=names)
-        hypothesis.without_cause = lambda cause: fit().hypothesis
-        return SimpleNamespace(hypothesis=hypothesis)
-
-    def refit(data, fit, hypothesis):
-        return SimpleNamespace(hypothesis=hypothesis)
-
     def predict(data, fit):
         values = log_likelihoods[fit.hypothesis.cause_names]
         return [SimpleNamespace(log_likelihood=value) for value in values]
@@ -213,12 +220,12 @@ def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
         forward_selection, "unexplained_tip_rms", lambda *_: np.zeros(2)
     )
     monkeypatch.setattr(forward_selection, "trials_touched_by", touched)
-    monkeypatch.setattr(forward_selection, "refit", refit)
+    monkeypatch.setattr(forward_selection, "refit", refit_stand_in)
     monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
     monkeypatch.setattr(forward_selection, "predict_left_out_trials", predict)
     monkeypatch.setattr(forward_selection, "tip_errors", lambda *_: np.zeros(5))
     monkeypatch.setattr(forward_selection, "mean_explained_fraction", lambda *_: 0.9)
-    state = SelectionState(prepared, fit(wind))
+    state = SelectionState(prepared, fit_with(wind))
     state = forward_selection.drop_unconfirmed_causes(state, CRITERIA, 10)
     assert state.fit.hypothesis.cause_names == remaining
 
@@ -239,19 +246,10 @@ def test_a_contact_in_one_trial_is_set_aside_if_misfit_remains(
     trials = [SimpleNamespace(name=f"t{k}") for k in range(3)]
     prepared = SimpleNamespace(data=SimpleNamespace(trials=trials))
 
-    def fit(*causes):
-        names = tuple(cause.name for cause in causes)
-        hypothesis = SimpleNamespace(causes=causes, cause_names=names)
-        hypothesis.without_cause = lambda cause: fit().hypothesis
-        return SimpleNamespace(hypothesis=hypothesis)
-
-    def refit(data, fit, hypothesis):
-        return SimpleNamespace(hypothesis=hypothesis)
-
     def predict(data, fit):
         return [SimpleNamespace(chi=np.zeros(1)) for _ in trials]
 
-    monkeypatch.setattr(forward_selection, "refit", refit)
+    monkeypatch.setattr(forward_selection, "refit", refit_stand_in)
     monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
     monkeypatch.setattr(forward_selection, "is_inside_range", lambda *given: True)
     monkeypatch.setattr(forward_selection, "predict_left_out_trials", predict)
@@ -262,7 +260,7 @@ def test_a_contact_in_one_trial_is_set_aside_if_misfit_remains(
     for module in (forward_selection, agreement):
         monkeypatch.setattr(module, "trials_touched_by", lambda *given: touched)
     monkeypatch.setattr(agreement, "log_bayes_factor_of_trials", lambda *given: 20.0)
-    state = SelectionState(prepared, fit(contact))
+    state = SelectionState(prepared, fit_with(contact))
     state = forward_selection.drop_unconfirmed_causes(state, CRITERIA, 10)
     assert state.fit.hypothesis.cause_names == remaining
     assert list(state.set_aside) == ([] if remaining else ["contact"])
@@ -345,17 +343,6 @@ def test_an_evident_cause_below_the_tolerance_is_set_aside(
     assert state.set_aside == ({"wind": reason} if reason else {})
 
 
-def fit_with(*causes):
-    """Stand in for a fit with these causes, more evident with each."""
-    hypothesis = SimpleNamespace(
-        base=None, causes=causes, cause_names=tuple(cause.name for cause in causes)
-    )
-    hypothesis.without_cause = lambda cause: (
-        fit_with(*(other for other in causes if other is not cause)).hypothesis
-    )
-    return SimpleNamespace(hypothesis=hypothesis, log_evidence=100.0 * len(causes))
-
-
 @pytest.mark.parametrize(
     ("misfit_m", "further", "reason", "found"),
     [
@@ -390,12 +377,9 @@ def test_a_small_cause_does_not_hide_a_larger_one(
     def add(state, best, *given):
         return replace(state, fit=best)
 
-    def refit(data, fit, hypothesis):
-        return fit_with(*hypothesis.causes)
-
     monkeypatch.setattr(forward_selection, "compare_candidates", compare)
     monkeypatch.setattr(forward_selection, "add_cause", add)
-    monkeypatch.setattr(forward_selection, "refit", refit)
+    monkeypatch.setattr(forward_selection, "refit", refit_stand_in)
     monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
     monkeypatch.setattr(forward_selection, "is_evident", lambda *given: True)
     monkeypatch.setattr(
