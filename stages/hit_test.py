@@ -6,7 +6,7 @@ Before a cast: whether arm and string can reach the target at all.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -43,6 +43,11 @@ class HitResult:
     speed: float = np.nan
     direction: float = np.nan
 
+    @classmethod
+    def unknown(cls) -> HitResult:
+        """Return the result of a trial whose tip is not known."""
+        return cls(False, np.nan, np.nan)
+
 
 def hit_test(
     seen: Points, target: Target, obstacles: Sequence[Box], duration: float
@@ -78,7 +83,7 @@ def hit_test(
         times = np.arange(max(t[0], 0.0), end, TIME_STEP_S)
     path = tip_path(readings, times)
     if not np.isfinite(path).any():
-        return HitResult(False, np.nan, np.nan, len(contact_times))
+        return replace(HitResult.unknown(), touched=len(contact_times))
     inside = np.append(False, target.is_entered_along(path, TIME_STEP_S))
     hit = bool(inside.any())
     if hit and len(contact_times):

@@ -76,7 +76,7 @@ def print_summary(result: RunResult, console: Terminal) -> None:
     for iteration in result.iterations:
         if iteration.refusal_reason:
             console.print_line(
-                f"Cast {iteration.number}: the trial is invalid: "
+                f"{iteration.title.capitalize()}: the trial is invalid: "
                 f"{iteration.refusal_reason}."
             )
     for iteration in result.iterations:
@@ -121,7 +121,8 @@ def cast_table(rows: list[list[str]]) -> Table:
 def cast_row(iteration: Iteration) -> list[str]:
     """Return the cells of a cast or stored trial, some of them empty."""
     verdict, estimate = iteration.verdict, iteration.find(Estimate)
-    cells = [str(iteration.number), "", ""]
+    name = "look" if iteration.is_look else str(iteration.number)
+    cells = [name, "", ""]
     if (
         verdict is not None
         and not iteration.refusal_reason

@@ -131,7 +131,8 @@ def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepStat
             has_moved = arm_has_executed(settings, folder, number, maker, graph)
             states[name] = KEPT_STATE if has_moved else STALE_STATE, reasons
 
-    last = max(len({place.parent for place in places.values()}), 1)
+    numbers = [int(place.parent.name) for place in places.values()]
+    last = max(numbers, default=1)
     missing = missing_step(settings, folder, last)
     if missing is not None:
         states[missing.as_posix()] = MISSING_STEP

@@ -20,7 +20,12 @@ from stringcast.data.artifacts import (
 )
 from stringcast.pipeline.modes.stepwise import Stepwise, refuse_trials
 from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
-from stringcast.pipeline.run.iterations import Executor, History, Iteration
+from stringcast.pipeline.run.iterations import (
+    LOOK_NUMBER,
+    Executor,
+    History,
+    Iteration,
+)
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.run.stage_graph import StageGraph, build_graph
 from stringcast.pipeline.settings.composition import Settings
@@ -38,6 +43,7 @@ from stringcast.stages.hit_test import HitResult, check_reach, hit_test
 from stringcast.stages.spec import SameIteration, StageSpec
 
 log = logging.getLogger(__name__)
+LOOK_TRIAL = "look"  # name of the trial that shows the string before the first cast
 
 # What a cast does with its artifacts, in the form of a stage.
 HIT_TEST = StageSpec(
@@ -62,9 +68,24 @@ class Cast(Stepwise):
 
     stages: tuple[str, ...]
 
+    def look_stages(self, config: Settings) -> tuple[str, ...]:
+        """Return the stages of a look at the string: a cast's, with another motion."""
+        names = []
+        for name in self.stages:
+            is_plan = issubclass(stages()[name].makes, Motion)
+            names.append(config["look"] if is_plan else name)
+        return tuple(names)
+
     def graph(self, config: Settings) -> StageGraph:
-        """Return the graph of a cast, which ends with the hit test."""
-        return build_graph(self.stages, config, {}, HIT_TEST)
+        """Return the graph of a cast, which ends with the hit test.
+
+        The stage that plans the look at the string stands before it.
+        """
+        graph = build_graph(self.stages, config, {}, HIT_TEST)
+        if config["look"] is None:
+            return graph
+        build_graph(self.look_stages(config), config, {})  # only checked
+        return replace(graph, stages=(config["look"], *graph.stages))
 
     def check(self, experiment: Experiment) -> None:
         """Refuse stored trials, wrong wiring, and a target out of reach."""
@@ -84,47 +105,66 @@ class Cast(Stepwise):
         before: Sequence[Iteration] = (),
     ) -> RunResult:
         """Cast until a trial hits; earlier casts count."""
-        graph = self.graph(experiment.config)
-        history = History(executor, [*before], graph=graph)
-        target = experiment.config["execute"]["_target_"]
+        config = experiment.config
+        graph = self.graph(config)
+        target = config["execute"]["_target_"]
         is_dry_run = require_allowed(target, "execute", "config.json") in DRY_RUNS
-        max_casts = 1 if is_dry_run else experiment.config["max_casts"]
-        has_hit = bool(history.iterations) and history.iterations[-1].has_hit
-        while len(history.iterations) < max_casts and not has_hit:
+        max_casts = 1 if is_dry_run else config["max_casts"]
+        looks = config["look"] is not None and not before and not is_dry_run
+        history = History(executor, [*before], graph=graph)
+        if looks:
+            history.first_number = LOOK_NUMBER
+            names = self.look_stages(config)
+            history.graph = build_graph(names, config, {})
+            look = history.begin_iteration(trial=LOOK_TRIAL)
+            self.perform_stages(names, experiment, history)
+            log_fit(look)
+            log_reading(look)
+            executor.publish(history.iterations)
+            history.graph = graph
+
+        has_hit = bool(before) and before[-1].has_hit
+        while history.next_number <= max_casts and not has_hit:
             iteration = history.begin_iteration()
-            self.perform_cast(experiment, history)
+            self.perform_stages(self.stages, experiment, history)
             log_fit(iteration)
             verdict = measure_hit(experiment, iteration, graph)
             iteration = replace(iteration, verdict=verdict)
             log_verdict(iteration)
+            log_reading(iteration)
             history.iterations[-1] = iteration
             has_hit = iteration.has_hit
             executor.publish(history.iterations)
 
-        casts = tuple(history.iterations)
-        sentence = dry_run_outcome(casts[-1]) if is_dry_run else cast_outcome(casts)
-        return RunResult(folder, casts, sentence)
+        iterations = tuple(history.iterations)
+        if is_dry_run:
+            sentence = dry_run_outcome(iterations[-1])
+        else:
+            sentence = cast_outcome(iterations)
+        return RunResult(folder, iterations, sentence)
 
-    def perform_cast(self, experiment: Experiment, history: History) -> None:
-        """Run the stages of a cast; nothing is learned from an invalid trial."""
+    def perform_stages(
+        self, names: Sequence[str], experiment: Experiment, history: History
+    ) -> None:
+        """Run stages of a trial; nothing is learned from one that is invalid."""
         iteration = history.iterations[-1]
-        for name in self.stages:
+        for name in names:
             collected = stages()[name].collected_input
             if iteration.refusal_reason and history.lacking_input(name):
                 continue  # what was not learned is not used
             if not collected:
                 artifact = history.make_artifact(name)
                 if isinstance(artifact, Motion):
-                    log_prospects(iteration.number, artifact)
+                    log_prospects(iteration, artifact)
             elif not iteration.refusal_reason:
                 trials = trials_for_estimation(experiment, history, name)
                 history.make_artifact(name, **{collected: trials})
 
 
-def log_prospects(cast: int, motion: Motion) -> None:
+def log_prospects(iteration: Iteration, motion: Motion) -> None:
     """Log why the motion of a cast is likely to miss, if it is."""
     if prospects := motion.outcome.iloc[0].get("prospects"):
-        log.warning("cast %d: %s", cast, prospects)
+        log.warning("%s: %s", iteration.title, prospects)
 
 
 def measure_hit(
@@ -144,23 +184,22 @@ def measure_hit(
 
 
 def log_verdict(iteration: Iteration) -> None:
-    """Log how close the tip came, and why a trial is not used."""
+    """Log how close the tip came."""
     assert iteration.verdict is not None
+    distance_mm = 1e3 * iteration.verdict.distance
+    message = "%s: the tip came within %.1f mm of the target"
+    log.info(message, iteration.title, distance_mm)
+
+
+def log_reading(iteration: Iteration) -> None:
+    """Log an arm that is not where its joints say, and why a trial is not used."""
     points = iteration.find(Points)
     misfit = describe_arm_misfit(points.readings) if points is not None else ""
     if misfit:
-        log.warning("cast %d: %s", iteration.number, misfit)
-    log.info(
-        "cast %d: the tip came within %.1f mm of the target",
-        iteration.number,
-        1e3 * iteration.verdict.distance,
-    )
-    if iteration.refusal_reason:
-        log.warning(
-            "cast %d: nothing is estimated from its trial: %s",
-            iteration.number,
-            iteration.refusal_reason,
-        )
+        log.warning("%s: %s", iteration.title, misfit)
+    if reason := iteration.refusal_reason:
+        message = "%s: nothing is estimated from its trial: %s"
+        log.warning(message, iteration.title, reason)
 
 
 def trials_for_estimation(
@@ -206,7 +245,7 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
     if last.has_hit:
         sentence = f"The tip reached the target in cast {last.number}."
         return f"{sentence} {found}".strip()
-    tries = f"{len(iterations)} cast{'s' if len(iterations) > 1 else ''}"
+    tries = f"{last.number} cast{'s' if last.number > 1 else ''}"
     sentence = f"The tip did not reach the target in {tries}; the budget is spent."
     points = last.find(Points)
     assert points is not None

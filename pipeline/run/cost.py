@@ -144,15 +144,29 @@ class Trials:
 
 def _planned_trials(config: Settings, names: Sequence[str]) -> Trials:
     """Return the trials of casts, each as long as the longest movement."""
-    movement = "excite.duration" if "excite" in names else "generate.longest"
-    settings = {}
-    for name in (movement, "execute.before", "execute.after"):
-        value = setting_of(config, name)
-        if isinstance(value, int | float):
-            settings[name] = value
+    movements = []
+    if "excite" in names:
+        movements.append("excite.duration")
+    if "generate" in names or not movements:
+        movements.append("generate.longest")
+    durations = _given_numbers(config, movements)
+    settings = _given_numbers(config, ["execute.before", "execute.after"])
+    if durations:
+        longest = max(durations, key=lambda name: durations[name])
+        settings = {longest: durations[longest], **settings}
     seconds = float(sum(settings.values()))
     frames = seconds * config["camera"]["fps"]
     return Trials((seconds,) * config["max_casts"], frames, settings)
+
+
+def _given_numbers(config: Settings, names: Sequence[str]) -> dict[str, float]:
+    """Return those of some settings that are numbers, by name."""
+    numbers = {}
+    for name in names:
+        value = setting_of(config, name)
+        if isinstance(value, int | float):
+            numbers[name] = value
+    return numbers
 
 
 def _stored_trials(folder: Path) -> Trials:

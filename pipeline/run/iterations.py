@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from stringcast.stages.hit_test import HitResult  # which loads SciPy
 
 ArtifactT = TypeVar("ArtifactT")
+LOOK_NUMBER = 0  # of the trial that shows the string before the first cast
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Iteration:
     Parameters
     ----------
     number : int
-        Number from 1.
+        Number of a cast or stored trial, from 1; 0 of the look at the string before.
     artifacts : dict
         Artifacts that the steps made, by name.
     verdict : HitResult, optional
@@ -78,6 +79,16 @@ class Iteration:
     verdict: HitResult | None = None
     custom_trial_name: str = ""
     given_artifacts: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def is_look(self) -> bool:
+        """Whether it is the trial before the first cast that shows the string."""
+        return self.number == LOOK_NUMBER
+
+    @property
+    def title(self) -> str:
+        """The cast with its number, or the look before the first."""
+        return "look at the string" if self.is_look else f"cast {self.number}"
 
     @property
     def trial_name(self) -> str:
@@ -166,12 +177,20 @@ class History:
         Content hashes of stored trials by path.
     graph : StageGraph
         From which stage each input comes.
+    first_number : int
+        Number of the first iteration.
     """
 
     executor: Executor
     iterations: list[Iteration] = field(default_factory=list)
     file_hashes: Mapping[str, str] = field(default_factory=dict)
     graph: StageGraph = StageGraph()
+    first_number: int = 1
+
+    @property
+    def next_number(self) -> int:
+        """Number of the iteration that begins next."""
+        return self.first_number + len(self.iterations)
 
     def begin_iteration(
         self, trial: str = "", given: Mapping[str, Any] | None = None
@@ -186,7 +205,7 @@ class History:
             Artifacts with which it begins, by name.
         """
         iteration = Iteration(
-            len(self.iterations) + 1,
+            self.next_number,
             {},
             custom_trial_name=trial,
             given_artifacts=dict(given or {}),
@@ -219,16 +238,17 @@ class History:
         folders: list[Path] = []
         for key, wanted in stage.inputs.items():
             source = self.graph.artifact_name(name, key)
-            number, artifact = wanted.find(source, available) or (0, None)
+            place, artifact = wanted.find(source, available) or (0, None)
             inputs[key] = artifact
-            if number and not isinstance(artifact, wanted.kind):
+            if place and not isinstance(artifact, wanted.kind):
                 kind = type(artifact).__name__
                 raise TypeError(f"stage {name}: {key} is a {kind}, not {wanted.kind}")
             if isinstance(wanted, CollectedTrials):
                 parts = [self.graph.artifact_name(name, part) for part in wanted.parts]
                 for trial_number in inputs[key].iteration_numbers:
                     folders += self.folders_of(trial_number, parts)
-            elif number:
+            elif place:
+                number = self.iterations[place - 1].number
                 folders += self.folders_of(number, [source])
         step = Step(stage, current.number, inputs, tuple(folders), self.file_hashes)
         artifact = self.executor.obtain(step)
@@ -237,7 +257,7 @@ class History:
 
     def folders_of(self, number: int, names: Sequence[str]) -> list[Path]:
         """Return the folders of those artifacts that this run made in an iteration."""
-        made = self.iterations[number - 1].artifacts
+        made = self.iterations[number - self.first_number].artifacts
         return [artifact_folder(number, name) for name in names if name in made]
 
     def lacking_input(self, name: str) -> str:

@@ -20,10 +20,16 @@ from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.provenance import software_versions
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.settings.composition import Settings
+from stringcast.stages.hit_test import HitResult
 from stringcast.stages.plugins import load_object
 from stringcast.stages.report.page import FOLDER_PLACEHOLDER as HERE
 from stringcast.stages.report.pages.cast import cast_page
-from stringcast.stages.report.records import RunRecord, StageRecord, simulate_cast
+from stringcast.stages.report.records import (
+    CastRecord,
+    RunRecord,
+    StageRecord,
+    simulate_cast,
+)
 from stringcast.stages.spec import StageSpec
 
 
@@ -59,16 +65,19 @@ def write_stage_page(
 
 def collect_casts(experiment: Experiment, result: RunResult) -> RunRecord:
     """Collect the data of the page of casts."""
-    casts, estimates = [], []
+    looks: list[CastRecord] = []
+    casts: list[CastRecord] = []
+    estimates = []
     previous: Estimate | None = None
     for iteration in result.iterations:
         estimate = iteration.find(Estimate)
         if estimate is not None:
             estimates.append(estimate)
-        if iteration.verdict is None:  # only estimated
+        verdict = HitResult.unknown() if iteration.is_look else iteration.verdict
+        if verdict is None:  # only estimated
             continue
         motion, trial = iteration.find(Motion), iteration.find(Trial)
-        points, verdict = iteration.find(Points), iteration.verdict
+        points = iteration.find(Points)
         assert motion is not None
         assert trial is not None
         assert points is not None
@@ -82,7 +91,7 @@ def collect_casts(experiment: Experiment, result: RunResult) -> RunRecord:
             previous,
             iteration.find(Surprise),
         )
-        casts.append(cast)
+        (looks if iteration.is_look else casts).append(cast)
         previous = previous if estimate is None else estimate
     return RunRecord(
         experiment.config["name"],
@@ -96,6 +105,7 @@ def collect_casts(experiment: Experiment, result: RunResult) -> RunRecord:
         experiment.config,
         page_provenance(experiment),
         next_commands(commands_after_casts(result)),
+        looks[0] if looks else None,
     )
 
 

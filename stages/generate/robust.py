@@ -168,7 +168,8 @@ def generate(
 
     def draw_samples(count: int, draw_uniforms: DrawUniforms) -> UncertaintySamples:
         known = (model, estimate, uncertainty)
-        return sample_uncertainty(*known, count, rng, draw_uniforms)
+        least_tip_error = uncertainty.tip if previous is None else 0.0
+        return sample_uncertainty(*known, count, rng, draw_uniforms, least_tip_error)
 
     samples = draw_samples(search.string_samples, stratified_uniforms)
     # no motion hits half of all strings that are possible before the first trial

@@ -27,7 +27,7 @@ class PlanningUncertainty:
     ----------
     amplitude : relative error of a joint's speed between trials, one sigma
     lag : largest delay of the joints behind their commands [s]
-    tip : error of the simulated tip before the first trial, one sigma of a
+    tip : error of the simulated tip before the first cast, one sigma of a
         coordinate [m]
     """
 
@@ -98,6 +98,7 @@ def sample_uncertainty(
     count: int,
     rng: np.random.Generator,
     draw_uniforms: DrawUniforms = independent_uniforms,
+    least_tip_error: float = 0.0,
 ) -> UncertaintySamples:
     """Sample the string, how the arm follows, and the simulation's error.
 
@@ -120,6 +121,9 @@ def sample_uncertainty(
         Source of randomness.
     draw_uniforms : callable
         Draws numbers between 0 and 1, as `independent_uniforms`.
+    least_tip_error : float
+        Least error of the simulated tip with an estimate, one sigma of a coordinate
+        [m]: slow trials show less of it than a cast.
 
     Returns
     -------
@@ -130,7 +134,9 @@ def sample_uncertainty(
     uniforms = draw_uniforms(rng, count, joints + 3)
     amplitude = uncertainty.amplitude * ndtri(uniforms[:, :joints])
     lag = uncertainty.lag * uniforms[:, joints]
-    tip_sigma = uncertainty.tip if estimate is None else estimate.model_error_m
+    tip_sigma = uncertainty.tip
+    if estimate is not None:
+        tip_sigma = max(estimate.model_error_m, least_tip_error)
     tip_error = tip_sigma * ndtri(uniforms[:, joints + 1 :])
     if estimate is None:
         chi = draw_uniforms(rng, count, len(model.names))

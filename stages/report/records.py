@@ -161,6 +161,8 @@ class RunRecord:
     ----------
     estimates : tuple of Estimate
         All of the run, in order.
+    look : CastRecord, optional
+        The slow trial before the first cast; its verdict says nothing.
     next_commands : sequence of (purpose, command)
         Commands to continue with.
     """
@@ -176,6 +178,7 @@ class RunRecord:
     settings: Mapping[str, Any]
     provenance: Mapping[str, Any]
     next_commands: Sequence[tuple[str, str]] = ()
+    look: CastRecord | None = None
 
 
 def simulate_cast(

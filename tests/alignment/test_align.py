@@ -550,6 +550,15 @@ def test_the_motion_is_slow_begins_at_rest_and_keeps_the_strings_length_from_obs
     assert (pixels < 639).all()
 
 
+def test_more_motions_are_drawn_where_the_first_ones_are_not_allowed(model):
+    """Of three motions none keeps clear of this box; a later one does."""
+    box = Box(0.6, 0.5, 0.1, 0.1)
+    made = excite(model, (box,), seed=0, **SWING | {"motions": 3, "speed": 0.5})
+    counts = made.attempts.set_index("outcome")["count"]
+    assert counts["allowed"] == 1
+    assert counts.sum() == 4
+
+
 def test_where_there_is_no_room_it_says_so(model):
     with pytest.raises(DataError, match="the string could touch an obstacle"):
         excite(model, (Box(0.5, 0.4, 0.3, 0.3),), seed=0, **SWING)

@@ -53,6 +53,8 @@ def test_what_takes_minutes_is_not_asked_about(overrides):
         ),
         (("method=paper", "generate.attempts=10000000", "generate.longest=60",
           "max_casts=1"), "generate", "generate.attempts = 10000000"),
+        (("look=excite", "excite=look", "excite.duration=60", "camera.fps=1e5"),
+         "execute", "excite.duration = 60"),
         (("estimate=cma_es", "estimate.candidates=10000000"), "estimate",
          "estimate.candidates = 10000000"),
         (("+experiment=diagnose", SAMPLE, "diagnose.starts=10000"), "diagnose",

@@ -366,6 +366,21 @@ def test_draws_are_what_is_known(model):
     assert after.tip_error.std() == pytest.approx(0.003, rel=0.05)
 
 
+def test_slow_trials_do_not_show_the_whole_error_of_a_cast(model):
+    """A small misfit of slow trials leaves the stated error; a larger one counts."""
+    rng = np.random.default_rng(0)
+    for rms, sigma in ((0.003, 0.02), (0.04, 0.04)):
+        after = sample_uncertainty(
+            model,
+            known(SOFT, rms=rms),
+            PlanningUncertainty(0.004, 0.01, 0.02),
+            4000,
+            rng,
+            least_tip_error=0.02,
+        )
+        assert after.tip_error.std() == pytest.approx(sigma, rel=0.05)
+
+
 def test_stratified_samples_cover_every_part_of_each_range(model):
     """Each of 24 parts of a range holds one sample, and each draw is taken once."""
     rng = np.random.default_rng(0)

@@ -705,6 +705,31 @@ def test_estimation_alone_has_a_page(arm, small):
     assert "Cast 1" not in page.text
 
 
+def test_a_look_before_the_first_cast_has_its_own_section(arm, small):
+    """It shows what it taught and its film, and no distance from the target."""
+    cast = manipulation(arm, small)
+    seen = replace(cast, verdict=HitResult.unknown())
+    estimates = seen.estimate, cast.estimate
+    with_look = record_of(arm, small, [cast], look=seen, estimates=estimates)
+    page = Page(cast_page(with_look))
+    text = page.text
+    assert text.index("Look at the string") < text.index("The tip came within")
+    duration, frames = cast.motion.duration, len(seen.points.readings)
+    assert f"the arm swung slowly for {duration:.1f} s" in text
+    read = int(seen.points.readings["valid"].sum())
+    assert f"The string was read in {read} of {frames} frames" in text
+    # the film of the look shares the frames of the page with that of the cast
+    films, _ = page.explored()
+    assert len(films) == 2
+    assert sum(len(data["frames"]) for data in films) <= MAX_PAGE_FRAMES
+    unseen = replace(seen, estimate=None)
+    nothing = record_of(arm, small, [cast], look=unseen, estimates=(cast.estimate,))
+    assert "Nothing was learned from it" in Page(cast_page(nothing)).text
+    assert (
+        "Look at the string" not in Page(cast_page(replace(with_look, look=None))).text
+    )
+
+
 # --- pages of one cast to ten
 def test_ten_casts_share_the_frames_of_the_animation(arm, small, undrawn):
     """Ten casts share the frames of the animation.

@@ -54,6 +54,7 @@ PICTURE_MARGIN = 0.03  # of the picture's width that stays free around the arm
 CLOCK_WEIGHT = 2
 # where the design is judged: without a lag it would look like an offset
 TYPICAL_VALUES = {LAG: 0.005}
+MAX_DRAWS_RATIO = 25  # of motions that are drawn among obstacles, until one is allowed
 SIGHTING_INTERVAL_S = 0.01  # for which the design is judged
 
 
@@ -110,7 +111,7 @@ def excite(
     sines
         Number of sines of each joint.
     motions
-        Number of motions to draw.
+        Number of motions to draw; more are drawn until one is allowed.
     progress
         Reports the share that is done.
 
@@ -132,7 +133,9 @@ def excite(
     rng = np.random.default_rng(seed)
     outcomes: Counter[str] = Counter()
     best, most = None, -np.inf
-    for number in range(motions):
+    for number in range(MAX_DRAWS_RATIO * motions):
+        if number >= motions and best is not None:
+            break
         angles, speeds = draw_swings(model.arm, rng, duration, speed, highest, sines)
         violation = violated_limit(model, obstacles, angles, speeds)
         outcomes[violation or "allowed"] += 1
@@ -140,12 +143,12 @@ def excite(
             information = alignment_information(model, angles, speeds)
             if information > most:
                 best, most = angles, information
-        progress((number + 1) / motions)
+        progress(min((number + 1) / motions, 1.0))
     if best is None:
         counts = [f"{reason}: {count}" for reason, count in outcomes.most_common()]
         raise DataError(
-            f"no motion of excite.motions={motions} is allowed ({'; '.join(counts)}). "
-            "Lower excite.speed, draw more of them, or make room."
+            f"no motion of {outcomes.total()} is allowed ({'; '.join(counts)}). "
+            "Lower excite.speed, raise excite.motions, or make room."
         )
     return build_motion(model.arm, best, outcomes)
 

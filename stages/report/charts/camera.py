@@ -80,7 +80,8 @@ def region_of_run(record: RunRecord) -> ImageRegion:
     """Return the part of the image that shows every cast of a run."""
     points = [np.array([record.model.arm.base]), box_corners(record.target)]
     points += map(box_corners, record.obstacles)
-    for cast in record.casts:
+    looks = () if record.look is None else (record.look,)
+    for cast in (*looks, *record.casts):
         points.append(cast.joint_positions(record.model.arm).reshape(-1, 2))
         points += [line[:, :2] for line in cast.centre_lines.values()]
     return region_around(record, np.concatenate(points))
@@ -198,9 +199,8 @@ def cast_film_data(
     camera = record.model.camera
     scale = FILM_SIZE_PX / float(region.size_px.max())
     width, height = np.round(region.size_px * scale).astype(int).tolist()
-    frames = choose_frames(
-        cast, max(MAX_PAGE_FRAMES // len(record.casts), MIN_CAST_FRAMES)
-    )
+    films = len(record.casts) + (record.look is not None)
+    frames = choose_frames(cast, max(MAX_PAGE_FRAMES // films, MIN_CAST_FRAMES))
 
     def pixels(world: np.ndarray) -> list[list[float]]:
         """Return pixels of the film; none of a string that diverged."""

@@ -9,10 +9,17 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib import style
 
-from stringcast.data.artifacts import MIN_SHOWN_PROBABILITY, Estimate, Surprise
+from stringcast.data.artifacts import (
+    JOINTS,
+    MIN_SHOWN_PROBABILITY,
+    Estimate,
+    Explanation,
+    Surprise,
+)
 from stringcast.stages.common import describe_causes, readable_name
 from stringcast.stages.extract.reading_report import describe_arm_misfit
 from stringcast.stages.model.extension import extend_model
+from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.target import Target
 from stringcast.stages.report.charts.camera import (
@@ -90,6 +97,8 @@ def cast_page(record: RunRecord) -> str:
             sections.append(_hand_paths_figure(record))
         if casts:
             region, scale_end = region_of_run(record), distance_scale_end(record)
+            if record.look is not None:
+                sections.append(_look_section(record, record.look, region))
             for number, cast in casts:
                 sections.append(_cast_section(record, number, cast, region, scale_end))
     is_valid = any(cast.is_valid for cast in record.casts)
@@ -97,6 +106,8 @@ def cast_page(record: RunRecord) -> str:
     nav = [
         (f"cast-{n}", join_sentences([f"Cast {n}", _result(cast)])) for n, cast in casts
     ]
+    if record.look is not None:
+        nav.insert(0, (LOOK_ANCHOR, Markup("Look")))
     page = Page(
         kind="report",
         name=record.name,
@@ -250,9 +261,7 @@ def _parameters_section(record: RunRecord) -> Section:
             )
             pictures.append((caption, history_picture(parameter, record.estimates)))
         parts.append(Card("", [Key(HISTORY_KEY), Small(pictures)]))
-    columns = ("parameter", "", "value", "95 % interval", "range searched", "unit")
-    table = [_parameter_row(p, rows.loc[p.name]) for p in parameters]
-    parts.append(Card("", [TableView([*columns, "determined by the data"], table)]))
+    parts.append(Card("", [_parameter_table(model, estimate)]))
     if not record.casts:
         charts = []
         for number, estimate in enumerate(record.estimates, start=1):
@@ -260,6 +269,18 @@ def _parameters_section(record: RunRecord) -> Section:
             charts.append(_matching_part(estimate, chart))
         parts.append(Explore([Container("grid", charts)]))
     return Section(title, parts)
+
+
+def _parameter_table(model: Model, estimate: Estimate) -> TableView:
+    """Tabulate what an estimate says about each parameter of a model."""
+    columns = ("parameter", "", "value", "95 % interval", "range searched", "unit")
+    rows = estimate.parameters.set_index("name")
+    table = [
+        _parameter_row(parameter, rows.loc[parameter.name])
+        for parameter in model.parameters
+        if parameter.name in rows.index
+    ]
+    return TableView([*columns, "determined by the data"], table)
 
 
 def _parameter_row(parameter: Parameter, row: pd.Series) -> list[Any]:
@@ -281,7 +302,61 @@ def _parameter_row(parameter: Parameter, row: pd.Series) -> list[Any]:
     ]
 
 
+# --- the look at the string
+LOOK_ANCHOR = "look"
+
+
+def _look_section(record: RunRecord, look: CastRecord, region: ImageRegion) -> Section:
+    """Show the slow trial before the first cast, and what it taught of the string."""
+    parts: list[Part] = [Text(_describe_look(record, look))]
+    if look.estimate is not None:
+        parts.append(Text(sentence_markup(look.estimate.fit["sentence"].iloc[0])))
+        model = extend_model(record.model, look.estimate.values())
+        parts.append(Card("", [_parameter_table(model, look.estimate)]))
+    if look.explanation is not None:
+        causes = _cause_table(look.explanation)
+        words = Text(look.explanation.sentence)
+        parts.append(Card("Cause", [part for part in (words, causes) if part]))
+    over_time = distance_chart(record, look)
+    shown = [
+        Card("Animation", [_animation(record, look, region)]),
+        over_time or _reason("Distance over time", NOTHING_READ),
+    ]
+    parts.append(Explore([Container("grid", shown)], FILM_LAYERS))
+    return Section("Look at the string", parts, LOOK_ANCHOR)
+
+
+def _describe_look(record: RunRecord, look: CastRecord) -> str:
+    """Describe the slow trial, and how likely a hit was with what it taught."""
+    commands = look.motion.commands
+    hand = record.model.arm.joint_positions(commands[list(JOINTS)].to_numpy())[:, -1]
+    velocity = np.gradient(hand, commands["t"], axis=0)
+    fastest = np.linalg.norm(velocity, axis=-1).max()
+    readings = look.points.readings
+    sentences = [
+        f"Before the first cast the arm swung slowly for {look.motion.duration:.1f} s, "
+        f"its hand at {fastest:.2f} m/s at most.",
+        f"The string was read in {readings['valid'].sum()} of {len(readings)} frames.",
+    ]
+    chance = record.casts[0].motion.outcome.iloc[0].get("chance", np.nan)
+    if look.estimate is None:
+        sentences.append("Nothing was learned from it.")
+    elif np.isfinite(chance):
+        sentences.append(
+            "With the strings that this leaves possible, the predicted hit probability "
+            f"of cast 1 was {chance:.2f}."
+        )
+    return " ".join(sentences)
+
+
 # --- one cast
+FILM_LAYERS = [
+    Layer("before", FRAME_COLOURS["before"]),
+    Layer("after", FRAME_COLOURS["after"]),
+    Layer("measured", FRAME_COLOURS["measured"], dots=True),
+]
+
+
 def _cast_section(
     record: RunRecord,
     number: int,
@@ -302,12 +377,8 @@ def _cast_section(
                 "is not drawn."
             )
             parts.append(Text(words, "missing"))
-    layers = [
-        Layer("before", FRAME_COLOURS["before"]),
-        Layer("after", FRAME_COLOURS["after"]),
-        Layer("measured", FRAME_COLOURS["measured"], dots=True),
-    ]
-    parts.append(Explore(_comparison(record, cast, region, scale_end), layers))
+    compared = _comparison(record, cast, region, scale_end)
+    parts.append(Explore(compared, FILM_LAYERS))
     parts.append(Container("grid", [_motions_card(cast), _link_card(cast)]))
     return Section(f"Cast {number}", parts, f"cast-{number}", _result(cast), "cast")
 
@@ -319,24 +390,27 @@ def _learning_card(cast: CastRecord, surprise: Surprise) -> Card:
         ("predicted hit probability", f"{chance:.2f}"),
         ("surprise", surprise.sentence),
     ]
-    parts: list[Part] = []
+    causes = None
     if (explanation := cast.explanation) is not None:
         rows.append(("cause", explanation.sentence))
-        table = explanation.explanations
-        shown = table[table["probability"] >= MIN_SHOWN_PROBABILITY]
-        causes = []
-        for cause in shown.itertuples():
-            name = describe_causes(str(cause.effects).split())
-            tip = (
-                "on a coarse mesh"
-                if np.isnan(cause.tip_rms)
-                else format_mm(cause.tip_rms, 1)
-            )
-            causes.append([name, *number_cells([f"{cause.probability:.2f}", tip])])
-        if causes:
-            parts.append(TableView(("cause", "probability", "tip is off by"), causes))
-    parts.insert(0, TableView((), rows, named=True))
-    return Card("Prediction, surprise and cause", parts)
+        causes = _cause_table(explanation)
+    parts = [TableView((), rows, named=True), causes]
+    return Card("Prediction, surprise and cause", [part for part in parts if part])
+
+
+def _cause_table(explanation: Explanation) -> TableView | None:
+    """Tabulate the causes that are probable enough to be shown; None without any."""
+    table = explanation.explanations
+    rows = []
+    for cause in table[table["probability"] >= MIN_SHOWN_PROBABILITY].itertuples():
+        name = describe_causes(str(cause.effects).split())
+        tip = (
+            "on a coarse mesh"
+            if np.isnan(cause.tip_rms)
+            else format_mm(cause.tip_rms, 1)
+        )
+        rows.append([name, *number_cells([f"{cause.probability:.2f}", tip])])
+    return TableView(("cause", "probability", "tip is off by"), rows) if rows else None
 
 
 def _comparison(
@@ -353,13 +427,6 @@ def _comparison(
             [(words, FRAME_COLOURS[name]) for name, words in OVERLAY_LABELS.items()]
         )
         near = Figure("Closest approach", picture, caption, beside=key)
-    animation: Part = Text(NO_FRAMES, "missing")
-    if film := cast_film_data(record, cast, region):
-        span = (
-            f"{len(film['t'])} camera frames from {film['t'][0]} to {film['t'][-1]} ms"
-        )
-        words = f"Animation of {span} with the measured and simulated strings"
-        animation = FilmPlayer(film, words)
     distance = Figure(
         "Distance of simulated and measured string",
         distance_map(record, cast, scale_end),
@@ -384,11 +451,22 @@ def _comparison(
     if len(cast.trial.arm):
         joints = Container("column", joint_charts(cast))
     left = Container("column", [near, distance])
+    animation = Card("Animation", [_animation(record, cast, region)])
     return [
-        Container("grid", [left, Card("Animation", [animation])]),
+        Container("grid", [left, animation]),
         Container("grid", over_time),
         Container("grid", [paths, joints]),
     ]
+
+
+def _animation(record: RunRecord, cast: CastRecord, region: ImageRegion) -> Part:
+    """Animate frames with the measured and simulated strings, if there are any."""
+    film = cast_film_data(record, cast, region)
+    if film is None:
+        return Text(NO_FRAMES, "missing")
+    span = f"{len(film['t'])} camera frames from {film['t'][0]} to {film['t'][-1]} ms"
+    words = f"Animation of {span} with the measured and simulated strings"
+    return FilmPlayer(film, words)
 
 
 def _matching_part(

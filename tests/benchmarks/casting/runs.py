@@ -118,15 +118,15 @@ def run_casts(
                 "estimate", trials=trial_set(training_casts)
             )
         assert isinstance(experiment.mode, Cast)
-        casts = experiment.mode.run_steps(
-            experiment, Path(), executor, training_casts
-        ).iterations[count:]
+        result = experiment.mode.run_steps(experiment, Path(), executor, training_casts)
     except MotionNotFoundError as error:
         # a run without a motion never hits
         return [{"cast": 1, "hit": False, "reason": str(error)}]
     references = ReferenceCasts(experiment, next(iter(executor.benches.values())))
     rows = []
-    for cast in casts:
+    for cast in result.iterations:
+        if cast.number <= count:  # a training cast, or a look at the string
+            continue
         row = cast_row(cast, cast.number - count, executor, references)
         # JSON has no NaN
         rows.append({name: None if pd.isna(x) else x for name, x in row.items()})
