@@ -6,14 +6,15 @@ the way of a motion that was tried; a plan for that box may do better.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.hit_probability import (
+    CastOutcome,
     CastTask,
     judge_motions,
     predict_outcome,
@@ -35,6 +36,29 @@ REASONS = {
     ARM: "no motion found within the arm's limits brings most of the likely strings "
     "there",
 }
+
+
+@dataclass(frozen=True)
+class SimulatedMotion:
+    """A motion that was simulated under K samples, as `simulate_motions` returns it.
+
+    Parameters
+    ----------
+    curve : the motion
+    samples : the samples
+    angles : (K, T, J) joint angles at the ticks [rad]
+    points : (K, T, n, 2) points of the string at the ticks [m]
+    """
+
+    curve: Curves
+    samples: UncertaintySamples
+    angles: np.ndarray
+    points: np.ndarray
+
+    def judge(self, task: CastTask) -> CastOutcome:
+        """Judge how near it comes to the target of a task, (1, K)."""
+        simulated = self.angles, self.points
+        return judge_motions(task, self.curve, self.samples, *simulated)
 
 
 def find_prospects(
@@ -62,19 +86,25 @@ def find_prospects(
     dict
         Columns of table MOTION_OUTCOME.
     """
-    outcome = predict_outcome(task, candidates, samples)
-    misses = ~outcome.hit[chosen]
-    touched = misses & (outcome.free_share[chosen] < 1)
+    motions = []
+    for number in range(len(candidates.duration)):
+        curve = candidates.select(np.array([number]))
+        simulated = simulate_motions(task, curve, samples)
+        motions.append(SimulatedMotion(curve, samples, *simulated))
+    outcome = motions[chosen].judge(task)
+    misses = ~outcome.hit[0]
+    touched = misses & (outcome.free_share[0] < 1)
+    hits = np.concatenate([motion.judge(task).hit for motion in motions])  # (M, K)
     limit = ARM
     if touched.sum() > misses.sum() / 2:
         limit = OBSTACLE
-    elif outcome.hit.any(axis=0).mean() >= UNLIKELY_HIT:
+    elif hits.any(axis=0).mean() >= UNLIKELY_HIT:
         limit = UNCERTAINTY
     prospects: dict[str, float | str] = {"limit": limit}
 
-    for motion, box in likely_boxes(task, candidates, samples):
-        curve = candidates.select(np.array([motion]))
-        hits = predict_outcome(replace(task, target=box), curve, validation).hit
+    for motion, box in likely_boxes(task, motions):
+        moved = replace(task, target=box)
+        hits = predict_outcome(moved, motion.curve, validation).hit
         if hits.mean() >= LIKELY_HIT:
             prospects["likely_x"], prospects["likely_y"] = box.x, box.y
             prospects["likely_chance"] = float(hits.mean())
@@ -88,24 +118,20 @@ def find_prospects(
 
 
 def likely_boxes(
-    task: CastTask, curves: Curves, samples: UncertaintySamples
-) -> Iterator[tuple[int, Target]]:
-    """Yield boxes that one of M motions is likely to hit, and the number of the motion.
+    task: CastTask, motions: Sequence[SimulatedMotion]
+) -> Iterator[tuple[SimulatedMotion, Target]]:
+    """Yield boxes that one of several motions is likely to hit, and the motion.
 
     Boxes lie around the typical tip at ticks at which the tips of many samples are near
     it, no farther from the target than the string is long. The nearest are the first.
     """
     target = task.target
-    simulated = []
     boxes = []  # distance from the target [m], number of the motion, centre [m]
-    for number in range(len(curves.duration)):
-        curve = curves.select(np.array([number]))
-        angles, points = simulate_motions(task, curve, samples)
-        simulated.append((curve, angles, points))
-        finite = np.isfinite(points).all(axis=(1, 2, 3))
+    for number, motion in enumerate(motions):
+        finite = np.isfinite(motion.points).all(axis=(1, 2, 3))
         if not finite.any():
             continue
-        tips = points[finite, :, -1]  # (K, T, 2)
+        tips = motion.points[finite, :, -1]  # (K, T, 2)
         typical_tip = np.median(tips, axis=0)
         distances = target.distance_to_centre(typical_tip)
         near = (np.abs(tips - typical_tip) <= 2 * target.half_size).all(axis=-1)
@@ -116,11 +142,9 @@ def likely_boxes(
             boxes.append((distances[tick], number, float(x), float(y)))
     for _, number, x, y in sorted(boxes)[:MAX_BOXES]:
         box = replace(target, x=x, y=y)
-        curve, angles, points = simulated[number]
-        moved = replace(task, target=box)
-        hits = judge_motions(moved, curve, samples, angles, points).hit
-        if hits.mean() >= LIKELY_HIT:
-            yield number, box
+        outcome = motions[number].judge(replace(task, target=box))
+        if outcome.hit.mean() >= LIKELY_HIT:
+            yield motions[number], box
 
 
 def describe_prospects(outcome: pd.Series) -> str:

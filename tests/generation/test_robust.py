@@ -527,6 +527,24 @@ def test_of_a_target_that_no_motion_reaches_the_nearest_box_is_stated(model):
     assert f"{1e3 * distance:.0f} mm away" in sentence
 
 
+def test_motions_are_simulated_once_for_all_that_is_stated(model, monkeypatch):
+    """Reach, obstacles and boxes nearby are judged by one simulation of each motion."""
+    draws = sample_uncertainty(model, known(SOFT), NONE, 4, np.random.default_rng(0))
+    swings = join_curves([plain_cast(model.arm, 0.6), plain_cast(model.arm, 0.7)])
+    task = CastTask(model, Target(-2.0, 0.0, 0.02, 0.04), ())
+    counts = []
+    simulate_string = Model.simulate_string
+
+    def count_strings(self, motion, values, times):
+        counts.append(len(values))
+        return simulate_string(self, motion, values, times)
+
+    monkeypatch.setattr(Model, "simulate_string", count_strings)
+    found, _ = prospects(task, swings, draws)
+    assert found == {"limit": "arm"}
+    assert sum(counts) == 2 * 4
+
+
 def test_what_makes_a_hit_unlikely_is_stated(model):
     """A motion hits one of two strings, another the other; both touch a wall.
 
