@@ -300,6 +300,18 @@ def implicit_string(points, largest_step, length=0.3, **settings) -> String:
     )
 
 
+def simulated_points(trial, values):
+    """Return points (N, 2) of a string of these values at the measured ones [m]."""
+    _, motion = next(trial.simulate(values[None]))
+    return trial.sample_at_points(motion.points)[0]
+
+
+def rms_distance(trial, values):
+    """Return the rms distance of a string of these values from measured points [m]."""
+    simulated = simulated_points(trial, values)
+    return np.sqrt(trial.mean_square_distances(simulated)[0])
+
+
 def specimen(name) -> Specimen:
     return configured(Specimen, f"specimen/{name}.yaml")
 

@@ -14,6 +14,7 @@ from stringcast.data.artifacts import Observation
 from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.extract.score import pixel_scores, rasterise
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
+from stringcast.stages.model.engine.simulate import StringMotion
 from stringcast.stages.model.engine.threads import compile_kernel, parallel_for
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
@@ -80,17 +81,21 @@ class MatchingTarget:
         """Compute E_f of candidates (C, P), (C, F); NaN where a run was rejected."""
         rates = np.full((len(values), len(self.windows)), np.nan)
         for chunk, motion in self.trial.simulate(values):
-            rate = frame_matching_rates(
-                self.trial.model.camera.pixels(motion.points),
-                self.scores,
-                self.windows,
-                self.tips,
-                self.matching.tip_step_px,
-                float(self.matching.dilations),
-                self.weights,
-            )
-            rates[chunk] = np.where(motion.finite[:, None], rate, np.nan)
+            rates[chunk] = self.rates_of_motion(motion)
         return rates
+
+    def rates_of_motion(self, motion: StringMotion) -> np.ndarray:
+        """Compute E_f of C simulated strings, (C, F); NaN where a run was rejected."""
+        rates = frame_matching_rates(
+            self.trial.model.camera.pixels(motion.points),
+            self.scores,
+            self.windows,
+            self.tips,
+            self.matching.tip_step_px,
+            float(self.matching.dilations),
+            self.weights,
+        )
+        return np.where(motion.finite[:, None], rates, np.nan)
 
 
 def matching_targets(

@@ -139,10 +139,13 @@ def build_estimate(
     pair = parameter_values(parameters, np.stack([before, after]))
     frames, squares = [], []
     for target in targets:
-        trial, (old, new) = target.trial, target.rates_by_frame(pair)
+        trial = target.trial
+        _, motion = next(trial.simulate(pair))
+        old, new = target.rates_of_motion(motion)
+        at_points = trial.sample_at_points(motion.points)  # (2, N, 2)
         columns = {"trial": trial.name, "t": trial.times, "before": old, "after": new}
         frames.append(pd.DataFrame(columns))
-        squares.append([trial.mean_square_distances(values) for values in pair])
+        squares.append([trial.mean_square_distances(points) for points in at_points])
     matching = pd.concat(frames, ignore_index=True)
     rms, tip = np.sqrt(np.mean(squares, axis=0)).T
 
@@ -177,14 +180,13 @@ def build_estimate(
         MATCHING.check(matching),
         ESTIMATION_SUMMARY.check(pd.DataFrame([fit])),
         DRAWS.check(pd.DataFrame(numbered | _value_columns(parameters, draws))),
-        tabulate_misfit(targets[-1].trial, pair[1]),
+        tabulate_misfit(trial, at_points[1]),
     )
 
 
-def tabulate_misfit(trial: PreparedTrial, values: np.ndarray) -> pd.DataFrame:
-    """Tabulate how far values (P,) of the parameters leave the tip off in a trial."""
-    _, motion = next(trial.simulate(values[None]))
-    misfit = trial.points - trial.sample_at_points(motion.points)[0]  # (N, 2)
+def tabulate_misfit(trial: PreparedTrial, simulated: np.ndarray) -> pd.DataFrame:
+    """Tabulate how far simulated points (N, 2) [m] leave the tip off in a trial."""
+    misfit = trial.points - simulated  # (N, 2)
     # the point nearest the tip in each frame
     order = np.lexsort((trial.s, trial.frame))
     is_last = np.append(np.diff(trial.frame[order]) > 0, True)

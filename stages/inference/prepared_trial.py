@@ -173,14 +173,12 @@ class PreparedTrial:
             error_model=UNIT_ERRORS,
         )
 
-    def mean_square_distances(self, values: np.ndarray) -> tuple[float, float]:
-        """Compute mean square distances of one candidate (P,) from measured points.
+    def mean_square_distances(self, simulated: np.ndarray) -> tuple[float, float]:
+        """Compute mean square distances of simulated from measured points (N, 2).
 
         Returns that of all points and that of those nearest the tip [m2].
         """
-        _, motion = next(self.simulate(values[None]))
-        offset = self.sample_at_points(motion.points)[0] - self.points
-        squares = np.sum(offset**2, axis=-1)
+        squares = np.sum((simulated - self.points) ** 2, axis=-1)
         outermost = self.s == self.s.max()
         return float(squares.mean()), float(squares[outermost].mean())
 

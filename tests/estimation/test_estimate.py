@@ -9,7 +9,7 @@ import numba
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import threads
+from conftest import rms_distance, simulated_points, threads
 
 from stringcast.data.artifacts import (
     CANDIDATES,
@@ -24,12 +24,18 @@ from stringcast.stages.estimate.matching import (
     frame_matching_rates,
     matching_targets,
 )
-from stringcast.stages.estimate.result import tabulate_misfit
+from stringcast.stages.estimate.result import (
+    Candidates,
+    Interval,
+    build_estimate,
+    tabulate_misfit,
+)
 from stringcast.stages.extract.score import pixel_scores, rasterise
-from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import parameter_exponents
 from stringcast.stages.model.string import String
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
@@ -85,7 +91,7 @@ def test_an_estimate_tells_how_far_it_leaves_the_tip_off_in_the_last_trial(arm, 
     seen = observed(3, noise=1e-9)
     points = seen.points.assign(x=seen.points["x"] + 0.05 * seen.points["s"])
     trial = prepare_trial(model, replace(seen, points=points))
-    misfit = tabulate_misfit(trial, model.values(TRUTH))
+    misfit = tabulate_misfit(trial, simulated_points(trial, model.values(TRUTH)))
     assert len(misfit) == len(trial.times)
     np.testing.assert_allclose(misfit["x"], 0.05 * 0.3, atol=1e-4)
     np.testing.assert_allclose(misfit["y"], 0.0, atol=1e-4)
@@ -94,6 +100,28 @@ def test_an_estimate_tells_how_far_it_leaves_the_tip_off_in_the_last_trial(arm, 
     np.testing.assert_allclose(
         misfit[["hand_x", "hand_y"]], hand[["x", "y"]], atol=1e-5
     )
+
+
+def test_an_estimate_simulates_a_trial_once_for_its_tables(arm, camera, monkeypatch):
+    model = Model(STRING, arm, camera)
+    targets = matching_targets(model, [observed(3)], MATCHING)
+    chi = parameter_exponents(model.parameters, model.values(TRUTH))
+    search = Candidates("none", chi[None], np.ones(1))
+    interval = Interval(chi, chi, np.ones(len(chi), bool), "")
+    counts = []
+    simulate_trial = PreparedTrial.simulate
+
+    def count_strings(self, values):
+        counts.append(len(values))
+        return simulate_trial(self, values)
+
+    monkeypatch.setattr(PreparedTrial, "simulate", count_strings)
+    made = build_estimate(targets, 0.95 * chi, chi, search, interval, chi[None])
+    assert counts == [2]  # before and after
+    assert made.fit["rms_after"][0] == pytest.approx(np.sqrt(2) * 7e-4, rel=0.05)
+    assert made.fit["rms_before"][0] > 0.01
+    misfit = made.misfit[["x", "y"]].to_numpy()
+    assert np.std(misfit) == pytest.approx(7e-4, rel=0.2)
 
 
 def test_matching_rate_is_equations_5_and_6():
@@ -348,4 +376,4 @@ def test_what_the_data_cannot_determine_is_said(arm, camera):
 
 def test_points_between_mass_points_are_interpolated(arm, camera):
     ready = prepare_trial(Model(STRING, arm, camera), observed(1, noise=0.0))
-    assert np.sqrt(ready.mean_square_distances(STRING.values(TRUTH))[0]) < 1e-9
+    assert rms_distance(ready, STRING.values(TRUTH)) < 1e-9

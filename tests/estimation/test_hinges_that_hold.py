@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import rms_distance
 
 from stringcast.data.artifacts import MASKS, READINGS, Observation
 from stringcast.stages.estimate import least_squares
@@ -119,10 +120,7 @@ def test_hinges_let_back_push_the_other_way():
 def test_what_the_hinges_held_is_found_from_the_motion(model, let_back):
     ready = prepare_trial(model, released(0.5, let_back, 1))
     found = refine_initial_state(ready, model.values(CABLE))
-    assert (
-        np.sqrt(found.mean_square_distances(model.values(CABLE))[0])
-        < 1.1 * np.sqrt(2) * NOISE
-    )
+    assert rms_distance(found, model.values(CABLE)) < 1.1 * np.sqrt(2) * NOISE
     assert float(found.initial_state.memory_reversal) == pytest.approx(
         let_back, abs=0.1
     )
@@ -130,7 +128,7 @@ def test_what_the_hinges_held_is_found_from_the_motion(model, let_back):
         found,
         initial_state=replace(found.initial_state, memory_reversal=0.6 - let_back),
     )
-    assert np.sqrt(unaware.mean_square_distances(model.values(CABLE))[0]) > 3 * NOISE
+    assert rms_distance(unaware, model.values(CABLE)) > 3 * NOISE
 
 
 def test_it_is_one_more_thing_that_nobody_knows(model):

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from conftest import rms_distance
 
 from stringcast.data import dataset
 from stringcast.data.artifacts import MASKS, READINGS, Observation
@@ -216,7 +217,7 @@ def test_the_motion_that_follows_corrects_the_state(
     )
     values = model.values(NAMED)
     assert (
-        np.sqrt(refine_initial_state(ready, values).mean_square_distances(values)[0])
+        rms_distance(refine_initial_state(ready, values), values)
         < worst * np.sqrt(2) * noise
     )
 
@@ -274,7 +275,7 @@ def test_a_dataset_that_begins_moving_is_estimated(model, tmp_path):
     )
     values = model.values(estimate.values())
     assert estimate.fit["rms_after"][0] < 1.2e-3
-    assert np.sqrt(prepare_trial(model, given).mean_square_distances(values)[0]) > 0.05
+    assert rms_distance(prepare_trial(model, given), values) > 0.05
     assert estimate.values()["bending_stiffness"] == pytest.approx(
         NAMED["bending_stiffness"], rel=0.035
     )

@@ -5,6 +5,7 @@ Its estimated error is the true error, and the optimum found on it is the minimu
 
 import numpy as np
 import pytest
+from conftest import rms_distance
 
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import discretisation_error, mesh_ladder
@@ -57,9 +58,7 @@ def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(given)
     coarse, fine = (discretisation_error(mesh, chi) for mesh in meshes)
     assert coarse / fine == pytest.approx(4.0, rel=0.05)
     trial = given.held_out
-    far = np.sqrt(
-        prepare_trial(model(77, 2.5e-4), trial).mean_square_distances(given.truth)[0]
-    )
+    far = rms_distance(prepare_trial(model(77, 2.5e-4), trial), given.truth)
     own = Likelihood(TrialData((prepare_trial(model(), trial),)), model())
     assert discretisation_error(own, chi) == pytest.approx(far, rel=0.05)
 

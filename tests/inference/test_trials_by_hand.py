@@ -110,22 +110,12 @@ def test_points_are_sampled_at_their_frame_and_place(monkeypatch):
     assert position == pytest.approx(np.tile([2.0, 6.0], 4))
 
 
-def test_distances_are_of_all_points_and_of_those_nearest_the_tip(monkeypatch):
+def test_distances_are_of_all_points_and_of_those_nearest_the_tip():
     trial = lying_trial()
     away = np.zeros((8, 2))
     away[0] = 3.0, 4.0
     away[7] = 0.0, 2.0
-    monkeypatch.setattr(
-        PreparedTrial,
-        "simulate",
-        lambda self, values: iter([(None, SimpleNamespace(points=values))]),
-    )
-    monkeypatch.setattr(
-        PreparedTrial,
-        "sample_at_points",
-        lambda self, points: points[:, None] * away + trial.points,
-    )
-    assert trial.mean_square_distances(np.ones(1)) == (29 / 8, 4 / 4)
+    assert trial.mean_square_distances(trial.points + away) == (29 / 8, 4 / 4)
 
 
 def test_candidates_are_simulated_in_chunks_with_their_own_states(monkeypatch):
