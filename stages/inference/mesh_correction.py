@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-MESH_CORRECTION_RADIUS = 0.05  # of a range: beyond this distance the slopes do not hold
+MESH_CORRECTION_RADIUS = 0.05  # of a range: far beyond this the slopes do not hold
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class MeshCorrection:
     def correction_at(self, names: Sequence[str], chi: np.ndarray) -> list[np.ndarray]:
         """Compute the change of each trial's residuals (C, 2 n) at exponents (C, P').
 
-        Parameters that the correction does not know change nothing; distances beyond
-        its radius are cut there.
+        Parameters that the correction does not know change nothing. The change levels
+        off at the radius, and smoothly: fits end at corners.
 
         names: of the parameters, (P',).
         """
@@ -60,7 +60,8 @@ class MeshCorrection:
                 known.append(i)
                 columns.append(names.index(name))
         distance = chi[:, columns] - self.chi[known]
-        limited = distance.clip(-MESH_CORRECTION_RADIUS, MESH_CORRECTION_RADIUS)
+        radius = MESH_CORRECTION_RADIUS
+        limited = radius * np.tanh(distance / radius)
         # One by one: a candidate has the same bits in any batch
         changes = []
         for slope in self.slopes:

@@ -307,31 +307,37 @@ def test_residuals_of_many_candidates_are_those_of_chunks(monkeypatch):
     assert asked == [20, 20, 5]  # of 5 s each, in 100 s
 
 
-def test_a_mesh_correction_is_linear_within_its_radius():
+def test_a_mesh_correction_is_linear_at_its_centre_and_levels_off_smoothly():
     slopes = (np.array([[1.0, 2.0], [10.0, 20.0]]), np.array([[3.0], [30.0]]))
     correction = MeshCorrection(("a", "b"), np.array([0.5, 0.2]), slopes)
-    chi = np.array([[9.0, 0.23, 0.49], [9.0, 0.9, 0.1]])
+    chi = np.array([[9.0, 0.2003, 0.4999], [9.0, 0.9, 0.1]])
     first, second = correction.correction_at(("c", "b", "a"), chi)
-    steps = np.array([[-0.01, 0.03], [-0.05, 0.05]])
-    assert first == pytest.approx(steps @ slopes[0])
-    assert second == pytest.approx(steps @ slopes[1])
+    steps = np.array([[-0.0001, 0.0003], [-0.05, 0.05]])
+    assert first == pytest.approx(steps @ slopes[0], rel=1e-4)
+    assert second == pytest.approx(steps @ slopes[1], rel=1e-4)
     (alone,) = correction.subset([1]).correction_at(("b",), chi[:, 1:2])
-    assert alone == pytest.approx(steps[:, 1:] @ slopes[1][1:])
+    assert alone == pytest.approx(steps[:, 1:] @ slopes[1][1:], rel=1e-4)
+    line = 0.2 + np.linspace(-0.1, 0.1, 2001)[:, None]  # far beyond the radius
+    (_, change) = correction.correction_at(("b",), line)
+    bends = np.diff(change[:, 0], n=2) / 1e-4  # of the slope, 30 at the centre
+    assert np.abs(bends).max() < 0.1  # no corner
     moved = correction.centred_at({"b": 0.23, "c": 0.0})
     assert moved.chi.tolist() == [0.5, 0.23]
     assert correction.chi.tolist() == [0.5, 0.2]
 
 
 def test_residuals_are_corrected_where_they_did_not_diverge(monkeypatch):
-    correction = MeshCorrection(("a",), np.array([0.5]), (np.array([[10.0, 20.0]]),))
+    slopes = (np.array([[1000.0, 2000.0]]),)
+    correction = MeshCorrection(("a",), np.array([0.5]), slopes)
     simulated = np.array([[1.0, 2.0], [np.nan, 3.0]])
     monkeypatch.setattr(
         trial_data, "normalised_residuals", lambda *given: [simulated.copy()]
     )
     data = TrialData((None,), mesh_correction=correction)
     model = SimpleNamespace(parameters=(UNIT,), names=("a",))
-    (found,) = data.residuals(model, np.array([[0.53], [0.49]]))
-    assert found == pytest.approx(np.array([[1.3, 2.6], [DIVERGED_RESIDUAL, 2.8]]))
+    (found,) = data.residuals(model, np.array([[0.5003], [0.4999]]))
+    corrected = np.array([[1.3, 2.6], [DIVERGED_RESIDUAL, 2.8]])
+    assert found == pytest.approx(corrected, rel=1e-4)
 
 
 def test_random_effects_of_active_causes_are_shapes_of_the_nuisance():
