@@ -2,7 +2,8 @@
 
 An iteration is two or three batches: the forward differences of every run, its least
 damped steps, and the others where those gain less than the differences promise. A run
-to which they promise next to nothing ends.
+to which they promise next to nothing ends, or one that twice gains little. One slow
+step may be a bend of the valley, or one damped too little for it.
 Parameters are exponents chi in [0, 1] (Eq. 3). Two parameters that can take each
 other's place leave a valley: bent in exponents, along which steps are short, and
 straight in values. So each step is tried along both lines: of 48 random starts in the
@@ -35,7 +36,7 @@ from stringcast.stages.model.parameter import (
 
 # standard deviations: each residual of what cannot be simulated
 DIVERGED_RESIDUAL = 1e3
-MIN_GAIN = 0.05  # of the log-likelihood: a smaller gain ends a run
+MIN_GAIN = 0.05  # of the log-likelihood: a step that gains less is slow
 NEGLIGIBLE_SHARE = 1e-3  # of that: where slopes promise less, no step is tried
 # Of what slopes promise: where a step gains as much, none of more damping is tried
 SUFFICIENT_SHARE = 0.8
@@ -50,11 +51,11 @@ FIRST_DIFFERENCE = 1e-4
 MIN_DIFFERENCE = 1e-6
 MAX_DIFFERENCE = 1e-3
 
-# Marquardt's damping, a share of the diagonal. Three are tried: with two, 0.05 and 3, a
+# Marquardt's damping, a share of the diagonal. Four are tried: with two, 0.05 and 3, a
 # search for a stiff strip crept along its valley and ended 3,600 of the log-likelihood
 # short.
 INITIAL_DAMPING = 1e-2  # at first
-DAMPING_FACTORS = (1e-3, 0.1, 10.0)  # times the last that was right
+DAMPING_FACTORS = (1e-3, 0.1, 1.0, 10.0)  # times the last that was right
 DAMPING_INCREASE = 1e3  # times as much where none was right
 MIN_DAMPING = 1e-8  # below which it has no effect
 MAX_DAMPING = 1e4  # above which no step is worth one
@@ -103,6 +104,8 @@ class SolverRuns:
         That was right last, (R,).
     stale
         Runs whose curvature and gradient are those of earlier exponents, (R,).
+    is_slow
+        Runs whose last step gained little, (R,).
     is_narrow
         Runs whose differences were narrowed, as no step gained anything, (R,).
     active
@@ -119,6 +122,7 @@ class SolverRuns:
     width: np.ndarray
     damping: np.ndarray
     stale: np.ndarray
+    is_slow: np.ndarray
     is_narrow: np.ndarray
     active: np.ndarray
     normal: np.ndarray = field(repr=False)
@@ -137,6 +141,7 @@ class SolverRuns:
             width=np.full(chi.shape, FIRST_DIFFERENCE),
             damping=np.full(count, INITIAL_DAMPING),
             stale=np.ones(count, dtype=bool),
+            is_slow=np.zeros(count, dtype=bool),
             is_narrow=np.zeros(count, dtype=bool),
             active=np.ones(count, dtype=bool),
             normal=np.zeros((count, size, size)),
@@ -162,6 +167,7 @@ class SolverRuns:
         self.loss = huber_loss(self.residual, problem.limit)
         self.damping = np.minimum(self.damping, INITIAL_DAMPING)
         self.stale[:] = True
+        self.is_slow[:] = False
         self.is_narrow[:] = False
         self.active[:] = True
 
@@ -181,7 +187,7 @@ def fit_least_squares(
     max_iterations
         Iterations at most.
     min_gain
-        A run that gains less of the log-likelihood ends.
+        A step that gains less of the log-likelihood is slow.
     """
     runs = SolverRuns.start(problem, starts)
     for _ in range(max_iterations):
@@ -304,7 +310,11 @@ def _step_runs(
             runs.damping[run] = max(runs.damping[run] * factor, MIN_DAMPING)
             runs.stale[run] = True
             runs.is_narrow[run] = False
-            runs.active[run] = gain > min_gain
+            is_slow = gain <= min_gain
+            if is_slow:
+                is_promising = runs.promised_gains[run] > min_gain
+                runs.active[run] = is_promising and not runs.is_slow[run]
+            runs.is_slow[run] = is_slow
         elif runs.damping[run] * DAMPING_INCREASE < MAX_DAMPING:
             runs.damping[run] *= DAMPING_INCREASE
         else:

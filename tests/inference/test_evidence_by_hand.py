@@ -346,10 +346,10 @@ def test_steps_are_damped_and_go_both_ways_within_bounds(chi, gradient):
     slope = np.log(100) * value
     ends = [0.01 * 100 ** np.clip(chi + side * 0.5, 0, 1) for side in (-1, 1)]
     expected = []
-    for factor in (1e-3, 0.1, 10.0):
+    for factor in (1e-3, 0.1, 1.0, 10.0):
         step = -gradient / (4.0 * (1 + 0.5 * factor))
         expected.append(np.clip(chi + np.clip(step, -0.3, 0.3), 0, 1))
-    for factor in (1e-3, 0.1, 10.0):
+    for factor in (1e-3, 0.1, 1.0, 10.0):
         step = -gradient / (4.0 * (1 + 0.5 * factor))
         moved = np.clip(value + slope * step, *ends)
         expected.append(np.clip(np.log(moved / 0.01) / np.log(100), 0, 1))
@@ -416,37 +416,36 @@ def test_widths_move_points_by_a_tenth_of_the_residual_within_limits():
     assert solver.difference_widths(slope, np.zeros(1))[0, 2] == 1e-6
 
 
-def fake_step(monkeypatch, losses, damping=0.5, min_gain=0.05, promise=0.9, width=1e-6):
-    """Step a run of loss 1 whose six trial steps have these losses, of ten numbers."""
-    points = np.arange(6.0)[:, None]
+def fake_step(
+    monkeypatch, losses, damping=0.5, min_gain=0.05, promise=0.9, is_slow=False
+):
+    """Step a run of loss 1 whose eight trial steps have these losses, of ten numbers."""
+    points = np.arange(8.0)[:, None]
     problem = SimpleNamespace(
         parameters=(UNIT,),
         limit=np.inf,
         residuals=lambda chi: np.repeat(np.sqrt(losses[chi.astype(int)]), 10, axis=1),
     )
     monkeypatch.setattr(solver, "_trial_points", lambda *given: points)
-    runs = solver.SolverRuns(
-        chi=np.array([[9.0]]),
-        residual=np.ones((1, 10)),
-        loss=np.ones(1),
-        width=np.full((1, 1), 1e-4),
-        damping=np.array([damping]),
-        stale=np.zeros(1, dtype=bool),
-        is_narrow=np.ones(1, dtype=bool),
-        active=np.ones(1, dtype=bool),
-        normal=None,
-        gradient=None,
-        promise=np.full(1, promise),
-    )
+    runs = solver.SolverRuns.start(problem, np.zeros((1, 1)))
+    runs.chi[:] = 9.0
+    runs.residual[:] = 1.0
+    runs.loss[:] = 1.0
+    runs.damping[:] = damping
+    runs.stale[:] = False
+    runs.is_slow[:] = is_slow
+    runs.is_narrow[:] = True
+    runs.promise[:] = promise
     solver._step_runs(problem, runs, np.array([0]), min_gain)
     return runs
 
 
 @pytest.mark.parametrize(
-    ("best", "damping"), [(0, 5e-4), (1, 0.05), (2, 5.0), (3, 5e-4), (5, 5.0)]
+    ("best", "damping"),
+    [(0, 5e-4), (1, 0.05), (2, 0.5), (3, 5.0), (4, 5e-4), (7, 5.0)],
 )
 def test_a_run_takes_the_best_of_its_steps(monkeypatch, best, damping):
-    losses = np.full(6, 0.8)
+    losses = np.full(8, 0.8)
     losses[best] = 0.5
     runs = fake_step(monkeypatch, losses)
     assert runs.chi[0, 0] == best
@@ -459,9 +458,9 @@ def test_a_run_takes_the_best_of_its_steps(monkeypatch, best, damping):
 
 def test_a_step_that_gains_what_slopes_promise_is_taken_at_once(monkeypatch):
     """Of a promise of 0.5 it gains 0.41 or 0.39; more damping would gain 0.9."""
-    for least_damped in (0, 3):
-        losses = np.full(6, 0.1)
-        losses[[0, 3]] = 0.7
+    for least_damped in (0, 4):
+        losses = np.full(8, 0.1)
+        losses[[0, 4]] = 0.7
         losses[least_damped] = 0.59
         runs = fake_step(monkeypatch, losses, promise=0.5)
         assert runs.chi[0, 0] == least_damped
@@ -472,19 +471,31 @@ def test_a_step_that_gains_what_slopes_promise_is_taken_at_once(monkeypatch):
 
 def test_a_run_ends_where_it_gains_too_little_or_no_damping_helps(monkeypatch):
     """Ten numbers gain 5 ln(loss before / after) of the log-likelihood."""
-    assert fake_step(monkeypatch, np.full(6, np.exp(-0.0102))).active[0]
-    assert not fake_step(monkeypatch, np.full(6, np.exp(-0.0098))).active[0]
-    assert fake_step(monkeypatch, np.zeros(6), min_gain=3000).active[0]
-    assert not fake_step(monkeypatch, np.zeros(6), min_gain=4000).active[0]
-    for losses in (np.ones(6), np.full(6, 2.0)):
+    large, small = np.full(8, np.exp(-0.0102)), np.full(8, np.exp(-0.0098))
+    assert fake_step(monkeypatch, large, promise=0.0099).active[0]
+    assert not fake_step(monkeypatch, small, promise=0.0099).active[0]
+    assert fake_step(monkeypatch, np.zeros(8), min_gain=3000).active[0]
+    assert not fake_step(monkeypatch, np.zeros(8), min_gain=4000).active[0]
+    for losses in (np.ones(8), np.full(8, 2.0)):
         runs = fake_step(monkeypatch, losses)
         assert runs.chi[0, 0] == 9.0
         assert runs.loss[0] == 1.0
         assert runs.damping[0] == pytest.approx(500.0)
         assert not runs.stale[0]
         assert runs.active[0]
-    assert not fake_step(monkeypatch, np.ones(6), damping=11.0).active[0]
-    assert fake_step(monkeypatch, np.zeros(6), 1e-6).damping[0] == pytest.approx(1e-8)
+    assert not fake_step(monkeypatch, np.ones(8), damping=11.0).active[0]
+    assert fake_step(monkeypatch, np.zeros(8), 1e-6).damping[0] == pytest.approx(1e-8)
+
+
+def test_a_run_of_which_much_is_promised_ends_at_its_second_slow_step(monkeypatch):
+    large, small = np.full(8, np.exp(-0.0102)), np.full(8, np.exp(-0.0098))
+    runs = fake_step(monkeypatch, small)
+    assert runs.active[0]
+    assert runs.is_slow[0]
+    assert not fake_step(monkeypatch, small, is_slow=True).active[0]
+    runs = fake_step(monkeypatch, large, is_slow=True)
+    assert runs.active[0]
+    assert not runs.is_slow[0]
 
 
 @pytest.mark.parametrize("seed", range(6))
