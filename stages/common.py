@@ -77,6 +77,35 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+def sample_evenly(count: int, samples: int) -> list[int]:
+    """Choose at most so many of the numbers from 0 to count - 1, evenly."""
+    places = np.linspace(0, count - 1, samples).astype(int)
+    return [int(number) for number in np.unique(places)]
+
+
+def interpolate_rows(
+    times: np.ndarray | float, t: np.ndarray, rows: np.ndarray
+) -> np.ndarray:
+    """Interpolate rows linearly; before the first and after the last they stay equal.
+
+    Parameters
+    ----------
+    times : array of any shape
+        Where rows are wanted.
+    t : (K,) array
+        Where they are known, ascending.
+    rows : (K, D) array
+        The rows.
+
+    Returns
+    -------
+    (..., D) array
+        A row for each of `times`.
+    """
+    columns = [np.interp(times, t, column) for column in rows.T]
+    return np.stack(columns, axis=-1)
+
+
 def track_places(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
     """Track places on the string through the frames.
 

@@ -23,6 +23,7 @@ from stringcast.hardware.virtual.render import (
     render_frame,
 )
 from stringcast.hardware.virtual.servo import VirtualServo
+from stringcast.stages.common import interpolate_rows
 from stringcast.stages.execute.interfaces import HardwareError, Performance, Recording
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
@@ -150,9 +151,8 @@ class VirtualBench:
         """Compute the true arm at times (F,) [s], (F, J + 1, 2) [m]."""
         commanded = self._commanded_motion(self.servo.step)
         motion = self.model.joint_motion(commanded, self.values)
-        t = motion.start + motion.tick * np.arange(motion.angles.shape[1])
-        angles = [np.interp(times, t, angle) for angle in motion.angles[0].T]
-        return self.arm.joint_positions(np.stack(angles, axis=-1))
+        angles = interpolate_rows(times, motion.times, motion.angles[0])
+        return self.arm.joint_positions(angles)
 
     def _commanded_motion(self, tick: float) -> JointMotion:
         """Sample the performed motion of the joints every `tick` [s]."""
@@ -219,8 +219,7 @@ class VirtualArm:
         fine, turned = bench.servo.follow_commands(t, speeds, bench.random_generator(1))
         angles = bench.pose + turned
         bench.performed_motion = (fine, angles)
-        reported = [np.interp(t, fine, angle) for angle in angles.T]
-        encoders = bench.servo.encoder_reading(np.stack(reported, axis=-1))
+        encoders = bench.servo.encoder_reading(interpolate_rows(t, fine, angles))
         measured = dict(zip(JOINTS, encoders.T, strict=True))
         # tables as of a good link: commands late by tens of microseconds
         late = np.abs(bench.random_generator(2).normal(0, 4e-5, len(t)))

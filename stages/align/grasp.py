@@ -7,7 +7,7 @@ import numpy as np
 from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.schema import DataError
 from stringcast.stages.align.sightings import SightedTrial, Sightings
-from stringcast.stages.common import mad_sigma
+from stringcast.stages.common import interpolate_rows, mad_sigma
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.hand import resample_joint_motion
 
@@ -52,8 +52,8 @@ def grasp_sightings(observation: Observation, arm: Arm) -> SightedTrial:
     t, seen = grasp["t"].to_numpy(), grasp[["x", "y"]].to_numpy()
     log_t = observation.arm["t"].to_numpy()
     log = observation.arm[list(JOINTS)].to_numpy()
-    reported = [np.interp(t, log_t, angles) for angles in log.T]
-    error = arm.joint_positions(np.stack(reported, axis=-1))[:, -1] - seen
+    reported = interpolate_rows(t, log_t, log)
+    error = arm.joint_positions(reported)[:, -1] - seen
     if np.median(np.linalg.norm(error, axis=-1)) < MAX_COMPUTED_DISTANCE_M:
         raise DataError(
             f"{trial}: its points begin where the joints say that the grasp is, which "

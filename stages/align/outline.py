@@ -27,9 +27,9 @@ from stringcast.stages.align.fit import (
     fit_alignment,
 )
 from stringcast.stages.align.sightings import SightedTrial, Sightings
-from stringcast.stages.common import Progress
+from stringcast.stages.common import Progress, sample_evenly
 from stringcast.stages.extract.segment import uncovered_brightness
-from stringcast.stages.extract.stabilise import sample_numbers
+from stringcast.stages.extract.stabilise import MAX_SAMPLES
 from stringcast.stages.model.hand import JointMotion, resample_joint_motion
 from stringcast.stages.model.model import Model
 
@@ -158,12 +158,12 @@ def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
     assert film.arm is not None
     log_t, log = film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy()
     motion = resample_joint_motion(log_t, log).extended_until(film.t[-1])
-    chosen = np.unique(np.linspace(0, len(film.t) - 1, MAX_FRAMES).astype(int))
-    samples = [film.images[number] for number in sample_numbers(len(film.images))]
-    scene = estimate_scene(np.stack(samples))
+    chosen = sample_evenly(len(film.t), MAX_FRAMES)
+    scene_frames = sample_evenly(len(film.images), MAX_SAMPLES)
+    scene = estimate_scene(np.stack([film.images[number] for number in scene_frames]))
 
     def difference(number: int) -> np.ndarray:
-        image = film.images[int(number)].astype(np.float32)
+        image = film.images[number].astype(np.float32)
         return np.asarray(cv2.absdiff(image, scene))
 
     # contrast of the arm: the upper of two classes of differences (Otsu)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from stringcast.stages.check.measured import GRAVITY, CheckedTrial, drop_spikes
 
@@ -43,50 +44,58 @@ def estimate_gravity(trial: CheckedTrial) -> float:
     float
         Gravity, or NaN if the trial does not show it.
     """
-    # the tip, and the string's direction there
-    points = trial.points
-    end = points["s"].max()
-    last = points[points["s"] > TIP_FROM * end].groupby("t").tail(1)
-    t, tip = drop_spikes(last["t"].to_numpy(), last[["x", "y"]].to_numpy())
-    inner = points[points["s"] <= DIRECTION_FROM * end].groupby("t").tail(1)
-    before = inner.set_index("t").reindex(t)[["x", "y"]]
-    hand_xy = [np.interp(t, trial.hand_t, trial.pose[:, axis]) for axis in (0, 1)]
-    chord = tip - np.where(np.isfinite(before), before, np.stack(hand_xy, axis=-1))
-    lengths = np.linalg.norm(chord, axis=1, keepdims=True)
-    direction = chord / np.maximum(lengths, 1e-12)  # (F, 2)
-
-    # parabolas through the tip, over windows of time
+    t, tip, direction = _tip_track(trial)
     if len(t) < 2:
         return float("nan")
     interval = max(float(np.median(np.diff(t))), 1e-9)
     size = max(MIN_WINDOW_FRAMES, 2 * int(WINDOW_S / interval / 2) + 1)
     if len(t) < MIN_WINDOWS + size:
         return float("nan")
-    windows = np.lib.stride_tricks.sliding_window_view
-    middle = slice(size // 2, len(t) - size // 2)
-    times = windows(t, size) - t[middle, None]
-    powers = np.stack([np.ones_like(times), times, times**2], axis=-1)
-    parabola = np.linalg.pinv(powers)[:, 2]
-    acceleration = 2 * np.einsum("fw,fcw->fc", parabola, windows(tip, size, axis=0))
 
-    across = direction[middle, ::-1] * (-1.0, 1.0)
-    tip_across, gravity_across = (acceleration * across).sum(axis=1), -across[:, 1]
     # a parabola over lost frames says nothing of a moment
+    times = sliding_window_view(t, size)
     is_whole = np.ptp(times, axis=1) <= MAX_WINDOW_RATIO * (size - 1) * interval
     if is_whole.sum() < MIN_WINDOWS:
         return float("nan")
-    tip_across, gravity_across = tip_across[is_whole], gravity_across[is_whole]
+    middle = np.flatnonzero(is_whole) + size // 2
+    times = times[is_whole] - t[middle, None]
+    places = sliding_window_view(tip, size, axis=0)[is_whole]  # (N, 2, size)
+    acceleration = _parabola_accelerations(times, places)
+    across = direction[middle, ::-1] * (-1.0, 1.0)
+    tip_across = (acceleration * across).sum(axis=1)
+    gravity_across = -across[:, 1]
+
     mean_square = float(np.mean(gravity_across**2))
     if mean_square <= MIN_SINE**2:
         return float("nan")
     gravity = float(np.mean(tip_across * gravity_across) / mean_square)
-    # windows overlap: only every size-th is independent
     residual_mean_square = float(np.mean((tip_across - gravity * gravity_across) ** 2))
-    independent = max(is_whole.sum() / size, 1.0)
+    # windows overlap: only every size-th is independent
+    independent = max(len(middle) / size, 1.0)
     error = float(np.sqrt(residual_mean_square / mean_square / independent))
     if NORMAL_95 * error > max(abs(gravity), GRAVITY):
         return float("nan")
     return gravity
+
+
+def _tip_track(trial: CheckedTrial) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return times (F,) [s], the tip (F, 2) and the string's direction there (F, 2)."""
+    points = trial.points
+    end = points["s"].max()
+    last = points[points["s"] > TIP_FROM * end].groupby("t").tail(1)
+    t, tip = drop_spikes(last["t"].to_numpy(), last[["x", "y"]].to_numpy())
+    inner = points[points["s"] <= DIRECTION_FROM * end].groupby("t").tail(1)
+    before = inner.set_index("t").reindex(t)[["x", "y"]]
+    chord = tip - np.where(np.isfinite(before), before, trial.hand_at(t))
+    lengths = np.linalg.norm(chord, axis=1, keepdims=True)
+    return t, tip, chord / np.maximum(lengths, 1e-12)
+
+
+def _parabola_accelerations(times: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Fit parabolas to windows (N, W) of times and (N, 2, W) of places, (N, 2)."""
+    powers = np.stack([np.ones_like(times), times, times**2], axis=-1)
+    quadratic = np.linalg.pinv(powers)[:, 2]  # (N, W)
+    return np.asarray(2 * np.einsum("fw,fcw->fc", quadratic, places))
 
 
 def median_gravity(trials: Iterable[CheckedTrial]) -> float:

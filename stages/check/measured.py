@@ -15,6 +15,7 @@ from stringcast.data.dataset import Dataset
 from stringcast.data.lost_samples import zero_row_mask
 from stringcast.data.rows import spike_mask
 from stringcast.stages.common import (
+    interpolate_rows,
     mad_sigma,
     places_wander,
     points_at_arc_lengths,
@@ -54,7 +55,7 @@ class CheckedTrial:
 
     @property
     def name(self) -> str:
-        """The trial's name."""
+        """Name of the trial in the dataset."""
         return self.observation.trial
 
     @property
@@ -105,6 +106,10 @@ class CheckedTrial:
     def hand_t(self) -> np.ndarray:
         """Times of the hand's poses (K,) [s], by the arm's clock."""
         return np.asarray(self.motion["t"])
+
+    def hand_at(self, times: np.ndarray | float) -> np.ndarray:
+        """Interpolate the place of the hand (..., 2) [m] at times (...) [s]."""
+        return interpolate_rows(times, self.hand_t, self.pose[:, :2])
 
     @cached_property
     def frame_t(self) -> np.ndarray:

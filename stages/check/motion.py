@@ -69,8 +69,7 @@ def check_hanging(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find strings that rest above the hand."""
     for trial in dataset.with_points():
         tip = trial.points[trial.points["t"] == trial.frame_t[0]].iloc[-1]
-        grasp_y = np.interp(tip["t"], trial.hand_t, trial.pose[:, 1])
-        height = float(tip["y"] - grasp_y)
+        height = float(tip["y"] - trial.hand_at(tip["t"])[1])
         if trial.starts_moving or tip["s"] <= 0.5 * trial.length:
             continue
         if MAX_HEIGHT * tip["s"] < height < trial.length:

@@ -37,12 +37,12 @@ class Window(NamedTuple):
 
     @property
     def middle(self) -> float:
-        """The middle [s]."""
+        """Middle of the window [s]."""
         return 0.5 * (self.low + self.high)
 
     @property
     def half_width(self) -> float:
-        """Half the width [s]."""
+        """Half the width of the window [s]."""
         return 0.5 * (self.high - self.low)
 
 
@@ -75,11 +75,12 @@ def stretch_by_offset(trial: CheckedTrial, offsets: np.ndarray) -> np.ndarray:
     points = trial.points.iloc[::every]
     s, x, y = points[["s", "x", "y"]].to_numpy().T
     t = points["t"].to_numpy() + offsets[:, None]
-    dx = x - np.interp(t, trial.hand_t, trial.pose[:, 0])
-    dy = y - np.interp(t, trial.hand_t, trial.pose[:, 1])
-    excess = np.sort(np.maximum(np.hypot(dx, dy) - s, 0.0), axis=1)
-    kept = excess[:, : max(int((1 - TRIMMED_SHARE) * len(s)), 1)]
-    return np.asarray(np.sqrt(np.mean(kept**2, axis=1)))
+    hand_x, hand_y = np.moveaxis(trial.hand_at(t), -1, 0)
+    distance = np.hypot(x - hand_x, y - hand_y)
+    excess = np.sort(np.maximum(distance - s, 0.0), axis=1)
+    kept_count = max(int((1 - TRIMMED_SHARE) * len(s)), 1)
+    mean_square = np.mean(excess[:, :kept_count] ** 2, axis=1)
+    return np.asarray(np.sqrt(mean_square))
 
 
 def possible_windows(trials: Sequence[CheckedTrial]) -> dict[str, Window]:

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from stringcast.data.lazy_module import LazyModule
+from stringcast.stages.common import interpolate_rows
 from stringcast.stages.export.mjcf import CARRIAGE_JOINTS
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.model.hand import HandMotion
@@ -91,8 +92,6 @@ def tip_distances(trial: PreparedTrial, points: np.ndarray) -> np.ndarray:
     distances = np.full(len(trial.times), np.nan)
     for row in np.flatnonzero(outermost):
         frame = trial.frame[row]
-        at_s = [
-            np.interp(trial.s[row], arc_lengths, points[frame, :, i]) for i in (0, 1)
-        ]
-        distances[frame] = np.hypot(*(trial.points[row] - at_s))
+        simulated = interpolate_rows(trial.s[row], arc_lengths, points[frame])
+        distances[frame] = np.hypot(*(trial.points[row] - simulated))
     return distances

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stringcast.data.lazy_module import LazyModule
+from stringcast.stages.common import sample_evenly
 from stringcast.stages.extract.footage import Footage
 from stringcast.stages.extract.segment import estimate_noise
 from stringcast.stages.model.camera import Camera
@@ -180,14 +181,14 @@ def bright_wide_pixels(
     size = max(round(OPENING_SHARE * width_px), 2)
     link = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     pixels = {}
-    count = len(images)
-    for number in np.unique(np.linspace(0, count - 1, SAMPLE_FRAMES).astype(int)):
-        above = images[int(number)] - uncovered
+    for number in sample_evenly(len(images), SAMPLE_FRAMES):
+        above = images[number] - uncovered
         threshold = MIN_CONTRAST_SIGMAS * estimate_noise(above[::3, ::3])
         bright = (above > threshold).astype(np.uint8)
         rows, columns = np.nonzero(cv2.morphologyEx(bright, cv2.MORPH_OPEN, link))
         step = max(len(rows) // MAX_PIXELS, 1)
-        pixels[int(number)] = np.stack([columns, rows], axis=-1)[::step].astype(float)
+        places = np.stack([columns, rows], axis=-1)[::step]
+        pixels[number] = places.astype(float)
     return pixels
 
 

@@ -14,7 +14,7 @@ from stringcast.data.artifacts import MASKS, POINTS, READINGS, Film, Points, Tri
 from stringcast.data.images import CachedImages
 from stringcast.data.lazy_module import LazyModule
 from stringcast.data.schema import DataError
-from stringcast.stages.common import Progress
+from stringcast.stages.common import Progress, interpolate_rows, sample_evenly
 from stringcast.stages.extract.arm_in_image import ArmFit, fit_arm
 from stringcast.stages.extract.centreline import (
     MIN_PROFILE_REACH_PX,
@@ -38,7 +38,7 @@ from stringcast.stages.extract.segment import (
     typical_half_width,
     uncovered_brightness,
 )
-from stringcast.stages.extract.stabilise import sample_numbers, stabilise_film
+from stringcast.stages.extract.stabilise import MAX_SAMPLES, stabilise_film
 from stringcast.stages.extract.window import window_around
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.spec import StageCall
@@ -174,7 +174,7 @@ def extract(
 def _sample_frames(images: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Choose the frames from which the scene is estimated, uint8."""
     frames = []
-    for number in sample_numbers(len(images)):
+    for number in sample_evenly(len(images), MAX_SAMPLES):
         image = images[number]
         if image.dtype != np.uint8:
             image = cv2.convertScaleAbs(image)
@@ -196,7 +196,7 @@ def _estimate_scene(
     arm_width, string_length: [px].
     """
     arms = []
-    for number in sample_numbers(len(footage.images)):
+    for number in sample_evenly(len(footage.images), MAX_SAMPLES):
         joints = np.zeros((0, 2, 2))
         if footage.body is not None:
             joints = camera.pixels(footage.body[number])
@@ -255,15 +255,14 @@ class FrameReader:
             raise UnreadableError("the string leaves the picture")
 
         s = arc_lengths_on_line(self.arc_lengths, length)
-        x = np.interp(s, depth, world[:, 0])
-        y = np.interp(s, depth, world[:, 1])
+        points = interpolate_rows(s, depth, world)
         evenly_spaced = length * self.arc_lengths / string_length
         sigma = np.hypot(
             np.interp(s, depth, line.sigma) / self.camera.px_per_m,
             STRETCH_ERROR_SHARE * (s - evenly_spaced),
         )
         _, png = cv2.imencode(".png", mask * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
-        return FrameReading(np.stack([x, y], axis=-1), sigma, png.tobytes(), length)
+        return FrameReading(points, sigma, png.tobytes(), length)
 
     def _find_line(self, number: int) -> tuple[Centreline, np.ndarray]:
         """Find the centre-line [px] from the grasp on, and the string's pixels."""

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, Film
+from stringcast.stages.common import interpolate_rows
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
@@ -39,12 +40,12 @@ class Footage:
 def footage_from_joints(film: Film, arm: Arm) -> Footage:
     """Compute grasp and arm from joint angles, or the grasp from its measured poses."""
     if film.arm is not None:
-        angles = _interpolate_columns(film.t, film.arm, JOINTS)
+        angles = _table_rows_at(film.t, film.arm, JOINTS)
         grasp = arm.grasp_pose(angles)
         return Footage(film.t, film.images, grasp, arm.joint_positions(angles))
     assert film.grasp is not None
     poses = film.grasp.assign(theta=np.unwrap(film.grasp["theta"]))
-    grasp = _interpolate_columns(film.t, poses, ("x", "y", "theta"))
+    grasp = _table_rows_at(film.t, poses, ("x", "y", "theta"))
     return Footage(film.t, film.images, grasp)
 
 
@@ -68,9 +69,9 @@ def pose_of_hand(body: np.ndarray) -> np.ndarray:
     return np.column_stack([hand, direction])
 
 
-def _interpolate_columns(
+def _table_rows_at(
     t: np.ndarray, table: pd.DataFrame, columns: Sequence[str]
 ) -> np.ndarray:
     """Interpolate columns of a table at times t (F,) [s], (F, len(columns))."""
-    values = [np.interp(t, table["t"], table[column]) for column in columns]
-    return np.stack(values, axis=-1)
+    rows = table[list(columns)].to_numpy()
+    return interpolate_rows(t, table["t"].to_numpy(), rows)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stringcast.data.lazy_module import LazyModule
+from stringcast.stages.common import sample_evenly
 from stringcast.stages.extract.score import rasterise
 
 cv2 = LazyModule("cv2")
@@ -221,7 +222,7 @@ def typical_half_width(
     The string is what outshines the scene most, beside the arm.
     """
     widths = []
-    for number in _sample_evenly(len(frames), WIDTH_SAMPLES):
+    for number in sample_evenly(len(frames), WIDTH_SAMPLES):
         covered = unpack_mask(arm[number], scene.shape[1]).astype(np.uint8)
         near_arm = cv2.dilate(covered, np.ones((5, 5))) > 0
         above = np.where(near_arm, 0, frames[number] - scene)
@@ -349,15 +350,10 @@ def string_brightness(images: Sequence[np.ndarray], scene: np.ndarray) -> float:
     It is seen where each frame outshines the scene most.
     """
     brightest = []
-    for number in _sample_evenly(len(images), BRIGHTNESS_SAMPLES):
-        image = images[int(number)]
+    for number in sample_evenly(len(images), BRIGHTNESS_SAMPLES):
+        image = images[number]
         brightest.append(image.flat[np.argmax(image - scene)])
     return float(np.percentile(brightest, 90))
-
-
-def _sample_evenly(count: int, samples: int) -> np.ndarray:
-    """Numbers of at most so many of `count` frames, evenly."""
-    return np.unique(np.linspace(0, count - 1, samples).astype(int))
 
 
 def estimate_noise(difference: np.ndarray) -> float:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from stringcast.data.lazy_module import LazyModule
-from stringcast.stages.common import mad_sigma, rms
+from stringcast.stages.common import mad_sigma, rms, sample_evenly
 
 cv2 = LazyModule("cv2")
 
@@ -37,12 +37,6 @@ MAX_SHIFT_SIGMA_PX = 0.05  # above it, there is too little texture to know a shi
 # parts across and down: a shift that one part alone shows, such as a wide string that
 # swings there, is not believed
 IMAGE_PARTS = 5
-
-
-def sample_numbers(count: int) -> list[int]:
-    """Choose at most MAX_SAMPLES of so many frames, evenly."""
-    places = np.linspace(0, count - 1, MAX_SAMPLES)
-    return [int(number) for number in np.unique(places.astype(int))]
 
 
 def stabilise_film(images: Sequence[np.ndarray]) -> tuple[Sequence[np.ndarray], float]:
@@ -132,7 +126,8 @@ def _register_images(
     start: (F, 3) gain and shift (d_u, d_v) [px] from which Gauss-Newton begins. Returns
     gains and shifts (F, 3), and the standard deviation of the shifts (F,) [px].
     """
-    samples = [_downscale(images[i], scale) for i in sample_numbers(len(images))]
+    numbers = sample_evenly(len(images), MAX_SAMPLES)
+    samples = [_downscale(images[number], scale) for number in numbers]
     template = np.median(samples, axis=0)
     found, sigmas = [], []
     for full_image, first_guess in zip(images, start, strict=True):

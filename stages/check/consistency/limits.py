@@ -9,6 +9,7 @@ import numpy as np
 
 from stringcast.data.dataset import MAX_ARC_LENGTH_RATIO
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
+from stringcast.stages.common import interpolate_rows
 
 # no point is so much further from the hand than its arc length, relative to the length
 MAX_GAP = 0.25
@@ -120,7 +121,7 @@ def reach_excess(
         return 0.0
     if not recording.starts_moving:
         begin, xy = track.t[:INITIAL_FRAMES], track.xy[:INITIAL_FRAMES]
-        at_own_time = hand_positions(recording.t, pose, begin)
+        at_own_time = interpolate_rows(begin, recording.t, pose[:, :2])
         excesses = []
         for hand in (at_own_time, pose[:1, :2]):
             distance = np.linalg.norm(xy - hand, axis=1)
@@ -129,15 +130,10 @@ def reach_excess(
 
     excesses = []
     for offset in possible_offsets(recording.t, track.t):
-        hand = hand_positions(recording.t, pose, track.t + offset)
+        hand = interpolate_rows(track.t + offset, recording.t, pose[:, :2])
         distance = np.linalg.norm(track.xy - hand, axis=1)
         excesses.append(float(np.quantile(distance, GAP_QUANTILE)) - s)
     return min(excesses)
-
-
-def hand_positions(t: np.ndarray, pose: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Return positions of the hand (N, 2) at times (N,), at rest before and after."""
-    return np.stack([np.interp(times, t, pose[:, axis]) for axis in (0, 1)], axis=-1)
 
 
 def possible_offsets(hand_t: np.ndarray, point_t: np.ndarray) -> np.ndarray:
