@@ -354,8 +354,7 @@ def joint_words(
     words = ["--counts"] if correction.kind == "counts" else []
     for number in range(len(tables.joints)):
         if correction.kind == "counts":
-            zero = int(correction.unit)
-            name = columns[f"q{number + 1}"]
+            name, zero = columns[f"q{number + 1}"], correction.zero
             text = f"{name}-{zero}" if zero else ""
         else:
             text = columns[f"q{correction.order[number] + 1}"]
@@ -395,10 +394,9 @@ def refuse_pairing(pairing: Mapping[str, str]) -> None:
 def refuse_flat_points(measured: Measurements) -> None:
     """Refuse points of which one coordinate never changes: that of another plane."""
     spread = np.zeros(2)
-    for recording in measured.recordings:
-        for track in recording.tracks:
-            low, high = np.quantile(track.xy, [0.05, 0.95], axis=0)
-            spread = np.maximum(spread, high - low)
+    for track in measured.tracks:
+        low, high = np.quantile(track.xy, [0.05, 0.95], axis=0)
+        spread = np.maximum(spread, high - low)
     flat = int(spread.argmin())
     if spread[flat] < MAX_FLAT_SHARE * spread[1 - flat]:
         axis = "xy"[flat]
@@ -431,9 +429,8 @@ def refuse_ambiguity(
 def refuse_point_inside(measured: Measurements) -> None:
     """Refuse a single point that moves as one further up the string than its tip."""
     length = measured.length
-    points = {track.point for r in measured.recordings for track in r.tracks}
-    is_open = all(track.s is None for r in measured.recordings for track in r.tracks)
-    if length is None or len(points) > 1 or not is_open:
+    points = {track.point for track in measured.tracks}
+    if length is None or len(points) > 1 or measured.stated_arc_lengths:
         return
     (point,) = points
     best = None
@@ -443,8 +440,10 @@ def refuse_point_inside(measured: Measurements) -> None:
         verdict = judge(placed)
         if best is None or (not verdict.broken and verdict.misfit < best[1].misfit):
             best = (s, verdict)
-    if best is not None and best[1].is_consistent and best[1].is_predicted:
-        s = best[0]
+    if best is None:
+        return
+    s, verdict = best
+    if verdict.is_consistent and verdict.is_predicted:
         raise DataError(
             f"the point '{point or 'tip'}' is no tip of a string of {length:.4g} m: it "
             f"moves as a point at {s:.3f} m. If the tip's columns are missing, add "

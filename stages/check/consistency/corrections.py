@@ -39,10 +39,10 @@ class Correction:
         Returns the measurements without the mistake; None if it cannot be there.
     kind
         Of KINDS: what `import` needs to find the option that undoes it.
-    unit
-        The wrong unit, or the factor of a rate; empty for other mistakes.
     parts, factor
         Of a wrong unit of length: which lengths have it, and its size [m].
+    zero
+        Of an encoder's counts: the count at angle zero.
     order
         Of joints: the numbers of the columns in the right order.
     values
@@ -55,9 +55,9 @@ class Correction:
     remedy: str
     undo: Callable[[Measurements], Measurements | None]
     kind: str
-    unit: str = ""
     parts: tuple[str, ...] = ()
     factor: float = 1.0
+    zero: int = 0
     order: tuple[int, ...] = ()
     values: tuple[float, ...] = ()
 
@@ -99,13 +99,12 @@ def scale_lengths(
     measured: Measurements, factor: float, parts: Collection[str]
 ) -> Measurements | None:
     """Multiply some lengths by a factor; None if there are none of a part."""
-    has_hand = any(recording.hand is not None for recording in measured.recordings)
-    has_s = any(track.s is not None for r in measured.recordings for track in r.tracks)
+    hands = [r.hand for r in measured.recordings if r.hand is not None]
     absent = {
-        "hand": not has_hand,
+        "hand": not hands,
         "links": not measured.has_joints,
         "base": not measured.has_joints or not any(measured.base),
-        "s": not has_s,
+        "s": not measured.stated_arc_lengths,
         "length": measured.length is None,
     }
     if len(parts) < len(LENGTH_PARTS) and any(absent.get(part) for part in parts):
@@ -144,9 +143,8 @@ def unit_corrections() -> Iterator[Correction]:
                 f"Multiply {target} by {factor:g}",
                 partial(scale_lengths, factor=factor, parts=parts),
                 "unit",
-                unit,
-                parts,
-                factor,
+                parts=parts,
+                factor=factor,
             )
 
 
@@ -160,9 +158,8 @@ def ratio_corrections() -> Iterator[Correction]:
             f"Multiply x and y by {text}",
             partial(scale_lengths, factor=factor, parts=("xy",)),
             "unit",
-            f"{text} times",
-            ("xy",),
-            factor,
+            parts=("xy",),
+            factor=factor,
         )
 
 
@@ -180,7 +177,6 @@ def pixel_correction(camera: Camera) -> Correction:
         "Take x = (u - camera.origin_px[0]) / camera.px_per_m and "
         "y = (camera.origin_px[1] - v) / camera.px_per_m",
         partial(pixels_to_metres, camera=camera),
-        "pixels",
         "pixels",
     )
 
@@ -210,9 +206,7 @@ def mirror_world(measured: Measurements) -> Measurements | None:
 def reverse_arc_lengths(measured: Measurements) -> Measurements | None:
     """Count arc lengths from the other end."""
     length = measured.length
-    if length is None or any(
-        track.s is None for r in measured.recordings for track in r.tracks
-    ):
+    if length is None or any(track.s is None for track in measured.tracks):
         return None
     return measured.with_tracks(
         lambda track: replace(track, s=length - (track.s or 0.0))
@@ -221,8 +215,7 @@ def reverse_arc_lengths(measured: Measurements) -> Measurements | None:
 
 def end_at_last_point(measured: Measurements) -> Measurements | None:
     """End the string at its last point, if it is stated to be much longer."""
-    stated = [t.s for r in measured.recordings for t in r.tracks if t.s is not None]
-    length = measured.length
+    stated, length = measured.stated_arc_lengths, measured.length
     if length is None or not stated or length < MIN_LENGTH_RATIO * max(stated):
         return None
     return replace(measured, length=max(stated))
@@ -233,10 +226,8 @@ def exchange_arc_lengths(measured: Measurements) -> Measurements | None:
 
     def exchange(recording: Recording) -> Recording:
         first, second = recording.tracks
-        return replace(
-            recording,
-            tracks=(replace(first, s=second.s), replace(second, s=first.s)),
-        )
+        exchanged = (replace(first, s=second.s), replace(second, s=first.s))
+        return replace(recording, tracks=exchanged)
 
     for recording in measured.recordings:
         lengths = {track.s for track in recording.tracks}
@@ -367,7 +358,6 @@ def joint_corrections(count: int) -> Iterator[Correction]:
         "Multiply them by pi / 180",
         partial(change_joints, change=np.radians),
         "degrees",
-        "degrees",
     )
     for zero in (0, COUNTS_PER_TURN // 2):
         yield Correction(
@@ -377,7 +367,7 @@ def joint_corrections(count: int) -> Iterator[Correction]:
             f"Subtract {zero}, multiply them by 2 pi / {COUNTS_PER_TURN} and unwrap",
             partial(undo_counts, zero=zero),
             "counts",
-            str(zero),
+            zero=zero,
         )
     yield Correction(
         "arm",
@@ -421,27 +411,24 @@ def scale_point_times(measured: Measurements, factor: float) -> Measurements:
 
     def change(recording: Recording) -> Recording:
         begin = min(float(track.t[0]) for track in recording.tracks)
-        tracks = tuple(
-            replace(track, t=begin + factor * (track.t - begin))
-            for track in recording.tracks
+        return recording.with_tracks(
+            lambda track: replace(track, t=begin + factor * (track.t - begin))
         )
-        return replace(recording, tracks=tracks)
 
     return measured.with_recordings(change)
 
 
 def scale_all_times(measured: Measurements, factor: float) -> Measurements:
     """Multiply the times of hands and points."""
-
-    def change(recording: Recording) -> Recording:
-        tracks = tuple(replace(track, t=factor * track.t) for track in recording.tracks)
-        return replace(recording, t=factor * recording.t, tracks=tracks)
-
-    return measured.with_recordings(change)
+    scaled = measured.with_tracks(lambda track: replace(track, t=factor * track.t))
+    return scaled.with_recordings(
+        lambda recording: replace(recording, t=factor * recording.t)
+    )
 
 
-RATES = tuple(
-    Correction(
+def rate_correction(factor: float, words: str) -> Correction:
+    """Return the correction of another frame rate than that of the arm's clock."""
+    return Correction(
         "points",
         "t",
         f"times of the points run {words}",
@@ -451,15 +438,11 @@ RATES = tuple(
         "rate",
         factor=factor,
     )
-    for factor, words in (
-        (0.5, "half as fast as the arm's"),
-        (2.0, "twice as fast as the arm's"),
-    )
-)
 
-# slow motion, or ticks of another length, on both clocks
-PACES = tuple(
-    Correction(
+
+def pace_correction(factor: float, words: str) -> Correction:
+    """Return the correction of slow motion, or of other ticks, on both clocks."""
+    return Correction(
         "arm, points",
         "t",
         f"hand and string move at {words} the pace of a string that falls",
@@ -468,14 +451,19 @@ PACES = tuple(
         "pace",
         factor=factor,
     )
-    for factor, words in (
-        (0.125, "an eighth of"),
-        (0.25, "a quarter of"),
-        (0.5, "half"),
-        (2.0, "twice"),
-        (4.0, "four times"),
-        (8.0, "eight times"),
-    )
+
+
+RATES = (
+    rate_correction(0.5, "half as fast as the arm's"),
+    rate_correction(2.0, "twice as fast as the arm's"),
+)
+PACES = (
+    pace_correction(0.125, "an eighth of"),
+    pace_correction(0.25, "a quarter of"),
+    pace_correction(0.5, "half"),
+    pace_correction(2.0, "twice"),
+    pace_correction(4.0, "four times"),
+    pace_correction(8.0, "eight times"),
 )
 
 

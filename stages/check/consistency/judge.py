@@ -135,21 +135,14 @@ def is_wrong_geometry(verdict: Verdict) -> bool:
 
 def hanging_lengths(measured: Measurements) -> list[float]:
     """Return lengths [m] that the string may have by how it hangs at rest."""
-    stated = [
-        track.s
-        for recording in measured.recordings
-        for track in recording.tracks
-        if track.s is not None
-    ]
+    stated = measured.stated_arc_lengths
     if stated:
         return [float(np.quantile(stated, 0.95))]
     chords = []
     for recording in measured.recordings:
         hand = measured.pose(recording)[0, :2]
-        distances = [
-            float(np.linalg.norm(track.rest_place - hand)) for track in recording.tracks
-        ]
-        chords.append(max(distances))
+        places = np.array([track.rest_place for track in recording.tracks])
+        chords.append(np.linalg.norm(places - hand, axis=1).max())
     chord = float(np.median(chords))
     return [ratio * chord for ratio in LENGTH_RATIOS]
 

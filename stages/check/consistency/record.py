@@ -65,6 +65,14 @@ class Recording:
     starts_moving: bool = False
     is_restless: bool = False
 
+    def track(self, point: str) -> Track | None:
+        """Return the track of a point; None if it was not seen."""
+        return next((track for track in self.tracks if track.point == point), None)
+
+    def with_tracks(self, change: Callable[[Track], Track]) -> Recording:
+        """Return the trial with each track changed."""
+        return replace(self, tracks=tuple(map(change, self.tracks)))
+
 
 @dataclass(frozen=True)
 class Measurements:
@@ -86,6 +94,16 @@ class Measurements:
     length: float | None = None
 
     @property
+    def tracks(self) -> list[Track]:
+        """The tracks of all trials."""
+        return [track for recording in self.recordings for track in recording.tracks]
+
+    @property
+    def stated_arc_lengths(self) -> list[float]:
+        """The arc lengths that are stated [m], one for each such track."""
+        return [track.s for track in self.tracks if track.s is not None]
+
+    @property
     def has_joints(self) -> bool:
         """Whether joint angles were recorded."""
         return any(recording.joints is not None for recording in self.recordings)
@@ -103,11 +121,7 @@ class Measurements:
 
     def with_tracks(self, change: Callable[[Track], Track]) -> Measurements:
         """Return the measurements with each track changed."""
-
-        def change_recording(recording: Recording) -> Recording:
-            return replace(recording, tracks=tuple(map(change, recording.tracks)))
-
-        return self.with_recordings(change_recording)
+        return self.with_recordings(lambda recording: recording.with_tracks(change))
 
 
 def arm_poses(

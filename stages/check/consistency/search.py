@@ -222,9 +222,9 @@ def relative_misfit(verdict: Verdict) -> float:
     tip = farthest_point(verdict.measured)
     motions = []
     for recording in verdict.measured.recordings:
-        for track in recording.tracks:
-            if recording.name in verdict.misfits and track.point == tip:
-                motions.append(motion_of(track, length))
+        track = recording.track(tip)
+        if recording.name in verdict.misfits and track is not None:
+            motions.append(motion_of(track, length))
     motion = float(np.median(motions)) if motions else 0.0
     return verdict.misfit / max(motion, MIN_MOTION)
 
@@ -251,7 +251,7 @@ def falls_at_its_pace(measured: Measurements, verdict: Verdict) -> bool:
 
 def is_seen_near_hand(measured: Measurements, length: float) -> bool:
     """Return whether all points of stated arc length are in the string's beginning."""
-    stated = [t.s for r in measured.recordings for t in r.tracks if t.s is not None]
+    stated = measured.stated_arc_lengths
     return bool(stated) and max(stated) < MIN_SEEN_LENGTH * length
 
 
@@ -372,7 +372,7 @@ def fit_base_of_tip(trials: list[tuple[Recording, Prediction]], tip: str) -> Arm
     gaps = []
     motions = []
     for recording, prediction in trials:
-        track = next((t for t in recording.tracks if t.point == tip), None)
+        track = recording.track(tip)
         if track is None:
             continue
         s = track.s or prediction.length
@@ -403,7 +403,7 @@ def shifted_fits(
         fit = fit_trial(moved, recording, tip)
         if fit is None:
             continue
-        track = next((t for t in recording.tracks if t.point == tip), None)
+        track = recording.track(tip)
         if track is None:
             continue
         misfits.append(fit.misfits)
