@@ -106,6 +106,16 @@ def interpolate_rows(
     return np.stack(columns, axis=-1)
 
 
+def step_lengths(points: np.ndarray) -> np.ndarray:
+    """Compute the distances (K - 1,) from each of some points (K, D) to the next."""
+    return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=1))
+
+
+def turn_left(vectors: np.ndarray) -> np.ndarray:
+    """Turn vectors (..., 2) by a right angle, counter-clockwise where y points up."""
+    return np.stack([-vectors[..., 1], vectors[..., 0]], axis=-1)
+
+
 def track_places(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
     """Track places on the string through the frames.
 

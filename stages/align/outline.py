@@ -27,7 +27,7 @@ from stringcast.stages.align.fit import (
     fit_alignment,
 )
 from stringcast.stages.align.sightings import SightedTrial, Sightings
-from stringcast.stages.common import Progress, sample_evenly
+from stringcast.stages.common import Progress, sample_evenly, turn_left
 from stringcast.stages.extract.segment import uncovered_brightness
 from stringcast.stages.extract.stabilise import MAX_SAMPLES
 from stringcast.stages.model.hand import JointMotion, resample_joint_motion
@@ -317,7 +317,7 @@ def link_pieces(
     link = pieces // PIECES_PER_LINK
     vector = joints[link + 1] - joints[link]
     lengths = np.linalg.norm(vector, axis=1, keepdims=True)
-    normal = np.stack([-vector[:, 1], vector[:, 0]], axis=-1) / lengths
+    normal = turn_left(vector) / lengths
     axis = joints[link] + mean_share[:, None] * vector
     middle = axis + mean_offset[:, None] * normal
 
@@ -355,7 +355,7 @@ def link_coordinates(
     """
     vector = np.diff(joints, axis=0)
     length = np.linalg.norm(vector, axis=1)
-    normal = np.stack([-vector[:, 1], vector[:, 0]], axis=-1) / length[:, None]
+    normal = turn_left(vector) / length[:, None]
     from_start = points[:, None] - joints[None, :-1]
     share = np.einsum("nji,ji->nj", from_start, vector) / length**2
     offset = np.einsum("nji,ji->nj", from_start, normal)

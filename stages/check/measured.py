@@ -19,6 +19,7 @@ from stringcast.stages.common import (
     mad_sigma,
     places_wander,
     points_at_arc_lengths,
+    step_lengths,
     track_places,
 )
 from stringcast.stages.model.arm import Arm
@@ -157,7 +158,7 @@ class CheckedTrial:
         """
         if not self.rate < self.least_rate:
             return False
-        steps = [np.linalg.norm(np.diff(xy, axis=0), axis=1) for _, xy in self.tracks]
+        steps = [step_lengths(xy) for _, xy in self.tracks]
         if not steps:
             return True
         leap = float(np.quantile(np.concatenate(steps), LEAP_QUANTILE))

@@ -13,6 +13,7 @@ from stringcast.stages.check.check import collect_findings
 from stringcast.stages.check.clocks import is_restless, usual_interval
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset
+from stringcast.stages.common import step_lengths
 
 # factor and name of the units that people read
 DISPLAY_UNITS = {
@@ -55,7 +56,7 @@ def overview_rows(dataset: CheckedDataset) -> list[dict[str, Any]]:
         if not len(t) and trial.name in films:
             t = films[trial.name].t
         common = min(t[-1], trial.hand_t[-1]) - max(t[0], trial.hand_t[0])
-        steps = np.linalg.norm(np.diff(trial.pose[:, :2], axis=0), axis=1)
+        steps = step_lengths(trial.pose[:, :2])
         begins = "moving" if trial.starts_moving else "at rest"
         if len(trial.points) and not trial.starts_moving and is_restless(trial):
             begins = "moving?"

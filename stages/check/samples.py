@@ -12,6 +12,7 @@ from stringcast.data.artifacts import JOINTS
 from stringcast.data.rows import spike_mask
 from stringcast.stages.check.finding import Finding, error, note, warning
 from stringcast.stages.check.measured import CheckedDataset
+from stringcast.stages.common import step_lengths
 
 SUSPICIOUS_LOST_SHARE = 0.1  # of a trial's points
 GROSS_OUTLIER = 0.05  # distance from its neighbours' middle, relative to the length
@@ -58,7 +59,7 @@ def check_zero_rows(dataset: CheckedDataset) -> Iterator[Finding]:
                 places = rows[["x", "y"]].to_numpy()
             else:
                 places = dataset.arm.grasp_pose(rows[list(JOINTS)].to_numpy())[:, :2]
-            steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+            steps = step_lengths(places)
             speed = max(speed, float(np.max(steps / np.diff(rows["t"]))))
             found.append((trial.name, f"{is_zero.sum()} of {len(is_zero)} rows"))
     if not found:

@@ -39,37 +39,30 @@ def simulate_chain(document: str, hand: HandMotion, times: np.ndarray) -> np.nda
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     step = model.opt.timestep
-    spline = CubicHermiteSpline(hand.times, hand.pose[0], hand.rate[0])
     begin = min(hand.start, float(times[0])) - step
     count = int(np.ceil((times[-1] - begin) / step)) + 2
     moments = begin + step * np.arange(count)
-    around = begin + step * np.arange(-1, count + 1)
-    poses = spline(np.clip(around, hand.start, hand.end))
+
     # MuJoCo's velocities are those of half a step before, and its next pose follows
     # from them: so the carriage arrives there
+    spline = CubicHermiteSpline(hand.times, hand.pose[0], hand.rate[0])
+    around = begin + step * np.arange(-1, count + 1)  # a step more on either side
+    poses = spline(np.clip(around, hand.start, hand.end))
     rates = np.diff(poses, axis=0) / step
     accelerations = np.diff(rates, axis=0) / step
+    carriage = slice(CARRIAGE_JOINTS)
 
-    spheres = range(model.ngeom)
-    shapes = np.empty((count, len(spheres) + 1, 2))
+    shapes = np.empty((count, model.ngeom + 1, 2))
     for number in range(count):
-        data.qpos[:CARRIAGE_JOINTS] = poses[number + 1]
-        data.qvel[:CARRIAGE_JOINTS] = rates[number]
-        data.ctrl[:] = model.dof_armature[:CARRIAGE_JOINTS] * accelerations[number]
+        data.qpos[carriage] = poses[number + 1]
+        data.qvel[carriage] = rates[number]
+        data.ctrl[:] = model.dof_armature[carriage] * accelerations[number]
         mujoco.mj_kinematics(model, data)
         shapes[number, 0] = data.xanchor[CARRIAGE_JOINTS, :2]
-        shapes[number, 1:] = data.geom_xpos[spheres, :2]
+        shapes[number, 1:] = data.geom_xpos[:, :2]
         mujoco.mj_step(model, data)
-    return linear_rows(moments, shapes, times)
-
-
-def linear_rows(t: np.ndarray, rows: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Interpolate rows (K, ...) linearly between evenly spaced times (K,)."""
-    place = np.clip((times - t[0]) / (t[1] - t[0]), 0, len(t) - 1)
-    before = np.minimum(place.astype(int), len(t) - 2)
-    share = (place - before).reshape(-1, *[1] * (rows.ndim - 1))
-    interpolated: np.ndarray = (1 - share) * rows[before] + share * rows[before + 1]
-    return interpolated
+    coordinates = interpolate_rows(times, moments, shapes.reshape(count, -1))
+    return coordinates.reshape(len(times), -1, 2)
 
 
 def tip_distances(trial: PreparedTrial, points: np.ndarray) -> np.ndarray:
@@ -88,10 +81,10 @@ def tip_distances(trial: PreparedTrial, points: np.ndarray) -> np.ndarray:
         NaN in frames in which the tip is not seen.
     """
     arc_lengths = trial.model.string.arc_lengths()
-    outermost = trial.s >= trial.s.max() - arc_lengths[1] / 2
+    is_outermost = trial.s >= trial.s.max() - arc_lengths[1] / 2
     distances = np.full(len(trial.times), np.nan)
-    for row in np.flatnonzero(outermost):
+    for row in np.flatnonzero(is_outermost):
         frame = trial.frame[row]
         simulated = interpolate_rows(trial.s[row], arc_lengths, points[frame])
-        distances[frame] = np.hypot(*(trial.points[row] - simulated))
+        distances[frame] = np.linalg.norm(trial.points[row] - simulated)
     return distances

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stringcast.data.lazy_module import LazyModule
-from stringcast.stages.common import sample_evenly
+from stringcast.stages.common import sample_evenly, turn_left
 from stringcast.stages.extract.footage import Footage
 from stringcast.stages.extract.segment import estimate_noise
 from stringcast.stages.model.camera import Camera
@@ -39,7 +39,6 @@ MAX_MISSED_SHARE = 0.1  # of the arm's pixels, by the links where they are fitte
 MIN_MISSED_SHARE = 0.02  # where the joints say: with less, the joints are right
 MAX_MISSED_RATIO = 0.5  # of those pixels that the links miss where the joints say
 MIN_HAND_SHIFT_PX = 2.0  # less is within what the arm's outline allows
-QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # of row vectors, to the left
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,7 @@ class ReportedArm:
         """
         angle = np.cumsum(self.turns(numbers), axis=1)[..., None]
         links = np.diff(self.body, axis=1)
-        moved = np.cos(angle) * links + np.sin(angle) * (links @ QUARTER_TURN)
+        moved = np.cos(angle) * links + np.sin(angle) * turn_left(links)
         base = self.body[:, :1] + numbers[-2:]
         return np.concatenate([base, base + np.cumsum(moved, axis=1)], axis=1)
 
@@ -233,7 +232,7 @@ def _link_distances(
     joints = arm.basis.shape[1]
     turning = np.zeros((len(place), joints))  # slope of a distance by an angle
     for joint in range(joints):
-        lever = (foot - body[:, joint]) @ QUARTER_TURN
+        lever = turn_left(foot - body[:, joint])
         slope = np.where(nearest >= joint, np.sum(normal * lever, axis=-1), 0.0)
         turning[:, joint] = -slope
     by_joint = turning[..., None] * arm.basis[frame]
@@ -271,10 +270,10 @@ def _nearest_feet(
     nearest = np.argmin(distances, axis=1)
 
     chosen = np.arange(len(place)), nearest
-    foot = feet[chosen]
-    normal = link[chosen] @ QUARTER_TURN / length[chosen][:, None]
-    is_end = (share[chosen] == 0) | (share[chosen] == 1)
-    is_end &= distances[chosen] > 0
+    foot, share, distance = feet[chosen], share[chosen], distances[chosen]
+    normal = turn_left(link[chosen]) / length[chosen][:, None]
+    is_end = (share == 0) | (share == 1)
+    is_end &= distance > 0
     beyond = place[is_end] - foot[is_end]
-    normal[is_end] = beyond / distances[chosen][is_end, None]
+    normal[is_end] = beyond / distance[is_end, None]
     return nearest, foot, normal

@@ -16,7 +16,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from stringcast.data.lazy_module import LazyModule
-from stringcast.stages.common import mad_sigma
+from stringcast.stages.common import (
+    interpolate_rows,
+    mad_sigma,
+    step_lengths,
+    turn_left,
+)
 from stringcast.stages.extract.segment import SegmentedFrame
 from stringcast.stages.extract.uncertainty import centroid_sigma, point_sigmas
 
@@ -42,8 +47,7 @@ class UnreadableError(Exception):
 
 def cumulative_length(points: np.ndarray) -> np.ndarray:
     """Compute the length of a line (K, 2) from its first to each point, (K,)."""
-    segments = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(segments)])
+    return np.concatenate([[0.0], np.cumsum(step_lengths(points))])
 
 
 @dataclass(frozen=True)
@@ -134,13 +138,35 @@ def trace_line(
     left, right = columns.min(), columns.max()
     part = np.s_[rows[0] : rows[-1] + 1, left : right + 1]
     graph = _pixel_graph(light[part], mask[part], allowed[part])
-    depth, previous = dijkstra(
-        graph, indices=int(np.argmin(distance)), return_predecessors=True
-    )
+    start = int(np.argmin(distance))
+    depth, previous = dijkstra(graph, indices=start, return_predecessors=True)
 
-    # the tip may be the deepest pixel of any patch: take the path most in the mask
-    depth = np.where(np.isfinite(depth) & inside, depth, -1.0)
     patch = cv2.connectedComponents(mask, connectivity=8)[1][rows, columns]
+    path = _path_in_mask(depth, previous, inside, patch)
+    pixels = np.stack([columns, rows], axis=-1)
+    return np.concatenate([grasp[None], pixels[path[1:]]])
+
+
+def _path_in_mask(
+    depth: np.ndarray, previous: np.ndarray, inside: np.ndarray, patch: np.ndarray
+) -> list[int]:
+    """Find the path with most pixels in the mask, to the deepest pixel of any patch.
+
+    Parameters
+    ----------
+    depth, previous : (N,) arrays
+        Cost of the cheapest path to each pixel, and the pixel before it on that path.
+    inside : (N,) bool array
+        Whether a pixel is in the mask.
+    patch : (N,) array of int
+        Number of the patch of the mask.
+
+    Returns
+    -------
+    list of int
+        Pixels from the start to the end.
+    """
+    depth = np.where(np.isfinite(depth) & inside, depth, -1.0)
     deepest_first = np.argsort(depth, kind="stable")[::-1]
     _, first_of_patch = np.unique(patch[deepest_first], return_index=True)
     best: list[int] = []
@@ -154,8 +180,7 @@ def trace_line(
         score = np.sum(np.where(inside[path], 1, -1))
         if score > best_score:
             best, best_score = path[::-1], score
-    pixels = np.stack([columns, rows], axis=-1)
-    return np.concatenate([grasp[None], pixels[best[1:]]])
+    return best
 
 
 def refine_line(frame: SegmentedFrame, path: np.ndarray, half: float) -> Centreline:
@@ -190,8 +215,7 @@ def refine_line(frame: SegmentedFrame, path: np.ndarray, half: float) -> Centrel
     depth = first.depth[:firm]
     count = max(round(depth[-1]) + 1, 2)
     s = np.linspace(0, depth[-1], count)
-    u, v = first.points[:firm].T
-    line = np.column_stack([np.interp(s, depth, u), np.interp(s, depth, v)])
+    line = interpolate_rows(s, depth, first.points[:firm])
     return _centre_points(frame, _extend_line(line, half, 3 * half + 5), half)
 
 
@@ -202,7 +226,7 @@ def _centre_points(frame: SegmentedFrame, line: np.ndarray, half: float) -> Cent
     """
     tangent = np.gradient(line, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
+    normal = turn_left(tangent)
     profile = _cross_profiles(frame, line, normal, half)
     end, end_sigma = _find_end(profile.light, profile.outlined, half)
 
@@ -211,18 +235,14 @@ def _centre_points(frame: SegmentedFrame, line: np.ndarray, half: float) -> Cent
     firm = max(count - int(np.ceil(half)), 1)
     shift = gaussian_filter1d(profile.shift[:firm], max(1.0, half / 3), mode="nearest")
     shift = np.pad(shift, (0, count - firm), mode="edge")
-    beyond_last = (end % 1) * tangent[last]
-    tip = line[last] + beyond_last + shift[-1] * normal[last]
     points = line[:count] + shift[:, None] * normal[:count]
+    tip = line[last] + (end % 1) * tangent[last] + shift[-1] * normal[last]
 
     nearest = np.append(np.arange(count), last)  # the tip is like the point before it
-    profile_light = np.where(profile.outlined, np.nan, profile.light)
-    sigma = point_sigmas(
-        profile.sigma[nearest], profile.unseen[nearest], firm, end_sigma
-    )
-    return Centreline(
-        np.concatenate([points, tip[None]]), sigma, profile_light[nearest]
-    )
+    across, unseen = profile.sigma[nearest], profile.unseen[nearest]
+    sigma = point_sigmas(across, unseen, firm, end_sigma)
+    light = np.where(profile.outlined, np.nan, profile.light)
+    return Centreline(np.vstack([points, tip]), sigma, light[nearest])
 
 
 def _cross_profiles(
@@ -280,11 +300,12 @@ def _find_end(
     if hidden or last + 1 == len(light):
         # standard deviation of a uniform distribution over the hidden points
         return last + hidden / 2, max(hidden, 1) / np.sqrt(12)
+
     drop = float(light[last] - light[last + 1])
+    end = last + float(light[last] - level) / drop
     plateau_end = max(last - int(2 * half), first + 1)
     plateau = light[first:plateau_end]
     level_sigma = mad_sigma(plateau - 2 * level) / drop
-    end = last + float(light[last] - level) / drop
     return end, float(np.hypot(END_SHAPE_SIGMA_PX, level_sigma))
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from stringcast.data.lazy_module import LazyModule
+from stringcast.stages.common import step_lengths
 from stringcast.stages.extract.centreline import Centreline, UnreadableError
 from stringcast.stages.extract.score import rasterise
 
@@ -35,8 +36,7 @@ def check_line(line: Centreline, mask: np.ndarray, half: float) -> None:
 
     mask: (height, width) uint8, the string's pixels. half: half its width [px].
     """
-    segments = np.linalg.norm(np.diff(line.points, axis=0), axis=1)
-    step = np.append(segments, 0.0)
+    step = np.append(step_lengths(line.points), 0.0)
     typical = 0.0
     if np.isfinite(line.light).any():
         typical = float(np.nanmedian(line.light))

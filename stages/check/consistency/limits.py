@@ -9,7 +9,7 @@ import numpy as np
 
 from stringcast.data.dataset import MAX_ARC_LENGTH_RATIO
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
-from stringcast.stages.common import interpolate_rows
+from stringcast.stages.common import interpolate_rows, step_lengths
 
 # no point is so much further from the hand than its arc length, relative to the length
 MAX_GAP = 0.25
@@ -87,12 +87,10 @@ def broken_limit(measured: Measurements, recording: Recording) -> BrokenLimit | 
 def hand_speed(t: np.ndarray, pose: np.ndarray) -> float:
     """Return a high quantile of the hand's speed [m/s]."""
     dt = np.diff(t)
-    steps = np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1)[dt > 0]
-    speeds = steps / dt[dt > 0]
-    is_moving = speeds > 0
-    return (
-        float(np.quantile(speeds[is_moving], SPEED_QUANTILE)) if is_moving.any() else 0
-    )
+    is_step = dt > 0
+    speeds = step_lengths(pose[:, :2])[is_step] / dt[is_step]
+    moving = speeds[speeds > 0]
+    return float(np.quantile(moving, SPEED_QUANTILE)) if len(moving) else 0.0
 
 
 def stretch(first: Track, second: Track) -> float:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stringcast.stages.check.measured import CheckedTrial
+from stringcast.stages.common import interpolate_rows, step_lengths
 from stringcast.stages.report.theme import MM_PER_M, STYLE_SHEET
 
 MS_PER_S = 1e3  # [ms] in a second
@@ -31,11 +32,11 @@ def trial_figure(
     """
     end = seen.points.groupby("t").tail(1)
     t, tip = end["t"].to_numpy(), end[["x", "y"]].to_numpy()
+    heights = [2, 1, 1] if clock_profile is None else [2, 1, 1, 1]
     with style.context(STYLE_SHEET):
         figure = Figure(figsize=(5.3, 8.0))  # narrow enough for a phone
-        rows = 3 if clock_profile is None else 4
-        heights = (2, 1, 1, 1)[:rows]
-        plane, places, speeds, *clocks = figure.subplots(rows, height_ratios=heights)
+        panels = figure.subplots(len(heights), height_ratios=heights)
+        plane, places, speeds, *clocks = panels
         speeds.sharex(places)
         _draw_plane(plane, seen, t, tip)
         _draw_positions(places, seen, t, tip)
@@ -60,8 +61,9 @@ def _draw_clock_profile(axes: Axes, profile: pd.DataFrame) -> None:
     other.set_ylabel("log likelihood")
     ends_ms = profile[["low", "high"]].iloc[0] * MS_PER_S
     axes.axvspan(*ends_ms, color="measured", alpha=0.3, label="95 % interval")
-    lines = [*axes.get_legend_handles_labels()[0], *other.get_lines()]
-    axes.legend(handles=lines, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    drawn, _ = axes.get_legend_handles_labels()
+    drawn += other.get_lines()
+    axes.legend(handles=drawn, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def describe_trial(seen: CheckedTrial) -> str:
@@ -79,14 +81,15 @@ def _draw_plane(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) 
     """Draw arm and string at a few times, the first darkest, and the tip's path."""
     path = tip * MM_PER_M
     axes.plot(*path.T, color="measured", lw=0.8, alpha=0.5, label="path of the tip")
-    low, high = max(t[0], seen.hand_t[0]), min(t[-1], seen.hand_t[-1])
-    for number, moment in enumerate(np.linspace(low, max(high, low), POSE_COUNT)):
-        frame_time = seen.frame_t[np.argmin(np.abs(seen.frame_t - moment))]
-        string = seen.points.loc[seen.points["t"] == frame_time, ["x", "y"]].to_numpy()
+    begin = max(t[0], seen.hand_t[0])
+    end = min(t[-1], seen.hand_t[-1])
+    for number, moment in enumerate(np.linspace(begin, max(end, begin), POSE_COUNT)):
+        nearest = np.argmin(np.abs(seen.frame_t - moment))
+        is_in_frame = seen.points["t"] == seen.frame_t[nearest]
         arm = _arm_at(seen, moment)
+        string = np.vstack([arm[-1], seen.points.loc[is_in_frame, ["x", "y"]]])
         alpha = LATER_POSE_OPACITY if number else 1.0
-        shapes = {"arm": arm, "string, as measured": np.vstack([arm[-1], string])}
-        for name, points in shapes.items():
+        for name, points in (("arm", arm), ("string, as measured", string)):
             label = None if number else name
             x, y = (points * MM_PER_M).T
             axes.plot(x, y, alpha=alpha, label=label, **POSE_STYLES[name])
@@ -97,10 +100,8 @@ def _draw_plane(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) 
 def _arm_at(seen: CheckedTrial, t: float) -> np.ndarray:
     """Return the joints' positions [m], or that of the hand if only it was measured."""
     if seen.joints is None:
-        hand = [np.interp(t, seen.hand_t, seen.pose[:, axis]) for axis in (0, 1)]
-        return np.array([hand])
-    angles = [np.interp(t, seen.hand_t, angle) for angle in seen.joints.T]
-    return seen.arm.joint_positions(np.array(angles))
+        return seen.hand_at(t)[None]
+    return seen.arm.joint_positions(interpolate_rows(t, seen.hand_t, seen.joints))
 
 
 def _draw_positions(
@@ -122,14 +123,11 @@ def _draw_speeds(
     hand = (seen.hand_t, seen.pose[:, :2], seen.hand_onset, "axis", "hand, arm's clock")
     string = (t, tip, seen.string_onset, "measured", "tip, camera's clock")
     for times, positions, onset, colour, label in (hand, string):
-        steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-        speed = steps / np.maximum(np.diff(times), 1e-9)
+        speed = step_lengths(positions) / np.maximum(np.diff(times), 1e-9)
         fastest = float(np.quantile(speed, 0.99)) if len(speed) else 0.0
         if fastest > 0:
-            middle, share = (
-                (times[1:] + times[:-1]) / 2,
-                np.minimum(speed / fastest, 1.2),
-            )
+            middle = (times[1:] + times[:-1]) / 2
+            share = np.minimum(speed / fastest, 1.2)
             words = f"{label}: {fastest:.1f} m/s"
             axes.plot(middle, share, color=colour, lw=1, label=words)
         if onset is not None:
