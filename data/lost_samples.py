@@ -60,10 +60,9 @@ def find_lost_points(points: pd.DataFrame) -> tuple[pd.Series, list[LostSamples]
     found : list of LostSamples
         What was found, by trial and kind.
     """
-    is_lost = pd.Series(False, index=points.index)
+    kinds = pd.Series("", index=points.index)  # empty for what was measured
     found = []
     for trial, rows in points.groupby("trial", sort=False):
-        lost_rows: dict[str, list[np.ndarray]] = {}
         longest: dict[str, float] = {}
         extent = track_extent(rows[["x", "y"]].to_numpy())
         for s, track in rows.groupby("s"):
@@ -71,22 +70,18 @@ def find_lost_points(points: pd.DataFrame) -> tuple[pd.Series, list[LostSamples]
             if s == 0 or len(track) < MIN_TRACK_SAMPLES:
                 continue
             xy = track[["x", "y"]].to_numpy()
-            t = track["t"].to_numpy()
             is_fixed, place = fixed_position_mask(xy)
             is_held = np.zeros(len(xy), dtype=bool)
             is_held[~is_fixed] = held_mask(xy[~is_fixed], extent)
             for kind, mask in ((place, is_fixed), ("its last position", is_held)):
                 if mask.any():
-                    lost_rows.setdefault(kind, []).append(track.index[mask])
-                    duration = _longest_run(t, mask)
+                    kinds[track.index[mask]] = kind
+                    duration = _longest_run(track["t"].to_numpy(), mask)
                     longest[kind] = max(longest.get(kind, 0.0), duration)
-        for kind, indices in lost_rows.items():
-            index = np.concatenate(indices)
-            is_lost[index] = True
-            found.append(
-                LostSamples(str(trial), kind, len(index), len(rows), longest[kind])
-            )
-    return is_lost, found
+        for kind, duration in longest.items():
+            count = int((kinds[rows.index] == kind).sum())
+            found.append(LostSamples(str(trial), kind, count, len(rows), duration))
+    return kinds != "", found
 
 
 def held_mask(xy: np.ndarray, extent: float) -> np.ndarray:
@@ -113,23 +108,19 @@ def held_mask(xy: np.ndarray, extent: float) -> np.ndarray:
     steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
     if not (steps == 0).any() or not steps.any():
         return is_held
-    limit = max(
-        MIN_JUMP_STEPS * float(steps[steps > 0].min()),
-        MIN_JUMP_EXTENT * extent,
-    )
+    grid_step = float(steps[steps > 0].min())
+    limit = max(MIN_JUMP_STEPS * grid_step, MIN_JUMP_EXTENT * extent)
     single = np.zeros(len(xy), dtype=bool)
     for first, last in _runs(np.concatenate([[False], steps == 0])):
         # of three samples, because one may be an outlier; a point that comes to rest or
         # leaves its rest is slow on that side
-        held = xy[last]
-        jump_to = _distance_to_median(xy[max(first - 4, 0) : first - 1], held)
-        jump_from = _distance_to_median(xy[last + 1 : last + 4], held)
-        is_last = last + 1 == len(xy) and last - first + 1 >= MIN_HELD_REPEATS
-        if jump_to <= limit or (jump_from <= limit and not is_last):
-            continue
-        single[first : last + 1] = True
-        if last - first + 1 >= MIN_HELD_REPEATS:
-            is_held[first : last + 1] = True
+        jump_to = _distance_to_median(xy[max(first - 4, 0) : first - 1], xy[last])
+        jump_from = _distance_to_median(xy[last + 1 : last + 4], xy[last])
+        is_long = last - first + 1 >= MIN_HELD_REPEATS
+        is_at_end = is_long and last + 1 == len(xy)
+        if jump_to > limit and (jump_from > limit or is_at_end):
+            single[first : last + 1] = True
+            is_held[first : last + 1] = is_long
     return single if single.mean() > MIN_HELD_SHARE else is_held
 
 
@@ -163,22 +154,18 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
         mask = number == candidate
         if mask.all() or limit == 0:
             continue
-        visits = away = 0
-        for first, last in _runs(mask):
-            sides = []
-            if first > 0:
-                sides.append(xy[first - 1] - xy[first])
-            if last + 1 < len(xy):
-                sides.append(xy[last + 1] - xy[first])
-            jumps = [float(np.linalg.norm(side)) for side in sides]
-            is_away = min(jumps) > limit
+        visits = _runs(mask)
+        away = 0
+        for first, last in visits:
+            jumps = _neighbours(xy, first, last) - xy[first]
+            shortest = np.linalg.norm(jumps, axis=1).min()
+            is_away = shortest > limit
             if not is_zero[candidate]:  # it must go there and come back
-                returned = float(np.linalg.norm(sides[0] - sides[-1]))
-                is_away = is_away and returned < 0.5 * min(jumps)
-            visits += 1
+                returned = np.linalg.norm(jumps[0] - jumps[-1])
+                is_away = is_away and returned < 0.5 * shortest
             away += is_away
-        recurs = visits >= MIN_RECURRENCES or is_zero[candidate]
-        if recurs and away >= MIN_AWAY_SHARE * visits:
+        recurs = len(visits) >= MIN_RECURRENCES or is_zero[candidate]
+        if recurs and away >= MIN_AWAY_SHARE * len(visits):
             x, y = positions[candidate]
             return mask, f"({x:.4g}, {y:.4g})"
     return nothing, ""
@@ -216,6 +203,11 @@ def zero_row_mask(values: np.ndarray) -> np.ndarray:
 def _distance_to_median(xy: np.ndarray, place: np.ndarray) -> float:
     """Return the distance of a place from the median of samples; 0 of none."""
     return float(np.linalg.norm(np.median(xy, axis=0) - place)) if len(xy) else 0.0
+
+
+def _neighbours(xy: np.ndarray, first: int, last: int) -> np.ndarray:
+    """Return the samples before and after a run, (2, 2), or (1, 2) at an end."""
+    return np.concatenate([xy[max(first - 1, 0) : first], xy[last + 1 : last + 2]])
 
 
 def track_extent(xy: np.ndarray) -> float:

@@ -139,25 +139,11 @@ def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCoun
     counts : RowCounts
         How many rows were read and dropped.
     """
+    required = [column for column in table.columns if not column.optional]
+    texts = [column.name for column in required if column.kind == "text"]
+    numbers = [column.name for column in required if column.kind == "float"]
     rows = RowFilter(frame)
-    numbers = []
-    for column in table.columns:
-        if column.kind == "text" and not column.optional:
-            rows.drop(f"no {column.name}", rows.frame[column.name].isna())
-        elif column.kind == "float" and not column.optional:
-            numbers.append(column.name)
-    for name in numbers:
-        rows.drop(f"{name} is not a finite number", ~np.isfinite(rows.frame[name]))
-        most = MAX_TIME_S if name == "t" else MAX_VALUE
-        rows.drop(f"{name} is beyond {most:.0e}", rows.frame[name].abs() > most)
-    if "s" in numbers:
-        rows.drop("s is below 0", rows.frame["s"] < -ARC_LENGTH_ROUNDING_M)
-    if "sigma" in rows.frame:
-        sigma = rows.frame["sigma"]
-        rows.drop("sigma is not a number above 0", ~(np.isfinite(sigma) & (sigma > 0)))
-        rows.drop(
-            f"sigma is below {MIN_SIGMA_M:.0e} m", rows.frame["sigma"] < MIN_SIGMA_M
-        )
+    _drop_impossible_values(rows, texts, numbers)
     keys = [name for name in ("trial", "t", "s") if name in rows.frame]
     rows.drop("a row twice", rows.frame.duplicated())
     timeless = find_timeless_trials(rows.frame, keys)
@@ -175,11 +161,7 @@ def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCoun
         rows.frame = rows.frame[~is_lost]
     if table.name in MOTION_TABLES:
         numbers.remove("t")
-        is_spike = pd.Series(False, index=rows.frame.index)
-        for _, trial in rows.frame.groupby("trial", sort=False):
-            values = np.unwrap(trial[numbers].to_numpy(), axis=0)
-            is_zero = zero_row_mask(trial[numbers].to_numpy())  # an error, not a spike
-            is_spike[trial.index] = ~is_zero & spike_mask(trial["t"].to_numpy(), values)
+        is_spike = _hand_spikes(rows.frame, numbers)
         rows.drop("the hand jumps away and back within two samples", is_spike)
     if table.name == ARM.name:
         rows.frame, unwrapped = unwrap_angles(rows.frame, numbers)
@@ -187,6 +169,39 @@ def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCoun
         len(frame), rows.dropped, unordered, tuple(lost), timeless, unwrapped
     )
     return rows.frame, counts
+
+
+def _drop_impossible_values(
+    rows: RowFilter, texts: Sequence[str], numbers: Sequence[str]
+) -> None:
+    """Drop rows in which a required text is missing, or a number cannot be."""
+    for name in texts:
+        rows.drop(f"no {name}", rows.frame[name].isna())
+    for name in numbers:
+        rows.drop(f"{name} is not a finite number", ~np.isfinite(rows.frame[name]))
+        most = MAX_TIME_S if name == "t" else MAX_VALUE
+        rows.drop(f"{name} is beyond {most:.0e}", rows.frame[name].abs() > most)
+    if "s" in numbers:
+        rows.drop("s is below 0", rows.frame["s"] < -ARC_LENGTH_ROUNDING_M)
+    if "sigma" in rows.frame:
+        sigma = rows.frame["sigma"]
+        is_positive = np.isfinite(sigma) & (sigma > 0)
+        rows.drop("sigma is not a number above 0", ~is_positive)
+        is_tiny = rows.frame["sigma"] < MIN_SIGMA_M
+        rows.drop(f"sigma is below {MIN_SIGMA_M:.0e} m", is_tiny)
+
+
+def _hand_spikes(frame: pd.DataFrame, columns: Sequence[str]) -> pd.Series:
+    """Find rows of angles or poses that jump away and back, by the index of `frame`.
+
+    Rows of zeros are another error.
+    """
+    is_spike = pd.Series(False, index=frame.index)
+    for _, trial in frame.groupby("trial", sort=False):
+        values = trial[columns].to_numpy()
+        jumps = spike_mask(trial["t"].to_numpy(), np.unwrap(values, axis=0))
+        is_spike[trial.index] = jumps & ~zero_row_mask(values)
+    return is_spike
 
 
 def find_timeless_trials(frame: pd.DataFrame, keys: Sequence[str]) -> dict[str, str]:
@@ -213,7 +228,8 @@ def find_timeless_trials(frame: pd.DataFrame, keys: Sequence[str]) -> dict[str, 
     sizes = sizes[is_shared & (sizes["size"] >= MIN_TIMED_ROWS)]
     reasons: dict[str, str] = {}
     for _, place in sizes.iterrows():
-        times = frame["t"][(frame[places] == place[places]).all(axis=1)]
+        is_here = (frame[places] == place[places]).all(axis=1)
+        times = frame.loc[is_here, "t"]
         distinct = np.unique(times)
         found = f"all {len(times)} rows have the same"
         if len(distinct) > 1:
@@ -276,12 +292,12 @@ def spike_mask(t: np.ndarray, values: np.ndarray) -> np.ndarray:
         return is_spike
     # distance of each sample from the line between its neighbours
     share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
-    offset = values[1:-1] - values[:-2] - share[:, None] * (values[2:] - values[:-2])
-    window = pd.DataFrame(np.abs(offset)).rolling(
-        SPIKE_WINDOW_SAMPLES, center=True, min_periods=1
-    )
-    typical = window.median().to_numpy()[1:-1]
+    step = values[2:] - values[:-2]
+    offset = values[1:-1] - values[:-2] - share[:, None] * step
     before, middle, after = offset[:-2], offset[1:-1], offset[2:]
+    sizes = pd.DataFrame(np.abs(offset))
+    window = sizes.rolling(SPIKE_WINDOW_SAMPLES, center=True, min_periods=1)
+    typical = window.median().to_numpy()[1:-1]
     opposite = -MIN_RETURN_FRACTION * middle**2
     returns = (before * middle < opposite) & (after * middle < opposite)
     is_large = np.abs(middle) > np.maximum(MIN_SPIKE, SPIKE_RATIO * typical)

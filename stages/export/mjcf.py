@@ -176,15 +176,7 @@ def build_mjcf(
         If MuJoCo has no law for an effect on the string.
     """
     string = model.string
-    for effect in string.effects:
-        if effect in PAPER_EFFECTS:
-            continue
-        laws = effect.laws()
-        if is_position_dependent(effect) or not set(laws) <= EXPORTED_ARGUMENTS:
-            raise DataError(
-                f"effect '{effect.name}': MuJoCo has no such law ({', '.join(laws)}). "
-                "Estimate the string again without it, and export that."
-            )
+    _refuse_unknown_laws(model)
     material = string.material(values[None, : len(string.parameters)])
     origin = {name: np.zeros((1, 1)) for name in ("x", "y", "t")}
     gravity = vector_slot_sum(string, material, "acceleration", origin)[0, 0]
@@ -192,7 +184,9 @@ def build_mjcf(
     hanging_lengths = hanging_shape(string, material, HANGING_POSE)[1][0]
     stretch = (hanging_lengths - string.free_segment_lengths(material)).sum()
     others = [e.name for e in model.effects if not issubclass(e, StringEffect)]
-    omitted = f" Left out, for no part of the string: {', '.join(others)}."
+    omitted = ""
+    if others:
+        omitted = f" Left out, for no part of the string: {', '.join(others)}."
 
     stretches = largest_step(model, values) >= MIN_STEP_S
     if stretches and step > largest_step(model, values):
@@ -205,16 +199,6 @@ def build_mjcf(
     elongations = lengths - float(string.free_segment_lengths(material)[0])
     joints = np.stack([hinges, elongations], axis=1) if stretches else hinges
     rest = " ".join(f"{q:.9g}" for q in (*pose, *np.ravel(joints)))
-
-    # each body lies in that before it
-    links = _link_rows(model, material, mass / string.length)
-    start, end = "", ""
-    for number, link in enumerate(links):
-        pad = "  " * (3 + number)
-        slide = SLIDE_TEMPLATE.format(pad=pad, **link) if stretches else ""
-        start += LINK_TEMPLATE.format(pad=pad, slide=slide, **link)
-        end = f"{pad}</body>\n{end}"
-    tip = f'{pad}  <site name="tip" pos="{links[-1]["length"]:.9g} 0 0"/>\n'
     return DOCUMENT_TEMPLATE.format(
         segments=string.points - 1,
         length=string.length,
@@ -230,9 +214,36 @@ def build_mjcf(
         stretch=1e3 * float(stretch),
         stretching="Links stretch." if stretches else "Links do not stretch.",
         rest=rest,
-        omitted=omitted if others else "",
-        chain=start + tip + end.rstrip("\n"),
+        omitted=omitted,
+        chain=_chain_text(model, material, mass / string.length, stretches),
     )
+
+
+def _refuse_unknown_laws(model: Model) -> None:
+    """Raise DataError for an effect on the string for which MuJoCo has no law."""
+    for effect in model.string.effects:
+        if effect in PAPER_EFFECTS:
+            continue
+        laws = effect.laws()
+        if is_position_dependent(effect) or not set(laws) <= EXPORTED_ARGUMENTS:
+            raise DataError(
+                f"effect '{effect.name}': MuJoCo has no such law ({', '.join(laws)}). "
+                "Estimate the string again without it, and export that."
+            )
+
+
+def _chain_text(
+    model: Model, material: np.ndarray, mass_per_length: float, stretches: bool
+) -> str:
+    """Return the bodies of the links, each in that before it."""
+    start, end = "", ""
+    for number, link in enumerate(_link_rows(model, material, mass_per_length)):
+        pad = "  " * (3 + number)
+        slide = SLIDE_TEMPLATE.format(pad=pad, **link) if stretches else ""
+        start += LINK_TEMPLATE.format(pad=pad, slide=slide, **link)
+        end = f"{pad}</body>\n{end}"
+    tip = f'{pad}  <site name="tip" pos="{link["length"]:.9g} 0 0"/>\n'
+    return start + tip + end.rstrip("\n")
 
 
 def _link_rows(
