@@ -130,6 +130,10 @@ class CastRecord:
         frames = self.points.valid_points.groupby("t", sort=True)[["x", "y", "s"]]
         return {self.frame_at(t): rows.to_numpy() for t, rows in frames}
 
+    def centre_line(self, frame: int) -> np.ndarray:
+        """Return the centre-line read in a frame [m], (K, 2); empty if it was not."""
+        return self.centre_lines.get(frame, np.zeros((0, 3)))[:, :2]
+
     def tip_path(self, t: np.ndarray) -> np.ndarray:
         """Interpolate the tip by a cubic through its readings, as the hit test does.
 
@@ -246,10 +250,8 @@ class DiagnosisRecord:
     def is_extended(self) -> bool:
         """Whether the extended model differs from the base model."""
         table = self.diagnosis.residuals
-        base, extended = (
-            table[["base_x", "base_y"]],
-            table[["extended_x", "extended_y"]],
-        )
+        base = table[["base_x", "base_y"]]
+        extended = table[["extended_x", "extended_y"]]
         return not np.array_equal(base, extended)
 
     @cached_property

@@ -24,6 +24,7 @@ from stringcast.stages.report.theme import (
 cv2 = LazyModule("cv2")
 
 REGION_MARGIN_M = 0.05  # around the points that a part of the image shows
+MIN_REGION_PX = 16
 UNIT_BOX = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2  # corners, in turn
 
 
@@ -70,9 +71,10 @@ def region_around(record: RunRecord, world: np.ndarray) -> ImageRegion:
     pixels = camera.pixels(world[np.isfinite(world).all(axis=1)])
     border = REGION_MARGIN_M * camera.px_per_m
     image_size = np.array([camera.width, camera.height])
-    low = np.clip(np.floor(pixels.min(axis=0) - border), 0, image_size - 16).astype(int)
+    low = np.floor(pixels.min(axis=0) - border)
+    low = np.clip(low, 0, image_size - MIN_REGION_PX).astype(int)
     high = np.ceil(pixels.max(axis=0) + border)
-    high = np.clip(high, low + 16, image_size).astype(int)
+    high = np.clip(high, low + MIN_REGION_PX, image_size).astype(int)
     return ImageRegion(*low.tolist(), *high.tolist())
 
 
@@ -143,7 +145,7 @@ def closest_approach_picture(record: RunRecord, cast: CastRecord) -> Picture | N
         return None
     frame = cast.closest_frame
     shown = [cast.before[frame], cast.after[frame], box_corners(record.target)]
-    centre_line = cast.centre_lines.get(frame, np.zeros((0, 3)))[:, :2]
+    centre_line = cast.centre_line(frame)
     region = region_around(record, np.concatenate([*shown, centre_line]))
     figure, axes = blank_frame(region, 5.4)
     draw_frame(axes, record, cast, frame, region)
@@ -210,26 +212,26 @@ def cast_film_data(
         rounded: list[list[float]] = np.round(on_film, 1).tolist()
         return rounded
 
-    unread = np.zeros((0, 3))
-    strings = {
-        "before": [pixels(cast.before[frame]) for frame in frames],
-        "after": [pixels(cast.after[frame]) for frame in frames],
-        "measured": [
-            pixels(cast.centre_lines.get(frame, unread)[:, :2]) for frame in frames
-        ],
-    }
     boxes = [(FRAME_COLOURS["target"], pixels(box_corners(record.target)))]
     for obstacle in record.obstacles:
         boxes.append((FRAME_COLOURS["wall"], pixels(box_corners(obstacle))))
-    images = [region.crop(cast.trial.images[frame]) for frame in frames]
+    times, images = [], []
+    strings: dict[str, list[Any]] = {"before": [], "after": [], "measured": []}
+    for frame in frames:
+        times.append(round(float(cast.frame_times[frame]) * 1e3, 1))
+        image = region.crop(cast.trial.images[frame])
+        images.append(_encode_frame(image, cast.grey_range, scale))
+        strings["before"].append(pixels(cast.before[frame]))
+        strings["after"].append(pixels(cast.after[frame]))
+        strings["measured"].append(pixels(cast.centre_line(frame)))
     stills = np.linspace(0, len(frames) - 1, STILL_COUNT).round().astype(int)
     closest = cast.closest_frame
     return {
         "width": width,
         "height": height,
-        "t": [round(float(cast.frame_times[frame]) * 1e3, 1) for frame in frames],
+        "t": times,
         "start": frames.index(closest) if closest in frames else 0,
-        "frames": [_encode_frame(image, cast.grey_range, scale) for image in images],
+        "frames": images,
         "boxes": boxes,
         "stills": [
             (int(i), format_ms(cast.frame_times[frames[i]])) for i in np.unique(stills)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -20,6 +21,13 @@ from stringcast.stages.report.theme import MM_PER_M, Picture, svg_picture
 
 MAX_BARS = 14
 LONGEST_ARROW_IN = 0.28
+ARROW_STYLE: dict[str, Any] = {
+    "angles": "uv",  # those in the plane, whatever the scales of the axes
+    "scale_units": "inches",
+    "width": 0.0035,
+    "headwidth": 4.5,
+    "color": "target",
+}
 
 
 # --- effects
@@ -81,21 +89,11 @@ def unexplained_picture(record: DiagnosisRecord) -> Picture | None:
     rows = table[table["trial"].isin(largest.index[:MAX_DRAWN_TRIALS])].groupby("trial")
     figure = Figure(figsize=(6.0, 0.7 + 1.25 * len(rows)))
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)
-    # the angles of arrows are those in the plane, whatever the scales of the axes
+    scale = float(size.max()) / LONGEST_ARROW_IN
     for axes, (trial, points) in zip(panels[:, 0], rows, strict=True):
         places = points["t"] * MM_PER_M, points["s"] * MM_PER_M
         axes.plot(*places, ".", ms=1.5, color="axis")
-        axes.quiver(
-            *places,
-            points["x"],
-            points["y"],
-            angles="uv",
-            scale_units="inches",
-            scale=float(size.max()) / LONGEST_ARROW_IN,
-            width=0.0035,
-            headwidth=4.5,
-            color="target",
-        )
+        axes.quiver(*places, points["x"], points["y"], scale=scale, **ARROW_STYLE)
         axes.margins(0.06, 0.3)
         axes.set_ylabel("s [mm]")
         axes.set_title(trial, loc="right", color="soft", fontsize=9)
@@ -139,15 +137,8 @@ def proposal_picture(record: DiagnosisRecord) -> Picture | None:
     left, right = figure.subplots(1, 2)
     for name, (colour, dashes) in zip(names, HYPOTHESIS_STYLES, strict=False):
         string = positions.loc[t, name].to_numpy() * MM_PER_M
-        left.plot(
-            string.real,
-            string.imag,
-            dashes,
-            marker=".",
-            ms=4,
-            color=colour,
-            label=effect_title(name),
-        )
+        style: dict[str, Any] = {"ls": dashes, "marker": ".", "ms": 4, "color": colour}
+        left.plot(string.real, string.imag, label=effect_title(name), **style)
         if name in distance:
             right.plot(distance.index * MM_PER_M, distance[name], dashes, color=colour)
     left.set(xlabel="x [mm]", ylabel="y [mm]", title=f"at {format_ms(t)}")

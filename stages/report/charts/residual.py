@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pandas as pd
 from matplotlib.colors import AsinhNorm, LinearSegmentedColormap
@@ -72,27 +74,21 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
         len(trials), 2, sharex=True, sharey=True, squeeze=False, gridspec_kw=margins
     )
 
-    # one colour scale for all trials and models
-    sizes: list[np.ndarray] = []
-    for table in trials.values():
-        sizes += residual_components(table, "base").values()
-    largest = np.quantile(np.abs(np.concatenate(sizes)), 0.99)
-    end = max(MIN_SCALE_SIGMAS, float(largest))
+    end = _scale_end(trials.values())
     scale = AsinhNorm(2.0, -end, end)
     for row, (trial, table) in zip(panels, trials.items(), strict=True):
+        s, t = table["s"].to_numpy(), table["t"].to_numpy()
         components = residual_components(table, model)
         for axes, name in zip(row, COMPONENTS, strict=True):
-            s, t = table["s"].to_numpy(), table["t"].to_numpy()
             values = components[name]
             drawn = draw_map(axes, s, t, values, cmap=DIVERGING_COLOURS, norm=scale)
         row[0].set_ylabel("s [mm]")
         # above the row, for names may be longer than it is high
         row[0].text(0.0, 1.05, trial, fontsize=8, transform=row[0].transAxes)
-    for top, bottom, words in zip(
-        panels[0], panels[-1], COMPONENTS.values(), strict=True
-    ):
-        top.set_title(words, fontsize=9, pad=16)
-        bottom.set_xlabel("time [ms]")
+    for column, words in enumerate(COMPONENTS.values()):
+        panels[0, column].set_title(words, fontsize=9, pad=16)
+        panels[-1, column].set_xlabel("time [ms]")
+
     place = figure.add_axes((0.1, 0.42 / height, 0.89, 0.08 / height))
     bar = figure.colorbar(drawn, cax=place, orientation="horizontal", extend="both")
     positive = [tick for tick in SCALE_TICKS if tick <= end]
@@ -103,6 +99,15 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
     trial_count = format_count(len(trials), "trial")
     words = f"Residuals of the {model} model over arc length and time in {trial_count}."
     return svg_picture(figure, words)
+
+
+def _scale_end(tables: Iterable[pd.DataFrame]) -> float:
+    """Return the end of the colour scale that all trials and models share."""
+    sizes: list[np.ndarray] = []
+    for table in tables:
+        sizes += residual_components(table, "base").values()
+    largest = np.quantile(np.abs(np.concatenate(sizes)), 0.99)
+    return max(MIN_SCALE_SIGMAS, float(largest))
 
 
 def residual_components(table: pd.DataFrame, model: str) -> dict[str, np.ndarray]:

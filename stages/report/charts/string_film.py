@@ -43,29 +43,34 @@ def string_film_data(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, 
     coordinates are pixels of the film, times are in ms.
     """
     columns = {"measured": ["x", "y"]}
-    columns |= {model: [f"{model}_x", f"{model}_y"] for model in record.models}
+    for model in record.models:
+        columns[model] = [f"{model}_x", f"{model}_y"]
     points = np.concatenate([table[pair].to_numpy() for pair in columns.values()])
     low, high = points.min(axis=0), points.max(axis=0)
-    px_per_m = (FILM_SIZE_PX - 2 * FILM_EDGE_PX) / max(float((high - low).max()), 1e-3)
+    extent = max(float((high - low).max()), 1e-3)
+    px_per_m = (FILM_SIZE_PX - 2 * FILM_EDGE_PX) / extent
     width, height = (high - low) * px_per_m + 2 * FILM_EDGE_PX
 
     def pixels(rows: pd.DataFrame, pair: list[str]) -> np.ndarray:
         x, y = ((rows[pair].to_numpy() - low) * px_per_m + FILM_EDGE_PX).T
-        return np.round(np.stack([x, height - y], axis=-1), 1)
+        return np.round(np.column_stack([x, height - y]), 1)
 
     # every n-th frame, so that all films of the page stay small
-    stride = -(-2 * len(points) * len(record.drawn_trials) // MAX_COORDINATES)
+    coordinates = points.size * len(record.drawn_trials)
+    stride = -(-coordinates // MAX_COORDINATES)
     rows = table.sort_values(["t", "s"])
     frame_times, first_rows = np.unique(rows["t"].to_numpy(), return_index=True)
     start = float(worst_frame(table)["t"].iloc[0])
-    numbers = np.arange(len(frame_times))
-    shown = np.flatnonzero((numbers % stride == 0) | (frame_times == start))
+    is_shown = frame_times == start
+    is_shown[::stride] = True
+    shown = np.flatnonzero(is_shown)
     times = frame_times[shown].tolist()
+
     tips = tip_points(table)
     strings, paths = {}, {}
     for name, pair in columns.items():
         frames = np.split(pixels(rows, pair), first_rows[1:])
-        strings[name] = [frames[i].tolist() for i in shown]
+        strings[name] = [frames[number].tolist() for number in shown]
         paths[name] = pixels(tips, pair).tolist()
     return {
         "width": round(width),

@@ -46,29 +46,35 @@ def outcome_curve(
         return None
     figure, axes = new_axes(2.9, 2.2)
     known = jobs[jobs[outcome.name].notna()].sort_values(factor, kind="stable")
-    is_number = pd.api.types.is_numeric_dtype(known[factor])
-    if is_number:
-        levels = np.sort(known[factor].unique())
-        if 0 < levels[0] * MIN_LOG_AXIS_RATIO < levels[-1]:
-            axes.set_xscale("log")
-        axes.set_xticks(levels, [f"{level:g}" for level in levels])
-        axes.xaxis.set_minor_locator(NullLocator())
+    if pd.api.types.is_numeric_dtype(known[factor]):
+        dashes = "-"
+        _tick_levels(axes, np.sort(known[factor].unique()))
     else:
+        dashes = "none"
         axes.tick_params(axis="x", labelrotation=20)
     values = known[outcome.name] * outcome.scale
     axes.plot(known[factor], values, "o", ms=3, mew=0, color="wall", alpha=0.5)
-    x, blue = means[factor], "after"
-    dashes = "-" if is_number else "none"
-    axes.plot(x, means["mean"], "o", ls=dashes, ms=4.5, color=blue)
-    axes.vlines(x, means["low"], means["high"], color=blue, lw=4, alpha=0.35)
+    x, low, high = means[factor], means["low"], means["high"]
+    axes.plot(x, means["mean"], "o", ls=dashes, ms=4.5, color="after")
+    axes.vlines(x, low, high, color="after", lw=4, alpha=0.35)
     if outcome.axis == "log":
         _use_log_scale(axes)
     axes.set_xlabel(setting_label(factor, units), fontsize=8)
     is_long = len(outcome.title) > MAX_LABEL_LENGTH
     axes.set_ylabel(outcome.title, fontsize=7 if is_long else 8)
-    levels = means.to_dict("records")
-    summary = ", ".join(f"{format_mean(row)} at {row[factor]}" for row in levels)
-    return svg_picture(figure, f"{outcome.title} over {factor}: {summary}.")
+    texts = []
+    for row in means.to_dict("records"):
+        texts.append(f"{format_mean(row)} at {row[factor]}")
+    words = f"{outcome.title} over {factor}: {', '.join(texts)}."
+    return svg_picture(figure, words)
+
+
+def _tick_levels(axes: Axes, levels: np.ndarray) -> None:
+    """Put a tick at each level of a setting, ascending, on a scale that suits them."""
+    if 0 < levels[0] * MIN_LOG_AXIS_RATIO < levels[-1]:
+        axes.set_xscale("log")
+    axes.set_xticks(levels, [f"{level:g}" for level in levels])
+    axes.xaxis.set_minor_locator(NullLocator())
 
 
 def _use_log_scale(axes: Axes) -> None:
