@@ -229,15 +229,24 @@ def find_timeless_trials(frame: pd.DataFrame, keys: Sequence[str]) -> dict[str, 
     reasons: dict[str, str] = {}
     for _, place in sizes.iterrows():
         is_here = (frame[places] == place[places]).all(axis=1)
-        times = frame.loc[is_here, "t"]
-        distinct = np.unique(times)
-        found = f"all {len(times)} rows have the same"
-        if len(distinct) > 1:
-            found = f"{len(times)} rows have {len(distinct)} different ones"
-            found += f", {np.median(np.diff(distinct)):.4g} s apart"
+        found = describe_shared_times(frame.loc[is_here, "t"].to_numpy(), "s ")
         reason = f"the time stamps carry no time: {found}"
         reasons.setdefault(str(place["trial"]), reason)
     return reasons
+
+
+def describe_shared_times(t: np.ndarray, unit: str = "") -> str:
+    """Describe times (K,) that say nothing of the single row; empty if they do.
+
+    unit: of the times, with a space behind it.
+    """
+    distinct = np.unique(t)
+    if len(t) < MIN_TIMED_ROWS or len(distinct) * MIN_ROWS_PER_TIME > len(t):
+        return ""
+    if len(distinct) == 1:
+        return f"all {len(t)} rows have the same"
+    step = np.median(np.diff(distinct))
+    return f"{len(t)} rows have {len(distinct)} different ones, {step:.4g} {unit}apart"
 
 
 def unwrap_angles(

@@ -22,14 +22,12 @@ from stringcast.data.importers.columns import (
     split_words,
 )
 from stringcast.data.lost_samples import zero_row_mask
+from stringcast.data.rows import describe_shared_times
 from stringcast.data.schema import DataError
 
 # [s] between samples: longer steps show no motion, so the unit must be a smaller one
 MAX_STEP_S = 0.5
 MAX_ANGLE_RAD = 4 * np.pi  # [rad] that no joint exceeds: larger numbers are degrees
-# rows that share a time stamp, from which the stamps carry no time of the single row
-MIN_ROWS_PER_STAMP = 2.0
-MIN_STAMPED_ROWS = 5  # fewer rows show nothing
 # a clock that turns back farther, in usual steps, did not just swap a few rows
 MIN_RETURN_STEPS = 10.0
 MAX_RETURN_SHARE = 0.02  # of the rows: more are rows in another order
@@ -247,18 +245,12 @@ class RecordingReader:
         """Say why the time stamps of a column carry no time; empty if they do."""
         stamps = self._numbers(column.name).dropna()
         for name, values in stamps.groupby(self._rows_of_series()):
-            distinct = np.unique(values)
-            few = len(distinct) * MIN_ROWS_PER_STAMP > len(values)
-            if few or len(values) < MIN_STAMPED_ROWS:
+            found = describe_shared_times(values.to_numpy(float))
+            if not found:
                 continue
             trial = f" of trial{name}" if str(name).strip() else ""
-            if len(distinct) == 1:
-                found = f"all {len(values)} rows have the same"
-            else:
-                found = f"{len(values)} rows have {len(distinct)} different ones"
-                found += f", {np.median(np.diff(distinct)):.4g} apart"
-            is_rounded = (distinct == distinct.astype(np.float32)).all()
-            is_large = np.spacing(np.float32(np.abs(distinct).max())) > 1e-3
+            is_rounded = (values == values.astype(np.float32)).all()
+            is_large = np.spacing(np.float32(values.abs().max())) > 1e-3
             guess = " (stored as float32?)" if is_rounded and is_large else ""
             return f"the time stamps{trial} carry no time: {found}{guess}"
         return ""
