@@ -30,7 +30,7 @@ MAX_NAMES_SHOWN = 4  # of what differs, in the concluding sentence
 
 
 def main(arguments: list[str]) -> int:
-    """Print the differences under five headings, and what they come to.
+    """Print the differences under five headings, and what can explain the results.
 
     The exit status is 0 if there are none.
     """

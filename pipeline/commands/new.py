@@ -302,7 +302,7 @@ def copied_settings(group: str, name: str, like: str) -> Files:
 
 
 def effect_files(name: str, plugin: str) -> tuple[Files, str]:
-    """Return an effect."""
+    """Return the file of an effect."""
     files = {f"effects/{name}.py": fill_template(EFFECT_TEMPLATE, name, plugin)}
     return files, f"+experiment=quick 'effects=[{name}]' estimate=least_squares"
 

@@ -30,7 +30,7 @@ class Box:
 
     @property
     def centre(self) -> np.ndarray:
-        """Centre, (2,) [m]."""
+        """Centre of the box, (2,) [m]."""
         return np.array([self.x, self.y])
 
     @property
