@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.stages.check.consistency.record import arm_poses
+from stringcast.stages.common import step_lengths
 
 REST_FRAMES = 5  # the median of so many frames gives the place of rest
 
@@ -56,8 +57,9 @@ def estimate_arc_lengths(
     dict
         Arc lengths by point [m], one for each trial, the nearest point first.
     """
-    is_known = np.isfinite(points[["x", "y"]]).all(axis=1) & points.get("valid", True)
-    by_time = points[is_known].sort_values("t", kind="stable")
+    is_finite = np.isfinite(points[["x", "y"]]).all(axis=1)
+    known = points[is_finite & points.get("valid", True)]
+    by_time = known.sort_values("t", kind="stable")
     first = by_time.groupby(["trial", "point"]).head(REST_FRAMES)
     rest = first.groupby(["trial", "point"])[["x", "y"]].median()
     hands = grasp.groupby("trial")[["x", "y"]].first()
@@ -65,16 +67,15 @@ def estimate_arc_lengths(
     for trial, places in rest.groupby(level="trial"):
         if trial not in hands.index:
             continue
-        hand = hands.loc[trial].to_numpy()
-        xy = places.to_numpy()
-        order = np.argsort(np.linalg.norm(xy - hand, axis=1))
-        steps = np.diff(np.vstack([hand, xy[order]]), axis=0)
-        path = np.linalg.norm(steps, axis=1).cumsum()
-        names = places.index.get_level_values("point")[order]
+        hand = hands.loc[trial]
+        distance = np.linalg.norm(places - hand, axis=1)
+        nearest_first = places.iloc[np.argsort(distance)]
+        path = step_lengths(np.vstack([hand, nearest_first])).cumsum()
+        names = nearest_first.index.get_level_values("point")
         for name, s in zip(names, path, strict=True):
             arc_lengths.setdefault(str(name), []).append(float(s))
-    nearest_first = sorted(arc_lengths.items(), key=lambda item: item[1][0])
-    return {name: np.array(values) for name, values in nearest_first}
+    by_length = sorted(arc_lengths.items(), key=lambda item: item[1][0])
+    return {name: np.array(values) for name, values in by_length}
 
 
 def attach_arc_lengths(

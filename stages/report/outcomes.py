@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm, t
+from scipy.stats import norm, sem, t
 
 from stringcast.stages.common import readable_name
 
@@ -23,8 +23,8 @@ def arithmetic_mean(values: np.ndarray) -> tuple[float, float, float]:
     if len(values) < 2:
         return mean, np.nan, np.nan
     quantile = t.ppf((1 + CONFIDENCE) / 2, len(values) - 1)
-    half = quantile * values.std(ddof=1) / np.sqrt(len(values))
-    return mean, float(mean - half), float(mean + half)
+    half = float(quantile * sem(values))
+    return mean, mean - half, mean + half
 
 
 def geometric_mean(values: np.ndarray) -> tuple[float, float, float]:
@@ -42,12 +42,14 @@ def mean_share(values: np.ndarray) -> tuple[float, float, float]:
     Each value counts as one trial. Where a value is itself a mean over several jobs of
     a seed, the interval is too wide rather than too narrow.
     """
-    count, z = len(values), float(norm.ppf((1 + CONFIDENCE) / 2))
     mean = float(values.mean())
-    middle = (mean + z**2 / (2 * count)) / (1 + z**2 / count)
-    variance = mean * (1 - mean) / count + z**2 / (4 * count**2)
-    half = z / (1 + z**2 / count) * np.sqrt(variance)
-    return mean, float(middle - half), float(middle + half)
+    count = len(values)
+    z = float(norm.ppf((1 + CONFIDENCE) / 2))
+    added = z**2 / count  # weight of the prior mean of one half
+    middle = (mean + added / 2) / (1 + added)
+    variance = mean * (1 - mean) / count + (added / (2 * z)) ** 2
+    half = z * float(np.sqrt(variance)) / (1 + added)
+    return mean, middle - half, middle + half
 
 
 @dataclass(frozen=True)
@@ -133,9 +135,7 @@ def mean_response(
     rows = []
     for level, at_level in jobs[has_value].groupby(factors, sort=True):
         values = at_level.groupby("seed")[outcome.name].mean().to_numpy(float)
-        row = dict(zip(factors, level, strict=True))
-        means = outcome.mean_over_seeds(values)
-        row |= dict(zip(("mean", "low", "high"), means, strict=True))
-        rows.append(row | {"seeds": len(values), "jobs": len(at_level)})
+        interval = outcome.mean_over_seeds(values)
+        rows.append([*level, *interval, len(values), len(at_level)])
     columns = [*factors, "mean", "low", "high", "seeds", "jobs"]
     return pd.DataFrame(rows, columns=columns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -56,21 +57,9 @@ def broken_limit(measured: Measurements, recording: Recording) -> BrokenLimit | 
     if speed > MAX_HAND_SPEED:
         return BrokenLimit("speed", f"the hand would move with {speed:.3g} m/s")
     known = [track for track in recording.tracks if track.s is not None]
-    if length is not None:
-        for track in known:
-            if track.s is not None and track.s > MAX_ARC_LENGTH_RATIO * length:
-                statement = (
-                    f"s goes up to {track.s:.4g} m on a string of {length:.4g} m"
-                )
-                return BrokenLimit("arc length", statement)
-    for first, second in combinations(known, 2):
-        ratio = stretch(first, second)
-        if ratio > MAX_STRETCH:
-            statement = (
-                f"the points at s = {first.s:.4g} and {second.s:.4g} m are {ratio:.3g} "
-                "times as far apart as their arc lengths"
-            )
-            return BrokenLimit("stretch", statement)
+    limit = broken_arc_length(known, length) or broken_stretch(known)
+    if limit is not None:
+        return limit
     for track in recording.tracks:
         s = length if track.s is None else track.s
         if s is None:
@@ -81,6 +70,30 @@ def broken_limit(measured: Measurements, recording: Recording) -> BrokenLimit | 
                 f"the point at s = {s:.4g} m would be {s + gap:.3g} m from the grasp"
             )
             return BrokenLimit("gap", statement)
+    return None
+
+
+def broken_arc_length(
+    tracks: Sequence[Track], length: float | None
+) -> BrokenLimit | None:
+    """Return the limit that a point beyond the string's end breaks, or None."""
+    for track in tracks:
+        if length and track.s and track.s > MAX_ARC_LENGTH_RATIO * length:
+            statement = f"s goes up to {track.s:.4g} m on a string of {length:.4g} m"
+            return BrokenLimit("arc length", statement)
+    return None
+
+
+def broken_stretch(tracks: Sequence[Track]) -> BrokenLimit | None:
+    """Return the limit that two points too far apart break, or None."""
+    for first, second in combinations(tracks, 2):
+        ratio = stretch(first, second)
+        if ratio > MAX_STRETCH:
+            statement = (
+                f"the points at s = {first.s:.4g} and {second.s:.4g} m are {ratio:.3g} "
+                "times as far apart as their arc lengths"
+            )
+            return BrokenLimit("stretch", statement)
     return None
 
 

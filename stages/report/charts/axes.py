@@ -57,13 +57,13 @@ def draw_map(
     style : keywords
         Colours of `Axes.pcolorfast`.
     """
-    edges = (_string_edges(s), _time_edges(t))
-    total, *_ = np.histogram2d(s, t, edges, weights=values)
-    count, *_ = np.histogram2d(s, t, edges)
-    empty = np.full(total.shape, np.nan)
-    means = np.divide(total, count, out=empty, where=count > 0)
+    s_edges, t_edges = _string_edges(s), _time_edges(t)
+    total, *_ = np.histogram2d(s, t, (s_edges, t_edges), weights=values)
+    count, *_ = np.histogram2d(s, t, (s_edges, t_edges))
+    means = np.full(total.shape, np.nan)
+    np.divide(total, count, out=means, where=count > 0)
     axes.grid(visible=False)
-    return axes.pcolorfast(edges[1] * MM_PER_M, edges[0] * MM_PER_M, means, **style)
+    return axes.pcolorfast(t_edges * MM_PER_M, s_edges * MM_PER_M, means, **style)
 
 
 def _string_edges(s: np.ndarray) -> np.ndarray:
@@ -73,9 +73,8 @@ def _string_edges(s: np.ndarray) -> np.ndarray:
         return np.linspace(0, s.max() * (1 + 1e-9), MAX_STRING_CELLS + 1)
     if len(places) == 1:
         return np.array([0.0, max(2 * places[0], 1e-3)])
-    first, last = 2 * places[0] - places[1], 2 * places[-1] - places[-2]
-    neighbours = np.concatenate([[first], places, [last]])
-    edges: np.ndarray = (neighbours[1:] + neighbours[:-1]) / 2
+    padded = np.pad(places, 1, mode="reflect", reflect_type="odd")
+    edges: np.ndarray = (padded[1:] + padded[:-1]) / 2
     return edges.clip(min=0.0)
 
 
@@ -89,5 +88,6 @@ def _time_edges(t: np.ndarray) -> np.ndarray:
 
 def draw_box(axes: Axes, box: Box, **style: Any) -> None:
     """Draw a target or obstacle in the plane, in mm."""
-    corner = ((box.x - box.w / 2) * MM_PER_M, (box.y - box.h / 2) * MM_PER_M)
-    axes.add_patch(Rectangle(corner, box.w * MM_PER_M, box.h * MM_PER_M, **style))
+    corner = (box.centre - box.half_size) * MM_PER_M
+    width, height = 2 * box.half_size * MM_PER_M
+    axes.add_patch(Rectangle(corner, width, height, **style))

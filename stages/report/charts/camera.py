@@ -25,7 +25,7 @@ cv2 = LazyModule("cv2")
 
 REGION_MARGIN_M = 0.05  # around the points that a part of the image shows
 MIN_REGION_PX = 16
-UNIT_BOX = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2  # corners, in turn
+CORNER_SIGNS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])  # of a box, in turn
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def region_of_run(record: RunRecord) -> ImageRegion:
 
 def box_corners(box: Box) -> np.ndarray:
     """Return the corners of a box in turn [m], shape (4, 2)."""
-    return np.array([box.x, box.y]) + UNIT_BOX * [box.w, box.h]
+    return box.centre + CORNER_SIGNS * box.half_size
 
 
 def blank_frame(region: ImageRegion, width: float) -> tuple[Figure, Axes]:
