@@ -6,8 +6,11 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.check.finding import Finding, error, note, warning
 from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
+
+stats = LazyModule("scipy.stats")
 
 MAX_INTERVAL_S = 0.5  # samples further apart do not show the motion of any string
 MIN_SAMPLES_FOR_UNIT = 10
@@ -120,18 +123,16 @@ def frame_interval(t: np.ndarray) -> tuple[float, float]:
     # the rate at which the times are most nearly in phase: steps counted one by one
     # would be miscounted where times jitter
     t = t[:MAX_RATE_FRAMES]
+    elapsed = t - t[0]
     usual = usual_interval(t)
     rates = np.linspace(1 - RATE_TOLERANCE, 1 + RATE_TOLERANCE, TRIED_RATES) / usual
-    phases = np.exp(2j * np.pi * np.outer(rates, t - t[0])).sum(axis=1)
-    best = int(np.argmax(np.abs(phases)))
-    turns = rates[best] * (t - t[0]) - np.angle(phases[best]) / (2 * np.pi)
-    number = np.rint(turns)
-    centred = number - number.mean()
-    spread = float(np.sum(centred**2))
-    interval = float(centred @ t) / spread
-    residuals = t - t.mean() - interval * centred
-    scatter = float(np.sqrt(np.sum(residuals**2) / (len(t) - 2)))
-    return interval, scatter / float(np.sqrt(spread))
+    waves = np.exp(2j * np.pi * np.outer(rates, elapsed)).sum(axis=1)
+    best = int(np.argmax(np.abs(waves)))
+    turns = rates[best] * elapsed - np.angle(waves[best]) / (2 * np.pi)
+
+    # the line of times over the numbers of their frames
+    line = stats.linregress(np.rint(turns), t)
+    return float(line.slope), float(line.stderr)
 
 
 def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
@@ -146,11 +147,10 @@ def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
             continue
         # possibly only every second or third frame was kept
         frames_per_sample = max(round(fps * usual), 1)
-        is_other = abs(frames_per_sample / (usual * fps) - 1) > RATE_TOLERANCE
         interval, sigma = frame_interval(trial.frame_t)
         excess = frames_per_sample / (interval * fps) - 1
         doubt = NORMAL_95 * sigma / interval
-        if is_other:
+        if abs(frames_per_sample / (usual * fps) - 1) > RATE_TOLERANCE:
             statement = (
                 f"there are {1 / usual:.4g} frames per second, but camera.fps in "
                 f"dataset.yaml is {fps:g}"

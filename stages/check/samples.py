@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -33,8 +34,9 @@ def check_lost_points(dataset: CheckedDataset) -> Iterator[Finding]:
                     f"{lost.trial}: {lost.count} of {lost.total}, for up to "
                     f"{lost.longest:.2f} s"
                 )
-            more = len(found) - len(counts)
-            listed = "; ".join(counts) + (f"; {more} more trials" if more else "")
+            if len(found) > len(counts):
+                counts.append(f"{len(found) - len(counts)} more trials")
+            listed = "; ".join(counts)
             statement = (
                 f"the tracker wrote {kind} where it lost a point, and these are left "
                 f"out ({listed})"
@@ -42,14 +44,13 @@ def check_lost_points(dataset: CheckedDataset) -> Iterator[Finding]:
             remedy = "Set 'valid' to false, or leave the row out, where a point is lost"
             share = max(lost.count / lost.total for lost in found)
             report = warning if share > SUSPICIOUS_LOST_SHARE else note
-            yield report(
-                file, "x, y", statement, remedy, *[lost.trial for lost in found]
-            )
+            trials = [lost.trial for lost in found]
+            yield report(file, "x, y", statement, remedy, *trials)
 
 
 def check_zero_rows(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find rows of the hand's log that are exactly zero among others."""
-    found = []
+    counts = {}
     speed = 0.0
     for trial in dataset.trials:
         is_zero = trial.zero_rows
@@ -61,27 +62,31 @@ def check_zero_rows(dataset: CheckedDataset) -> Iterator[Finding]:
                 places = dataset.arm.grasp_pose(rows[list(JOINTS)].to_numpy())[:, :2]
             steps = step_lengths(places)
             speed = max(speed, float(np.max(steps / np.diff(rows["t"]))))
-            found.append((trial.name, f"{is_zero.sum()} of {len(is_zero)} rows"))
-    if not found:
+            counts[trial.name] = f"{is_zero.sum()} of {len(is_zero)} rows"
+    if not counts:
         return
     has_poses = dataset.trials[0].joints is None
     columns = ["x", "y", "theta"] if has_poses else list(JOINTS)
-    path = dataset.data.folder / dataset.hand_file
-    is_csv = path.suffix == ".csv"
-    write = "to_csv(f, index=False)" if is_csv else "to_parquet(f)"
-    code = (
-        f"import pandas as p; f = {json.dumps(str(path))}; "
-        f"a = p.read_{'csv' if is_csv else 'parquet'}(f); "
-        f"a[a[{json.dumps(columns)}].any(axis=1)].{write}"
-    )
-    counts = [f"{name}: {count}" for name, count in found[:MAX_LISTED_TRIALS]]
+    listed = [f"{name}: {count}" for name, count in counts.items()]
     statement = (
         f"rows are exactly zero among others, as of a second publisher "
-        f"({'; '.join(counts)}), and the hand would move with {speed:.3g} m/s"
+        f"({'; '.join(listed[:MAX_LISTED_TRIALS])}), and the hand would move with "
+        f"{speed:.3g} m/s"
     )
+    code = _code_without_zeros(dataset.data.folder / dataset.hand_file, columns)
     remedy = f"Leave them out: python -c {shlex.quote(code)}"
-    trials = [name for name, _ in found]
-    yield error(dataset.hand_file, ", ".join(columns), statement, remedy, *trials)
+    yield error(dataset.hand_file, ", ".join(columns), statement, remedy, *counts)
+
+
+def _code_without_zeros(path: Path, columns: Sequence[str]) -> str:
+    """Return Python that takes rows of zeros out of a file."""
+    read, write = "read_parquet(f)", "to_parquet(f)"
+    if path.suffix == ".csv":
+        read, write = "read_csv(f)", "to_csv(f, index=False)"
+    return (
+        f"import pandas as p; f = {json.dumps(str(path))}; a = p.{read}; "
+        f"a[a[{json.dumps(columns)}].any(axis=1)].{write}"
+    )
 
 
 def check_outliers(dataset: CheckedDataset) -> Iterator[Finding]:

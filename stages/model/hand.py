@@ -49,7 +49,12 @@ class HandMotion:
     @property
     def times(self) -> np.ndarray:
         """Times of the poses, (K,) [s]."""
-        return self.start + self.tick * np.arange(self.pose.shape[1])
+        return self.start + self.tick * np.arange(self.tick_count)
+
+    @property
+    def tick_count(self) -> int:
+        """Number of the poses, K."""
+        return self.pose.shape[1]
 
     @property
     def end(self) -> float:
@@ -64,7 +69,7 @@ class HandMotion:
 
     def with_ticks(self, count: int) -> HandMotion:
         """Return the motion with so many poses: cut, or followed by rest."""
-        missing = max(count - self.pose.shape[1], 0)
+        missing = max(count - self.tick_count, 0)
         pose, rate = append_rest_ticks(
             self.pose[:, :count], self.rate[:, :count], missing
         )
@@ -73,7 +78,7 @@ class HandMotion:
     def extended_until(self, until: float) -> HandMotion:
         """Append rest until a time [s], or as long as anything lags behind."""
         missing = _rest_ticks(until - self.end, self.tick)
-        return self.with_ticks(self.pose.shape[1] + missing)
+        return self.with_ticks(self.tick_count + missing)
 
     def starting_at(self, begin: float | np.ndarray) -> HandMotion:
         """Return the motion from a moment on, from which time then counts.
@@ -88,24 +93,24 @@ class HandMotion:
         remaining = (self.end - np.min(begin)) / self.tick
         count = max(int(np.ceil(remaining - 1e-9)), 1) + 1
         first = (np.reshape(begin, (-1, 1)) - self.start) / self.tick
-        ticks = first + np.arange(count)
-        known = np.arange(self.pose.shape[1])
-        place = np.clip(ticks, 0, known[-1])
-        before = np.minimum(place.astype(int), known[-1] - 1)
+        ticks = first + np.arange(count)  # (C, count), as of the known poses
+        last = self.tick_count - 1
+        place = np.clip(ticks, 0, last)
+        before = np.minimum(place.astype(int), last - 1)
         offset = (place - before)[..., None]
         row = np.arange(len(self.pose))[:, None]
         pose_cubics, rate_parabolas = self._polynomials
         pose = np.polyval(pose_cubics[:, before, row], offset)
         rate = np.polyval(rate_parabolas[:, before, row], offset)
-        moves = (ticks == place)[..., None]
-        rate = np.where(moves, rate / self.tick, 0.0)
+        is_moving = (ticks == place)[..., None]
+        rate = np.where(is_moving, rate / self.tick, 0.0)
         start = float(begin) if np.ndim(begin) == 0 else 0.0
         return HandMotion(start, self.tick, pose, rate)
 
     @cached_property
     def _polynomials(self) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of poses and of rates between ticks, (4 or 3, K - 1, C, 3)."""
-        ticks = np.arange(self.pose.shape[1])
+        ticks = np.arange(self.tick_count)
         rate_per_tick = self.rate * self.tick
         spline = interpolate.CubicHermiteSpline(ticks, self.pose, rate_per_tick, axis=1)
         return spline.c, spline.derivative().c
@@ -271,11 +276,9 @@ def _apply_law(
     if not present.any():
         return value, rate
     t = motion.times
-    present_values = value if len(value) == 1 else value[present]
-    present_parameters = {name: p[present] for name, p in parameters.items()}
-    change = (
-        effect.laws()[law](t, present_values, **present_parameters) - present_values
-    )
+    before = value if len(value) == 1 else value[present]
+    sizes = {name: p[present] for name, p in parameters.items()}
+    change = effect.laws()[law](t, before, **sizes) - before
     shape = (len(present), *value.shape[1:])
     values = np.broadcast_to(value, shape).copy()
     rates = np.broadcast_to(rate, shape).copy()

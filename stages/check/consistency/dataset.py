@@ -71,23 +71,23 @@ def tracks_of(trial: CheckedTrial) -> tuple[Track, ...]:
         return ()
     end = float(np.quantile(s, TIP_QUANTILE, method="lower"))
     wanted = np.array(RELATIVE_PLACES) * end
+    found = []
     if places_wander(s, all_tracks):
-        first = float(np.median([s[track].min() for track in tracks[:1]]))
-        places = wanted[wanted >= first]
+        places = wanted[wanted >= s[tracks[0]].min()]
         places[-1:] -= 1e-9 * end
         lines = points_at_arc_lengths(frame, s, xy, places)  # (F, places, 2)
-        found = []
         for number, place in enumerate(places):
             is_seen = np.isfinite(lines[:, number, 0])
             if is_seen.sum() >= MIN_TRACK_FRAMES:
-                t, xy = drop_spikes(times[is_seen], lines[is_seen, number])
-                found.append(Track(f"{number}", float(place), t, xy))
+                track = drop_spikes(times[is_seen], lines[is_seen, number])
+                found.append(Track(f"{number}", float(place), *track))
         return tuple(found)
-    arcs = np.array([np.median(s[track]) for track in tracks])
-    nearest = {int(np.abs(arcs - s).argmin()): place for place, s in enumerate(wanted)}
-    found = []
-    for number, place in sorted(nearest.items()):
-        track, s_track = tracks[number], float(arcs[number])
-        t, places = drop_spikes(times[frame[track]], xy[track])
-        found.append(Track(f"{place}", s_track, t, places))
+
+    arc_lengths = np.array([np.median(s[track]) for track in tracks])
+    nearest = np.abs(arc_lengths[:, None] - wanted).argmin(axis=0)
+    names = {int(number): f"{place}" for place, number in enumerate(nearest)}
+    for number, name in sorted(names.items()):
+        points_of_place = tracks[number]
+        track = drop_spikes(times[frame[points_of_place]], xy[points_of_place])
+        found.append(Track(name, float(arc_lengths[number]), *track))
     return tuple(found)
