@@ -210,6 +210,12 @@ LINK = Table(
 )
 
 
+def lateness_columns(name: str, times: np.ndarray) -> dict[str, float]:
+    """Return median, 99th percentile and largest of times [s], as columns of LINK."""
+    p50, p99, most = map(float, np.percentile(times, [50, 99, 100]))
+    return {f"{name}_p50": p50, f"{name}_p99": p99, f"{name}_max": most}
+
+
 @dataclass(frozen=True)
 class Trial:
     """The record of one execution by arm and camera, which `execute` makes.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import JOINTS, SENT_SPEEDS, SPEEDS
+from stringcast.data.artifacts import JOINTS, SENT_SPEEDS, SPEEDS, lateness_columns
 from stringcast.hardware.arm.loop import MovementLog
 from stringcast.stages.execute.interfaces import Performance
 
@@ -53,9 +53,7 @@ def build_performance(
     }
     is_sent = np.isfinite(lateness)
     lateness = lateness[is_sent] if is_sent.any() else lateness
-    for name, times in (("jitter", lateness), ("trip", trips)):
-        link[f"{name}_p50"], link[f"{name}_p99"] = np.percentile(times, [50, 99])
-        link[f"{name}_max"] = times.max()
+    link |= lateness_columns("jitter", lateness) | lateness_columns("trip", trips)
     ticks = {
         "tick": np.arange(len(log.due)),
         "t_due": log.due + start,

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
+from stringcast.data.artifacts import lateness_columns
 from stringcast.hardware.camera.schedule import FrameSchedule, fit_schedule
 from stringcast.hardware.camera.source import Frame
 from stringcast.stages.execute.interfaces import Recording
@@ -68,7 +69,8 @@ def build_recording(
     arrivals = arrivals - moved_at - delay
     stamps = np.array([frame.stamp for frame in film.frames])
     images = [frame.image for frame in film.frames]
-    is_repeated = repeated_frames(images, int((arrivals < 0).sum()))
+    resting = int((arrivals < 0).sum())
+    is_repeated = repeated_frames(images, resting)
     repeated_count = int(is_repeated.sum())
     new = np.flatnonzero(~is_repeated)
     t, schedule = exposure_times(arrivals[new], stamps[new], period)
@@ -80,7 +82,6 @@ def build_recording(
     # a repeated frame left its place on the schedule empty
     due = max(schedule.last_due_number(film.until), int(schedule.numbers[-1])) + 1
     dropped = due - len(schedule.numbers)
-    p50, p99, most = map(float, np.percentile(schedule.lateness, [50, 99, 100]))
     is_late = schedule.lateness > LATE_PERIODS * schedule.period
     summary = {
         "frames_due": due,
@@ -88,11 +89,9 @@ def build_recording(
         "frames_repeated": repeated_count,
         "frames_late": int(is_late.sum()),
         "fps": 1 / schedule.period,
-        "frame_jitter_p50": p50,
-        "frame_jitter_p99": p99,
-        "frame_jitter_max": most,
         "remarks": "; ".join(film.remarks),
     }
+    summary |= lateness_columns("frame_jitter", schedule.lateness)
     lost = dropped / due
     fault = ""
     if film.failure and t[-1] < film.until - 2 * period:

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from stringcast.data.artifacts import JOINTS, SPEEDS
+from stringcast.data.artifacts import JOINTS, SPEEDS, lateness_columns
 from stringcast.hardware.virtual.obstacles import Obstacles
 from stringcast.hardware.virtual.render import (
     Look,
@@ -241,16 +241,8 @@ class VirtualArm:
             **measured,
             "missed": False,
         }
-        p50, p99 = np.percentile(late, [50, 99])
-        link = {
-            "valid": True,
-            "reason": "",
-            "ticks": len(t),
-            "missed": 0,
-            "jitter_p50": p50,
-            "jitter_p99": p99,
-            "jitter_max": late.max(),
-        }
+        link = {"valid": True, "reason": "", "ticks": len(t), "missed": 0}
+        link |= lateness_columns("jitter", late)
         return Performance(
             pd.DataFrame({"t": t} | measured),
             pd.DataFrame(ticks),

@@ -250,7 +250,8 @@ def locate_points(
     if points.empty:
         return POINTS.empty().assign(trial=""), require_length(bench)
     names = list(points["point"].unique())
-    unknown = [name for name in bench.point_arc_lengths if name not in names]
+    stated = dict(bench.point_arc_lengths)
+    unknown = [name for name in stated if name not in names]
     if unknown:
         known = ", ".join(map(repr, names))
         raise DataError(
@@ -260,28 +261,26 @@ def locate_points(
         largest_s = float(points["s"].max())
         length = bench.length or note_length(largest_s, "the largest s", notes)
         return select_columns(points), length
+    if stated:
+        length = bench.length or max(stated.values())
+        return select_columns(attach_arc_lengths(points, stated)), length
+    if len(names) == 1 and bench.length:
+        arc_lengths = {names[0]: bench.length}
+        return select_columns(attach_arc_lengths(points, arc_lengths)), bench.length
 
     hanging = {} if bench.starts_moving else estimate_arc_lengths(points, grasp)
-    if bench.point_arc_lengths:
-        arc_lengths = dict(bench.point_arc_lengths)
-    elif len(names) == 1 and bench.length:
-        arc_lengths = {names[0]: bench.length}
-    else:
-        arc_lengths = {name: float(np.median(s)) for name, s in hanging.items()}
-    if not arc_lengths:
+    if not hanging:
         require_length(bench)
         raise DataError(
             "it is unknown how far along the string each point is. "
             "Give it in metres: --at tip=0.30."
         )
+    arc_lengths = {name: float(np.median(s)) for name, s in hanging.items()}
     largest_s = max(arc_lengths.values())
-    if bench.length:
-        length = bench.length
-    elif bench.point_arc_lengths:
-        length = largest_s
-    else:
-        length = note_length(largest_s, describe_hanging_length(hanging), notes)
-    if not bench.point_arc_lengths and len(arc_lengths) > 1:
+    length = bench.length or note_length(
+        largest_s, describe_hanging_length(hanging), notes
+    )
+    if len(arc_lengths) > 1:
         places = []
         for name, s in arc_lengths.items():
             arc_lengths[name] = s * length / largest_s

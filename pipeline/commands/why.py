@@ -94,23 +94,10 @@ def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepStat
     dict
         States and reasons by the step's folder within the run.
     """
-    folder_names = {stage.folder for stage in stages().values()}
     graph = build_chosen(settings["mode"], "mode", "config.json").graph(settings)
     makers = {stages()[name].folder: name for name in graph.stages}
-    places: dict[str, Path] = {}
-    for place in sorted(folder.glob("iterations/*/*")):
-        is_step = place.name in folder_names and place.parent.name.isdecimal()
-        if place.is_dir() and is_step:
-            places[place.relative_to(folder).as_posix()] = place
-    inputs: dict[str, list[str]] = {}  # by the footers of the steps
-    for name, place in places.items():
-        try:
-            paths = store.read_origin(place).get("inputs", {})
-        except (DataError, *store.READ_ERRORS):
-            paths = {}
-        inputs[name] = [path for path in paths if path in places]
-
-    states: dict[str, StepState] = {}
+    places = step_folders(folder)
+    inputs = step_inputs(places)
     try:
         ordered = [*TopologicalSorter(inputs).static_order()]
     except CycleError as error:
@@ -118,6 +105,7 @@ def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepStat
             f"{folder}: by their footers, {' and '.join(error.args[1][1:])} were made "
             "from each other. Remove them, and make them again."
         ) from error
+    states: dict[str, StepState] = {}
     for name in ordered:
         place = places[name]
         reasons = stale_reasons(folder, place, settings)
@@ -137,6 +125,29 @@ def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepStat
     if missing is not None:
         states[missing.as_posix()] = MISSING_STEP
     return states
+
+
+def step_folders(folder: Path) -> dict[str, Path]:
+    """Return the folders of the steps of a run, by their paths within it."""
+    known = {stage.folder for stage in stages().values()}
+    places = {}
+    for place in sorted(folder.glob("iterations/*/*")):
+        is_step = place.name in known and place.parent.name.isdecimal()
+        if is_step and place.is_dir():
+            places[place.relative_to(folder).as_posix()] = place
+    return places
+
+
+def step_inputs(places: Mapping[str, Path]) -> dict[str, list[str]]:
+    """Return which steps a step was made from, by the footers of its tables."""
+    inputs = {}
+    for name, place in places.items():
+        try:
+            paths = store.read_origin(place).get("inputs", {})
+        except (DataError, *store.READ_ERRORS):
+            paths = {}
+        inputs[name] = [path for path in paths if path in places]
+    return inputs
 
 
 def missing_step(settings: Mapping[str, Any], folder: Path, number: int) -> Path | None:

@@ -54,7 +54,7 @@ class HandMotion:
     @property
     def tick_count(self) -> int:
         """Number of the poses, K."""
-        return self.pose.shape[1]
+        return int(self.pose.shape[1])
 
     @property
     def end(self) -> float:

@@ -91,7 +91,7 @@ def region_of_run(record: RunRecord) -> ImageRegion:
 
 def box_corners(box: Box) -> np.ndarray:
     """Return the corners of a box in turn [m], shape (4, 2)."""
-    return box.centre + CORNER_SIGNS * box.half_size
+    return np.asarray(box.centre + CORNER_SIGNS * box.half_size)
 
 
 def blank_frame(region: ImageRegion, width: float) -> tuple[Figure, Axes]:
