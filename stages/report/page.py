@@ -467,13 +467,22 @@ def number_cells(texts: Iterable[Any]) -> list[Cell]:
     return [number_cell(text) for text in texts]
 
 
+def name_value_table(rows: Sequence[Sequence[Any]]) -> TableView:
+    """Create a table of names, each with its value or values, without a heading."""
+    return TableView((), rows, named=True)
+
+
+def table_card(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Card:
+    """Create a frame around a table."""
+    return Card("", [TableView(columns, rows)])
+
+
 def settings_table(settings: Mapping[str, Any]) -> TableView:
     """List settings by their names on the command line."""
-    rows = [
-        (name, Cell(value, "code"))
-        for name, value in formatting.flatten_settings(settings)
-    ]
-    return TableView((), rows, named=True)
+    rows = []
+    for name, value in formatting.flatten_settings(settings):
+        rows.append((name, Cell(value, "code")))
+    return name_value_table(rows)
 
 
 def hit_badge(hit: bool) -> Markup:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from markupsafe import Markup
@@ -53,13 +55,11 @@ def _tiles(alignment: Alignment) -> Tiles:
     row = alignment.aligned.iloc[0]
     change = f"{format_mm(row['rms_before'], 2)} → {format_mm(row['rms_after'], 2)}"
     noise = format_mm(row["noise"], 2)
+    meaning = f"rms of reported minus filmed, before and after; noise alone: {noise}"
     frames = alignment.seen[["trial", "t"]].drop_duplicates()
     return Tiles(
         [
-            (
-                change,
-                f"rms of reported minus filmed, before and after; noise alone: {noise}",
-            ),
+            (change, meaning),
             (str(len(frames)), "frames in which the arm was read"),
             (f"{row['speed']:.2f} m/s", "highest speed of the hand"),
         ]
@@ -109,15 +109,9 @@ def _residuals_picture(seen: pd.DataFrame) -> Picture:
     figure = Drawing(figsize=(7.2, 3.4))
     panels = figure.subplots(2, 1, sharex=True)
     for axes, state in zip(panels, STATES, strict=True):
-        axes.plot(
-            seen["t"],
-            seen[state] * MM_PER_M,
-            ".",
-            rasterized=True,
-            ms=1.2,
-            color=state,
-            alpha=0.5,
-        )
+        residual = seen[state] * MM_PER_M
+        style: dict[str, Any] = {"ms": 1.2, "color": state, "alpha": 0.5}
+        axes.plot(seen["t"], residual, ".", rasterized=True, **style)
         axes.axhline(0.0, lw=0.6, color="axis")
         axes.set_ylabel(f"{state} [mm]")
     limit = 1.5 * float(np.quantile(np.abs(seen["after"]), 0.995)) * MM_PER_M

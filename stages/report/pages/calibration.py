@@ -22,13 +22,13 @@ from stringcast.stages.report.page import (
     Figure,
     Section,
     Small,
-    TableView,
     Text,
     Tiles,
     bold_text,
     join_sentences,
     number_cell,
     stage_page,
+    table_card,
 )
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.report.theme import (
@@ -112,7 +112,7 @@ def _camera_section(
         "times. If neighbouring arrows point the same way, the errors are not "
         "noise: the model of the lens or the board is wrong.",
     )
-    return Section("Camera", [Card("", [TableView(columns, rows)]), figure])
+    return Section("Camera", [table_card(columns, rows), figure])
 
 
 def _views_section(calibration: Calibration, magnification: float) -> Section:
@@ -187,23 +187,10 @@ def _view_picture(
     axes = figure.add_axes((0, 0, 1, 1))
     axes.imshow(image, cmap="gray", vmin=0, vmax=255)
     axes.axis("off")
-    axes.plot(
-        corners["u"],
-        corners["v"],
-        "o",
-        ms=4,
-        mfc="none",
-        mec=FRAME_COLOURS["measured"],
-        mew=0.8,
-    )
-    axes.plot(
-        corners["fit_u"],
-        corners["fit_v"],
-        "+",
-        ms=4,
-        color=FRAME_COLOURS["after"],
-        mew=0.8,
-    )
+    marks: dict[str, Any] = {"ms": 4, "mew": 0.8, "mfc": "none", "ls": ""}
+    detected, projected = FRAME_COLOURS["measured"], FRAME_COLOURS["after"]
+    axes.plot(corners["u"], corners["v"], marker="o", color=detected, **marks)
+    axes.plot(corners["fit_u"], corners["fit_v"], marker="+", color=projected, **marks)
     _draw_error_arrows(axes, corners, magnification, FRAME_COLOURS["before"])
     axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))
     return webp_picture(figure, f"{name}: {len(corners)} corners detected.")

@@ -71,8 +71,10 @@ from stringcast.stages.report.page import (
     hit_badge,
     join_sentences,
     link,
+    name_value_table,
     number_cell,
     number_cells,
+    table_card,
 )
 from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import FRAME_COLOURS, MM_PER_M, STYLE_SHEET
@@ -180,7 +182,7 @@ def _summary(record: RunRecord, casts: list[tuple[int, CastRecord]]) -> list[Par
         rows.append(
             [link(f"#cast-{number}", number), _result(cast), *closest, *fit, read]
         )
-    return [_tiles(record), Card("", [TableView(columns, rows)])]
+    return [_tiles(record), table_card(columns, rows)]
 
 
 def _fit_quality(fit: Any) -> list[str]:
@@ -208,19 +210,11 @@ def _tiles(record: RunRecord) -> Tiles:
             record.estimates[-1].fit.iloc[0]
         )
         rates, sizes = f"{rate_before} → {rate_after}", f"{before} → {after}"
-    return Tiles(
-        [
-            (distance, meaning),
-            (
-                rates,
-                (
-                    "matching rate E of the last cast, before and after estimation (1 "
-                    "is perfect)"
-                ),
-            ),
-            (sizes, "rms distance of simulated and measured string, before and after"),
-        ]
+    rate_meaning = (
+        "matching rate E of the last cast, before and after estimation (1 is perfect)"
     )
+    size_meaning = "rms distance of simulated and measured string, before and after"
+    return Tiles([(distance, meaning), (rates, rate_meaning), (sizes, size_meaning)])
 
 
 def _hand_paths_figure(record: RunRecord) -> Figure:
@@ -394,7 +388,7 @@ def _learning_card(cast: CastRecord, surprise: Surprise) -> Card:
     if (explanation := cast.explanation) is not None:
         rows.append(("cause", explanation.sentence))
         causes = _cause_table(explanation)
-    parts = [TableView((), rows, named=True), causes]
+    parts = [name_value_table(rows), causes]
     return Card("Prediction, surprise and cause", [part for part in parts if part])
 
 
@@ -404,11 +398,9 @@ def _cause_table(explanation: Explanation) -> TableView | None:
     rows = []
     for cause in table[table["probability"] >= MIN_SHOWN_PROBABILITY].itertuples():
         name = describe_causes(str(cause.effects).split())
-        tip = (
-            "on a coarse mesh"
-            if np.isnan(cause.tip_rms)
-            else format_mm(cause.tip_rms, 1)
-        )
+        tip = format_mm(cause.tip_rms, 1)
+        if np.isnan(cause.tip_rms):
+            tip = "on a coarse mesh"
         rows.append([name, *number_cells([f"{cause.probability:.2f}", tip])])
     return TableView(("cause", "probability", "tip is off by"), rows) if rows else None
 
@@ -567,7 +559,7 @@ def _link_card(cast: CastRecord) -> Card:
     for reason, count in unread["reason"].value_counts(sort=False).items():
         rows[f"frames not read: {reason}"] = count
     cells = [(name, number_cell(value)) for name, value in rows.items()]
-    parts: list[Part] = [Text(result, ""), TableView((), cells, named=True)]
+    parts: list[Part] = [Text(result, ""), name_value_table(cells)]
     if report.get("remarks"):
         parts.append(Text(f"Not verified: {report['remarks']}.", ""))
     return Card("Timing and frames", parts)

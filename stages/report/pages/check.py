@@ -17,11 +17,11 @@ from stringcast.stages.report.page import (
     Page,
     Part,
     Section,
-    TableView,
     Text,
     Tiles,
     number_cell,
     number_cells,
+    table_card,
 )
 from stringcast.stages.report.theme import svg_picture
 
@@ -51,25 +51,23 @@ def check_page(
     following : sequence of (purpose, command)
         Commands to continue with.
     """
-    usable, findings = found["usable"], found["findings"]
-    errors = [finding for finding in findings if finding["severity"] == "error"]
-    trials = list(measured.with_points())
+    findings = found["findings"]
+    error_count = sum(finding["severity"] == "error" for finding in findings)
+    errors = format_count(error_count, "error")
     tiles = [
         (str(len(found["trials"])), "readable trials"),
         (format_mm(measured.length), "length of the string, from the grasp to the tip"),
-        (
-            str(len(findings)),
-            f"findings, of which {format_count(len(errors), 'error')}",
-        ),
+        (str(len(findings)), f"findings, of which {errors}"),
     ]
     sections: list[Part] = [
         Tiles(tiles),
         Section("Findings", [_findings_card(findings)]),
-        Section("Trials", [Card("", [_trials_table(found["trials"])])]),
+        Section("Trials", [_trials_card(found["trials"])]),
     ]
     if effects := found.get("effects"):
-        table = Card("", [_effects_table(effects)])
-        sections.append(Section("Detectable effects", [Text(DETECTION_NOTE), table]))
+        parts = [Text(DETECTION_NOTE), _effects_card(effects)]
+        sections.append(Section("Detectable effects", parts))
+    trials = list(measured.with_points())
     figures = []
     for trial in trials[:MAX_DRAWN_TRIALS]:
         words = describe_trial(trial)
@@ -77,16 +75,14 @@ def check_page(
         figures.append(Figure(f"Trial {trial.name}", picture, words))
     grid = Container("grid", figures)
     sections.append(Section("Measurements", [Text(TRIALS_LEAD), grid]))
-    if len(trials) > MAX_DRAWN_TRIALS:
-        sections.append(
-            Text(f"{len(trials) - MAX_DRAWN_TRIALS} more trials are not drawn.")
-        )
+    more = len(trials) - MAX_DRAWN_TRIALS
+    if more > 0:
+        sections.append(Text(f"{more} more trials are not drawn."))
+    usable = found["usable"]
     page = Page(
         kind="check",
         name=measured.data.folder.name,
-        heading="These trials are usable"
-        if usable
-        else "These trials are not usable yet",
+        heading=f"These trials are {'usable' if usable else 'not usable yet'}",
         lead=f"Measured data in {found['folder']}: contents, findings and remedies.",
         sections=sections,
         origin=origin,
@@ -105,20 +101,13 @@ def _findings_card(findings: Sequence[Mapping[str, Any]]) -> Part:
     for finding in findings:
         place = " ".join(filter(None, (finding["file"], finding["field"])))
         trials = ", ".join(finding["trials"]) or "all"
-        rows.append(
-            [
-                finding["severity"],
-                Cell(place, "code"),
-                trials,
-                finding["statement"],
-                finding["remedy"],
-            ]
-        )
+        what = (finding["statement"], finding["remedy"])
+        rows.append([finding["severity"], Cell(place, "code"), trials, *what])
     columns = ("severity", "where", "trials", "finding", "remedy")
-    return Card("", [TableView(columns, rows)])
+    return table_card(columns, rows)
 
 
-def _effects_table(effects: Sequence[Mapping[str, Any]]) -> TableView:
+def _effects_card(effects: Sequence[Mapping[str, Any]]) -> Card:
     """List from which size on these trials would show each effect."""
     columns = ["effect", "meaning", "found from", "then at the tip [mm]"]
     columns += ["like the string [%]", "taken for"]
@@ -135,7 +124,7 @@ def _effects_table(effects: Sequence[Mapping[str, Any]]) -> TableView:
                 ", ".join(effect["alike"]),
             ]
         )
-    return TableView(columns, rows)
+    return table_card(columns, rows)
 
 
 TRIAL_COLUMNS = {
@@ -150,7 +139,7 @@ TRIAL_COLUMNS = {
 }
 
 
-def _trials_table(trials: Sequence[Mapping[str, Any]]) -> TableView:
+def _trials_card(trials: Sequence[Mapping[str, Any]]) -> Card:
     """List the readable trials."""
     rows = []
     for trial in trials:
@@ -160,4 +149,4 @@ def _trials_table(trials: Sequence[Mapping[str, Any]]) -> TableView:
         for name, spec in TRIAL_COLUMNS.values():
             texts.append("" if values[name] is None else format(values[name], spec))
         rows.append([trial["trial"], *number_cells(texts), trial["begins"]])
-    return TableView(["trial", *TRIAL_COLUMNS, "start"], rows)
+    return table_card(["trial", *TRIAL_COLUMNS, "start"], rows)

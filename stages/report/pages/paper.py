@@ -22,7 +22,6 @@ from stringcast.stages.report.formatting import (
     unit_markup,
 )
 from stringcast.stages.report.page import (
-    Card,
     Container,
     Details,
     Figure,
@@ -31,8 +30,10 @@ from stringcast.stages.report.page import (
     TableView,
     Text,
     join_sentences,
+    name_value_table,
     number_cell,
     number_cells,
+    table_card,
 )
 from stringcast.stages.report.records import EXPERIMENT_LABELS, PaperFigure, PaperRecord
 from stringcast.stages.report.theme import STYLE_SHEET, Picture, svg_picture
@@ -262,8 +263,8 @@ def _hit_rate_section(record: PaperRecord) -> Section | Text:
         ]
         label = f"{EXPERIMENT_LABELS[condition]} (n = {rates['count'].iloc[0]})"
         rows.append([label, *number_cells([*shares, median, paper])])
-    table = TableView(["experiment", *within, "median", "paper"], rows)
-    return Section("Hit rates", [Text(lead), Card("", [table])])
+    table = table_card(["experiment", *within, "median", "paper"], rows)
+    return Section("Hit rates", [Text(lead), table])
 
 
 def _figures_section(
@@ -278,9 +279,8 @@ def _figures_section(
         sentences = [_describe_hits(record, condition) for condition in finished]
         here = sentence_markup(" ".join([*sentences, pictures[name].alt]))
         rows = [("paper", sentence_markup(paper)), ("here", here)]
-        shown.append(
-            Figure(title, pictures[name], "", beside=TableView((), rows, named=True))
-        )
+        results = name_value_table(rows)
+        shown.append(Figure(title, pictures[name], "", beside=results))
     if not shown:
         return None
     lead = (
@@ -314,14 +314,13 @@ def _failures_section(record: PaperRecord) -> Section | None:
         (EXPERIMENT_LABELS[run["condition"]], number_cell(run["seed"]), run["error"])
         for run in failed
     ]
-    return Section(
-        "Failed runs", [Card("", [TableView(("experiment", "seed", "error"), rows)])]
-    )
+    table = table_card(("experiment", "seed", "error"), rows)
+    return Section("Failed runs", [table])
 
 
 def _choices_section() -> Section:
     rows = [tuple(map(sentence_markup, texts)) for texts in OPEN_CHOICES]
-    table = Card("", [TableView(("the paper", "here"), rows)])
+    table = table_card(("the paper", "here"), rows)
     return Section("What the paper leaves open, and our choices", [table])
 
 

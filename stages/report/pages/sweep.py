@@ -40,6 +40,7 @@ from stringcast.stages.report.page import (
     link,
     number_cell,
     number_cells,
+    table_card,
 )
 from stringcast.stages.report.records import SweepRecord
 from stringcast.stages.report.theme import STYLE_SHEET
@@ -56,11 +57,9 @@ def sweep_page(record: SweepRecord) -> str:
         sections.append(_targets_section(record))
     sections += [_combinations_section(record, main), _jobs_section(record)]
 
-    varied = (
-        f"Varied: {', '.join(record.factors)}."
-        if record.factors
-        else "No setting was varied."
-    )
+    varied = "No setting was varied."
+    if record.factors:
+        varied = f"Varied: {', '.join(record.factors)}."
     intervals = "Bars and brackets are 95 % intervals of means over the seeds."
     if record.seed_count < MIN_SEEDS:
         intervals = (
@@ -111,24 +110,19 @@ def _describe_largest_effect(record: SweepRecord, main: list[Outcome]) -> str:
 
 def _tiles(record: SweepRecord, main: list[Outcome]) -> Tiles:
     failed = Markup("")
-    if len(record.failed_jobs):
-        failed = Markup(', <strong class="bad">{} failed</strong>').format(
-            len(record.failed_jobs)
-        )
-    seconds = (
-        f"; {record.jobs['seconds'].sum():.0f} s of computing in their last attempts"
-    )
+    if count := len(record.failed_jobs):
+        failed = Markup(', <strong class="bad">{} failed</strong>').format(count)
+    seconds = record.jobs["seconds"].sum()
+    spent = f"; {seconds:.0f} s of computing in their last attempts"
     done = f"{len(record.finished_jobs)} of {len(record.jobs)}"
-    tiles: list[tuple[str, str]] = [
-        (done, Markup("jobs done{}{}").format(failed, seconds))
-    ]
+    meaning = Markup("jobs done{}{}").format(failed, spent)
+    tiles: list[tuple[str, str]] = [(done, meaning)]
     jobs = record.finished_jobs.assign(all=0)
     for outcome in main:
         (row,) = mean_response(jobs, outcome, ["all"]).to_dict("records")
         unit = " %" if outcome.unit == "%" else ""
-        tiles.append(
-            (format_mean(row) + unit, f"{outcome.label}, mean of all finished jobs")
-        )
+        what = f"{outcome.label}, mean of all finished jobs"
+        tiles.append((format_mean(row) + unit, what))
     return Tiles(tiles)
 
 
@@ -141,23 +135,16 @@ def _failures_section(record: SweepRecord) -> Section | None:
     )
     rows = []
     for job in record.failed_jobs.to_dict("records"):
-        rows.append(
-            (
-                _job_cell(record, job),
-                job["error"],
-                number_cell(job["attempts"]),
-                job["host"],
-            )
-        )
-    table = TableView(("job", "error", "attempts", "host"), rows)
-    return Section("Failed", [Text(lead), Card("", [table])])
+        attempts = number_cell(job["attempts"])
+        rows.append((_job_cell(record, job), job["error"], attempts, job["host"]))
+    table = table_card(("job", "error", "attempts", "host"), rows)
+    return Section("Failed", [Text(lead), table])
 
 
 def _job_cell(record: SweepRecord, job: Mapping[str, Any]) -> Cell:
     """Name a job by the settings in which it differs from others."""
-    return Cell(
-        " ".join(f"{name}={job[name]}" for name in record.varied_settings), "code"
-    )
+    settings = [f"{name}={job[name]}" for name in record.varied_settings]
+    return Cell(" ".join(settings), "code")
 
 
 def _response_section(record: SweepRecord, factor: str) -> Section:

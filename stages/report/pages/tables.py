@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stringcast.stages.report.page import Card, Section, TableView, Text, stage_page
+from stringcast.stages.report.page import Section, Text, stage_page, table_card
 from stringcast.stages.report.records import StageRecord
 
 MAX_ROWS = 50
@@ -20,7 +20,7 @@ def tables_page(facts: StageRecord) -> str:
         if len(frame) > MAX_ROWS:
             meaning += f"; the first {MAX_ROWS} of {len(frame)} rows"
         rows = frame[names].head(MAX_ROWS).to_numpy(object).tolist()
-        parts = [Text(meaning), Card("", [TableView(heads, rows)])]
+        parts = [Text(meaning), table_card(heads, rows)]
         sections.append(Section(table.name, parts))
     lead = "The tables that the stage stored."
     return stage_page(facts, "stage", sections, lead=lead)

@@ -32,8 +32,10 @@ from stringcast.stages.report.page import (
     Tiles,
     bold_text,
     link,
+    name_value_table,
     number_cell,
     number_cells,
+    table_card,
 )
 from stringcast.stages.report.pages.diagnosis.held_out import worse_predictions
 from stringcast.stages.report.records import DiagnosisRecord
@@ -76,7 +78,7 @@ def rejected_card(record: DiagnosisRecord) -> Part | None:
     rejected = list(record.document["trials"]["rejected"].items())
     if not rejected:
         return None
-    return Card("Rejected trials", [TableView((), rejected, named=True)])
+    return Card("Rejected trials", [name_value_table(rejected)])
 
 
 def causes_section(record: DiagnosisRecord) -> Section:
@@ -93,13 +95,13 @@ def causes_section(record: DiagnosisRecord) -> Section:
             rows.append((effect_title(other["effect"]), probability))
     alternatives: Part = Text("None above 1 %.", "missing")
     if rows:
-        alternatives = TableView((), rows, named=True)
+        alternatives = name_value_table(rows)
     parts.append(Card("Alternatives", [alternatives]))
     set_aside = []
     for other in record.document["set_aside"]:
         set_aside.append((effect_title(other["effect"]), other["reason"]))
     if set_aside:
-        parts.append(Card("Set aside", [TableView((), set_aside, named=True)]))
+        parts.append(Card("Set aside", [name_value_table(set_aside)]))
     return Section("Causes" if cards else "No cause found", parts)
 
 
@@ -184,7 +186,7 @@ def budget_section(record: DiagnosisRecord) -> Section | None:
         f"tolerance: {tolerance}."
     )
     rows = [_budget_row(source) for source in sources]
-    table = Card("", [TableView(("source", "at the tip", "log evidence"), rows)])
+    table = table_card(("source", "at the tip", "log evidence"), rows)
     return Section("Error budget", [Text(lead), table])
 
 
