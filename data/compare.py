@@ -25,24 +25,22 @@ cv2 = LazyModule("cv2")
 MAX_VALUE_CHARACTERS = 60  # characters of a value that are shown
 
 
-def folder_differences(
-    a: Path, b: Path, leave_out: frozenset[str] = frozenset()
-) -> list[str]:
+def folder_differences(a: Path, b: Path, leave_out: frozenset[str]) -> list[str]:
     """Describe the differences of two folders, one line each.
 
     Hidden files and files whose name is in `leave_out` are ignored.
     """
-    names = {
-        path.relative_to(folder)
-        for folder in (a, b)
-        for path in folder.rglob("*")
-        if path.is_file() and path.name not in leave_out
-    }
+    names = set()
+    for folder in (a, b):
+        for path in folder.rglob("*"):
+            name = path.relative_to(folder)
+            is_hidden = any(part.startswith(".") for part in name.parts)
+            if path.is_file() and path.name not in leave_out and not is_hidden:
+                names.add(name)
     lines = []
     for name in sorted(names):
-        if not any(part.startswith(".") for part in name.parts):
-            differences = file_differences(a / name, b / name)
-            lines += [f"{name.as_posix()}: {words}" for words in differences]
+        differences = file_differences(a / name, b / name)
+        lines += [f"{name.as_posix()}: {words}" for words in differences]
     return lines
 
 

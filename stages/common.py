@@ -62,12 +62,12 @@ def describe_causes(names: Sequence[str]) -> str:
     return " and ".join(map(readable_name, names)) or "none"
 
 
-def mad_sigma(values: np.ndarray, axis: int | None = None) -> np.ndarray:
+def mad_sigma(values: np.ndarray) -> float:
     """Estimate the standard deviation about zero from the median magnitude.
 
-    It is that of all values of any shape, or along an axis, in their unit.
+    It is that of values of any shape, in their unit.
     """
-    return MAD_TO_SIGMA * np.asarray(np.median(np.abs(values), axis=axis), dtype=float)
+    return float(MAD_TO_SIGMA * np.median(np.abs(values)))
 
 
 def rms(values: np.ndarray) -> float:

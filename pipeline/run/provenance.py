@@ -206,7 +206,7 @@ def current_origin(
     config: Mapping[str, Any],
     folder: Path,
     step: Step,
-    hash_of: Callable[[Path], str] = store.content_hash,
+    hash_of: Callable[[Path], str],
 ) -> dict[str, Any]:
     """Return the origin that a step would have if it were made now."""
     inputs = {}

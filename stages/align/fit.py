@@ -293,7 +293,7 @@ def fit_alignment(
 def robust_sigma(residual: np.ndarray) -> float:
     """Return the standard deviation of residuals (N,) about zero, from their median."""
     # never zero, because residuals are divided by it
-    return float(mad_sigma(residual)) + 1e-12
+    return mad_sigma(residual) + 1e-12
 
 
 def select_effects(problem: AlignmentProblem) -> AlignmentFit:

@@ -66,8 +66,7 @@ def grasp_sightings(observation: Observation, arm: Arm) -> SightedTrial:
         # second differences remove the smooth part; noise is left, times sqrt(6)
         noise = MIN_SIGMA_M
         if len(error) > 2:
-            estimate = float(mad_sigma(np.diff(error, 2, axis=0))) / np.sqrt(6)
-            noise = max(estimate, MIN_SIGMA_M)
+            noise = max(mad_sigma(np.diff(error, 2, axis=0)) / np.sqrt(6), MIN_SIGMA_M)
         sigma = np.full(len(grasp), noise)
     motion = resample_joint_motion(log_t, log).extended_until(t.max())
     sightings = hand_sightings(t, seen, sigma, len(JOINTS))

@@ -172,13 +172,11 @@ class CheckedTrial:
         at the calmest place, because the tip of a fast string has them.
         """
         scatter = [scatter_of_track(t, xy) for t, xy in self.tracks]
-        sufficient = [
-            values
-            for values in scatter
-            if len(values) >= MIN_NOISE_SAMPLES and values.any()
-        ]
-        sigmas = [mad_sigma(values) for values in sufficient or scatter]
-        return float(min(sigmas, default=np.nan))
+        sufficient = []
+        for values in scatter:
+            if len(values) >= MIN_NOISE_SAMPLES and values.any():
+                sufficient.append(values)
+        return min(map(mad_sigma, sufficient or scatter), default=float("nan"))
 
     @cached_property
     def is_smoothed(self) -> bool:
@@ -202,8 +200,8 @@ class CheckedTrial:
         values = np.concatenate([*far, np.empty(0)])
         if len(values) < MIN_NOISE_SAMPLES:
             return False
-        neighbours = float(mad_sigma(np.concatenate(near)))
-        return 0 < MIN_SMOOTHING_RATIO * neighbours < float(mad_sigma(values))
+        neighbours = mad_sigma(np.concatenate(near))
+        return 0 < MIN_SMOOTHING_RATIO * neighbours < mad_sigma(values)
 
     @cached_property
     def hand_onset(self) -> float | None:

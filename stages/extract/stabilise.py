@@ -153,7 +153,7 @@ def _newton_steps(
     slope_v = cv2.Sobel(shifted, cv2.CV_32F, 0, 1, scale=0.125)
     slopes = np.stack([shifted, -gain * slope_u / scale, -gain * slope_v / scale])
     residual = (image - gain * shifted)[2:-2, 2:-2]
-    noise = float(mad_sigma(residual.ravel()[::7])) + 1e-3
+    noise = mad_sigma(residual.ravel()[::7]) + 1e-3
     is_still = np.abs(residual) < MOVING_PIXEL_SIGMAS * noise
 
     # normal equations of each part, (PARTS^2, 4, 4): three slopes and the residual

@@ -166,18 +166,10 @@ class EmulatedBus(EmulatedDevice):
         size = int.from_bytes(parameters[2:4], "little")
         block = slice(start, start + size)
         if instruction == SYNC_WRITE:
-            for place in range(4, len(parameters), 1 + size):
-                if parameters[place] in self.servos:
-                    data = parameters[place + 1 : place + 1 + size]
-                    self.servos[parameters[place]].write(start, data)
+            self._write_servos(start, size, parameters[4:])
             return b""
         if instruction == SYNC_READ:
-            answer = b""
-            for number in parameters[4:]:
-                if number in self.servos:
-                    data = bytes(self.servos[number].table[block])
-                    answer += status_packet(number, NO_ERROR, data)
-            return answer
+            return self._read_servos(block, parameters[4:])
         if packet.id not in self.servos:
             return b""
         servo = self.servos[packet.id]
@@ -187,6 +179,22 @@ class EmulatedBus(EmulatedDevice):
         if instruction in replies:
             return status_packet(packet.id, NO_ERROR, replies[instruction])
         return status_packet(packet.id, UNKNOWN)
+
+    def _write_servos(self, start: int, size: int, content: bytes) -> None:
+        """Write to several servos: for each its number, then `size` bytes."""
+        for place in range(0, len(content), 1 + size):
+            number, data = content[place], content[place + 1 : place + 1 + size]
+            if number in self.servos:
+                self.servos[number].write(start, data)
+
+    def _read_servos(self, block: slice, numbers: bytes) -> bytes:
+        """Return the status packets of several servos with a block of registers."""
+        answer = b""
+        for number in numbers:
+            if number in self.servos:
+                data = bytes(self.servos[number].table[block])
+                answer += status_packet(number, NO_ERROR, data)
+        return answer
 
 
 def _freeze(bus: EmulatedBus) -> bool:

@@ -468,7 +468,7 @@ PACES = (
 
 
 def single_corrections(
-    measured: Measurements, camera: Camera | None = None
+    measured: Measurements, camera: Camera | None
 ) -> list[Correction]:
     """Return all corrections that can be tried on measurements."""
     corrections = [
