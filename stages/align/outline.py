@@ -299,21 +299,18 @@ def link_pieces(
     nearest = np.argmin(distances, axis=1)
     at_nearest = (np.arange(len(points)), nearest)
     share, offset = shares[at_nearest], offsets[at_nearest]
-    is_used = (
-        (distances[at_nearest] < reach * width)
-        & (share > LINK_END_SHARE)
-        & (share < 1 - LINK_END_SHARE)
-    )
+    is_on_link = (share > LINK_END_SHARE) & (share < 1 - LINK_END_SHARE)
+    is_used = is_on_link & (distances[at_nearest] < reach * width)
+    share, offset = share[is_used], offset[is_used]
     position = (share - LINK_END_SHARE) / (1 - 2 * LINK_END_SHARE) * PIECES_PER_LINK
-    number = (nearest * PIECES_PER_LINK + position.astype(int))[is_used]
+    number = nearest[is_used] * PIECES_PER_LINK + position.astype(int)
 
     # means over the pixels of each piece
     count = np.bincount(number, minlength=PIECES_PER_LINK * (len(joints) - 1))
     pieces = np.flatnonzero(count)
-    offset_sum = np.bincount(number, offset[is_used], len(count))
-    share_sum = np.bincount(number, share[is_used], len(count))
-    mean_offset = offset_sum[pieces] / count[pieces]
-    mean_share = share_sum[pieces] / count[pieces]
+    pixel_count = count[pieces]
+    mean_offset = np.bincount(number, offset, len(count))[pieces] / pixel_count
+    mean_share = np.bincount(number, share, len(count))[pieces] / pixel_count
     link = pieces // PIECES_PER_LINK
     vector = joints[link + 1] - joints[link]
     lengths = np.linalg.norm(vector, axis=1, keepdims=True)
@@ -322,13 +319,12 @@ def link_pieces(
     middle = axis + mean_offset[:, None] * normal
 
     # other links near an edge would cut the piece, or add to it
-    clearance = np.full(len(axis), np.inf)
+    is_clear = np.ones(len(axis), bool)
     for side in (-width / 2, width / 2):
-        to_links = link_coordinates(axis + side * normal, joints)[2]
+        _, _, to_links = link_coordinates(axis + side * normal, joints)
         to_links[np.arange(len(axis)), link] = np.inf
-        clearance = np.minimum(clearance, to_links.min(axis=1))
-    is_clear = clearance > MIN_CLEARANCE_WIDTHS * width
-    columns = [link + 1, mean_share, middle, normal, count[pieces]]
+        is_clear &= to_links.min(axis=1) > MIN_CLEARANCE_WIDTHS * width
+    columns = [link + 1, mean_share, middle, normal, pixel_count]
     return np.column_stack(columns)[is_clear]
 
 

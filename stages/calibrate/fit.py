@@ -72,33 +72,21 @@ def fit_lens(
     _, matrix, distortion, rotations, places = cv2.calibrateCamera(
         points, pixels, size, None, None, flags=cv2.CALIB_FIX_K3
     )
-    lens = lens_from_values(
-        [
-            matrix[0, 0],
-            matrix[1, 1],
-            matrix[0, 2],
-            matrix[1, 2],
-            *distortion.ravel()[:4],
-        ]
-    )
-    poses = [
-        (rotation.ravel(), place.ravel())
-        for rotation, place in zip(rotations, places, strict=True)
-    ]
-    errors = [
-        view.pixels - project_corners(lens, board, view, *pose)
-        for view, pose in zip(views, poses, strict=True)
-    ]
+    focal = matrix[[0, 1], [0, 1]]
+    lens = lens_from_values([*focal, *matrix[:2, 2], *distortion.ravel()[:4]])
+    poses, errors = [], []
+    for view, rotation, place in zip(views, rotations, places, strict=True):
+        pose = rotation.ravel(), place.ravel()
+        poses.append(pose)
+        errors.append(view.pixels - project_corners(lens, board, view, *pose))
 
     # covariance of the lens, with the pose of each view unknown
     information = np.zeros((LENS_PARAMETER_COUNT, LENS_PARAMETER_COUNT))
-    for board_points, (rotation, place) in zip(points, poses, strict=True):
+    for board_points, pose in zip(points, poses, strict=True):
         _, jacobian = cv2.projectPoints(
-            board_points, rotation, place, lens.matrix, np.array(lens.distortion)
+            board_points, *pose, lens.matrix, np.array(lens.distortion)
         )
-        by_pose, by_lens = np.split(
-            jacobian[:, : 6 + LENS_PARAMETER_COUNT], [6], axis=1
-        )
+        by_pose, by_lens, _ = np.split(jacobian, [6, 6 + LENS_PARAMETER_COUNT], axis=1)
         along_pose = by_pose @ np.linalg.lstsq(by_pose, by_lens, rcond=None)[0]
         remaining = by_lens - along_pose
         information += remaining.T @ remaining

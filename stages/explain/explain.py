@@ -186,29 +186,7 @@ def explain(
     is_complete = True
     if is_surprising or not is_enough:
         is_complete = compare.add_cause(effects, compared, finalists, budget)
-        for _ in range(MAX_CAUSES - 1):
-            best = most_evident_fit(compared)
-            is_enough = tip_rms_m(best.estimate) <= tolerance_m
-            if is_enough or not best.causes or budget.is_used_up():
-                break
-            others = [each for each in effects if each.name not in best.causes]
-            beside = Comparer(
-                model.with_effects(*find_effects(best.causes)),
-                observations,
-                best,
-                blocks,
-                settings,
-            )
-            found: dict[tuple[str, ...], Comparison] = {}
-            beside.add_cause(others, found, finalists, budget)
-            explaining = {
-                causes: each
-                for causes, each in found.items()
-                if explains_half(each, best)
-            }
-            if not explaining:
-                break
-            compared |= explaining
+        compare.add_further_causes(effects, compared, finalists, budget, tolerance_m)
     probabilities = posterior_probabilities(compared, len(effects))
     verdict, sentence = decide(compared, probabilities, tolerance_m, is_complete)
     finding = {
@@ -280,6 +258,36 @@ class Comparer:
         for _, each in screened:
             compared.setdefault(each.causes, each)
         return is_complete
+
+    def add_further_causes(
+        self,
+        effects: Sequence[type[Effect]],
+        compared: dict[tuple[str, ...], Comparison],
+        finalists: int,
+        budget: Budget,
+        tolerance_m: float,
+    ) -> None:
+        """Add causes to the most evident ones while they explain half of what is left.
+
+        tolerance_m: tip misfit that needs no further cause [m].
+        """
+        for _ in range(MAX_CAUSES - 1):
+            best = most_evident_fit(compared)
+            is_enough = tip_rms_m(best.estimate) <= tolerance_m
+            if is_enough or not best.causes or budget.is_used_up():
+                return
+            others = [effect for effect in effects if effect.name not in best.causes]
+            extended = self.model.with_effects(*find_effects(best.causes))
+            found: dict[tuple[str, ...], Comparison] = {}
+            comparer = replace(self, model=extended, base=best)
+            comparer.add_cause(others, found, finalists, budget)
+            explaining = {}
+            for causes, comparison in found.items():
+                if explains_half(comparison, best):
+                    explaining[causes] = comparison
+            if not explaining:
+                return
+            compared.update(explaining)
 
     def comparison(
         self,
