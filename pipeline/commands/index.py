@@ -22,7 +22,7 @@ from stringcast.data.file_checks import (
     read_json,
     require_plain_file,
 )
-from stringcast.data.schema import Column, DataError, Table
+from stringcast.data.schema import DataError, Table, parse_columns
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.run.file_names import FAILURE_FILE
@@ -36,35 +36,21 @@ from stringcast.stages.plugins import PluginError
 RUNS_TABLE = Table(
     "runs",
     "a row for each run",
-    (
-        Column("run", "", "its folder, relative to the one that was listed", "text"),
-        Column("experiment", "", "its name", "text"),
-        Column("date", "", "when its first step began, UTC; empty before any", "text"),
-        Column("state", "", "ended, failed or incomplete", "text"),
-        Column(
-            "outcome",
-            "",
-            "hit, missed, dry run, estimated, or the verdict of a diagnosis; empty "
-            "before the end",
-            "text",
-        ),
-        Column("causes", "", "that a diagnosis found, with commas between", "text"),
-        Column("iterations", "1", "casts, or trials used", "int"),
-        Column(
-            "best_E", "1", "best matching rate E of its estimates; NaN if there is none"
-        ),
-        Column("seconds", "s", "spent in its steps"),
-        Column(
-            "stale", "", "why a step of it is stale; empty if all are fresh", "text"
-        ),
-        Column(
-            "not_kept",
-            "",
-            "'frames' if a step's frames were not kept, or empty",
-            "text",
-        ),
-        Column("said", "", "how it ended or why it stopped, in words", "text"),
-    ),
+    parse_columns("""
+    run (text): its folder, relative to the one that was listed
+    experiment (text): its name
+    date (text): when its first step began, UTC; empty before any
+    state (text): ended, failed or incomplete
+    outcome (text): hit, missed, dry run, estimated, or the verdict of a diagnosis;
+        empty before the end
+    causes (text): that a diagnosis found, with commas between
+    iterations [1] (int): casts, or trials used
+    best_E [1]: best matching rate E of its estimates; NaN if there is none
+    seconds [s]: spent in its steps
+    stale (text): why a step of it is stale; empty if all are fresh
+    not_kept (text): 'frames' if a step's frames were not kept, or empty
+    said (text): how it ended or why it stopped, in words
+    """),
 )
 # first characters of a cell that a spreadsheet takes for a formula; the last four are
 # those of keyboards for Chinese and Japanese

@@ -9,75 +9,77 @@ import pandas as pd
 
 from stringcast.data.artifacts import ARM, JOINTS, Estimate, Motion, Points
 from stringcast.data.file_checks import read_json
-from stringcast.data.schema import Column, Table
+from stringcast.data.schema import Table, parse_columns
 from stringcast.data.store import load, read_table
 from stringcast.pipeline.paper.scores import median_with_interval
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.model.arm import Arm
 
 MOMENTS = 5  # times at which strings are drawn, up to the closest approach
-CAST = (
-    Column("condition", "", "experiment of paper.yaml", "text"),
-    Column("seed", "1", "seed of the run", "int"),
-    Column("manipulation", "1", "number of the cast", "int"),
-)
-_T = Column("t", "s", "time; 0 is the start of the movement")
-_XY = (Column("x", "m", "position"), Column("y", "m", "position"))
 LINES = Table(
     "lines",
     "strings and arm at some moments of the casts, up to the closest approach",
-    (
-        *CAST,
-        Column("moment", "1", "from 0", "int"),
-        Column(
-            "kind",
-            "",
-            "arm, measured, or foretold: simulated when the motion was chosen",
-            "text",
-        ),
-        _T,
-        *_XY,
-    ),
+    parse_columns("""
+    condition (text): experiment of paper.yaml
+    seed [1] (int): seed of the run
+    manipulation [1] (int): number of the cast
+    moment [1] (int): from 0
+    kind (text): arm, measured, or foretold: simulated when the motion was chosen
+    t [s]: time; 0 is the start of the movement
+    x [m]: position
+    y [m]: position
+    """),
 )
 HANDS = Table(
     "hands",
     "hand path in the casts, from the measured joint angles",
-    (*CAST, _T, *_XY),
+    parse_columns("""
+    condition (text): experiment of paper.yaml
+    seed [1] (int): seed of the run
+    manipulation [1] (int): number of the cast
+    t [s]: time; 0 is the start of the movement
+    x [m]: position
+    y [m]: position
+    """),
 )
 MATCHING = Table(
     "matching",
     "matching rate E_f over time in the casts",
-    (
-        *CAST,
-        _T,
-        Column("before", "1", "with the parameters used for the motion"),
-        Column("after", "1", "with those estimated from this cast"),
-    ),
+    parse_columns("""
+    condition (text): experiment of paper.yaml
+    seed [1] (int): seed of the run
+    manipulation [1] (int): number of the cast
+    t [s]: time; 0 is the start of the movement
+    before [1]: with the parameters used for the motion
+    after [1]: with those estimated from this cast
+    """),
 )
 BOXES = Table(
     "boxes",
     "target and obstacles of the casts",
-    (
-        CAST[0],
-        Column("kind", "", "target or obstacle", "text"),
-        Column("x", "m", "centre"),
-        Column("y", "m", "centre"),
-        Column("w", "m", "full width"),
-        Column("h", "m", "full height"),
-    ),
+    parse_columns("""
+    condition (text): experiment of paper.yaml
+    kind (text): target or obstacle
+    x [m]: centre
+    y [m]: centre
+    w [m]: full width
+    h [m]: full height
+    """),
 )
 PARAMETERS = Table(
     "parameters",
     "parameters of the last estimation of each run",
-    (
-        *CAST,
-        Column("symbol", "", "as in the paper", "text"),
-        Column("value", "", "in `unit`"),
-        Column("unit", "", "as in the paper", "text"),
-        Column("minimum", "", "of the searched range, in `unit`"),
-        Column("maximum", "", "of the searched range, in `unit`"),
-        Column("determined", "", "by these data", "bool"),
-    ),
+    parse_columns("""
+    condition (text): experiment of paper.yaml
+    seed [1] (int): seed of the run
+    manipulation [1] (int): number of the cast
+    symbol (text): as in the paper
+    value: in `unit`
+    unit (text): as in the paper
+    minimum: of the searched range, in `unit`
+    maximum: of the searched range, in `unit`
+    determined (bool): by these data
+    """),
 )
 CAST_TABLES = (LINES, HANDS, MATCHING, BOXES)
 

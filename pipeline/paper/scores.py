@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest, quantile_test
 
-from stringcast.data.schema import Column, Table
+from stringcast.data.schema import Table, parse_columns
 from stringcast.pipeline.sweep.ledger import DONE_STATE, FAILED_STATE, Job, Ledger
 from stringcast.pipeline.sweep.table import setting_columns
 
@@ -21,113 +21,77 @@ POOLED_EXPERIMENTS = [
 ]
 POOL_NAME = "nine"
 EXPERIMENT_SETTING = "name"  # the setting that names a job's experiment
-_EXPERIMENT = Column(
-    "condition",
-    "",
-    "experiment of paper.yaml; nine: three strings, three targets",
-    "text",
-)
-SHARE_COLUMNS = (
-    Column("right", "1", "number of hits", "int"),
-    Column("count", "1", "number of runs", "int"),
-    Column("share", "1", "right over count; NaN without runs"),
-    Column("low", "1", "lower end of the 95 % interval (Clopper and Pearson)"),
-    Column("high", "1", "upper end"),
-)
-_SEED = Column("seed", "1", "seed of the run", "int")
+SHARE_COLUMNS = parse_columns("""
+    right [1] (int): number of hits
+    count [1] (int): number of runs
+    share [1]: right over count; NaN without runs
+    low [1]: lower end of the 95 % interval (Clopper and Pearson)
+    high [1]: upper end
+    """)
 RUNS = Table(
     "runs",
     "a row for each run that ended; a failed one counts as one that never hit",
-    (
-        _EXPERIMENT,
-        _SEED,
-        Column("state", "", "done or failed", "text"),
-        Column("error", "", "why it failed", "text"),
-        Column(
-            "hit_at",
-            "1",
-            "cast in which the tip reached the target; infinite if in none",
-        ),
-        Column("manipulations", "1", "casts made", "int"),
-        Column("budget", "1", "casts allowed", "int"),
-        Column("seconds", "s", "duration of the run"),
-        Column("folder", "", "folder of the run, relative to this file", "text"),
-    ),
+    parse_columns("""
+    condition (text): experiment of paper.yaml; nine: three strings, three targets
+    seed [1] (int): seed of the run
+    state (text): done or failed
+    error (text): why it failed
+    hit_at [1]: cast in which the tip reached the target; infinite if in none
+    manipulations [1] (int): casts made
+    budget [1] (int): casts allowed
+    seconds [s]: duration of the run
+    folder (text): folder of the run, relative to this file
+    """),
 )
 CASTS = Table(
     "casts",
     "a row for each cast",
-    (
-        _EXPERIMENT,
-        _SEED,
-        Column("manipulation", "1", "number of the cast, from 1", "int"),
-        Column(
-            "hit",
-            "",
-            "the tip reached the target and the string touched no obstacle",
-            "bool",
-        ),
-        Column("miss_m", "m", "closest approach of the tip to the target's centre"),
-        Column("t_closest", "s", "time of the closest approach"),
-        Column(
-            "touched",
-            "1",
-            "frames in which the string lies in an obstacle",
-            "int",
-        ),
-        Column(
-            "E_before",
-            "1",
-            "matching rate of the parameters used for the motion",
-        ),
-        Column("E_after", "1", "matching rate after estimation"),
-    ),
+    parse_columns("""
+    condition (text): experiment of paper.yaml; nine: three strings, three targets
+    seed [1] (int): seed of the run
+    manipulation [1] (int): number of the cast, from 1
+    hit (bool): the tip reached the target and the string touched no obstacle
+    miss_m [m]: closest approach of the tip to the target's centre
+    t_closest [s]: time of the closest approach
+    touched [1] (int): frames in which the string lies in an obstacle
+    E_before [1]: matching rate of the parameters used for the motion
+    E_after [1]: matching rate after estimation
+    """),
 )
 RATES = Table(
     "rates",
     "runs that hit within some number of casts",
     (
-        _EXPERIMENT,
-        Column("within", "1", "casts", "int"),
+        *parse_columns("""
+        condition (text): experiment of paper.yaml; nine: three strings, three targets
+        within [1] (int): casts
+        """),
         *SHARE_COLUMNS,
     ),
 )
 NEEDED = Table(
     "needed",
     "casts until the tip hit; infinite if it did not within the budget",
-    (
-        _EXPERIMENT,
-        Column("count", "1", "runs", "int"),
-        Column("median", "1", "half of the runs needed no more casts"),
-        Column(
-            "low",
-            "1",
-            "lower end of the median's 95 % interval; NaN for too few runs",
-        ),
-        Column("high", "1", "upper end"),
-        Column(
-            "paper",
-            "1",
-            "casts in the paper's one run; NaN if not stated",
-        ),
-    ),
+    parse_columns("""
+    condition (text): experiment of paper.yaml; nine: three strings, three targets
+    count [1] (int): runs
+    median [1]: half of the runs needed no more casts
+    low [1]: lower end of the median's 95 % interval; NaN for too few runs
+    high [1]: upper end
+    paper [1]: casts in the paper's one run; NaN if not stated
+    """),
 )
 
 NUMBERS = Table(
     "numbers",
     "numbers that the paper prints, in its units",
-    (
-        Column(
-            "what",
-            "",
-            "bound of Table 3, column of Table 4, hit_at, or a setting",
-            "text",
-        ),
-        Column("of", "", "parameter, string, or experiment", "text"),
-        Column("value", "", "printed value, in SI units"),
-        Column("unit", "", "printed unit", "text"),
-        Column("place", "", "place in the paper", "text"),
-    ),
+    parse_columns("""
+    what (text): bound of Table 3, column of Table 4, hit_at, or a setting
+    of (text): parameter, string, or experiment
+    value: printed value, in SI units
+    unit (text): printed unit
+    place (text): place in the paper
+    """),
 )
 
 

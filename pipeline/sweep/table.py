@@ -9,32 +9,28 @@ from typing import Any
 import pandas as pd
 
 from stringcast.data.artifacts import Estimate
-from stringcast.data.schema import Column, Table
+from stringcast.data.schema import Column, Table, parse_columns
 from stringcast.data.store import read_table
 from stringcast.pipeline.sweep.ledger import DONE_STATE, Job, Ledger
 
 SWEEP_TABLE = Table(
     "sweep",
     "a row for each job; further columns hold given settings and estimated parameters",
-    (
-        Column("job", "1", "position in the command that named it", "int"),
-        Column("key", "", "hash of all settings", "text"),
-        Column("folder", "", "folder of the run, relative to this file", "text"),
-        Column("state", "", "done, failed, pending or running", "text"),
-        Column("error", "", "why the job failed", "text"),
-        Column("attempts", "1", "number of attempts", "int"),
-        Column("seconds", "s", "duration of the last attempt"),
-        Column("host", "", "machine of the last attempt", "text"),
-        Column(
-            "hit",
-            "1",
-            "1: the tip reached the target, 0: it did not; NaN: unknown",
-        ),
-        Column("manipulations", "1", "casts made, or trials estimated from"),
-        Column("E_before", "1", "E before the last estimation"),
-        Column("E_after", "1", "E after the last estimation"),
-        Column("miss_m", "m", "closest approach of the tip in the last cast"),
-    ),
+    parse_columns("""
+    job [1] (int): position in the command that named it
+    key (text): hash of all settings
+    folder (text): folder of the run, relative to this file
+    state (text): done, failed, pending or running
+    error (text): why the job failed
+    attempts [1] (int): number of attempts
+    seconds [s]: duration of the last attempt
+    host (text): machine of the last attempt
+    hit [1]: 1: the tip reached the target, 0: it did not; NaN: unknown
+    manipulations [1]: casts made, or trials estimated from
+    E_before [1]: E before the last estimation
+    E_after [1]: E after the last estimation
+    miss_m [m]: closest approach of the tip in the last cast
+    """),
 )
 
 
