@@ -16,7 +16,7 @@ import yaml
 from rich.progress import track
 
 from stringcast.data.artifacts import MASKS, POINTS, READINGS, Motion, Observation
-from stringcast.data.schema import Column, Table
+from stringcast.data.schema import Table, parse_columns
 from stringcast.data.store import write_table
 from stringcast.hardware.virtual.bench import (
     Specimen,
@@ -50,27 +50,20 @@ NOISES = {"white": (0.0, 0.0), "correlated": (0.9, 0.0), "rolling shutter": (0.0
 OFFSETS = Table(
     "offsets",
     "a row for each alignment: what was hidden and what was found",
-    (
-        Column("seen", "", "points of the hand, or frames of the virtual lab", "text"),
-        Column(
-            "noise",
-            "",
-            "white; correlated from frame to frame by 0.9; or white behind a rolling shutter",
-            "text",
-        ),
-        Column("fps", "1/s", "frames per second"),
-        Column("seed", "1", "of motion, misalignment and noise", "int"),
-        Column("hidden", "s", "arm's clock less the camera's"),
-        Column("found", "s", "what was found"),
-        Column("low", "s", "lower end of the 95 % interval"),
-        Column("high", "s", "upper end of the 95 % interval"),
-        Column(
-            "plain",
-            "s",
-            "half width of the interval if nothing is there that was looked for and not seen",
-        ),
-        Column("effects", "", "beyond those always measured, joined by ' + '", "text"),
-    ),
+    parse_columns("""
+    seen (text): points of the hand, or frames of the virtual lab
+    noise (text): white; correlated from frame to frame by 0.9; or white behind a
+        rolling shutter
+    fps [1/s]: frames per second
+    seed [1] (int): of motion, misalignment and noise
+    hidden [s]: arm's clock less the camera's
+    found [s]: what was found
+    low [s]: lower end of the 95 % interval
+    high [s]: upper end of the 95 % interval
+    plain [s]: half width of the interval if nothing is there that was looked for and
+        not seen
+    effects (text): beyond those always measured, joined by ' + '
+    """),
 )
 
 

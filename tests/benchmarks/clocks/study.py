@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from stringcast.data.schema import Column, Table
+from stringcast.data.schema import Table, parse_columns
 from stringcast.pipeline.run.experiment import build_string
 from stringcast.pipeline.run.provenance import code_state
 from stringcast.pipeline.settings.typed_settings import build_dataclass
@@ -28,24 +28,24 @@ WRONG_RANGE_S = (0.05, 0.3)  # by which a clock is wrong that is to be refused
 OFFSETS = Table(
     "offsets",
     "a row for each recording: what was hidden and what was found",
-    (
-        Column("seed", "1", "of string, motions, noise and clock", "int"),
-        Column("simulator", "", "that made the measurements", "text"),
-        Column("motion", "", "slow or cast", "text"),
-        Column("points", "1", "number of tracked points of the string", "int"),
-        Column("cause", "", "that is hidden; empty if there is none", "text"),
-        Column("trials", "1", "number of trials", "int"),
-        Column("fps", "1/s", "frames per second"),
-        Column("sigma", "m", "noise of a coordinate"),
-        Column("hidden", "s", "arm's clock less the camera's"),
-        Column("found", "s", "what was found"),
-        Column("low", "s", "lower end of the 95 % interval"),
-        Column("high", "s", "upper end of the 95 % interval"),
-        Column("is_common", "1", "whether all trials were found to agree", "bool"),
-        Column("wrong_by", "s", "by which a clock without statement was made wrong"),
-        Column("is_refused", "1", "whether that was refused", "bool"),
-        Column("runtime", "s", "processor time of the estimate"),
-    ),
+    parse_columns("""
+    seed [1] (int): of string, motions, noise and clock
+    simulator (text): that made the measurements
+    motion (text): slow or cast
+    points [1] (int): number of tracked points of the string
+    cause (text): that is hidden; empty if there is none
+    trials [1] (int): number of trials
+    fps [1/s]: frames per second
+    sigma [m]: noise of a coordinate
+    hidden [s]: arm's clock less the camera's
+    found [s]: what was found
+    low [s]: lower end of the 95 % interval
+    high [s]: upper end of the 95 % interval
+    is_common [1] (bool): whether all trials were found to agree
+    wrong_by [s]: by which a clock without statement was made wrong
+    is_refused [1] (bool): whether that was refused
+    runtime [s]: processor time of the estimate
+    """),
 )
 
 

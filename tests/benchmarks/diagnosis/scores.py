@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence, Set
 import numpy as np
 import pandas as pd
 
-from stringcast.data.schema import Column, Table
+from stringcast.data.schema import Table, parse_columns
 from stringcast.pipeline.paper.scores import SHARE_COLUMNS, share_with_interval
 from stringcast.stages.model.library import effects_by_name
 from tests.benchmarks.diagnosis.answers import (
@@ -33,30 +33,23 @@ SIZE_BINS_SIGMAS = np.array([5.0, 8.0, 12.0, 20.0, 30.0, np.inf])
 CHANCE_SAMPLES = 2000
 RUNTIME_GOAL_S = 120.0
 
-RECORDED_COLUMNS = (
-    Column("simulator", "", "reference simulator that drew the dataset", "text"),
-    Column("seed", "1", "of the dataset", "int"),
-    Column("kind", "", "effect, pair, triple, none, outside or mixed", "text"),
-    Column("truth", "", "hidden causes, joined by +", "text"),
-    Column(
-        "size",
-        "1",
-        "tip shift of the smallest hidden cause, base parameters refitted, in noise sigmas",
-    ),
-    Column("verdict", "", "of the diagnosis", "text"),
-    Column("named", "", "named causes, look-alikes joined by |", "text"),
-    Column("correct", "", "the answer is right", "bool"),
-    Column("confidence", "1", "probability of the answer; NaN if none is stated"),
-    Column("extra", "1", "named causes that are not hidden", "int"),
-    Column("runtime", "s", "of the diagnosis"),
-    Column("code", "", "commit of the code, + if it was changed since", "text"),
-    Column(
-        "values",
-        "",
-        "parameters of hidden causes that were named, JSON: name, true, value, low, high, inside",
-        "text",
-    ),
-)
+RECORDED_COLUMNS = parse_columns("""
+    simulator (text): reference simulator that drew the dataset
+    seed [1] (int): of the dataset
+    kind (text): effect, pair, triple, none, outside or mixed
+    truth (text): hidden causes, joined by +
+    size [1]: tip shift of the smallest hidden cause, base parameters refitted, in noise
+        sigmas
+    verdict (text): of the diagnosis
+    named (text): named causes, look-alikes joined by |
+    correct (bool): the answer is right
+    confidence [1]: probability of the answer; NaN if none is stated
+    extra [1] (int): named causes that are not hidden
+    runtime [s]: of the diagnosis
+    code (text): commit of the code, + if it was changed since
+    values (text): parameters of hidden causes that were named, JSON: name, true, value,
+        low, high, inside
+    """)
 RECORDED = Table(
     "diagnoses",
     "a row a synthetic dataset: what it hides and its diagnosis",
@@ -67,64 +60,53 @@ DIAGNOSES = Table(
     RECORDED.meaning,
     (
         *RECORDED_COLUMNS,
-        Column(
-            "answer",
-            "",
-            "first named, the true one if it is among the look-alikes named first",
-            "text",
-        ),
-        Column(
-            "group",
-            "1",
-            "look-alikes of the answer, itself included; 0 if nothing is named",
-            "int",
-        ),
-        Column("found", "1", "hidden causes that are named", "int"),
-        Column("remainder", "", "a part of the misfit is said to be left", "bool"),
-        Column(
-            "named_above_half",
-            "",
-            "a library effect has a probability above 0.5",
-            "bool",
-        ),
-        Column("rms_base", "m", "residual of the base model in left-out trials"),
-        Column(
-            "rms_extended", "m", "residual of the extended model in left-out trials"
-        ),
-        Column("noise_floor", "m", "as estimated"),
+        *parse_columns("""
+        answer (text): first named, the true one if it is among the look-alikes named
+            first
+        group [1] (int): look-alikes of the answer, itself included; 0 if nothing is
+            named
+        found [1] (int): hidden causes that are named
+        remainder (bool): a part of the misfit is said to be left
+        named_above_half (bool): a library effect has a probability above 0.5
+        rms_base [m]: residual of the base model in left-out trials
+        rms_extended [m]: residual of the extended model in left-out trials
+        noise_floor [m]: as estimated
+        """),
     ),
 )
 PARAMETERS = Table(
     "parameters",
     "parameters of hidden causes that were named",
-    (
-        Column("seed", "1", "of the dataset", "int"),
-        Column("name", "", "qualified name", "text"),
-        Column("true", "", "in the parameter's unit"),
-        Column("value", "", "estimate"),
-        Column("low", "", "lower end of its 95 % interval"),
-        Column("high", "", "upper end"),
-        Column("inside", "", "the interval holds the true value", "bool"),
-    ),
+    parse_columns("""
+    seed [1] (int): of the dataset
+    name (text): qualified name
+    true: in the parameter's unit
+    value: estimate
+    low: lower end of its 95 % interval
+    high: upper end
+    inside (bool): the interval holds the true value
+    """),
 )
 CONFUSION = Table(
     "confusion",
     "counts of answers by hidden cause, without pairs and triples",
-    (
-        Column("kind", "", "effect, none or outside", "text"),
-        Column("truth", "", "what was hidden", "text"),
-        Column("answer", "", "the answer", "text"),
-        Column("count", "1", "datasets", "int"),
-    ),
+    parse_columns("""
+    kind (text): effect, none or outside
+    truth (text): what was hidden
+    answer (text): the answer
+    count [1] (int): datasets
+    """),
 )
 BY_SIZE = Table(
     "by_size",
     "share of right answers by size of the hidden cause",
     (
-        Column("kind", "", "effect, outside, mixed, pair or triple", "text"),
-        Column("from", "1", "least size of the bin [sigma]"),
-        Column("to", "1", "largest size of the bin [sigma]"),
-        Column("size", "1", "mean size in the bin [sigma]"),
+        *parse_columns("""
+        kind (text): effect, outside, mixed, pair or triple
+        from [1]: least size of the bin [sigma]
+        to [1]: largest size of the bin [sigma]
+        size [1]: mean size in the bin [sigma]
+        """),
         *SHARE_COLUMNS,
     ),
 )
@@ -132,9 +114,11 @@ CALIBRATION = Table(
     "calibration",
     "share of right answers by their stated probability",
     (
-        Column("from", "1", "least probability of the bin"),
-        Column("to", "1", "largest probability of the bin"),
-        Column("confidence", "1", "mean probability in the bin"),
+        *parse_columns("""
+        from [1]: least probability of the bin
+        to [1]: largest probability of the bin
+        confidence [1]: mean probability in the bin
+        """),
         *SHARE_COLUMNS,
     ),
 )
@@ -142,40 +126,36 @@ RATES = Table(
     "rates",
     "the study in a few numbers, with goals",
     (
-        Column("name", "", "what is counted", "text"),
+        *parse_columns("""
+        name (text): what is counted
+        """),
         *SHARE_COLUMNS,
-        Column("at_least", "1", "goal; NaN if there is none"),
-        Column("at_most", "1", "goal; NaN if there is none"),
+        *parse_columns("""
+        at_least [1]: goal; NaN if there is none
+        at_most [1]: goal; NaN if there is none
+        """),
     ),
 )
 ERROR = Table(
     "calibration_error",
     "one row: expected calibration error",
-    (
-        Column(
-            "error",
-            "1",
-            "mean distance of share and confidence over the bins, weighted by count",
-        ),
-        Column(
-            "chance",
-            "1",
-            "its mean if every answer were right with exactly the probability stated",
-        ),
-        Column("chance_high", "1", "95th percentile of the same"),
-        Column("at_most", "1", "goal"),
-        Column("count", "1", "answers with a probability", "int"),
-    ),
+    parse_columns("""
+    error [1]: mean distance of share and confidence over the bins, weighted by count
+    chance [1]: its mean if every answer were right with exactly the probability stated
+    chance_high [1]: 95th percentile of the same
+    at_most [1]: goal
+    count [1] (int): answers with a probability
+    """),
 )
 RUNTIME = Table(
     "runtime",
     "one row: seconds of a diagnosis",
-    (
-        Column("median", "s", "median"),
-        Column("p95", "s", "95th percentile"),
-        Column("longest", "s", "maximum"),
-        Column("at_most", "s", "goal"),
-    ),
+    parse_columns("""
+    median [s]: median
+    p95 [s]: 95th percentile
+    longest [s]: maximum
+    at_most [s]: goal
+    """),
 )
 TABLES = {
     t.name: t

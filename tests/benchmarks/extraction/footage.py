@@ -19,7 +19,7 @@ import pandas as pd
 from stringcast.data import store
 from stringcast.data.artifacts import Points
 from stringcast.data.images import ImageFiles, Video
-from stringcast.data.schema import Column, Table
+from stringcast.data.schema import Table, parse_columns
 from stringcast.pipeline.run.provenance import step_origin
 from stringcast.stages.common import rms
 from stringcast.stages.extract.extract import extract
@@ -41,21 +41,17 @@ CABLE: Mapping[str, Any] = {"shorter": 0.08, "longer": 0.1}
 MEASURED = Table(
     "measured",
     "a row a film or photograph",
-    (
-        Column("name", "", "of the film or photograph", "text"),
-        Column("frames", "1", "how many were looked at", "int"),
-        Column("read", "1", "share that was accepted"),
-        Column(
-            "rms_mm",
-            "mm",
-            "RMS distance from the published points; NaN where there are none",
-        ),
-        Column("median_mm", "mm", "median distance"),
-        Column("worst_mm", "mm", "of a frame, RMS over its points"),
-        Column("tip_rms_mm", "mm", "RMS distance of the tips"),
-        Column("tip_sigma_mm", "mm", "median sigma stated for the tip"),
-        Column("reasons", "", "of refusals, the most frequent first", "text"),
-    ),
+    parse_columns("""
+    name (text): of the film or photograph
+    frames [1] (int): how many were looked at
+    read [1]: share that was accepted
+    rms_mm [mm]: RMS distance from the published points; NaN where there are none
+    median_mm [mm]: median distance
+    worst_mm [mm]: of a frame, RMS over its points
+    tip_rms_mm [mm]: RMS distance of the tips
+    tip_sigma_mm [mm]: median sigma stated for the tip
+    reasons (text): of refusals, the most frequent first
+    """),
 )
 
 

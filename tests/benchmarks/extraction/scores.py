@@ -12,7 +12,7 @@ import pandas as pd
 from scipy.stats import binomtest
 
 from stringcast.data.artifacts import Points
-from stringcast.data.schema import Column, Table
+from stringcast.data.schema import Table, parse_columns
 from stringcast.stages.common import rms
 from tests.benchmarks.extraction.conditions import Shot
 from tests.benchmarks.extraction.films import ConditionLevel, StagedCast
@@ -22,54 +22,45 @@ WRONG_SIGMAS = 5.0  # in stated standard deviations
 FRAMES = Table(
     "frames",
     "a row a frame: what was read and how far off it is; NaN where nothing was",
-    (
-        Column("condition", "", "under which it was filmed", "text"),
-        Column("severity", "1", "of the condition, from 1", "int"),
-        Column("string", "", "which was cast", "text"),
-        Column("cast", "1", "seed of the cast", "int"),
-        Column("frame", "1", "number of the frame", "int"),
-        Column("read", "", "the frame was accepted", "bool"),
-        Column("reason", "", "why it was not", "text"),
-        Column("line_px", "px", "RMS distance of the points from the true curve"),
-        Column("line_mm", "mm", "the same"),
-        Column(
-            "place_px",
-            "px",
-            "RMS distance of the points from where they are on the true string",
-        ),
-        Column("tip_px", "px", "distance of the tips"),
-        Column("line_stated_px", "px", "RMS sigma stated for the points"),
-        Column("tip_stated_px", "px", "sigma stated for the tip"),
-        Column("line_sigmas", "1", "RMS over the points of distance over sigma stated"),
-        Column("tip_sigmas", "1", "distance of the tips over sigma stated"),
-        Column("wrong", "", "accepted, and off by more than the limits", "bool"),
-    ),
+    parse_columns("""
+    condition (text): under which it was filmed
+    severity [1] (int): of the condition, from 1
+    string (text): which was cast
+    cast [1] (int): seed of the cast
+    frame [1] (int): number of the frame
+    read (bool): the frame was accepted
+    reason (text): why it was not
+    line_px [px]: RMS distance of the points from the true curve
+    line_mm [mm]: the same
+    place_px [px]: RMS distance of the points from where they are on the true string
+    tip_px [px]: distance of the tips
+    line_stated_px [px]: RMS sigma stated for the points
+    tip_stated_px [px]: sigma stated for the tip
+    line_sigmas [1]: RMS over the points of distance over sigma stated
+    tip_sigmas [1]: distance of the tips over sigma stated
+    wrong (bool): accepted, and off by more than the limits
+    """),
 )
 SHARES = Table(
     "shares",
     "a row a condition and severity: all strings and casts together",
-    (
-        Column("condition", "", "under which it was filmed", "text"),
-        Column("severity", "1", "of the condition, from 1", "int"),
-        Column("frames", "1", "how many", "int"),
-        Column("read", "1", "share that was accepted"),
-        Column("wrong", "1", "share of all that was accepted and is wrong"),
-        Column(
-            "wrong_high", "1", "upper end of its 95 % interval (Clopper and Pearson)"
-        ),
-        Column("line_px", "px", "median of what was accepted"),
-        Column("line_mm", "mm", "the same"),
-        Column("line_px_95", "px", "95 % of what was accepted is below"),
-        Column("tip_px", "px", "median of what was accepted"),
-        Column("tip_px_95", "px", "95 % of what was accepted is below"),
-        Column(
-            "line_sigmas",
-            "1",
-            "RMS of what was accepted, across alone; sigma is of a coordinate, along too",
-        ),
-        Column("tip_sigmas", "1", "the same; 1.4 if u and v are each off by a sigma"),
-        Column("reasons", "", "of refusals, the most frequent first", "text"),
-    ),
+    parse_columns("""
+    condition (text): under which it was filmed
+    severity [1] (int): of the condition, from 1
+    frames [1] (int): how many
+    read [1]: share that was accepted
+    wrong [1]: share of all that was accepted and is wrong
+    wrong_high [1]: upper end of its 95 % interval (Clopper and Pearson)
+    line_px [px]: median of what was accepted
+    line_mm [mm]: the same
+    line_px_95 [px]: 95 % of what was accepted is below
+    tip_px [px]: median of what was accepted
+    tip_px_95 [px]: 95 % of what was accepted is below
+    line_sigmas [1]: RMS of what was accepted, across alone; sigma is of a coordinate,
+        along too
+    tip_sigmas [1]: the same; 1.4 if u and v are each off by a sigma
+    reasons (text): of refusals, the most frequent first
+    """),
 )
 
 
