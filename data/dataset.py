@@ -359,8 +359,7 @@ def _read_table(table: Table, folder: Path, rows: dict[str, RowCounts]) -> pd.Da
         }.get(table, "")
         raise DataError(
             f"{folder}: neither {table.name}.parquet nor "
-            f"{table.name}.csv{alternative}. "
-            f"{_missing_table_remedy(folder)}"
+            f"{table.name}.csv{alternative}. {_missing_table_remedy(folder)}"
         )
     schema = with_trial(table)
     frame = (

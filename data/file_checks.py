@@ -431,8 +431,7 @@ def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[
         raise DataError(
             f"{path}: {metadata.num_rows} rows of {metadata.num_columns} columns would "
             f"take {size / 1e9:.1f} GB, at most {MAX_TABLE_BYTES / 1e9:.1f} are read. "
-            "Split "
-            "it into datasets of fewer trials."
+            "Split it into datasets of fewer trials."
         )
     if len(schema) > MAX_COLUMNS:
         raise DataError(

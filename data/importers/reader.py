@@ -223,8 +223,7 @@ class RecordingReader:
             raise DataError(
                 f"{self.recording.file}: no column holds times; there are "
                 f"{list_columns(self.recording)}. Name it with --map t=<column>, or "
-                "give the "
-                "camera's rate with --fps 200."
+                "give the camera's rate with --fps 200."
             )
         if numbers := self.columns_of("frame"):
             how = "--fps" if self.hints.fps else "file"
@@ -549,8 +548,7 @@ class RecordingReader:
         raise DataError(
             f"{self.recording.file}: positions have three coordinates, a cast has two. "
             "Choose those to the right and up: --plane x,z, or --plane=-z,y if z "
-            "points "
-            "to the left."
+            "points to the left."
         )
 
     def read_points(self) -> pd.DataFrame | None:
@@ -597,8 +595,7 @@ class RecordingReader:
             if scale is None or origin is None:
                 raise DataError(
                     f"{self.recording.file}: positions are in pixels. Give the pixels "
-                    "of a "
-                    "metre and the pixel of the world's origin: "
+                    "of a metre and the pixel of the world's origin: "
                     "--px-per-m 340 --origin-px 251.5,387.5."
                 )
             # rows of pixels are counted from the top

@@ -285,6 +285,5 @@ class VelocityArm:
             raise HardwareError(
                 f"arm on {self.wire.port}: its watchdog of "
                 f"{self.wire.watchdog * 1e3:.0f} ms is shorter than two ticks. "
-                "Lengthen "
-                "it in the device."
+                "Lengthen it in the device."
             )

@@ -218,6 +218,5 @@ def _ramp_to_rest(
     wire.stop()
     raise HardwareError(
         f"arm on {wire.port}: {reason} at {log.due[tick]:.3f} s; it was brought to "
-        "rest. "
-        "Look at the arm, the cable and the device before the next try."
+        "rest. Look at the arm, the cable and the device before the next try."
     )

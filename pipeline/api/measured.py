@@ -87,8 +87,7 @@ class Trials:
         return (
             f"{len(self)} trials of {string}: {points.median():.0f} points a frame, "
             f"{table['rate'].median():.0f} frames a second, "
-            f"{table['seconds'].min():.2f} to "
-            f"{table['seconds'].max():.2f} s"
+            f"{table['seconds'].min():.2f} to {table['seconds'].max():.2f} s"
         )
 
     def _repr_html_(self) -> str:
