@@ -111,7 +111,7 @@ def held_mask(xy: np.ndarray, extent: float) -> np.ndarray:
     grid_step = float(steps[steps > 0].min())
     limit = max(MIN_JUMP_STEPS * grid_step, MIN_JUMP_EXTENT * extent)
     single = np.zeros(len(xy), dtype=bool)
-    for first, last in _runs(np.concatenate([[False], steps == 0])):
+    for first, last in find_runs(np.concatenate([[False], steps == 0])):
         # of three samples, because one may be an outlier; a point that comes to rest or
         # leaves its rest is slow on that side
         jump_to = _distance_to_median(xy[max(first - 4, 0) : first - 1], xy[last])
@@ -154,7 +154,7 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
         mask = number == candidate
         if mask.all() or limit == 0:
             continue
-        visits = _runs(mask)
+        visits = find_runs(mask)
         away = 0
         for first, last in visits:
             jumps = _neighbours(xy, first, last) - xy[first]
@@ -193,7 +193,7 @@ def zero_row_mask(values: np.ndarray) -> np.ndarray:
     inner = steps[~is_zero[1:] & ~is_zero[:-1]]
     usual = float(np.median(inner)) if len(inner) else 0.0
     limit = max(MIN_ZERO_JUMP, ZERO_JUMP_RATIO * usual)
-    for first, last in _runs(is_zero):
+    for first, last in find_runs(is_zero):
         before = steps[first - 1] if first > 0 else np.inf
         after = steps[last] if last < len(steps) else np.inf
         mask[first : last + 1] = min(before, after) > limit
@@ -216,7 +216,7 @@ def track_extent(xy: np.ndarray) -> float:
     return float(np.linalg.norm(high - low))
 
 
-def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
+def find_runs(mask: np.ndarray) -> list[tuple[int, int]]:
     """Return the first and last number of each run of true values."""
     edges = np.flatnonzero(np.diff(np.pad(mask.astype(int), 1)))
     return list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
@@ -225,7 +225,7 @@ def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
 def _longest_run(t: np.ndarray, mask: np.ndarray) -> float:
     """Return the longest time from before a run of samples to behind it [s]."""
     longest = 0.0
-    for first, last in _runs(mask):
+    for first, last in find_runs(mask):
         start = t[max(first - 1, 0)]
         end = t[min(last + 1, len(t) - 1)]
         longest = max(longest, float(end - start))

@@ -22,8 +22,6 @@ from stringcast.stages.model.camera import CAMERA_AXES, Camera
 
 cv2 = LazyModule("cv2")
 
-PLANE_PARAMETERS = ("px_per_m", "origin_u", "origin_v", "rotation", "tilt_x", "tilt_y")
-
 
 @dataclass(frozen=True)
 class BoardPlacement:
@@ -56,7 +54,8 @@ class PlaneFit:
     camera
         The camera.
     sigma
-        Standard deviations of PLANE_PARAMETERS (6,), with that of the lens.
+        Standard deviations of scale, origin (u, v), rotation and tilt about x and y
+        (6,), with that of the lens.
     fit
         Projected corners (N, 2) [px].
     """
@@ -123,7 +122,7 @@ def fit_plane(
 def _solve_plane(
     camera: Camera, world: np.ndarray, pixels: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return PLANE_PARAMETERS (6,) and the Jacobian of the pixels by them (2 N, 6)."""
+    """Return the values of a plane (6,) and the pixels' Jacobian by them (2 N, 6)."""
 
     def residuals(values: np.ndarray) -> np.ndarray:
         residuals: np.ndarray = (_camera(camera, values).pixels(world) - pixels).ravel()
@@ -134,7 +133,7 @@ def _solve_plane(
 
 
 def _camera(camera: Camera, values: np.ndarray) -> Camera:
-    """Return the camera with these PLANE_PARAMETERS."""
+    """Return the camera with scale, origin, rotation and tilt from `values` (6,)."""
     scale, u, v, rotation, tilt_x, tilt_y = map(float, values)
     return replace(
         camera,

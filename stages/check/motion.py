@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from stringcast.data.lost_samples import find_runs
 from stringcast.stages.check.clocks import time_unit_factor, usual_interval
 from stringcast.stages.check.consistency.check import impossible_trials
 from stringcast.stages.check.finding import Finding, note, warning
@@ -41,9 +42,8 @@ def check_frozen_joints(dataset: CheckedDataset) -> Iterator[Finding]:
         else:
             is_moving = (np.diff(trial.joints, axis=0) != 0).any(axis=1)
             is_frozen = (np.diff(angles) == 0) & is_moving
-            breaks = np.flatnonzero(np.concatenate([[True], ~is_frozen, [True]]))
-            samples = float((np.diff(breaks) - 1).max())
-            longest = samples * usual_interval(trial.hand_t)
+            steps = [last - first + 1 for first, last in find_runs(is_frozen)]
+            longest = max(steps, default=0) * usual_interval(trial.hand_t)
             if not longest > MAX_FROZEN_S:
                 continue
             statement = f"it stands still for {longest:.2f} s while other joints move"
