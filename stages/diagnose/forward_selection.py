@@ -82,7 +82,7 @@ class SelectionStep:
     proposals : sequence of Proposal
         Of all candidates, the most promising first.
     fits : sequence of Fit
-        Of those fitted, the most evident first.
+        Of those fitted, as of `rank_rivals`.
     refined : sequence of Fit
         Those of them near the most evident, with their own discretisation error.
     fits_by_data : dict of dict
@@ -101,7 +101,7 @@ class SelectionStep:
 
     @property
     def best(self) -> Fit | None:
-        """The fit with most evidence."""
+        """The fit that leads."""
         return self.fits[0] if self.fits else None
 
 
@@ -273,17 +273,17 @@ def compare_candidates(
 
     # The most promising ones, and the look-alikes of the best of these
     first = [p for p in remaining[:INITIAL_PROPOSALS] if p.gain > STRONG_LOG_EVIDENCE]
-    step = _fit_more_proposals(prepared, step, first)
+    step = _fit_more_proposals(prepared, step, first, criteria)
     remaining = [p for p in remaining if p not in first]
     lookalikes = _lookalikes_of_best(step, remaining, criteria)
-    step = _fit_more_proposals(prepared, step, lookalikes)
+    step = _fit_more_proposals(prepared, step, lookalikes, criteria)
     step = _refine_rivals(prepared, step, criteria, contested)
 
     # All others, if something is left to explain
     misfit_m = unexplained_tip_rms(prepared.data, parent).max()
     if not step.accepted and misfit_m > criteria.tip_tolerance_m:
         others = [p for p in remaining if p not in lookalikes]
-        step = _fit_more_proposals(prepared, step, others)
+        step = _fit_more_proposals(prepared, step, others, criteria)
         step = _refine_rivals(prepared, step, criteria, contested)
     return step
 
@@ -339,7 +339,8 @@ def _refine_rivals(
         return rival.fit, None
 
     # Refinement mostly lowers the evidence: none may lead because it was not refined
-    refined: list[tuple[Fit, TrialData]] = []
+    refined: list[Fit] = []
+    data_of = {}  # by the name of the cause
     unrefined = list(step.fits)
     while count:
         rivals = unrefined[:count]
@@ -348,27 +349,46 @@ def _refine_rivals(
         for rival, (fit, data) in zip(rivals, answers, strict=True):
             if data is not None:
                 # A worker returns a copy of the hypothesis
-                refined.append((replace(fit, hypothesis=rival.hypothesis), data))
-        refined.sort(key=lambda fit_and_data: -fit_and_data[0].log_evidence)
-        best = refined[0][0] if refined else parent
-        count = int(bool(unrefined) and has_evidence(best, unrefined[0], criteria))
+                fit = replace(fit, hypothesis=rival.hypothesis)
+                refined.append(fit)
+                data_of[fit.hypothesis.cause_names[-1]] = data
+        refined = rank_rivals(parent, refined, criteria)
+        count = int(_is_overtaken(parent, refined, unrefined, criteria))
 
-    fits = [fit for fit, _ in refined]
-    every_fit = [*fits, *unrefined]
+    every_fit = [*refined, *unrefined]
     is_accepted = bool(every_fit) and is_supported(
         prepared.data, parent, every_fit[0], criteria
     )
     return replace(
         step,
         fits=every_fit,
-        refined=fits,
-        fits_by_data=_compare_on_common_data(parent, refined[:MAX_RIVALS]),
+        refined=refined,
+        fits_by_data=_compare_on_common_data(parent, refined[:MAX_RIVALS], data_of),
         accepted=is_accepted,
     )
 
 
+def _is_overtaken(
+    parent: Fit,
+    refined: Sequence[Fit],
+    unrefined: Sequence[Fit],
+    criteria: Criteria,
+) -> bool:
+    """Whether the first of the unrefined fits clearly leads the refined ones."""
+    if not unrefined:
+        return False
+    other = unrefined[0]
+    if not refined:
+        return has_evidence(parent, other, criteria)
+    best = refined[0]
+    leads = rank_rivals(parent, [best, other], criteria)[0] is other
+    # With less evidence it leads because the best is at the end of its range
+    is_behind = other.log_evidence < best.log_evidence
+    return leads and (is_behind or has_evidence(best, other, criteria))
+
+
 def _compare_on_common_data(
-    parent: Fit, rivals: Sequence[tuple[Fit, TrialData]]
+    parent: Fit, rivals: Sequence[Fit], data_of: Mapping[str, TrialData]
 ) -> Mapping[str, Mapping[str, Fit]]:
     """Fit rivals and their parent to the data of each rival; nothing of a single one.
 
@@ -376,13 +396,9 @@ def _compare_on_common_data(
     """
     if len(rivals) < 2:
         return {}
-    fits = {"": parent}
-    data_of = {}
-    for fit, data in rivals:
-        name = fit.hypothesis.cause_names[-1]
-        fits[name] = fit
-        data_of[name] = data
-    fits_by_data = fit_to_common_data(fits, data_of)
+    by_name = {fit.hypothesis.cause_names[-1]: fit for fit in rivals}
+    data_of = {name: data_of[name] for name in by_name}
+    fits_by_data = fit_to_common_data({"": parent, **by_name}, data_of)
     for owner, on_data in fits_by_data.items():
         gains = []
         for name in data_of:
@@ -429,7 +445,7 @@ def add_cause(
     if with_noise.point_counts != state.prepared.point_counts:
         counts = with_noise.outlier_count, state.prepared.outlier_count
         log.info("%d outliers instead of %d", *counts)
-        steps = [_refit_step(prepared.data, step) for step in steps]
+        steps = [_refit_step(prepared.data, step, criteria) for step in steps]
 
     # Search more widely if much is left. Other strings are no better if their trials
     # are resolved worse: what is uncertain in these may explain anything.
@@ -444,7 +460,9 @@ def add_cause(
     return replace(state, prepared=prepared, fit=fit, steps=steps)
 
 
-def _refit_step(data: TrialData, step: SelectionStep) -> SelectionStep:
+def _refit_step(
+    data: TrialData, step: SelectionStep, criteria: Criteria
+) -> SelectionStep:
     """Move a step to data with other points: refined fits are refitted."""
     parent = refit(data, step.parent, step.parent.hypothesis)
     refined = [refit(data, fit, fit.hypothesis) for fit in step.refined]
@@ -453,7 +471,7 @@ def _refit_step(data: TrialData, step: SelectionStep) -> SelectionStep:
     for fit in step.fits:
         if id(fit) not in was_refined:
             others.append(evaluate_fit(data, fit.hypothesis, fit.chi))
-    fits = by_evidence([*refined, *others])
+    fits = rank_rivals(parent, [*refined, *others], criteria)
     # All are now on the same data
     return replace(step, parent=parent, fits=fits, refined=refined, fits_by_data={})
 
@@ -607,6 +625,7 @@ def _fit_more_proposals(
     prepared: PreparedData,
     step: SelectionStep,
     proposals: Sequence[Proposal],
+    criteria: Criteria,
 ) -> SelectionStep:
     """Fit more of a step's proposals, promising ones with their own numerical error."""
     parent = step.parent
@@ -643,7 +662,35 @@ def _fit_more_proposals(
     for fit, proposal in zip(fitted, proposals, strict=True):
         # A worker returns a copy of the hypothesis
         fits.append(replace(fit, hypothesis=proposal.hypothesis))
-    return replace(step, fits=by_evidence([*step.fits, *fits]))
+    return replace(step, fits=rank_rivals(parent, [*step.fits, *fits], criteria))
+
+
+def rank_rivals(parent: Fit, fits: Sequence[Fit], criteria: Criteria) -> list[Fit]:
+    """Sort fits by evidence, those after that are only ahead at the end of a range.
+
+    A cause at the end of its range most likely stands for another one. Rivals that are
+    inside theirs go before it if they explain at least `min_explained_fraction` of what
+    the most evident fit does.
+    """
+    ranked = by_evidence(fits)
+    if not ranked:
+        return []
+    gain = ranked[0].log_evidence - parent.log_evidence
+    least_evidence = parent.log_evidence + criteria.min_explained_fraction * gain
+    inside = []
+    others = []
+    for fit in ranked:
+        cause = fit.hypothesis.causes[-1]
+        explains_much = fit.log_evidence >= least_evidence
+        if (
+            explains_much
+            and has_evidence(parent, fit, criteria)
+            and is_inside_range(fit, cause)
+        ):
+            inside.append(fit)
+        else:
+            others.append(fit)
+    return [*inside, *others]
 
 
 def by_evidence(fits: Sequence[Fit]) -> list[Fit]:

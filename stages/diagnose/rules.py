@@ -1,6 +1,7 @@
 """The rules that decide whether a cause is accepted and what the verdict is.
 
-A **candidate** is compared with the fit without it (its parent):
+A **candidate** is compared with the fit without it (its parent). One at the end of its
+range goes after rivals inside theirs that explain `min_explained_fraction` of as much:
 
 =========================  =========================================================
 rule                       passes if

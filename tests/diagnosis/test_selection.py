@@ -28,7 +28,18 @@ class NamedFit:
 
 def named_fit(name, log_evidence):
     """Name a fit by its cause."""
-    return NamedFit(name, log_evidence, SimpleNamespace(cause_names=(name,)))
+    hypothesis = SimpleNamespace(cause_names=(name,), causes=(name,))
+    return NamedFit(name, log_evidence, hypothesis)
+
+
+@pytest.fixture
+def limited(monkeypatch):
+    """Return a set of causes that are at the end of their range, none at first."""
+    names = set()
+    monkeypatch.setattr(
+        forward_selection, "is_inside_range", lambda fit, cause: cause not in names
+    )
+    return names
 
 
 def fit_with(*causes):
@@ -65,7 +76,7 @@ def compare_on_own_data(fits, data):
     ],
 )
 def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
-    before, uncertain, misfit, best, monkeypatch
+    before, uncertain, misfit, best, limited, monkeypatch
 ):
     fits = [named_fit("uncertain", 60.0), named_fit("resolved", 50.0)]
     uncertainty_m = {
@@ -119,13 +130,15 @@ def refine_rivals(monkeypatch, found, refined):
     monkeypatch.setattr(
         forward_selection, "unexplained_tip_rms", lambda *given: np.ones(2)
     )
+    parent = SimpleNamespace(log_evidence=0.0)
     fits = [named_fit(name, value) for name, value in found.items()]
-    compared = SelectionStep(SimpleNamespace(log_evidence=0.0), (), fits)
+    fits = forward_selection.rank_rivals(parent, fits, CRITERIA)
+    compared = SelectionStep(parent, (), fits)
     step = forward_selection._refine_rivals(prepared, compared, CRITERIA, None)
     return step, asked
 
 
-def test_no_rival_leads_because_it_was_not_refined(monkeypatch):
+def test_no_rival_leads_because_it_was_not_refined(limited, monkeypatch):
     """The fourth of 75 mm strips was named, as refinement took 90 from the others."""
     found = {
         "set": 730.0,
@@ -151,6 +164,21 @@ def test_no_rival_leads_because_it_was_not_refined(monkeypatch):
     assert step.best.name == "set"
     assert [fit.name for fit in step.refined][-1] == "tilt"
     assert step.fits_by_data.keys() == {"set", "wind", "camera"}
+
+
+@pytest.mark.parametrize(
+    ("inside", "leader"),
+    [(60.0, "set"), (40.0, "tilt")],  # it explains more than half, or less
+)
+def test_a_rival_inside_its_range_goes_before_one_at_its_end(
+    inside, leader, limited, monkeypatch
+):
+    """A tilt of gravity at its limit was a stand-in for the set of a strip."""
+    limited |= {"tilt", "angle", "camera"}
+    found = {"tilt": 100.0, "angle": 99.0, "camera": 98.0, "set": inside}
+    step, asked = refine_rivals(monkeypatch, found, found)
+    assert step.best.name == leader
+    assert ("set" in asked) == (leader == "set")
 
 
 @pytest.mark.parametrize(
@@ -291,7 +319,7 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
             proposals.append(Proposal(hypothesis, start, gain, direction))
         return proposals
 
-    def fit_proposals(prepared, step, proposals):
+    def fit_proposals(prepared, step, proposals, criteria):
         fits = []
         for number, proposal in enumerate(proposals):
             fitted.append(proposal.effect)
