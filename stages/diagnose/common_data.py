@@ -1,72 +1,77 @@
-"""Evidence of rivals on common data.
+"""Evidence of rivals on the same data: what was measured, with nothing subtracted.
 
-Each rival is refined on data from which the numerical error at its own optimum was
-subtracted. What is uncertain in that error moves log evidences by up to hundreds, for
-all rivals alike: more than rivals differ. So every rival is also fitted to the data of
-every other one, and compared with those that were fitted to the same data (randomised
-blocks [1]_, common random numbers). Which data are right is not known: each are as
-probable (`posteriors`).
-
-References
-----------
-.. [1] Box, Hunter, Hunter, Statistics for Experimenters (2005), chapter 4.
+A search subtracts the numerical error at the optimum of a fit from what was measured.
+Each rival then has data of its own, and how far this error is from that where the fit
+ends moves log evidences by up to hundreds: more than rivals differ. So rivals are
+compared by simulations that are extrapolated from two meshes. Initial states, noise and
+discrepancy are those of one search; what is uncertain in the extrapolation is part of
+the likelihood. Each rival is also fitted from the optimum of each other one, as it may
+be in a worse minimum of the parameters that they share.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from stringcast.stages.diagnose.discrepancy_model import with_random_effects
-from stringcast.stages.diagnose.rules import NEGLIGIBLE_LOG_EVIDENCE
+from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.inference.extrapolated_data import ExtrapolatedData
+from stringcast.stages.inference.initial_modes import reset_initial_state_linear
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.workers import map_in_workers
 
 
-def fit_to_common_data(
-    fits: Mapping[str, Fit], data: Mapping[str, TrialData]
-) -> dict[str, dict[str, Fit]]:
-    """Fit each rival to the data of each, where its own fit stays.
+def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fit]:
+    """Fit each rival to what was measured, from its own optimum and all others.
 
     Parameters
     ----------
-    fits : dict
-        The rivals by name, and others that are compared with them.
-    data : dict
-        By name of a rival, as corrected at its fit.
+    prepared : PreparedData
+        The data of the search, with their initial states and error models.
+    rivals : sequence of Fit
+        What is compared, such as hypotheses with and without a cause.
 
     Returns
     -------
-    dict of dict
-        On the data of each rival, all fits by name.
+    list of Fit
+        In the order of the rivals.
     """
-    pairs = [(owner, name) for owner in data for name in fits if name != owner]
+    data = measured_data(prepared)
 
-    def fit_pair(pair: tuple[str, str]) -> Fit:
-        owner, name = pair
-        return fit_to_data_of(data[owner], fits[owner], fits[name])
+    def fit_rival(number: int) -> Fit:
+        rival = rivals[number]
+        hypothesis = rival.hypothesis
+        starts = [rival.chi]
+        for other in rivals:
+            if other is not rival:
+                shared = hypothesis.exponents_from(rival.exponents | other.exponents)
+                starts.append(shared)
+        return fit_hypothesis(
+            with_random_effects(data, hypothesis, rival.chi),
+            hypothesis,
+            np.stack(starts),
+            rival.scale_indices,
+        )
 
-    fits_by_data = {owner: dict(fits) for owner in data}
-    for pair, fit in zip(pairs, map_in_workers(fit_pair, pairs), strict=True):
-        owner, name = pair
+    fits = []
+    fitted = map_in_workers(fit_rival, range(len(rivals)))
+    for rival, fit in zip(rivals, fitted, strict=True):
         # A worker returns a copy of the hypothesis
-        hypothesis = fits[name].hypothesis
-        fits_by_data[owner][name] = replace(fit, hypothesis=hypothesis)
-    return fits_by_data
+        fits.append(replace(fit, hypothesis=rival.hypothesis))
+    return fits
 
 
-def fit_to_data_of(data: TrialData, owner: Fit, rival: Fit) -> Fit:
-    """Fit a rival to the data of another fit, from its own optimum and from that."""
-    hypothesis = rival.hypothesis
-    common = with_random_effects(data, hypothesis, rival.chi)
-    shared = hypothesis.exponents_from({**rival.exponents, **owner.exponents})
-    return fit_hypothesis(
-        common,
-        hypothesis,
-        np.stack([rival.chi, shared]),
-        owner.scale_indices,
-        NEGLIGIBLE_LOG_EVIDENCE,
-    )
+def measured_data(prepared: PreparedData) -> TrialData:
+    """Undo the subtraction of numerical error, and simulate without it instead."""
+    if prepared.mesh_is_model:
+        return prepared.data
+    trials = []
+    for measured, corrected in zip(prepared.trials, prepared.data.trials, strict=True):
+        trial = replace(corrected, points=measured.points)
+        shapes = trial.discrepancy.nuisance_shapes
+        trials.append(reset_initial_state_linear(trial, shapes))
+    return ExtrapolatedData(tuple(trials), prepared.data.random_effects)

@@ -40,7 +40,7 @@ from stringcast.stages.inference.laplace import (
     best_exponents,
     evaluate_fit,
 )
-from stringcast.stages.inference.mesh import refine_mesh
+from stringcast.stages.inference.mesh import refine_mesh, residuals_on_meshes
 from stringcast.stages.inference.mesh_correction import MeshCorrection
 from stringcast.stages.inference.prepared_trial import PreparedTrial, with_model
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
@@ -224,10 +224,7 @@ def fit_mesh_correction(prepared: PreparedData, fit: Fit) -> MeshCorrection:
     hypothesis = fit.hypothesis
     data = prepared.data
     chi, offset = difference_exponents(fit.chi, fit.width)
-    residuals = []  # of each mesh, of each trial, (1 + P, 2 n)
-    for factor in (1, 2):
-        model, trials = refine_mesh(hypothesis.model, data.trials, factor)
-        residuals.append(TrialData(trials).residuals(model, chi))
+    residuals = residuals_on_meshes(hypothesis.model, data.trials, chi, (1, 2))
 
     errors = []  # of each trial, (1 + P, 2 n)
     for coarse, fine in zip(*residuals, strict=True):

@@ -77,6 +77,8 @@ class SelectionStep:
 
     Attributes
     ----------
+    data : TrialData
+        That the parent and the leading fits are fitted to, but for numerical error.
     parent : Fit
         Without the cause to be chosen.
     proposals : sequence of Proposal
@@ -84,19 +86,17 @@ class SelectionStep:
     fits : sequence of Fit
         Of those fitted, as of `rank_rivals`.
     refined : sequence of Fit
-        Those of them near the most evident, with their own discretisation error.
-    fits_by_data : dict of dict
-        On the data of each of the leading ones, by the name of their cause, the fits of
-        all of these, and of the parent ("").
+        Those of them near the leading one. Several of them and their parent are fitted
+        to the same data (`common_data`).
     accepted : bool
         Whether the best is accepted.
     """
 
+    data: TrialData
     parent: Fit
     proposals: Sequence[Proposal]
     fits: Sequence[Fit]
     refined: Sequence[Fit] = ()
-    fits_by_data: Mapping[str, Mapping[str, Fit]] = field(default_factory=dict)
     accepted: bool = False
 
     @property
@@ -264,7 +264,7 @@ def compare_candidates(
     causes = parent.hypothesis.causes
     candidates = [effect for effect in effects if effect not in causes]
     proposals = propose_causes(prepared.data, parent, candidates, seed)
-    step = SelectionStep(parent, proposals, fits=())
+    step = SelectionStep(prepared.data, parent, proposals, fits=())
     remaining = proposals
     if contested is not None:
         step = replace(step, fits=(contested,))
@@ -330,30 +330,35 @@ def _refine_rivals(
         misfit_m = unexplained_tip_rms(prepared.data, parent)
         allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
 
-    def refine_rival(fit: Fit) -> tuple[Fit, TrialData | None]:
+    def refine_rival(fit: Fit) -> Fit | None:
         rival = RefinedFit(prepared, fit)
         if fit is not contested:
             rival = refine_fit(prepared, fit)
         if is_resolved(rival.prepared, prepared, criteria, needed, allowance_m):
-            return rival.fit, rival.prepared.data
-        return rival.fit, None
+            return rival.fit
+        return None
 
     # Refinement mostly lowers the evidence: none may lead because it was not refined
     refined: list[Fit] = []
-    data_of = {}  # by the name of the cause
     unrefined = list(step.fits)
     while count:
-        rivals = unrefined[:count]
+        chosen = unrefined[:count]
         unrefined = unrefined[count:]
-        answers = map_in_workers(refine_rival, rivals)
-        for rival, (fit, data) in zip(rivals, answers, strict=True):
-            if data is not None:
+        answers = map_in_workers(refine_rival, chosen)
+        for rival, fit in zip(chosen, answers, strict=True):
+            if fit is not None:
                 # A worker returns a copy of the hypothesis
-                fit = replace(fit, hypothesis=rival.hypothesis)
-                refined.append(fit)
-                data_of[fit.hypothesis.cause_names[-1]] = data
+                refined.append(replace(fit, hypothesis=rival.hypothesis))
         refined = rank_rivals(parent, refined, criteria)
         count = int(_is_overtaken(parent, refined, unrefined, criteria))
+
+    if len(refined) > 1:
+        parent, *fits = fit_to_common_data(prepared, [parent, *refined])
+        refined = rank_rivals(parent, fits, criteria)
+        for fit in refined:
+            name = fit.hypothesis.cause_names[-1]
+            gain = fit.log_evidence - parent.log_evidence
+            log.info("on common data: %s, log evidence %+.1f", name, gain)
 
     every_fit = [*refined, *unrefined]
     is_accepted = bool(every_fit) and is_supported(
@@ -361,9 +366,9 @@ def _refine_rivals(
     )
     return replace(
         step,
+        parent=parent,
         fits=every_fit,
         refined=refined,
-        fits_by_data=_compare_on_common_data(parent, refined[:MAX_RIVALS], data_of),
         accepted=is_accepted,
     )
 
@@ -385,27 +390,6 @@ def _is_overtaken(
     # With less evidence it leads because the best is at the end of its range
     is_behind = other.log_evidence < best.log_evidence
     return leads and (is_behind or has_evidence(best, other, criteria))
-
-
-def _compare_on_common_data(
-    parent: Fit, rivals: Sequence[Fit], data_of: Mapping[str, TrialData]
-) -> Mapping[str, Mapping[str, Fit]]:
-    """Fit rivals and their parent to the data of each rival; nothing of a single one.
-
-    Returns fits by the name of the cause whose data they are fitted to, and their own.
-    """
-    if len(rivals) < 2:
-        return {}
-    by_name = {fit.hypothesis.cause_names[-1]: fit for fit in rivals}
-    data_of = {name: data_of[name] for name in by_name}
-    fits_by_data = fit_to_common_data({"": parent, **by_name}, data_of)
-    for owner, on_data in fits_by_data.items():
-        gains = []
-        for name in data_of:
-            gain = on_data[name].log_evidence - on_data[""].log_evidence
-            gains.append(f"{name} {gain:+.1f}")
-        log.info("on the data of %s: log evidence %s", owner, ", ".join(gains))
-    return fits_by_data
 
 
 def refine_fit(prepared: PreparedData, fit: Fit) -> RefinedFit:
@@ -473,7 +457,7 @@ def _refit_step(
             others.append(evaluate_fit(data, fit.hypothesis, fit.chi))
     fits = rank_rivals(parent, [*refined, *others], criteria)
     # All are now on the same data
-    return replace(step, parent=parent, fits=fits, refined=refined, fits_by_data={})
+    return replace(step, data=data, parent=parent, fits=fits, refined=refined)
 
 
 def with_causes_found_before(

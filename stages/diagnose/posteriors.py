@@ -201,9 +201,8 @@ def _single_effect_posteriors(
     The last cause is most often a look-alike of another. Small causes, which are not
     named, have none. If there is no cause, the posterior is of what was not accepted.
     """
-    data = state.prepared.data
     causes = state.large_causes
-    weights = bootstrap_weights(len(data.trials), seed)
+    weights = bootstrap_weights(len(state.prepared.data.trials), seed)
     steps: Iterable[SelectionStep] = state.steps[-1:]
     if causes:
         steps = (
@@ -212,7 +211,6 @@ def _single_effect_posteriors(
         )
     for step in steps:
         yield single_effect_posterior(
-            data,
             step,
             background,
             weights,
@@ -260,7 +258,6 @@ def bootstrap_weights(trials: int, seed: int) -> np.ndarray:
 
 
 def single_effect_posterior(
-    data: TrialData,
     step: SelectionStep,
     background: ByTrial,
     weights: np.ndarray,
@@ -270,9 +267,8 @@ def single_effect_posterior(
     """Compute the probability of each candidate of a step, and of none.
 
     Only refined fits compete, if there are any, and none at the end of its range, which
-    most likely stands for another cause. Probabilities are averaged over the data of
-    each rival (`common_data`). An effect that moves the tip by less than counts is
-    counted as none. Effects that differ by less than what is left unexplained
+    most likely stands for another cause. An effect that moves the tip by less than
+    counts is counted as none. Effects that differ by less than what is left unexplained
     are equally probable.
 
     Parameters
@@ -282,32 +278,21 @@ def single_effect_posterior(
     candidates : int
         Number of effects that share the prior probability of one being active.
     """
+    data = step.data
     fits = {}
     for fit in by_evidence(step.refined or step.fits):
         cause = fit.hypothesis.causes[-1]
         if not fit.has_diverged and is_inside_range(fit, cause):
             fits[cause.name] = fit
 
-    # On the data of each rival, which are as probable
-    own_fits = {"": step.parent, **fits}
-    alternatives = []
-    for name, fits_to_data in step.fits_by_data.items():
-        if name in fits:
-            alternatives.append({**own_fits, **fits_to_data})
-    alternatives = alternatives or [own_fits]
-    probabilities = dict.fromkeys(own_fits, 0.0)
+    log_evidence = {}  # (samples,) each
     rng = np.random.default_rng(len(weights))
-    for competing in alternatives:
-        log_evidence = {}  # (samples,) each
-        for name in own_fits:
-            fit = competing[name]
-            resampled = fit.log_evidence + (weights - 1) @ fit.log_likelihood_by_trial
-            gains = background_log_evidence_gains(data, fit, background, weights)
-            errors = fit.log_evidence_error * rng.standard_normal(len(weights))
-            log_evidence[name] = resampled + gains + errors
-        on_data = effect_probabilities(log_evidence, candidates)
-        for name, probability in on_data.items():
-            probabilities[name] += probability / len(alternatives)
+    for name, fit in {"": step.parent, **fits}.items():
+        resampled = fit.log_evidence + (weights - 1) @ fit.log_likelihood_by_trial
+        gains = background_log_evidence_gains(data, fit, background, weights)
+        errors = fit.log_evidence_error * rng.standard_normal(len(weights))
+        log_evidence[name] = resampled + gains + errors
+    probabilities = effect_probabilities(log_evidence, candidates)
     for name, fit in fits.items():
         if tip_shift_rms(data, step.parent, fit).max() < min_tip_shift_m:
             probabilities[""] += probabilities.pop(name)

@@ -263,7 +263,6 @@ def judge_interrupted_search(
     for name in fit.hypothesis.cause_names:
         if name in step_of:
             posterior = single_effect_posterior(
-                data,
                 step_of[name],
                 background,
                 weights,

@@ -16,6 +16,7 @@ import numpy as np
 from stringcast.stages.inference.batch import measured_points
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import PreparedTrial, with_model
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 
@@ -67,6 +68,23 @@ def refine_mesh(
     finer_string = replace(string, points=segments + 1, largest_step=step)
     finer = replace(model, string=finer_string)
     return finer, with_model(trials, finer)
+
+
+def residuals_on_meshes(
+    model: Model,
+    trials: Sequence[PreparedTrial],
+    chi: np.ndarray,
+    factors: Sequence[float],
+) -> list[ByTrial]:
+    """Compute residuals over sigma (C, 2 n) of each trial on finer meshes.
+
+    chi: exponents, (C, P). factors: times as many segments, of each mesh.
+    """
+    by_mesh = []
+    for factor in factors:
+        finer, finer_trials = refine_mesh(model, trials, factor)
+        by_mesh.append(TrialData(finer_trials).residuals(finer, chi))
+    return by_mesh
 
 
 def _likelihood_on_mesh(likelihood: Likelihood, factor: float) -> Likelihood:

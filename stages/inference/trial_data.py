@@ -59,9 +59,7 @@ class TrialData:
                 shapes = np.hstack([self.random_effects[name][k] for name in names])
                 extended = trial.discrepancy.with_nuisance(shapes)
                 trials.append(replace(trial, error_model=extended))
-            extended_data = TrialData(
-                tuple(trials), mesh_correction=self.mesh_correction
-            )
+            extended_data = replace(self, trials=tuple(trials), random_effects={})
             self._extended_data[names] = extended_data
         return self._extended_data[names]
 
@@ -89,7 +87,12 @@ class TrialData:
         correction = self.mesh_correction
         if correction is not None:
             correction = correction.subset(chosen)
-        return TrialData(trials, random_effects, correction)
+        return replace(
+            self,
+            trials=trials,
+            random_effects=random_effects,
+            mesh_correction=correction,
+        )
 
     def residuals(self, model: Model, chi: np.ndarray) -> ByTrial:
         """Compute simulated less measured over sigma of each trial, (C, 2 n).

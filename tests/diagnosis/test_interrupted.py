@@ -51,14 +51,14 @@ def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
     steps = []
     for names in (("a",), ("a", "b")):
         fit = SimpleNamespace(hypothesis=hypotheses[names])
-        steps.append(SelectionStep(None, (), [fit], accepted=True))
+        steps.append(SelectionStep(None, None, (), [fit], accepted=True))
     data = SimpleNamespace(trials=(1, 2))
     prepared = SimpleNamespace(data=data, base_fit=None)
     fit = SimpleNamespace(hypothesis=hypotheses["b",])
     state = SelectionState(prepared, fit, steps)
     weighed = []
 
-    def posterior(data, step, *given):
+    def posterior(step, *given):
         weighed.append(step)
         return SingleEffectPosterior({"b": 0.9, "": 0.1}, {}, None)
 

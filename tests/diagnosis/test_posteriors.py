@@ -186,13 +186,12 @@ def posterior_of_wind(monkeypatch, gain_by_trial, inside_range):
     return posterior_of_place(monkeypatch, {"wind": (80.0, gain_by_trial)}, 1.0)
 
 
-def posterior_of_place(monkeypatch, gains, difference_m, error=0.0, by_data=None):
+def posterior_of_place(monkeypatch, gains, difference_m, error=0.0):
     """Compute the posterior of a place, with 1 m at each tip left unexplained.
 
     gains : of the log evidence, and of the log-likelihood of each trial, by effect
     difference_m : between the effects at each tip, and to their parent
     error : of the log evidence of the effects
-    by_data : log evidence of all, by the effect whose data these are
     """
     monkeypatch.setattr(
         posteriors,
@@ -217,16 +216,10 @@ def posterior_of_place(monkeypatch, gains, difference_m, error=0.0, by_data=None
 
     parent = place("", 0.0, (0.0,) * 4, 0.0)
     fits = [place(name, *gain, error) for name, gain in gains.items()]
-    fits_by_data = {}
-    for owner, log_evidence in (by_data or {}).items():
-        on_data = {}
-        for name, value in log_evidence.items():
-            on_data[name] = place(name, value, (value / 4,) * 4, error)
-        fits_by_data[owner] = on_data
     rng = np.random.default_rng(0)
     weights = 4 * rng.dirichlet(np.ones(4), posteriors.BOOTSTRAP_SAMPLES)
-    step = SelectionStep(parent, (), fits, fits_by_data=fits_by_data)
-    return posteriors.single_effect_posterior(None, step, (), weights, 20, 1e-3)
+    step = SelectionStep(None, parent, (), fits)
+    return posteriors.single_effect_posterior(step, (), weights, 20, 1e-3)
 
 
 @pytest.mark.parametrize(("difference_m", "share"), [(0.9, 0.5), (1.1, 0.0)])
@@ -252,23 +245,6 @@ def test_rivals_that_differ_by_less_than_their_errors_share_probability(
     posterior = posterior_of_place(monkeypatch, gains, 1.1, error)
     assert posterior.probabilities["worn"] == pytest.approx(share, abs=0.1)
     assert (posterior.probabilities["worn"] > 0.1) == (error > 0)
-
-
-@pytest.mark.parametrize(
-    ("on_other_data", "share"),
-    [({"dry": 190.0, "worn": 150.0}, 0.0), ({"dry": 150.0, "worn": 190.0}, 0.5)],
-)
-def test_rivals_that_each_lead_on_their_own_data_share_probability(
-    on_other_data, share, monkeypatch
-):
-    monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: True)
-    gains = {"dry": (230.0, (57.5,) * 4), "worn": (190.0, (47.5,) * 4)}
-    by_data = {
-        "dry": {"": 0.0, "dry": 230.0, "worn": 180.0},
-        "worn": {"": 0.0, **on_other_data},
-    }
-    posterior = posterior_of_place(monkeypatch, gains, 1.1, by_data=by_data)
-    assert posterior.probabilities["worn"] == pytest.approx(share, abs=1e-3)
 
 
 SET_AND_SOFTENING = ({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1})
@@ -387,7 +363,7 @@ def test_probabilities_stay_if_nothing_is_lacking_or_they_are_lower(
 def test_without_a_cause_the_last_step_alone_has_a_posterior(monkeypatch):
     """An earlier step may have entered a cause that was dropped again."""
     monkeypatch.setattr(
-        posteriors, "single_effect_posterior", lambda data, step, *given: step
+        posteriors, "single_effect_posterior", lambda step, *given: step
     )
     state = SelectionState(
         prepared=SimpleNamespace(data=SimpleNamespace(trials=(0, 1))),

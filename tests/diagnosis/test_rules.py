@@ -271,9 +271,7 @@ def test_an_interrupted_search_says_what_it_had_found(monkeypatch):
     monkeypatch.setattr(verdict, "background_responses", lambda *_: ["response"])
     monkeypatch.setattr(verdict, "misfit_probability", lambda *_: 0.4)
     monkeypatch.setattr(verdict, "fit_base_to", lambda state: "base fit")
-    monkeypatch.setattr(
-        verdict, "single_effect_posterior", lambda data, step, *_: step.best
-    )
+    monkeypatch.setattr(verdict, "single_effect_posterior", lambda step, *_: step.best)
     monkeypatch.setattr(
         verdict,
         "inclusion_probabilities",
