@@ -67,7 +67,7 @@ def mad_sigma(values: np.ndarray) -> float:
 
     It is that of values of any shape, in their unit.
     """
-    return float(MAD_TO_SIGMA * np.median(np.abs(values)))
+    return MAD_TO_SIGMA * float(np.median(np.abs(values)))
 
 
 def rms(values: np.ndarray) -> float:
