@@ -21,7 +21,7 @@ from markupsafe import Markup
 
 from stringcast.stages.report import formatting
 from stringcast.stages.report.records import StageRecord
-from stringcast.stages.report.theme import CSS_VARIABLES, MM_PER_M, Picture
+from stringcast.stages.report.theme import CSS_VARIABLES, MS_PER_S, Picture
 
 ASSET_FOLDER = Path(__file__).parent
 # scripts of a page that holds an element of a class
@@ -233,12 +233,12 @@ class Chart(Part):
         """The chart for the page's script: times in ms, null for missing values."""
         mark = None
         if self.mark is not None and np.isfinite(self.mark):
-            mark = self.mark * MM_PER_M
+            mark = self.mark * MS_PER_S
         return {
-            "t": np.round(np.asarray(self.t, float) * MM_PER_M, 2).tolist(),
+            "t": np.round(np.asarray(self.t, float) * MS_PER_S, 2).tolist(),
             "lines": [line.data for line in self.lines],
             "axis": self.axis,
-            "moving": self.moving and [end * MM_PER_M for end in self.moving],
+            "moving": self.moving and [end * MS_PER_S for end in self.moving],
             "mark": mark,
             "low": self.low,
         }

@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from stringcast.stages.model.box import Box
 from stringcast.stages.report.formatting import superscript
-from stringcast.stages.report.theme import MM_PER_M
+from stringcast.stages.report.theme import MM_PER_M, MS_PER_S
 
 MAX_STRING_CELLS, MAX_TIME_CELLS = 30, 100
 TARGET_STYLE: dict[str, Any] = {"fill": False, "edgecolor": "target", "lw": 1.8}
@@ -63,7 +63,7 @@ def draw_map(
     means = np.full(total.shape, np.nan)
     np.divide(total, count, out=means, where=count > 0)
     axes.grid(visible=False)
-    return axes.pcolorfast(t_edges * MM_PER_M, s_edges * MM_PER_M, means, **style)
+    return axes.pcolorfast(t_edges * MS_PER_S, s_edges * MM_PER_M, means, **style)
 
 
 def _string_edges(s: np.ndarray) -> np.ndarray:

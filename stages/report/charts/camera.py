@@ -15,6 +15,7 @@ from stringcast.stages.report.formatting import format_mm, format_ms
 from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import (
     FRAME_COLOURS,
+    MS_PER_S,
     Picture,
     data_uri,
     encode_webp,
@@ -218,7 +219,7 @@ def cast_film_data(
     times, images = [], []
     strings: dict[str, list[Any]] = {"before": [], "after": [], "measured": []}
     for frame in frames:
-        times.append(round(float(cast.frame_times[frame]) * 1e3, 1))
+        times.append(round(float(cast.frame_times[frame]) * MS_PER_S, 1))
         image = region.crop(cast.trial.images[frame])
         images.append(_encode_frame(image, cast.grey_range, scale))
         strings["before"].append(pixels(cast.before[frame]))

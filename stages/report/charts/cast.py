@@ -33,6 +33,7 @@ from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import (
     MM_PER_M,
+    MS_PER_S,
     Picture,
     svg_picture,
 )
@@ -235,10 +236,10 @@ def distance_map(
     bar = figure.colorbar(drawn, ax=axes, aspect=20, label="distance [mm]", pad=0.02)
     assert bar.solids is not None
     bar.solids.set_rasterized(True)  # each step would be a path
-    end = cast.motion.duration * MM_PER_M
+    end = cast.motion.duration * MS_PER_S
     axes.axvspan(0, end, color="axis", alpha=0.16, lw=0)
     if np.isfinite(cast.verdict.t):
-        axes.axvline(cast.verdict.t * MM_PER_M, color="target", lw=1.2, ls="--")
+        axes.axvline(cast.verdict.t * MS_PER_S, color="target", lw=1.2, ls="--")
     size = format_mm(rms(table["distance"]), 1)
     words = (
         "Distance of the simulated from the measured string after estimation: RMS "

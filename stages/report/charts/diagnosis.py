@@ -17,7 +17,7 @@ from stringcast.stages.report.formatting import (
     format_ms,
 )
 from stringcast.stages.report.records import MAX_DRAWN_TRIALS, DiagnosisRecord
-from stringcast.stages.report.theme import MM_PER_M, Picture, svg_picture
+from stringcast.stages.report.theme import MM_PER_M, MS_PER_S, Picture, svg_picture
 
 MAX_BARS = 14
 LONGEST_ARROW_IN = 0.28
@@ -91,7 +91,7 @@ def unexplained_picture(record: DiagnosisRecord) -> Picture | None:
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)
     scale = float(size.max()) / LONGEST_ARROW_IN
     for axes, (trial, points) in zip(panels[:, 0], rows, strict=True):
-        places = points["t"] * MM_PER_M, points["s"] * MM_PER_M
+        places = points["t"] * MS_PER_S, points["s"] * MM_PER_M
         axes.plot(*places, ".", ms=1.5, color="axis")
         axes.quiver(*places, points["x"], points["y"], scale=scale, **ARROW_STYLE)
         axes.margins(0.06, 0.3)
@@ -140,12 +140,12 @@ def proposal_picture(record: DiagnosisRecord) -> Picture | None:
         style: dict[str, Any] = {"ls": dashes, "marker": ".", "ms": 4, "color": colour}
         left.plot(string.real, string.imag, label=effect_title(name), **style)
         if name in distance:
-            right.plot(distance.index * MM_PER_M, distance[name], dashes, color=colour)
+            right.plot(distance.index * MS_PER_S, distance[name], dashes, color=colour)
     left.set(xlabel="x [mm]", ylabel="y [mm]", title=f"at {format_ms(t)}")
     left.set(aspect="equal", adjustable="datalim")
     floor = record.diagnosis.residuals["sigma"].median() * MM_PER_M
     right.axhline(floor, color="axis", ls=":", lw=1, label="noise floor")
-    right.axvline(t * MM_PER_M, color="axis", lw=1)
+    right.axvline(t * MS_PER_S, color="axis", lw=1)
     right.set(xlabel="time [ms]", ylabel="largest distance [mm]", ylim=(0, None))
     right.legend()
     add_legend_above(figure, 4)

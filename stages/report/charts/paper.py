@@ -22,7 +22,7 @@ from stringcast.stages.report.charts.axes import (
 from stringcast.stages.report.charts.cast import break_at_gaps
 from stringcast.stages.report.formatting import format_mm, format_rate, format_value
 from stringcast.stages.report.records import EXPERIMENT_LABELS, PaperFigure, PaperRecord
-from stringcast.stages.report.theme import MM_PER_M
+from stringcast.stages.report.theme import MM_PER_M, MS_PER_S
 
 # --- shapes of the string
 LINE_STYLES: dict[str, dict[str, Any]] = {
@@ -132,8 +132,8 @@ def matching_figure(record: PaperRecord, condition: str) -> PaperFigure | None:
         closest = record.cast_verdict(condition, number)["t_closest"]
         colour = "before" if number == first else "after"
         name = f"manipulation {number}"
-        axes.plot(t * MM_PER_M, break_at_gaps(t, rates), color=colour, label=name)
-        axes.axvline(closest * MM_PER_M, color=colour, lw=1, ls="--")
+        axes.plot(t * MS_PER_S, break_at_gaps(t, rates), color=colour, label=name)
+        axes.axvline(closest * MS_PER_S, color=colour, lw=1, ls="--")
         is_near = np.abs(t - closest) <= HIT_HALF_WINDOW_S
         means.append(float(np.nanmean(rates[is_near])))
         texts.append(f"{format_rate(means[-1])} in {name}")

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.stages.report.records import DiagnosisRecord, model_distances
-from stringcast.stages.report.theme import MM_PER_M
+from stringcast.stages.report.theme import MS_PER_S
 
 FRAME_QUANTILE = 0.75  # along the string, of the misfit of a frame: ignores outliers
 FILM_SIZE_PX = 420  # of the longer side
@@ -76,7 +76,7 @@ def string_film_data(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, 
         "width": round(width),
         "height": round(height) + SCALE_ROOM_PX,
         "metre": px_per_m,
-        "t": [round(t * MM_PER_M, 1) for t in times],
+        "t": [round(t * MS_PER_S, 1) for t in times],
         "start": times.index(start),
         "boxes": [],
         "stills": [],

@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 
 from stringcast.stages.check.measured import CheckedTrial
 from stringcast.stages.common import interpolate_rows, step_lengths
-from stringcast.stages.report.theme import MM_PER_M, STYLE_SHEET
+from stringcast.stages.report.theme import MM_PER_M, MS_PER_S, STYLE_SHEET
 
-MS_PER_S = 1e3  # [ms] in a second
 POSE_COUNT = 5  # evenly over the time in which both arm and string are visible
 LATER_POSE_OPACITY = 0.25
 POSE_STYLES: dict[str, dict[str, Any]] = {

@@ -27,6 +27,7 @@ from stringcast.stages.report.page import (
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.report.theme import (
     MM_PER_M,
+    MS_PER_S,
     STYLE_SHEET,
     Picture,
     svg_picture,
@@ -127,7 +128,7 @@ def _likelihood_picture(table: pd.DataFrame) -> Picture:
     curves = (("alone", "no lag", "before"), ("with_lag", "the arm may lag", "after"))
     for column, label, colour in curves:
         drawn = table[table[column] < 2 * MAX_DRAWN_DEVIANCE]
-        offset = drawn["offset"] * MM_PER_M
+        offset = drawn["offset"] * MS_PER_S
         axes.plot(offset, drawn[column], ".-", color=colour, label=label)
     axes.axhline(DEVIANCE_95, ls="--", lw=0.8, color="axis", label="95 %")
     axes.set(
@@ -135,7 +136,7 @@ def _likelihood_picture(table: pd.DataFrame) -> Picture:
     )
     axes.set_ylim(0, MAX_DRAWN_DEVIANCE)
     axes.legend(loc="best")
-    inside = table.loc[table["with_lag"] <= DEVIANCE_95, "offset"] * MM_PER_M
+    inside = table.loc[table["with_lag"] <= DEVIANCE_95, "offset"] * MS_PER_S
     words = (
         f"With a lag allowed, offsets from {inside.min():.2f} to {inside.max():.2f} ms "
         "fit about equally well."

@@ -29,7 +29,7 @@ from stringcast.stages.report.page import (
 )
 from stringcast.stages.report.pages.diagnosis.verdict import verdict_tiles
 from stringcast.stages.report.records import DiagnosisRecord, model_distances
-from stringcast.stages.report.theme import MM_PER_M
+from stringcast.stages.report.theme import MS_PER_S
 
 NOTHING_MEASURED = "Nothing was measured that could be compared."
 MAP_CAPTION = (
@@ -129,7 +129,7 @@ def trials_section(record: DiagnosisRecord) -> Section | None:
         words = f"The string in trial {trial} over time, measured and simulated."
         parts: list[Part] = [
             FilmPlayer(string_film_data(record, table), words),
-            Jump(t * MM_PER_M, f"Largest misfit at {format_ms(t)}: {', '.join(sizes)}"),
+            Jump(t * MS_PER_S, f"Largest misfit at {format_ms(t)}: {', '.join(sizes)}"),
             *residual_charts(record, table),
         ]
         cards.append(Card(trial, parts))
