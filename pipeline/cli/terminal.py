@@ -84,18 +84,8 @@ def explain_hydra_error(error: BaseException) -> str:
     first_line = text.splitlines()[0]
     arguments = sys.argv[1:]
 
-    # such as name=Jörg or plugins=[~/x]
-    if not_ascii := re.match(r"LexerNoViableAltException: (.+=.*)", first_line):
-        word = not_ascii[1]
-        name, _, value = word.partition("=")
-        quoted = f'"{value}"'
-        if value.startswith("[") and value.endswith("]"):
-            values = [f'"{part.strip()}"' for part in value[1:-1].split(",")]
-            quoted = f"[{','.join(values)}]"
-        if word in arguments:
-            arguments[arguments.index(word)] = f"{name}={quoted}"
-        remedy = f"Try: python -m pipeline {shlex.join(arguments)}"
-        return f"{word}: signs such as ~ and letters beyond ASCII need quotes. {remedy}"
+    if unquoted := re.match(r"LexerNoViableAltException: (.+=.*)", first_line):
+        return explain_missing_quotes(unquoted[1], arguments)
 
     unreadable_line = "no viable|mismatched|missing|extraneous|token recognition"
     if re.match(unreadable_line, first_line):
@@ -118,10 +108,23 @@ def explain_hydra_error(error: BaseException) -> str:
         remedy = unknown_setting_remedy(unknown[1])
         return f"{unknown[1]} (command line): there is no such setting. {remedy}"
 
-    lines = [
-        line for line in text.splitlines() if line.strip() and "provider" not in line
-    ]
+    lines = []
+    for line in text.splitlines():
+        if line.strip() and "provider" not in line:
+            lines.append(line)
     return "\n".join(lines).removesuffix("Config search path:").strip()
+
+
+def explain_missing_quotes(word: str, arguments: list[str]) -> str:
+    """Say that a word such as name=Jörg or plugins=[~/x] needs quotes, and where."""
+    name, _, value = word.partition("=")
+    quoted = f'"{value}"'
+    if value.startswith("[") and value.endswith("]"):
+        values = [f'"{part.strip()}"' for part in value[1:-1].split(",")]
+        quoted = f"[{','.join(values)}]"
+    corrected = [f"{name}={quoted}" if text == word else text for text in arguments]
+    remedy = f"Try: python -m pipeline {shlex.join(corrected)}"
+    return f"{word}: signs such as ~ and letters beyond ASCII need quotes. {remedy}"
 
 
 def unknown_setting_remedy(name: str) -> str:

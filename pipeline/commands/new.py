@@ -227,30 +227,13 @@ def main(arguments: Sequence[str]) -> int:
         help="your folder, made if need be; by default my_lab in the current folder",
     )
     options = parser.parse_args(arguments)
+    kind: str = options.kind
+    name: str = options.name
     plugin: Path = options.to.resolve()
-    for name in (options.name, plugin.name):
-        if not is_module_name(name):
-            near = nearest_module_name(options.name)
-            folder = shown_path(plugin.with_name(nearest_module_name(plugin.name)))
-            command = ["new", options.kind, near, "--to", str(folder)]
-            raise UserError(
-                f"{name}: a name consists of small letters, digits and _. "
-                f"Try: {program_name()} {shlex.join(command)}"
-            )
-
-    texts, example = FILES_OF_KIND[options.kind](options.name, plugin.name)
+    refuse_odd_names(kind, name, plugin)
+    texts, example = FILES_OF_KIND[kind](name, plugin.name)
     files = {plugin / path: text for path, text in texts.items()}
-    package = CONF_FOLDER.parent
-    places = [
-        package / path.format(options.name) for path in PACKAGE_PLACES[options.kind]
-    ]
-    for place in (*files, *places):
-        if place.exists():
-            raise UserError(f"{place}: it is there already. Choose another name.")
-    if options.kind == "stage" and options.name in stages():
-        raise UserError(
-            f"{options.name}: there is a stage of this name. Choose another name."
-        )
+    refuse_taken_name(kind, name, list(files))
     for file, text in files.items():
         write_text(file, text)
     console = Terminal()
@@ -259,6 +242,30 @@ def main(arguments: Sequence[str]) -> int:
     setting = shlex.quote(f"plugins=[{shown_path(plugin)}]")
     console.print_line(f"Try it: {program_name()} {setting} {example}")
     return 0
+
+
+def refuse_odd_names(kind: str, name: str, plugin: Path) -> None:
+    """Raise UserError if a module cannot have the name, or that of the folder."""
+    for given in (name, plugin.name):
+        if not is_module_name(given):
+            near = nearest_module_name(name)
+            folder = shown_path(plugin.with_name(nearest_module_name(plugin.name)))
+            command = ["new", kind, near, "--to", str(folder)]
+            raise UserError(
+                f"{given}: a name consists of small letters, digits and _. "
+                f"Try: {program_name()} {shlex.join(command)}"
+            )
+
+
+def refuse_taken_name(kind: str, name: str, files: Sequence[Path]) -> None:
+    """Raise UserError if a file is there, or the package has something of this name."""
+    package = CONF_FOLDER.parent
+    places = [package / path.format(name) for path in PACKAGE_PLACES[kind]]
+    for place in (*files, *places):
+        if place.exists():
+            raise UserError(f"{place}: it is there already. Choose another name.")
+    if kind == "stage" and name in stages():
+        raise UserError(f"{name}: there is a stage of this name. Choose another name.")
 
 
 def is_module_name(name: str) -> bool:

@@ -19,6 +19,7 @@ from stringcast.stages.calibrate.fit import (
 )
 from stringcast.stages.calibrate.views import BoardView
 from stringcast.stages.model.camera import CAMERA_AXES, Camera
+from stringcast.stages.model.lens import Lens
 
 cv2 = LazyModule("cv2")
 
@@ -90,21 +91,7 @@ def fit_plane(
     """
     world = place.to_world(board.corners[view.corners])
     plain = replace(camera, distortion=0.0, lens=lens.lens)
-
-    # start: from OpenCV's pose of the board, whose y is down and whose z goes into it
-    vector, board_place = board_pose(lens.lens, board, view)
-    board_axes = cv2.Rodrigues(vector)[0]
-    turn = Rotation.from_euler("z", -place.turn).as_matrix()
-    axes = board_axes @ CAMERA_AXES @ turn  # of the world in the camera's frame
-    lower_left = board_place + board_axes @ np.array([0, board.size[1], 0])
-    origin = lower_left - axes @ np.array([*place.corner, 0.0])
-    tilt_x, tilt_y, roll = Rotation.from_matrix(axes @ CAMERA_AXES).as_euler("XYZ")
-    depth = axes[:, 2] @ origin / axes[2, 2]
-    u, v, w = lens.lens.matrix @ origin
-    start = np.array(
-        [lens.lens.mean_focal / depth, u / w, v / w, -roll, tilt_x, tilt_y]
-    )
-
+    start = _plane_from_pose(view, board, place, lens.lens)
     values, jacobian = _solve_plane(plain, world, view.pixels, start)
     fitted = _camera(plain, values)
     error = distance_rms(view.pixels - fitted.pixels(world))
@@ -117,6 +104,25 @@ def fit_plane(
         change = _solve_plane(other, world, view.pixels, values)[0] - values
         covariance += np.outer(change, change)
     return PlaneFit(fitted, np.sqrt(np.diag(covariance)), fitted.pixels(world))
+
+
+def _plane_from_pose(
+    view: BoardView, board: Board, place: BoardPlacement, lens: Lens
+) -> np.ndarray:
+    """Return the values of the plane (6,) by OpenCV's pose of the board.
+
+    The board's y points down there, and its z into it.
+    """
+    vector, board_place = board_pose(lens, board, view)
+    board_axes = cv2.Rodrigues(vector)[0]
+    turn = Rotation.from_euler("z", -place.turn).as_matrix()
+    axes = board_axes @ CAMERA_AXES @ turn  # of the world in the camera's frame
+    lower_left = board_place + board_axes @ np.array([0, board.size[1], 0])
+    origin = lower_left - axes @ np.array([*place.corner, 0.0])
+    tilt_x, tilt_y, roll = Rotation.from_matrix(axes @ CAMERA_AXES).as_euler("XYZ")
+    depth = axes[:, 2] @ origin / axes[2, 2]
+    u, v, w = lens.matrix @ origin
+    return np.array([lens.mean_focal / depth, u / w, v / w, -roll, tilt_x, tilt_y])
 
 
 def _solve_plane(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,30 @@ SCALE_ROOM_PX = 24  # below the strings, for the scale
 MAX_COORDINATES = 60_000  # in all films of a page: 0.3 MB
 # share of the length within which a point stands for the tip
 TIP_LENGTH_TOLERANCE = 0.05
+
+
+@dataclass(frozen=True)
+class FilmCanvas:
+    """The pixels of a film, and the region (low, high) [m] that it shows."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    @property
+    def px_per_m(self) -> float:
+        """Scale at which the longer side fills the film."""
+        extent = max(float((self.high - self.low).max()), 1e-3)
+        return (FILM_SIZE_PX - 2 * FILM_EDGE_PX) / extent
+
+    @property
+    def size_px(self) -> np.ndarray:
+        """Width and height of the film."""
+        return np.asarray((self.high - self.low) * self.px_per_m + 2 * FILM_EDGE_PX)
+
+    def pixels(self, points: pd.DataFrame) -> np.ndarray:
+        """Map points (K, 2) [m] to pixels from the upper left corner."""
+        x, y = ((points.to_numpy() - self.low) * self.px_per_m + FILM_EDGE_PX).T
+        return np.round(np.column_stack([x, self.size_px[1] - y]), 1)
 
 
 def worst_frame(table: pd.DataFrame) -> pd.DataFrame:
@@ -46,14 +71,7 @@ def string_film_data(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, 
     for model in record.models:
         columns[model] = [f"{model}_x", f"{model}_y"]
     points = np.concatenate([table[pair].to_numpy() for pair in columns.values()])
-    low, high = points.min(axis=0), points.max(axis=0)
-    extent = max(float((high - low).max()), 1e-3)
-    px_per_m = (FILM_SIZE_PX - 2 * FILM_EDGE_PX) / extent
-    width, height = (high - low) * px_per_m + 2 * FILM_EDGE_PX
-
-    def pixels(rows: pd.DataFrame, pair: list[str]) -> np.ndarray:
-        x, y = ((rows[pair].to_numpy() - low) * px_per_m + FILM_EDGE_PX).T
-        return np.round(np.column_stack([x, height - y]), 1)
+    canvas = FilmCanvas(points.min(axis=0), points.max(axis=0))
 
     # every n-th frame, so that all films of the page stay small
     coordinates = points.size * len(record.drawn_trials)
@@ -69,13 +87,14 @@ def string_film_data(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, 
     tips = tip_points(table)
     strings, paths = {}, {}
     for name, pair in columns.items():
-        frames = np.split(pixels(rows, pair), first_rows[1:])
+        frames = np.split(canvas.pixels(rows[pair]), first_rows[1:])
         strings[name] = [frames[number].tolist() for number in shown]
-        paths[name] = pixels(tips, pair).tolist()
+        paths[name] = canvas.pixels(tips[pair]).tolist()
+    width, height = canvas.size_px
     return {
         "width": round(width),
         "height": round(height) + SCALE_ROOM_PX,
-        "metre": px_per_m,
+        "metre": canvas.px_per_m,
         "t": [round(t * MS_PER_S, 1) for t in times],
         "start": times.index(start),
         "boxes": [],
