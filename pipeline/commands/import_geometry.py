@@ -257,27 +257,53 @@ def option_words(
         "y_down": direction_words,
         "x_left": direction_words,
         "exchange_axes": direction_words,
+        "exchange_s": exchange_words,
+        "degrees": degree_words,
+        "absolute": absolute_words,
         "counts": joint_words,
         "joint_order": joint_words,
+        "base": base_words,
         "rate": rate_words,
     }
-    kind = correction.kind
-    if kind in builders:
-        return builders[kind](correction, tables, options)
-    words = []
-    if kind == "exchange_s" and len(options.at) == 2:
-        for number in (0, 1):
-            name = options.at[number].partition("=")[0]
-            value = options.at[1 - number].partition("=")[2]
-            words += ["--at", f"{name}={value}"]
-    elif kind == "degrees" and options.deg is not False:
-        words = ["--deg"]
-    elif kind == "absolute":
-        words = ["--absolute"]
-    elif kind == "base":
-        x, y = correction.values
-        words = [f"--base={x:g},{y:g}"]
-    return words
+    if correction.kind not in builders:
+        return []
+    return builders[correction.kind](correction, tables, options)
+
+
+def exchange_words(
+    correction: Correction, tables: ImportedTables, options: argparse.Namespace
+) -> list[str]:
+    """Return the options that exchange the arc lengths of two points."""
+    if len(options.at) != 2:
+        return []
+    (first, _, s_first), (second, _, s_second) = (
+        text.partition("=") for text in options.at
+    )
+    return ["--at", f"{first}={s_second}", "--at", f"{second}={s_first}"]
+
+
+def degree_words(
+    correction: Correction, tables: ImportedTables, options: argparse.Namespace
+) -> list[str]:
+    """Return the option that takes angles as degrees, unless radians are stated."""
+    return [] if options.deg is False else ["--deg"]
+
+
+def absolute_words(
+    correction: Correction, tables: ImportedTables, options: argparse.Namespace
+) -> list[str]:
+    """Return the option that takes angles as those to +x."""
+    return ["--absolute"]
+
+
+def base_words(
+    correction: Correction, tables: ImportedTables, options: argparse.Namespace
+) -> list[str]:
+    """Return the option that puts the arm to its fitted place, if one fits best."""
+    if not correction.values:
+        return []
+    x, y = correction.values
+    return [f"--base={x:g},{y:g}"]
 
 
 def direction_words(

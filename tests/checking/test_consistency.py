@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from stringcast.pipeline.commands.import_geometry import option_words
 from stringcast.stages.check.consistency.check import misfit_finding
 from stringcast.stages.check.consistency.corrections import (
     change_joints,
@@ -63,6 +64,7 @@ def test_a_base_that_the_motion_does_not_show_is_asked_for(measured):
     ((correction,),) = base_corrections(replace(measured, length=None), ())
     assert correction.values == ()
     assert "others up to" in correction.statement
+    assert option_words(correction, None, None) == []  # no option of `import` states it
 
 
 @pytest.mark.parametrize("shift", [(-0.12, 0.0), (0.2, 0.0), (0.1, 0.05)])
