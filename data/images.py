@@ -249,9 +249,8 @@ TimedImages = tuple[np.ndarray, Images]
 
 def video_files(folder: Path) -> list[Path]:
     """List the video files of a dataset in the order of their names."""
-    paths = sorted((folder / "videos").glob("*"))
-    return [
-        require_inside(folder, path)
-        for path in paths
-        if path.suffix.lower() in VIDEO_SUFFIXES
-    ]
+    files = []
+    for path in sorted((folder / "videos").glob("*")):
+        if path.suffix.lower() in VIDEO_SUFFIXES:
+            files.append(require_inside(folder, path))
+    return files

@@ -144,11 +144,10 @@ class Table:
 
     def empty(self) -> pd.DataFrame:
         """Make a frame without rows."""
-        columns = {
-            column.name: pd.Series(dtype=PANDAS_TYPES[column.kind])
-            for column in self.columns
-            if not column.optional
-        }
+        columns = {}
+        for column in self.columns:
+            if not column.optional:
+                columns[column.name] = pd.Series(dtype=PANDAS_TYPES[column.kind])
         return pd.DataFrame(columns)
 
 

@@ -95,17 +95,16 @@ class ImageFolder(PlayedSource):
 
     def images(self) -> Sequence[np.ndarray]:
         """Open the images of the folder."""
-        names = tuple(
-            path.name
-            for path in sorted(self.folder.glob("*"))
-            if path.suffix.lower() in IMAGE_SUFFIXES
-        )
+        names = []
+        for path in sorted(self.folder.glob("*")):
+            if path.suffix.lower() in IMAGE_SUFFIXES:
+                names.append(path.name)
         if not names:
             raise DataError(
                 f"{self.folder}: there is no image here ({', '.join(IMAGE_SUFFIXES)}). "
                 "Name the folder that has them."
             )
-        return ImageFiles(self.folder, names)
+        return ImageFiles(self.folder, tuple(names))
 
 
 @dataclass(frozen=True)

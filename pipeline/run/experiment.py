@@ -225,11 +225,10 @@ def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
     for number, box in enumerate(boxes):
         place = f"obstacles.boxes.{number}"
         obstacles.append(build_dataclass(Box, box, place, where("obstacles")))
-    functions = {
-        name: bind_stage(config[name], name, where(name))
-        for name in (*stages(), "hardware")
-        if name in config and not holds_only_inputs(config[name])
-    }
+    functions = {}
+    for name in (*stages(), "hardware"):
+        if name in config and not holds_only_inputs(config[name]):
+            functions[name] = bind_stage(config[name], name, where(name))
     mode = build_chosen(config["mode"], "mode", where("mode"))
     experiment = Experiment(config, model, target, tuple(obstacles), functions, mode)
     mode.check(experiment)

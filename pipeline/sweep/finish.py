@@ -25,11 +25,10 @@ def finish(folder: Path) -> list[Job]:
     write_table(table, frame, folder / "sweep.parquet", {"step": "sweep"} | versions)
     settings = list(setting_columns(jobs))
     other_columns = {column.name for column in SWEEP_TABLE.columns} | set(settings)
-    parameter_columns = {
-        column.name: column.unit
-        for column in table.columns
-        if column.name not in other_columns
-    }
+    parameter_columns = {}
+    for column in table.columns:
+        if column.name not in other_columns:
+            parameter_columns[column.name] = column.unit
     done_count = sum(job.state == DONE_STATE for job in jobs)
     record = SweepRecord(
         name=str(jobs[0].settings["name"]),

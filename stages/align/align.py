@@ -111,11 +111,9 @@ def align(
         trials += sightings_from_films(
             full_model, filmed, arm_width, lambda share: progress(0.6 * share)
         )
-    trials += [
-        grasp_sightings(observation, model.arm)
-        for observation in observations
-        if observation.trial not in filmed
-    ]
+    for observation in observations:
+        if observation.trial not in filmed:
+            trials.append(grasp_sightings(observation, model.arm))
     sighted = tuple(trial for trial in trials if len(trial.sightings.frame))
     problem = AlignmentProblem(full_model, sighted)
     refuse_sight(problem)
@@ -157,16 +155,14 @@ def extended_settings(model: Model, measured: pd.DataFrame, fit: AlignmentFit) -
     alignment_effects = {*REQUIRED_EFFECTS, *CANDIDATE_EFFECTS}
     effects = {*fit.effects}
     for effect in model.effects:
-        is_named = not effect.parameters or "." in effect.qualified_name(
-            effect.parameters[0]
-        )
+        names = map(effect.qualified_name, effect.parameters)
+        is_named = all("." in name for name in names)
         if is_named and effect.name not in alignment_effects:
             effects.add(effect.name)
-    values: dict[str, object] = {
-        name: value
-        for name, value in model.start_values.items()
-        if name.split(".")[0] not in alignment_effects
-    }
+    values: dict[str, object] = {}
+    for name, value in model.start_values.items():
+        if name.split(".")[0] not in alignment_effects:
+            values[name] = value
     found = measured[measured["found"]].set_index("name")
     values |= found[["value", "low", "high"]].to_dict("index")
     settings = {"effects": sorted(effects - {"gravity"}), "parameter_values": values}

@@ -376,12 +376,9 @@ def _estimate_drift(
     posterior = clock_posterior(
         clock.data, clock.fit, clock.index, background, columns, precision
     )
-    offset, drift = (
-        Interval.from_deviation(mean, deviation, 0.0)
-        for mean, deviation in zip(
-            posterior.mean, posterior.standard_deviation, strict=True
-        )
-    )
+    deviations = posterior.standard_deviation
+    offset = Interval.from_deviation(posterior.mean[0], deviations[0], 0.0)
+    drift = Interval.from_deviation(posterior.mean[1], deviations[1], 0.0)
     if max(drift.low, -drift.high) < MIN_DRIFT:
         return None, offset
     return drift, offset

@@ -168,11 +168,8 @@ def pair_candidates(
     singles = list(singles)
     # with s in another unit, all points would lie at one place
     units = [c for c in singles if c.kind == "unit" and "s" not in c.parts]
-    others = [
-        c
-        for c in singles
-        if c.kind in ("y_down", "x_left", "exchange_axes", "degrees", "absolute")
-    ]
+    kinds = ("y_down", "x_left", "exchange_axes", "degrees", "absolute")
+    others = [c for c in singles if c.kind in kinds]
     yield from product(units, others)
     angles = [c for c in others if c not in DIRECTIONS]
     yield from product(DIRECTIONS, angles)

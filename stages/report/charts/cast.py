@@ -202,11 +202,8 @@ def distance_scale_end(record: RunRecord) -> float:
 
     0.5 % of the points lie farther away after estimation.
     """
-    after = [
-        distances(record, cast, cast.after)
-        for cast in record.casts
-        if cast.centre_lines
-    ]
+    read = [cast for cast in record.casts if cast.centre_lines]
+    after = [distances(record, cast, cast.after) for cast in read]
     if not after:
         return 0.0
     return float(pd.concat(after)["distance"].quantile(0.995))
