@@ -561,4 +561,4 @@ def test_more_motions_are_drawn_where_the_first_ones_are_not_allowed(model):
 
 def test_where_there_is_no_room_it_says_so(model):
     with pytest.raises(DataError, match="the string could touch an obstacle"):
-        excite(model, (Box(0.5, 0.4, 0.3, 0.3),), seed=0, **SWING)
+        excite(model, (Box(0.5, 0.4, 0.5, 0.5),), seed=0, **SWING)
