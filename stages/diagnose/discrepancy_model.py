@@ -43,6 +43,9 @@ def attach_discrepancy_model(
 ) -> TrialData:
     """Attach a Gaussian-process discrepancy and random effects to each trial.
 
+    The discrepancy grows as the trial's `growth`, which is measured where it is not
+    known yet.
+
     Parameters
     ----------
     trials : sequence of PreparedTrial, length K
@@ -60,36 +63,35 @@ def attach_discrepancy_model(
     no_shapes = [np.zeros((2 * len(trial.s), 0)) for trial in trials]
     initial_modes = initial_mode_columns(trials, values) or no_shapes
     error_shapes = error_shapes or no_shapes
-    sensitivity = sensitivity_by_frame(trials, hypothesis, chi)
 
     modelled = []
-    for k, trial in enumerate(trials):
+    for k, trial in enumerate(with_growth(trials, hypothesis, chi)):
         nuisance = np.hstack([initial_modes[k], error_shapes[k]])
-        discrepancy = Discrepancy.for_trial(trial, sensitivity[k], nuisance)
+        discrepancy = Discrepancy.for_trial(trial, trial.growth, nuisance)
         centred = reset_initial_state_linear(trial, initial_modes[k])
         modelled.append(replace(centred, error_model=discrepancy))
     return with_random_effects(TrialData(tuple(modelled)), hypothesis, chi)
 
 
-def sensitivity_by_frame(
+def with_growth(
     trials: Sequence[PreparedTrial],
     hypothesis: Hypothesis,
     chi: np.ndarray,
-) -> ByTrial:
-    """Measure how a small change of the parameters has grown by each frame.
+) -> list[PreparedTrial]:
+    """Measure how small changes of the parameters grow in trials of unknown growth.
 
-    Returns
-    -------
-    list of numpy.ndarray, shape (F,)
-        For each trial, the root mean square over points and over parameters, each
-        parameter scaled to the same mean.
+    It is the root mean square over points and over parameters, each parameter scaled to
+    the same mean. Measured once, it is the same for all hypotheses.
     """
+    unknown = [trial for trial in trials if not trial.growth.size]
+    if not unknown:
+        return list(trials)
     exponents, _ = difference_exponents(chi, solver.FIRST_DIFFERENCE)
     values = parameter_values(hypothesis.parameters, exponents)
-    simulated = measured_points(hypothesis.model, trials, values)
+    simulated = measured_points(hypothesis.model, unknown, values)
 
-    growth = []
-    for trial, points in zip(trials, simulated, strict=True):
+    measured = []
+    for trial, points in zip(unknown, simulated, strict=True):
         nominal, *changed = np.nan_to_num(points)
         square = np.sum((np.stack(changed) - nominal) ** 2, axis=-1)  # (P, n)
         mean_square = square.mean(axis=1, keepdims=True)
@@ -99,8 +101,10 @@ def sensitivity_by_frame(
         count = np.maximum(np.bincount(trial.frame, minlength=frames), 1)
         sums = np.bincount(trial.frame, by_point, minlength=frames)
         grown = np.maximum.accumulate(np.sqrt(sums / count))
-        growth.append(np.maximum(grown, MIN_RELATIVE_SENSITIVITY * grown[-1]))
-    return growth
+        growth = np.maximum(grown, MIN_RELATIVE_SENSITIVITY * grown[-1])
+        measured.append(replace(trial, growth=growth))
+    pending = iter(measured)
+    return [trial if trial.growth.size else next(pending) for trial in trials]
 
 
 def with_random_effects(

@@ -12,6 +12,7 @@ from stringcast.data.artifacts import Observation
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.base_model import fit_base_model
+from stringcast.stages.diagnose.discrepancy_model import with_growth
 from stringcast.stages.diagnose.discretisation import (
     correct_data_at,
     corrected_data_of,
@@ -127,6 +128,9 @@ def prepare_data(
 
     # Discretisation error, discrepancy model, and the fit by its evidence
     hypothesis = Hypothesis(likelihood.model)
+    trials = tuple(with_growth(trials, hypothesis, chi))
+    pairs = zip(with_outliers, trials, strict=True)
+    with_outliers = tuple(replace(old, growth=trial.growth) for old, trial in pairs)
     data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
     residuals = data.residuals(hypothesis.model, chi[None])
     scale_indices = best_scale_index(data.log_likelihood_by_scale(residuals))[:, 0]

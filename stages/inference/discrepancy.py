@@ -51,7 +51,7 @@ DISCREPANCY_SCALES_M = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])
 MEDIAN_SCALE_M = 5e-4  # [m] of s: half of all trials have less (half-Cauchy)
 # of all numbers: fewer beyond what splines reach do not give the noise
 MIN_FREE_SHARE = 0.2
-MAX_KEPT_BASES = 64  # of trials: some 4 MB each
+MAX_KEPT_TRIALS = 64  # some 4 MB each, in each of two caches
 
 
 @dataclass(frozen=True)
@@ -81,15 +81,7 @@ class NoiseBasis:
     @classmethod
     def for_trial(cls, trial: MeasuredTrial) -> NoiseBasis:
         """Find the basis of a trial, kept since the last correction of its points."""
-        length = trial.model.string.length
-        noise = trial.noise
-        parts = (
-            trial.times,
-            trial.frame,
-            trial.s,
-            noise.place_covariance,
-            np.array([length, noise.frame_correlation]),
-        )
+        parts = _basis_parts(trial)
         return _KEPT_BASES.find_or_make(parts, lambda: cls._build(trial))
 
     @classmethod
@@ -106,7 +98,14 @@ class NoiseBasis:
         return cls(splines, whiten, vectors, gram)
 
 
-_KEPT_BASES: ContentCache[NoiseBasis] = ContentCache(MAX_KEPT_BASES)
+def _basis_parts(trial: MeasuredTrial) -> list[np.ndarray]:
+    """List all that decides the basis of a trial."""
+    noise = trial.noise
+    numbers = np.array([trial.model.string.length, noise.frame_correlation])
+    return [trial.times, trial.frame, trial.s, noise.place_covariance, numbers]
+
+
+_KEPT_BASES: ContentCache[NoiseBasis] = ContentCache(MAX_KEPT_TRIALS)
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ class Discrepancy:
         growth: np.ndarray,
         nuisance: np.ndarray,
     ) -> Discrepancy:
-        """Build the basis of a trial in which noise and discrepancy are diagonal.
+        """Find the basis of a trial in which noise and discrepancy are diagonal.
 
         Parameters
         ----------
@@ -156,6 +155,14 @@ class Discrepancy:
         nuisance
             U over sigma, (2 n, m).
         """
+        parts = [*_basis_parts(trial), trial.sigma, growth]
+        without_nuisance = _KEPT_DISCREPANCIES.find_or_make(
+            parts, lambda: cls._without_nuisance(trial, growth)
+        )
+        return without_nuisance.with_nuisance(nuisance)
+
+    @classmethod
+    def _without_nuisance(cls, trial: MeasuredTrial, growth: np.ndarray) -> Discrepancy:
         basis = NoiseBasis.for_trial(trial)
         splines = basis.splines
         whiten = basis.whiten
@@ -167,7 +174,7 @@ class Discrepancy:
         # Back to splines, by the coefficients of the splines themselves
         to_splines = basis.vectors @ np.linalg.solve(basis.gram, rotation)
 
-        without_nuisance = cls(
+        return cls(
             splines,
             to_coefficients=rotation.T @ whiten,
             to_splines=to_splines,
@@ -175,7 +182,6 @@ class Discrepancy:
             nuisance_coefficients=np.zeros((2 * len(variance), 0)),
             nuisance_shapes=np.zeros((2 * len(trial.s), 0)),
         )
-        return without_nuisance.with_nuisance(nuisance)
 
     def coefficients(self, residual: np.ndarray) -> np.ndarray:
         """Expand residuals over sigma (C, 2 n) in the basis, (C, 2 M)."""
@@ -314,6 +320,9 @@ class Discrepancy:
         log_determinant = np.log1p(variance).sum(axis=1)
         log_determinant += np.linalg.slogdet(information)[1]
         return precision, np.linalg.inv(information), log_determinant
+
+
+_KEPT_DISCREPANCIES: ContentCache[Discrepancy] = ContentCache(MAX_KEPT_TRIALS)
 
 
 def remove_smooth_motion(

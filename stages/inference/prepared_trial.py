@@ -66,6 +66,9 @@ class PreparedTrial:
         How far the state is from that of the first frames, in modes (`initial_modes`).
     noise
         The correlation of the points' noise.
+    growth
+        How much a small change of the parameters has grown by each frame, (F,); empty
+        before it is measured.
     error_model
         What residuals over sigma may be.
     """
@@ -84,6 +87,7 @@ class PreparedTrial:
         default_factory=lambda: np.zeros(2 * INITIAL_MODES)
     )
     noise: Noise = WHITE_NOISE
+    growth: np.ndarray = field(default_factory=lambda: np.zeros(0))
     error_model: IndependentErrors | Discrepancy = field(
         default=UNIT_ERRORS, repr=False
     )
@@ -160,7 +164,7 @@ class PreparedTrial:
     def first_frames(self, frames: int) -> PreparedTrial:
         """Cut the trial after so many frames."""
         kept = self.select_points(self.frame < frames)
-        return replace(kept, times=self.times[:frames])
+        return replace(kept, times=self.times[:frames], growth=self.growth[:frames])
 
     def select_points(self, kept: np.ndarray) -> PreparedTrial:
         """Select points by a mask (N,), and drop the error model of the whole trial."""

@@ -200,6 +200,23 @@ def prepared(model, trials):
     return PreparedData(data, fit, trials, trials, 0, np.zeros(3))
 
 
+def test_all_hypotheses_share_the_growth_that_was_measured_first(prepared, trials):
+    hypothesis = prepared.base_fit.hypothesis
+    softer = np.clip(prepared.base_fit.chi - 0.2, 0.0, 1.0)
+    alone = attach_discrepancy_model(trials, hypothesis, softer)
+    shared = attach_discrepancy_model(prepared.data.trials, hypothesis, softer)
+    for first, trial, other in zip(
+        prepared.data.trials, shared.trials, alone.trials, strict=True
+    ):
+        assert len(trial.growth) == len(trial.times)
+        np.testing.assert_array_equal(trial.growth, first.growth)
+        assert np.abs(trial.growth / other.growth - 1).max() > 0.01
+        variance = first.discrepancy.variance
+        np.testing.assert_array_equal(trial.discrepancy.variance, variance)
+        cut = trial.first_frames(7)
+        np.testing.assert_array_equal(cut.growth, trial.growth[:7])
+
+
 @pytest.mark.parametrize(
     ("uncertainties_mm", "chaotic"),
     [((0.2, 0.4, 0.6), ()), ((0.2, 10.0, 0.6), ("t1",)), ((0.2, 10.0, 10.0), ())],
