@@ -5,8 +5,8 @@ Each rival then has data of its own, and how far this error is from that where t
 ends moves log evidences by up to hundreds: more than rivals differ. So rivals are
 compared by simulations that are extrapolated from two meshes. Initial states, noise and
 discrepancy are those of one search; what is uncertain in the extrapolation is part of
-the likelihood. Each rival is also fitted from the optimum of each other one, as it may
-be in a worse minimum of the parameters that they share.
+the likelihood. Each rival is also fitted from the optimum of the most evident other
+one, as it may be in a worse minimum of the parameters that they share.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from stringcast.stages.workers import map_in_workers
 
 
 def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fit]:
-    """Fit each rival to what was measured, from its own optimum and all others.
+    """Fit each rival to what was measured, from its own optimum and the best other.
 
     Parameters
     ----------
@@ -45,15 +45,13 @@ def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fi
     def fit_rival(number: int) -> Fit:
         rival = rivals[number]
         hypothesis = rival.hypothesis
-        starts = [rival.chi]
-        for other in rivals:
-            if other is not rival:
-                shared = hypothesis.exponents_from(rival.exponents | other.exponents)
-                starts.append(shared)
+        others = [other for other in rivals if other is not rival]
+        best = max(others, key=lambda other: other.log_evidence)
+        shared = hypothesis.exponents_from(rival.exponents | best.exponents)
         return fit_hypothesis(
             with_random_effects(data, hypothesis, rival.chi),
             hypothesis,
-            np.stack(starts),
+            np.stack([rival.chi, shared]),
             rival.scale_indices,
         )
 
