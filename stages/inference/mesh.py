@@ -38,18 +38,34 @@ def discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
 
     Returns the root mean square at the measured points [m]; NaN where that diverges.
     """
+    errors = np.concatenate(_errors_by_trial(likelihood, chi))
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
+
+
+def subtract_discretisation_error(
+    likelihood: Likelihood, chi: np.ndarray
+) -> Likelihood:
+    """Subtract the discretisation error at parameters (P,) from the measured points.
+
+    Simulations of nearby parameters on this mesh are then compared as on a far finer
+    one (deferred correction).
+    """
+    trials = []
+    errors = _errors_by_trial(likelihood, chi)
+    for trial, error in zip(likelihood.data.trials, errors, strict=True):
+        trials.append(replace(trial, points=trial.points + np.nan_to_num(error)))
+    return likelihood.with_trials(tuple(trials))
+
+
+def _errors_by_trial(likelihood: Likelihood, chi: np.ndarray) -> list[np.ndarray]:
+    """Compute simulated less far finer simulated points of each trial, (n, 2) [m]."""
     values = parameter_values(likelihood.parameters, chi[None])
     reference = _likelihood_on_mesh(likelihood, REFERENCE_REFINEMENT)
-    coarse = _simulated_points(likelihood, values)
-    distance = coarse - _simulated_points(reference, values)
-    squares = np.sum(distance**2, axis=-1)
-    return float(np.sqrt(np.mean(squares)))
-
-
-def _simulated_points(likelihood: Likelihood, values: np.ndarray) -> np.ndarray:
-    """Simulate one candidate (1, P) at all measured points, (N, 2) [m]."""
-    points = measured_points(likelihood.model, likelihood.data.trials, values)
-    return np.asarray(np.concatenate(points, axis=1)[0])
+    coarse, fine = (
+        measured_points(each.model, each.data.trials, values)
+        for each in (likelihood, reference)
+    )
+    return [ours[0] - limit[0] for ours, limit in zip(coarse, fine, strict=True)]
 
 
 def refine_mesh(

@@ -13,19 +13,24 @@ from stringcast.data.artifacts import JOINTS, Explanation, Observation
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings
+from stringcast.stages.common import rms
 from stringcast.stages.explain.explain import (
     NO_CAUSE,
     Budget,
     Comparer,
     Comparison,
     decide,
+    noise_ratio,
     posterior_probabilities,
 )
+from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from tests.benchmarks.casting.point_executor import PointExecutor, measure_points
-from tests.conftest import specimen, swing
+from tests.conftest import implicit_string, specimen, swing
 
 TOLERANCE_M = 0.02
 CANDIDATES = 26
@@ -38,11 +43,11 @@ def fitted(names, log_evidence, rms_m):
     return Comparison(tuple(names.split()), log_evidence, SimpleNamespace(fit=fit))
 
 
-def decided(*found, is_complete=True):
+def decided(*found, is_complete=True, leaves_noise=True):
     """Return verdict and sentence where the model as it was leaves 40 mm."""
     compared = {each.causes: each for each in (fitted("", 0.0, 0.04), *found)}
     probabilities = posterior_probabilities(compared, CANDIDATES)
-    return decide(compared, probabilities, TOLERANCE_M, is_complete)
+    return decide(compared, probabilities, TOLERANCE_M, is_complete, leaves_noise)
 
 
 def test_a_cause_that_explains_is_named_even_if_the_search_was_cut_short():
@@ -66,6 +71,15 @@ def test_a_cause_that_explains_little_is_not_named():
     little = fitted("density_taper", 9.0, 0.035)
     assert decided(little)[0] == "unknown"
     assert decided(little, is_complete=False)[0] == "undecided"
+
+
+def test_a_cause_beside_which_more_than_noise_is_left_is_not_named():
+    """It explains the tip to 1 mm, but what is left has another cause."""
+    found = fitted("density_taper", 80.0, 0.001)
+    verdict, sentence = decided(found, leaves_noise=False)
+    assert verdict == "candidates"
+    assert "density taper" in sentence
+    assert "more than noise is left" in sentence
 
 
 def explanation(verdict):
@@ -124,27 +138,56 @@ def test_two_causes_need_more_evidence_than_one():
 
 
 @pytest.fixture(scope="module")
-def screened(arm, camera):
-    """Return a function that compares effects by a swing with a hidden cause."""
+def observe(arm, camera):
+    """Return a function that observes a swing of string A with a hidden cause."""
 
-    def screen(hidden, effects):
+    def perform(hidden):
         lab = VirtualBench(arm, camera, replace(specimen("A"), hidden=hidden), seed=3)
         device, motion = VirtualArm(lab), swing(duration=0.3)
         device.move_to(motion.commands[list(JOINTS)].iloc[0].tolist())
         joints = device.perform(motion.commands).arm
         t = np.arange(0, 0.3, 0.01)
         points = measure_points(lab, t, NOISE_M, np.random.default_rng(0))
-        observation = Observation(
+        return Observation(
             "t01", points.points, points.readings, points.masks, arm=joints
         )
 
+    return perform
+
+
+def true_estimate(model):
+    """Return an estimate of string A that is right."""
+    true = specimen("A").parameters
+    rows = []
+    for parameter in model.parameters:
+        value = np.asarray(true.get(parameter.name, parameter.start))
+        rows.append({"name": parameter.name, "chi": float(parameter.chi(value))})
+    return SimpleNamespace(parameters=pd.DataFrame(rows), values=dict)
+
+
+def test_only_noise_is_left_where_nothing_is_hidden(arm, camera, observe):
+    """The error of a coarse mesh is subtracted; a heavy tip leaves more than noise."""
+    coarse = implicit_string(12, 1e-3)
+    for hidden, low, high in (({}, 0.9, 1.1), ({"tip_mass": {"ratio": 0.3}}, 2, 99)):
+        model = Model(coarse, arm, camera)
+        estimate = true_estimate(model)
+        observation = observe(hidden)
+        assert low < noise_ratio(model, [observation], estimate) < high
+    trial = prepare_trial(model, observe({}))
+    chi = estimate.parameters["chi"].to_numpy()
+    likelihood = Likelihood(TrialData((trial,)), model)
+    assert rms(likelihood.residuals(chi[None])) > 1.5
+
+
+@pytest.fixture(scope="module")
+def screened(arm, camera, observe):
+    """Return a function that compares effects by a swing with a hidden cause."""
+
+    def screen(hidden, effects):
+        observation = observe(hidden)
+
         model = Model(String(0.3, points=20), arm, camera)
-        true = lab.specimen.parameters
-        rows = []
-        for parameter in model.parameters:
-            value = np.asarray(true.get(parameter.name, parameter.start))
-            rows.append({"name": parameter.name, "chi": float(parameter.chi(value))})
-        estimate = SimpleNamespace(parameters=pd.DataFrame(rows))
+        estimate = true_estimate(model)
         base = Comparison(NO_CAUSE, 0.0, estimate)
         settings = SimpleNamespace(seed=0)
         compare = Comparer(model, [observation], base, BLOCKS, settings)
@@ -182,7 +225,7 @@ def perform_casts(method, *overrides):
     experiment = prepare_experiment(config, lambda block: f"conf/{block}")
     executor = PointExecutor(experiment, NOISE_M)
     result = experiment.mode.run_steps(experiment, Path(), executor)
-    return result.iterations
+    return [each for each in result.iterations if not each.is_look]
 
 
 @pytest.mark.long
@@ -214,6 +257,15 @@ def test_nothing_is_named_where_nothing_is_hidden():
 
 
 @pytest.mark.long
+def test_a_stiff_string_is_hit_with_the_first_cast_after_a_look():
+    """Without a look one of ten first casts hit it."""
+    casts = perform_casts("robust", "specimen=B", "target=at_400_700")
+    assert len(casts) == 1
+    assert casts[0].has_hit
+    assert casts[0].artifacts["motion"].outcome["chance"].iloc[0] > 0.8
+
+
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("where", "hidden"),
     [
@@ -223,6 +275,8 @@ def test_nothing_is_named_where_nothing_is_hidden():
 )
 def test_a_miss_is_corrected_without_its_cause(where, hidden):
     """Without the correction these took four casts and more."""
-    casts = perform_casts("robust", *where.split(), f"+specimen.hidden.{hidden}")
+    casts = perform_casts(
+        "robust", "look=null", *where.split(), f"+specimen.hidden.{hidden}"
+    )
     assert not casts[0].has_hit
     assert casts[1].has_hit

@@ -196,6 +196,7 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "tasks.py study casting casting.seeds=16": "takes hours; one run of it: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study casting ~casting.methods.paper casting.first=40 casting.seeds=10": "takes minutes; one run of it: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study casting ~casting.methods.paper casting.first=60 casting.seeds=10 casting.casts=1": "as without casts",
+    "tasks.py study casting ~casting.methods.paper casting.first=310 casting.seeds=10 casting.casts=1": "as without casts",
     "tasks.py study gain casting.seeds=2": "takes hours; as casting",
     "tasks.py study adaptive casting.first=10 casting.seeds=3": "takes an hour; its jobs: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study worlds casting.first=100": "takes half an hour; its jobs: tests/benchmarks/casting/test_casting_study.py",
