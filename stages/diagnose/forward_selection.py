@@ -630,13 +630,15 @@ def _fit_more_proposals(
         first_gain = fit.log_evidence - parent.log_evidence
         if first_gain > 0:
             data = correct_data_on_one_finer_mesh(prepared, fit)
-            fit = fit_hypothesis(
+            corrected = fit_hypothesis(
                 data,
                 hypothesis,
                 fit.chi[None],
                 fit.scale_indices,
                 min_gain,
             )
+            # One finer mesh shows the error roughly: what may be evident is refined
+            fit = max(fit, corrected, key=lambda either: either.log_evidence)
         gains = (fit.log_evidence - parent.log_evidence, first_gain, proposal.gain)
         log.info("%s: log evidence %+.1f, at first %+.1f, proposed %.1f", name, *gains)
         return fit

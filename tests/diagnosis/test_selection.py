@@ -360,6 +360,39 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
 
 
 @pytest.mark.parametrize(
+    ("first", "corrected", "kept"),
+    [(40.0, -9.0, 40.0), (25.0, 40.0, 40.0), (-1.0, 9.0, -1.0)],
+)
+def test_a_rough_correction_makes_no_proposal_less_evident(
+    first, corrected, kept, monkeypatch, limited
+):
+    """One finer mesh only estimates the error: the refined fits are compared later."""
+    evidence = {"plain": first, "corrected": corrected}
+
+    def fit(data, *given):
+        named = named_fit("wind", evidence[data])
+        return SimpleNamespace(**vars(named), chi=np.zeros(1), scale_indices=None)
+
+    monkeypatch.setattr(forward_selection, "fit_hypothesis", fit)
+    monkeypatch.setattr(
+        forward_selection, "correct_data_on_one_finer_mesh", lambda *given: "corrected"
+    )
+    monkeypatch.setattr(
+        forward_selection, "replace", lambda old, **new: vars(old) | new
+    )
+    monkeypatch.setattr(
+        forward_selection, "rank_rivals", lambda parent, fits, criteria: fits
+    )
+    parent = SimpleNamespace(log_evidence=0.0, scale_indices=None)
+    step = SimpleNamespace(parent=parent, fits=[])
+    wind = SimpleNamespace(name="wind")
+    proposal = Proposal(SimpleNamespace(causes=(wind,)), None, 20.0, np.ones(1))
+    prepared = SimpleNamespace(data="plain")
+    found = forward_selection._fit_more_proposals(prepared, step, [proposal], CRITERIA)
+    assert [each["log_evidence"] for each in found["fits"]] == [kept]
+
+
+@pytest.mark.parametrize(
     ("evidence", "shift_m", "reason"),
     [
         (50.0, 1.2e-3, "small: it moves the tip by 1.2 mm, less than the tolerance"),
