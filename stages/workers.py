@@ -14,6 +14,7 @@ import os
 import signal
 import struct
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -120,14 +121,15 @@ def _start_workers(
     # A worker that is interrupted before it ignores that would go on as this process
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        for _ in range(count):
-            reader, writer = Pipe(duplex=False)
-            readers.append(reader)
-            with writer, suppress(OSError):  # for lack of memory there are fewer
-                worker = os.fork()
-                if worker == 0:
-                    _work(function, items, parent, numbers, readers, writer)
-                workers.append(worker)
+        with _defer_interruptions():
+            for _ in range(count):
+                reader, writer = Pipe(duplex=False)
+                readers.append(reader)
+                with writer, suppress(OSError):  # for lack of memory there are fewer
+                    worker = os.fork()
+                    if worker == 0:
+                        _work(function, items, parent, numbers, readers, writer)
+                    workers.append(worker)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         yield list(readers)
     finally:
@@ -139,6 +141,32 @@ def _start_workers(
             with suppress(OSError):  # where the system itself buries the dead
                 os.kill(worker, signal.SIGKILL)
                 os.waitpid(worker, 0)
+
+
+@contextmanager
+def _defer_interruptions() -> Iterator[None]:
+    """Handle signals that interrupt at the end of the context.
+
+    What their handlers raise while Python forks is lost: it ignores what its own
+    callbacks there raise, such as those of the log. Another thread may have received a
+    signal that this one blocks. Only the main thread handles signals.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+    handlers = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if callable(signal.getsignal(number)):
+            handlers[number] = signal.getsignal(number)
+            signal.signal(number, lambda number, frame: received.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    for received_number in received:
+        signal.raise_signal(received_number)
 
 
 def _receive_answers(readers: list[Connection]) -> Iterator[_Answer]:

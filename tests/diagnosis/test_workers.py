@@ -146,6 +146,30 @@ def test_an_interruption_ends_all_workers(tmp_path):
     assert not any(is_running(int(name)) for name in os.listdir(tmp_path))
 
 
+def test_an_interruption_while_a_worker_starts_is_not_lost():
+    """Python ignores what callbacks of a fork raise, such as a handler of a signal."""
+
+    def interrupt(number, frame):
+        raise InterruptRequest
+
+    def interrupt_once():
+        if not interrupted:
+            interrupted.append(True)
+            thread = threading.Thread(target=signal.raise_signal, args=[signal.SIGTERM])
+            thread.start()
+            thread.join()
+
+    interrupted = []
+    os.register_at_fork(after_in_parent=interrupt_once)
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        with use_workers(2), pytest.raises(InterruptRequest):
+            map_in_workers(abs, range(4))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
 def test_workers_end_with_a_process_that_is_killed(tmp_path):
     def write_process_and_wait(number):
         (tmp_path / str(os.getpid())).touch()
