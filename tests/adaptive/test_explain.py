@@ -274,9 +274,12 @@ def test_a_stiff_string_is_hit_with_the_first_cast_after_a_look():
     ],
 )
 def test_a_miss_is_corrected_without_its_cause(where, hidden):
-    """Without the correction these took four casts and more."""
+    """Without the correction such runs took four casts and more.
+
+    Seed 1 is the first with which the first cast misses.
+    """
     casts = perform_casts(
-        "robust", "look=null", *where.split(), f"+specimen.hidden.{hidden}"
+        "robust", "look=null", "seed=1", *where.split(), f"+specimen.hidden.{hidden}"
     )
     assert not casts[0].has_hit
     assert casts[1].has_hit
