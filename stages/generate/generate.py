@@ -70,14 +70,17 @@ class MotionRanges(SettingsGroup):
     alpha: Annotated[float, Field(gt=0)]
     fraction: Annotated[float, Field(gt=0, le=1)]
 
-    @property
-    def durations(self) -> tuple[float, float]:
-        """Range of T [s]; DataError where it is empty."""
+    def __post_init__(self) -> None:
+        """Refuse an empty range of the duration, before anything moves."""
         if self.shortest > self.longest:
             raise DataError(
                 f"generate.shortest = {self.shortest} is above "
                 f"generate.longest = {self.longest}. Change one of them."
             )
+
+    @property
+    def durations(self) -> tuple[float, float]:
+        """Range of T [s]."""
         return self.shortest, self.longest
 
 
