@@ -229,16 +229,9 @@ def _estimate_together(
     # The offset with every effect of the library
     background = effect_responses(clock)
     frame_s = max(float(np.median(np.diff(trial.frame_t))) for trial in trials)
-    common = _posterior(clock, background, _common_columns(clock))
-    value = window.middle + clock.offset + common.mean[0]
     floor = STAMP_UNCERTAINTY_FRAMES * frame_s
-    interval = Interval.from_deviation(value, common.standard_deviation[0], floor)
+    interval, drift = _common_offset(clock, background, window.middle, floor)
     apart = _posterior(clock, background, _own_columns(clock))
-    drift, offset_with_drift = _estimate_drift(clock, background)
-    if drift is not None:
-        value = window.middle + clock.offset + offset_with_drift.value
-        half = offset_with_drift.width / 2 + floor
-        interval = Interval(value, value - half, value + half)
     progress(1.0)
 
     offsets = window.middle + profile.offsets
@@ -254,6 +247,25 @@ def _estimate_together(
         profile=pd.DataFrame(columns),
     )
     return FittedOffset(estimate, [clock], [window])
+
+
+def _common_offset(
+    clock: ClockFit, background: ByTrial, added: float, floor: float
+) -> tuple[Interval, Interval | None]:
+    """Return the offset that all trials share, and their drift if one is seen.
+
+    added: what was added to the camera's times before the fit [s]. floor: what no
+    camera stamps better [s], added to half of the offset's interval.
+    """
+    common = _posterior(clock, background, _common_columns(clock))
+    value = added + clock.offset + common.mean[0]
+    interval = Interval.from_deviation(value, common.standard_deviation[0], floor)
+    drift, offset_with_drift = _estimate_drift(clock, background)
+    if drift is None:
+        return interval, None
+    value = added + clock.offset + offset_with_drift.value
+    half = offset_with_drift.width / 2 + floor
+    return Interval(value, value - half, value + half), drift
 
 
 def find_wrong_clock(
