@@ -2,7 +2,6 @@
 
 import json
 import os
-from contextlib import contextmanager
 from dataclasses import replace
 
 import pandas as pd
@@ -11,14 +10,17 @@ import pytest
 from stringcast.data.artifacts import CONTROL_POINTS, Estimate
 from stringcast.data.store import load
 from stringcast.pipeline.commands.verify import verify_run
-from tests.faults.toy import STAGES, contents, toy_experiment, toy_run
+from tests.faults.toy import (
+    STAGES,
+    Killed,
+    contents,
+    silent,
+    toy_experiment,
+    toy_run,
+)
 
 TRIAL = ["execute", "extract", "estimate"]
 PLANNED_WITH = []  # earlier motion and estimate of each plan
-
-
-class Killed(BaseException):
-    """The end of a process at any place."""
 
 
 def excite(model, obstacles, *, seed, progress):
@@ -39,11 +41,6 @@ def looking(casts=2, **stages):
     here = toy_experiment(casts, look="excite")
     known = {"excite": excite, "generate": generate}
     return replace(here, stages={**here.stages, **known, **stages})
-
-
-@contextmanager
-def silent(name):
-    yield lambda share: None
 
 
 @pytest.fixture(autouse=True)

@@ -2,7 +2,6 @@
 
 import json
 import os
-from contextlib import contextmanager
 from dataclasses import replace
 
 import pandas as pd
@@ -17,14 +16,19 @@ from stringcast.data.artifacts import (
 from stringcast.data.store import load
 from stringcast.pipeline.commands.verify import verify_run
 from stringcast.pipeline.modes import Cast
-from tests.faults.toy import STAGES, contents, number, rows, toy_experiment, toy_run
+from tests.faults.toy import (
+    STAGES,
+    Killed,
+    contents,
+    number,
+    rows,
+    silent,
+    toy_experiment,
+    toy_run,
+)
 
 LOOP = Cast(("generate", "execute", "extract", "surprise", "estimate", "explain"))
 EARLIER = []  # explanation of the casts before, of each call
-
-
-class Killed(BaseException):
-    """The end of a process at any place."""
 
 
 def explain(
@@ -54,11 +58,6 @@ def explain(
 def adaptive(**stages):
     here = toy_experiment(2, mode=LOOP)
     return replace(here, stages={**here.stages, "explain": explain, **stages})
-
-
-@contextmanager
-def silent(name):
-    yield lambda share: None
 
 
 @pytest.fixture(autouse=True)

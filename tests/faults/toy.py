@@ -6,7 +6,7 @@ The numbers of the stages depend on all their inputs.
 import hashlib
 import io
 import time
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -34,6 +34,16 @@ TINY = (
     "camera.origin_px=[6,10]",
 )
 CALLS = []  # names of artifacts in the order in which they were made
+
+
+class Killed(BaseException):
+    """The end of a process at any place."""
+
+
+@contextmanager
+def silent(name):
+    """Report no progress."""
+    yield lambda share: None
 
 
 @cache

@@ -7,7 +7,6 @@ because only the orchestration is tested here.
 """
 
 import json
-from contextlib import contextmanager
 from dataclasses import replace
 
 import pandas as pd
@@ -17,6 +16,7 @@ from stringcast.data.artifacts import Diagnosis, Motion
 from stringcast.data.store import content_hash, load, read_origin
 from stringcast.pipeline.run import run_folder
 from tests.conftest import swing
+from tests.faults.toy import silent
 from tests.pipeline.small import about
 
 SEEN = []  # trial names of each diagnosis
@@ -55,11 +55,6 @@ def proposing(model, observations, rejected, held_out, obstacles, *, seed, progr
         )
         tables |= {"commands": swing(duration=0.2).commands, "predicted": string}
     return Diagnosis(**tables)
-
-
-@contextmanager
-def silent(name):
-    yield lambda share: None
 
 
 @pytest.fixture(autouse=True)

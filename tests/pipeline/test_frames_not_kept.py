@@ -1,6 +1,5 @@
 """Runs whose frames were not kept are datasets, and as reproducible as others."""
 
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +12,7 @@ from stringcast.data.artifacts import Points, Trial
 from stringcast.pipeline.commands import load_command
 from stringcast.pipeline.commands.index import list_runs
 from stringcast.pipeline.commands.verify import verify_run
-from tests.faults.toy import STAGES, rows, toy_experiment, toy_run
-
-
-@contextmanager
-def silent(name):
-    """Show no progress."""
-    yield lambda share: None
+from tests.faults.toy import STAGES, rows, silent, toy_experiment, toy_run
 
 
 @pytest.fixture
