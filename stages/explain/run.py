@@ -2,8 +2,21 @@
 
 from __future__ import annotations
 
-from stringcast.data.artifacts import Estimate, Explanation, Surprise, TrialSet
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from stringcast.data.artifacts import (
+    Estimate,
+    Explanation,
+    Observation,
+    Surprise,
+    TrialSet,
+)
+from stringcast.stages.estimate.least_squares import MISFIT_RATIO
 from stringcast.stages.estimate.trim import trim_at_contact
+from stringcast.stages.explain.explain import rms_m
 from stringcast.stages.spec import StageCall
 
 
@@ -14,19 +27,32 @@ def run(
     surprise: Surprise,
     previous: Explanation | None,
 ) -> Explanation:
-    """Explain trials, cut where their string touches an obstacle."""
+    """Explain trials, cut where their string touches an obstacle.
+
+    A trial that nothing predicted, such as a look, is slow and shows little of what a
+    cast will. It surprises if the estimate leaves more than noise.
+    """
     setup = call.setup
     observations = [trim_at_contact(t, setup.obstacles) for t in trials.observations]
+    is_surprising = surprise.is_surprising
+    if np.isnan(surprise.p_value):
+        is_surprising = rms_m(estimate) > MISFIT_RATIO * noise_m(observations)
     target = setup.target
     explanation: Explanation = call.by(
         setup.model,
         observations,
         estimate,
         previous,
-        surprise.is_surprising,
+        is_surprising,
         min(target.w, target.h) / 2,
         seed=call.seed,
         manipulation=call.number,
         progress=call.progress,
     )
     return explanation
+
+
+def noise_m(observations: Sequence[Observation]) -> float:
+    """Return the distance by which noise alone moves a measured point [m]."""
+    sigma = pd.concat([observation.points["sigma"] for observation in observations])
+    return float(np.sqrt(2) * sigma.median())

@@ -9,7 +9,13 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
-from stringcast.data.artifacts import JOINTS, Explanation, Observation
+from stringcast.data.artifacts import (
+    JOINTS,
+    Explanation,
+    Observation,
+    Surprise,
+    TrialSet,
+)
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings
@@ -23,6 +29,7 @@ from stringcast.stages.explain.explain import (
     noise_ratio,
     posterior_probabilities,
 )
+from stringcast.stages.explain.run import run
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.trial_data import TrialData
@@ -80,6 +87,49 @@ def test_a_cause_beside_which_more_than_noise_is_left_is_not_named():
     assert verdict == "candidates"
     assert "density taper" in sentence
     assert "more than noise is left" in sentence
+
+
+def test_more_than_noise_without_an_explanation_is_unknown():
+    """The tip of a slow trial may be near all the same."""
+    base, little = fitted("", 0.0, 0.01), fitted("density_taper", 9.0, 0.009)
+    compared = {each.causes: each for each in (base, little)}
+    probabilities = posterior_probabilities(compared, CANDIDATES)
+    for leaves_noise, expected in ((True, "none"), (False, "unknown")):
+        verdict, _ = decide(compared, probabilities, TOLERANCE_M, True, leaves_noise)
+        assert verdict == expected
+
+
+@pytest.mark.parametrize(
+    ("p_value", "ratio", "is_searched"),
+    [(np.nan, 1.3, False), (np.nan, 1.7, True), (0.5, 1.7, False), (0.01, 1.0, True)],
+)
+def test_a_trial_that_nothing_predicted_surprises_by_its_residual(
+    p_value, ratio, is_searched
+):
+    """A look is one: it moves the string slowly, and a small misfit there matters."""
+    points = pd.DataFrame({"sigma": [NOISE_M] * 3})
+    empty = pd.DataFrame()
+    observation = Observation("look", points, empty, empty, arm=empty)
+    fit = pd.DataFrame([{"rms_after": ratio * np.sqrt(2) * NOISE_M}])
+    test = {"p_value": p_value, "surprising": p_value <= 0.02}
+    asked = []
+    call = SimpleNamespace(
+        setup=SimpleNamespace(
+            model=None, obstacles=(), target=SimpleNamespace(w=0.02, h=0.04)
+        ),
+        by=lambda *given, **settings: asked.append(given[4]),
+        seed=0,
+        number=0,
+        progress=None,
+    )
+    run(
+        call,
+        TrialSet((observation,)),
+        SimpleNamespace(fit=fit),
+        Surprise(pd.DataFrame([test])),
+        None,
+    )
+    assert asked == [is_searched]
 
 
 def explanation(verdict):

@@ -1,7 +1,7 @@
 """Run a study or a benchmark command: `python3 tasks.py study NAME [ARGUMENTS]`.
 
 Studies take settings as Hydra overrides, and `folder=` for their results:
-diagnosis, extraction, casting, learning, gain, adaptive, forecast, measured, clocks.
+diagnosis, extraction, casting, learning, gain, adaptive, worlds, forecast, practice, measured, clocks.
 Commands take arguments of their own (see --help): draw, alignment, footage, strings.
 """
 
@@ -28,6 +28,7 @@ STUDIES = {
     "adaptive": "casting.study.CastingStudy",
     "worlds": "casting.study.CastingStudy",
     "forecast": "casting.study.CastingStudy",
+    "practice": "casting.study.CastingStudy",
     "measured": "measured.study.MeasuredStudy",
     "clocks": "clocks.study.ClocksStudy",
 }

@@ -24,7 +24,7 @@ from stringcast.data.artifacts import (
 from stringcast.hardware.virtual.bench import VirtualBench
 from stringcast.pipeline.modes import Cast
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
-from stringcast.pipeline.run.iterations import History, Iteration
+from stringcast.pipeline.run.iterations import LOOK_NUMBER, History, Iteration
 from stringcast.stages.explain.explain import MIXED_PROBABILITY
 from stringcast.stages.generate.curves import first_curves
 from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
@@ -184,6 +184,7 @@ def cast_row(
         "probability": float(plan.get("chance", np.nan)),
         "planning": executor.seconds[cast.number, "generate"],
         "learning": time_to_learn(executor, cast.number),
+        "looking": time_to_learn(executor, LOOK_NUMBER),
         "residual": float(estimate.fit["rms_after"].iloc[0]),
         "prediction_error": references.prediction_error(estimate.values()),
         "effects": " ".join(executor.experiment.config["effects"]),
@@ -195,8 +196,8 @@ def cast_row(
 
 
 def time_to_learn(executor: PointExecutor, number: int) -> float:
-    """Return the processor time of what follows the trial of a cast [s]."""
-    stages = ("surprise", "estimate", "explain")
+    """Return the processor time of a look's motion and of what follows a trial [s]."""
+    stages = ("excite", "surprise", "estimate", "explain")
     return sum(executor.seconds.get((number, stage), 0.0) for stage in stages)
 
 

@@ -21,6 +21,7 @@ TARGET_SHARE = 0.95  # share of the runs that must have hit
 ALL_CASES = "all"
 SHIFT_THAT_MATTERS_M = 0.02  # of the tip: the width of the target
 SURE_HIT = 0.9  # stated probability
+NEAR_M = (0.05, 0.1)  # of the real tip from the centre of the target
 _WHICH = (
     Column("case", "", "string and target; 'all' for all together", "text"),
     Column("method", "", "", "text"),
@@ -51,6 +52,12 @@ CASTS = Table(
         ),
         Column("planning", "s", "processor time of planning"),
         Column("learning", "s", "processor time of what follows a trial"),
+        Column(
+            "looking",
+            "s",
+            "processor time of the look before the first cast and of what follows it",
+            optional=True,
+        ),
         Column(
             "residual",
             "m",
@@ -125,6 +132,16 @@ CALIBRATION = Table(
         *SHARE_COLUMNS,
     ),
 )
+FIRST_CASTS = Table(
+    "first_casts",
+    "how near first casts come",
+    (
+        *_WHICH,
+        Column("outcome", "", "what is counted", "text"),
+        *SHARE_COLUMNS,
+        Column("miss", "m", "mean distance of the tip from the target's centre"),
+    ),
+)
 FINDINGS = Table(
     "findings",
     "how often surprise and causes are right, by cast",
@@ -136,7 +153,7 @@ FINDINGS = Table(
 )
 TABLES = {
     table.name: table
-    for table in (CASTS, RATES, NEEDED, LEARNED, CALIBRATION, FINDINGS)
+    for table in (CASTS, RATES, NEEDED, LEARNED, CALIBRATION, FIRST_CASTS, FINDINGS)
 }
 
 
@@ -191,6 +208,7 @@ def score_casts(casts: pd.DataFrame, max_casts: int) -> dict[str, pd.DataFrame]:
         "needed": pd.DataFrame(needed),
         "learned": pd.concat(learned),
         "calibration": count_calibration(casts),
+        "first_casts": count_first_casts(runs[runs["cast"] == 1]),
         "findings": count_findings(casts),
     }
 
@@ -216,6 +234,24 @@ def count_calibration(casts: pd.DataFrame) -> pd.DataFrame:
         }
         rows.append(row)
     return pd.DataFrame(rows) if rows else CALIBRATION.empty()
+
+
+def count_first_casts(casts: pd.DataFrame) -> pd.DataFrame:
+    """Return table FIRST_CASTS of the first casts in table CASTS.
+
+    A run without a motion has no distance; it counts as a miss, and not in the mean.
+    """
+    rows = []
+    for (case, method), group in casts.groupby(["case", "method"], sort=False):
+        outcomes = {"hit": group["hit"].astype(bool)}
+        for limit_m in NEAR_M:
+            name = f"within {1e3 * limit_m:.0f} mm"
+            outcomes[name] = group["distance"] <= limit_m
+        for name, outcome in outcomes.items():
+            which = {"case": case, "method": method, "outcome": name}
+            miss = {"miss": group["distance"].mean()}
+            rows.append(which | share_with_interval(outcome) | miss)
+    return pd.DataFrame(rows)
 
 
 def right_names(hidden: Sequence[str]) -> set[str]:

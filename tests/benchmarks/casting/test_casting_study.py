@@ -120,6 +120,23 @@ def test_hits_are_counted_by_run():
         TABLES[name].check(table)
 
 
+def test_first_casts_are_counted_by_how_near_they_come():
+    """Later casts do not count, and a run without a motion is a miss."""
+    near = made("A", "ours", 0, False, True)
+    far = made("A", "ours", 1, False)
+    none = {"case": "A", "method": "ours", "seed": 2, "cast": 1, "hit": False}
+    near[0]["distance"], near[1]["distance"], far[0]["distance"] = 0.04, 0.0, 0.08
+    tables = score_casts(pd.DataFrame([*near, *far, none]), 2)
+    counted = tables["first_casts"].set_index(["case", "outcome"]).loc["A"]
+    assert counted["right"].to_dict() == {
+        "hit": 0,
+        "within 50 mm": 1,
+        "within 100 mm": 2,
+    }
+    assert set(counted["count"]) == {3}
+    assert counted["miss"].to_numpy() == pytest.approx(0.06)
+
+
 def test_right_and_false_names_and_surprises_are_counted():
     found = [
         # hidden, moved [m], p-value, verdict, causes
