@@ -191,7 +191,7 @@ def run_tests(arguments: list[str]) -> int:
 
 def run_study(arguments: list[str]) -> int:
     """Run a study of tests/benchmarks, with PyElastica if the study simulates by it."""
-    if "diagnosis.simulator=pyelastica" in arguments:
+    if any(argument.endswith(".simulator=pyelastica") for argument in arguments):
         install_peers()
     return run_module("tests.benchmarks", *arguments)
 
