@@ -12,7 +12,8 @@ independent blocks of time. A diagnosis compares more carefully and takes minute
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -103,20 +104,29 @@ class Budget:
     ----------
     seconds : how much [s]
     progress : is called with the share that is used
+    longest_fit : time that a fit has taken at most [s]
     """
 
     seconds: float
     progress: Progress
+    longest_fit: float = 0.0
 
     def __post_init__(self) -> None:
         """Begin to count."""
         self.began = time.process_time()
 
     def is_used_up(self) -> bool:
-        """Tell whether it is used up, and show how much is."""
+        """Tell whether too little is left for a fit, and show how much is used."""
         used = time.process_time() - self.began
         self.progress(min(used / max(self.seconds, 1e-9), 1.0))
-        return used > self.seconds
+        return used + self.longest_fit > self.seconds
+
+    @contextmanager
+    def measure_fit(self) -> Iterator[None]:
+        """Measure the time of a fit, which the next one may take as well."""
+        began = time.process_time()
+        yield
+        self.longest_fit = max(self.longest_fit, time.process_time() - began)
 
 
 def explain(
@@ -186,7 +196,8 @@ def explain(
     compare = Comparer(model, observations, base, blocks, settings)
     compared = {NO_CAUSE: base}
     for causes in earlier:
-        compared[causes] = compare.fit(*find_effects(causes))
+        with budget.measure_fit():
+            compared[causes] = compare.fit(*find_effects(causes))
     fitted = list(compared.values())
     is_enough = any(tip_rms_m(each.estimate) <= tolerance_m for each in fitted)
 
@@ -265,7 +276,8 @@ class Comparer:
             if budget.is_used_up():
                 is_complete = False
                 break
-            compared[each.causes] = self.fit(effect)
+            with budget.measure_fit():
+                compared[each.causes] = self.fit(effect)
         # a cause that was not fitted is as evident as it seems on the coarse mesh
         for _, each in screened:
             compared.setdefault(each.causes, each)

@@ -165,6 +165,21 @@ def test_no_further_cause_is_ranked_when_the_time_is_up(monkeypatch):
         assert len(ranked) == count
 
 
+def test_no_fit_begins_that_would_end_after_the_time_is_up(monkeypatch):
+    """The first fit shows what another may take."""
+    clock = iter([0.0, 4.0, 4.0, 10.0, 11.0, 14.0])
+    monkeypatch.setattr(
+        "stringcast.stages.explain.explain.time.process_time", lambda: next(clock)
+    )
+    budget = Budget(15.0, lambda share: None)
+    assert not budget.is_used_up()  # after 4 s
+    with budget.measure_fit():  # of 6 s
+        pass
+    assert budget.is_used_up()  # after 11 s
+    budget.seconds = 20.0
+    assert not budget.is_used_up()
+
+
 def test_causes_that_explain_equally_are_candidates():
     pair = (fitted("tip_mass", 80.0, 0.001), fitted("density_taper", 80.1, 0.001))
     verdict, sentence = decided(*pair)
