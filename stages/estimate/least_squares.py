@@ -67,7 +67,8 @@ def estimate(
     Parameters
     ----------
     previous
-        Estimate of the last manipulation, one of the starts.
+        Estimate of the last manipulation, one of the starts and of those that are
+        fitted to the whole trials.
     seed, manipulation
         Of the random candidates.
     starts
@@ -93,7 +94,8 @@ def estimate(
     trials = tuple(target.trial for target in targets)
     likelihood = Likelihood(TrialData(trials), model)
     chosen = screen_candidates(likelihood, tried, starts)
-    best = search_parameters(likelihood, chosen, iterations, progress)
+    known = None if previous is None else before
+    best = search_parameters(likelihood, chosen, iterations, progress, known)
     likelihood, best = refine_solution(likelihood, best)
 
     pairs = zip(targets, likelihood.data.trials, strict=True)

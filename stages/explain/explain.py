@@ -196,8 +196,10 @@ def explain(
     compare = Comparer(model, observations, base, blocks, settings)
     compared = {NO_CAUSE: base}
     for causes in earlier:
+        is_best = causes == next(iter(before))
+        start = previous if is_best else estimate
         with budget.measure_fit():
-            compared[causes] = compare.fit(*find_effects(causes))
+            compared[causes] = compare.fit(find_effects(causes), start)
     fitted = list(compared.values())
     is_enough = any(tip_rms_m(each.estimate) <= tolerance_m for each in fitted)
 
@@ -277,7 +279,7 @@ class Comparer:
                 is_complete = False
                 break
             with budget.measure_fit():
-                compared[each.causes] = self.fit(effect)
+                compared[each.causes] = self.fit((effect,), self.base.estimate)
         # a cause that was not fitted is as evident as it seems on the coarse mesh
         for _, each in screened:
             compared.setdefault(each.causes, each)
@@ -378,15 +380,17 @@ class Comparer:
         probes[:, amplitudes] = start[amplitudes] + fractions * distance
         return probes
 
-    def fit(self, *effects: type[Effect]) -> Comparison:
-        """Fit the model with effects as if nothing were known."""
+    def fit(
+        self, effects: Sequence[type[Effect]], start: Estimate | None
+    ) -> Comparison:
+        """Fit the model with effects as if nothing were known, and from a start."""
         settings = self.settings
         base = self.base.estimate
         assert base is not None
         made = fit_from_nothing(
             self.model.with_effects(*effects),
             self.observations,
-            base,
+            start,
             seed=settings.seed,
             manipulation=settings.manipulation,
             starts=settings.starts,

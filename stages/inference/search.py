@@ -91,6 +91,7 @@ def search_parameters(
     starts: np.ndarray,
     max_iterations: int,
     progress: Progress = lambda share: None,
+    known: np.ndarray | None = None,
 ) -> np.ndarray:
     """Search the best parameters (P,) from several starts.
 
@@ -100,6 +101,9 @@ def search_parameters(
         Exponents (R, P), the best first.
     max_iterations
         Iterations of each start before the last horizon, over all horizons.
+    known
+        Exponents (P,) of earlier trials, a further start with the whole trials: the
+        beginning of a trial would lead it astray.
     """
     chi = starts
     horizons_s = horizons(likelihood)
@@ -109,6 +113,8 @@ def search_parameters(
     for number, horizon in enumerate(horizons_s):
         if number == count - 1:
             iterations = MAX_ITERATIONS
+            if known is not None:
+                chi = np.concatenate([chi, known[None]])
         early = meshes[number].cut_after_onset(horizon)
         chi = _fit_until_horizon(early, chi, iterations)
         progress((number + 1) / count)

@@ -284,6 +284,22 @@ def test_iterations_are_shared_by_the_horizons_before_the_last(
     assert progress == pytest.approx([(k + 1) / count for k in range(count)])
 
 
+def test_known_parameters_are_fitted_to_the_whole_trials_alone(monkeypatch):
+    """The beginning of a trial would lead them astray."""
+    monkeypatch.setattr(search, "horizons", lambda likelihood: [0.1, np.inf])
+    monkeypatch.setattr(search, "mesh_ladder", lambda likelihood: [Mesh("fine")])
+    fitted = []
+    monkeypatch.setattr(
+        search,
+        "_fit_until_horizon",
+        lambda early, chi, iterations: fitted.append(chi.tolist()) or chi[-1:],
+    )
+    starts, known = np.array([[0.1, 0.2], [0.3, 0.4]]), np.array([0.5, 0.6])
+    found = search.search_parameters(None, starts, 5, known=known)
+    assert fitted == [[[0.1, 0.2], [0.3, 0.4]], [[0.3, 0.4], [0.5, 0.6]]]
+    assert list(found) == [0.5, 0.6]
+
+
 def test_candidates_are_screened_on_the_coarsest_mesh_at_the_first_horizon(monkeypatch):
     ladder = [Mesh("fine"), Mesh("coarse")]
     monkeypatch.setattr(search, "horizons", lambda likelihood: [0.1, np.inf])
