@@ -4,6 +4,7 @@ The equations are implemented literally, and known parameters are recovered.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numba
 import numpy as np
@@ -336,6 +337,29 @@ def test_least_squares_recovers_known_parameters_within_its_intervals(arm, camer
         ]
     assert np.mean(determined) >= 6
     assert np.mean(inside) >= 0.85
+
+
+def test_an_earlier_estimate_is_fitted_to_the_whole_trials(arm, camera, monkeypatch):
+    """After a slow trial, a fit of a cast from nothing left six times as much."""
+    model, starts = Model(STRING, arm, camera), []
+
+    class SearchedError(Exception):
+        pass
+
+    def search(likelihood, chosen, iterations, progress, known):
+        starts.append(known)
+        raise SearchedError
+
+    monkeypatch.setattr(least_squares, "search_parameters", search)
+    settings = {"starts": 1, "screening": 1, "iterations": 1, "matching": MATCHING}
+    for previous in (None, SimpleNamespace(values=lambda: TRUTH)):
+        with pytest.raises(SearchedError):
+            least_squares.estimate(
+                model, [observed(0)], previous, seed=0, manipulation=1, **settings
+            )
+    assert starts[0] is None
+    true = parameter_exponents(model.parameters, STRING.values(TRUTH))
+    np.testing.assert_allclose(starts[1], true)
 
 
 def test_what_the_data_cannot_determine_is_said(arm, camera):
