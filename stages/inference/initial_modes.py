@@ -30,6 +30,8 @@ from stringcast.stages.model.parameter import (
 )
 from stringcast.stages.model.string import String
 
+# of the log-likelihood: what a state is off, parameters make up for
+STATE_MIN_GAIN = 0.005
 INITIAL_SPAN_S = 0.5  # [s] of the trial's beginning that the state is fitted to
 SHAPE_MODE_SIGMA_RAD = 0.1  # [rad]: standard deviation of a mode of the shape
 RATE_MODE_SIGMA_RAD_S = 3.0  # [rad/s]: standard deviation of a mode of the rates
@@ -99,7 +101,7 @@ def fit_initial_state(
     parameters = initial_state_parameters(trial.model.string)
     problem = _InitialStateProblem(fitted_part, values, parameters, whiten, limit)
     start = parameter_exponents(parameters, initial_amplitudes(trial))
-    best = fit_least_squares(problem, start[None]).chi[0]
+    best = fit_least_squares(problem, start[None], min_gain=STATE_MIN_GAIN).chi[0]
     return with_initial_amplitudes(trial, parameter_values(parameters, best))
 
 

@@ -37,7 +37,7 @@ from stringcast.stages.model.parameter import (
 # standard deviations: each residual of what cannot be simulated
 DIVERGED_RESIDUAL = 1e3
 MIN_GAIN = 0.05  # of the log-likelihood: a step that gains less is slow
-NEGLIGIBLE_SHARE = 1e-3  # of that: where slopes promise less, no step is tried
+NEGLIGIBLE_SHARE = 0.01  # of that: where slopes promise less, no step is tried
 # Of what slopes promise: where a step gains as much, none of more damping is tried
 SUFFICIENT_SHARE = 0.8
 MAX_ITERATIONS = 60  # at most; it mostly takes fewer than ten
@@ -315,12 +315,13 @@ def _step_runs(
                 is_promising = runs.promised_gains[run] > min_gain
                 runs.active[run] = is_promising and not runs.is_slow[run]
             runs.is_slow[run] = is_slow
+        elif runs.promised_gains[run] <= min_gain:
+            runs.active[run] = False
         elif runs.damping[run] * DAMPING_INCREASE < MAX_DAMPING:
             runs.damping[run] *= DAMPING_INCREASE
         else:
             # No step gains anything: slopes over narrower differences may be right
-            is_promising = runs.promised_gains[run] > min_gain
-            runs.active[run] = is_promising and not runs.is_narrow[run]
+            runs.active[run] = not runs.is_narrow[run]
             runs.is_narrow[run] = True
             runs.width[run] = np.maximum(0.1 * runs.width[run], MIN_DIFFERENCE)
             runs.damping[run] = INITIAL_DAMPING

@@ -225,3 +225,27 @@ def test_a_run_that_no_step_improves_looks_at_narrower_slopes():
     assert wide > 0
     found = fit_least_squares(NarrowBowl(), start, 60)
     assert found.loss[0] < 2.0  # 100 at first, 1 at the minimum
+
+
+@dataclass
+class Pit(Decay):
+    """A decay whose residuals are larger everywhere but at one place."""
+
+    place: float = 0.0
+
+    def residuals(self, chi):
+        smooth = super().residuals(chi)
+        is_outside = chi[:, [0]] != self.place
+        return smooth + 0.01 * is_outside * np.sign(smooth)
+
+
+def test_a_run_ends_where_no_step_gains_and_slopes_promise_little():
+    """Slopes about a pit promise 11 of the log-likelihood, and no step gains it."""
+    noise = np.random.default_rng(3).standard_normal(len(TIMES))
+    optimum = fit_least_squares(Decay(noise=noise), np.full((1, 2), 0.5)).chi
+    pit = Pit(noise=noise, place=optimum[0, 0])
+    fit_least_squares(pit, optimum, 60, min_gain=30.0)
+    assert pit.asked == [1, 2, 2, 6]  # start, differences, steps
+    eager = Pit(noise=noise, place=optimum[0, 0])
+    fit_least_squares(eager, optimum, 60, min_gain=1.0)
+    assert len(eager.asked) > 8
