@@ -3,7 +3,7 @@
 A stage is a pure function, and so is each of its long calls. While a store is in use, a
 call that was made before with the same arguments returns what it returned then: a stage
 that was killed goes on with the call that was in flight. Without a store nothing is
-kept, and nothing else changes.
+kept, and nothing else changes; `use_any_store` keeps results in memory then.
 """
 
 from __future__ import annotations
@@ -46,6 +46,31 @@ def use_store(store: ResultStore) -> Iterator[None]:
         yield
     finally:
         _store.reset(token)
+
+
+@contextmanager
+def use_any_store() -> Iterator[None]:
+    """Keep the results of long calls in memory, unless a store is in use."""
+    if _store.get() is not None:
+        yield
+        return
+    with use_store(MemoryStore()):
+        yield
+
+
+class MemoryStore:
+    """Keep results in memory."""
+
+    def __init__(self) -> None:
+        self._results: dict[str, Arrays] = {}
+
+    def find(self, key: str) -> Arrays | None:
+        """Return the result that was kept under a key, if there is one."""
+        return self._results.get(key)
+
+    def keep(self, key: str, result: Arrays) -> None:
+        """Keep a result under a key, for whoever asks for that key later."""
+        self._results[key] = result
 
 
 def keep_results(

@@ -87,6 +87,7 @@ from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.trim import trim_at_contact
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.kept_results import use_any_store
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import check_effect_names, effects_by_name
@@ -201,7 +202,8 @@ def diagnose(
     trials = TrialsByUse(usable, held_out, rejected)
     if not trials.searched_trials:
         trials = replace(trials, held_out_names=())
-    return _diagnose_trials(trials, settings)
+    with use_any_store():
+        return _diagnose_trials(trials, settings)
 
 
 @dataclass(frozen=True)

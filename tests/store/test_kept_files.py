@@ -8,7 +8,12 @@ import pytest
 
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.run.kept_files import KeptFiles
-from stringcast.stages.kept_results import content_digest, keep_results, use_store
+from stringcast.stages.kept_results import (
+    content_digest,
+    keep_results,
+    use_any_store,
+    use_store,
+)
 from tests.foreign.test_foreign_settings import resolved
 
 VERSIONS = {"code": {"source": "abc"}, "packages": {"numpy": "2"}}
@@ -96,6 +101,27 @@ def test_a_call_is_made_once_for_the_same_content(files):
         double(replace(MASS, kg=0.6))
         double(MASS, factor=3.0)
     assert len(calls) == 5
+
+
+def test_a_long_call_is_remembered_where_no_store_is_in_use(files):
+    """A store that is in use stays in use."""
+    calls = []
+
+    @keep_results
+    def halve(mass):
+        calls.append(mass)
+        return mass.points / 2
+
+    with use_any_store():
+        first = halve(MASS)
+        assert halve(MASS) is first
+    assert len(calls) == 1
+    with use_store(files), use_any_store():
+        halve(MASS)
+        assert len(calls) == 2
+    with use_store(files):
+        halve(MASS)
+    assert len(calls) == 2
 
 
 def test_other_content_has_another_digest():
