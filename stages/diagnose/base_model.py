@@ -24,8 +24,13 @@ from stringcast.stages.model.parameter import parameter_exponents, parameter_val
 RANGE_END_FRACTION = 0.02  # of a range: nearer to its end, the data press against it
 RANGE_WIDENING_FACTOR = 30.0
 MAX_WIDENING_ROUNDS = 3
+WIDENING_ITERATIONS = 8  # show whether a wider range explains much more
 MAX_SEARCH_ITERATIONS = 20  # before the last horizon
+# In it, and after it: a model that misfits creeps, and is fitted again with the error
+# of its mesh and a discrepancy
+MAX_LAST_ITERATIONS = 20
 SCREENED_PER_START = 8
+MAX_SEARCHED_TRIALS = 8  # from many starts; all are fitted from the best of them
 
 
 def fit_base_model(
@@ -48,15 +53,32 @@ def fit_base_model(
     configured = parameter_exponents(parameters, starting_values)
     drawn = rng.uniform(size=(SCREENED_PER_START * starts, len(configured)))
     candidates = np.concatenate([configured[None], drawn])
-    best = screen_candidates(likelihood, candidates, starts)
-    chi = search_parameters(likelihood, best, MAX_SEARCH_ITERATIONS, progress)
+    sample = sample_trials(likelihood)
+    best = screen_candidates(sample, candidates, starts)
+    chi = search_parameters(
+        sample,
+        best,
+        MAX_SEARCH_ITERATIONS,
+        progress,
+        last_iterations=MAX_LAST_ITERATIONS,
+    )
     for _ in range(MAX_WIDENING_ROUNDS):
-        before = likelihood
+        before = sample
         for index in range(len(chi)):
-            likelihood, chi = widen_range_if_supported(likelihood, chi, index)
-        if likelihood is before:
+            sample, chi = widen_range_if_supported(sample, chi, index)
+        if sample is before:
             break
-    return refine_solution(likelihood, chi)
+    trials = with_model(likelihood.data.trials, sample.model)
+    widened = replace(likelihood.with_trials(trials), model=sample.model)
+    return refine_solution(widened, chi, MAX_LAST_ITERATIONS)
+
+
+def sample_trials(likelihood: Likelihood) -> Likelihood:
+    """Take as many trials, evenly, as a search from many starts needs."""
+    trials = likelihood.data.trials
+    count = min(len(trials), MAX_SEARCHED_TRIALS)
+    chosen = np.linspace(0, len(trials) - 1, count).round().astype(int)
+    return likelihood.with_trials([trials[k] for k in chosen])
 
 
 def widen_range_if_supported(
@@ -93,7 +115,9 @@ def widen_range_if_supported(
 
     # The gain of the log-likelihood at the best scale of the noise, as in `solver`
     before = widened.residuals(start)[0]
-    after = solver.fit_least_squares(widened, start)
+    after = solver.fit_least_squares(
+        widened, start, WIDENING_ITERATIONS, STRONG_LOG_EVIDENCE
+    )
     gain = 0.5 * len(before) * np.log(np.mean(before**2) / after.loss[0])
     if gain > STRONG_LOG_EVIDENCE:
         return widened, after.chi[0]
@@ -118,8 +142,14 @@ def refit_from_new_starts(
     candidates = np.where(is_cause, fit.chi, drawn)
     trials = with_model(data.trials, hypothesis.model)
     likelihood = Likelihood(TrialData(trials), hypothesis.model)
-    best = screen_candidates(likelihood, candidates, starts - 1)
+    sample = sample_trials(likelihood)
+    best = screen_candidates(sample, candidates, starts - 1)
     tried = np.concatenate([fit.chi[None], best])
-    chi = search_parameters(likelihood, tried, MAX_SEARCH_ITERATIONS)
+    chi = search_parameters(
+        sample,
+        tried,
+        MAX_SEARCH_ITERATIONS,
+        last_iterations=MAX_LAST_ITERATIONS,
+    )
     refit = fit_hypothesis(data, hypothesis, chi[None], fit.scale_indices)
     return refit if refit.log_evidence > fit.log_evidence else fit

@@ -92,6 +92,7 @@ def search_parameters(
     max_iterations: int,
     progress: Progress = lambda share: None,
     known: np.ndarray | None = None,
+    last_iterations: int = MAX_ITERATIONS,
 ) -> np.ndarray:
     """Search the best parameters (P,) from several starts.
 
@@ -104,6 +105,8 @@ def search_parameters(
     known
         Exponents (P,) of earlier trials, a further start with the whole trials: the
         beginning of a trial would lead it astray.
+    last_iterations
+        Iterations in the last horizon at most.
     """
     chi = starts
     horizons_s = horizons(likelihood)
@@ -112,7 +115,7 @@ def search_parameters(
     iterations = max(max_iterations // max(count - 1, 1), 1)
     for number, horizon in enumerate(horizons_s):
         if number == count - 1:
-            iterations = MAX_ITERATIONS
+            iterations = last_iterations
             if known is not None:
                 chi = np.concatenate([chi, known[None]])
         early = meshes[number].cut_after_onset(horizon)
@@ -156,15 +159,18 @@ def _survivors(residual: np.ndarray, loss: np.ndarray) -> list[int]:
 def refine_solution(
     likelihood: Likelihood,
     chi: np.ndarray,
+    max_iterations: int = MAX_ITERATIONS,
 ) -> tuple[Likelihood, np.ndarray]:
     """Refine parameters (P,), noise and initial states in turn.
+
+    max_iterations: of the parameters in each turn.
 
     Returns the likelihood with noise and initial states at its maximum, and the
     exponents there.
     """
     likelihood = with_refined_initial_states(likelihood, chi, INITIAL_SPAN_S)
     for number in range(MAX_REFINEMENT_ROUNDS):
-        best = _refined_exponents(likelihood, chi)
+        best = _refined_exponents(likelihood, chi, max_iterations)
         updated = with_refined_initial_states(likelihood, best)
         before = np.log(likelihood.noise_scales)
         after = np.log(updated.noise_scales)
@@ -178,9 +184,11 @@ def refine_solution(
 
 
 @keep_results
-def _refined_exponents(likelihood: Likelihood, chi: np.ndarray) -> np.ndarray:
+def _refined_exponents(
+    likelihood: Likelihood, chi: np.ndarray, max_iterations: int
+) -> np.ndarray:
     """Refine exponents (P,) at given noise and initial states."""
-    runs = fit_least_squares(likelihood, chi[None], min_gain=REFINEMENT_MIN_GAIN)
+    runs = fit_least_squares(likelihood, chi[None], max_iterations, REFINEMENT_MIN_GAIN)
     return np.asarray(runs.chi[0])
 
 
