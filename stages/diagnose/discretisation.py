@@ -201,7 +201,13 @@ def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
     unmoved = evaluate_fit(corrected.data, hypothesis, fit.chi, fit.width)
     mesh_correction = fit_mesh_correction(corrected, unmoved)
     data = replace(corrected.data, mesh_correction=mesh_correction)
-    chi, width = best_exponents(data, hypothesis, fit.chi[None], unmoved.scale_indices)
+    chi, width = best_exponents(
+        data,
+        hypothesis,
+        fit.chi[None],
+        unmoved.scale_indices,
+        NEGLIGIBLE_LOG_EVIDENCE,
+    )
 
     # ... and the error is then computed where the fit ended. Of the fit there, only
     # the exponents are known and needed.
@@ -276,20 +282,33 @@ def exclude_chaotic_trials(prepared: PreparedData, tolerance_m: float) -> Prepar
 
     Trials in `keep_if_chaotic` stay.
     """
-    unresolvable = unresolvable_trials(prepared, tolerance_m)
-    names = [name for name in unresolvable if name not in prepared.keep_if_chaotic]
+    names = names_of_chaotic_trials(prepared, tolerance_m)
     if not names:
         return prepared
-    kept = [k for k, trial in enumerate(prepared.trials) if trial.name not in names]
-    base = prepared.base_fit
-    base = replace(base, scale_indices=base.scale_indices[kept])
-    remaining = replace(
-        prepared,
-        trials_with_outliers=tuple(prepared.trials_with_outliers[k] for k in kept),
-        trials=tuple(prepared.trials[k] for k in kept),
-        data=prepared.data.subset(kept),
-        chaotic_trials=(*prepared.chaotic_trials, *names),
-    )
+    remaining = without_trials(prepared, names)
+    base = remaining.base_fit
     corrected = correct_data_at(remaining, base)
     base_fit = refit(corrected.data, base, base.hypothesis)
     return replace(corrected, base_fit=base_fit)
+
+
+def names_of_chaotic_trials(prepared: PreparedData, tolerance_m: float) -> list[str]:
+    """Name unresolvable trials but for those in `keep_if_chaotic`."""
+    unresolvable = unresolvable_trials(prepared, tolerance_m)
+    return [name for name in unresolvable if name not in prepared.keep_if_chaotic]
+
+
+def without_trials(prepared: PreparedData, names: Sequence[str]) -> PreparedData:
+    """Leave out trials that are chaotic; the base model stays as it is."""
+    kept = [k for k, trial in enumerate(prepared.trials) if trial.name not in names]
+    data = prepared.data.subset(kept)
+    base = prepared.base_fit
+    return replace(
+        prepared,
+        data=data,
+        base_fit=evaluate_fit(data, base.hypothesis, base.chi, base.width),
+        trials_with_outliers=tuple(prepared.trials_with_outliers[k] for k in kept),
+        trials=tuple(prepared.trials[k] for k in kept),
+        discretisation_uncertainty_m=prepared.discretisation_uncertainty_m[kept],
+        chaotic_trials=(*prepared.chaotic_trials, *names),
+    )

@@ -17,9 +17,11 @@ from stringcast.stages.diagnose.discretisation import (
     correct_data_at,
     corrected_data_of,
     exclude_chaotic_trials,
+    names_of_chaotic_trials,
     refine_to_convergence,
     subtract_discretisation_error,
     with_second_order_mesh,
+    without_trials,
 )
 from stringcast.stages.diagnose.measures import refit
 from stringcast.stages.diagnose.noise import (
@@ -33,13 +35,12 @@ from stringcast.stages.diagnose.prepared_data import (
 )
 from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
 from stringcast.stages.inference.basis import LOW_FREQUENCY_HZ, highest_frequency
-from stringcast.stages.inference.discrepancy import best_scale_index
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_modes import (
     reset_initial_state_linear,
     trials_with_reestimated_start,
 )
-from stringcast.stages.inference.laplace import Fit, fit_hypothesis, mean_discrepancy
+from stringcast.stages.inference.laplace import Fit, evaluate_fit, mean_discrepancy
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import (
     PreparedTrial,
@@ -132,12 +133,9 @@ def prepare_data(
     pairs = zip(with_outliers, trials, strict=True)
     with_outliers = tuple(replace(old, growth=trial.growth) for old, trial in pairs)
     data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
-    residuals = data.residuals(hypothesis.model, chi[None])
-    scale_indices = best_scale_index(data.log_likelihood_by_scale(residuals))[:, 0]
-    base_fit = fit_hypothesis(data, hypothesis, chi[None], scale_indices)
     prepared = PreparedData(
         data=data,
-        base_fit=base_fit,
+        base_fit=evaluate_fit(data, hypothesis, chi),
         trials_with_outliers=with_outliers,
         trials=trials,
         resting_points=resting_points,
@@ -145,11 +143,37 @@ def prepare_data(
         noise_is_given=noise_is_given,
         keep_if_chaotic=tuple(keep_if_chaotic),
     )
-    refined = refine_to_convergence(prepared, base_fit)
-    prepared = replace(refined.prepared, base_fit=refined.fit)
-
-    prepared = exclude_chaotic_trials(prepared, tolerance_m)
+    prepared = fit_base_model_to_resolved_trials(prepared, tolerance_m)
     return keep_configured_mesh_if_supported(prepared, model, tolerance_m)
+
+
+def fit_base_model_to_resolved_trials(
+    prepared: PreparedData, tolerance_m: float
+) -> PreparedData:
+    """Fit the base model to the trials that simulation resolves.
+
+    A chaotic trial leads fits astray, and makes them slow. It is left out from the
+    start, and returns if the fit to the others resolves it.
+    """
+    chaotic = names_of_chaotic_trials(prepared, tolerance_m)
+    resolved = refine_base_model(without_trials(prepared, chaotic))
+    if chaotic:
+        left_out = [trial for trial in prepared.trials if trial.name in chaotic]
+        base = resolved.base_fit
+        _, uncertainty_m = corrected_data_of(resolved, left_out, base)
+        is_chaotic = uncertainty_m >= tolerance_m
+        if not is_chaotic.all():
+            names = [left_out[k].name for k in np.flatnonzero(is_chaotic)]
+            fit = evaluate_fit(prepared.data, base.hypothesis, base.chi)
+            together = replace(prepared, base_fit=fit)
+            resolved = refine_base_model(without_trials(together, names))
+    return exclude_chaotic_trials(resolved, tolerance_m)
+
+
+def refine_base_model(prepared: PreparedData) -> PreparedData:
+    """Correct the data at the base model until its evidence gains no more."""
+    refined = refine_to_convergence(prepared, prepared.base_fit)
+    return replace(refined.prepared, base_fit=refined.fit)
 
 
 def warn_of_long_trials(trials: Sequence[PreparedTrial]) -> None:

@@ -7,8 +7,10 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import SIGMA, simulate_trial, swing_angles, true_exponents
 
+from stringcast.stages.diagnose import preparation
 from stringcast.stages.diagnose.base_model import (
     MAX_SEARCH_ITERATIONS,
+    sample_trials,
     widen_range_if_supported,
 )
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
@@ -236,6 +238,58 @@ def test_a_chaotic_trial_is_excluded_with_its_part_of_the_fit(
     assert len(kept.base_fit.residuals) == len(kept.trials) == 3 - len(chaotic)
     resolved = replace(uncertain, keep_if_chaotic=("t0", "t1", "t2"))
     assert exclude_chaotic_trials(resolved, TOLERANCE_M) is resolved
+
+
+@pytest.mark.parametrize(
+    ("at_the_fit_mm", "fitted", "chaotic"),
+    [
+        ((5.0, 9.0), [("t0", "t1")], ("t2", "t3")),
+        ((1.0, 9.0), [("t0", "t1"), ("t0", "t1", "t2")], ("t3",)),
+    ],
+)
+def test_a_chaotic_trial_returns_if_the_fit_to_the_others_resolves_it(
+    at_the_fit_mm, fitted, chaotic, model, prepared, monkeypatch
+):
+    """Chaotic trials are no part of the first fit."""
+    names = ("t0", "t1", "t2", "t3")
+    trials = tuple(replace(prepared.trials[0], name=name) for name in names)
+    data = prepared.data.trials[0]
+    before = replace(
+        prepared,
+        data=TrialData(tuple(replace(data, name=name) for name in names)),
+        trials=trials,
+        trials_with_outliers=trials,
+        discretisation_uncertainty_m=np.array([0.1, 0.2, 8.0, 9.0]) / 1e3,
+    )
+    asked = []
+
+    def refine(resolved):
+        asked.append(tuple(trial.name for trial in resolved.trials))
+        few = np.full(len(resolved.trials), 1e-4)
+        return replace(resolved, discretisation_uncertainty_m=few)
+
+    def correct(resolved, left_out, fit):
+        assert [trial.name for trial in left_out] == ["t2", "t3"]
+        return None, np.array(at_the_fit_mm) / 1e3
+
+    monkeypatch.setattr(preparation, "refine_base_model", refine)
+    monkeypatch.setattr(preparation, "corrected_data_of", correct)
+    after = preparation.fit_base_model_to_resolved_trials(before, TOLERANCE_M)
+    assert asked == fitted
+    assert after.chaotic_trials == chaotic
+    assert len(after.base_fit.residuals) == len(after.trials) == 4 - len(chaotic)
+
+
+def test_a_base_model_is_searched_in_eight_trials_at_most(trials, model):
+    """They are taken evenly, the first and the last among them."""
+    many = tuple(replace(trials[0], name=str(k)) for k in range(25))
+    sample = sample_trials(Likelihood(TrialData(many), model))
+    names = [int(trial.name) for trial in sample.data.trials]
+    assert len(names) == 8
+    assert {0, 24} < {*names}
+    assert set(np.diff(names)) <= {3, 4}
+    few = Likelihood(TrialData(many[:5]), model)
+    assert sample_trials(few).data.trials == few.data.trials
 
 
 def test_outliers_that_a_better_fit_explains_are_restored(prepared):
