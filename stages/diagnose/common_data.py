@@ -5,8 +5,9 @@ Each rival then has data of its own, and how far this error is from that where t
 ends moves log evidences by up to hundreds: more than rivals differ. So rivals are
 compared by simulations that are extrapolated from two meshes. Initial states, noise and
 discrepancy are those of one search; what is uncertain in the extrapolation is part of
-the likelihood. Each rival is also fitted from the optimum of the most evident other
-one, as it may be in a worse minimum of the parameters that they share.
+the likelihood. A rival may be in a worse minimum of the parameters that all share, so
+that it is also fitted from those of the most evident other one, on one mesh; it starts
+from the more likely of both.
 """
 
 from __future__ import annotations
@@ -18,15 +19,21 @@ import numpy as np
 
 from stringcast.stages.diagnose.discrepancy_model import with_random_effects
 from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.diagnose.rules import NEGLIGIBLE_LOG_EVIDENCE
 from stringcast.stages.inference.extrapolated_data import ExtrapolatedData
 from stringcast.stages.inference.initial_modes import reset_initial_state_linear
-from stringcast.stages.inference.laplace import Fit, fit_hypothesis
+from stringcast.stages.inference.laplace import (
+    Fit,
+    best_exponents,
+    fit_hypothesis,
+    log_likelihoods,
+)
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.workers import map_in_workers
 
 
 def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fit]:
-    """Fit each rival to what was measured, from its own optimum and the best other.
+    """Fit each rival to what was measured.
 
     Parameters
     ----------
@@ -48,11 +55,22 @@ def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fi
         others = [other for other in rivals if other is not rival]
         best = max(others, key=lambda other: other.log_evidence)
         shared = hypothesis.exponents_from(rival.exponents | best.exponents)
-        return fit_hypothesis(
-            with_random_effects(data, hypothesis, rival.chi),
+        elsewhere, _ = best_exponents(
+            prepared.data,
             hypothesis,
-            np.stack([rival.chi, shared]),
+            shared[None],
             rival.scale_indices,
+            NEGLIGIBLE_LOG_EVIDENCE,
+        )
+        starts = np.stack([rival.chi, elsewhere])
+        own_data = with_random_effects(data, hypothesis, rival.chi)
+        log_likelihood = log_likelihoods(own_data, hypothesis, starts)
+        return fit_hypothesis(
+            own_data,
+            hypothesis,
+            starts[[np.argmax(log_likelihood)]],
+            rival.scale_indices,
+            NEGLIGIBLE_LOG_EVIDENCE,
         )
 
     fits = []

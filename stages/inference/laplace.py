@@ -44,7 +44,7 @@ from stringcast.stages.model.parameter import Parameter
 
 # Widths of the prior of how far a cause moves the tip [m], each as likely
 TIP_SHIFT_WIDTHS_M = np.array([1e-3, 3e-3, 1e-2, 3e-2])
-SCREENING_ITERATIONS = 4  # iterations of several starts, before the best alone goes on
+SCREENING_ITERATIONS = 2  # iterations of several starts, before the best alone goes on
 DISCREPANCY_DRAWS = 400  # of a discrepancy: a probability is known to 0.025
 ABSENCE_TOLERANCE = 1e-9  # of a range: an amplitude so near to its start is absent
 AMPLITUDE_PRECISION = 1e-9  # none, but keeps the curvature positive
@@ -150,15 +150,10 @@ def best_exponents(
 
     # Several starts side by side; the best of them goes on
     likelihood = Likelihood(data, model, scale_indices, uniform_indices=uniform)
-    runs = solver.fit_least_squares(
-        likelihood,
-        starts,
-        SCREENING_ITERATIONS,
-        min_gain,
-    )
+    iterations = SCREENING_ITERATIONS if len(starts) > 1 else 0
+    runs = solver.fit_least_squares(likelihood, starts, iterations, min_gain)
     by_scale = data.log_likelihood_by_scale(data.residuals(model, runs.chi))
-    log_likelihood = marginal_log_likelihood(by_scale).sum(axis=0)  # (C,)
-    best = int(np.argmax(log_likelihood))
+    best = int(np.argmax(marginal_log_likelihood(by_scale).sum(axis=0)))
     run = runs.select(best)
     updated = best_scale_index(by_scale[:, best])
 
@@ -173,6 +168,15 @@ def best_exponents(
         by_scale = data.log_likelihood_by_scale(data.residuals(model, run.chi))
         updated = best_scale_index(by_scale[:, 0])
     return run.chi[0], run.width[0]
+
+
+def log_likelihoods(
+    data: TrialData, hypothesis: Hypothesis, chi: np.ndarray
+) -> np.ndarray:
+    """Compute the log-likelihood of all trials at exponents (C, P), (C,)."""
+    data = data.for_hypothesis(hypothesis)
+    by_scale = data.log_likelihood_by_scale(data.residuals(hypothesis.model, chi))
+    return np.asarray(marginal_log_likelihood(by_scale).sum(axis=0))
 
 
 def evaluate_fit(

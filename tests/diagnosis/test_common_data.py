@@ -95,30 +95,44 @@ def fit_of(name, exponents, log_evidence=0.0):
     return Fit(hypothesis, chi, [], [], None, np.array([3]), np.zeros(1), log_evidence)
 
 
-def test_each_rival_is_fitted_from_its_optimum_and_that_of_the_best_other(monkeypatch):
+def test_a_rival_starts_from_its_optimum_or_from_that_of_the_best_other(monkeypatch):
+    """The more likely start is used; that of another is fitted on one mesh first."""
     fits = [
         fit_of("base", {"stiffness": 0.1}, 1.0),
         fit_of("wind", {"stiffness": 0.2, "speed": 0.5}, 2.0),
         fit_of("set", {"stiffness": 0.3, "curvature": 0.6}, 3.0),
     ]
+    likeliest = {"base": 0.1, "wind": 0.35, "set": 0.3}  # of the stiffness
+
+    def fit_on_one_mesh(data, hypothesis, starts, *given):
+        assert data == "one mesh"
+        is_stiffness = np.arange(starts.shape[1]) == 0
+        return starts[0] + 0.05 * is_stiffness, None
 
     def fit(data, hypothesis, starts, *given):
-        fitted.append((data, hypothesis.name, starts.tolist()))
+        (start,) = starts.round(9).tolist()
+        fitted.append((data, hypothesis.name, start))
         return fit_of(hypothesis.name, {"stiffness": 0.0})
+
+    def log_likelihoods(data, hypothesis, chi):
+        return -np.abs(chi[:, 0] - likeliest[hypothesis.name])
 
     def add_random_effects(data, hypothesis, chi):
         return f"{data}, with {hypothesis.name}"
 
     fitted = []
+    monkeypatch.setattr(common_data, "best_exponents", fit_on_one_mesh)
     monkeypatch.setattr(common_data, "fit_hypothesis", fit)
+    monkeypatch.setattr(common_data, "log_likelihoods", log_likelihoods)
     monkeypatch.setattr(common_data, "measured_data", lambda prepared: "measured")
     monkeypatch.setattr(common_data, "with_random_effects", add_random_effects)
-    compared = common_data.fit_to_common_data(None, fits)
+    prepared = SimpleNamespace(data="one mesh")
+    compared = common_data.fit_to_common_data(prepared, fits)
 
     assert fitted == [
-        ("measured, with base", "base", [[0.1], [0.3]]),
-        ("measured, with wind", "wind", [[0.2, 0.5], [0.3, 0.5]]),
-        ("measured, with set", "set", [[0.3, 0.6], [0.2, 0.6]]),
+        ("measured, with base", "base", [0.1]),
+        ("measured, with wind", "wind", [0.35, 0.5]),
+        ("measured, with set", "set", [0.3, 0.6]),
     ]
     for one, before in zip(compared, fits, strict=True):
         assert one.hypothesis is before.hypothesis
