@@ -294,6 +294,8 @@ def _propose_contact(
     contacts = contact_candidates(linear.data, linear.parent, hypothesis, seed)
     if contacts.act_everywhere():
         return _propose_global_effect(linear, effect, seed)
+    if not np.isfinite(contacts.departure_times).any():
+        return None  # the string departs nowhere from the fit
     end_times = contacts.departure_times + CONTACT_DELAY_S
     chi = contacts.sample()
     tried = []

@@ -81,6 +81,14 @@ def test_active_and_excluded_effects_are_no_candidates(model, trials):
         assert not (effect.exclusion_reason and effect.name in names)
 
 
+def test_nothing_is_touched_where_the_string_departs_nowhere(arm, model, trials):
+    base = Hypothesis(model)
+    chi = true_exponents(base, TRUTH)
+    data = attach_discrepancy_model(trials, base, chi)
+    parent = evaluate_fit(data, base, chi)
+    assert not propose_causes(data, parent, [effects_by_name()["contact"]], 0)
+
+
 def test_no_plane_stands_where_the_hand_moves(arm, model, trials):
     base = Hypothesis(model)
     chi = true_exponents(base, TRUTH)
@@ -170,7 +178,7 @@ def test_every_effect_is_proposed_or_has_a_reason(arm, model):
     """None of the library is silently out of a diagnosis's reach."""
     trials = simulate_swings(arm, model, model, TRUTH, 0.6)
     base = Hypothesis(model)
-    chi = true_exponents(base, TRUTH)
+    chi = true_exponents(base, TRUTH | {"linear_drag": 2.0})  # something is wrong
     data = attach_discrepancy_model(trials, base, chi)
     parent = evaluate_fit(data, base, chi)
     library = effects_by_name()
