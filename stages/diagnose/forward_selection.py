@@ -25,6 +25,7 @@ from stringcast.stages.diagnose.left_out_fits import groups_to_leave_out
 from stringcast.stages.diagnose.measures import (
     mean_explained_fraction,
     refit,
+    sample_by_misfit,
     tip_shift_rms,
     trials_touched_by,
     unexplained_tip_rms,
@@ -68,6 +69,7 @@ log = logging.getLogger(__name__)
 INITIAL_PROPOSALS = 6  # the others are fitted if none of these explains what is left
 MM_PER_M = 1e3
 MAX_RIVALS = 3  # that are refined in one step
+MAX_SAMPLED_TRIALS = 8  # candidates are tried in these before all
 UNRESOLVED_FRACTION = 0.1  # of a trial's mean square misfit that may stay unresolved
 
 
@@ -263,7 +265,8 @@ def compare_candidates(
     """
     causes = parent.hypothesis.causes
     candidates = [effect for effect in effects if effect not in causes]
-    proposals = propose_causes(prepared.data, parent, candidates, seed)
+    sample, sampled_parent = _sample_trials(prepared.data, parent)
+    proposals = propose_causes(sample, sampled_parent, candidates, seed)
     step = SelectionStep(prepared.data, parent, proposals, fits=())
     remaining = proposals
     if contested is not None:
@@ -286,6 +289,15 @@ def compare_candidates(
         step = _fit_more_proposals(prepared, step, others, criteria)
         step = _refine_rivals(prepared, step, criteria, contested)
     return step
+
+
+def _sample_trials(data: TrialData, parent: Fit) -> tuple[TrialData, Fit]:
+    """Sample the trials in which candidates are first tried, if that halves them."""
+    if len(data.trials) < 2 * MAX_SAMPLED_TRIALS:
+        return data, parent
+    chosen = sample_by_misfit(data, parent, MAX_SAMPLED_TRIALS)
+    sample = data.subset(chosen)
+    return sample, evaluate_fit(sample, parent.hypothesis, parent.chi, parent.width)
 
 
 def _lookalikes_of_best(
@@ -318,8 +330,7 @@ def _refine_rivals(
     parent = step.parent
     if step.best is None or not has_evidence(parent, step.best, criteria):
         return step
-    gain = step.best.log_evidence - parent.log_evidence
-    least_evidence = parent.log_evidence + criteria.min_explained_fraction * gain
+    least_evidence = _least_evidence(step.fits, parent, criteria)
     count = sum(fit.log_evidence > least_evidence for fit in step.fits[:MAX_RIVALS])
 
     needed = len(prepared.discretisation_uncertainty_m)
@@ -612,35 +623,20 @@ def _fit_more_proposals(
     criteria: Criteria,
 ) -> SelectionStep:
     """Fit more of a step's proposals, promising ones with their own numerical error."""
+    data = prepared.data
     parent = step.parent
-    min_gain = NEGLIGIBLE_LOG_EVIDENCE  # a fit need not be more precise
+    sample, sampled_parent = _sample_trials(data, parent)
 
     def fit_proposal(number: int) -> Fit:
         proposal = proposals[number]
         name = proposal.effect.name
         log.info("%d of %d: %s", number + 1, len(proposals), name)
         hypothesis = proposal.hypothesis
-        fit = fit_hypothesis(
-            prepared.data,
-            hypothesis,
-            proposal.starts,
-            parent.scale_indices,
-            min_gain,
-        )
-        first_gain = fit.log_evidence - parent.log_evidence
-        if first_gain > 0:
-            data = correct_data_on_one_finer_mesh(prepared, fit)
-            corrected = fit_hypothesis(
-                data,
-                hypothesis,
-                fit.chi[None],
-                fit.scale_indices,
-                min_gain,
-            )
-            # One finer mesh shows the error roughly: what may be evident is refined
-            fit = max(fit, corrected, key=lambda either: either.log_evidence)
-        gains = (fit.log_evidence - parent.log_evidence, first_gain, proposal.gain)
-        log.info("%s: log evidence %+.1f, at first %+.1f, proposed %.1f", name, *gains)
+        fit = _fit_roughly(sample, hypothesis, proposal.starts, sampled_parent)
+        if sample is not data:
+            fit = _fit_roughly(data, hypothesis, fit.chi[None], parent)
+        gain = fit.log_evidence - parent.log_evidence
+        log.info("%s: log evidence %+.1f, proposed %.1f", name, gain, proposal.gain)
         return fit
 
     fits = []
@@ -648,7 +644,43 @@ def _fit_more_proposals(
     for fit, proposal in zip(fitted, proposals, strict=True):
         # A worker returns a copy of the hypothesis
         fits.append(replace(fit, hypothesis=proposal.hypothesis))
+
+    # Those that may be refined, with numerical error of their own
+    least_evidence = _least_evidence([*step.fits, *fits], parent, criteria)
+    leading = [k for k, fit in enumerate(fits) if fit.log_evidence > least_evidence]
+
+    def correct_roughly(number: int) -> Fit:
+        fit = fits[number]
+        data = correct_data_on_one_finer_mesh(prepared, fit)
+        corrected = _fit_roughly(data, fit.hypothesis, fit.chi[None], fit)
+        gain = corrected.log_evidence - parent.log_evidence
+        name = fit.hypothesis.cause_names[-1]
+        log.info("%s: log evidence %+.1f on a finer mesh", name, gain)
+        return corrected
+
+    for k, corrected in zip(
+        leading, map_in_workers(correct_roughly, leading), strict=True
+    ):
+        # One finer mesh shows the error roughly: what may be evident is refined
+        if corrected.log_evidence > fits[k].log_evidence:
+            fits[k] = replace(corrected, hypothesis=fits[k].hypothesis)
     return replace(step, fits=rank_rivals(parent, [*step.fits, *fits], criteria))
+
+
+def _fit_roughly(
+    data: TrialData, hypothesis: Hypothesis, starts: np.ndarray, before: Fit
+) -> Fit:
+    """Fit a proposal, to a precision that is enough to rank it."""
+    scale_indices = before.scale_indices
+    min_gain = NEGLIGIBLE_LOG_EVIDENCE
+    return fit_hypothesis(data, hypothesis, starts, scale_indices, min_gain)
+
+
+def _least_evidence(fits: Sequence[Fit], parent: Fit, criteria: Criteria) -> float:
+    """Compute the evidence of what explains enough to be a rival of the best fit."""
+    best = max((fit.log_evidence for fit in fits), default=parent.log_evidence)
+    gain = max(best - parent.log_evidence, 0.0)
+    return parent.log_evidence + criteria.min_explained_fraction * gain
 
 
 def rank_rivals(parent: Fit, fits: Sequence[Fit], criteria: Criteria) -> list[Fit]:
@@ -661,8 +693,7 @@ def rank_rivals(parent: Fit, fits: Sequence[Fit], criteria: Criteria) -> list[Fi
     ranked = by_evidence(fits)
     if not ranked:
         return []
-    gain = ranked[0].log_evidence - parent.log_evidence
-    least_evidence = parent.log_evidence + criteria.min_explained_fraction * gain
+    least_evidence = _least_evidence(ranked, parent, criteria)
     inside = []
     others = []
     for fit in ranked:

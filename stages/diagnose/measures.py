@@ -35,6 +35,16 @@ def unexplained_tip_rms(data: TrialData, fit: Fit) -> np.ndarray:
     return data.tip_rms_by_trial(mean_discrepancy(data, fit))
 
 
+def sample_by_misfit(data: TrialData, fit: Fit, count: int) -> list[int]:
+    """Choose up to `count` trials evenly, from the largest misfit to the least.
+
+    Returns their numbers, in order.
+    """
+    ranked = np.argsort(-unexplained_tip_rms(data, fit), kind="stable")
+    chosen = np.linspace(0, len(ranked) - 1, min(count, len(ranked))).round()
+    return sorted(ranked[chosen.astype(int)].tolist())
+
+
 def tip_shift_rms(data: TrialData, one: Fit, other: Fit) -> np.ndarray:
     """Compute the tip shift between two fits in each trial [m], (K,).
 

@@ -52,6 +52,14 @@ def test_both_fits_are_refitted_without_that_trial(monkeypatch):
     assert scales == [[0, 2], [0, 2]]
 
 
+def test_a_sample_spans_trials_from_the_largest_misfit_to_the_least(monkeypatch):
+    misfit_m = np.array([5.0, 1.0, 9.0, 2.0, 7.0, 3.0])
+    monkeypatch.setattr(measures, "unexplained_tip_rms", lambda data, fit: misfit_m)
+    assert measures.sample_by_misfit(None, None, 3) == [0, 1, 2]
+    assert measures.sample_by_misfit(None, None, 2) == [1, 2]
+    assert measures.sample_by_misfit(None, None, 8) == [0, 1, 2, 3, 4, 5]
+
+
 def test_one_trial_alone_supports_nothing():
     data = SimpleNamespace(trials=(0,))
     alone = fit(1.0, [1.0]), fit(3.0, [3.0])

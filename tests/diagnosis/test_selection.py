@@ -1,6 +1,6 @@
 """Comparison of fits, and acceptance and removal of causes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,6 +24,8 @@ class NamedFit:
     name: str
     log_evidence: float
     hypothesis: SimpleNamespace | None = None
+    chi: np.ndarray = field(default_factory=lambda: np.zeros(1))
+    scale_indices: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=int))
 
 
 def named_fit(name, log_evidence):
@@ -354,14 +356,43 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
     )
     parent = SimpleNamespace(log_evidence=0.0, hypothesis=SimpleNamespace(causes=()))
     effects = [f"e{k}" for k in range(10)]
-    prepared = SimpleNamespace(data=None)
+    prepared = SimpleNamespace(data=SimpleNamespace(trials=()))
     forward_selection.compare_candidates(prepared, parent, effects, CRITERIA, 0)
     assert fitted == expected
 
 
+def test_many_trials_are_sampled_before_candidates_are_tried_in_all(monkeypatch):
+    """Fewer than twice as many as a sample has are all taken."""
+
+    def evaluate(data, *given):
+        return f"fit to {len(data)}"
+
+    class Trials(list):
+        trials = property(list)
+
+        def subset(self, chosen):
+            return Trials(self[k] for k in chosen)
+
+    monkeypatch.setattr(forward_selection, "evaluate_fit", evaluate)
+    monkeypatch.setattr(
+        forward_selection, "sample_by_misfit", lambda data, fit, count: range(count)
+    )
+    parent = SimpleNamespace(hypothesis=None, chi=None, width=None)
+    few = Trials(range(15))
+    assert forward_selection._sample_trials(few, parent) == (few, parent)
+    many = Trials(range(16))
+    sample = forward_selection._sample_trials(many, parent)
+    assert sample == (Trials(range(8)), "fit to 8")
+
+
 @pytest.mark.parametrize(
     ("first", "corrected", "kept"),
-    [(40.0, -9.0, 40.0), (25.0, 40.0, 40.0), (-1.0, 9.0, -1.0)],
+    [
+        (40.0, -9.0, 40.0),
+        (25.0, 40.0, 40.0),
+        (-1.0, 9.0, -1.0),  # it explains nothing
+        (15.0, 40.0, 15.0),  # it explains less than half of what the best does
+    ],
 )
 def test_a_rough_correction_makes_no_proposal_less_evident(
     first, corrected, kept, monkeypatch, limited
@@ -370,26 +401,27 @@ def test_a_rough_correction_makes_no_proposal_less_evident(
     evidence = {"plain": first, "corrected": corrected}
 
     def fit(data, *given):
-        named = named_fit("wind", evidence[data])
-        return SimpleNamespace(**vars(named), chi=np.zeros(1), scale_indices=None)
+        return named_fit("wind", evidence[data])
 
     monkeypatch.setattr(forward_selection, "fit_hypothesis", fit)
     monkeypatch.setattr(
         forward_selection, "correct_data_on_one_finer_mesh", lambda *given: "corrected"
     )
     monkeypatch.setattr(
-        forward_selection, "replace", lambda old, **new: vars(old) | new
-    )
-    monkeypatch.setattr(
         forward_selection, "rank_rivals", lambda parent, fits, criteria: fits
     )
+    monkeypatch.setattr(
+        forward_selection, "_sample_trials", lambda data, parent: (data, parent)
+    )
     parent = SimpleNamespace(log_evidence=0.0, scale_indices=None)
-    step = SimpleNamespace(parent=parent, fits=[])
+    best = named_fit("clamp", 35.0)
+    step = SelectionStep(None, parent, [], [best])
     wind = SimpleNamespace(name="wind")
-    proposal = Proposal(SimpleNamespace(causes=(wind,)), None, 20.0, np.ones(1))
+    hypothesis = SimpleNamespace(causes=(wind,), cause_names=("wind",))
+    proposal = Proposal(hypothesis, None, 20.0, np.ones(1))
     prepared = SimpleNamespace(data="plain")
     found = forward_selection._fit_more_proposals(prepared, step, [proposal], CRITERIA)
-    assert [each["log_evidence"] for each in found["fits"]] == [kept]
+    assert [each.log_evidence for each in found.fits] == [35.0, kept]
 
 
 @pytest.mark.parametrize(
