@@ -280,15 +280,15 @@ def compare_candidates(
     remaining = [p for p in remaining if p not in first]
     lookalikes = _lookalikes_of_best(step, remaining, criteria)
     step = _fit_more_proposals(prepared, step, lookalikes, criteria)
-    step = _refine_rivals(prepared, step, criteria, contested)
+    refined = _refine_rivals(prepared, step, criteria, contested)
 
     # All others, if something is left to explain
     misfit_m = unexplained_tip_rms(prepared.data, parent).max()
-    if not step.accepted and misfit_m > criteria.tip_tolerance_m:
+    if not refined.accepted and misfit_m > criteria.tip_tolerance_m:
         others = [p for p in remaining if p not in lookalikes]
         step = _fit_more_proposals(prepared, step, others, criteria)
-        step = _refine_rivals(prepared, step, criteria, contested)
-    return step
+        refined = _refine_rivals(prepared, step, criteria, contested)
+    return refined
 
 
 def _sample_trials(data: TrialData, parent: Fit) -> tuple[TrialData, Fit]:

@@ -361,6 +361,30 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
     assert fitted == expected
 
 
+def test_all_others_are_compared_with_the_parent_on_the_data_of_the_search(monkeypatch):
+    """Refined rivals and their parent are fitted to other data: those they share."""
+    parents = []
+
+    def fit_proposals(prepared, step, proposals, criteria):
+        parents.append(step.parent.log_evidence)
+        return step
+
+    def refine(prepared, step, *given):
+        return replace(step, parent=named_fit("", 50.0))
+
+    monkeypatch.setattr(forward_selection, "propose_causes", lambda *given: [])
+    monkeypatch.setattr(forward_selection, "_fit_more_proposals", fit_proposals)
+    monkeypatch.setattr(forward_selection, "_refine_rivals", refine)
+    monkeypatch.setattr(
+        forward_selection, "unexplained_tip_rms", lambda data, fit: np.ones(1)
+    )
+    prepared = SimpleNamespace(data=SimpleNamespace(trials=()))
+    parent = named_fit("", 0.0)
+    step = forward_selection.compare_candidates(prepared, parent, [], CRITERIA, 0)
+    assert parents == [0.0, 0.0, 0.0]
+    assert step.parent.log_evidence == 50.0
+
+
 def test_many_trials_are_sampled_before_candidates_are_tried_in_all(monkeypatch):
     """Fewer than twice as many as a sample has are all taken."""
 
