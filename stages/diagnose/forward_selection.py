@@ -92,6 +92,9 @@ class SelectionStep:
         to the same data (`common_data`).
     accepted : bool
         Whether the best is accepted.
+    unresolved : sequence of Fit
+        Those that have as much evidence as the best when refined, but by which too few
+        trials can be simulated. They cannot be distinguished from it.
     """
 
     data: TrialData
@@ -100,6 +103,7 @@ class SelectionStep:
     fits: Sequence[Fit]
     refined: Sequence[Fit] = ()
     accepted: bool = False
+    unresolved: Sequence[Fit] = ()
 
     @property
     def best(self) -> Fit | None:
@@ -324,7 +328,7 @@ def _refine_rivals(
 ) -> SelectionStep:
     """Refine the fits near the best one, and decide whether the best is accepted.
 
-    Rivals by which simulation resolves too few trials are removed: what is uncertain in
+    Rivals by which simulation resolves too few trials cannot lead: what is uncertain in
     the others may explain anything.
     """
     parent = step.parent
@@ -341,27 +345,33 @@ def _refine_rivals(
         misfit_m = unexplained_tip_rms(prepared.data, parent)
         allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
 
-    def refine_rival(fit: Fit) -> Fit | None:
+    def refine_rival(fit: Fit) -> tuple[Fit, bool]:
         rival = RefinedFit(prepared, fit)
         if fit is not contested:
             rival = refine_fit(prepared, fit)
-        if is_resolved(rival.prepared, prepared, criteria, needed, allowance_m):
-            return rival.fit
-        return None
+        resolved = is_resolved(rival.prepared, prepared, criteria, needed, allowance_m)
+        return rival.fit, resolved
 
     # Refinement mostly lowers the evidence: none may lead because it was not refined
     refined: list[Fit] = []
+    unresolved: list[Fit] = []
     unrefined = list(step.fits)
     while count:
         chosen = unrefined[:count]
         unrefined = unrefined[count:]
         answers = map_in_workers(refine_rival, chosen)
-        for rival, fit in zip(chosen, answers, strict=True):
-            if fit is not None:
-                # A worker returns a copy of the hypothesis
-                refined.append(replace(fit, hypothesis=rival.hypothesis))
+        for rival, (fit, resolved) in zip(chosen, answers, strict=True):
+            # A worker returns a copy of the hypothesis
+            own = replace(fit, hypothesis=rival.hypothesis)
+            (refined if resolved else unresolved).append(own)
         refined = rank_rivals(parent, refined, criteria)
         count = int(_is_overtaken(parent, refined, unrefined, criteria))
+    ahead = []
+    for fit in unresolved:
+        if refined and fit.log_evidence >= refined[0].log_evidence:
+            name = fit.hypothesis.cause_names[-1]
+            log.info("%s cannot be simulated well enough to be told apart", name)
+            ahead.append(fit)
 
     if len(refined) > 1:
         parent, *fits = fit_to_common_data(prepared, [parent, *refined])
@@ -381,6 +391,7 @@ def _refine_rivals(
         fits=every_fit,
         refined=refined,
         accepted=is_accepted,
+        unresolved=ahead,
     )
 
 
@@ -467,8 +478,16 @@ def _refit_step(
         if id(fit) not in was_refined:
             others.append(evaluate_fit(data, fit.hypothesis, fit.chi))
     fits = rank_rivals(parent, [*refined, *others], criteria)
+    unresolved = [refit(data, fit, fit.hypothesis) for fit in step.unresolved]
     # All are now on the same data
-    return replace(step, data=data, parent=parent, fits=fits, refined=refined)
+    return replace(
+        step,
+        data=data,
+        parent=parent,
+        fits=fits,
+        refined=refined,
+        unresolved=unresolved,
+    )
 
 
 def with_causes_found_before(

@@ -9,7 +9,7 @@ over whether the model lacks something (`limit_by_agreement`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -269,7 +269,7 @@ def single_effect_posterior(
     Only refined fits compete, if there are any, and none at the end of its range, which
     most likely stands for another cause. An effect that moves the tip by less than
     counts is counted as none. Effects that differ by less than what is left unexplained
-    are equally probable.
+    are equally probable, and those with which trials cannot be simulated well enough.
 
     Parameters
     ----------
@@ -279,12 +279,7 @@ def single_effect_posterior(
         Number of effects that share the prior probability of one being active.
     """
     data = step.data
-    fits = {}
-    for fit in by_evidence(step.refined or step.fits):
-        cause = fit.hypothesis.causes[-1]
-        if not fit.has_diverged and is_inside_range(fit, cause):
-            fits[cause.name] = fit
-
+    fits = _fits_within_range(step.refined or step.fits)
     log_evidence = {}  # (samples,) each
     rng = np.random.default_rng(len(weights))
     for name, fit in {"": step.parent, **fits}.items():
@@ -296,14 +291,28 @@ def single_effect_posterior(
     for name, fit in fits.items():
         if tip_shift_rms(data, step.parent, fit).max() < min_tip_shift_m:
             probabilities[""] += probabilities.pop(name)
-    probabilities |= _shared_probabilities(data, probabilities, fits)
+    unresolved = _fits_within_range(step.unresolved)
+    probabilities |= dict.fromkeys(unresolved, 0.0)
+    fits |= unresolved
+    probabilities |= _shared_probabilities(data, probabilities, fits, unresolved)
     return SingleEffectPosterior(probabilities, fits, step.parent)
+
+
+def _fits_within_range(fits: Sequence[Fit]) -> dict[str, Fit]:
+    """Select the fits whose last cause is inside its range, by its name."""
+    by_name = {}
+    for fit in by_evidence(fits):
+        cause = fit.hypothesis.causes[-1]
+        if not fit.has_diverged and is_inside_range(fit, cause):
+            by_name[cause.name] = fit
+    return by_name
 
 
 def _shared_probabilities(
     data: TrialData,
     probabilities: Mapping[str, float],
     fits: Mapping[str, Fit],
+    unresolved: Container[str],
 ) -> dict[str, float]:
     """Share the probability among effects whose difference the remainder may hide.
 
@@ -314,8 +323,8 @@ def _shared_probabilities(
     Returns
     -------
     dict of str to float
-        Of the most probable effect and those that are at the tip no farther from it
-        than the measured tips are.
+        Of the most probable effect, those that are at the tip no farther from it than
+        the measured tips are, and those that are unresolved.
     """
     names = [name for name in probabilities if name]
     if len(names) < 2:
@@ -325,7 +334,7 @@ def _shared_probabilities(
     alike = []
     for name in names:
         difference_m = rms(tip_shift_rms(data, best, fits[name]))
-        if remainder_hides(difference_m, remainder_m):
+        if name in unresolved or remainder_hides(difference_m, remainder_m):
             alike.append(name)
     share = sum(probabilities[name] for name in alike) / len(alike)
     return dict.fromkeys(alike, share)

@@ -7,7 +7,8 @@ range goes after rivals inside theirs that explain `min_explained_fraction` of a
 rule                       passes if
 =========================  =========================================================
 `is_resolved`              simulation with it resolves at least two trials, or all
-                           trials if it would replace an accepted cause
+                           trials if it would replace an accepted cause; if not, it
+                           is no more than indistinguishable from the best
 `has_evidence`             its Bayes factor is at least 1/alpha
 `moves_tip_enough`         it moves the tip of a trial by `tip_tolerance_m`
 `explains_its_only_trial`  it touches the string in a single trial, and removes

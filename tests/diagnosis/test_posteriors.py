@@ -186,7 +186,7 @@ def posterior_of_wind(monkeypatch, gain_by_trial, inside_range):
     return posterior_of_place(monkeypatch, {"wind": (80.0, gain_by_trial)}, 1.0)
 
 
-def posterior_of_place(monkeypatch, gains, difference_m, error=0.0):
+def posterior_of_place(monkeypatch, gains, difference_m, error=0.0, unresolved=()):
     """Compute the posterior of a place, with 1 m at each tip left unexplained.
 
     gains : of the log evidence, and of the log-likelihood of each trial, by effect
@@ -216,9 +216,11 @@ def posterior_of_place(monkeypatch, gains, difference_m, error=0.0):
 
     parent = place("", 0.0, (0.0,) * 4, 0.0)
     fits = [place(name, *gain, error) for name, gain in gains.items()]
+    resolved = [fit for fit in fits if fit.hypothesis.causes[0].name not in unresolved]
+    unresolved = [fit for fit in fits if fit not in resolved]
     rng = np.random.default_rng(0)
     weights = 4 * rng.dirichlet(np.ones(4), posteriors.BOOTSTRAP_SAMPLES)
-    step = SelectionStep(None, parent, (), fits)
+    step = SelectionStep(None, parent, (), resolved, unresolved=unresolved)
     return posteriors.single_effect_posterior(step, (), weights, 20, 1e-3)
 
 
@@ -233,6 +235,21 @@ def test_effects_that_the_remainder_could_turn_into_each_other_are_as_likely(
     assert posterior.probabilities["tilt"] == pytest.approx(share, abs=1e-6)
     assert sum(posterior.probabilities.values()) == pytest.approx(1.0)
     assert posterior.ranked_causes[0] == "wind"
+
+
+def test_an_effect_that_cannot_be_simulated_well_enough_is_as_likely(monkeypatch):
+    """It is no more likely than the best of those that can be."""
+    monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: True)
+    gains = {
+        "softening": (90.0, (22.5,) * 4),
+        "tilt": (60.0, (15.0,) * 4),
+        "wind": (80.0, (20.0,) * 4),
+    }
+    posterior = posterior_of_place(monkeypatch, gains, 1.1, unresolved=["softening"])
+    assert posterior.probabilities["softening"] == pytest.approx(0.5, abs=1e-6)
+    assert posterior.probabilities["wind"] == pytest.approx(0.5, abs=1e-6)
+    assert posterior.ranked_causes[0] == "wind"
+    assert set(posterior.fits) == {*gains}
 
 
 @pytest.mark.parametrize(("error", "share"), [(0.0, 0.0), (20.0, 0.24)])

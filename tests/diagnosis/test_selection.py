@@ -109,6 +109,12 @@ def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
     step = forward_selection._refine_rivals(prepared, compared, CRITERIA, fits[1])
     all_as_before = before == (0.0, 5e-3)
     assert step.best.name == ("uncertain" if all_as_before else "resolved")
+    # It has more evidence, some of which may be what is uncertain
+    ahead = [fit.name for fit in step.unresolved]
+    assert ahead == ([] if all_as_before else ["uncertain"])
+    behind = replace(compared, fits=[fits[0], named_fit("resolved", 70.0)])
+    step = forward_selection._refine_rivals(prepared, behind, CRITERIA, behind.fits[1])
+    assert not step.unresolved
 
 
 def refine_rivals(monkeypatch, found, refined, on_common_data=None):
