@@ -20,13 +20,12 @@ from stringcast.stages.diagnose.background_effects import (
     background_log_evidence_gains,
     background_responses,
 )
-from stringcast.stages.diagnose.forward_selection import (
-    SelectionState,
+from stringcast.stages.diagnose.candidate_comparison import (
     SelectionStep,
     by_evidence,
     compare_candidates,
-    with_fit,
 )
+from stringcast.stages.diagnose.forward_selection import SelectionState, with_fit
 from stringcast.stages.diagnose.measures import (
     refit,
     tip_shift_rms,

@@ -10,7 +10,8 @@ from synthetic_trials import CRITERIA
 from stringcast.stages.common import InterruptRequest
 from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose import verdict
-from stringcast.stages.diagnose.forward_selection import SelectionState, SelectionStep
+from stringcast.stages.diagnose.candidate_comparison import SelectionStep
+from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from tests.diagnosis.test_forward_selection import diagnose_casts
 

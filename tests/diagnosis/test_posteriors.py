@@ -13,7 +13,8 @@ from stringcast.stages.diagnose.background_effects import (
     BACKGROUND_SCALES_M,
     background_log_evidence_gains,
 )
-from stringcast.stages.diagnose.forward_selection import SelectionState, SelectionStep
+from stringcast.stages.diagnose.candidate_comparison import SelectionStep
+from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from stringcast.stages.diagnose.prepared_data import RefinedFit
 from stringcast.stages.inference.discrepancy import log_scale_prior

@@ -15,9 +15,9 @@ from synthetic_trials import CRITERIA, true_exponents
 from stringcast.data.artifacts import Diagnosis
 from stringcast.stages.common import InterruptRequest
 from stringcast.stages.diagnose import left_out_fits
+from stringcast.stages.diagnose.candidate_comparison import compare_candidates
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
-from stringcast.stages.diagnose.forward_selection import compare_candidates
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit

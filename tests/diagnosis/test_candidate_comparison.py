@@ -1,0 +1,326 @@
+"""Comparison of candidates: which are fitted and refined, and which of them leads."""
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from synthetic_trials import CRITERIA
+
+from stringcast.stages.diagnose import candidate_comparison
+from stringcast.stages.diagnose.candidate_comparison import SelectionStep
+from stringcast.stages.diagnose.prepared_data import RefinedFit
+from stringcast.stages.diagnose.proposals import Proposal
+
+SIX = ["e0", "e1", "e2", "e3", "e4", "e5"]
+
+
+@dataclass(frozen=True)
+class NamedFit:
+    """A fit of which little is known."""
+
+    name: str
+    log_evidence: float
+    hypothesis: SimpleNamespace | None = None
+    chi: np.ndarray = field(default_factory=lambda: np.zeros(1))
+    scale_indices: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=int))
+
+
+def named_fit(name, log_evidence):
+    """Name a fit by its cause."""
+    hypothesis = SimpleNamespace(cause_names=(name,), causes=(name,))
+    return NamedFit(name, log_evidence, hypothesis)
+
+
+@pytest.fixture
+def limited(monkeypatch):
+    """Return a set of causes that are at the end of their range, none at first."""
+    names = set()
+    monkeypatch.setattr(
+        candidate_comparison, "is_inside_range", lambda fit, cause: cause not in names
+    )
+    return names
+
+
+def compare_as_refined(prepared, rivals):
+    """Say that common data give the same evidence as those of each rival."""
+    return rivals
+
+
+@pytest.mark.parametrize(
+    ("before", "uncertain", "misfit", "best"),
+    [
+        ((0.0, 1e-3), (0.0, 4e-3), (5e-3, 5e-3), "resolved"),
+        # the trial was as uncertain before
+        ((0.0, 5e-3), (0.0, 4e-3), (5e-3, 5e-3), "uncertain"),
+        # two other trials are resolved
+        ((0.0, 1e-3, 0.0), (0.0, 4e-3, 0.0), (5e-3, 5e-3, 5e-3), "uncertain"),
+        # there is much more to explain
+        ((0.0, 1e-3), (0.0, 4e-3), (5e-3, 0.02), "uncertain"),
+    ],
+)
+def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
+    before, uncertain, misfit, best, limited, monkeypatch
+):
+    fits = [named_fit("uncertain", 60.0), named_fit("resolved", 50.0)]
+    uncertainty_m = {
+        "uncertain": np.array(uncertain),
+        "resolved": np.zeros(len(before)),
+    }
+
+    def refine(prepared, fit):
+        uncertain_m = uncertainty_m[fit.name]
+        own = SimpleNamespace(discretisation_uncertainty_m=uncertain_m, data="own")
+        return RefinedFit(own, fit)
+
+    prepared = SimpleNamespace(
+        discretisation_uncertainty_m=np.array(before), data="prepared"
+    )
+    monkeypatch.setattr(candidate_comparison, "refine_fit", refine)
+    monkeypatch.setattr(candidate_comparison, "is_supported", lambda *given: True)
+    monkeypatch.setattr(
+        candidate_comparison, "unexplained_tip_rms", lambda data, fit: np.array(misfit)
+    )
+    monkeypatch.setattr(candidate_comparison, "fit_to_common_data", compare_as_refined)
+    parent = SimpleNamespace(log_evidence=0.0)
+    compared = SelectionStep(None, parent, (), fits)
+    step = candidate_comparison._refine_rivals(prepared, compared, CRITERIA, None)
+    assert (step.best.name, step.accepted) == (best, True)
+
+    # In the place of an accepted cause all trials must be resolved
+    step = candidate_comparison._refine_rivals(prepared, compared, CRITERIA, fits[1])
+    all_as_before = before == (0.0, 5e-3)
+    assert step.best.name == ("uncertain" if all_as_before else "resolved")
+    # It has more evidence, some of which may be what is uncertain
+    ahead = [fit.name for fit in step.unresolved]
+    assert ahead == ([] if all_as_before else ["uncertain"])
+    behind = replace(compared, fits=[fits[0], named_fit("resolved", 70.0)])
+    step = candidate_comparison._refine_rivals(
+        prepared, behind, CRITERIA, behind.fits[1]
+    )
+    assert not step.unresolved
+
+
+def refine_rivals(monkeypatch, found, refined, on_common_data=None):
+    """Refine fits of some evidence to another; return the step and who was refined."""
+    on_common_data = on_common_data or refined
+    asked = []
+
+    def refine(prepared, fit):
+        asked.append(fit.name)
+        own = SimpleNamespace(discretisation_uncertainty_m=np.zeros(2))
+        return RefinedFit(own, replace(fit, log_evidence=refined[fit.name]))
+
+    def compare(given, rivals):
+        assert given is prepared
+        parent, *others = rivals
+        fits = [parent]
+        for rival in others:
+            evidence = on_common_data[rival.name]
+            fits.append(replace(rival, log_evidence=evidence))
+        return fits
+
+    prepared = SimpleNamespace(discretisation_uncertainty_m=np.zeros(2), data=None)
+    monkeypatch.setattr(candidate_comparison, "refine_fit", refine)
+    monkeypatch.setattr(candidate_comparison, "is_supported", lambda *given: True)
+    monkeypatch.setattr(candidate_comparison, "fit_to_common_data", compare)
+    monkeypatch.setattr(
+        candidate_comparison, "unexplained_tip_rms", lambda *given: np.ones(2)
+    )
+    parent = SimpleNamespace(log_evidence=0.0)
+    fits = [named_fit(name, value) for name, value in found.items()]
+    fits = candidate_comparison.rank_rivals(parent, fits, CRITERIA)
+    compared = SelectionStep(None, parent, (), fits)
+    step = candidate_comparison._refine_rivals(prepared, compared, CRITERIA, None)
+    return step, asked
+
+
+def test_no_rival_leads_because_it_was_not_refined(limited, monkeypatch):
+    """The fourth of 75 mm strips was named, as refinement took 90 from the others."""
+    found = {
+        "set": 730.0,
+        "wind": 694.0,
+        "camera": 669.0,
+        "tilt": 643.0,
+        "angle": 595.0,
+    }
+    refined = {
+        "set": 640.0,
+        "wind": 600.0,
+        "camera": 580.0,
+        "tilt": 550.0,
+        "angle": 0.0,
+    }
+    step, asked = refine_rivals(monkeypatch, found, refined)
+    assert asked == ["set", "wind", "camera"]  # the fourth is ahead by a trifle
+    assert step.best.name == "set"
+
+    refined = {**refined, "set": 600.0}
+    step, asked = refine_rivals(monkeypatch, found, refined)
+    assert asked == ["set", "wind", "camera", "tilt"]
+    assert step.best.name == "set"
+    assert [fit.name for fit in step.refined][-1] == "tilt"
+
+
+def test_the_rival_leads_that_has_most_evidence_on_common_data(limited, monkeypatch):
+    """A wind gained 145 by the numerical error that was subtracted at its own fit."""
+    own = {"wind": 719.0, "set": 633.0}
+    common = {"wind": 574.0, "set": 633.0}
+    step, _ = refine_rivals(monkeypatch, own, own, common)
+    assert step.best.name == "set"
+    assert [fit.log_evidence for fit in step.refined] == [633.0, 574.0]
+
+
+@pytest.mark.parametrize(
+    ("inside", "leader"),
+    [(60.0, "set"), (40.0, "tilt")],  # it explains more than half, or less
+)
+def test_a_rival_inside_its_range_goes_before_one_at_its_end(
+    inside, leader, limited, monkeypatch
+):
+    """A tilt of gravity at its limit was a stand-in for the set of a strip."""
+    limited |= {"tilt", "angle", "camera"}
+    found = {"tilt": 100.0, "angle": 99.0, "camera": 98.0, "set": inside}
+    step, asked = refine_rivals(monkeypatch, found, found)
+    assert step.best.name == leader
+    assert ("set" in asked) == (leader == "set")
+
+
+@pytest.mark.parametrize(
+    ("evidence", "angle", "expected"),
+    [
+        (50.0, 0.2, [*SIX, "e8"]),
+        (50.0, 1.0, SIX),  # it could explain three tenths of what the best cause does
+        (1.0, 0.2, SIX),  # nothing is accepted
+    ],
+)
+def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
+    evidence, angle, expected, monkeypatch
+):
+    directions = {"e0": (1.0, 0.0), "e8": (np.cos(angle), np.sin(angle))}
+
+    def propose(data, parent, effects, seed):
+        proposals = []
+        for number, effect in enumerate(effects):
+            hypothesis = SimpleNamespace(causes=(effect,))
+            direction = np.array(directions.get(effect, (0.0, 1.0)))
+            start, gain = np.zeros((1, 1)), 20.0 - number
+            proposals.append(Proposal(hypothesis, start, gain, direction))
+        return proposals
+
+    def fit_proposals(prepared, step, proposals, criteria):
+        fits = []
+        for number, proposal in enumerate(proposals):
+            fitted.append(proposal.effect)
+            value = evidence - number
+            fits.append(
+                SimpleNamespace(hypothesis=proposal.hypothesis, log_evidence=value)
+            )
+        return replace(step, fits=[*step.fits, *fits])
+
+    def accept(prepared, step, *given):
+        return replace(step, accepted=True)
+
+    fitted = []
+    monkeypatch.setattr(candidate_comparison, "propose_causes", propose)
+    monkeypatch.setattr(candidate_comparison, "_fit_more_proposals", fit_proposals)
+    monkeypatch.setattr(candidate_comparison, "_refine_rivals", accept)
+    monkeypatch.setattr(
+        candidate_comparison, "unexplained_tip_rms", lambda data, fit: np.zeros(1)
+    )
+    parent = SimpleNamespace(log_evidence=0.0, hypothesis=SimpleNamespace(causes=()))
+    effects = [f"e{k}" for k in range(10)]
+    prepared = SimpleNamespace(data=SimpleNamespace(trials=()))
+    candidate_comparison.compare_candidates(prepared, parent, effects, CRITERIA, 0)
+    assert fitted == expected
+
+
+def test_all_others_are_compared_with_the_parent_on_the_data_of_the_search(monkeypatch):
+    """Refined rivals and their parent are fitted to other data: those they share."""
+    parents = []
+
+    def fit_proposals(prepared, step, proposals, criteria):
+        parents.append(step.parent.log_evidence)
+        return step
+
+    def refine(prepared, step, *given):
+        return replace(step, parent=named_fit("", 50.0))
+
+    monkeypatch.setattr(candidate_comparison, "propose_causes", lambda *given: [])
+    monkeypatch.setattr(candidate_comparison, "_fit_more_proposals", fit_proposals)
+    monkeypatch.setattr(candidate_comparison, "_refine_rivals", refine)
+    monkeypatch.setattr(
+        candidate_comparison, "unexplained_tip_rms", lambda data, fit: np.ones(1)
+    )
+    prepared = SimpleNamespace(data=SimpleNamespace(trials=()))
+    parent = named_fit("", 0.0)
+    step = candidate_comparison.compare_candidates(prepared, parent, [], CRITERIA, 0)
+    assert parents == [0.0, 0.0, 0.0]
+    assert step.parent.log_evidence == 50.0
+
+
+def test_many_trials_are_sampled_before_candidates_are_tried_in_all(monkeypatch):
+    """Fewer than twice as many as a sample has are all taken."""
+
+    def evaluate(data, *given):
+        return f"fit to {len(data)}"
+
+    class Trials(list):
+        trials = property(list)
+
+        def subset(self, chosen):
+            return Trials(self[k] for k in chosen)
+
+    monkeypatch.setattr(candidate_comparison, "evaluate_fit", evaluate)
+    monkeypatch.setattr(
+        candidate_comparison, "sample_by_misfit", lambda data, fit, count: range(count)
+    )
+    parent = SimpleNamespace(hypothesis=None, chi=None, width=None)
+    few = Trials(range(15))
+    assert candidate_comparison._sample_trials(few, parent) == (few, parent)
+    many = Trials(range(16))
+    sample = candidate_comparison._sample_trials(many, parent)
+    assert sample == (Trials(range(8)), "fit to 8")
+
+
+@pytest.mark.parametrize(
+    ("first", "corrected", "kept"),
+    [
+        (40.0, -9.0, 40.0),
+        (25.0, 40.0, 40.0),
+        (-1.0, 9.0, -1.0),  # it explains nothing
+        (15.0, 40.0, 15.0),  # it explains less than half of what the best does
+    ],
+)
+def test_a_rough_correction_makes_no_proposal_less_evident(
+    first, corrected, kept, monkeypatch, limited
+):
+    """One finer mesh only estimates the error: the refined fits are compared later."""
+    evidence = {"plain": first, "corrected": corrected}
+
+    def fit(data, *given):
+        return named_fit("wind", evidence[data])
+
+    monkeypatch.setattr(candidate_comparison, "fit_hypothesis", fit)
+    monkeypatch.setattr(
+        candidate_comparison,
+        "correct_data_on_one_finer_mesh",
+        lambda *given: "corrected",
+    )
+    monkeypatch.setattr(
+        candidate_comparison, "rank_rivals", lambda parent, fits, criteria: fits
+    )
+    monkeypatch.setattr(
+        candidate_comparison, "_sample_trials", lambda data, parent: (data, parent)
+    )
+    parent = SimpleNamespace(log_evidence=0.0, scale_indices=None)
+    best = named_fit("clamp", 35.0)
+    step = SelectionStep(None, parent, [], [best])
+    wind = SimpleNamespace(name="wind")
+    hypothesis = SimpleNamespace(causes=(wind,), cause_names=("wind",))
+    proposal = Proposal(hypothesis, None, 20.0, np.ones(1))
+    prepared = SimpleNamespace(data="plain")
+    found = candidate_comparison._fit_more_proposals(
+        prepared, step, [proposal], CRITERIA
+    )
+    assert [each.log_evidence for each in found.fits] == [35.0, kept]
