@@ -384,8 +384,16 @@ def _reason_to_set_aside(
     log.info("%s: probability by agreement of trials %.2f", cause.name, probability)
     if trials_agree(probability):
         return ""
-    alone = "it acts in one trial, which no other confirms, and misfit remains"
-    return alone if acts_alone else "the trials do not agree on it"
+    return _reason_for_no_agreement(len(data.trials), acts_alone)
+
+
+def _reason_for_no_agreement(trials: int, acts_alone: bool) -> str:
+    """Say why a number of trials do not confirm a cause."""
+    if acts_alone:
+        return "it acts in one trial, which no other confirms, and misfit remains"
+    if trials == 2:
+        return "two trials are too few to confirm it, and misfit remains"
+    return "the trials do not agree on it"
 
 
 def _predicts_trials(

@@ -111,6 +111,31 @@ def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
 
 
 @pytest.mark.parametrize(
+    ("trials", "touched", "words"),
+    [(2, [], "two trials are too few"), (3, [], "do not agree"), (2, [1], "one trial")],
+)
+def test_a_cause_is_set_aside_with_the_reason(trials, touched, words, monkeypatch):
+    """Two trials may agree well and still confirm little."""
+    wind = SimpleNamespace(name="wind")
+    data = SimpleNamespace(trials=range(trials))
+    state = SelectionState(SimpleNamespace(data=data), fit_with(wind))
+    monkeypatch.setattr(SelectionState, "left_out_exponents", None)
+    stand_ins = {
+        "is_inside_range": True,
+        "trials_touched_by": touched,
+        "_predicts_trials": True,
+        "unexplained_tip_rms": np.ones(1),
+        "probability_by_agreement": 0.3,
+    }
+    for name, answer in stand_ins.items():
+        monkeypatch.setattr(
+            forward_selection, name, lambda *given, answer=answer: answer
+        )
+    reason = forward_selection._reason_to_set_aside(state, state, wind, CRITERIA, 10)
+    assert words in reason
+
+
+@pytest.mark.parametrize(
     ("touched", "misfit_m", "remaining"),
     [
         ([2], 5e-3, ()),
