@@ -12,6 +12,7 @@ from types import ModuleType
 import numpy as np
 
 Progress = Callable[[float], object]  # called with the share of a stage that is done
+MM_PER_M = 1e3  # [mm] in a metre
 # standard deviation over median magnitude, of a normal distribution
 MAD_TO_SIGMA = 1.4826
 # points of two frames that lie so close along the string belong to one place

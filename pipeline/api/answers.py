@@ -33,12 +33,11 @@ from stringcast.pipeline.run.report import page_provenance
 from stringcast.pipeline.run.stopping import stop_stage_on_interrupt
 from stringcast.stages.check.check import refuse_errors
 from stringcast.stages.check.measured import CheckedDataset
-from stringcast.stages.common import Progress
+from stringcast.stages.common import MM_PER_M, Progress
 from stringcast.stages.report.pages.diagnosis import diagnosis_page
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.workers import use_workers
 
-MM_PER_M = 1e3  # [mm] in a metre
 # few enough for a terminal of 80 columns
 CAUSE_COLUMNS = [
     *("effect", "probability", "parameter", "value", "low", "high", "unit"),

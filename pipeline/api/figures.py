@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stringcast.data.schema import DataError
+from stringcast.stages.common import MM_PER_M
 
-MM_PER_M = 1e3  # [mm] in a metre
 # colours of Okabe and Ito, which people with any colour vision can distinguish
 MEASURED, BASE, EXTENDED = "#009e73", "#d55e00", "#0072b2"
 MODELS = {"base": BASE, "extended": EXTENDED}

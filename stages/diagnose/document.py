@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.stages.common import readable_name, rms
+from stringcast.stages.common import MM_PER_M, readable_name, rms
 from stringcast.stages.diagnose.budget import ErrorBudget
 from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.prepared_data import PreparedData
@@ -20,7 +20,6 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 
 FORMAT_VERSION = 1
-MM_PER_M = 1e3
 
 
 def diagnosis_document(

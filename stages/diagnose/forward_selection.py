@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.diagnose.agreement import probability_by_agreement
 from stringcast.stages.diagnose.base_model import refit_from_new_starts
 from stringcast.stages.diagnose.candidate_comparison import (
@@ -56,8 +57,6 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
 
 log = logging.getLogger(__name__)
-
-MM_PER_M = 1e3
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,11 @@ from stringcast.data.artifacts import (
     RESIDUALS,
     SCREENING,
 )
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.diagnose.background_effects import (
     BackgroundPosterior,
     posterior_with_background,
 )
-from stringcast.stages.diagnose.document import MM_PER_M
 from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.measures import (
     fixed_leave_one_out_gain,

@@ -28,7 +28,7 @@ from stringcast.data.artifacts import (
     Explanation,
     Observation,
 )
-from stringcast.stages.common import Progress, describe_causes, rms
+from stringcast.stages.common import MM_PER_M, Progress, describe_causes, rms
 from stringcast.stages.diagnose.probabilities import (
     PRIOR_NO_EFFECT,
     effect_probabilities,
@@ -40,7 +40,7 @@ from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood, time_blocks
 from stringcast.stages.inference.mesh import (
     mesh_ladder,
-    subtract_discretisation_error,
+    with_corrected_points,
 )
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import with_estimated_noise
@@ -65,7 +65,6 @@ CORRECTION_PASSES = 3  # one leaves a right cause 1.6, three 1.2 times the noise
 COARSE_LEVEL = 2  # of the mesh, halvings
 NO_CAUSE: tuple[str, ...] = ()
 TIME_IS_UP = "the processor time was used up before all likely causes were fitted"
-MM_PER_M = 1e3
 
 
 @dataclass(frozen=True)
@@ -417,7 +416,7 @@ def noise_ratio(
     chi = fitted.loc[list(extended.names)].to_numpy()
     ratio = rms(likelihood.residuals(chi[None])[0])
     for _ in range(CORRECTION_PASSES):
-        corrected = subtract_discretisation_error(likelihood, chi)
+        corrected = with_corrected_points(likelihood, chi)
         runs = fit_least_squares(corrected, chi[None], SCREENING_ITERATIONS)
         chi = runs.chi[0]
         ratio = min(ratio, rms(runs.residual[0]))

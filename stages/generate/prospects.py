@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.hit_probability import (
     CastOutcome,
@@ -28,7 +29,6 @@ UNLIKELY_HIT = 0.5  # probability below which the reason is said
 LIKELY_HIT = 0.8
 MAX_BOXES = 200  # that are tried
 MIN_LEARNING_RATIO = 0.7  # of uncertainties: a gain that is worth a cast
-MM_PER_M = 1e3
 UNCERTAINTY, OBSTACLE, ARM = "uncertainty", "obstacle", "arm"
 REASONS = {
     UNCERTAINTY: "most of the likely strings could hit, but by different motions",

@@ -42,9 +42,7 @@ def discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
 
 
-def subtract_discretisation_error(
-    likelihood: Likelihood, chi: np.ndarray
-) -> Likelihood:
+def with_corrected_points(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
     """Subtract the discretisation error at parameters (P,) from the measured points.
 
     Simulations of nearby parameters on this mesh are then compared as on a far finer

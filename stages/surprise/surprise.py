@@ -13,13 +13,13 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from stringcast.data.artifacts import SURPRISE_SUMMARY, Motion, Points, Surprise
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.spec import StageCall
 
 ALARM_P_VALUE = 0.02  # share of false alarms
 MIN_DRAWS = 50  # fewer cannot show so small a share
 MIN_FRAMES = 5  # fewer readings of the tip show nothing
 MIN_SPREAD_M = 5e-4  # of predictions and noise together: rounding is no surprise
-MM_PER_M = 1e3
 
 
 def run(call: StageCall, motion: Motion, points: Points) -> Surprise:
