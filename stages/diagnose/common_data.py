@@ -1,35 +1,31 @@
-"""Evidence of rivals on the same data: what was measured, with nothing subtracted.
+"""Evidence of rivals on the same data: each with the numerical error of its own end.
 
 A search subtracts the numerical error at the optimum of a fit from what was measured.
-Each rival then has data of its own, and how far this error is from that where the fit
-ends moves log evidences by up to hundreds: more than rivals differ. So rivals are
-compared by simulations that are extrapolated from two meshes. Initial states, noise and
-discrepancy are those of one search; what is uncertain in the extrapolation is part of
-the likelihood. A rival may be in a worse minimum of the parameters that all share, so
-that it is also fitted from those of the most evident other one, on one mesh; it starts
-from the more likely of both.
+How far this error is from that where a rival ends moves log evidences by up to
+hundreds: more than rivals differ. So each rival is fitted in turn with the error that
+belongs to where it has come to, until it stays there: it is then compared, with nothing
+but its own simulation, on what was measured. Initial states, noise and discrepancy are
+those of one search. A rival may be in a worse minimum of the parameters that all share,
+so that it is also fitted from those of the most evident other one; it starts from the
+more evident of both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stringcast.stages.diagnose.discrepancy_model import with_random_effects
+from stringcast.stages.diagnose.discretisation import correct_data_on_one_finer_mesh
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.rules import NEGLIGIBLE_LOG_EVIDENCE
-from stringcast.stages.inference.extrapolated_data import ExtrapolatedData
-from stringcast.stages.inference.initial_modes import reset_initial_state_linear
-from stringcast.stages.inference.laplace import (
-    Fit,
-    best_exponents,
-    fit_hypothesis,
-    log_likelihoods,
-)
+from stringcast.stages.inference.laplace import Fit, best_exponents, evaluate_fit
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.workers import map_in_workers
+
+MAX_PASSES = 4  # of a fit and its numerical error; it mostly takes two
 
 
 def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fit]:
@@ -47,7 +43,6 @@ def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fi
     list of Fit
         In the order of the rivals.
     """
-    data = measured_data(prepared)
 
     def fit_rival(number: int) -> Fit:
         rival = rivals[number]
@@ -55,23 +50,19 @@ def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fi
         others = [other for other in rivals if other is not rival]
         best = max(others, key=lambda other: other.log_evidence)
         shared = hypothesis.exponents_from(rival.exponents | best.exponents)
-        elsewhere, _ = best_exponents(
-            prepared.data,
-            hypothesis,
-            shared[None],
-            rival.scale_indices,
-            NEGLIGIBLE_LOG_EVIDENCE,
-        )
-        starts = np.stack([rival.chi, elsewhere])
-        own_data = with_random_effects(data, hypothesis, rival.chi)
-        log_likelihood = log_likelihoods(own_data, hypothesis, starts)
-        return fit_hypothesis(
-            own_data,
-            hypothesis,
-            starts[[np.argmax(log_likelihood)]],
-            rival.scale_indices,
-            NEGLIGIBLE_LOG_EVIDENCE,
-        )
+        elsewhere = _refit(prepared.data, rival, shared)
+        starts = [evaluate_with_own_error(prepared, rival, rival.chi)]
+        starts.append(evaluate_with_own_error(prepared, rival, elsewhere))
+        current = max(starts, key=lambda start: start.fit.log_evidence)
+        for _ in range(MAX_PASSES):
+            moved_to = _refit(current.data, current.fit, current.fit.chi)
+            moved = evaluate_with_own_error(prepared, current.fit, moved_to)
+            gain = moved.fit.log_evidence - current.fit.log_evidence
+            if gain > 0:
+                current = moved
+            if gain < NEGLIGIBLE_LOG_EVIDENCE:
+                break
+        return current.fit
 
     fits = []
     fitted = map_in_workers(fit_rival, range(len(rivals)))
@@ -81,13 +72,31 @@ def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fi
     return fits
 
 
-def measured_data(prepared: PreparedData) -> TrialData:
-    """Undo the subtraction of numerical error, and simulate without it instead."""
-    if prepared.mesh_is_model:
-        return prepared.data
-    trials = []
-    for measured, corrected in zip(prepared.trials, prepared.data.trials, strict=True):
-        trial = replace(corrected, points=measured.points)
-        shapes = trial.discrepancy.nuisance_shapes
-        trials.append(reset_initial_state_linear(trial, shapes))
-    return ExtrapolatedData(tuple(trials), prepared.data.random_effects)
+@dataclass(frozen=True)
+class EvaluatedFit:
+    """A fit, and the data with the numerical error of where it is subtracted."""
+
+    data: TrialData
+    fit: Fit
+
+
+def evaluate_with_own_error(
+    prepared: PreparedData, fit: Fit, chi: np.ndarray
+) -> EvaluatedFit:
+    """Evaluate the hypothesis of a fit at exponents (P,), with its error there."""
+    moved = replace(fit, chi=chi)
+    data = correct_data_on_one_finer_mesh(prepared, moved)
+    data = with_random_effects(data, fit.hypothesis, chi)
+    return EvaluatedFit(data, evaluate_fit(data, fit.hypothesis, chi, fit.width))
+
+
+def _refit(data: TrialData, fit: Fit, start: np.ndarray) -> np.ndarray:
+    """Find where a fit moves from exponents (P,) on some data."""
+    chi, _ = best_exponents(
+        data,
+        fit.hypothesis,
+        start[None],
+        fit.scale_indices,
+        NEGLIGIBLE_LOG_EVIDENCE,
+    )
+    return chi

@@ -170,15 +170,6 @@ def best_exponents(
     return run.chi[0], run.width[0]
 
 
-def log_likelihoods(
-    data: TrialData, hypothesis: Hypothesis, chi: np.ndarray
-) -> np.ndarray:
-    """Compute the log-likelihood of all trials at exponents (C, P), (C,)."""
-    data = data.for_hypothesis(hypothesis)
-    by_scale = data.log_likelihood_by_scale(data.residuals(hypothesis.model, chi))
-    return np.asarray(marginal_log_likelihood(by_scale).sum(axis=0))
-
-
 def evaluate_fit(
     data: TrialData,
     hypothesis: Hypothesis,

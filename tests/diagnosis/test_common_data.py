@@ -9,19 +9,15 @@ from conftest import TRUTH, ordinary
 from synthetic_trials import simulate_trial, swing_angles, true_exponents
 
 from stringcast.stages.diagnose import common_data
-from stringcast.stages.diagnose.common_data import measured_data
 from stringcast.stages.diagnose.discretisation import (
     subtract_discretisation_error,
     with_second_order_mesh,
 )
 from stringcast.stages.diagnose.prepared_data import PreparedData
-from stringcast.stages.inference.extrapolated_data import ExtrapolatedData
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit
-from stringcast.stages.inference.mesh import residuals_on_meshes
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.model.engine.accuracy import richardson_limit
 
 PLACES = np.array([8, 14, 20])
 SIGMA_M = 1e-4
@@ -44,24 +40,13 @@ def trials(arm, hypothesis):
     return tuple(trials)
 
 
-def corrected_at(trials, hypothesis, chi):
-    """Subtract the numerical error of exponents (P,) from trials."""
+def prepared_at(trials, hypothesis, chi):
+    """Prepare trials with the numerical error at exponents (P,) subtracted."""
     data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
     return PreparedData(data, None, trials, trials, 0, uncertainty_m)
 
 
-def test_the_limit_of_two_meshes_is_near_that_of_finer_ones(trials, hypothesis):
-    chi = true_exponents(hypothesis, TRUTH)[None]
-    model = hypothesis.model
-    coarse, finer, finest = residuals_on_meshes(model, trials, chi, (1, 2, 4))
-    extrapolated = ExtrapolatedData(trials).residuals(model, chi)
-    for k in range(len(trials)):
-        limit = richardson_limit(finer[k], finest[k])
-        error = np.abs(extrapolated[k] - limit).max()
-        assert error < 0.1 * np.abs(coarse[k] - limit).max()
-
-
-def test_evidence_on_common_data_is_the_same_wherever_they_were_corrected(
+def test_evidence_is_the_same_wherever_the_data_of_a_search_were_corrected(
     trials, hypothesis
 ):
     """The numerical error of another fit, which was subtracted, is not that of a fit.
@@ -69,8 +54,8 @@ def test_evidence_on_common_data_is_the_same_wherever_they_were_corrected(
     The error model is that of one of them.
     """
     chi = true_exponents(hypothesis, TRUTH)
-    own = corrected_at(trials, hypothesis, chi)
-    other = corrected_at(trials, hypothesis, np.clip(chi + 0.15, 0.0, 1.0))
+    own = prepared_at(trials, hypothesis, chi)
+    other = prepared_at(trials, hypothesis, np.clip(chi + 0.15, 0.0, 1.0))
     with_same_errors = []
     for trial, other_trial in zip(own.data.trials, other.data.trials, strict=True):
         with_same_errors.append(replace(trial, points=other_trial.points))
@@ -80,11 +65,15 @@ def test_evidence_on_common_data_is_the_same_wherever_they_were_corrected(
         return evaluate_fit(data, hypothesis, chi).log_likelihood_by_trial.sum()
 
     on_corrected = log_likelihood(other.data) - log_likelihood(own.data)
-    measured = [log_likelihood(measured_data(each)) for each in (other, own)]
+    fit = evaluate_fit(own.data, hypothesis, chi)
+    evaluated = []
+    for prepared in (other, own):
+        at_chi = common_data.evaluate_with_own_error(prepared, fit, chi)
+        evaluated.append(at_chi.fit.log_likelihood_by_trial.sum())
     assert abs(on_corrected) > 1
-    assert measured[0] == pytest.approx(measured[1], abs=1e-6)
-    # What is left is the numerical error of the extrapolation
-    assert measured[1] == pytest.approx(log_likelihood(own.data), abs=0.1)
+    assert evaluated[0] == pytest.approx(evaluated[1], abs=1e-6)
+    # One finer mesh instead of two
+    assert evaluated[1] == pytest.approx(log_likelihood(own.data), abs=0.1)
 
 
 def fit_of(name, exponents, log_evidence=0.0):
@@ -95,44 +84,39 @@ def fit_of(name, exponents, log_evidence=0.0):
     return Fit(hypothesis, chi, [], [], None, np.array([3]), np.zeros(1), log_evidence)
 
 
-def test_a_rival_starts_from_its_optimum_or_from_that_of_the_best_other(monkeypatch):
-    """The more likely start is used; that of another is fitted on one mesh first."""
-    fits = [
-        fit_of("base", {"stiffness": 0.1}, 1.0),
-        fit_of("wind", {"stiffness": 0.2, "speed": 0.5}, 2.0),
-        fit_of("set", {"stiffness": 0.3, "curvature": 0.6}, 3.0),
-    ]
-    likeliest = {"base": 0.1, "wind": 0.35, "set": 0.3}  # of the stiffness
+@pytest.mark.parametrize(
+    ("steps", "asked", "ended"),
+    [
+        # the evidence at each place where the rival is evaluated
+        ({0.1: 5.0, 0.3: 2.0, 0.11: 5.5}, [0.1, 0.3, 0.11], 0.11),  # it hardly gains
+        ({0.1: 5.0, 0.3: 7.0, 0.31: 9.0, 0.32: 8.0}, [0.1, 0.3, 0.31, 0.32], 0.31),
+        ({0.1: 5.0, 0.3: 2.0, 0.11: 4.0}, [0.1, 0.3, 0.11], 0.1),  # it gets worse
+    ],
+)
+def test_a_rival_moves_until_it_stays_where_its_error_is_its_own(
+    steps, asked, ended, monkeypatch
+):
+    """It starts from its optimum or that of the best other, whichever is likelier."""
+    rival = fit_of("set", {"stiffness": 0.1, "curvature": 0.6}, 1.0)
+    best = fit_of("wind", {"stiffness": 0.29, "speed": 0.5}, 2.0)
+    evaluated = []
 
-    def fit_on_one_mesh(data, hypothesis, starts, *given):
-        assert data == "one mesh"
-        is_stiffness = np.arange(starts.shape[1]) == 0
-        return starts[0] + 0.05 * is_stiffness, None
+    def move(data, hypothesis, starts, *given):
+        return starts[0] + [0.01, 0.0], None
 
-    def fit(data, hypothesis, starts, *given):
-        (start,) = starts.round(9).tolist()
-        fitted.append((data, hypothesis.name, start))
-        return fit_of(hypothesis.name, {"stiffness": 0.0})
+    def evaluate(prepared, fit, chi):
+        place = round(float(chi[0]), 9)
+        evaluated.append(place)
+        moved = replace(fit, chi=chi, log_evidence=steps[place])
+        return common_data.EvaluatedFit("own data", moved)
 
-    def log_likelihoods(data, hypothesis, chi):
-        return -np.abs(chi[:, 0] - likeliest[hypothesis.name])
-
-    def add_random_effects(data, hypothesis, chi):
-        return f"{data}, with {hypothesis.name}"
-
-    fitted = []
-    monkeypatch.setattr(common_data, "best_exponents", fit_on_one_mesh)
-    monkeypatch.setattr(common_data, "fit_hypothesis", fit)
-    monkeypatch.setattr(common_data, "log_likelihoods", log_likelihoods)
-    monkeypatch.setattr(common_data, "measured_data", lambda prepared: "measured")
-    monkeypatch.setattr(common_data, "with_random_effects", add_random_effects)
-    prepared = SimpleNamespace(data="one mesh")
-    compared = common_data.fit_to_common_data(prepared, fits)
-
-    assert fitted == [
-        ("measured, with base", "base", [0.1]),
-        ("measured, with wind", "wind", [0.35, 0.5]),
-        ("measured, with set", "set", [0.3, 0.6]),
-    ]
-    for one, before in zip(compared, fits, strict=True):
-        assert one.hypothesis is before.hypothesis
+    monkeypatch.setattr(common_data, "best_exponents", move)
+    monkeypatch.setattr(common_data, "evaluate_with_own_error", evaluate)
+    monkeypatch.setattr(
+        common_data, "map_in_workers", lambda call, items: [call(0), best]
+    )
+    prepared = SimpleNamespace(data="of the search")
+    (fitted,) = common_data.fit_to_common_data(prepared, [rival, best])[:1]
+    assert evaluated == asked
+    assert fitted.chi[0] == pytest.approx(ended)
+    assert fitted.hypothesis is rival.hypothesis
