@@ -9,6 +9,7 @@ over whether the model lacks something (`limit_by_agreement`).
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -42,7 +43,10 @@ from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesi
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import Effect
 
+log = logging.getLogger(__name__)
+
 BOOTSTRAP_SAMPLES = 100  # probabilities are then known to 0.05
+LOGGED_CAUSES = 5  # the most probable of a place
 # Of 43 causes on which trials agreed while misfit remained, 5 were not there: something
 # outside the library does about the same in all trials
 STAND_IN_SHARE = 0.1
@@ -294,7 +298,12 @@ def single_effect_posterior(
     probabilities |= dict.fromkeys(unresolved, 0.0)
     fits |= unresolved
     probabilities |= _shared_probabilities(data, probabilities, fits, unresolved)
-    return SingleEffectPosterior(probabilities, fits, step.parent)
+    posterior = SingleEffectPosterior(probabilities, fits, step.parent)
+    ranked = []
+    for name in posterior.ranked_causes[:LOGGED_CAUSES]:
+        ranked.append(f"{name or 'none'} {probabilities[name]:.2f}")
+    log.info("probabilities in a place: %s", ", ".join(ranked))
+    return posterior
 
 
 def _fits_within_range(fits: Sequence[Fit]) -> dict[str, Fit]:
