@@ -46,6 +46,7 @@ from stringcast.stages.model.effect import Effect
 log = logging.getLogger(__name__)
 
 BOOTSTRAP_SAMPLES = 100  # probabilities are then known to 0.05
+EMPTY_PLACE = 0.5  # with a lower probability of any cause, a place holds none
 LOGGED_CAUSES = 5  # the most probable of a place
 # Of 43 causes on which trials agreed while misfit remained, 5 were not there: something
 # outside the library does about the same in all trials
@@ -79,6 +80,13 @@ class SingleEffectPosterior:
     def ranked_causes(self) -> list[str]:
         """The candidates, and none (""), the most probable first."""
         return sorted(self.probabilities, key=lambda name: -self.probabilities[name])
+
+    @property
+    def likeliest_cause(self) -> str:
+        """The most probable candidate, or none ("") if the place is likely empty."""
+        if self.presence <= EMPTY_PLACE:
+            return ""
+        return next(filter(None, self.ranked_causes))
 
     def credible_set(self, coverage: float) -> tuple[str, ...]:
         """Take the fewest candidates with so much probability, as they are ranked."""
@@ -157,11 +165,11 @@ def _more_probable_fit(
     """Find the fit with what is more probable in a place, or None.
 
     A credible set that holds a cause of the model, in whichever place, is no reason to
-    change, unless most probable is that the place is empty.
+    change, unless the place is more likely empty than not.
     """
     names = state.fit.hypothesis.cause_names
     credible = posterior.credible_set(criteria.coverage)
-    likeliest = credible[0]
+    likeliest = posterior.likeliest_cause
     holds_a_cause = likeliest and not set(names).isdisjoint(credible)
     if not names or holds_a_cause:
         return None
@@ -175,7 +183,7 @@ def with_most_probable_causes(
     """Put the likeliest effect into each place if the evidence is then higher."""
     likeliest = {}  # by cause, in the order of the places
     for posterior in posteriors:
-        fit = posterior.fits.get(posterior.ranked_causes[0])
+        fit = posterior.fits.get(posterior.likeliest_cause)
         if fit is not None:
             likeliest[fit.hypothesis.causes[-1]] = fit
     causes = state.fit.hypothesis.causes

@@ -154,6 +154,32 @@ def test_a_look_alike_within_the_credible_set_is_no_reason_to_change(monkeypatch
 
 
 @pytest.mark.parametrize(
+    ("none", "rival", "own", "kept"),
+    [
+        (0.44, 0.42, 0.14, "one"),  # of which it holds one is not decided
+        (0.44, 0.55, 0.01, "two"),
+        (0.60, 0.30, 0.10, "empty"),
+    ],
+)
+def test_a_place_is_emptied_only_if_it_is_more_likely_empty_than_not(
+    none, rival, own, kept, monkeypatch
+):
+    """None may be the most probable of many, and something be there all the same."""
+    fits = {
+        "one": named_fit("one", "a"),
+        "two": named_fit("two", "b"),
+        "empty": named_fit("empty"),
+    }
+    probabilities = {"": none, "b": rival, "a": own}
+    posterior = SingleEffectPosterior(probabilities, {"b": fits["two"]}, fits["empty"])
+    by_fit = {key: [posterior] for key in fits}
+    monkeypatch.setattr(
+        posteriors, "with_most_probable_causes", lambda state, by_cause: state
+    )
+    assert swap(monkeypatch, by_fit, fits["one"]).state.fit is fits[kept]
+
+
+@pytest.mark.parametrize(
     ("by_trial", "is_certain"),
     [
         ((20.0, 20.0, 20.0, 20.0), True),
