@@ -46,7 +46,6 @@ from stringcast.stages.model.effect import Effect
 log = logging.getLogger(__name__)
 
 BOOTSTRAP_SAMPLES = 100  # probabilities are then known to 0.05
-EMPTY_PLACE = 0.5  # with a lower probability of any cause, a place holds none
 LOGGED_CAUSES = 5  # the most probable of a place
 # Of 43 causes on which trials agreed while misfit remained, 5 were not there: something
 # outside the library does about the same in all trials
@@ -82,11 +81,14 @@ class SingleEffectPosterior:
         return sorted(self.probabilities, key=lambda name: -self.probabilities[name])
 
     @property
+    def holds_a_cause(self) -> bool:
+        """Whether the place more likely holds a cause than not."""
+        return self.presence > 0.5
+
+    @property
     def likeliest_cause(self) -> str:
         """The most probable candidate, or none ("") if the place is likely empty."""
-        if self.presence <= EMPTY_PLACE:
-            return ""
-        return next(filter(None, self.ranked_causes))
+        return next(filter(None, self.ranked_causes)) if self.holds_a_cause else ""
 
     def credible_set(self, coverage: float) -> tuple[str, ...]:
         """Take the fewest candidates with so much probability, as they are ranked."""

@@ -196,7 +196,7 @@ def measure_verdict_numbers(
     causes = fit.hypothesis.cause_names
     credible_sets = []
     for posterior in posteriors.by_cause:
-        if posterior.presence > 0.5:
+        if posterior.holds_a_cause:
             credible = posterior.credible_set(criteria.coverage)
             credible_sets.append(tuple(filter(None, credible)))
     numbers = VerdictNumbers(
