@@ -32,6 +32,11 @@ class SettingsGroup:
     """
 
 
+def choose_evenly(total: int, count: int) -> np.ndarray:
+    """Choose up to `count` of so many numbers evenly, the first and last among them."""
+    return np.linspace(0, total - 1, min(count, total)).round().astype(int)
+
+
 def import_file(name: str, path: Path) -> ModuleType:
     """Import a file under a name that is not a package's."""
     specification = importlib.util.spec_from_file_location(name, path)

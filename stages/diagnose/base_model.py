@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stringcast.stages.common import Progress
+from stringcast.stages.common import Progress, choose_evenly
 from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis
@@ -76,8 +76,7 @@ def fit_base_model(
 def sample_trials(likelihood: Likelihood) -> Likelihood:
     """Take as many trials, evenly, as a search from many starts needs."""
     trials = likelihood.data.trials
-    count = min(len(trials), MAX_SEARCHED_TRIALS)
-    chosen = np.linspace(0, len(trials) - 1, count).round().astype(int)
+    chosen = choose_evenly(len(trials), MAX_SEARCHED_TRIALS)
     return likelihood.with_trials([trials[k] for k in chosen])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stringcast.stages.common import choose_evenly
 from stringcast.stages.diagnose.predictions import (
     log_likelihood_gains,
     predict_left_out_trials,
@@ -41,8 +42,7 @@ def sample_by_misfit(data: TrialData, fit: Fit, count: int) -> list[int]:
     Returns their numbers, in order.
     """
     ranked = np.argsort(-unexplained_tip_rms(data, fit), kind="stable")
-    chosen = np.linspace(0, len(ranked) - 1, min(count, len(ranked))).round()
-    return sorted(ranked[chosen.astype(int)].tolist())
+    return sorted(ranked[choose_evenly(len(ranked), count)].tolist())
 
 
 def tip_shift_rms(data: TrialData, one: Fit, other: Fit) -> np.ndarray:
