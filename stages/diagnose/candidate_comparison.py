@@ -104,8 +104,8 @@ def compare_candidates(
     """
     causes = parent.hypothesis.causes
     candidates = [effect for effect in effects if effect not in causes]
-    sample, sampled_parent = _sample_trials(prepared.data, parent)
-    proposals = propose_causes(sample, sampled_parent, candidates, seed)
+    sample = _sample_trials(prepared.data, parent)
+    proposals = propose_causes(*sample, candidates, seed)
     step = SelectionStep(prepared.data, parent, proposals, fits=())
     remaining = proposals
     if contested is not None:
@@ -115,17 +115,17 @@ def compare_candidates(
 
     # The most promising ones, and the look-alikes of the best of these
     first = [p for p in remaining[:INITIAL_PROPOSALS] if p.gain > STRONG_LOG_EVIDENCE]
-    step = _fit_more_proposals(prepared, step, first, criteria)
+    step = _fit_more_proposals(prepared, step, first, criteria, sample)
     remaining = [p for p in remaining if p not in first]
     lookalikes = _lookalikes_of_best(step, remaining, criteria)
-    step = _fit_more_proposals(prepared, step, lookalikes, criteria)
+    step = _fit_more_proposals(prepared, step, lookalikes, criteria, sample)
     refined = _refine_rivals(prepared, step, criteria, contested)
 
     # All others, if something is left to explain
     misfit_m = unexplained_tip_rms(prepared.data, parent).max()
     if not refined.accepted and misfit_m > criteria.tip_tolerance_m:
         others = [p for p in remaining if p not in lookalikes]
-        step = _fit_more_proposals(prepared, step, others, criteria)
+        step = _fit_more_proposals(prepared, step, others, criteria, sample)
         refined = _refine_rivals(prepared, step, criteria, contested)
     return refined
 
@@ -160,11 +160,15 @@ def _fit_more_proposals(
     step: SelectionStep,
     proposals: Sequence[Proposal],
     criteria: Criteria,
+    sampled: tuple[TrialData, Fit],
 ) -> SelectionStep:
-    """Fit more of a step's proposals, promising ones with their own numerical error."""
+    """Fit more of a step's proposals, promising ones with their own numerical error.
+
+    sampled: the trials that are fitted first, as of `_sample_trials`.
+    """
     data = prepared.data
     parent = step.parent
-    sample, sampled_parent = _sample_trials(data, parent)
+    sample, sampled_parent = sampled
 
     def fit_proposal(number: int) -> Fit:
         proposal = proposals[number]

@@ -156,17 +156,18 @@ def fit_base_model_to_resolved_trials(
     start, and returns if the fit to the others resolves it.
     """
     chaotic = names_of_chaotic_trials(prepared, tolerance_m)
+    if not chaotic:
+        return exclude_chaotic_trials(refine_base_model(prepared), tolerance_m)
+
     resolved = refine_base_model(without_trials(prepared, chaotic))
-    if chaotic:
-        left_out = [trial for trial in prepared.trials if trial.name in chaotic]
-        base = resolved.base_fit
-        _, uncertainty_m = corrected_data_of(resolved, left_out, base)
-        is_chaotic = uncertainty_m >= tolerance_m
-        if not is_chaotic.all():
-            names = [left_out[k].name for k in np.flatnonzero(is_chaotic)]
-            fit = evaluate_fit(prepared.data, base.hypothesis, base.chi)
-            together = replace(prepared, base_fit=fit)
-            resolved = refine_base_model(without_trials(together, names))
+    left_out = [trial for trial in prepared.trials if trial.name in chaotic]
+    base = resolved.base_fit
+    _, uncertainty_m = corrected_data_of(resolved, left_out, base)
+    is_chaotic = uncertainty_m >= tolerance_m
+    if not is_chaotic.all():
+        names = [left_out[k].name for k in np.flatnonzero(is_chaotic)]
+        together = without_trials(replace(prepared, base_fit=base), names)
+        resolved = refine_base_model(together)
     return exclude_chaotic_trials(resolved, tolerance_m)
 
 

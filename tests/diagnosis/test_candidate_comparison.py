@@ -208,7 +208,7 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
             proposals.append(Proposal(hypothesis, start, gain, direction))
         return proposals
 
-    def fit_proposals(prepared, step, proposals, criteria):
+    def fit_proposals(prepared, step, proposals, criteria, sampled):
         fits = []
         for number, proposal in enumerate(proposals):
             fitted.append(proposal.effect)
@@ -239,7 +239,7 @@ def test_all_others_are_compared_with_the_parent_on_the_data_of_the_search(monke
     """Refined rivals and their parent are fitted to other data: those they share."""
     parents = []
 
-    def fit_proposals(prepared, step, proposals, criteria):
+    def fit_proposals(prepared, step, proposals, criteria, sampled):
         parents.append(step.parent.log_evidence)
         return step
 
@@ -310,9 +310,6 @@ def test_a_rough_correction_makes_no_proposal_less_evident(
     monkeypatch.setattr(
         candidate_comparison, "rank_rivals", lambda parent, fits, criteria: fits
     )
-    monkeypatch.setattr(
-        candidate_comparison, "_sample_trials", lambda data, parent: (data, parent)
-    )
     parent = SimpleNamespace(log_evidence=0.0, scale_indices=None)
     best = named_fit("clamp", 35.0)
     step = SelectionStep(None, parent, [], [best])
@@ -321,6 +318,6 @@ def test_a_rough_correction_makes_no_proposal_less_evident(
     proposal = Proposal(hypothesis, None, 20.0, np.ones(1))
     prepared = SimpleNamespace(data="plain")
     found = candidate_comparison._fit_more_proposals(
-        prepared, step, [proposal], CRITERIA
+        prepared, step, [proposal], CRITERIA, ("plain", parent)
     )
     assert [each.log_evidence for each in found.fits] == [35.0, kept]
