@@ -11,6 +11,7 @@ import pytest
 from synthetic_trials import CRITERIA
 
 from stringcast.stages.diagnose import rules, verdict
+from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from stringcast.stages.diagnose.rules import VerdictNumbers
 
 LIMIT = CRITERIA.min_log_bayes_factor
@@ -195,6 +196,12 @@ def test_misfit_is_likely_if_the_worst_trial_is_mostly_off(monkeypatch):
     assert seeds[2] != seeds[0]
 
 
+class Place(SimpleNamespace):
+    """The posterior of a place, of which only the presence is known."""
+
+    holds_a_cause = SingleEffectPosterior.holds_a_cause
+
+
 @pytest.mark.parametrize("has_cause", [True, False])
 def test_the_verdicts_numbers_compare_the_causes_with_the_base_model(
     monkeypatch, has_cause
@@ -203,7 +210,7 @@ def test_the_verdicts_numbers_compare_the_causes_with_the_base_model(
     fit = fit_of(hypothesis=hypothesis)
     base_fit = fit_of() if has_cause else fit
     tip_m = {id(fit): 0.5 * TOLERANCE_M, id(base_fit): TOLERANCE_M}
-    posterior = SimpleNamespace(
+    posterior = Place(
         presence=0.8,
         credible_set=lambda coverage: ("wind", "", "tilt")[: int(100 * coverage)],
     )
