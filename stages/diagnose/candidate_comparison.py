@@ -119,6 +119,9 @@ def compare_candidates(
     remaining = [p for p in remaining if p not in first]
     lookalikes = _lookalikes_of_best(step, remaining, criteria)
     step = _fit_more_proposals(prepared, step, lookalikes, criteria, sample)
+    better = _find_better_parent(prepared, step, criteria)
+    if better is not None:
+        return compare_candidates(prepared, better, effects, criteria, seed, contested)
     refined = _refine_rivals(prepared, step, criteria, contested)
 
     # All others, if something is left to explain
@@ -126,6 +129,11 @@ def compare_candidates(
     if not refined.accepted and misfit_m > criteria.tip_tolerance_m:
         others = [p for p in remaining if p not in lookalikes]
         step = _fit_more_proposals(prepared, step, others, criteria, sample)
+        better = _find_better_parent(prepared, step, criteria)
+        if better is not None:
+            return compare_candidates(
+                prepared, better, effects, criteria, seed, contested
+            )
         refined = _refine_rivals(prepared, step, criteria, contested)
     return refined
 
@@ -175,9 +183,9 @@ def _fit_more_proposals(
         name = proposal.effect.name
         log.info("%d of %d: %s", number + 1, len(proposals), name)
         hypothesis = proposal.hypothesis
-        fit = _fit_roughly(sample, hypothesis, proposal.starts, sampled_parent)
+        fit = fit_roughly(sample, hypothesis, proposal.starts, sampled_parent)
         if sample is not data:
-            fit = _fit_roughly(data, hypothesis, fit.chi[None], parent)
+            fit = fit_roughly(data, hypothesis, fit.chi[None], parent)
         gain = fit.log_evidence - parent.log_evidence
         log.info("%s: log evidence %+.1f, proposed %.1f", name, gain, proposal.gain)
         return fit
@@ -195,7 +203,7 @@ def _fit_more_proposals(
     def correct_roughly(number: int) -> Fit:
         fit = fits[number]
         data = correct_data_on_one_finer_mesh(prepared, fit)
-        corrected = _fit_roughly(data, fit.hypothesis, fit.chi[None], fit)
+        corrected = fit_roughly(data, fit.hypothesis, fit.chi[None], fit)
         gain = corrected.log_evidence - parent.log_evidence
         name = fit.hypothesis.cause_names[-1]
         log.info("%s: log evidence %+.1f on a finer mesh", name, gain)
@@ -210,7 +218,29 @@ def _fit_more_proposals(
     return replace(step, fits=rank_rivals(parent, [*step.fits, *fits], criteria))
 
 
-def _fit_roughly(
+def _find_better_parent(
+    prepared: PreparedData, step: SelectionStep, criteria: Criteria
+) -> Fit | None:
+    """Find a fit without a further cause that gains most of what the best gains.
+
+    Such a fit is sought from where the best candidate has come to. While the parent is
+    in a worse minimum, any cause seems to gain.
+    """
+    parent = step.parent
+    best = step.best
+    if best is None or not has_evidence(parent, best, criteria):
+        return None
+    hypothesis = parent.hypothesis
+    shared = hypothesis.exponents_from(best.exponents)
+    starts = np.stack([parent.chi, shared])
+    other = fit_roughly(prepared.data, hypothesis, starts, parent)
+    gain = other.log_evidence - parent.log_evidence
+    log.info("without a further cause: log evidence %+.1f", gain)
+    possible = best.log_evidence - parent.log_evidence
+    return other if gain > criteria.min_explained_fraction * possible else None
+
+
+def fit_roughly(
     data: TrialData, hypothesis: Hypothesis, starts: np.ndarray, before: Fit
 ) -> Fit:
     """Fit a proposal, to a precision that is enough to rank it."""

@@ -20,6 +20,7 @@ from stringcast.stages.diagnose.base_model import refit_from_new_starts
 from stringcast.stages.diagnose.candidate_comparison import (
     SelectionStep,
     compare_candidates,
+    fit_roughly,
     rank_rivals,
     refine_fit,
 )
@@ -41,6 +42,8 @@ from stringcast.stages.diagnose.predictions import (
 )
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.rules import (
+    NEGLIGIBLE_LOG_EVIDENCE,
+    STRONG_LOG_EVIDENCE,
     Criteria,
     has_evidence,
     is_evident,
@@ -127,6 +130,7 @@ def select_causes(
             break
         state = add_cause(state, step.best, criteria, rng, starts)
         state = drop_redundant_causes(state, step.best, criteria)
+        state = exchange_causes_for_rivals(state)
         name = step.best.hypothesis.cause_names[-1]
         gain = step.best.log_evidence - step.parent.log_evidence
         log.info("accepted: %s, log evidence %+.1f", name, gain)
@@ -140,8 +144,17 @@ def _add_step(
     criteria: Criteria,
     seed: int,
 ) -> SelectionState:
-    """Compare all candidates for one more cause."""
+    """Compare all candidates for one more cause.
+
+    Candidates may lead to a better fit without a further cause, which is taken.
+    """
     step = compare_candidates(state.prepared, state.fit, effects, criteria, seed)
+    parent = step.parent
+    if not step.accepted and parent is not state.fit:
+        data = state.prepared.data
+        moved = evaluate_fit(data, parent.hypothesis, parent.chi, parent.width)
+        if moved.log_evidence > state.fit.log_evidence + NEGLIGIBLE_LOG_EVIDENCE:
+            state = with_fit(state, moved)
     return replace(state, steps=(*state.steps, step))
 
 
@@ -302,6 +315,47 @@ def drop_redundant_causes(
             log.info("%s is dropped: the evidence does not need it", cause.name)
             state = with_fit(state, without)
     return state
+
+
+def exchange_causes_for_rivals(state: SelectionState) -> SelectionState:
+    """Replace causes by their former rivals if these go better with the later causes.
+
+    As sequential replacement does in the selection of variables (Miller, Subset
+    Selection in Regression, 2002, section 3.3). Rivals that are about as evident when
+    one of them is accepted may differ by hundreds once another cause is there.
+    """
+    for step in state.steps[:-1]:
+        rivals = [fit.hypothesis.causes[-1] for fit in step.refined]
+        causes = state.fit.hypothesis.causes
+        present = [cause for cause in rivals if cause in causes]
+        if len(present) != 1:
+            continue
+        for rival in step.refined:
+            if rival.hypothesis.causes[-1] is not present[0]:
+                state = _exchange_cause(state, present[0], rival)
+                if present[0] not in state.fit.hypothesis.causes:
+                    break
+    return state
+
+
+def _exchange_cause(
+    state: SelectionState, cause: type[Effect], rival: Fit
+) -> SelectionState:
+    """Replace a cause by that of a former rival if the evidence is then stronger."""
+    data = state.prepared.data
+    before = state.fit
+    other = rival.hypothesis.causes[-1]
+    hypothesis = before.hypothesis.without_cause(cause).with_cause(other)
+    start = hypothesis.exponents_from(rival.exponents | before.exponents)
+    fit = fit_roughly(data, hypothesis, start[None], before)
+    if fit.log_evidence < before.log_evidence + STRONG_LOG_EVIDENCE:
+        return state
+    exchanged = with_fit(state, fit)
+    if exchanged.fit.log_evidence < before.log_evidence:
+        return state
+    gain = exchanged.fit.log_evidence - before.log_evidence
+    log.info("%s instead of %s: log evidence %+.1f", other.name, cause.name, gain)
+    return exchanged
 
 
 def drop_unconfirmed_causes(

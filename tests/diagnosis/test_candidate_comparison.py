@@ -24,6 +24,7 @@ class NamedFit:
     hypothesis: SimpleNamespace | None = None
     chi: np.ndarray = field(default_factory=lambda: np.zeros(1))
     scale_indices: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=int))
+    exponents: dict = field(default_factory=dict)
 
 
 def named_fit(name, log_evidence):
@@ -226,6 +227,9 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
     monkeypatch.setattr(candidate_comparison, "_fit_more_proposals", fit_proposals)
     monkeypatch.setattr(candidate_comparison, "_refine_rivals", accept)
     monkeypatch.setattr(
+        candidate_comparison, "_find_better_parent", lambda *given: None
+    )
+    monkeypatch.setattr(
         candidate_comparison, "unexplained_tip_rms", lambda data, fit: np.zeros(1)
     )
     parent = SimpleNamespace(log_evidence=0.0, hypothesis=SimpleNamespace(causes=()))
@@ -257,6 +261,44 @@ def test_all_others_are_compared_with_the_parent_on_the_data_of_the_search(monke
     step = candidate_comparison.compare_candidates(prepared, parent, [], CRITERIA, 0)
     assert parents == [0.0, 0.0, 0.0]
     assert step.parent.log_evidence == 50.0
+
+
+@pytest.mark.parametrize(("without", "parents"), [(17.7, [0.0, 17.7]), (9.0, [0.0])])
+def test_a_better_minimum_without_a_cause_is_taken_before_one_is_refined(
+    without, parents, monkeypatch
+):
+    """All 21 candidates gained 14 to 23 in a cable, as its parent was 18 too low."""
+    candidate = named_fit("wind", 20.0)
+    refined = []
+
+    def fit_without(data, hypothesis, starts, before):
+        assert starts.tolist() == [[0.0], [0.4]]  # the parent's, and the candidate's
+        return replace(parent, log_evidence=without)
+
+    def refine(prepared, step, *given):
+        refined.append(step.parent.log_evidence)
+        return replace(step, accepted=True)
+
+    def fit_proposals(prepared, step, *given):
+        tried.append(step.parent.log_evidence)
+        return replace(step, fits=[candidate])
+
+    tried = []
+    monkeypatch.setattr(candidate_comparison, "propose_causes", lambda *given: [])
+    monkeypatch.setattr(candidate_comparison, "_fit_more_proposals", fit_proposals)
+    monkeypatch.setattr(candidate_comparison, "_refine_rivals", refine)
+    monkeypatch.setattr(candidate_comparison, "fit_roughly", fit_without)
+    monkeypatch.setattr(
+        candidate_comparison, "unexplained_tip_rms", lambda *given: np.ones(1)
+    )
+    hypothesis = SimpleNamespace(
+        causes=(), exponents_from=lambda exponents: np.array([0.4])
+    )
+    parent = NamedFit("", 0.0, hypothesis)
+    prepared = SimpleNamespace(data=SimpleNamespace(trials=()))
+    candidate_comparison.compare_candidates(prepared, parent, [], CRITERIA, 0)
+    assert sorted(set(tried)) == parents
+    assert refined == parents[-1:]
 
 
 def test_many_trials_are_sampled_before_candidates_are_tried_in_all(monkeypatch):

@@ -257,6 +257,69 @@ def test_a_small_cause_does_not_hide_a_larger_one(
     assert state.set_aside == {"offset": small} | unconfirmed
 
 
+@pytest.mark.parametrize(
+    ("evidence", "refined", "causes"),
+    [
+        (360.0, 350.0, ("clamp", "softening", "set")),
+        (304.0, 350.0, ("clamp", "camera", "softening")),  # it gains a trifle
+        (360.0, 290.0, ("clamp", "camera", "softening")),  # by numerical error alone
+    ],
+)
+def test_a_cause_gives_way_to_a_former_rival_that_goes_better_with_later_causes(
+    evidence, refined, causes, monkeypatch
+):
+    """A turned camera led the set of a strip by 0.1, until softening was found."""
+    effects = {}
+    for name in ("clamp", "camera", "set", "tilt", "softening"):
+        effects[name] = SimpleNamespace(name=name)
+    clamp, camera, strip_set, tilt, softening = effects.values()
+    fitted = []
+
+    def named(*causes, log_evidence=300.0):
+        hypothesis = Hypothesis(None, causes)
+        return SimpleNamespace(
+            hypothesis=hypothesis, log_evidence=log_evidence, exponents={}
+        )
+
+    def fit(data, hypothesis, starts, before):
+        fitted.append(hypothesis.causes[-1].name)
+        is_set = hypothesis.causes[-1] is strip_set
+        value = evidence if is_set else 100.0
+        return named(*hypothesis.causes, log_evidence=value)
+
+    def refine(prepared, fit):
+        return RefinedFit(prepared, named(*fit.hypothesis.causes, log_evidence=refined))
+
+    monkeypatch.setattr(forward_selection, "fit_roughly", fit)
+    monkeypatch.setattr(forward_selection, "refine_fit", refine)
+    monkeypatch.setattr(Hypothesis, "exponents_from", lambda self, known: np.zeros(1))
+    rivals = [named(clamp, other) for other in (camera, tilt, strip_set)]
+    steps = []
+    for fits in ([named(clamp)], rivals, [named(clamp, camera, softening)]):
+        steps.append(SelectionStep(None, None, (), fits, fits, accepted=True))
+    state = SelectionState(
+        SimpleNamespace(data=None), named(clamp, camera, softening), steps
+    )
+    state = forward_selection.exchange_causes_for_rivals(state)
+    assert state.fit.hypothesis.cause_names == causes
+    assert fitted == ["tilt", "set"]
+
+
+@pytest.mark.parametrize(("gain", "is_taken"), [(17.7, True), (0.5, False)])
+def test_a_better_fit_without_a_further_cause_is_taken(gain, is_taken, monkeypatch):
+    fit = SimpleNamespace(log_evidence=100.0)
+    moved = SimpleNamespace(
+        log_evidence=100.0 + gain, hypothesis=None, chi=None, width=None
+    )
+    step = SelectionStep(None, moved, (), ())
+    monkeypatch.setattr(forward_selection, "compare_candidates", lambda *given: step)
+    monkeypatch.setattr(forward_selection, "evaluate_fit", lambda *given: moved)
+    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
+    state = SelectionState(SimpleNamespace(data=None), fit)
+    state = forward_selection._add_step(state, (), CRITERIA, 0)
+    assert state.fit is (moved if is_taken else fit)
+
+
 def test_causes_found_before_begin_at_the_same_values_in_other_ranges(arm, monkeypatch):
     """With one trial more, the data may ask for a wider range of the base model."""
     wind = effects_by_name()["wind"]
