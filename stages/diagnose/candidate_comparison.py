@@ -17,6 +17,7 @@ from stringcast.stages.diagnose.common_data import fit_to_common_data
 from stringcast.stages.diagnose.discretisation import (
     correct_data_on_one_finer_mesh,
     correct_discretisation_once,
+    discretisation_uncertainty_of,
 )
 from stringcast.stages.diagnose.measures import sample_by_misfit, unexplained_tip_rms
 from stringcast.stages.diagnose.prepared_data import PreparedData, RefinedFit
@@ -122,7 +123,7 @@ def compare_candidates(
     better = _find_better_parent(prepared, step, criteria)
     if better is not None:
         return compare_candidates(prepared, better, effects, criteria, seed, contested)
-    refined = _refine_rivals(prepared, step, criteria, contested)
+    refined = _compare_rivals(prepared, step, criteria, contested is not None)
 
     # All others, if something is left to explain
     misfit_m = unexplained_tip_rms(prepared.data, parent).max()
@@ -134,7 +135,7 @@ def compare_candidates(
             return compare_candidates(
                 prepared, better, effects, criteria, seed, contested
             )
-        refined = _refine_rivals(prepared, step, criteria, contested)
+        refined = _compare_rivals(prepared, step, criteria, contested is not None)
     return refined
 
 
@@ -249,68 +250,62 @@ def fit_roughly(
     return fit_hypothesis(data, hypothesis, starts, scale_indices, min_gain)
 
 
-def _refine_rivals(
+def _compare_rivals(
     prepared: PreparedData,
     step: SelectionStep,
     criteria: Criteria,
-    contested: Fit | None,
+    is_contested: bool,
 ) -> SelectionStep:
-    """Refine the fits near the best one, and decide whether the best is accepted.
+    """Fit the best and its rivals to common data, and decide whether it is accepted.
 
     Rivals by which simulation resolves too few trials cannot lead: what is uncertain in
     the others may explain anything.
-    """
-    parent = step.parent
-    if step.best is None or not has_evidence(parent, step.best, criteria):
-        return step
-    least_evidence = _least_evidence(step.fits, parent, criteria)
-    count = sum(fit.log_evidence > least_evidence for fit in step.fits[:MAX_RIVALS])
 
-    needed = len(prepared.discretisation_uncertainty_m)
+    is_contested: whether the place of a cause that was accepted is contested.
+    """
+    if step.best is None or not has_evidence(step.parent, step.best, criteria):
+        return step
+    before_m = prepared.discretisation_uncertainty_m
+    needed = len(before_m)
     allowance_m = np.zeros(needed)
-    if contested is None:
+    if not is_contested:
         needed = min(MIN_RESOLVED_TRIALS, needed)
         # A fraction of mean squares, and the roots of both
-        misfit_m = unexplained_tip_rms(prepared.data, parent)
+        misfit_m = unexplained_tip_rms(prepared.data, step.parent)
         allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
 
-    def refine_rival(fit: Fit) -> tuple[Fit, bool]:
-        rival = RefinedFit(prepared, fit)
-        if fit is not contested:
-            rival = refine_fit(prepared, fit)
-        resolved = is_resolved(rival.prepared, prepared, criteria, needed, allowance_m)
-        return rival.fit, resolved
+    # Common data mostly lower the evidence: none may lead because it was not compared
+    least_evidence = _least_evidence(step.fits, step.parent, criteria)
+    count = sum(fit.log_evidence > least_evidence for fit in step.fits[:MAX_RIVALS])
+    is_overtaken = True
+    while is_overtaken:
+        parent, *compared = fit_to_common_data(
+            prepared, [step.parent, *step.fits[:count]]
+        )
+        resolved: list[Fit] = []
+        unresolved: list[Fit] = []
+        for fit in compared:
+            uncertainty_m = discretisation_uncertainty_of(prepared, fit)
+            is_enough = is_resolved(
+                uncertainty_m, before_m, criteria, needed, allowance_m
+            )
+            (resolved if is_enough else unresolved).append(fit)
+        resolved = rank_rivals(parent, resolved, criteria)
+        others = _with_parent_at(parent, step.parent, step.fits[count:])
+        is_overtaken = _is_overtaken(parent, resolved, others, criteria)
+        count += is_overtaken
 
-    # Refinement mostly lowers the evidence: none may lead because it was not refined
-    refined: list[Fit] = []
-    unresolved: list[Fit] = []
-    unrefined = list(step.fits)
-    while count:
-        chosen = unrefined[:count]
-        unrefined = unrefined[count:]
-        answers = map_in_workers(refine_rival, chosen)
-        for rival, (fit, resolved) in zip(chosen, answers, strict=True):
-            # A worker returns a copy of the hypothesis
-            own = replace(fit, hypothesis=rival.hypothesis)
-            (refined if resolved else unresolved).append(own)
-        refined = rank_rivals(parent, refined, criteria)
-        count = int(_is_overtaken(parent, refined, unrefined, criteria))
+    for fit in [*resolved, *unresolved]:
+        name = fit.hypothesis.cause_names[-1]
+        gain = fit.log_evidence - parent.log_evidence
+        log.info("on common data: %s, log evidence %+.1f", name, gain)
     ahead = []
     for fit in unresolved:
-        if refined and fit.log_evidence >= refined[0].log_evidence:
+        if resolved and fit.log_evidence >= resolved[0].log_evidence:
             name = fit.hypothesis.cause_names[-1]
             log.info("%s cannot be simulated well enough to be told apart", name)
             ahead.append(fit)
-
-    if len(refined) > 1:
-        parent, *fits = fit_to_common_data(prepared, [parent, *refined])
-        refined = rank_rivals(parent, fits, criteria)
-        for fit in refined:
-            name = fit.hypothesis.cause_names[-1]
-            gain = fit.log_evidence - parent.log_evidence
-            log.info("on common data: %s, log evidence %+.1f", name, gain)
-
-    every_fit = [*refined, *unrefined]
+    every_fit = [*resolved, *others]
     is_accepted = bool(every_fit) and is_supported(
         prepared.data, parent, every_fit[0], criteria
     )
@@ -318,25 +313,31 @@ def _refine_rivals(
         step,
         parent=parent,
         fits=every_fit,
-        refined=refined,
+        refined=resolved,
         accepted=is_accepted,
         unresolved=ahead,
     )
 
 
+def _with_parent_at(parent: Fit, before: Fit, fits: Sequence[Fit]) -> list[Fit]:
+    """Shift the evidence of fits by that of their parent on common data."""
+    shift = parent.log_evidence - before.log_evidence
+    return [replace(fit, log_evidence=fit.log_evidence + shift) for fit in fits]
+
+
 def _is_overtaken(
     parent: Fit,
-    refined: Sequence[Fit],
-    unrefined: Sequence[Fit],
+    compared: Sequence[Fit],
+    others: Sequence[Fit],
     criteria: Criteria,
 ) -> bool:
-    """Whether the first of the unrefined fits clearly leads the refined ones."""
-    if not unrefined:
+    """Whether the first of the other fits clearly leads those on common data."""
+    if not others:
         return False
-    other = unrefined[0]
-    if not refined:
+    other = others[0]
+    if not compared:
         return has_evidence(parent, other, criteria)
-    best = refined[0]
+    best = compared[0]
     leads = rank_rivals(parent, [best, other], criteria)[0] is other
     # With less evidence it leads because the best is at the end of its range
     is_behind = other.log_evidence < best.log_evidence

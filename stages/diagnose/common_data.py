@@ -6,8 +6,8 @@ hundreds: more than rivals differ. So each rival is fitted in turn with the erro
 belongs to where it has come to, until it stays there: it is then compared, with nothing
 but its own simulation, on what was measured. Initial states, noise and discrepancy are
 those of one search. A rival may be in a worse minimum of the parameters that all share,
-so that it is also fitted from those of the most evident other one; it starts from the
-more evident of both.
+so that it is also fitted from those of the most evident other one, and from other
+places and times where causes may act. It goes on from the more evident end.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from stringcast.stages.diagnose.discrepancy_model import with_random_effects
 from stringcast.stages.diagnose.discretisation import correct_data_on_one_finer_mesh
 from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.diagnose.proposals import alternative_parameter_starts
 from stringcast.stages.diagnose.rules import NEGLIGIBLE_LOG_EVIDENCE
 from stringcast.stages.inference.laplace import Fit, best_exponents, evaluate_fit
 from stringcast.stages.inference.trial_data import TrialData
@@ -46,16 +47,22 @@ def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fi
 
     def fit_rival(number: int) -> Fit:
         rival = rivals[number]
-        hypothesis = rival.hypothesis
         others = [other for other in rivals if other is not rival]
         best = max(others, key=lambda other: other.log_evidence)
-        shared = hypothesis.exponents_from(rival.exponents | best.exponents)
-        elsewhere = _refit(prepared.data, rival, shared)
-        starts = [evaluate_with_own_error(prepared, rival, rival.chi)]
-        starts.append(evaluate_with_own_error(prepared, rival, elsewhere))
-        current = max(starts, key=lambda start: start.fit.log_evidence)
+        current = evaluate_with_own_error(prepared, rival, rival.chi)
+
+        # Other places to begin from
+        exponents = rival.exponents | best.exponents
+        shared = rival.hypothesis.exponents_from(exponents)
+        alternatives = alternative_parameter_starts(current.data, current.fit)
+        starts = np.stack([shared, *alternatives])
+        moved_to = _refit(current.data, current.fit, starts)
+        elsewhere = evaluate_with_own_error(prepared, rival, moved_to)
+        if elsewhere.fit.log_evidence > current.fit.log_evidence:
+            current = elsewhere
+
         for _ in range(MAX_PASSES):
-            moved_to = _refit(current.data, current.fit, current.fit.chi)
+            moved_to = _refit(current.data, current.fit, current.fit.chi[None])
             moved = evaluate_with_own_error(prepared, current.fit, moved_to)
             gain = moved.fit.log_evidence - current.fit.log_evidence
             if gain > 0:
@@ -90,12 +97,12 @@ def evaluate_with_own_error(
     return EvaluatedFit(data, evaluate_fit(data, fit.hypothesis, chi, fit.width))
 
 
-def _refit(data: TrialData, fit: Fit, start: np.ndarray) -> np.ndarray:
-    """Find where a fit moves from exponents (P,) on some data."""
+def _refit(data: TrialData, fit: Fit, starts: np.ndarray) -> np.ndarray:
+    """Find where a fit moves from exponents (C, P) on some data."""
     chi, _ = best_exponents(
         data,
         fit.hypothesis,
-        start[None],
+        starts,
         fit.scale_indices,
         NEGLIGIBLE_LOG_EVIDENCE,
     )

@@ -135,19 +135,49 @@ def subtract_discretisation_error(
         Of the discretisation error at each tip [m].
     """
     corrected = []
-    shapes = []  # (2 n,)
+    errors, uncertainties = _extrapolate_errors(trials, hypothesis, chi)
+    for trial, error in zip(trials, errors, strict=True):
+        points = trial.points - error
+        corrected.append(replace(trial, model=hypothesis.model, points=points))
+    columns = [shape[:, None] for shape in uncertainties]
+    data = attach_discrepancy_model(corrected, hypothesis, chi, columns)
+    return data, data.tip_rms_by_trial(uncertainties)
+
+
+def discretisation_uncertainty_of(prepared: PreparedData, fit: Fit) -> np.ndarray:
+    """Compute how uncertain the discretisation error of a fit is at each tip [m], (K,).
+
+    See `subtract_discretisation_error`.
+    """
+    if prepared.mesh_is_model:
+        return np.zeros(len(prepared.trials))
+    _, uncertainties = _extrapolate_errors(prepared.trials, fit.hypothesis, fit.chi)
+    return prepared.data.tip_rms_by_trial(uncertainties)
+
+
+def _extrapolate_errors(
+    trials: Sequence[PreparedTrial],
+    hypothesis: Hypothesis,
+    chi: np.ndarray,
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Extrapolate the discretisation error of a hypothesis from three meshes.
+
+    Returns
+    -------
+    errors : list of numpy.ndarray, shape (n, 2)
+        Of the measured points of each trial [m].
+    uncertainties : list of numpy.ndarray, shape (2 n,)
+        By how much two meshes extrapolate otherwise, over sigma.
+    """
+    errors = []
+    uncertainties = []
     meshes = _simulate_on_meshes(trials, hypothesis, chi, (1, 2, 4))
     for trial, (coarse, finer, finest) in zip(trials, meshes, strict=True):
         limit = richardson_limit(finer, finest)
-        coarser_limit = richardson_limit(coarse, finer)
-        error = np.nan_to_num(limit - coarse)
-        uncertainty = np.nan_to_num(limit - coarser_limit)
-        points = trial.points - error
-        corrected.append(replace(trial, model=hypothesis.model, points=points))
-        shapes.append((uncertainty / trial.sigma[:, None]).ravel())
-    columns = [shape[:, None] for shape in shapes]
-    data = attach_discrepancy_model(corrected, hypothesis, chi, columns)
-    return data, data.tip_rms_by_trial(shapes)
+        change = np.nan_to_num(limit - richardson_limit(coarse, finer))
+        errors.append(np.nan_to_num(limit - coarse))
+        uncertainties.append((change / trial.sigma[:, None]).ravel())
+    return errors, uncertainties
 
 
 def correct_data_on_one_finer_mesh(prepared: PreparedData, fit: Fit) -> TrialData:

@@ -19,11 +19,13 @@ from stringcast.stages.diagnose.agreement import probability_by_agreement
 from stringcast.stages.diagnose.base_model import refit_from_new_starts
 from stringcast.stages.diagnose.candidate_comparison import (
     SelectionStep,
+    by_evidence,
     compare_candidates,
     fit_roughly,
     rank_rivals,
     refine_fit,
 )
+from stringcast.stages.diagnose.common_data import fit_to_common_data
 from stringcast.stages.diagnose.discretisation import correct_discretisation_once
 from stringcast.stages.diagnose.left_out_fits import groups_to_leave_out
 from stringcast.stages.diagnose.measures import (
@@ -242,9 +244,12 @@ def add_cause(
     if unexplained_tip_rms(prepared.data, fit).max() > criteria.tip_tolerance_m:
         other = refit_from_new_starts(prepared.data, fit, rng, starts)
         refined = refine_fit(prepared, other)
-        trials = len(prepared.discretisation_uncertainty_m)
+        uncertainty_m = refined.prepared.discretisation_uncertainty_m
+        before_m = prepared.discretisation_uncertainty_m
         is_better = refined.fit.log_evidence > fit.log_evidence
-        if is_better and is_resolved(refined.prepared, prepared, criteria, trials):
+        if is_better and is_resolved(
+            uncertainty_m, before_m, criteria, needed=len(before_m)
+        ):
             prepared = refined.prepared
             fit = refined.fit
     return replace(state, prepared=prepared, fit=fit, steps=steps)
@@ -318,44 +323,48 @@ def drop_redundant_causes(
 
 
 def exchange_causes_for_rivals(state: SelectionState) -> SelectionState:
-    """Replace causes by their former rivals if these go better with the later causes.
+    """Replace causes by close rivals if these go better with the later causes.
 
     As sequential replacement does in the selection of variables (Miller, Subset
     Selection in Regression, 2002, section 3.3). Rivals that are about as evident when
-    one of them is accepted may differ by hundreds once another cause is there.
+    one of them is accepted may differ by a hundred once another cause is there.
     """
     for step in state.steps[:-1]:
-        rivals = [fit.hypothesis.causes[-1] for fit in step.refined]
         causes = state.fit.hypothesis.causes
-        present = [cause for cause in rivals if cause in causes]
-        if len(present) != 1:
-            continue
-        for rival in step.refined:
-            if rival.hypothesis.causes[-1] is not present[0]:
-                state = _exchange_cause(state, present[0], rival)
-                if present[0] not in state.fit.hypothesis.causes:
-                    break
+        close = [
+            fit
+            for fit in step.refined
+            if fit.log_evidence > step.refined[0].log_evidence - STRONG_LOG_EVIDENCE
+        ]
+        present = [fit for fit in close if fit.hypothesis.causes[-1] in causes]
+        absent = [fit for fit in close if fit.hypothesis.causes[-1] not in causes]
+        if len(present) == 1:
+            cause = present[0].hypothesis.causes[-1]
+            state = _exchange_for_best(state, cause, absent)
     return state
 
 
-def _exchange_cause(
-    state: SelectionState, cause: type[Effect], rival: Fit
+def _exchange_for_best(
+    state: SelectionState, cause: type[Effect], rivals: Sequence[Fit]
 ) -> SelectionState:
-    """Replace a cause by that of a former rival if the evidence is then stronger."""
-    data = state.prepared.data
-    before = state.fit
-    other = rival.hypothesis.causes[-1]
-    hypothesis = before.hypothesis.without_cause(cause).with_cause(other)
-    start = hypothesis.exponents_from(rival.exponents | before.exponents)
-    fit = fit_roughly(data, hypothesis, start[None], before)
-    if fit.log_evidence < before.log_evidence + STRONG_LOG_EVIDENCE:
+    """Replace a cause by that of the rival with most evidence, if that exceeds its."""
+    if not rivals:
         return state
-    exchanged = with_fit(state, fit)
-    if exchanged.fit.log_evidence < before.log_evidence:
+    others = state.fit.hypothesis.without_cause(cause)
+    fits = [state.fit]
+    for rival in rivals:
+        hypothesis = others.with_cause(rival.hypothesis.causes[-1])
+        start = hypothesis.exponents_from(rival.exponents | state.fit.exponents)
+        fit = fit_roughly(state.prepared.data, hypothesis, start[None], state.fit)
+        fits.append(fit)
+    before, *compared = fit_to_common_data(state.prepared, fits)
+    best = by_evidence(compared)[0]
+    gain = best.log_evidence - before.log_evidence
+    if gain < NEGLIGIBLE_LOG_EVIDENCE:
         return state
-    gain = exchanged.fit.log_evidence - before.log_evidence
+    other = best.hypothesis.causes[-1]
     log.info("%s instead of %s: log evidence %+.1f", other.name, cause.name, gain)
-    return exchanged
+    return with_fit(state, best)
 
 
 def drop_unconfirmed_causes(

@@ -64,7 +64,6 @@ from stringcast.stages.diagnose.measures import (
     trials_touched_by,
     unexplained_tip_rms,
 )
-from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.inference.laplace import ABSENCE_TOLERANCE, Fit
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect, amplitude_parameters
@@ -155,21 +154,28 @@ class VerdictNumbers:
 
 
 def is_resolved(
-    refined: PreparedData,
-    before: PreparedData,
+    uncertainty_m: np.ndarray,
+    before_m: np.ndarray,
     criteria: Criteria,
     needed: int,
     misfit_allowance_m: np.ndarray | float = 0.0,
 ) -> bool:
     """Whether simulation resolves enough trials once a candidate is fitted.
 
-    The uncertainty of a trial may reach the tolerance, that of the worst trial before,
-    or a misfit that may remain there anyway [m], (K,).
+    Parameters
+    ----------
+    uncertainty_m, before_m : numpy.ndarray, shape (K,)
+        Of the discretisation error at each tip with the candidate and without [m]. It
+        may reach the tolerance, that of the worst trial without the candidate, or a
+        misfit that may remain in the trial anyway.
+    needed : int
+        Number of trials that must be resolved.
+    misfit_allowance_m : numpy.ndarray, shape (K,)
+        That misfit [m].
     """
-    worst_before = before.discretisation_uncertainty_m.max()
-    allowed = max(worst_before, criteria.tip_tolerance_m)
+    allowed = max(before_m.max(), criteria.tip_tolerance_m)
     allowed = np.maximum(allowed, misfit_allowance_m)
-    resolved = (refined.discretisation_uncertainty_m <= allowed).sum()
+    resolved = (uncertainty_m <= allowed).sum()
     return bool(resolved >= needed)
 
 

@@ -9,7 +9,6 @@ from synthetic_trials import CRITERIA
 
 from stringcast.stages.diagnose import candidate_comparison
 from stringcast.stages.diagnose.candidate_comparison import SelectionStep
-from stringcast.stages.diagnose.prepared_data import RefinedFit
 from stringcast.stages.diagnose.proposals import Proposal
 
 SIX = ["e0", "e1", "e2", "e3", "e4", "e5"]
@@ -43,8 +42,8 @@ def limited(monkeypatch):
     return names
 
 
-def compare_as_refined(prepared, rivals):
-    """Say that common data give the same evidence as those of each rival."""
+def compare_as_found(prepared, rivals):
+    """Say that rivals have the same evidence on common data."""
     return rivals
 
 
@@ -69,60 +68,59 @@ def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
         "resolved": np.zeros(len(before)),
     }
 
-    def refine(prepared, fit):
-        uncertain_m = uncertainty_m[fit.name]
-        own = SimpleNamespace(discretisation_uncertainty_m=uncertain_m, data="own")
-        return RefinedFit(own, fit)
-
     prepared = SimpleNamespace(
         discretisation_uncertainty_m=np.array(before), data="prepared"
     )
-    monkeypatch.setattr(candidate_comparison, "refine_fit", refine)
+    monkeypatch.setattr(
+        candidate_comparison,
+        "discretisation_uncertainty_of",
+        lambda prepared, fit: uncertainty_m[fit.name],
+    )
     monkeypatch.setattr(candidate_comparison, "is_supported", lambda *given: True)
     monkeypatch.setattr(
         candidate_comparison, "unexplained_tip_rms", lambda data, fit: np.array(misfit)
     )
-    monkeypatch.setattr(candidate_comparison, "fit_to_common_data", compare_as_refined)
+    monkeypatch.setattr(candidate_comparison, "fit_to_common_data", compare_as_found)
+    compare_rivals = candidate_comparison._compare_rivals
     parent = SimpleNamespace(log_evidence=0.0)
-    compared = SelectionStep(None, parent, (), fits)
-    step = candidate_comparison._refine_rivals(prepared, compared, CRITERIA, None)
+    given = SelectionStep(None, parent, (), fits)
+    step = compare_rivals(prepared, given, CRITERIA, False)
     assert (step.best.name, step.accepted) == (best, True)
 
     # In the place of an accepted cause all trials must be resolved
-    step = candidate_comparison._refine_rivals(prepared, compared, CRITERIA, fits[1])
+    step = compare_rivals(prepared, given, CRITERIA, True)
     all_as_before = before == (0.0, 5e-3)
     assert step.best.name == ("uncertain" if all_as_before else "resolved")
     # It has more evidence, some of which may be what is uncertain
     ahead = [fit.name for fit in step.unresolved]
     assert ahead == ([] if all_as_before else ["uncertain"])
-    behind = replace(compared, fits=[fits[0], named_fit("resolved", 70.0)])
-    step = candidate_comparison._refine_rivals(
-        prepared, behind, CRITERIA, behind.fits[1]
-    )
+    behind = replace(given, fits=[fits[0], named_fit("resolved", 70.0)])
+    step = compare_rivals(prepared, behind, CRITERIA, True)
     assert not step.unresolved
 
 
-def refine_rivals(monkeypatch, found, refined, on_common_data=None):
-    """Refine fits of some evidence to another; return the step and who was refined."""
-    on_common_data = on_common_data or refined
-    asked = []
+def compare_rivals(monkeypatch, found, common):
+    """Compare fits that have other evidence on common data than when found.
 
-    def refine(prepared, fit):
-        asked.append(fit.name)
-        own = SimpleNamespace(discretisation_uncertainty_m=np.zeros(2))
-        return RefinedFit(own, replace(fit, log_evidence=refined[fit.name]))
+    Returns the step, and which fits were compared in the end.
+    """
+    compared = []
 
     def compare(given, rivals):
         assert given is prepared
         parent, *others = rivals
-        fits = [parent]
+        compared[:] = [rival.name for rival in others]
+        fits = [SimpleNamespace(log_evidence=common.get("", 0.0))]
         for rival in others:
-            evidence = on_common_data[rival.name]
-            fits.append(replace(rival, log_evidence=evidence))
+            fits.append(replace(rival, log_evidence=common[rival.name]))
         return fits
 
     prepared = SimpleNamespace(discretisation_uncertainty_m=np.zeros(2), data=None)
-    monkeypatch.setattr(candidate_comparison, "refine_fit", refine)
+    monkeypatch.setattr(
+        candidate_comparison,
+        "discretisation_uncertainty_of",
+        lambda prepared, fit: np.zeros(2),
+    )
     monkeypatch.setattr(candidate_comparison, "is_supported", lambda *given: True)
     monkeypatch.setattr(candidate_comparison, "fit_to_common_data", compare)
     monkeypatch.setattr(
@@ -131,13 +129,13 @@ def refine_rivals(monkeypatch, found, refined, on_common_data=None):
     parent = SimpleNamespace(log_evidence=0.0)
     fits = [named_fit(name, value) for name, value in found.items()]
     fits = candidate_comparison.rank_rivals(parent, fits, CRITERIA)
-    compared = SelectionStep(None, parent, (), fits)
-    step = candidate_comparison._refine_rivals(prepared, compared, CRITERIA, None)
-    return step, asked
+    given = SelectionStep(None, parent, (), fits)
+    step = candidate_comparison._compare_rivals(prepared, given, CRITERIA, False)
+    return step, compared
 
 
-def test_no_rival_leads_because_it_was_not_refined(limited, monkeypatch):
-    """The fourth of 75 mm strips was named, as refinement took 90 from the others."""
+def test_no_rival_leads_because_it_was_not_compared(limited, monkeypatch):
+    """The fourth of 75 mm strips was named, as common data took 90 from the others."""
     found = {
         "set": 730.0,
         "wind": 694.0,
@@ -145,31 +143,40 @@ def test_no_rival_leads_because_it_was_not_refined(limited, monkeypatch):
         "tilt": 643.0,
         "angle": 595.0,
     }
-    refined = {
+    common = {
         "set": 640.0,
         "wind": 600.0,
         "camera": 580.0,
         "tilt": 550.0,
         "angle": 0.0,
     }
-    step, asked = refine_rivals(monkeypatch, found, refined)
-    assert asked == ["set", "wind", "camera"]  # the fourth is ahead by a trifle
+    step, compared = compare_rivals(monkeypatch, found, common)
+    assert compared == ["set", "wind", "camera"]  # the fourth is ahead by a trifle
     assert step.best.name == "set"
 
-    refined = {**refined, "set": 600.0}
-    step, asked = refine_rivals(monkeypatch, found, refined)
-    assert asked == ["set", "wind", "camera", "tilt"]
+    common = {**common, "set": 600.0}
+    step, compared = compare_rivals(monkeypatch, found, common)
+    assert compared == ["set", "wind", "camera", "tilt"]
     assert step.best.name == "set"
     assert [fit.name for fit in step.refined][-1] == "tilt"
 
 
 def test_the_rival_leads_that_has_most_evidence_on_common_data(limited, monkeypatch):
     """A wind gained 145 by the numerical error that was subtracted at its own fit."""
-    own = {"wind": 719.0, "set": 633.0}
+    found = {"wind": 719.0, "set": 633.0}
     common = {"wind": 574.0, "set": 633.0}
-    step, _ = refine_rivals(monkeypatch, own, own, common)
+    step, _ = compare_rivals(monkeypatch, found, common)
     assert step.best.name == "set"
     assert [fit.log_evidence for fit in step.refined] == [633.0, 574.0]
+
+
+def test_rivals_are_not_overtaken_because_common_data_shift_all(limited, monkeypatch):
+    """All 21 candidates in a cable were refined, one by one, as each lost about 15."""
+    found = {"slip": 23.0, "offset": 22.0, "drift": 21.0, "lag": 20.0}
+    common = {"": -15.0, "slip": 8.0, "offset": 6.0, "drift": 5.0}
+    step, compared = compare_rivals(monkeypatch, found, common)
+    assert compared == ["slip", "offset", "drift"]
+    assert [fit.log_evidence for fit in step.fits] == [8.0, 6.0, 5.0, 5.0]
 
 
 @pytest.mark.parametrize(
@@ -182,9 +189,9 @@ def test_a_rival_inside_its_range_goes_before_one_at_its_end(
     """A tilt of gravity at its limit was a stand-in for the set of a strip."""
     limited |= {"tilt", "angle", "camera"}
     found = {"tilt": 100.0, "angle": 99.0, "camera": 98.0, "set": inside}
-    step, asked = refine_rivals(monkeypatch, found, found)
+    step, compared = compare_rivals(monkeypatch, found, found)
     assert step.best.name == leader
-    assert ("set" in asked) == (leader == "set")
+    assert ("set" in compared) == (leader == "set")
 
 
 @pytest.mark.parametrize(
@@ -225,7 +232,7 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
     fitted = []
     monkeypatch.setattr(candidate_comparison, "propose_causes", propose)
     monkeypatch.setattr(candidate_comparison, "_fit_more_proposals", fit_proposals)
-    monkeypatch.setattr(candidate_comparison, "_refine_rivals", accept)
+    monkeypatch.setattr(candidate_comparison, "_compare_rivals", accept)
     monkeypatch.setattr(
         candidate_comparison, "_find_better_parent", lambda *given: None
     )
@@ -252,7 +259,7 @@ def test_all_others_are_compared_with_the_parent_on_the_data_of_the_search(monke
 
     monkeypatch.setattr(candidate_comparison, "propose_causes", lambda *given: [])
     monkeypatch.setattr(candidate_comparison, "_fit_more_proposals", fit_proposals)
-    monkeypatch.setattr(candidate_comparison, "_refine_rivals", refine)
+    monkeypatch.setattr(candidate_comparison, "_compare_rivals", refine)
     monkeypatch.setattr(
         candidate_comparison, "unexplained_tip_rms", lambda data, fit: np.ones(1)
     )
@@ -286,7 +293,7 @@ def test_a_better_minimum_without_a_cause_is_taken_before_one_is_refined(
     tried = []
     monkeypatch.setattr(candidate_comparison, "propose_causes", lambda *given: [])
     monkeypatch.setattr(candidate_comparison, "_fit_more_proposals", fit_proposals)
-    monkeypatch.setattr(candidate_comparison, "_refine_rivals", refine)
+    monkeypatch.setattr(candidate_comparison, "_compare_rivals", refine)
     monkeypatch.setattr(candidate_comparison, "fit_roughly", fit_without)
     monkeypatch.setattr(
         candidate_comparison, "unexplained_tip_rms", lambda *given: np.ones(1)

@@ -113,6 +113,9 @@ def test_a_rival_moves_until_it_stays_where_its_error_is_its_own(
     monkeypatch.setattr(common_data, "best_exponents", move)
     monkeypatch.setattr(common_data, "evaluate_with_own_error", evaluate)
     monkeypatch.setattr(
+        common_data, "alternative_parameter_starts", lambda *given: np.zeros((0, 2))
+    )
+    monkeypatch.setattr(
         common_data, "map_in_workers", lambda call, items: [call(0), best]
     )
     prepared = SimpleNamespace(data="of the search")

@@ -26,26 +26,22 @@ def fit_of(log_evidence=0.0, **more):
     return SimpleNamespace(log_evidence=log_evidence, **values)
 
 
-def uncertain(*uncertainty_m):
-    return SimpleNamespace(discretisation_uncertainty_m=np.array(uncertainty_m))
-
-
 def test_limits_are_those_that_the_settings_state():
     assert pytest.approx(np.log(100)) == LIMIT
     assert CRITERIA.deciding_log_odds == pytest.approx(np.log(19))
 
 
 def test_a_trial_is_resolved_to_the_tolerance_or_as_well_as_the_worst_before():
-    before = uncertain(1e-4, 1e-4)
+    before = np.array([1e-4, 1e-4])
     at, above = TOLERANCE_M, SLIGHTLY_MORE * TOLERANCE_M
-    assert rules.is_resolved(uncertain(at, at), before, CRITERIA, 2)
-    assert not rules.is_resolved(uncertain(at, above), before, CRITERIA, 2)
-    assert rules.is_resolved(uncertain(at, above), before, CRITERIA, 1)
-    poor = uncertain(1e-4, 8e-3)
-    assert rules.is_resolved(uncertain(8e-3, 8e-3), poor, CRITERIA, 2)
-    assert not rules.is_resolved(uncertain(8e-3, 9e-3), poor, CRITERIA, 2)
+    assert rules.is_resolved(np.array([at, at]), before, CRITERIA, 2)
+    assert not rules.is_resolved(np.array([at, above]), before, CRITERIA, 2)
+    assert rules.is_resolved(np.array([at, above]), before, CRITERIA, 1)
+    poor = np.array([1e-4, 8e-3])
+    assert rules.is_resolved(np.array([8e-3, 8e-3]), poor, CRITERIA, 2)
+    assert not rules.is_resolved(np.array([8e-3, 9e-3]), poor, CRITERIA, 2)
     allowed_m = np.array([0.0, 9e-3])
-    assert rules.is_resolved(uncertain(8e-3, 9e-3), poor, CRITERIA, 2, allowed_m)
+    assert rules.is_resolved(np.array([8e-3, 9e-3]), poor, CRITERIA, 2, allowed_m)
 
 
 def test_evidence_counts_from_its_limit_on():
