@@ -2,6 +2,8 @@
 
 A model that lacks something is sure of its parameters without reason: its likelihood
 does not know what is missing. How far an estimate changes from trial to trial shows it.
+What is estimated is by how much the cause moves the points, in the direction in which
+it moves them in the fit to all trials: its parameters may trade off with each other.
 Each group of trials is left out in turn, which gives the estimate a standard error
 without a model of the misfit (jackknife over clusters [1]_). Its ratio to the estimate
 is a t statistic with as many observations as groups, and its Bayes factor against an
@@ -25,6 +27,7 @@ import numpy as np
 from stringcast.stages.diagnose.measures import trials_touched_by
 from stringcast.stages.diagnose.probabilities import effect_probabilities
 from stringcast.stages.inference.laplace import Fit
+from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
 
@@ -44,26 +47,42 @@ def log_bayes_factor_of_trials(
     left_out : sequence of numpy.ndarray, shape (P,)
         Exponents of the fit without each group of trials.
     """
-    hypothesis = fit.hypothesis
-    indices = hypothesis.amplitude_indices(cause)
-    absent = hypothesis.exponents_from({})[indices]
-    amplitude = fit.chi[indices] - absent
-
-    # Components of a vector are projected to the direction of the estimate
-    slopes = [slope[indices] for slope in fit.slopes]
-    white = data.for_hypothesis(hypothesis).whiten(slopes, fit.scale_indices)
-    direction = white @ (white.T @ amplitude)
-    estimate = float(amplitude @ direction)
-    estimates = (np.array(left_out)[:, indices] - absent) @ direction
+    chi = np.stack([fit.chi, *left_out])
+    shifts = _white_shifts(data, fit, chi, cause)
+    estimate, *others = shifts @ shifts[0]
+    estimates = np.array(others)
 
     groups = len(estimates)
+    amplitudes = len(fit.hypothesis.amplitude_indices(cause))
     scatter = np.sum((estimates - estimates.mean()) ** 2)
     error = np.sqrt((groups - 1) / groups * scatter)
     t = estimate / max(error, SMALLEST_ERROR * estimate)
     return float(
-        0.5 * groups * np.log1p(t**2 / (groups - 1))
-        - 0.5 * len(indices) * np.log(groups)
+        0.5 * groups * np.log1p(t**2 / (groups - 1)) - 0.5 * amplitudes * np.log(groups)
     )
+
+
+def _white_shifts(
+    data: TrialData,
+    fit: Fit,
+    chi: np.ndarray,
+    cause: type[Effect],
+) -> np.ndarray:
+    """Simulate by how much a cause moves the points at exponents (C, P), white (C, N).
+
+    It moves those of a simulation that diverges by nothing.
+    """
+    hypothesis = fit.hypothesis
+    amplitudes = hypothesis.amplitude_indices(cause)
+    absent = chi.copy()
+    absent[:, amplitudes] = hypothesis.exponents_from({})[amplitudes]
+    simulated = data.residuals(hypothesis.model, np.concatenate([chi, absent]))
+    shifts = []
+    for rows in simulated:
+        present, without = np.split(rows, 2)
+        diverged = (present == DIVERGED_RESIDUAL) | (without == DIVERGED_RESIDUAL)
+        shifts.append(np.where(diverged, 0.0, present - without))
+    return data.for_hypothesis(hypothesis).whiten(shifts, fit.scale_indices)
 
 
 def probability_by_agreement(

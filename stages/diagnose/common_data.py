@@ -18,7 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stringcast.stages.diagnose.discrepancy_model import with_random_effects
-from stringcast.stages.diagnose.discretisation import correct_data_on_one_finer_mesh
+from stringcast.stages.diagnose.discretisation import (
+    correct_data_on_one_finer_mesh,
+    fit_mesh_correction,
+)
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.proposals import alternative_parameter_starts
 from stringcast.stages.diagnose.rules import NEGLIGIBLE_LOG_EVIDENCE
@@ -49,7 +52,8 @@ def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fi
         rival = rivals[number]
         others = [other for other in rivals if other is not rival]
         best = max(others, key=lambda other: other.log_evidence)
-        current = evaluate_with_own_error(prepared, rival, rival.chi)
+        searched = prepared_at(prepared, rival)
+        current = evaluate_with_own_error(searched, rival, rival.chi)
 
         # Other places to begin from
         exponents = rival.exponents | best.exponents
@@ -57,13 +61,13 @@ def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fi
         alternatives = alternative_parameter_starts(current.data, current.fit)
         starts = np.stack([shared, *alternatives])
         moved_to = _refit(current.data, current.fit, starts)
-        elsewhere = evaluate_with_own_error(prepared, rival, moved_to)
+        elsewhere = evaluate_with_own_error(searched, rival, moved_to)
         if elsewhere.fit.log_evidence > current.fit.log_evidence:
             current = elsewhere
 
         for _ in range(MAX_PASSES):
             moved_to = _refit(current.data, current.fit, current.fit.chi[None])
-            moved = evaluate_with_own_error(prepared, current.fit, moved_to)
+            moved = evaluate_with_own_error(searched, current.fit, moved_to)
             gain = moved.fit.log_evidence - current.fit.log_evidence
             if gain > 0:
                 current = moved
@@ -77,6 +81,15 @@ def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fi
         # A worker returns a copy of the hypothesis
         fits.append(replace(fit, hypothesis=rival.hypothesis))
     return fits
+
+
+def prepared_at(prepared: PreparedData, rival: Fit) -> PreparedData:
+    """Measure how the numerical error changes with the parameters about a rival."""
+    if prepared.mesh_is_model:
+        return prepared
+    mesh_correction = fit_mesh_correction(prepared, rival)
+    data = replace(prepared.data, mesh_correction=mesh_correction)
+    return replace(prepared, data=data)
 
 
 @dataclass(frozen=True)

@@ -216,9 +216,17 @@ def _reason_if_small(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria)
 
 
 def with_fit(state: SelectionState, fit: Fit) -> SelectionState:
-    """Replace the fit of a state by another one, refined."""
+    """Replace the fit of a state by another one, refined.
+
+    Causes that come in are no longer set aside.
+    """
     refined = refine_fit(state.prepared, fit)
-    return replace(state, prepared=refined.prepared, fit=refined.fit)
+    before = state.fit.hypothesis.cause_names
+    added = set(fit.hypothesis.cause_names).difference(before)
+    set_aside = {n: r for n, r in state.set_aside.items() if n not in added}
+    return replace(
+        state, prepared=refined.prepared, fit=refined.fit, set_aside=set_aside
+    )
 
 
 def add_cause(

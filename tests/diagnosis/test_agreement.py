@@ -9,23 +9,23 @@ from stringcast.stages.diagnose import agreement
 from stringcast.stages.diagnose.agreement import log_bayes_factor_of_trials
 
 
-def bayes_factor(estimates, amplitude, *, slopes=((1.0, 0.0), (0.0, 1.0))):
-    """Compare estimates (G, A) of the fits without each group, absent at 0.5."""
+def bayes_factor(estimates, amplitude, *, move=lambda chi: chi - 0.5, amplitudes=None):
+    """Compare estimates (G, P) of the fits without each group, absent at 0.5.
+
+    move: how a cause moves points (C, N) at exponents (C, P).
+    """
     size = len(amplitude)
     hypothesis = SimpleNamespace(
-        amplitude_indices=lambda cause: list(range(size)),
+        model=None,
+        amplitude_indices=lambda cause: list(range(amplitudes or size)),
         exponents_from=lambda known: np.full(size, 0.5),
     )
-    fit = SimpleNamespace(
-        hypothesis=hypothesis,
-        chi=0.5 + np.array(amplitude),
-        slopes=[np.array(slopes)[:size, :size]],
-        scale_indices=None,
-    )
+    chi = 0.5 + np.array(amplitude)
+    fit = SimpleNamespace(hypothesis=hypothesis, chi=chi, scale_indices=None)
+    white = SimpleNamespace(whiten=lambda rows, scale_indices: rows[0])
     data = SimpleNamespace(
-        for_hypothesis=lambda hypothesis: SimpleNamespace(
-            whiten=lambda rows, scale_indices: rows[0]
-        )
+        residuals=lambda model, chi: [move(chi)],
+        for_hypothesis=lambda hypothesis: white,
     )
     left_out = list(0.5 + np.array(estimates))
     return np.exp(log_bayes_factor_of_trials(data, fit, left_out, cause=None))
@@ -55,6 +55,20 @@ def test_a_vector_may_have_a_component_that_is_absent():
     rng = np.random.default_rng(5)
     single = [0.2, 0.0] + 0.01 * rng.standard_normal((5, 2))
     assert bayes_factor(leave_each_out(single), single.mean(axis=0)) > 100
+
+
+def test_parameters_may_trade_off_as_long_as_the_cause_does_the_same():
+    """A yield moment and a stiffness of dry friction, of which the product counts."""
+    amplitude = np.array([0.2, 0.1, 0.3, 0.15])
+    other = 0.06 / amplitude
+    estimates = np.stack([amplitude, other], axis=1)
+
+    def move(chi):
+        return np.prod(chi - 0.5, axis=1, keepdims=True)
+
+    assert bayes_factor(estimates, [0.2, 0.3], move=move, amplitudes=1) > 1e6
+    only_amplitude = bayes_factor(estimates[:, :1], [0.2])
+    assert only_amplitude < 30
 
 
 def test_trials_that_agree_exactly_give_a_finite_number():

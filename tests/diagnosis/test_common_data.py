@@ -118,7 +118,7 @@ def test_a_rival_moves_until_it_stays_where_its_error_is_its_own(
     monkeypatch.setattr(
         common_data, "map_in_workers", lambda call, items: [call(0), best]
     )
-    prepared = SimpleNamespace(data="of the search")
+    prepared = SimpleNamespace(data="of the search", mesh_is_model=True)
     (fitted,) = common_data.fit_to_common_data(prepared, [rival, best])[:1]
     assert evaluated == asked
     assert fitted.chi[0] == pytest.approx(ended)

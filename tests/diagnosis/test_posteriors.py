@@ -331,7 +331,7 @@ def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
     """
 
     def fit(*causes, evidence=0.0):
-        hypothesis = SimpleNamespace(base=None, causes=causes)
+        hypothesis = SimpleNamespace(base=None, causes=causes, cause_names=causes)
         hypothesis.exponents_from = lambda known: np.zeros(1)
         return SimpleNamespace(
             hypothesis=hypothesis,

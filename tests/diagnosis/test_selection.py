@@ -311,11 +311,22 @@ def test_a_cause_gives_way_to_a_close_rival_that_goes_better_with_later_causes(
     assert tried == ["set"]
 
 
+def test_a_cause_that_comes_in_is_no_longer_set_aside(monkeypatch):
+    """Dry friction in a cable was named, and set aside in the same answer."""
+    slip, offset = SimpleNamespace(name="slip"), SimpleNamespace(name="offset")
+    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
+    reasons = {"slip": "too few trials", "offset": "small", "drift": "too few trials"}
+    state = SelectionState(None, fit_with(offset), set_aside=reasons)
+    state = forward_selection.with_fit(state, fit_with(offset, slip))
+    assert [*state.set_aside] == ["offset", "drift"]  # a small cause is in the fit
+
+
 @pytest.mark.parametrize(("gain", "is_taken"), [(17.7, True), (0.5, False)])
 def test_a_better_fit_without_a_further_cause_is_taken(gain, is_taken, monkeypatch):
-    fit = SimpleNamespace(log_evidence=100.0)
+    hypothesis = SimpleNamespace(cause_names=())
+    fit = SimpleNamespace(log_evidence=100.0, hypothesis=hypothesis)
     moved = SimpleNamespace(
-        log_evidence=100.0 + gain, hypothesis=None, chi=None, width=None
+        log_evidence=100.0 + gain, hypothesis=hypothesis, chi=None, width=None
     )
     step = SelectionStep(None, moved, (), ())
     monkeypatch.setattr(forward_selection, "compare_candidates", lambda *given: step)
