@@ -1,8 +1,8 @@
 """Comparison of all candidates for one more cause.
 
 The most promising candidates are fitted roughly, in a sample of the trials if there are
-many. Those that explain about as much as the best, its rivals, are refined with their
-own numerical error, and fitted to common data. The best is then accepted or not.
+many. Those that explain about as much as the best, its rivals, are fitted to common
+data, each with its own numerical error. The best is then accepted or not.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from stringcast.stages.workers import map_in_workers
 log = logging.getLogger(__name__)
 
 INITIAL_PROPOSALS = 6  # the others are fitted if none of these explains what is left
-MAX_RIVALS = 3  # that are refined in one step
+MAX_RIVALS = 3  # that are compared at first
 MAX_SAMPLED_TRIALS = 8  # candidates are tried in these before all
 UNRESOLVED_FRACTION = 0.1  # of a trial's mean square misfit that may stay unresolved
 
@@ -64,21 +64,20 @@ class SelectionStep:
         Of all candidates, the most promising first.
     fits : sequence of Fit
         Of those fitted, as of `rank_rivals`.
-    refined : sequence of Fit
-        Those of them near the leading one. Several of them and their parent are fitted
-        to the same data (`common_data`).
+    compared : sequence of Fit
+        Those of them near the leading one; they and the parent are on common data.
     accepted : bool
         Whether the best is accepted.
     unresolved : sequence of Fit
-        Those that have as much evidence as the best when refined, but by which too few
-        trials can be simulated. They cannot be distinguished from it.
+        Those that have as much evidence as the best on common data, but by which too
+        few trials can be simulated. They cannot be distinguished from it.
     """
 
     data: TrialData
     parent: Fit
     proposals: Sequence[Proposal]
     fits: Sequence[Fit]
-    refined: Sequence[Fit] = ()
+    compared: Sequence[Fit] = ()
     accepted: bool = False
     unresolved: Sequence[Fit] = ()
 
@@ -101,7 +100,7 @@ def compare_candidates(
     Parameters
     ----------
     contested : Fit, optional
-        The refined fit of a cause that was accepted, whose place is contested.
+        The fit with a cause that was accepted, whose place is contested.
     """
     causes = parent.hypothesis.causes
     candidates = [effect for effect in effects if effect not in causes]
@@ -123,11 +122,11 @@ def compare_candidates(
     better = _find_better_parent(prepared, step, criteria)
     if better is not None:
         return compare_candidates(prepared, better, effects, criteria, seed, contested)
-    refined = _compare_rivals(prepared, step, criteria, contested is not None)
+    decided = _compare_rivals(prepared, step, criteria, contested is not None)
 
     # All others, if something is left to explain
     misfit_m = unexplained_tip_rms(prepared.data, parent).max()
-    if not refined.accepted and misfit_m > criteria.tip_tolerance_m:
+    if not decided.accepted and misfit_m > criteria.tip_tolerance_m:
         others = [p for p in remaining if p not in lookalikes]
         step = _fit_more_proposals(prepared, step, others, criteria, sample)
         better = _find_better_parent(prepared, step, criteria)
@@ -135,8 +134,8 @@ def compare_candidates(
             return compare_candidates(
                 prepared, better, effects, criteria, seed, contested
             )
-        refined = _compare_rivals(prepared, step, criteria, contested is not None)
-    return refined
+        decided = _compare_rivals(prepared, step, criteria, contested is not None)
+    return decided
 
 
 def _sample_trials(data: TrialData, parent: Fit) -> tuple[TrialData, Fit]:
@@ -197,7 +196,7 @@ def _fit_more_proposals(
         # A worker returns a copy of the hypothesis
         fits.append(replace(fit, hypothesis=proposal.hypothesis))
 
-    # Those that may be refined, with numerical error of their own
+    # Those that may lead, with numerical error of their own
     least_evidence = _least_evidence([*step.fits, *fits], parent, criteria)
     leading = [k for k, fit in enumerate(fits) if fit.log_evidence > least_evidence]
 
@@ -213,7 +212,7 @@ def _fit_more_proposals(
     for k, corrected in zip(
         leading, map_in_workers(correct_roughly, leading), strict=True
     ):
-        # One finer mesh shows the error roughly: what may be evident is refined
+        # One finer mesh shows the error roughly: what may be evident is compared
         if corrected.log_evidence > fits[k].log_evidence:
             fits[k] = replace(corrected, hypothesis=fits[k].hypothesis)
     return replace(step, fits=rank_rivals(parent, [*step.fits, *fits], criteria))
@@ -313,7 +312,7 @@ def _compare_rivals(
         step,
         parent=parent,
         fits=every_fit,
-        refined=resolved,
+        compared=resolved,
         accepted=is_accepted,
         unresolved=ahead,
     )

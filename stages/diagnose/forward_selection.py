@@ -266,15 +266,15 @@ def add_cause(
 def _refit_step(
     data: TrialData, step: SelectionStep, criteria: Criteria
 ) -> SelectionStep:
-    """Move a step to data with other points: refined fits are refitted."""
+    """Move a step to data with other points: compared fits are refitted."""
     parent = refit(data, step.parent, step.parent.hypothesis)
-    refined = [refit(data, fit, fit.hypothesis) for fit in step.refined]
-    was_refined = {id(fit) for fit in step.refined}  # fits hold arrays: no equality
+    compared = [refit(data, fit, fit.hypothesis) for fit in step.compared]
+    was_compared = {id(fit) for fit in step.compared}  # fits hold arrays: no equality
     others = []
     for fit in step.fits:
-        if id(fit) not in was_refined:
+        if id(fit) not in was_compared:
             others.append(evaluate_fit(data, fit.hypothesis, fit.chi))
-    fits = rank_rivals(parent, [*refined, *others], criteria)
+    fits = rank_rivals(parent, [*compared, *others], criteria)
     unresolved = [refit(data, fit, fit.hypothesis) for fit in step.unresolved]
     # All are now on the same data
     return replace(
@@ -282,7 +282,7 @@ def _refit_step(
         data=data,
         parent=parent,
         fits=fits,
-        refined=refined,
+        compared=compared,
         unresolved=unresolved,
     )
 
@@ -341,8 +341,8 @@ def exchange_causes_for_rivals(state: SelectionState) -> SelectionState:
         causes = state.fit.hypothesis.causes
         close = [
             fit
-            for fit in step.refined
-            if fit.log_evidence > step.refined[0].log_evidence - STRONG_LOG_EVIDENCE
+            for fit in step.compared
+            if fit.log_evidence > step.compared[0].log_evidence - STRONG_LOG_EVIDENCE
         ]
         present = [fit for fit in close if fit.hypothesis.causes[-1] in causes]
         absent = [fit for fit in close if fit.hypothesis.causes[-1] not in causes]

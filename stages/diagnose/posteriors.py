@@ -279,10 +279,11 @@ def single_effect_posterior(
 ) -> SingleEffectPosterior:
     """Compute the probability of each candidate of a step, and of none.
 
-    Only refined fits compete, if there are any, and none at the end of its range, which
-    most likely stands for another cause. An effect that moves the tip by less than
-    counts is counted as none. Effects that differ by less than what is left unexplained
-    are equally probable, and those with which trials cannot be simulated well enough.
+    Only fits on common data compete, if there are any, and none at the end of its
+    range, which most likely stands for another cause. An effect that moves the tip by
+    less than counts is counted as none. Effects that differ by less than what is left
+    unexplained are equally probable, and those with which trials cannot be simulated
+    well enough.
 
     Parameters
     ----------
@@ -292,7 +293,7 @@ def single_effect_posterior(
         Number of effects that share the prior probability of one being active.
     """
     data = step.data
-    fits = _fits_within_range(step.refined or step.fits)
+    fits = _fits_within_range(step.compared or step.fits)
     log_evidence = {}  # (samples,) each
     rng = np.random.default_rng(len(weights))
     for name, fit in {"": step.parent, **fits}.items():

@@ -158,7 +158,7 @@ def test_no_rival_leads_because_it_was_not_compared(limited, monkeypatch):
     step, compared = compare_rivals(monkeypatch, found, common)
     assert compared == ["set", "wind", "camera", "tilt"]
     assert step.best.name == "set"
-    assert [fit.name for fit in step.refined][-1] == "tilt"
+    assert [fit.name for fit in step.compared][-1] == "tilt"
 
 
 def test_the_rival_leads_that_has_most_evidence_on_common_data(limited, monkeypatch):
@@ -167,7 +167,7 @@ def test_the_rival_leads_that_has_most_evidence_on_common_data(limited, monkeypa
     common = {"wind": 574.0, "set": 633.0}
     step, _ = compare_rivals(monkeypatch, found, common)
     assert step.best.name == "set"
-    assert [fit.log_evidence for fit in step.refined] == [633.0, 574.0]
+    assert [fit.log_evidence for fit in step.compared] == [633.0, 574.0]
 
 
 def test_rivals_are_not_overtaken_because_common_data_shift_all(limited, monkeypatch):

@@ -210,7 +210,7 @@ def test_two_workers_choose_causes_to_the_same_bits(prepared):
             )
         steps.append(step)
     one, other = (
-        [[proposal.starts for proposal in step.proposals], step.fits, step.refined]
+        [[proposal.starts for proposal in step.proposals], step.fits, step.compared]
         for step in steps
     )
     assert steps[0].best.hypothesis.cause_names == ("wind",)
