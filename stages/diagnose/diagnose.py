@@ -46,6 +46,7 @@ from stringcast.stages.diagnose.forward_selection import (
     SelectionState,
     select_causes,
     with_causes_found_before,
+    without_chaotic_trials,
 )
 from stringcast.stages.diagnose.measures import (
     mean_explained_fraction,
@@ -362,61 +363,82 @@ def _search_until_trials_settle(
 ) -> Iterator[SearchProgress]:
     """Search causes, and again while the causes change which trials are used.
 
-    The causes that predict a trial which was outlying are kept: a search with this
-    trial has found others.
+    Without a trial that is chaotic with the causes, the search goes on from them. The
+    causes that predict a trial which was outlying are kept: a search with this trial
+    has found others.
     """
     criteria = settings.criteria
-    seed = settings.seed
-    starts = settings.starts
-    progress = settings.progress
     resolved_with_causes = list[str]()
-    known_state: SelectionState | None = None
+    reached = _begin_search(trials, settings, resolved_with_causes, None)
     while True:
-        log.info("fitting the base model")
-        prepared = prepare_data(
-            settings.model,
-            trials.searched_trials,
-            criteria.tip_tolerance_m,
-            np.random.default_rng(seed),
-            starts,
-            lambda share: progress(0.3 * share),
-            resolved_with_causes,
-        )
-        effects = candidate_effects(
-            prepared.base_fit.hypothesis.model,
-            effects_by_name(),
-            prepared.data.trials,
-            settings.excluded_effects,
-        )
-        used = trials.excluding_chaotic(prepared.chaotic_trials)
-        state = SelectionState(prepared, prepared.base_fit)
-        if known_state is not None:
-            state = with_causes_found_before(
-                prepared, known_state, criteria, seed, starts
-            )
-        yield SearchProgress(used, prepared, effects, state)
-
+        yield reached
         newly_resolved = list[str]()
-        states = select_causes(state, effects, criteria, seed, starts)
+        states = select_causes(
+            reached.state, reached.effects, criteria, settings.seed, settings.starts
+        )
         for number, state in enumerate(states, 1):
-            progress(0.3 + 0.5 * number / (criteria.max_causes + 1))
+            settings.progress(0.3 + 0.5 * number / (criteria.max_causes + 1))
             newly_resolved = _trials_resolved_with_causes(
                 state, trials.searched_trials, criteria.tip_tolerance_m
             )
             if newly_resolved:
                 break
-            yield SearchProgress(used, prepared, effects, state)
+            reached = reached._replace(state=state)
+            yield reached
 
         if newly_resolved:
             log.info("resolved with the causes: %s", ", ".join(newly_resolved))
             resolved_with_causes += newly_resolved
+            reached = _begin_search(trials, settings, resolved_with_causes, None)
+            continue
+        state = reached.state
+        chaotic = _trials_chaotic_with_causes(state, criteria)
+        if chaotic:
+            log.info("chaotic with the causes: %s", ", ".join(chaotic))
+            state = without_chaotic_trials(state, chaotic, criteria)
+            trials = reached.trials.excluding_chaotic(chaotic)
+            reached = reached._replace(trials=trials, state=state)
             continue
         searched = trials
         trials = _trials_for_another_search(searched, state, criteria)
         if trials is searched:
             return
-        if trials.predicted != searched.predicted and state.fit.hypothesis.causes:
-            known_state = state
+        is_kept = trials.predicted != searched.predicted
+        known = state if is_kept and state.fit.hypothesis.causes else None
+        reached = _begin_search(trials, settings, resolved_with_causes, known)
+
+
+def _begin_search(
+    trials: TrialsByUse,
+    settings: DiagnosisSettings,
+    resolved_with_causes: Sequence[str],
+    known: SelectionState | None,
+) -> SearchProgress:
+    """Prepare the data, and fit the causes that are known from fewer trials."""
+    log.info("fitting the base model")
+    criteria = settings.criteria
+    prepared = prepare_data(
+        settings.model,
+        trials.searched_trials,
+        criteria.tip_tolerance_m,
+        np.random.default_rng(settings.seed),
+        settings.starts,
+        lambda share: settings.progress(0.3 * share),
+        resolved_with_causes,
+    )
+    effects = candidate_effects(
+        prepared.base_fit.hypothesis.model,
+        effects_by_name(),
+        prepared.data.trials,
+        settings.excluded_effects,
+    )
+    used = trials.excluding_chaotic(prepared.chaotic_trials)
+    state = SelectionState(prepared, prepared.base_fit)
+    if known is not None:
+        state = with_causes_found_before(
+            prepared, known, criteria, settings.seed, settings.starts
+        )
+    return SearchProgress(used, prepared, effects, state)
 
 
 def _trials_for_another_search(
@@ -426,17 +448,9 @@ def _trials_for_another_search(
 ) -> TrialsByUse:
     """Exclude or include trials by the causes found, or return the same trials.
 
-    A trial that is chaotic without causes is used from then on if a simulation with
-    causes resolves it; one that is chaotic with causes is excluded. So is one that the
-    others do not predict, until the causes found without it predict it.
+    A trial that the others do not predict is excluded, until the causes found without
+    it predict it.
     """
-    if state.fit.hypothesis.causes:
-        chaotic = unresolvable_trials(state.prepared, criteria.tip_tolerance_m)
-        if chaotic:
-            log.info("chaotic with the causes: %s", ", ".join(chaotic))
-            chaotic_before = state.prepared.chaotic_trials
-            return trials.excluding_chaotic((*chaotic_before, *chaotic))
-
     for name, reason in find_outlying_trial(state, criteria).items():
         if name not in trials.predicted:
             log.info("%s: %s", name, reason)
@@ -448,6 +462,13 @@ def _trials_for_another_search(
         return trials
     log.info("predicted after all, and used again: %s", ", ".join(predicted))
     return trials.including_predicted(predicted)
+
+
+def _trials_chaotic_with_causes(state: SelectionState, criteria: Criteria) -> list[str]:
+    """Name trials that no simulation with the causes resolves."""
+    if not state.fit.hypothesis.causes:
+        return []
+    return unresolvable_trials(state.prepared, criteria.tip_tolerance_m)
 
 
 def _trials_resolved_with_causes(

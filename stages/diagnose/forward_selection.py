@@ -26,7 +26,10 @@ from stringcast.stages.diagnose.candidate_comparison import (
     refine_fit,
 )
 from stringcast.stages.diagnose.common_data import fit_to_common_data
-from stringcast.stages.diagnose.discretisation import correct_discretisation_once
+from stringcast.stages.diagnose.discretisation import (
+    correct_discretisation_once,
+    without_trials,
+)
 from stringcast.stages.diagnose.left_out_fits import groups_to_leave_out
 from stringcast.stages.diagnose.measures import (
     mean_explained_fraction,
@@ -309,6 +312,22 @@ def with_causes_found_before(
     rng = np.random.default_rng(seed)
     state = SelectionState(prepared, base, small=found.small)
     return add_cause(state, fit, criteria, rng, starts)
+
+
+def without_chaotic_trials(
+    state: SelectionState, names: Sequence[str], criteria: Criteria
+) -> SelectionState:
+    """Leave out trials that are chaotic, and causes that only these need."""
+    is_kept = [trial.name not in names for trial in state.prepared.data.trials]
+    prepared = without_trials(state.prepared, names)
+    before = state.fit
+    scale_indices = before.scale_indices[is_kept]
+    fit = fit_hypothesis(
+        prepared.data, before.hypothesis, before.chi[None], scale_indices
+    )
+    refined = refine_fit(prepared, fit)
+    remaining = SelectionState(refined.prepared, refined.fit, small=state.small)
+    return drop_redundant_causes(remaining, refined.fit, criteria)
 
 
 def drop_redundant_causes(

@@ -86,6 +86,46 @@ def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
     assert [*used.left_out] == rejected == [*prepared.chaotic_trials]
 
 
+def test_without_a_trial_that_is_chaotic_with_causes_the_search_goes_on_from_them(
+    monkeypatch,
+):
+    """A strip took 80 s more to be searched anew, and other causes were found."""
+
+    def prepared(names, chaotic=()):
+        trials = [SimpleNamespace(name=name) for name in names]
+        hypothesis = SimpleNamespace(model=None, causes=())
+        return SimpleNamespace(
+            chaotic_trials=chaotic,
+            data=SimpleNamespace(trials=trials),
+            trials=trials,
+            discretisation_uncertainty_m=np.array([0.0, 0.0, 9e-3][: len(names)]),
+            base_fit=SimpleNamespace(hypothesis=hypothesis),
+        )
+
+    def prepare(model, observations, *given):
+        prepared_with.append([o.trial for o in observations])
+        return prepared(prepared_with[-1])
+
+    def fit(*causes):
+        return SimpleNamespace(hypothesis=SimpleNamespace(causes=causes))
+
+    def select(state, *given):
+        begun_with.append(state.fit.hypothesis.causes)
+        yield SelectionState(state.prepared, fit("wind", "clamp"))
+
+    def leave_out(state, names, criteria):
+        return SelectionState(prepared(["t0", "t1"], tuple(names)), fit("wind"))
+
+    prepared_with, begun_with = [], []
+    monkeypatch.setattr(module, "find_outlying_trial", lambda *given: {})
+    monkeypatch.setattr(module, "without_chaotic_trials", leave_out)
+    used, _, causes = settle(monkeypatch, prepare, select)
+    assert prepared_with == [["t0", "t1", "t2"]]
+    assert begun_with == [(), ("wind",)]
+    assert causes == ("wind", "clamp")
+    assert [*used.left_out] == ["t2"]
+
+
 @pytest.mark.parametrize("is_predicted", [True, False])
 def test_an_outlying_trial_that_the_causes_predict_is_used_again(
     is_predicted, monkeypatch
