@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Annotated, NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 import yaml
 from pydantic import AfterValidator, Field
-from scipy.special import ndtri
 
 from stringcast.data.artifacts import (
     DIAGNOSIS_SUMMARY,
@@ -29,7 +28,7 @@ from stringcast.stages.diagnose import tables
 from stringcast.stages.diagnose.background_effects import posterior_with_background
 from stringcast.stages.diagnose.budget import ErrorBudget, error_budget, nested_fits
 from stringcast.stages.diagnose.candidate_motions import DesignSettings
-from stringcast.stages.diagnose.discretisation import unresolvable_trials
+from stringcast.stages.diagnose.cause_search import search_until_trials_settle
 from stringcast.stages.diagnose.document import (
     diagnosis_document,
     extended_model_settings,
@@ -42,39 +41,23 @@ from stringcast.stages.diagnose.experiment_design import (
     Rivals,
     design_experiment,
 )
-from stringcast.stages.diagnose.forward_selection import (
-    SelectionState,
-    select_causes,
-    with_causes_found_before,
-    without_chaotic_trials,
+from stringcast.stages.diagnose.forward_selection import SelectionState
+from stringcast.stages.diagnose.held_out_gain import (
+    HeldOutGain,
+    held_out_trials_misfit,
+    measure_gain,
 )
-from stringcast.stages.diagnose.measures import (
-    mean_explained_fraction,
-    tip_shift_rms,
-    unexplained_tip_rms,
-)
-from stringcast.stages.diagnose.outlying_trials import (
-    find_outlying_trial,
-    find_predicted_trials,
-)
+from stringcast.stages.diagnose.measures import tip_shift_rms
 from stringcast.stages.diagnose.posteriors import (
     limit_by_agreement,
     swap_lookalikes_until_stable,
 )
-from stringcast.stages.diagnose.predictions import (
-    held_out_table,
-    improves_predictions,
-    predict_left_out_trials,
-    predict_trials,
-)
-from stringcast.stages.diagnose.preparation import (
-    prepare_data,
-    prepare_further_trials,
-    usable_trials,
-)
+from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.diagnose.prepared_data import PreparedData
-from stringcast.stages.diagnose.proposals import candidate_effects, effects_left_out
-from stringcast.stages.diagnose.rules import Criteria, VerdictNumbers, has_evidence
+from stringcast.stages.diagnose.proposals import effects_left_out
+from stringcast.stages.diagnose.rules import Criteria, has_evidence
+from stringcast.stages.diagnose.settings import DiagnosisSettings
+from stringcast.stages.diagnose.trials_by_use import TrialsByUse
 from stringcast.stages.diagnose.verdict import (
     Judgement,
     decide_verdict,
@@ -86,23 +69,17 @@ from stringcast.stages.diagnose.verdict import (
 )
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.trim import trim_at_contact
-from stringcast.stages.inference.laplace import Fit, fit_hypothesis
-from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.kept_results import use_any_store
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import check_effect_names, effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.spec import StageCall
 
 log = logging.getLogger(__name__)
 
-# Intervals are so much wider than the likelihood's: 95 % of 165 values of earlier
-# synthetic datasets then lie inside, 87 % without
-INTERVAL_WIDENING = 1.4
 # keeps the random motions apart from the random starts of fits
 DESIGN_RANDOM_STREAM = 1
-CHAOTIC_REASON = "too sensitive to be simulated to the tolerance"
 BASE_MODEL_HEADER = "# No effect is named: this is the base model.\n"
 
 
@@ -207,100 +184,6 @@ def diagnose(
         return _diagnose_trials(trials, settings)
 
 
-@dataclass(frozen=True)
-class DiagnosisSettings:
-    """The model and the settings of a diagnosis, as of `diagnose`."""
-
-    model: Model
-    obstacles: Sequence[Box]
-    seed: int
-    starts: int
-    criteria: Criteria
-    matching: Matching
-    design: DesignSettings
-    excluded_effects: Sequence[str]
-    progress: Progress
-
-    @property
-    def interval_half_width(self) -> float:
-        """Half width of an interval in standard deviations of the likelihood."""
-        normal = float(ndtri(0.5 + self.criteria.coverage / 2))
-        return INTERVAL_WIDENING * normal
-
-
-@dataclass(frozen=True)
-class TrialsByUse:
-    """Trials by their use.
-
-    Attributes
-    ----------
-    observations : sequence of Observation
-        All trials that can be used.
-    held_out_names : sequence of str
-        Names of trials in which only the gain is measured.
-    rejected : dict
-        Names of trials that cannot be used, with the reason.
-    chaotic : sequence of str
-        Names of trials that simulation does not resolve.
-    outlying : dict
-        Names of trials that the others do not predict, with the reason.
-    predicted : sequence of str
-        Names of trials that were outlying before the causes that predict them.
-    """
-
-    observations: Sequence[Observation]
-    held_out_names: Sequence[str]
-    rejected: Mapping[str, str]
-    chaotic: Sequence[str] = ()
-    outlying: Mapping[str, str] = field(default_factory=dict)
-    predicted: Sequence[str] = ()
-
-    @property
-    def left_out(self) -> dict[str, str]:
-        """The trials that are not used, by name with the reason."""
-        chaotic = dict.fromkeys(self.chaotic, CHAOTIC_REASON)
-        return {**self.rejected, **chaotic, **self.outlying}
-
-    @property
-    def searched_trials(self) -> list[Observation]:
-        """The trials in which causes are searched."""
-        others = {*self.held_out_names, *self.left_out}
-        return [o for o in self.observations if o.trial not in others]
-
-    @property
-    def held_out(self) -> list[Observation]:
-        """The trials in which only the gain is measured."""
-        return [o for o in self.observations if o.trial in self.held_out_names]
-
-    def excluding_chaotic(self, names: Sequence[str]) -> TrialsByUse:
-        """Exclude chaotic trials from the search."""
-        return replace(self, chaotic=(*self.chaotic, *names))
-
-    def including_predicted(self, names: Sequence[str]) -> TrialsByUse:
-        """Include outlying trials in the search, because they are predicted."""
-        outlying = {n: r for n, r in self.outlying.items() if n not in names}
-        return replace(self, outlying=outlying, predicted=(*self.predicted, *names))
-
-
-class SearchProgress(NamedTuple):
-    """How far a search has come.
-
-    Attributes
-    ----------
-    trials : TrialsByUse
-    prepared : PreparedData
-        Corrected at the base model, before any cause.
-    effects : list of type of Effect
-        The candidates.
-    state : SelectionState
-    """
-
-    trials: TrialsByUse
-    prepared: PreparedData
-    effects: list[type[Effect]]
-    state: SelectionState
-
-
 def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagnosis:
     """Diagnose trials, and again all of them if held-out ones show something else."""
     criteria = settings.criteria
@@ -309,7 +192,7 @@ def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagno
     try:
         # Base model, corrected data, and causes by forward selection. The search is a
         # generator, so that an interruption leaves what it has reached.
-        for reached in _search_until_trials_settle(trials, settings):  # noqa: B007
+        for reached in search_until_trials_settle(trials, settings):  # noqa: B007
             pass
         assert reached is not None
         used, prepared, effects, state = reached
@@ -330,12 +213,12 @@ def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagno
         )
         is_named = bool(name_causes(numbers, criteria).causes)
         held_out = trials.held_out
-        if not is_named and _held_out_trials_misfit(state, held_out, criteria):
+        if not is_named and held_out_trials_misfit(state, held_out, criteria):
             log.info("held-out trials misfit: the search is repeated on all trials")
             return _diagnose_trials(replace(trials, held_out_names=()), settings)
 
         # The gain on trials that were not fitted, and the verdict
-        gain = _measure_gain(used, settings.matching, state, base_fit)
+        gain = measure_gain(used, settings.matching, state, base_fit)
         numbers = gain.added_to(numbers, criteria)
         judgement = Judgement(
             decide_verdict(numbers, criteria),
@@ -357,139 +240,6 @@ def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagno
     return build_diagnosis(used, settings, state, judgement, gain, experiment)
 
 
-def _search_until_trials_settle(
-    trials: TrialsByUse,
-    settings: DiagnosisSettings,
-) -> Iterator[SearchProgress]:
-    """Search causes, and again while the causes change which trials are used.
-
-    Without a trial that is chaotic with the causes, the search goes on from them. The
-    causes that predict a trial which was outlying are kept: a search with this trial
-    has found others.
-    """
-    criteria = settings.criteria
-    resolved_with_causes = list[str]()
-    reached = _begin_search(trials, settings, resolved_with_causes, None)
-    while True:
-        yield reached
-        newly_resolved = list[str]()
-        states = select_causes(
-            reached.state, reached.effects, criteria, settings.seed, settings.starts
-        )
-        for number, state in enumerate(states, 1):
-            settings.progress(0.3 + 0.5 * number / (criteria.max_causes + 1))
-            newly_resolved = _trials_resolved_with_causes(
-                state, trials.searched_trials, criteria.tip_tolerance_m
-            )
-            if newly_resolved:
-                break
-            reached = reached._replace(state=state)
-            yield reached
-
-        if newly_resolved:
-            log.info("resolved with the causes: %s", ", ".join(newly_resolved))
-            resolved_with_causes += newly_resolved
-            reached = _begin_search(trials, settings, resolved_with_causes, None)
-            continue
-        state = reached.state
-        chaotic = _trials_chaotic_with_causes(state, criteria)
-        if chaotic:
-            log.info("chaotic with the causes: %s", ", ".join(chaotic))
-            state = without_chaotic_trials(state, chaotic, criteria)
-            trials = reached.trials.excluding_chaotic(chaotic)
-            reached = reached._replace(trials=trials, state=state)
-            continue
-        searched = trials
-        trials = _trials_for_another_search(searched, state, criteria)
-        if trials is searched:
-            return
-        is_kept = trials.predicted != searched.predicted
-        known = state if is_kept and state.fit.hypothesis.causes else None
-        reached = _begin_search(trials, settings, resolved_with_causes, known)
-
-
-def _begin_search(
-    trials: TrialsByUse,
-    settings: DiagnosisSettings,
-    resolved_with_causes: Sequence[str],
-    known: SelectionState | None,
-) -> SearchProgress:
-    """Prepare the data, and fit the causes that are known from fewer trials."""
-    log.info("fitting the base model")
-    criteria = settings.criteria
-    prepared = prepare_data(
-        settings.model,
-        trials.searched_trials,
-        criteria.tip_tolerance_m,
-        np.random.default_rng(settings.seed),
-        settings.starts,
-        lambda share: settings.progress(0.3 * share),
-        resolved_with_causes,
-    )
-    effects = candidate_effects(
-        prepared.base_fit.hypothesis.model,
-        effects_by_name(),
-        prepared.data.trials,
-        settings.excluded_effects,
-    )
-    used = trials.excluding_chaotic(prepared.chaotic_trials)
-    state = SelectionState(prepared, prepared.base_fit)
-    if known is not None:
-        state = with_causes_found_before(
-            prepared, known, criteria, settings.seed, settings.starts
-        )
-    return SearchProgress(used, prepared, effects, state)
-
-
-def _trials_for_another_search(
-    trials: TrialsByUse,
-    state: SelectionState,
-    criteria: Criteria,
-) -> TrialsByUse:
-    """Exclude or include trials by the causes found, or return the same trials.
-
-    A trial that the others do not predict is excluded, until the causes found without
-    it predict it.
-    """
-    for name, reason in find_outlying_trial(state, criteria).items():
-        if name not in trials.predicted:
-            log.info("%s: %s", name, reason)
-            return replace(trials, outlying={**trials.outlying, name: reason})
-
-    outlying = [o for o in trials.observations if o.trial in trials.outlying]
-    predicted = find_predicted_trials(state, outlying, criteria)
-    if not predicted:
-        return trials
-    log.info("predicted after all, and used again: %s", ", ".join(predicted))
-    return trials.including_predicted(predicted)
-
-
-def _trials_chaotic_with_causes(state: SelectionState, criteria: Criteria) -> list[str]:
-    """Name trials that no simulation with the causes resolves."""
-    if not state.fit.hypothesis.causes:
-        return []
-    return unresolvable_trials(state.prepared, criteria.tip_tolerance_m)
-
-
-def _trials_resolved_with_causes(
-    state: SelectionState,
-    searched: Sequence[Observation],
-    tolerance_m: float,
-) -> list[str]:
-    """Name trials that are chaotic without the causes and resolved with them.
-
-    Numerical error is also large where a string without the causes is bent to what
-    they do.
-    """
-    chaotic_names = state.prepared.chaotic_trials
-    chaotic = [o for o in searched if o.trial in chaotic_names]
-    if not chaotic or not state.fit.hypothesis.causes:
-        return []
-    _, uncertainty_m = prepare_further_trials(state.prepared, chaotic, state.fit)
-    resolved = np.flatnonzero(uncertainty_m < tolerance_m)
-    return [chaotic[k].trial for k in resolved]
-
-
 def _mesh_is_too_coarse(prepared: PreparedData, criteria: Criteria) -> bool:
     """Whether the configured mesh fits worse and displaces the tip noticeably."""
     base = prepared.base_fit
@@ -498,90 +248,6 @@ def _mesh_is_too_coarse(prepared: PreparedData, criteria: Criteria) -> bool:
         return False
     shift = tip_shift_rms(prepared.data, configured, base)
     return bool(shift.max() > criteria.tip_tolerance_m)
-
-
-def _held_out_trials_misfit(
-    state: SelectionState,
-    held_out: Sequence[Observation],
-    criteria: Criteria,
-) -> bool:
-    """Whether held-out trials misfit by more than the tolerance.
-
-    The model is fitted to them as well: what the searched trials leave open of its
-    parameters is no cause.
-    """
-    if not held_out:
-        return False
-    searched = state.prepared.data
-    fit = state.fit
-    further, _ = prepare_further_trials(state.prepared, held_out, fit)
-    random_effects = {}
-    for name, shapes in searched.random_effects.items():
-        if name in further.random_effects:
-            random_effects[name] = shapes + further.random_effects[name]
-    together = TrialData(searched.trials + further.trials, random_effects)
-    no_discrepancy = np.zeros(len(further.trials), dtype=int)  # to start with
-    scale_indices = np.concatenate([fit.scale_indices, no_discrepancy])
-    refit = fit_hypothesis(together, fit.hypothesis, fit.chi[None], scale_indices)
-    misfit_m = unexplained_tip_rms(together, refit)[len(searched.trials) :]
-    return bool(misfit_m.max() > criteria.tip_tolerance_m)
-
-
-@dataclass(frozen=True)
-class HeldOutGain:
-    """The gain on trials that were not fitted.
-
-    Attributes
-    ----------
-    table : pandas.DataFrame
-        HELD_OUT, empty where nothing could be left out.
-    is_closer : bool
-        Whether the extended model predicts these trials better than the base model.
-    """
-
-    table: pd.DataFrame
-    is_closer: bool
-
-    def added_to(self, numbers: VerdictNumbers, criteria: Criteria) -> VerdictNumbers:
-        """Add the gain to the numbers of a verdict."""
-        fraction = numbers.heldout_explained_fraction
-        if len(self.table):
-            fraction = mean_explained_fraction(
-                self.table["tip_rms_base"].to_numpy(),
-                self.table["tip_rms_extended"].to_numpy(),
-                criteria.tip_tolerance_m,
-            )
-        return replace(
-            numbers,
-            heldout_is_closer=self.is_closer,
-            heldout_explained_fraction=fraction,
-        )
-
-
-def _measure_gain(
-    trials: TrialsByUse,
-    matching: Matching,
-    state: SelectionState,
-    base_fit: Fit,
-) -> HeldOutGain:
-    """Predict held-out trials, or else each trial by the fit to the others."""
-    if len(trials.observations) == 1:
-        return HeldOutGain(HELD_OUT.empty(), False)
-    observations = trials.held_out or trials.searched_trials
-    fit = state.fit
-    data = state.prepared.data
-    if trials.held_out:
-        predict = predict_trials
-        data, _ = prepare_further_trials(state.prepared, observations, fit)
-        extended = predict_trials(data, fit)
-    else:
-        predict = predict_left_out_trials
-        extended = state.predictions
-    base = extended
-    if base_fit is not fit:
-        base = predict(data, base_fit)
-    table = held_out_table(data, base, extended, fit, observations, matching)
-    return HeldOutGain(table, improves_predictions(base, extended))
 
 
 def _propose_experiment(

@@ -5,6 +5,7 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import diagnose_trials, make_observation
 
+from stringcast.stages.diagnose import cause_search
 from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.model.hand import resample_joint_motion
@@ -51,7 +52,8 @@ def simulate_releases(model, wind):
 @pytest.mark.parametrize(("wind", "causes"), [(0.3, {"wind"}), (0.0, set())])
 def test_initial_states_explain_themselves_and_no_wind(arm, monkeypatch, wind, causes):
     library = {effect.name: effect for effect in find_effects(EFFECTS)}
-    monkeypatch.setattr(module, "effects_by_name", lambda: library)
+    for each in (cause_search, module):
+        monkeypatch.setattr(each, "effects_by_name", lambda: library)
     model = with_second_order_mesh(ordinary(arm))
     trials = list(simulate_releases(model, wind))
     diagnosis = diagnose_trials(model, trials, 2)

@@ -16,8 +16,8 @@ from synthetic_trials import (
     true_exponents,
 )
 
+from stringcast.stages.diagnose import cause_search, tables
 from stringcast.stages.diagnose import diagnose as module
-from stringcast.stages.diagnose import tables
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.rules import is_supported
@@ -201,7 +201,8 @@ def test_a_cause_that_hardly_moves_the_tip_is_not_accepted(trial, shift, is_acce
 def diagnose_few_effects(model, trials, monkeypatch, **settings):
     """Diagnose trials with a small library."""
     library = {effect.name: effect for effect in find_effects(EFFECTS)}
-    monkeypatch.setattr(module, "effects_by_name", lambda: library)
+    for each in (cause_search, module):
+        monkeypatch.setattr(each, "effects_by_name", lambda: library)
     return diagnose_trials(model, trials, 2, motions=2, **settings)
 
 

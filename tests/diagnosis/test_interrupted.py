@@ -8,8 +8,8 @@ import yaml
 from synthetic_trials import CRITERIA
 
 from stringcast.stages.common import InterruptRequest
+from stringcast.stages.diagnose import cause_search, verdict
 from stringcast.stages.diagnose import diagnose as module
-from stringcast.stages.diagnose import verdict
 from stringcast.stages.diagnose.candidate_comparison import SelectionStep
 from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
@@ -74,6 +74,6 @@ def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
 
 
 def test_without_a_base_model_nothing_is_reported(arm, camera, monkeypatch):
-    monkeypatch.setattr(module, "prepare_data", interrupt)
+    monkeypatch.setattr(cause_search, "prepare_data", interrupt)
     with pytest.raises(KeyboardInterrupt):
         diagnose_casts(arm, camera, {}, monkeypatch)

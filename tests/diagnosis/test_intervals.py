@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from stringcast.stages.diagnose.diagnose import DiagnosisSettings
+from stringcast.stages.diagnose.settings import DiagnosisSettings
 
 
 @pytest.mark.parametrize(("coverage", "deviations"), [(0.95, 1.960), (0.68, 0.9945)])

@@ -12,12 +12,14 @@ from synthetic_trials import (
     swing_angles,
 )
 
-from stringcast.stages.diagnose import diagnose as module
+from stringcast.stages.diagnose import cause_search, held_out_gain
 from stringcast.stages.diagnose.discretisation import (
     unresolvable_trials,
     with_second_order_mesh,
 )
 from stringcast.stages.diagnose.forward_selection import SelectionState
+from stringcast.stages.diagnose.settings import DiagnosisSettings
+from stringcast.stages.diagnose.trials_by_use import TrialsByUse
 from stringcast.stages.model.library import effects_by_name
 
 
@@ -27,7 +29,9 @@ def test_causes_that_predict_no_trial_left_out_are_not_named(arm, monkeypatch):
     The joints turn 3 % further than they report, which is named where it predicts
     (`test_hidden_causes`).
     """
-    monkeypatch.setattr(module, "improves_predictions", lambda base, extended: False)
+    monkeypatch.setattr(
+        held_out_gain, "improves_predictions", lambda base, extended: False
+    )
     real = with_second_order_mesh(ordinary(arm))
     real = real.with_effects(effects_by_name()["joint_gain"]).with_segments(80)
     values, rng = TRUTH | {"joint_gain.gain": 0.03}, np.random.default_rng(5)
@@ -79,8 +83,8 @@ def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
         assert prepared.chaotic_trials == tuple(rejected)
         yield SelectionState(prepared, fit("wind", "clamp"))
 
-    monkeypatch.setattr(module, "find_outlying_trial", lambda *given: {})
-    monkeypatch.setattr(module, "prepare_further_trials", prepare_further)
+    monkeypatch.setattr(cause_search, "find_outlying_trial", lambda *given: {})
+    monkeypatch.setattr(cause_search, "prepare_further_trials", prepare_further)
     used, prepared, _ = settle(monkeypatch, prepare, select)
     assert kept == kept_each_time
     assert [*used.left_out] == rejected == [*prepared.chaotic_trials]
@@ -117,8 +121,8 @@ def test_without_a_trial_that_is_chaotic_with_causes_the_search_goes_on_from_the
         return SelectionState(prepared(["t0", "t1"], tuple(names)), fit("wind"))
 
     prepared_with, begun_with = [], []
-    monkeypatch.setattr(module, "find_outlying_trial", lambda *given: {})
-    monkeypatch.setattr(module, "without_chaotic_trials", leave_out)
+    monkeypatch.setattr(cause_search, "find_outlying_trial", lambda *given: {})
+    monkeypatch.setattr(cause_search, "without_chaotic_trials", leave_out)
     used, _, causes = settle(monkeypatch, prepare, select)
     assert prepared_with == [["t0", "t1", "t2"]]
     assert begun_with == [(), ("wind",)]
@@ -167,9 +171,9 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
         return [o.trial for o in excluded if is_predicted]
 
     searched = []
-    monkeypatch.setattr(module, "find_outlying_trial", find_outlying)
-    monkeypatch.setattr(module, "find_predicted_trials", find_predicted)
-    monkeypatch.setattr(module, "with_causes_found_before", keep_causes)
+    monkeypatch.setattr(cause_search, "find_outlying_trial", find_outlying)
+    monkeypatch.setattr(cause_search, "find_predicted_trials", find_predicted)
+    monkeypatch.setattr(cause_search, "with_causes_found_before", keep_causes)
     used, _, causes = settle(monkeypatch, prepare, select)
     assert causes == ("right",)
     every = ["t0", "t1", "t2"]
@@ -180,12 +184,12 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
 
 def settle(monkeypatch, prepare, select):
     """Search three trials until it is settled which of them are used."""
-    monkeypatch.setattr(module, "prepare_data", prepare)
-    monkeypatch.setattr(module, "candidate_effects", lambda *given: [])
-    monkeypatch.setattr(module, "select_causes", select)
+    monkeypatch.setattr(cause_search, "prepare_data", prepare)
+    monkeypatch.setattr(cause_search, "candidate_effects", lambda *given: [])
+    monkeypatch.setattr(cause_search, "select_causes", select)
     observations = [SimpleNamespace(trial=f"t{k}") for k in range(3)]
-    trials = module.TrialsByUse(observations, (), {})
-    settings = module.DiagnosisSettings(
+    trials = TrialsByUse(observations, (), {})
+    settings = DiagnosisSettings(
         model=None,
         obstacles=(),
         seed=0,
@@ -196,7 +200,7 @@ def settle(monkeypatch, prepare, select):
         excluded_effects=(),
         progress=lambda share: None,
     )
-    *_, last = module._search_until_trials_settle(trials, settings)
+    *_, last = cause_search.search_until_trials_settle(trials, settings)
     return last.trials, last.prepared, last.state.fit.hypothesis.causes
 
 

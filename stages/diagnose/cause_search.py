@@ -1,0 +1,185 @@
+"""The search for causes, again while it changes which trials are used."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from stringcast.data.artifacts import Observation
+from stringcast.stages.diagnose.discretisation import unresolvable_trials
+from stringcast.stages.diagnose.forward_selection import (
+    SelectionState,
+    select_causes,
+    with_causes_found_before,
+    without_chaotic_trials,
+)
+from stringcast.stages.diagnose.outlying_trials import (
+    find_outlying_trial,
+    find_predicted_trials,
+)
+from stringcast.stages.diagnose.preparation import prepare_data, prepare_further_trials
+from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.diagnose.proposals import candidate_effects
+from stringcast.stages.diagnose.rules import Criteria
+from stringcast.stages.diagnose.settings import DiagnosisSettings
+from stringcast.stages.diagnose.trials_by_use import TrialsByUse
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.library import effects_by_name
+
+log = logging.getLogger(__name__)
+
+
+class SearchProgress(NamedTuple):
+    """How far a search has come.
+
+    Attributes
+    ----------
+    trials : TrialsByUse
+    prepared : PreparedData
+        Corrected at the base model, before any cause.
+    effects : list of type of Effect
+        The candidates.
+    state : SelectionState
+    """
+
+    trials: TrialsByUse
+    prepared: PreparedData
+    effects: list[type[Effect]]
+    state: SelectionState
+
+
+def search_until_trials_settle(
+    trials: TrialsByUse,
+    settings: DiagnosisSettings,
+) -> Iterator[SearchProgress]:
+    """Search causes, and again while the causes change which trials are used.
+
+    Without a trial that is chaotic with the causes, the search goes on from them. The
+    causes that predict a trial which was outlying are kept: a search with this trial
+    has found others.
+    """
+    criteria = settings.criteria
+    resolved_with_causes = list[str]()
+    reached = _begin_search(trials, settings, resolved_with_causes, None)
+    while True:
+        yield reached
+        newly_resolved = list[str]()
+        states = select_causes(
+            reached.state, reached.effects, criteria, settings.seed, settings.starts
+        )
+        for number, state in enumerate(states, 1):
+            settings.progress(0.3 + 0.5 * number / (criteria.max_causes + 1))
+            newly_resolved = _trials_resolved_with_causes(
+                state, trials.searched_trials, criteria.tip_tolerance_m
+            )
+            if newly_resolved:
+                break
+            reached = reached._replace(state=state)
+            yield reached
+
+        if newly_resolved:
+            log.info("resolved with the causes: %s", ", ".join(newly_resolved))
+            resolved_with_causes += newly_resolved
+            reached = _begin_search(trials, settings, resolved_with_causes, None)
+            continue
+        state = reached.state
+        chaotic = _trials_chaotic_with_causes(state, criteria)
+        if chaotic:
+            log.info("chaotic with the causes: %s", ", ".join(chaotic))
+            state = without_chaotic_trials(state, chaotic, criteria)
+            trials = reached.trials.excluding_chaotic(chaotic)
+            reached = reached._replace(trials=trials, state=state)
+            continue
+        searched = trials
+        trials = _trials_for_another_search(searched, state, criteria)
+        if trials is searched:
+            return
+        is_kept = trials.predicted != searched.predicted
+        known = state if is_kept and state.fit.hypothesis.causes else None
+        reached = _begin_search(trials, settings, resolved_with_causes, known)
+
+
+def _begin_search(
+    trials: TrialsByUse,
+    settings: DiagnosisSettings,
+    resolved_with_causes: Sequence[str],
+    known: SelectionState | None,
+) -> SearchProgress:
+    """Prepare the data, and fit the causes that are known from fewer trials."""
+    log.info("fitting the base model")
+    criteria = settings.criteria
+    prepared = prepare_data(
+        settings.model,
+        trials.searched_trials,
+        criteria.tip_tolerance_m,
+        np.random.default_rng(settings.seed),
+        settings.starts,
+        lambda share: settings.progress(0.3 * share),
+        resolved_with_causes,
+    )
+    effects = candidate_effects(
+        prepared.base_fit.hypothesis.model,
+        effects_by_name(),
+        prepared.data.trials,
+        settings.excluded_effects,
+    )
+    used = trials.excluding_chaotic(prepared.chaotic_trials)
+    state = SelectionState(prepared, prepared.base_fit)
+    if known is not None:
+        state = with_causes_found_before(
+            prepared, known, criteria, settings.seed, settings.starts
+        )
+    return SearchProgress(used, prepared, effects, state)
+
+
+def _trials_for_another_search(
+    trials: TrialsByUse,
+    state: SelectionState,
+    criteria: Criteria,
+) -> TrialsByUse:
+    """Exclude or include trials by the causes found, or return the same trials.
+
+    A trial that the others do not predict is excluded, until the causes found without
+    it predict it.
+    """
+    for name, reason in find_outlying_trial(state, criteria).items():
+        if name not in trials.predicted:
+            log.info("%s: %s", name, reason)
+            return replace(trials, outlying={**trials.outlying, name: reason})
+
+    outlying = [o for o in trials.observations if o.trial in trials.outlying]
+    predicted = find_predicted_trials(state, outlying, criteria)
+    if not predicted:
+        return trials
+    log.info("predicted after all, and used again: %s", ", ".join(predicted))
+    return trials.including_predicted(predicted)
+
+
+def _trials_chaotic_with_causes(state: SelectionState, criteria: Criteria) -> list[str]:
+    """Name trials that no simulation with the causes resolves."""
+    if not state.fit.hypothesis.causes:
+        return []
+    return unresolvable_trials(state.prepared, criteria.tip_tolerance_m)
+
+
+def _trials_resolved_with_causes(
+    state: SelectionState,
+    searched: Sequence[Observation],
+    tolerance_m: float,
+) -> list[str]:
+    """Name trials that are chaotic without the causes and resolved with them.
+
+    Numerical error is also large where a string without the causes is bent to what
+    they do.
+    """
+    chaotic_names = state.prepared.chaotic_trials
+    chaotic = [o for o in searched if o.trial in chaotic_names]
+    if not chaotic or not state.fit.hypothesis.causes:
+        return []
+    _, uncertainty_m = prepare_further_trials(state.prepared, chaotic, state.fit)
+    resolved = np.flatnonzero(uncertainty_m < tolerance_m)
+    return [chaotic[k].trial for k in resolved]
