@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.measures import (
     refit,
     residuals_without_nuisance,
 )
 from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, sample_discrepancy_tip_rms
 

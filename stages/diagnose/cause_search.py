@@ -11,12 +11,7 @@ import numpy as np
 
 from stringcast.data.artifacts import Observation
 from stringcast.stages.diagnose.discretisation import unresolvable_trials
-from stringcast.stages.diagnose.forward_selection import (
-    SelectionState,
-    select_causes,
-    with_causes_found_before,
-    without_chaotic_trials,
-)
+from stringcast.stages.diagnose.forward_selection import select_causes
 from stringcast.stages.diagnose.outlying_trials import (
     find_outlying_trial,
     find_predicted_trials,
@@ -25,6 +20,11 @@ from stringcast.stages.diagnose.preparation import prepare_data, prepare_further
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.diagnose.rules import Criteria
+from stringcast.stages.diagnose.selection_state import (
+    SelectionState,
+    with_causes_found_before,
+    without_chaotic_trials,
+)
 from stringcast.stages.diagnose.settings import DiagnosisSettings
 from stringcast.stages.diagnose.trials_by_use import TrialsByUse
 from stringcast.stages.model.effect import Effect

@@ -41,7 +41,6 @@ from stringcast.stages.diagnose.experiment_design import (
     Rivals,
     design_experiment,
 )
-from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.held_out_gain import (
     HeldOutGain,
     held_out_trials_misfit,
@@ -56,6 +55,7 @@ from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.proposals import effects_left_out
 from stringcast.stages.diagnose.rules import Criteria, has_evidence
+from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.diagnose.settings import DiagnosisSettings
 from stringcast.stages.diagnose.trials_by_use import TrialsByUse
 from stringcast.stages.diagnose.verdict import (

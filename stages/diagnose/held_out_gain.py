@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import HELD_OUT, Observation
-from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.measures import (
     mean_explained_fraction,
     unexplained_tip_rms,
@@ -22,6 +21,7 @@ from stringcast.stages.diagnose.predictions import (
 )
 from stringcast.stages.diagnose.preparation import prepare_further_trials
 from stringcast.stages.diagnose.rules import Criteria, VerdictNumbers
+from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.diagnose.trials_by_use import TrialsByUse
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis

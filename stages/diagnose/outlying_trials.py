@@ -13,10 +13,10 @@ import numpy as np
 
 from stringcast.data.artifacts import Observation
 from stringcast.stages.common import MM_PER_M
-from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.predictions import predict_trials, tip_errors
 from stringcast.stages.diagnose.preparation import prepare_further_trials
 from stringcast.stages.diagnose.rules import Criteria
+from stringcast.stages.diagnose.selection_state import SelectionState
 
 MIN_TRIALS = 4  # three that agree against one
 OUTLYING = "the others predict its tip"  # begins the reason

@@ -26,7 +26,6 @@ from stringcast.stages.diagnose.candidate_comparison import (
     by_evidence,
     compare_candidates,
 )
-from stringcast.stages.diagnose.forward_selection import SelectionState, with_fit
 from stringcast.stages.diagnose.measures import (
     refit,
     tip_shift_rms,
@@ -38,6 +37,7 @@ from stringcast.stages.diagnose.rules import (
     is_inside_range,
     remainder_hides,
 )
+from stringcast.stages.diagnose.selection_state import SelectionState, with_fit
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import ByTrial, TrialData

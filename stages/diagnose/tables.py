@@ -23,7 +23,6 @@ from stringcast.stages.diagnose.background_effects import (
     BackgroundPosterior,
     posterior_with_background,
 )
-from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.measures import (
     fixed_leave_one_out_gain,
     mean_explained_fraction,
@@ -33,6 +32,7 @@ from stringcast.stages.diagnose.measures import (
 )
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.rules import Criteria
+from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.diagnose.verdict import Judgement
 from stringcast.stages.inference.laplace import Fit, mean_discrepancy
 from stringcast.stages.inference.prepared_trial import PreparedTrial

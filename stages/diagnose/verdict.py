@@ -10,7 +10,6 @@ import numpy as np
 
 from stringcast.stages.common import readable_name
 from stringcast.stages.diagnose.background_effects import background_responses
-from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.measures import (
     mean_explained_fraction,
     refit,
@@ -32,6 +31,7 @@ from stringcast.stages.diagnose.rules import (
     misfit_remains,
     predicts_better,
 )
+from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import (
     DISCREPANCY_DRAWS,

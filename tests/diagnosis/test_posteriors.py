@@ -8,15 +8,15 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose import agreement, forward_selection, posteriors
+from stringcast.stages.diagnose import agreement, posteriors, selection_state
 from stringcast.stages.diagnose.background_effects import (
     BACKGROUND_SCALES_M,
     background_log_evidence_gains,
 )
 from stringcast.stages.diagnose.candidate_comparison import SelectionStep
-from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from stringcast.stages.diagnose.prepared_data import RefinedFit
+from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.inference.discrepancy import log_scale_prior
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 
@@ -84,7 +84,7 @@ class CorrectedAt(SimpleNamespace):
 def swap(monkeypatch, by_fit, fit):
     """Swap look-alikes among posteriors that are given for each fit."""
     monkeypatch.setattr(
-        forward_selection,
+        selection_state,
         "refine_fit",
         lambda prepared, fit: RefinedFit(prepared.at(fit), fit),
     )
@@ -348,7 +348,7 @@ def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
 
     monkeypatch.setattr(posteriors, "Hypothesis", hypothesis)
     monkeypatch.setattr(posteriors, "fit_hypothesis", fitted)
-    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
+    monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
     by_cause = []
     for each in probabilities:
         fits = {name: fit("other", name) for name in each if name}

@@ -8,10 +8,17 @@ import pytest
 from conftest import ordinary
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose import agreement, forward_selection, measures, rules
+from stringcast.stages.diagnose import (
+    agreement,
+    confirmation,
+    forward_selection,
+    measures,
+    rules,
+    selection_state,
+)
 from stringcast.stages.diagnose.candidate_comparison import SelectionStep
-from stringcast.stages.diagnose.forward_selection import SelectionState
 from stringcast.stages.diagnose.prepared_data import RefinedFit
+from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.model.library import effects_by_name
@@ -95,18 +102,16 @@ def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
     def touched(*given):
         return np.zeros(0)
 
-    monkeypatch.setattr(forward_selection, "is_inside_range", lambda *_: True)
-    monkeypatch.setattr(
-        forward_selection, "unexplained_tip_rms", lambda *_: np.zeros(2)
-    )
-    monkeypatch.setattr(forward_selection, "trials_touched_by", touched)
-    monkeypatch.setattr(forward_selection, "refit", refit_stand_in)
-    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
-    monkeypatch.setattr(forward_selection, "predict_left_out_trials", predict)
-    monkeypatch.setattr(forward_selection, "tip_errors", lambda *_: np.zeros(5))
-    monkeypatch.setattr(forward_selection, "mean_explained_fraction", lambda *_: 0.9)
+    monkeypatch.setattr(confirmation, "is_inside_range", lambda *_: True)
+    monkeypatch.setattr(confirmation, "unexplained_tip_rms", lambda *_: np.zeros(2))
+    monkeypatch.setattr(confirmation, "trials_touched_by", touched)
+    monkeypatch.setattr(confirmation, "refit", refit_stand_in)
+    monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
+    monkeypatch.setattr(selection_state, "predict_left_out_trials", predict)
+    monkeypatch.setattr(confirmation, "tip_errors", lambda *_: np.zeros(5))
+    monkeypatch.setattr(confirmation, "mean_explained_fraction", lambda *_: 0.9)
     state = SelectionState(prepared, fit_with(wind))
-    state = forward_selection.drop_unconfirmed_causes(state, CRITERIA, 10)
+    state = confirmation.drop_unconfirmed_causes(state, CRITERIA, 10)
     assert state.fit.hypothesis.cause_names == remaining
 
 
@@ -128,10 +133,8 @@ def test_a_cause_is_set_aside_with_the_reason(trials, touched, words, monkeypatc
         "probability_by_agreement": 0.3,
     }
     for name, answer in stand_ins.items():
-        monkeypatch.setattr(
-            forward_selection, name, lambda *given, answer=answer: answer
-        )
-    reason = forward_selection._reason_to_set_aside(state, state, wind, CRITERIA, 10)
+        monkeypatch.setattr(confirmation, name, lambda *given, answer=answer: answer)
+    reason = confirmation._reason_to_set_aside(state, state, wind, CRITERIA, 10)
     assert words in reason
 
 
@@ -154,19 +157,19 @@ def test_a_contact_in_one_trial_is_set_aside_if_misfit_remains(
     def predict(data, fit):
         return [SimpleNamespace(chi=np.zeros(1)) for _ in trials]
 
-    monkeypatch.setattr(forward_selection, "refit", refit_stand_in)
-    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
-    monkeypatch.setattr(forward_selection, "is_inside_range", lambda *given: True)
-    monkeypatch.setattr(forward_selection, "predict_left_out_trials", predict)
-    monkeypatch.setattr(forward_selection, "_predicts_trials", lambda *given: True)
+    monkeypatch.setattr(confirmation, "refit", refit_stand_in)
+    monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
+    monkeypatch.setattr(confirmation, "is_inside_range", lambda *given: True)
+    monkeypatch.setattr(selection_state, "predict_left_out_trials", predict)
+    monkeypatch.setattr(confirmation, "_predicts_trials", lambda *given: True)
     monkeypatch.setattr(
-        forward_selection, "unexplained_tip_rms", lambda *given: np.full(3, misfit_m)
+        confirmation, "unexplained_tip_rms", lambda *given: np.full(3, misfit_m)
     )
-    for module in (forward_selection, agreement):
+    for module in (confirmation, agreement):
         monkeypatch.setattr(module, "trials_touched_by", lambda *given: touched)
     monkeypatch.setattr(agreement, "log_bayes_factor_of_trials", lambda *given: 20.0)
     state = SelectionState(prepared, fit_with(contact))
-    state = forward_selection.drop_unconfirmed_causes(state, CRITERIA, 10)
+    state = confirmation.drop_unconfirmed_causes(state, CRITERIA, 10)
     assert state.fit.hypothesis.cause_names == remaining
     assert list(state.set_aside) == ([] if remaining else ["contact"])
 
@@ -183,10 +186,8 @@ def test_an_evident_cause_below_the_tolerance_is_set_aside(
     evidence, shift_m, reason, monkeypatch
 ):
     shift = np.array([0.0, shift_m])
-    monkeypatch.setattr(forward_selection, "tip_shift_rms", lambda *_: shift)
-    monkeypatch.setattr(
-        forward_selection, "moves_tip_enough", lambda *_: shift_m > 2e-3
-    )
+    monkeypatch.setattr(confirmation, "tip_shift_rms", lambda *_: shift)
+    monkeypatch.setattr(confirmation, "moves_tip_enough", lambda *_: shift_m > 2e-3)
     parent = SimpleNamespace(log_evidence=0.0)
     hypothesis = SimpleNamespace(cause_names=("wind",))
     best = SimpleNamespace(log_evidence=evidence, hypothesis=hypothesis)
@@ -234,16 +235,13 @@ def test_a_small_cause_does_not_hide_a_larger_one(
 
     monkeypatch.setattr(forward_selection, "compare_candidates", compare)
     monkeypatch.setattr(forward_selection, "add_cause", add)
-    monkeypatch.setattr(forward_selection, "refit", refit_stand_in)
-    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
+    for module in (confirmation, selection_state):
+        monkeypatch.setattr(module, "refit", refit_stand_in)
+    monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
     monkeypatch.setattr(forward_selection, "is_evident", lambda *given: True)
-    monkeypatch.setattr(
-        forward_selection, "_reason_to_set_aside", lambda *given: reason
-    )
-    monkeypatch.setattr(
-        forward_selection, "Hypothesis", lambda base: fit_with().hypothesis
-    )
-    for module in (forward_selection, rules):
+    monkeypatch.setattr(confirmation, "_reason_to_set_aside", lambda *given: reason)
+    monkeypatch.setattr(confirmation, "Hypothesis", lambda base: fit_with().hypothesis)
+    for module in (confirmation, rules):
         monkeypatch.setattr(module, "tip_shift_rms", shift_m)
     monkeypatch.setattr(
         forward_selection, "unexplained_tip_rms", lambda *given: np.array([misfit_m])
@@ -293,7 +291,7 @@ def test_a_cause_gives_way_to_a_close_rival_that_goes_better_with_later_causes(
         lambda data, hypothesis, starts, before: named(*hypothesis.causes),
     )
     monkeypatch.setattr(forward_selection, "fit_to_common_data", compare)
-    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
+    monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
     monkeypatch.setattr(Hypothesis, "exponents_from", lambda self, known: np.zeros(1))
     rivals = [
         named(clamp, camera, log_evidence=200.0),
@@ -314,10 +312,10 @@ def test_a_cause_gives_way_to_a_close_rival_that_goes_better_with_later_causes(
 def test_a_cause_that_comes_in_is_no_longer_set_aside(monkeypatch):
     """Dry friction in a cable was named, and set aside in the same answer."""
     slip, offset = SimpleNamespace(name="slip"), SimpleNamespace(name="offset")
-    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
+    monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
     reasons = {"slip": "too few trials", "offset": "small", "drift": "too few trials"}
     state = SelectionState(None, fit_with(offset), set_aside=reasons)
-    state = forward_selection.with_fit(state, fit_with(offset, slip))
+    state = selection_state.with_fit(state, fit_with(offset, slip))
     assert [*state.set_aside] == ["offset", "drift"]  # a small cause is in the fit
 
 
@@ -331,7 +329,7 @@ def test_a_better_fit_without_a_further_cause_is_taken(gain, is_taken, monkeypat
     step = SelectionStep(None, moved, (), ())
     monkeypatch.setattr(forward_selection, "compare_candidates", lambda *given: step)
     monkeypatch.setattr(forward_selection, "evaluate_fit", lambda *given: moved)
-    monkeypatch.setattr(forward_selection, "refine_fit", RefinedFit)
+    monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
     state = SelectionState(SimpleNamespace(data=None), fit)
     state = forward_selection._add_step(state, (), CRITERIA, 0)
     assert state.fit is (moved if is_taken else fit)
@@ -350,14 +348,14 @@ def test_causes_found_before_begin_at_the_same_values_in_other_ranges(arm, monke
         started.append((hypothesis, starts[0]))
 
     started = []
-    monkeypatch.setattr(forward_selection, "fit_hypothesis", fit)
-    monkeypatch.setattr(forward_selection, "add_cause", lambda *given: None)
+    monkeypatch.setattr(selection_state, "fit_hypothesis", fit)
+    monkeypatch.setattr(selection_state, "add_cause", lambda *given: None)
     chi = np.linspace(0.2, 0.8, len(found.parameters))
     before = Fit(found, chi, (), (), None, None, np.zeros(0), 0.0)
     base_fit = SimpleNamespace(hypothesis=Hypothesis(wider), scale_indices=None)
     prepared = SimpleNamespace(base_fit=base_fit, data=None)
     state = SelectionState(None, before)
-    forward_selection.with_causes_found_before(prepared, state, CRITERIA, 0, 2)
+    selection_state.with_causes_found_before(prepared, state, CRITERIA, 0, 2)
     ((hypothesis, start),) = started
     after = replace(before, hypothesis=hypothesis, chi=start)
     assert after.values == pytest.approx(before.values)

@@ -17,7 +17,7 @@ from stringcast.stages.diagnose.discretisation import (
     unresolvable_trials,
     with_second_order_mesh,
 )
-from stringcast.stages.diagnose.forward_selection import SelectionState
+from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.diagnose.settings import DiagnosisSettings
 from stringcast.stages.diagnose.trials_by_use import TrialsByUse
 from stringcast.stages.model.library import effects_by_name

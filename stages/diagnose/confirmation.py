@@ -1,0 +1,154 @@
+"""Confirmation of accepted causes by trials left out; the others are set aside."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+
+from stringcast.stages.common import MM_PER_M
+from stringcast.stages.diagnose.agreement import probability_by_agreement
+from stringcast.stages.diagnose.measures import (
+    mean_explained_fraction,
+    refit,
+    tip_shift_rms,
+    trials_touched_by,
+    unexplained_tip_rms,
+)
+from stringcast.stages.diagnose.predictions import (
+    log_likelihood_gains,
+    tip_errors,
+)
+from stringcast.stages.diagnose.rules import (
+    Criteria,
+    is_inside_range,
+    moves_tip_enough,
+    predicts_heldout,
+    trials_agree,
+)
+from stringcast.stages.diagnose.selection_state import SelectionState, with_fit
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.laplace import Fit
+from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.effect import Effect
+
+log = logging.getLogger(__name__)
+
+
+def drop_unconfirmed_causes(
+    state: SelectionState,
+    criteria: Criteria,
+    candidates: int,
+) -> SelectionState:
+    """Set aside causes that trials left out do not confirm, the last one first.
+
+    candidates: number of effects that share the prior probability of one being active.
+    """
+    state = _set_aside_small_causes(state, criteria)
+    for cause in reversed(state.large_causes):
+        hypothesis = state.fit.hypothesis.without_cause(cause)
+        without = replace(state, fit=refit(state.prepared.data, state.fit, hypothesis))
+        reason = _reason_to_set_aside(state, without, cause, criteria, candidates)
+        if reason:
+            log.info("%s is set aside: %s", cause.name, reason)
+            reasons = {**state.set_aside, cause.name: reason}
+            state = replace(with_fit(state, without.fit), set_aside=reasons)
+    if state.small and not state.large_causes:
+        base = Hypothesis(state.fit.hypothesis.base)
+        fit = refit(state.prepared.data, state.fit, base)
+        state = replace(with_fit(state, fit), small=())
+    return state
+
+
+def _set_aside_small_causes(
+    state: SelectionState, criteria: Criteria
+) -> SelectionState:
+    """Say which causes of the fit are small, given the others; they stay in it."""
+    data = state.prepared.data
+    reasons = dict(state.set_aside)
+    small = []
+    for cause in state.small:
+        if cause not in state.fit.hypothesis.causes:
+            continue
+        hypothesis = state.fit.hypothesis.without_cause(cause)
+        without = refit(data, state.fit, hypothesis)
+        reason = reason_if_small(data, without, state.fit, criteria)
+        if reason:
+            reasons[cause.name] = reason
+            small.append(cause)
+    return replace(state, set_aside=reasons, small=tuple(small))
+
+
+def _reason_to_set_aside(
+    state: SelectionState,
+    without: SelectionState,
+    cause: type[Effect],
+    criteria: Criteria,
+    candidates: int,
+) -> str:
+    """Say why a cause is not confirmed, or nothing if it is.
+
+    without: the state without this cause.
+    """
+    data = state.prepared.data
+    fit = state.fit
+    if not is_inside_range(fit, cause):
+        return "it is at the end of its range, probably a stand-in for another cause"
+    if len(data.trials) < 2:
+        return ""
+    # No other trial can confirm what acts in one trial alone
+    touched = trials_touched_by(data, fit, cause, criteria.tip_tolerance_m)
+    acts_alone = len(touched) == 1
+    if not acts_alone and not _predicts_trials(state, without, cause, criteria):
+        return "it does not help to predict trials left out"
+    if unexplained_tip_rms(data, fit).max() < criteria.tip_tolerance_m:
+        return ""  # the model lacks nothing, and its evidence holds
+    probability = probability_by_agreement(
+        data,
+        fit,
+        state.left_out_exponents,
+        cause,
+        candidates,
+        criteria.tip_tolerance_m,
+    )
+    log.info("%s: probability by agreement of trials %.2f", cause.name, probability)
+    if trials_agree(probability):
+        return ""
+    return _reason_for_no_agreement(len(data.trials), acts_alone)
+
+
+def _reason_for_no_agreement(trials: int, acts_alone: bool) -> str:
+    """Say why a number of trials do not confirm a cause."""
+    if acts_alone:
+        return "it acts in one trial, which no other confirms, and misfit remains"
+    if trials == 2:
+        return "two trials are too few to confirm it, and misfit remains"
+    return "the trials do not agree on it"
+
+
+def _predicts_trials(
+    state: SelectionState,
+    without: SelectionState,
+    cause: type[Effect],
+    criteria: Criteria,
+) -> bool:
+    """Whether a cause helps to predict trials left out. Parameters as before."""
+    data = state.prepared.data
+    gains = log_likelihood_gains(without.predictions, state.predictions)
+    log.info("%s: predictive log-likelihoods %s", cause.name, np.round(gains, 1))
+    explained = mean_explained_fraction(
+        tip_errors(data, without.predictions),
+        tip_errors(data, state.predictions),
+        criteria.tip_tolerance_m,
+    )
+    log.info("%s: explains %.2f at tips of trials left out", cause.name, explained)
+    return predicts_heldout(gains, explained)
+
+
+def reason_if_small(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> str:
+    """Say by how little a fit moves the tip from its parent, or nothing."""
+    if moves_tip_enough(data, parent, fit, criteria):
+        return ""
+    shift_mm = MM_PER_M * tip_shift_rms(data, parent, fit).max()
+    return f"small: it moves the tip by {shift_mm:.1f} mm, less than the tolerance"

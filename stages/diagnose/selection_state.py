@@ -1,0 +1,217 @@
+"""The state of a search for causes, and its changes by a cause or a trial."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from stringcast.stages.diagnose.base_model import refit_from_new_starts
+from stringcast.stages.diagnose.candidate_comparison import (
+    SelectionStep,
+    rank_rivals,
+    refine_fit,
+)
+from stringcast.stages.diagnose.discretisation import (
+    correct_discretisation_once,
+    without_trials,
+)
+from stringcast.stages.diagnose.left_out_fits import groups_to_leave_out
+from stringcast.stages.diagnose.measures import (
+    refit,
+    unexplained_tip_rms,
+)
+from stringcast.stages.diagnose.noise import reestimate_noise
+from stringcast.stages.diagnose.predictions import (
+    TrialPrediction,
+    predict_left_out_trials,
+)
+from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.diagnose.rules import (
+    Criteria,
+    is_needed,
+    is_resolved,
+)
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
+from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.effect import Effect
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SelectionState:
+    """State of a search for causes.
+
+    Attributes
+    ----------
+    prepared : PreparedData
+        Corrected at the fit.
+    fit : Fit
+        With all causes accepted so far.
+    steps : sequence of SelectionStep
+        The choices on the way; the last one may have accepted nothing.
+    set_aside : dict
+        Causes that were accepted and then dropped, with the reason.
+    small : tuple of type of Effect
+        Causes in the fit that move the tip too little to be named. They stay, as the
+        values of others depend on them.
+    """
+
+    prepared: PreparedData
+    fit: Fit
+    steps: Sequence[SelectionStep] = ()
+    set_aside: Mapping[str, str] = field(default_factory=dict)
+    small: tuple[type[Effect], ...] = ()
+
+    @property
+    def large_causes(self) -> list[type[Effect]]:
+        """The causes of the fit that are not small."""
+        causes = self.fit.hypothesis.causes
+        return [cause for cause in causes if cause not in self.small]
+
+    @cached_property
+    def predictions(self) -> list[TrialPrediction]:
+        """Each trial as the fit to the others predicts it."""
+        return predict_left_out_trials(self.prepared.data, self.fit)
+
+    @property
+    def left_out_exponents(self) -> list[np.ndarray]:
+        """Exponents (P,) of the fit without each group of trials."""
+        groups = groups_to_leave_out(len(self.prepared.data.trials))
+        return [self.predictions[group[0]].chi for group in groups]
+
+
+def with_fit(state: SelectionState, fit: Fit) -> SelectionState:
+    """Replace the fit of a state by another one, refined.
+
+    Causes that come in are no longer set aside.
+    """
+    refined = refine_fit(state.prepared, fit)
+    before = state.fit.hypothesis.cause_names
+    added = set(fit.hypothesis.cause_names).difference(before)
+    set_aside = {n: r for n, r in state.set_aside.items() if n not in added}
+    return replace(
+        state, prepared=refined.prepared, fit=refined.fit, set_aside=set_aside
+    )
+
+
+def add_cause(
+    state: SelectionState,
+    best: Fit,
+    criteria: Criteria,
+    rng: np.random.Generator,
+    starts: int,
+) -> SelectionState:
+    """Take a fit with more causes, with noise and numerical error as they are there."""
+    with_noise = reestimate_noise(state.prepared, best)
+    joined = correct_discretisation_once(with_noise, best)
+    prepared = joined.prepared
+    fit = joined.fit
+    steps = state.steps
+    if with_noise.point_counts != state.prepared.point_counts:
+        counts = with_noise.outlier_count, state.prepared.outlier_count
+        log.info("%d outliers instead of %d", *counts)
+        steps = [_refit_step(prepared.data, step, criteria) for step in steps]
+
+    # Search more widely if much is left. Other strings are no better if their trials
+    # are resolved worse: what is uncertain in these may explain anything.
+    if unexplained_tip_rms(prepared.data, fit).max() > criteria.tip_tolerance_m:
+        other = refit_from_new_starts(prepared.data, fit, rng, starts)
+        refined = refine_fit(prepared, other)
+        uncertainty_m = refined.prepared.discretisation_uncertainty_m
+        before_m = prepared.discretisation_uncertainty_m
+        is_better = refined.fit.log_evidence > fit.log_evidence
+        if is_better and is_resolved(
+            uncertainty_m, before_m, criteria, needed=len(before_m)
+        ):
+            prepared = refined.prepared
+            fit = refined.fit
+    return replace(state, prepared=prepared, fit=fit, steps=steps)
+
+
+def _refit_step(
+    data: TrialData, step: SelectionStep, criteria: Criteria
+) -> SelectionStep:
+    """Move a step to data with other points: compared fits are refitted."""
+    parent = refit(data, step.parent, step.parent.hypothesis)
+    compared = [refit(data, fit, fit.hypothesis) for fit in step.compared]
+    was_compared = {id(fit) for fit in step.compared}  # fits hold arrays: no equality
+    others = []
+    for fit in step.fits:
+        if id(fit) not in was_compared:
+            others.append(evaluate_fit(data, fit.hypothesis, fit.chi))
+    fits = rank_rivals(parent, [*compared, *others], criteria)
+    unresolved = [refit(data, fit, fit.hypothesis) for fit in step.unresolved]
+    # All are now on the same data
+    return replace(
+        step,
+        data=data,
+        parent=parent,
+        fits=fits,
+        compared=compared,
+        unresolved=unresolved,
+    )
+
+
+def with_causes_found_before(
+    prepared: PreparedData,
+    found: SelectionState,
+    criteria: Criteria,
+    seed: int,
+    starts: int,
+) -> SelectionState:
+    """Fit the causes that were found in fewer trials to the prepared ones."""
+    base = prepared.base_fit
+    hypothesis = Hypothesis(base.hypothesis.base, found.fit.hypothesis.causes)
+    # By values: the ranges may be others with more trials
+    known = {}
+    values = found.fit.values
+    for parameter in hypothesis.parameters:
+        if parameter.name in values:
+            value = np.asarray(values[parameter.name])
+            known[parameter.name] = float(parameter.chi(value))
+    start = hypothesis.exponents_from(known)
+    fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.scale_indices)
+    rng = np.random.default_rng(seed)
+    state = SelectionState(prepared, base, small=found.small)
+    return add_cause(state, fit, criteria, rng, starts)
+
+
+def without_chaotic_trials(
+    state: SelectionState, names: Sequence[str], criteria: Criteria
+) -> SelectionState:
+    """Leave out trials that are chaotic, and causes that only these need."""
+    is_kept = [trial.name not in names for trial in state.prepared.data.trials]
+    prepared = without_trials(state.prepared, names)
+    before = state.fit
+    scale_indices = before.scale_indices[is_kept]
+    fit = fit_hypothesis(
+        prepared.data, before.hypothesis, before.chi[None], scale_indices
+    )
+    refined = refine_fit(prepared, fit)
+    remaining = SelectionState(refined.prepared, refined.fit, small=state.small)
+    return drop_redundant_causes(remaining, refined.fit, criteria)
+
+
+def drop_redundant_causes(
+    state: SelectionState,
+    best: Fit,
+    criteria: Criteria,
+) -> SelectionState:
+    """Drop causes that the evidence does not need any more, the new one included.
+
+    best: the fit with all of them, in the order of acceptance.
+    """
+    for cause in best.hypothesis.causes:
+        data = state.prepared.data
+        hypothesis = state.fit.hypothesis.without_cause(cause)
+        without = refit(data, state.fit, hypothesis)
+        if not is_needed(without, state.fit, criteria):
+            log.info("%s is dropped: the evidence does not need it", cause.name)
+            state = with_fit(state, without)
+    return state
