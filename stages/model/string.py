@@ -127,6 +127,8 @@ class String(Parametrised):
         The time step.
     largest_step : float
         Step allowed for accuracy [s]. Stability may ask for less.
+    shortest_segment : float
+        Length, in rest lengths, to which segments may be compressed in a stable step.
 
     Raises
     ------
@@ -143,6 +145,7 @@ class String(Parametrised):
     ranges: Mapping[str, Parameter] = field(default_factory=dict)
     integrator: Integrator = SemiImplicitEuler()
     largest_step: Annotated[float, Field(ge=1e-6, le=0.1)] = 2.0e-4
+    shortest_segment: Annotated[float, Field(gt=0, le=1)] = 1.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be simulated."""

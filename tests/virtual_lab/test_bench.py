@@ -1,5 +1,7 @@
 """The lab: its reports and films agree with what happens in it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 
@@ -9,6 +11,8 @@ from stringcast.hardware.virtual.obstacles import Box, Obstacles
 from stringcast.hardware.virtual.render import Look, render_background, render_frame
 from stringcast.hardware.virtual.servo import VirtualServo
 from stringcast.stages.execute.execute import execute
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.hand import resample_joint_motion
 
 
 def test_the_velocity_loop_has_the_bandwidth_it_states():
@@ -62,6 +66,38 @@ def test_trials_repeat_bit_for_bit_and_differ_by_their_number(arm, camera):
     assert not one.arm.equals(other.arm)
     for name, table in Trial.TABLES.items():
         table.check(getattr(one, name))
+
+
+def test_a_yielding_string_is_simulated_while_it_is_compressed(arm, camera):
+    """Compressed to 0.4 of its length, it moves as in steps that are always stable."""
+    from conftest import specimen, swing
+
+    yielding = {
+        "axial_stiffness": 1e4,
+        "axial_damping": 2.0,
+        "bending_stiffness": 0.03,
+        "bending_damping": 0.004,
+        "grasp_stiffness": 0.006,
+        "grasp_damping": 0.02,
+    }
+    string = specimen("A")
+    string = replace(string, parameters={**string.parameters, **yielding})
+    bench = VirtualBench(arm, camera, string, seed=0)
+    device, motion = VirtualArm(bench), swing(duration=0.3)
+    device.move_to(motion.commands[list(JOINTS)].iloc[0].tolist())
+    device.perform(motion.commands)
+    t = np.arange(0, 0.3, 0.005)
+    points = bench.string_at(t)
+    lengths = np.linalg.norm(np.diff(points, axis=1), axis=-1)
+    assert lengths.min() < 0.5 * bench.model.string.segment_length
+
+    implicit = replace(
+        bench.model.string, integrator=ImplicitLeapfrog(), largest_step=2e-5
+    )
+    joints = resample_joint_motion(*bench.performed_motion, tick=0.001)
+    model = replace(bench.model, string=implicit)
+    expected = model.simulate_string(joints, bench.values, t).points[0]
+    np.testing.assert_allclose(points, expected, atol=1e-6)
 
 
 def test_execute_films_rest_around_the_movement(filmed):

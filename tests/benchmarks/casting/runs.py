@@ -206,6 +206,8 @@ def hidden_tip_shift(bench: VirtualBench, duration: float) -> float:
 
     `duration` is that of its movement [s]. Those of camera and clock count as well.
     """
+    if not bench.specimen.hidden:
+        return 0.0
     t = np.arange(0, duration, REFERENCE_STEP_S)
     plain = replace(bench, specimen=replace(bench.specimen, hidden={}))
     tips = [each.camera_view(each.string_at, t)[:, -1] for each in (bench, plain)]
