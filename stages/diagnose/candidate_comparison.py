@@ -276,11 +276,10 @@ def _compare_rivals(
     # Common data mostly lower the evidence: none may lead because it was not compared
     least_evidence = _least_evidence(step.fits, step.parent, criteria)
     count = sum(fit.log_evidence > least_evidence for fit in step.fits[:MAX_RIVALS])
+    parent, *compared = fit_to_common_data(prepared, [step.parent, *step.fits[:count]])
     is_overtaken = True
     while is_overtaken:
-        parent, *compared = fit_to_common_data(
-            prepared, [step.parent, *step.fits[:count]]
-        )
+        compared = _catch_up_with_parent(prepared, parent, compared)
         resolved: list[Fit] = []
         unresolved: list[Fit] = []
         for fit in compared:
@@ -292,7 +291,10 @@ def _compare_rivals(
         resolved = rank_rivals(parent, resolved, criteria)
         others = _with_parent_at(parent, step.parent, step.fits[count:])
         is_overtaken = _is_overtaken(parent, resolved, others, criteria)
-        count += is_overtaken
+        if is_overtaken:
+            fits = [step.fits[count]]
+            compared += fit_to_common_data(prepared, fits, [parent, *compared])
+            count += 1
 
     for fit in [*resolved, *unresolved]:
         name = fit.hypothesis.cause_names[-1]
@@ -316,6 +318,23 @@ def _compare_rivals(
         accepted=is_accepted,
         unresolved=ahead,
     )
+
+
+def _catch_up_with_parent(
+    prepared: PreparedData, parent: Fit, compared: Sequence[Fit]
+) -> list[Fit]:
+    """Fit those again from their parent that explain less: they hold all it does."""
+
+    def log_likelihood(fit: Fit) -> float:
+        return float(fit.log_likelihood_by_trial.sum())
+
+    least = log_likelihood(parent) - NEGLIGIBLE_LOG_EVIDENCE
+    fits = list(compared)
+    behind = [k for k, fit in enumerate(fits) if log_likelihood(fit) < least]
+    refitted = fit_to_common_data(prepared, [fits[k] for k in behind], [parent])
+    for k, fit in zip(behind, refitted, strict=True):
+        fits[k] = fit
+    return fits
 
 
 def _with_parent_at(parent: Fit, before: Fit, fits: Sequence[Fit]) -> list[Fit]:

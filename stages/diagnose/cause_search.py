@@ -56,43 +56,47 @@ def search_until_trials_settle(
     trials: TrialsByUse,
     settings: DiagnosisSettings,
 ) -> Iterator[SearchProgress]:
-    """Search causes, and again while the causes change which trials are used.
+    """Search causes, while these change which trials are used.
 
-    Without a trial that is chaotic with the causes, the search goes on from them. The
-    causes that predict a trial which was outlying are kept: a search with this trial
-    has found others.
+    A trial that is chaotic with the causes so far is left out, and returns once further
+    causes resolve it; a second time it is left out for good. The search goes on from
+    the causes. So it does with a trial that was outlying and that they predict: a
+    search with this trial has found others.
     """
     criteria = settings.criteria
-    resolved_with_causes = list[str]()
-    reached = _begin_search(trials, settings, resolved_with_causes, None)
+    returned = list[str]()
+    reached = _begin_search(trials, settings, returned, None)
     while True:
         yield reached
-        newly_resolved = list[str]()
+        resolved = list[str]()
+        chaotic = list[str]()
         states = select_causes(
             reached.state, reached.effects, criteria, settings.seed, settings.starts
         )
         for number, state in enumerate(states, 1):
             settings.progress(0.3 + 0.5 * number / (criteria.max_causes + 1))
-            newly_resolved = _trials_resolved_with_causes(
+            reached = reached._replace(state=state)
+            resolved = _trials_resolved_with_causes(
                 state, trials.searched_trials, criteria.tip_tolerance_m
             )
-            if newly_resolved:
+            chaotic = _trials_chaotic_with_causes(state, criteria)
+            if resolved or chaotic:
                 break
-            reached = reached._replace(state=state)
             yield reached
 
-        if newly_resolved:
-            log.info("resolved with the causes: %s", ", ".join(newly_resolved))
-            resolved_with_causes += newly_resolved
-            reached = _begin_search(trials, settings, resolved_with_causes, None)
-            continue
         state = reached.state
-        chaotic = _trials_chaotic_with_causes(state, criteria)
+        if resolved:
+            log.info("resolved with the causes: %s", ", ".join(resolved))
+            returned += resolved
+            reached = _begin_search(trials, settings, returned, state)
+            continue
         if chaotic:
             log.info("chaotic with the causes: %s", ", ".join(chaotic))
             state = without_chaotic_trials(state, chaotic, criteria)
-            trials = reached.trials.excluding_chaotic(chaotic)
-            reached = reached._replace(trials=trials, state=state)
+            for_good = [name for name in chaotic if name in returned]
+            trials = trials.excluding_chaotic(for_good)
+            used = trials.excluding_chaotic(state.prepared.chaotic_trials)
+            reached = reached._replace(trials=used, state=state)
             continue
         searched = trials
         trials = _trials_for_another_search(searched, state, criteria)
@@ -100,13 +104,13 @@ def search_until_trials_settle(
             return
         is_kept = trials.predicted != searched.predicted
         known = state if is_kept and state.fit.hypothesis.causes else None
-        reached = _begin_search(trials, settings, resolved_with_causes, known)
+        reached = _begin_search(trials, settings, returned, known)
 
 
 def _begin_search(
     trials: TrialsByUse,
     settings: DiagnosisSettings,
-    resolved_with_causes: Sequence[str],
+    keep_if_chaotic: Sequence[str],
     known: SelectionState | None,
 ) -> SearchProgress:
     """Prepare the data, and fit the causes that are known from fewer trials."""
@@ -119,7 +123,7 @@ def _begin_search(
         np.random.default_rng(settings.seed),
         settings.starts,
         lambda share: settings.progress(0.3 * share),
-        resolved_with_causes,
+        keep_if_chaotic,
     )
     effects = candidate_effects(
         prepared.base_fit.hypothesis.model,

@@ -32,7 +32,11 @@ from stringcast.stages.workers import map_in_workers
 MAX_PASSES = 4  # of a fit and its numerical error; it mostly takes two
 
 
-def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fit]:
+def fit_to_common_data(
+    prepared: PreparedData,
+    rivals: Sequence[Fit],
+    fitted_before: Sequence[Fit] = (),
+) -> list[Fit]:
     """Fit each rival to what was measured.
 
     Parameters
@@ -41,6 +45,8 @@ def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fi
         The data of the search, with their initial states and error models.
     rivals : sequence of Fit
         What is compared, such as hypotheses with and without a cause.
+    fitted_before : sequence of Fit
+        On common data; rivals are also fitted from where these are.
 
     Returns
     -------
@@ -51,7 +57,7 @@ def fit_to_common_data(prepared: PreparedData, rivals: Sequence[Fit]) -> list[Fi
     def fit_rival(number: int) -> Fit:
         rival = rivals[number]
         others = [other for other in rivals if other is not rival]
-        best = max(others, key=lambda other: other.log_evidence)
+        best = max(fitted_before or others, key=lambda other: other.log_evidence)
         searched = prepared_at(prepared, rival)
         current = evaluate_with_own_error(searched, rival, rival.chi)
 

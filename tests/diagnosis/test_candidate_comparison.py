@@ -24,6 +24,7 @@ class NamedFit:
     chi: np.ndarray = field(default_factory=lambda: np.zeros(1))
     scale_indices: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=int))
     exponents: dict = field(default_factory=dict)
+    log_likelihood_by_trial: np.ndarray = field(default_factory=lambda: np.zeros(1))
 
 
 def named_fit(name, log_evidence):
@@ -42,7 +43,7 @@ def limited(monkeypatch):
     return names
 
 
-def compare_as_found(prepared, rivals):
+def compare_as_found(prepared, rivals, fitted_before=()):
     """Say that rivals have the same evidence on common data."""
     return rivals
 
@@ -82,8 +83,7 @@ def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
     )
     monkeypatch.setattr(candidate_comparison, "fit_to_common_data", compare_as_found)
     compare_rivals = candidate_comparison._compare_rivals
-    parent = SimpleNamespace(log_evidence=0.0)
-    given = SelectionStep(None, parent, (), fits)
+    given = SelectionStep(None, NamedFit("", 0.0), (), fits)
     step = compare_rivals(prepared, given, CRITERIA, False)
     assert (step.best.name, step.accepted) == (best, True)
 
@@ -106,14 +106,12 @@ def compare_rivals(monkeypatch, found, common):
     """
     compared = []
 
-    def compare(given, rivals):
+    def compare(given, rivals, fitted_before=()):
         assert given is prepared
-        parent, *others = rivals
-        compared[:] = [rival.name for rival in others]
-        fits = [SimpleNamespace(log_evidence=common.get("", 0.0))]
-        for rival in others:
-            fits.append(replace(rival, log_evidence=common[rival.name]))
-        return fits
+        compared.extend(rival.name for rival in rivals if rival.name)
+        return [
+            replace(rival, log_evidence=common.get(rival.name, 0.0)) for rival in rivals
+        ]
 
     prepared = SimpleNamespace(discretisation_uncertainty_m=np.zeros(2), data=None)
     monkeypatch.setattr(
@@ -126,7 +124,7 @@ def compare_rivals(monkeypatch, found, common):
     monkeypatch.setattr(
         candidate_comparison, "unexplained_tip_rms", lambda *given: np.ones(2)
     )
-    parent = SimpleNamespace(log_evidence=0.0)
+    parent = NamedFit("", 0.0)
     fits = [named_fit(name, value) for name, value in found.items()]
     fits = candidate_comparison.rank_rivals(parent, fits, CRITERIA)
     given = SelectionStep(None, parent, (), fits)
@@ -177,6 +175,28 @@ def test_rivals_are_not_overtaken_because_common_data_shift_all(limited, monkeyp
     step, compared = compare_rivals(monkeypatch, found, common)
     assert compared == ["slip", "offset", "drift"]
     assert [fit.log_evidence for fit in step.fits] == [8.0, 6.0, 5.0, 5.0]
+
+
+def test_a_rival_that_explains_less_than_its_parent_is_fitted_from_there(monkeypatch):
+    """Rivals were up to 286 behind a parent that had found a better minimum."""
+    fitted = []
+
+    def fit(prepared, rivals, fitted_before):
+        fitted.extend(rival.name for rival in rivals)
+        assert fitted_before == [parent]
+        return [replace(rival, log_evidence=55.0) for rival in rivals]
+
+    monkeypatch.setattr(candidate_comparison, "fit_to_common_data", fit)
+    parent = NamedFit("", 50.0, log_likelihood_by_trial=np.array([40.0, 20.0]))
+    ahead = replace(named_fit("set", 60.0), log_likelihood_by_trial=np.array([75.0]))
+    # An amplitude of no use costs evidence, and no likelihood
+    alike = replace(named_fit("wind", 45.0), log_likelihood_by_trial=np.array([59.5]))
+    behind = replace(named_fit("tilt", 52.0), log_likelihood_by_trial=np.array([20.0]))
+    fits = candidate_comparison._catch_up_with_parent(
+        None, parent, [ahead, behind, alike]
+    )
+    assert fitted == ["tilt"]
+    assert [fit.log_evidence for fit in fits] == [60.0, 55.0, 45.0]
 
 
 @pytest.mark.parametrize(

@@ -83,17 +83,26 @@ def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
         assert prepared.chaotic_trials == tuple(rejected)
         yield SelectionState(prepared, fit("wind", "clamp"))
 
+    def keep_causes(prepared, found, *given):
+        return SelectionState(prepared, found.fit)
+
     monkeypatch.setattr(cause_search, "find_outlying_trial", lambda *given: {})
     monkeypatch.setattr(cause_search, "prepare_further_trials", prepare_further)
+    monkeypatch.setattr(cause_search, "with_causes_found_before", keep_causes)
     used, prepared, _ = settle(monkeypatch, prepare, select)
     assert kept == kept_each_time
     assert [*used.left_out] == rejected == [*prepared.chaotic_trials]
 
 
-def test_without_a_trial_that_is_chaotic_with_causes_the_search_goes_on_from_them(
-    monkeypatch,
+@pytest.mark.parametrize("returns", [False, True])
+def test_a_trial_that_is_chaotic_with_causes_returns_once_if_others_resolve_it(
+    returns, monkeypatch
 ):
-    """A strip took 80 s more to be searched anew, and other causes were found."""
+    """A strip took 80 s more to be searched anew, and other causes were found.
+
+    The third trial is chaotic with the causes whenever it is there. It may be resolved
+    by those that are found without it.
+    """
 
     def prepared(names, chaotic=()):
         trials = [SimpleNamespace(name=name) for name in names]
@@ -110,23 +119,36 @@ def test_without_a_trial_that_is_chaotic_with_causes_the_search_goes_on_from_the
         prepared_with.append([o.trial for o in observations])
         return prepared(prepared_with[-1])
 
-    def fit(*causes):
+    def fit(causes):
         return SimpleNamespace(hypothesis=SimpleNamespace(causes=causes))
 
     def select(state, *given):
-        begun_with.append(state.fit.hypothesis.causes)
-        yield SelectionState(state.prepared, fit("wind", "clamp"))
+        causes = state.fit.hypothesis.causes
+        begun_with.append(causes)
+        further = ("wind", "clamp")[: len(causes) + 1]
+        yield SelectionState(state.prepared, fit(further))
 
     def leave_out(state, names, criteria):
-        return SelectionState(prepared(["t0", "t1"], tuple(names)), fit("wind"))
+        return SelectionState(prepared(["t0", "t1"], tuple(names)), state.fit)
+
+    def keep_causes(prepared, found, *given):
+        return SelectionState(prepared, found.fit)
+
+    def prepare_further(prepared, trials, fit):
+        is_resolved = returns and fit.hypothesis.causes == ("wind", "clamp")
+        return None, np.full(len(trials), 0.0 if is_resolved else 9e-3)
 
     prepared_with, begun_with = [], []
     monkeypatch.setattr(cause_search, "find_outlying_trial", lambda *given: {})
     monkeypatch.setattr(cause_search, "without_chaotic_trials", leave_out)
+    monkeypatch.setattr(cause_search, "with_causes_found_before", keep_causes)
+    monkeypatch.setattr(cause_search, "prepare_further_trials", prepare_further)
     used, _, causes = settle(monkeypatch, prepare, select)
-    assert prepared_with == [["t0", "t1", "t2"]]
-    assert begun_with == [(), ("wind",)]
-    assert causes == ("wind", "clamp")
+    every = ["t0", "t1", "t2"]
+    both = ("wind", "clamp")
+    assert prepared_with == ([every, every] if returns else [every])
+    assert begun_with == [(), ("wind",)] + ([both, both] if returns else [])
+    assert causes == both
     assert [*used.left_out] == ["t2"]
 
 
