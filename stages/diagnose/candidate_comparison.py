@@ -264,14 +264,6 @@ def _compare_rivals(
     """
     if step.best is None or not has_evidence(step.parent, step.best, criteria):
         return step
-    before_m = prepared.discretisation_uncertainty_m
-    needed = len(before_m)
-    allowance_m = np.zeros(needed)
-    if not is_contested:
-        needed = min(MIN_RESOLVED_TRIALS, needed)
-        # A fraction of mean squares, and the roots of both
-        misfit_m = unexplained_tip_rms(prepared.data, step.parent)
-        allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
 
     # Common data mostly lower the evidence: none may lead because it was not compared
     least_evidence = _least_evidence(step.fits, step.parent, criteria)
@@ -283,13 +275,11 @@ def _compare_rivals(
         resolved: list[Fit] = []
         unresolved: list[Fit] = []
         for fit in compared:
-            uncertainty_m = discretisation_uncertainty_of(prepared, fit)
-            is_enough = is_resolved(
-                uncertainty_m, before_m, criteria, needed, allowance_m
-            )
+            is_enough = _resolves_enough(prepared, step, fit, criteria, is_contested)
             (resolved if is_enough else unresolved).append(fit)
         resolved = rank_rivals(parent, resolved, criteria)
-        others = _with_parent_at(parent, step.parent, step.fits[count:])
+        shift = parent.log_evidence - step.parent.log_evidence
+        others = _shift_evidence(step.fits[count:], shift)
         is_overtaken = _is_overtaken(parent, resolved, others, criteria)
         if is_overtaken:
             fits = [step.fits[count]]
@@ -300,12 +290,6 @@ def _compare_rivals(
         name = fit.hypothesis.cause_names[-1]
         gain = fit.log_evidence - parent.log_evidence
         log.info("on common data: %s, log evidence %+.1f", name, gain)
-    ahead = []
-    for fit in unresolved:
-        if resolved and fit.log_evidence >= resolved[0].log_evidence:
-            name = fit.hypothesis.cause_names[-1]
-            log.info("%s cannot be simulated well enough to be told apart", name)
-            ahead.append(fit)
     every_fit = [*resolved, *others]
     is_accepted = bool(every_fit) and is_supported(
         prepared.data, parent, every_fit[0], criteria
@@ -316,8 +300,41 @@ def _compare_rivals(
         fits=every_fit,
         compared=resolved,
         accepted=is_accepted,
-        unresolved=ahead,
+        unresolved=_unresolved_ahead(resolved, unresolved),
     )
+
+
+def _resolves_enough(
+    prepared: PreparedData,
+    step: SelectionStep,
+    fit: Fit,
+    criteria: Criteria,
+    is_contested: bool,
+) -> bool:
+    """Whether simulation with a rival resolves enough trials. See `_compare_rivals`.
+
+    In the place of a cause that was accepted it must resolve all.
+    """
+    before_m = prepared.discretisation_uncertainty_m
+    uncertainty_m = discretisation_uncertainty_of(prepared, fit)
+    if is_contested:
+        return is_resolved(uncertainty_m, before_m, criteria, needed=len(before_m))
+    # A fraction of mean squares, and the roots of both
+    misfit_m = unexplained_tip_rms(prepared.data, step.parent)
+    allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
+    needed = min(MIN_RESOLVED_TRIALS, len(before_m))
+    return is_resolved(uncertainty_m, before_m, criteria, needed, allowance_m)
+
+
+def _unresolved_ahead(resolved: Sequence[Fit], unresolved: Sequence[Fit]) -> list[Fit]:
+    """Select unresolved fits with as much evidence as the best resolved one."""
+    ahead = []
+    for fit in unresolved:
+        if resolved and fit.log_evidence >= resolved[0].log_evidence:
+            name = fit.hypothesis.cause_names[-1]
+            log.info("%s cannot be simulated well enough to be told apart", name)
+            ahead.append(fit)
+    return ahead
 
 
 def _catch_up_with_parent(
@@ -337,9 +354,8 @@ def _catch_up_with_parent(
     return fits
 
 
-def _with_parent_at(parent: Fit, before: Fit, fits: Sequence[Fit]) -> list[Fit]:
-    """Shift the evidence of fits by that of their parent on common data."""
-    shift = parent.log_evidence - before.log_evidence
+def _shift_evidence(fits: Sequence[Fit], shift: float) -> list[Fit]:
+    """Shift the log evidence of fits, as that of their parent on common data is."""
     return [replace(fit, log_evidence=fit.log_evidence + shift) for fit in fits]
 
 
