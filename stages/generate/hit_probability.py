@@ -167,7 +167,8 @@ def tip_errors(
     """Return errors of the simulated tip on M motions under K samples, (M K, T, 2) [m].
 
     On a motion like the last one its misfit is repeated, and the less alike it is, the
-    more of the error is random. T is the number of ticks, or 1 for constant errors.
+    more of the error is random: of a motion unlike it as much as the misfit is large. T
+    is the number of ticks, or 1 for constant errors.
     """
     count = len(curves.duration)
     random = np.tile(samples.tip_error, (count, 1))[:, None]
@@ -175,7 +176,8 @@ def tip_errors(
         return random
     correlation = task.misfit.correlation(curves, float(curves.duration.max()))
     repeated = correlation[..., None] * task.misfit.tip_at_ticks(correlation.shape[1])
-    spread = np.sqrt(1 - correlation**2)[..., None]
+    growth = task.misfit.growth_at_ticks(correlation.shape[1])
+    spread = (growth * np.sqrt(1 - correlation**2))[..., None]
     number = np.arange(count).repeat(len(samples))
     return np.asarray(repeated[number] + spread[number] * random)
 

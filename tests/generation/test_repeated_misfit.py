@@ -31,6 +31,7 @@ LENGTH_M = 0.3
 TICK_S = 0.005
 DURATION_S = 0.5
 MISFIT_M = (0.03, -0.02)
+MODEL_ERROR_M = 0.03
 
 
 @pytest.fixture
@@ -39,7 +40,7 @@ def misfit(arm):
     times = np.arange(0, DURATION_S + TICK_S / 2, TICK_S)
     tip = times[:, None] / DURATION_S * MISFIT_M
     last = plain_cast(arm, DURATION_S)
-    return RepeatedMisfit(arm, last, times, tip, LENGTH_M / 3)
+    return RepeatedMisfit(arm, last, times, tip, LENGTH_M / 3, MODEL_ERROR_M)
 
 
 @pytest.fixture
@@ -56,7 +57,7 @@ def estimate_of(misfit, hand):
     """Return an estimate with this misfit on a hand's path (T, 2) at ticks [m]."""
     table = pd.DataFrame({"t": misfit.times, "x": misfit.tip[:, 0]})
     table = table.assign(y=misfit.tip[:, 1], hand_x=hand[:, 0], hand_y=hand[:, 1])
-    return SimpleNamespace(misfit=table)
+    return SimpleNamespace(misfit=table, model_error_m=MODEL_ERROR_M)
 
 
 def test_the_same_motion_repeats_the_misfit_and_a_distant_one_does_not(
@@ -70,6 +71,21 @@ def test_the_same_motion_repeats_the_misfit_and_a_distant_one_does_not(
         np.testing.assert_allclose(error, misfit.tip, atol=1e-12)
     at_end = errors[SAMPLES:, -1]
     np.testing.assert_allclose(at_end, samples.tip_error, rtol=1e-3, atol=1e-5)
+
+
+def test_a_distant_motion_is_as_uncertain_as_the_misfit_was_large(
+    arm, camera, misfit, samples
+):
+    """The misfit is three times the model's error halfway, and then turns back."""
+    tip = np.zeros_like(misfit.tip)
+    tip[50:60] = 3 * np.sqrt(2) * MODEL_ERROR_M, 0.0
+    far = replace(misfit.last, start=misfit.last.start + [1.0, 0, 0])
+    large = replace(misfit, tip=tip)
+    task = CastTask(Model(String(LENGTH_M), arm, camera), None, (), large)
+    errors = tip_errors(task, far, samples)
+    before, after = errors[:, 49], errors[:, -1]
+    np.testing.assert_allclose(before, samples.tip_error, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(after, 3 * samples.tip_error, rtol=1e-3, atol=1e-5)
 
 
 def test_only_what_the_hand_did_until_now_makes_motions_differ(arm, misfit):
