@@ -15,11 +15,8 @@ import numpy as np
 
 from stringcast.stages.diagnose.candidate_comparison import (
     SelectionStep,
-    by_evidence,
     compare_candidates,
-    fit_roughly,
 )
-from stringcast.stages.diagnose.common_data import fit_to_common_data
 from stringcast.stages.diagnose.confirmation import (
     drop_unconfirmed_causes,
     reason_if_small,
@@ -27,7 +24,6 @@ from stringcast.stages.diagnose.confirmation import (
 from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.rules import (
     NEGLIGIBLE_LOG_EVIDENCE,
-    STRONG_LOG_EVIDENCE,
     Criteria,
     has_evidence,
     is_evident,
@@ -39,7 +35,7 @@ from stringcast.stages.diagnose.selection_state import (
     drop_redundant_causes,
     with_fit,
 )
-from stringcast.stages.inference.laplace import Fit, evaluate_fit
+from stringcast.stages.inference.laplace import evaluate_fit
 from stringcast.stages.model.effect import Effect
 
 log = logging.getLogger(__name__)
@@ -70,7 +66,6 @@ def select_causes(
             break
         state = add_cause(state, step.best, criteria, rng, starts)
         state = drop_redundant_causes(state, step.best, criteria)
-        state = exchange_causes_for_rivals(state)
         name = step.best.hypothesis.cause_names[-1]
         gain = step.best.log_evidence - step.parent.log_evidence
         log.info("accepted: %s, log evidence %+.1f", name, gain)
@@ -143,48 +138,3 @@ def _set_aside_if_small(
         return state
     name = best.hypothesis.cause_names[-1]
     return replace(state, set_aside={**state.set_aside, name: reason})
-
-
-def exchange_causes_for_rivals(state: SelectionState) -> SelectionState:
-    """Replace causes by close rivals if these go better with the later causes.
-
-    As sequential replacement does in the selection of variables (Miller, Subset
-    Selection in Regression, 2002, section 3.3). Rivals that are about as evident when
-    one of them is accepted may differ by a hundred once another cause is there.
-    """
-    for step in state.steps[:-1]:
-        causes = state.fit.hypothesis.causes
-        close = [
-            fit
-            for fit in step.compared
-            if fit.log_evidence > step.compared[0].log_evidence - STRONG_LOG_EVIDENCE
-        ]
-        present = [fit for fit in close if fit.hypothesis.causes[-1] in causes]
-        absent = [fit for fit in close if fit.hypothesis.causes[-1] not in causes]
-        if len(present) == 1:
-            cause = present[0].hypothesis.causes[-1]
-            state = _exchange_for_best(state, cause, absent)
-    return state
-
-
-def _exchange_for_best(
-    state: SelectionState, cause: type[Effect], rivals: Sequence[Fit]
-) -> SelectionState:
-    """Replace a cause by that of the rival with most evidence, if that exceeds its."""
-    if not rivals:
-        return state
-    others = state.fit.hypothesis.without_cause(cause)
-    fits = [state.fit]
-    for rival in rivals:
-        hypothesis = others.with_cause(rival.hypothesis.causes[-1])
-        start = hypothesis.exponents_from(rival.exponents | state.fit.exponents)
-        fit = fit_roughly(state.prepared.data, hypothesis, start[None], state.fit)
-        fits.append(fit)
-    before, *compared = fit_to_common_data(state.prepared, fits)
-    best = by_evidence(compared)[0]
-    gain = best.log_evidence - before.log_evidence
-    if gain < NEGLIGIBLE_LOG_EVIDENCE:
-        return state
-    other = best.hypothesis.causes[-1]
-    log.info("%s instead of %s: log evidence %+.1f", other.name, cause.name, gain)
-    return with_fit(state, best)

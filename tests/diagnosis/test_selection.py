@@ -255,60 +255,6 @@ def test_a_small_cause_does_not_hide_a_larger_one(
     assert state.set_aside == {"offset": small} | unconfirmed
 
 
-@pytest.mark.parametrize(
-    ("evidence", "causes"),
-    [
-        (360.0, ("clamp", "softening", "set")),
-        (300.5, ("clamp", "camera", "softening")),  # it gains a trifle
-    ],
-)
-def test_a_cause_gives_way_to_a_close_rival_that_goes_better_with_later_causes(
-    evidence, causes, monkeypatch
-):
-    """A turned camera led the set of a strip by 0.1, until softening was found."""
-    effects = {}
-    for name in ("clamp", "camera", "set", "tilt", "softening"):
-        effects[name] = SimpleNamespace(name=name)
-    clamp, camera, strip_set, tilt, softening = effects.values()
-    tried = []
-
-    def named(*causes, log_evidence=300.0):
-        hypothesis = Hypothesis(None, causes)
-        return SimpleNamespace(
-            hypothesis=hypothesis, log_evidence=log_evidence, exponents={}
-        )
-
-    def compare(prepared, fits):
-        tried.extend(fit.hypothesis.causes[-1].name for fit in fits[1:])
-        rivals = [
-            named(*fit.hypothesis.causes, log_evidence=evidence) for fit in fits[1:]
-        ]
-        return [fits[0], *rivals]
-
-    monkeypatch.setattr(
-        forward_selection,
-        "fit_roughly",
-        lambda data, hypothesis, starts, before: named(*hypothesis.causes),
-    )
-    monkeypatch.setattr(forward_selection, "fit_to_common_data", compare)
-    monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
-    monkeypatch.setattr(Hypothesis, "exponents_from", lambda self, known: np.zeros(1))
-    rivals = [
-        named(clamp, camera, log_evidence=200.0),
-        named(clamp, strip_set, log_evidence=199.9),
-        named(clamp, tilt, log_evidence=120.0),  # not close
-    ]
-    steps = []
-    for fits in ([named(clamp)], rivals, [named(clamp, camera, softening)]):
-        steps.append(SelectionStep(None, None, (), fits, fits, accepted=True))
-    state = SelectionState(
-        SimpleNamespace(data=None), named(clamp, camera, softening), steps
-    )
-    state = forward_selection.exchange_causes_for_rivals(state)
-    assert state.fit.hypothesis.cause_names == causes
-    assert tried == ["set"]
-
-
 def test_a_cause_that_comes_in_is_no_longer_set_aside(monkeypatch):
     """Dry friction in a cable was named, and set aside in the same answer."""
     slip, offset = SimpleNamespace(name="slip"), SimpleNamespace(name="offset")
