@@ -121,6 +121,12 @@ def pytest_sessionfinish(session, exitstatus):
 
 
 @pytest.fixture
+def no_wait_for_disk(monkeypatch):
+    """Skip waiting for the disk. Power cuts are tested in tests/store."""
+    monkeypatch.setattr(os, "fsync", lambda handle: None)
+
+
+@pytest.fixture
 def plugin(tmp_path, monkeypatch):
     """Return the empty folder of a plugin that this person has named."""
     folder = tmp_path / "my_lab"

@@ -11,7 +11,7 @@ from stringcast.pipeline.run.provenance import software_versions
 from stringcast.pipeline.settings.setting_comments import setting_units
 from stringcast.pipeline.sweep.ledger import DONE_STATE, Job, Ledger
 from stringcast.pipeline.sweep.table import SWEEP_TABLE, setting_columns, sweep_table
-from stringcast.stages.report.formatting import flatten_settings
+from stringcast.stages.report.formatting import setting_texts
 from stringcast.stages.report.pages.sweep import sweep_page
 from stringcast.stages.report.records import SweepRecord
 
@@ -46,7 +46,7 @@ def finish(folder: Path) -> list[Job]:
 
 def common_settings(jobs: Sequence[Job]) -> Mapping[str, Any]:
     """Return the settings that all jobs share, by their names on the command line."""
-    first, *others = [dict(flatten_settings(job.settings)) for job in jobs]
+    first, *others = [dict(setting_texts(job.settings)) for job in jobs]
     common = {}
     for name, value in first.items():
         if all(settings.get(name) == value for settings in others):

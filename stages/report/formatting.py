@@ -158,13 +158,13 @@ def unit_markup(text: str) -> Markup:
 
 
 # --- what a run says
-def flatten_settings(
+def setting_texts(
     block: Mapping[str, Any], prefix: str = ""
 ) -> Iterator[tuple[str, str]]:
     """List settings in nested blocks by the names they have on the command line."""
     for name, value in sorted(block.items()):
         if isinstance(value, Mapping) and value:
-            yield from flatten_settings(value, f"{prefix}{name}.")
+            yield from setting_texts(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", "null" if value is None else str(value)
 

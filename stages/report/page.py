@@ -393,7 +393,7 @@ class Page:
     @property
     def source(self) -> str:
         """Whether its data are simulated or of devices; empty if that is not known."""
-        settings = dict(formatting.flatten_settings(self.settings))
+        settings = dict(formatting.setting_texts(self.settings))
         trials = settings.get("trials", "null")
         if trials != "null":
             return f"stored trials of {trials}"
@@ -480,7 +480,7 @@ def table_card(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Card:
 def settings_table(settings: Mapping[str, Any]) -> TableView:
     """List settings by their names on the command line."""
     rows = []
-    for name, value in formatting.flatten_settings(settings):
+    for name, value in formatting.setting_texts(settings):
         rows.append((name, Cell(value, "code")))
     return name_value_table(rows)
 

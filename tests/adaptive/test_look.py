@@ -1,7 +1,6 @@
 """A slow trial before the first cast shows the string; the first cast is planned with it."""
 
 import json
-import os
 from dataclasses import replace
 
 import pandas as pd
@@ -19,6 +18,7 @@ from tests.faults.toy import (
     toy_run,
 )
 
+pytestmark = pytest.mark.usefixtures("no_wait_for_disk")
 TRIAL = ["execute", "extract", "estimate"]
 PLANNED_WITH = []  # earlier motion and estimate of each plan
 
@@ -41,11 +41,6 @@ def looking(casts=2, **stages):
     here = toy_experiment(casts, look="excite")
     known = {"excite": excite, "generate": generate}
     return replace(here, stages={**here.stages, **known, **stages})
-
-
-@pytest.fixture(autouse=True)
-def _in_memory(monkeypatch):
-    monkeypatch.setattr(os, "fsync", lambda handle: None)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
 """The loop of casts, surprise and explanation survives a kill, and can be verified."""
 
 import json
-import os
 from dataclasses import replace
 
 import pandas as pd
@@ -27,6 +26,7 @@ from tests.faults.toy import (
     toy_run,
 )
 
+pytestmark = pytest.mark.usefixtures("no_wait_for_disk")
 LOOP = Cast(("generate", "execute", "extract", "surprise", "estimate", "explain"))
 EARLIER = []  # explanation of the casts before, of each call
 
@@ -58,11 +58,6 @@ def explain(
 def adaptive(**stages):
     here = toy_experiment(2, mode=LOOP)
     return replace(here, stages={**here.stages, "explain": explain, **stages})
-
-
-@pytest.fixture(autouse=True)
-def _in_memory(monkeypatch):
-    monkeypatch.setattr(os, "fsync", lambda handle: None)
 
 
 @pytest.fixture(scope="module")

@@ -22,6 +22,7 @@ from tests.faults.kills import Forked, rounds
 from tests.faults.strike import KINDS, STEPS, Faults, Killed, strike
 from tests.faults.toy import ROOT, contents, toy_experiment, toy_run
 
+pytestmark = pytest.mark.usefixtures("no_wait_for_disk")
 CLOCKS = {
     "time",
     "time_ns",
@@ -34,15 +35,6 @@ CLOCKS = {
     "getmtime",
     "getctime",
 }
-
-
-@pytest.fixture(autouse=True)
-def _in_memory(monkeypatch):
-    """Skip waiting for the disk.
-
-    Power cuts are tested in tests/store.
-    """
-    monkeypatch.setattr(os, "fsync", lambda handle: None)
 
 
 @pytest.fixture(scope="module")
