@@ -35,6 +35,8 @@ from stringcast.stages.model.effect import Effect
 
 log = logging.getLogger(__name__)
 
+TOO_FEW_TRIALS = "two trials are too few to confirm it, and misfit remains"
+
 
 def drop_unconfirmed_causes(
     state: SelectionState,
@@ -43,21 +45,28 @@ def drop_unconfirmed_causes(
 ) -> SelectionState:
     """Set aside causes that trials left out do not confirm, the last one first.
 
+    They leave the fit, but for those that two trials are too few to confirm: without
+    these, the others would stand for what they do.
+
     candidates: number of effects that share the prior probability of one being active.
     """
     state = _set_aside_small_causes(state, criteria)
-    for cause in reversed(state.large_causes):
+    for cause in reversed(state.nameable_causes):
         hypothesis = state.fit.hypothesis.without_cause(cause)
         without = replace(state, fit=refit(state.prepared.data, state.fit, hypothesis))
         reason = _reason_to_set_aside(state, without, cause, criteria, candidates)
-        if reason:
-            log.info("%s is set aside: %s", cause.name, reason)
-            reasons = {**state.set_aside, cause.name: reason}
+        if not reason:
+            continue
+        log.info("%s is set aside: %s", cause.name, reason)
+        reasons = {**state.set_aside, cause.name: reason}
+        if reason == TOO_FEW_TRIALS:
+            state = replace(state, unnamed=(*state.unnamed, cause), set_aside=reasons)
+        else:
             state = replace(with_fit(state, without.fit), set_aside=reasons)
-    if state.small and not state.large_causes:
+    if state.unnamed and not state.nameable_causes:
         base = Hypothesis(state.fit.hypothesis.base)
         fit = refit(state.prepared.data, state.fit, base)
-        state = replace(with_fit(state, fit), small=())
+        state = replace(with_fit(state, fit), unnamed=())
     return state
 
 
@@ -68,7 +77,7 @@ def _set_aside_small_causes(
     data = state.prepared.data
     reasons = dict(state.set_aside)
     small = []
-    for cause in state.small:
+    for cause in state.unnamed:
         if cause not in state.fit.hypothesis.causes:
             continue
         hypothesis = state.fit.hypothesis.without_cause(cause)
@@ -77,7 +86,7 @@ def _set_aside_small_causes(
         if reason:
             reasons[cause.name] = reason
             small.append(cause)
-    return replace(state, set_aside=reasons, small=tuple(small))
+    return replace(state, set_aside=reasons, unnamed=tuple(small))
 
 
 def _reason_to_set_aside(
@@ -123,7 +132,7 @@ def _reason_for_no_agreement(trials: int, acts_alone: bool) -> str:
     if acts_alone:
         return "it acts in one trial, which no other confirms, and misfit remains"
     if trials == 2:
-        return "two trials are too few to confirm it, and misfit remains"
+        return TOO_FEW_TRIALS
     return "the trials do not agree on it"
 
 

@@ -53,7 +53,7 @@ def select_causes(
     Yields the state after each cause, and at the end the state without causes that
     trials left out do not confirm.
     """
-    for number in range(len(state.large_causes), criteria.max_causes):
+    for number in range(len(state.nameable_causes), criteria.max_causes):
         rng = np.random.default_rng([seed, number])
         state = _add_step(state, effects, criteria, seed)
         if _hides_others(state, criteria):
@@ -120,7 +120,7 @@ def _add_small_cause(
     cause = best.hypothesis.causes[-1]
     log.info("%s is small; others are sought in addition to it", cause.name)
     state = add_cause(state, best, criteria, rng, starts)
-    return replace(state, small=(*state.small, cause))
+    return replace(state, unnamed=(*state.unnamed, cause))
 
 
 def _set_aside_if_small(

@@ -211,10 +211,10 @@ def _single_effect_posteriors(
 ) -> Iterator[SingleEffectPosterior]:
     """Compute the posterior of each place, the last one first.
 
-    The last cause is most often a look-alike of another. Small causes, which are not
-    named, have none. If there is no cause, the posterior is of what was not accepted.
+    The last cause is most often a look-alike of another. Causes that are not to be
+    named have none. If there is no cause, the posterior is of what was not accepted.
     """
-    causes = state.large_causes
+    causes = state.nameable_causes
     weights = bootstrap_weights(len(state.prepared.data.trials), seed)
     steps: Iterable[SelectionStep] = state.steps[-1:]
     if causes:

@@ -57,22 +57,22 @@ class SelectionState:
         The choices on the way; the last one may have accepted nothing.
     set_aside : dict
         Causes that were accepted and then dropped, with the reason.
-    small : tuple of type of Effect
-        Causes in the fit that move the tip too little to be named. They stay, as the
-        values of others depend on them.
+    unnamed : tuple of type of Effect
+        Causes in the fit that move the tip too little to be named, or that two trials
+        are too few to confirm. They stay, as the values of others depend on them.
     """
 
     prepared: PreparedData
     fit: Fit
     steps: Sequence[SelectionStep] = ()
     set_aside: Mapping[str, str] = field(default_factory=dict)
-    small: tuple[type[Effect], ...] = ()
+    unnamed: tuple[type[Effect], ...] = ()
 
     @property
-    def large_causes(self) -> list[type[Effect]]:
-        """The causes of the fit that are not small."""
+    def nameable_causes(self) -> list[type[Effect]]:
+        """The causes of the fit that may be named."""
         causes = self.fit.hypothesis.causes
-        return [cause for cause in causes if cause not in self.small]
+        return [cause for cause in causes if cause not in self.unnamed]
 
     @cached_property
     def predictions(self) -> list[TrialPrediction]:
@@ -178,7 +178,7 @@ def with_causes_found_before(
     start = hypothesis.exponents_from(known)
     fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.scale_indices)
     rng = np.random.default_rng(seed)
-    state = SelectionState(prepared, base, small=found.small)
+    state = SelectionState(prepared, base, unnamed=found.unnamed)
     return add_cause(state, fit, criteria, rng, starts)
 
 
@@ -194,7 +194,7 @@ def without_chaotic_trials(
         prepared.data, before.hypothesis, before.chi[None], scale_indices
     )
     refined = refine_fit(prepared, fit)
-    remaining = SelectionState(refined.prepared, refined.fit, small=state.small)
+    remaining = SelectionState(refined.prepared, refined.fit, unnamed=state.unnamed)
     return drop_redundant_causes(remaining, refined.fit, criteria)
 
 

@@ -175,6 +175,34 @@ def test_a_contact_in_one_trial_is_set_aside_if_misfit_remains(
 
 
 @pytest.mark.parametrize(
+    ("reasons", "remaining", "nameable"),
+    [
+        ({"slip": confirmation.TOO_FEW_TRIALS}, ["set", "slip"], ["set"]),
+        ({"slip": "the trials do not agree on it"}, ["set"], ["set"]),
+        (dict.fromkeys(("set", "slip"), confirmation.TOO_FEW_TRIALS), [], []),
+    ],
+)
+def test_a_cause_that_two_trials_are_too_few_to_confirm_stays_for_the_others(
+    reasons, remaining, nameable, monkeypatch
+):
+    """Without dry friction, a set and a turned grasp of a cable were as probable."""
+    monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
+    monkeypatch.setattr(confirmation, "refit", refit_stand_in)
+    monkeypatch.setattr(
+        confirmation,
+        "_reason_to_set_aside",
+        lambda state, without, cause, *given: reasons.get(cause.name, ""),
+    )
+    monkeypatch.setattr(confirmation, "Hypothesis", lambda base: fit_with().hypothesis)
+    causes = [SimpleNamespace(name=name) for name in ("set", "slip")]
+    state = SelectionState(SimpleNamespace(data=None), fit_with(*causes))
+    state = confirmation.drop_unconfirmed_causes(state, CRITERIA, 10)
+    assert [*state.fit.hypothesis.cause_names] == remaining
+    assert [cause.name for cause in state.nameable_causes] == nameable
+    assert state.set_aside == reasons
+
+
+@pytest.mark.parametrize(
     ("evidence", "shift_m", "reason"),
     [
         (50.0, 1.2e-3, "small: it moves the tip by 1.2 mm, less than the tolerance"),
@@ -249,7 +277,7 @@ def test_a_small_cause_does_not_hide_a_larger_one(
     state = SelectionState(SimpleNamespace(data=None), fit_with())
     *_, state = forward_selection.select_causes(state, (), CRITERIA, 0, 2)
     assert state.fit.hypothesis.cause_names == found
-    assert [cause.name for cause in state.large_causes] == list(found[1:])
+    assert [cause.name for cause in state.nameable_causes] == list(found[1:])
     small = "small: it moves the tip by 1.3 mm, less than the tolerance"
     unconfirmed = {"angle": reason} if reason else {}
     assert state.set_aside == {"offset": small} | unconfirmed
