@@ -46,7 +46,8 @@ def fit_to_common_data(
     rivals : sequence of Fit
         What is compared, such as hypotheses with and without a cause.
     fitted_before : sequence of Fit
-        On common data; rivals are also fitted from where these are.
+        On common data; rivals begin also where the best of these is, and not where the
+        best other rival is.
 
     Returns
     -------
