@@ -178,7 +178,8 @@ def with_causes_found_before(
     start = hypothesis.exponents_from(known)
     fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.scale_indices)
     rng = np.random.default_rng(seed)
-    state = SelectionState(prepared, base, unnamed=found.unnamed)
+    steps = _without_fits(found.steps, prepared.data)
+    state = SelectionState(prepared, base, steps, unnamed=found.unnamed)
     return add_cause(state, fit, criteria, rng, starts)
 
 
@@ -194,8 +195,22 @@ def without_chaotic_trials(
         prepared.data, before.hypothesis, before.chi[None], scale_indices
     )
     refined = refine_fit(prepared, fit)
-    remaining = SelectionState(refined.prepared, refined.fit, unnamed=state.unnamed)
+    steps = _without_fits(state.steps, refined.prepared.data)
+    remaining = SelectionState(
+        refined.prepared, refined.fit, steps, unnamed=state.unnamed
+    )
     return drop_redundant_causes(remaining, refined.fit, criteria)
+
+
+def _without_fits(
+    steps: Sequence[SelectionStep], data: TrialData
+) -> list[SelectionStep]:
+    """Keep what was proposed in steps; their fits were to other trials than these."""
+    kept = []
+    for step in steps:
+        parent = evaluate_fit(data, step.parent.hypothesis, step.parent.chi)
+        kept.append(SelectionStep(data, parent, step.proposals, fits=()))
+    return kept
 
 
 def drop_redundant_causes(

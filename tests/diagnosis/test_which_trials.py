@@ -1,5 +1,6 @@
 """Choice of the trials that are searched, and confirmation of what is found."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,16 +11,24 @@ from synthetic_trials import (
     diagnose_trials,
     simulate_trial,
     swing_angles,
+    true_exponents,
 )
 
-from stringcast.stages.diagnose import cause_search, held_out_gain
+from stringcast.stages.diagnose import cause_search, held_out_gain, selection_state
+from stringcast.stages.diagnose.candidate_comparison import SelectionStep
 from stringcast.stages.diagnose.discretisation import (
+    subtract_discretisation_error,
     unresolvable_trials,
     with_second_order_mesh,
 )
+from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.diagnose.settings import DiagnosisSettings
+from stringcast.stages.diagnose.tables import screening_table
 from stringcast.stages.diagnose.trials_by_use import TrialsByUse
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.laplace import evaluate_fit
+from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.library import effects_by_name
 
 
@@ -92,6 +101,35 @@ def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
     used, prepared, _ = settle(monkeypatch, prepare, select)
     assert kept == kept_each_time
     assert [*used.left_out] == rejected == [*prepared.chaotic_trials]
+
+
+def test_what_was_proposed_stays_known_without_a_chaotic_trial(arm):
+    """The page lists it. The fits of these steps were to a trial that is gone."""
+    hypothesis = Hypothesis(with_second_order_mesh(ordinary(arm)))
+    model = hypothesis.model
+    rng = np.random.default_rng(0)
+    trials = []
+    for k, angles in enumerate(swing_angles(arm, 3, 0.4)):
+        measured = simulate_trial(
+            f"t{k}", arm, model, TRUTH, angles, np.array([8, 14, 20]), rng
+        )
+        trial = prepare_trial(model, measured)
+        trials.append(replace(trial, sigma=np.full(len(trial.s), 1e-3)))
+    chi = true_exponents(hypothesis, TRUTH)
+    data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
+    fit = evaluate_fit(data, hypothesis, chi)
+    prepared = PreparedData(data, fit, tuple(trials), tuple(trials), 0, uncertainty_m)
+    proposals = (SimpleNamespace(effect=effects_by_name()["wind"], gain=50.0),)
+    steps = [SelectionStep(data, fit, proposals, [fit], accepted=True)]
+    state = SelectionState(prepared, fit, steps)
+    state = selection_state.without_chaotic_trials(state, ["t1"], CRITERIA)
+    assert [trial.name for trial in state.prepared.trials] == ["t0", "t2"]
+    assert state.prepared.chaotic_trials == ("t1",)
+    assert len(state.fit.residuals) == len(state.prepared.base_fit.residuals) == 2
+    (step,) = state.steps
+    assert step.proposals is proposals
+    assert (len(step.parent.residuals), step.fits) == (2, ())
+    assert len(screening_table(state)) == 1
 
 
 @pytest.mark.parametrize("returns", [False, True])
