@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from stringcast.stages.model.engine.law_slots import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+LABEL_CHARACTERS = 28  # of a line that is no longer than an axis is high
 
 # How far arguments go in a fast cast of a soft string, by unit; stretch has none.
 ARGUMENT_RANGES = {
@@ -37,7 +40,7 @@ def draw_line(axes: Axes, x: np.ndarray, y: np.ndarray, across: str, up: str) ->
     axes.plot(x, np.broadcast_to(y, np.shape(x)))
     axes.axhline(0.0, linewidth=0.5, color="0.6")
     axes.set_xlabel(across)
-    axes.set_ylabel(up)
+    axes.set_ylabel(fill(up, LABEL_CHARACTERS))
 
 
 def draw_law(
