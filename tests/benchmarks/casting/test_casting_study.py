@@ -195,10 +195,10 @@ def test_a_reference_simulator_hides_its_causes_in_each_case():
 def test_a_reference_simulator_moves_the_string_of_the_lab(arm, camera):
     """Without a cause it agrees with the lab, whose string is A; with one it differs."""
     lab = VirtualBench(arm, camera, specimen("A"), seed=3)
-    device, motion = VirtualArm(lab), swing(duration=0.25)
+    device, motion = VirtualArm(lab), swing()
     device.move_to(motion.commands[list(JOINTS)].iloc[0].tolist())
     device.perform(motion.commands)
-    t = np.arange(0, 0.25, 0.01)
+    t = np.arange(0, 0.5, 0.01)
     plain = World("nodal", {}).replace_string(lab)
     apart = np.linalg.norm(plain.string_at(t) - lab.string_at(t), axis=-1)
     assert apart.max() < 2e-3
