@@ -208,7 +208,8 @@ def _without_fits(
     """Keep what was proposed in steps; their fits were to other trials than these."""
     kept = []
     for step in steps:
-        parent = evaluate_fit(data, step.parent.hypothesis, step.parent.chi)
+        before = step.parent
+        parent = evaluate_fit(data, before.hypothesis, before.chi, before.width)
         kept.append(SelectionStep(data, parent, step.proposals, fits=()))
     return kept
 
