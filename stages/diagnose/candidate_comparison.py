@@ -269,12 +269,11 @@ def _compare_rivals(
     least_evidence = _least_evidence(step.fits, step.parent, criteria)
     count = sum(fit.log_evidence > least_evidence for fit in step.fits[:MAX_RIVALS])
     parent, *compared = fit_to_common_data(prepared, [step.parent, *step.fits[:count]])
+    resolved: list[Fit] = []
+    unresolved: list[Fit] = []
     is_overtaken = True
     while is_overtaken:
-        compared = _catch_up_with_parent(prepared, parent, compared)
-        resolved: list[Fit] = []
-        unresolved: list[Fit] = []
-        for fit in compared:
+        for fit in _catch_up_with_parent(prepared, parent, compared):
             is_enough = _resolves_enough(prepared, step, fit, criteria, is_contested)
             (resolved if is_enough else unresolved).append(fit)
         resolved = rank_rivals(parent, resolved, criteria)
@@ -282,8 +281,8 @@ def _compare_rivals(
         others = _shift_evidence(step.fits[count:], shift)
         is_overtaken = _is_overtaken(parent, resolved, others, criteria)
         if is_overtaken:
-            fits = [step.fits[count]]
-            compared += fit_to_common_data(prepared, fits, [parent, *compared])
+            before = [parent, *resolved, *unresolved]
+            compared = fit_to_common_data(prepared, [step.fits[count]], before)
             count += 1
 
     for fit in [*resolved, *unresolved]:
