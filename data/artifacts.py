@@ -136,6 +136,11 @@ class Motion:
         """The movement time T [s]."""
         return float(self.outcome["duration"].iloc[0])
 
+    @property
+    def is_cast(self) -> bool:
+        """Whether it throws the tip at a target, along curves with control points."""
+        return not self.control_points.empty
+
 
 # --- trial
 ARM = Table(

@@ -122,8 +122,8 @@ def run(call: StageCall, motion: Motion | None, estimate: Estimate | None) -> Mo
     """Generate a motion from what was cast and estimated before, as a stage."""
     setup = call.setup
     model = setup.model
-    if motion is not None and motion.control_points.empty:
-        motion = None  # of a look at the string, which no cast resembles
+    if motion is not None and not motion.is_cast:
+        motion = None  # no cast resembles a look
     if estimate is not None:  # which may have found causes
         model = extend_model(model, estimate.values())
     task = (model, setup.target, setup.obstacles)
