@@ -75,6 +75,65 @@ class CastOutcome:
         return np.asarray(np.mean(worth / (1 + self.distance**2), axis=1))
 
 
+@dataclass(frozen=True)
+class SimulatedMotions:
+    """M motions that were simulated under K samples in turn.
+
+    Parameters
+    ----------
+    curves : the motions
+    samples : the samples
+    angles : (M K, T, J) joint angles at the ticks [rad]
+    points : (M K, T, n, 2) points of the string at the ticks [m]
+    """
+
+    curves: Curves
+    samples: UncertaintySamples
+    angles: np.ndarray
+    points: np.ndarray
+
+    def judge(self, task: CastTask) -> CastOutcome:
+        """Judge how near they come to the target of a task, clear of its obstacles."""
+        shape = (len(self.curves.duration), len(self.samples))
+        end = (self.curves.duration[:, None] - self.samples.lag).ravel()
+        times = np.arange(self.points.shape[1]) * task.model.arm.tick
+        moving = times <= end[:, None] + 1e-9
+        path = midpoint_tip_path(self.points[:, :, -1])
+        finite = np.isfinite(path).all(axis=(1, 2))
+
+        arm_touches, string_touches = _contact_ticks(task, self.angles, self.points)
+        arm_touches &= moving
+        string_touches &= moving
+        free = ~np.logical_or.accumulate(arm_touches | string_touches, axis=1) & moving
+        free_share = free.sum(axis=1) / moving.sum(axis=1)
+        counts = free[:, 1:].repeat(2, axis=1)  # segments of the path, two to a tick
+
+        # nearest point of each segment to the centre, in half widths and half heights
+        target = task.target
+        scaled = (path - target.centre) / target.half_size
+        start = scaled[:, :-1]
+        segment = np.diff(scaled, axis=1)
+        square = np.sum(segment**2, axis=-1)
+        product = np.sum(start * segment, axis=-1)
+        share = np.clip(-product / np.maximum(square, 1e-300), 0, 1)
+        nearest = start + share[..., None] * segment
+        distance = np.hypot(nearest[..., 0], nearest[..., 1])
+        half_tick = task.model.arm.tick / 2
+        velocity = np.diff(path, axis=1) / half_tick
+        arrival_error = target.arrival_error(velocity)
+        distance = np.hypot(distance, arrival_error)
+        least = np.where(counts, distance, np.inf).min(axis=1)
+
+        hit = finite & ~arm_touches.any(axis=1) & (least <= FARTHEST_HIT)
+        entered = target.is_crossed_along(path[hit]) & (arrival_error[hit] <= 1)
+        hit[hit] = (entered & counts[hit]).any(axis=1)
+        return CastOutcome(
+            np.where(finite, least, np.inf).reshape(shape),
+            free_share.reshape(shape),
+            hit.reshape(shape),
+        )
+
+
 def predict_outcome(
     task: CastTask, curves: Curves, samples: UncertaintySamples
 ) -> CastOutcome:
@@ -102,7 +161,8 @@ def predict_outcome(
     order = np.argsort(curves.duration, kind="stable")
     batches = min(math.ceil(motions * len(samples) / BATCH_SIZE), motions)
     for batch in np.array_split(order, batches):
-        part = _predict_batch(task, curves.select(batch), samples)
+        some = curves.select(batch)
+        part = simulate_motions(task, some, samples).judge(task)
         outcome.distance[batch] = part.distance
         outcome.free_share[batch] = part.free_share
         outcome.hit[batch] = part.hit
@@ -111,7 +171,7 @@ def predict_outcome(
 
 def simulate_motions(
     task: CastTask, curves: Curves, samples: UncertaintySamples
-) -> tuple[np.ndarray, np.ndarray]:
+) -> SimulatedMotions:
     """Simulate each motion under all samples in turn.
 
     The simulation's error grows along the string to its value at the tip.
@@ -124,41 +184,16 @@ def simulate_motions(
         M motions.
     samples : UncertaintySamples
         K samples of the uncertain quantities.
-
-    Returns
-    -------
-    angles : (M K, T, J) array
-        Joint angles at the ticks [rad].
-    points : (M K, T, n, 2) array
-        Points of the string at the ticks [m].
     """
-    angles, points = _simulate_without_error(task.model, curves, samples)
-    _add_error(task, curves, samples, points, 0)
-    return angles, points
-
-
-def _simulate_without_error(
-    model: Model, curves: Curves, samples: UncertaintySamples
-) -> tuple[np.ndarray, np.ndarray]:
-    """Simulate each motion under all samples in turn, as `simulate_motions`."""
-    repeated = samples.select(np.tile(np.arange(len(samples)), len(curves.duration)))
+    model = task.model
     motion = sample_joint_motions(model, curves, samples)
     times = np.arange(motion.angles.shape[1]) * model.arm.tick
+    repeated = samples.select(np.tile(np.arange(len(samples)), len(curves.duration)))
     points = model.simulate_string(motion, repeated.values, times).points
-    return motion.angles, points
-
-
-def _add_error(
-    task: CastTask,
-    curves: Curves,
-    samples: UncertaintySamples,
-    points: np.ndarray,
-    first: int,
-) -> None:
-    """Add the simulation's error to points (M K, T, n, 2) from the first one on."""
-    share = task.model.string.arc_lengths()[first:] / task.model.string.length
+    share = model.string.arc_lengths() / model.string.length
     errors = tip_errors(task, curves, samples)
-    points[:, :, first:] += share[:, None] * errors[:, :, None]
+    points += share[:, None] * errors[:, :, None]
+    return SimulatedMotions(curves, samples, motion.angles, points)
 
 
 def tip_errors(
@@ -170,16 +205,16 @@ def tip_errors(
     more of the error is random: of a motion unlike it as much as the misfit is large. T
     is the number of ticks, or 1 for constant errors.
     """
-    count = len(curves.duration)
-    random = np.tile(samples.tip_error, (count, 1))[:, None]
+    normal = samples.tip_normal[:, None]  # (K, 1, 2)
     if task.misfit is None:
-        return random
+        return np.tile(samples.tip_sigma * normal, (len(curves.duration), 1, 1))
     correlation = task.misfit.correlation(curves, float(curves.duration.max()))
     repeated = correlation[..., None] * task.misfit.tip_at_ticks(correlation.shape[1])
-    growth = task.misfit.growth_at_ticks(correlation.shape[1])
-    spread = (growth * np.sqrt(1 - correlation**2))[..., None]
-    number = np.arange(count).repeat(len(samples))
-    return np.asarray(repeated[number] + spread[number] * random)
+    sigma = task.misfit.sigma_at_ticks(correlation.shape[1])
+    sigma = np.maximum(sigma, samples.tip_sigma)  # (T,)
+    spread = sigma * np.sqrt(1 - correlation**2)  # (M, T)
+    errors = repeated[:, None] + spread[:, None, :, None] * normal  # (M, K, T, 2)
+    return np.asarray(errors.reshape(-1, *errors.shape[2:]))
 
 
 def sample_joint_motions(
@@ -214,75 +249,6 @@ def predict_reported_tips(
         tips[number] = CubicSpline(times, tips[number])(delayed)
     tips[~np.isfinite(points).all(axis=(1, 2, 3))] = np.nan
     return times, tips + tip_errors(task, curve, samples)
-
-
-def _predict_batch(
-    task: CastTask, curves: Curves, samples: UncertaintySamples
-) -> CastOutcome:
-    """Simulate all motions under all samples at once."""
-    return judge_motions(
-        task, curves, samples, *simulate_motions(task, curves, samples)
-    )
-
-
-def judge_motions(
-    task: CastTask,
-    curves: Curves,
-    samples: UncertaintySamples,
-    angles: np.ndarray,
-    points: np.ndarray,
-) -> CastOutcome:
-    """Judge how near M simulated motions come to the target under K samples.
-
-    Parameters
-    ----------
-    task : CastTask
-        Target and obstacles.
-    curves : Curves
-        The motions.
-    samples : UncertaintySamples
-        The samples.
-    angles, points : array
-        As `simulate_motions` returns them.
-    """
-    shape = (len(curves.duration), len(samples))
-    end = (curves.duration[:, None] - samples.lag).ravel()
-    times = np.arange(points.shape[1]) * task.model.arm.tick
-    moving = times <= end[:, None] + 1e-9
-    path = midpoint_tip_path(points[:, :, -1])
-    finite = np.isfinite(path).all(axis=(1, 2))
-
-    arm_touches, string_touches = _contact_ticks(task, angles, points)
-    arm_touches &= moving
-    string_touches &= moving
-    free = ~np.logical_or.accumulate(arm_touches | string_touches, axis=1) & moving
-    free_share = free.sum(axis=1) / moving.sum(axis=1)
-    counts = free[:, 1:].repeat(2, axis=1)  # segments of the path, two to a tick
-
-    # nearest point of each segment to the centre, in half widths and half heights
-    target = task.target
-    scaled = (path - target.centre) / target.half_size
-    start = scaled[:, :-1]
-    segment = np.diff(scaled, axis=1)
-    square = np.sum(segment**2, axis=-1)
-    product = np.sum(start * segment, axis=-1)
-    share = np.clip(-product / np.maximum(square, 1e-300), 0, 1)
-    nearest = start + share[..., None] * segment
-    distance = np.hypot(nearest[..., 0], nearest[..., 1])
-    half_tick = task.model.arm.tick / 2
-    velocity = np.diff(path, axis=1) / half_tick
-    arrival_error = target.arrival_error(velocity)
-    distance = np.hypot(distance, arrival_error)
-    least = np.where(counts, distance, np.inf).min(axis=1)
-
-    hit = finite & ~arm_touches.any(axis=1) & (least <= FARTHEST_HIT)
-    entered = target.is_crossed_along(path[hit]) & (arrival_error[hit] <= 1)
-    hit[hit] = (entered & counts[hit]).any(axis=1)
-    return CastOutcome(
-        np.where(finite, least, np.inf).reshape(shape),
-        free_share.reshape(shape),
-        hit.reshape(shape),
-    )
 
 
 def midpoint_tip_path(tip: np.ndarray) -> np.ndarray:

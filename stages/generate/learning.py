@@ -11,9 +11,10 @@ chapter 10.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from stringcast.stages.common import rms
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.hit_probability import (
     CastTask,
@@ -52,13 +53,13 @@ def predictive_sd(
         Standard deviation of the tip [m]; infinite for a motion on which a simulation
         fails.
     """
-    sigma = max(MIN_SIGMA_M, rms(samples.tip_error))
+    sigma = max(MIN_SIGMA_M, samples.tip_sigma)
     # the string alone: with few samples, chance would look like an effect of the string
-    strings = UncertaintySamples(
-        samples.values,
-        0 * samples.amplitude,
-        0 * samples.lag,
-        0 * samples.tip_error,
+    strings = replace(
+        samples,
+        amplitude=0 * samples.amplitude,
+        lag=0 * samples.lag,
+        tip_normal=0 * samples.tip_normal,
     )
     chi = parameter_exponents(task.model.parameters, samples.values)
     # (K, P), of the parameters that vary
@@ -69,7 +70,7 @@ def predictive_sd(
 
     # each sample's tip (K, 2) [m] when the typical one is nearest to the target
     interesting = curves.select(np.array([interest]))
-    _, points = simulate_motions(task, interesting, strings)
+    points = simulate_motions(task, interesting, strings).points
     path = midpoint_tip_path(points[:, :, -1])
     distance = task.target.distance_to_centre(path)
     typical = np.argsort(distance.min(axis=1), kind="stable")[len(path) // 2]
@@ -78,7 +79,7 @@ def predictive_sd(
     result = np.full(len(curves.duration), np.inf)
     for number in range(len(curves.duration)):
         motion = curves.select(np.array([number]))
-        _, points = simulate_motions(task, motion, strings)
+        points = simulate_motions(task, motion, strings).points
         if np.isfinite(points).all():
             from_tip = points[:, ::TICK_STRIDE, ::-1]
             observed = from_tip[:, :, :: points.shape[2] // OBSERVED_PLACES]

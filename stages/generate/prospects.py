@@ -7,7 +7,7 @@ the way of a motion that was tried; a plan for that box may do better.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -15,9 +15,8 @@ import pandas as pd
 from stringcast.stages.common import MM_PER_M
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.hit_probability import (
-    CastOutcome,
     CastTask,
-    judge_motions,
+    SimulatedMotions,
     predict_outcome,
     simulate_motions,
 )
@@ -36,29 +35,6 @@ REASONS = {
     ARM: "no motion found within the arm's limits brings most of the likely strings "
     "there",
 }
-
-
-@dataclass(frozen=True)
-class SimulatedMotion:
-    """A motion that was simulated under K samples, as `simulate_motions` returns it.
-
-    Parameters
-    ----------
-    curve : the motion
-    samples : the samples
-    angles : (K, T, J) joint angles at the ticks [rad]
-    points : (K, T, n, 2) points of the string at the ticks [m]
-    """
-
-    curve: Curves
-    samples: UncertaintySamples
-    angles: np.ndarray
-    points: np.ndarray
-
-    def judge(self, task: CastTask) -> CastOutcome:
-        """Judge how near it comes to the target of a task, (1, K)."""
-        simulated = self.angles, self.points
-        return judge_motions(task, self.curve, self.samples, *simulated)
 
 
 def find_prospects(
@@ -88,9 +64,8 @@ def find_prospects(
     """
     motions = []
     for number in range(len(candidates.duration)):
-        curve = candidates.select(np.array([number]))
-        simulated = simulate_motions(task, curve, samples)
-        motions.append(SimulatedMotion(curve, samples, *simulated))
+        candidate = candidates.select(np.array([number]))
+        motions.append(simulate_motions(task, candidate, samples))
     outcome = motions[chosen].judge(task)
     misses = ~outcome.hit[0]
     touched = misses & (outcome.free_share[0] < 1)
@@ -104,7 +79,7 @@ def find_prospects(
 
     for motion, box in likely_boxes(task, motions):
         moved = replace(task, target=box)
-        hits = predict_outcome(moved, motion.curve, validation).hit
+        hits = predict_outcome(moved, motion.curves, validation).hit
         if hits.mean() >= LIKELY_HIT:
             prospects["likely_x"], prospects["likely_y"] = box.x, box.y
             prospects["likely_chance"] = float(hits.mean())
@@ -118,8 +93,8 @@ def find_prospects(
 
 
 def likely_boxes(
-    task: CastTask, motions: Sequence[SimulatedMotion]
-) -> Iterator[tuple[SimulatedMotion, Target]]:
+    task: CastTask, motions: Sequence[SimulatedMotions]
+) -> Iterator[tuple[SimulatedMotions, Target]]:
     """Yield boxes that one of several motions is likely to hit, and the motion.
 
     Boxes lie around the typical tip at ticks at which the tips of many samples are near

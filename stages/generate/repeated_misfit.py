@@ -33,7 +33,6 @@ class RepeatedMisfit:
     times : (T,) [s]
     tip : (T, 2) measured less simulated tip at these times [m]
     similarity : distance of two paths of the hand at which misfits are still alike [m]
-    model_error : error of the model on other motions, one sigma of a coordinate [m]
     """
 
     arm: Arm
@@ -41,7 +40,6 @@ class RepeatedMisfit:
     times: np.ndarray
     tip: np.ndarray
     similarity: float
-    model_error: float
 
     def correlation(self, curves: Curves, until: float) -> np.ndarray:
         """Compute how alike the misfits of M motions are to the last, (M, K) at ticks.
@@ -70,15 +68,14 @@ class RepeatedMisfit:
         parts = [np.interp(ticks, self.times, part) for part in self.tip.T]
         return np.stack(parts, axis=-1)
 
-    def growth_at_ticks(self, count: int) -> np.ndarray:
-        """Return how much larger than the model's error misfits are at ticks, (K,).
+    def sigma_at_ticks(self, count: int) -> np.ndarray:
+        """Return the largest misfit until each tick, as a coordinate's sigma, (K,) [m].
 
-        The largest misfit until now says so, where it is larger: the model's error is a
-        mean over all trials and over the string, which hardly moves near the hand.
+        The residual of an estimate is a mean over all trials and over the string, which
+        hardly moves near the hand. The tip may be off by more.
         """
         sizes = np.hypot(*self.tip_at_ticks(count).T)
-        sigmas = np.maximum.accumulate(sizes) / np.sqrt(2)  # of one coordinate
-        return np.asarray(np.maximum(sigmas / max(self.model_error, 1e-12), 1.0))
+        return np.asarray(np.maximum.accumulate(sizes) / np.sqrt(2))
 
 
 def hand_paths(arm: Arm, curves: Curves, until: float) -> np.ndarray:
@@ -116,8 +113,7 @@ def find_repeated_misfit(
     last = curves_from_motion(previous)
     similarity = SIMILARITY_SHARE * length
     tip = table[["x", "y"]].to_numpy()
-    error = estimate.model_error_m
-    misfit = RepeatedMisfit(arm, last, times, tip, similarity, error)
+    misfit = RepeatedMisfit(arm, last, times, tip, similarity)
     planned = misfit.hand_path(previous.duration)
     ticks = arm.tick * np.arange(len(planned))
     performed = [np.interp(ticks, times, table[name]) for name in ("hand_x", "hand_y")]

@@ -300,7 +300,7 @@ def build_motion_artifact(
         )
     hits_first = np.lexsort((distance, ~hit))  # and the nearest of them first
     typical = samples.select(hits_first[[hit.sum() // 2]])
-    points = simulate_motions(task, curve, typical)[1][0]
+    points = simulate_motions(task, curve, typical).points[0]
     path = midpoint_tip_path(points[None, :, -1])[0]
     tick = task.model.arm.tick
     distance = task.target.distance_to_centre(path)

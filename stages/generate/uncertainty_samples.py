@@ -45,13 +45,15 @@ class UncertaintySamples:
     values : (K, P) values of the model's parameters
     amplitude : (K, J) share by which joints turn more than commanded
     lag : (K,) delay of the joints [s]
-    tip_error : (K, 2) error of the simulated tip [m]
+    tip_sigma : error of the simulated tip, one sigma of a coordinate [m]
+    tip_normal : (K, 2) the tip's error in units of its sigma
     """
 
     values: np.ndarray
     amplitude: np.ndarray
     lag: np.ndarray
-    tip_error: np.ndarray
+    tip_sigma: float
+    tip_normal: np.ndarray
 
     def __len__(self) -> int:
         """Count the samples."""
@@ -63,7 +65,8 @@ class UncertaintySamples:
             self.values[chosen],
             self.amplitude[chosen],
             self.lag[chosen],
-            self.tip_error[chosen],
+            self.tip_sigma,
+            self.tip_normal[chosen],
         )
 
 
@@ -137,7 +140,7 @@ def sample_uncertainty(
     tip_sigma = uncertainty.tip
     if estimate is not None:
         tip_sigma = max(estimate.model_error_m, least_tip_error)
-    tip_error = tip_sigma * ndtri(uniforms[:, joints + 1 :])
+    tip_normal = ndtri(uniforms[:, joints + 1 :])
     if estimate is None:
         chi = draw_uniforms(rng, count, len(model.names))
         values = parameter_values(model.parameters, chi)
@@ -148,4 +151,4 @@ def sample_uncertainty(
         possible = [model.values(row) for row in estimate.draws.to_dict("records")]
         place = draw_uniforms(rng, count, 1)[:, 0]
         values = np.stack(possible)[(place * len(possible)).astype(int)]
-    return UncertaintySamples(values, amplitude, lag, tip_error)
+    return UncertaintySamples(values, amplitude, lag, tip_sigma, tip_normal)

@@ -40,24 +40,24 @@ def misfit(arm):
     times = np.arange(0, DURATION_S + TICK_S / 2, TICK_S)
     tip = times[:, None] / DURATION_S * MISFIT_M
     last = plain_cast(arm, DURATION_S)
-    return RepeatedMisfit(arm, last, times, tip, LENGTH_M / 3, MODEL_ERROR_M)
+    return RepeatedMisfit(arm, last, times, tip, LENGTH_M / 3)
 
 
 @pytest.fixture
 def samples(arm, camera):
-    """Return samples of one string whose tip is off by 10 mm at random."""
+    """Return samples of one string whose tip is off by 30 mm at random."""
     model = Model(String(LENGTH_M), arm, camera)
     values = np.repeat(model.values({})[None], SAMPLES, axis=0)
-    tip_error = 0.01 * np.random.default_rng(0).standard_normal((SAMPLES, 2))
-    nothing = np.zeros((SAMPLES, 3))
-    return UncertaintySamples(values, nothing, np.zeros(SAMPLES), tip_error)
+    normal = np.random.default_rng(0).standard_normal((SAMPLES, 2))
+    exact = np.zeros((SAMPLES, 3))
+    return UncertaintySamples(values, exact, np.zeros(SAMPLES), MODEL_ERROR_M, normal)
 
 
 def estimate_of(misfit, hand):
     """Return an estimate with this misfit on a hand's path (T, 2) at ticks [m]."""
     table = pd.DataFrame({"t": misfit.times, "x": misfit.tip[:, 0]})
     table = table.assign(y=misfit.tip[:, 1], hand_x=hand[:, 0], hand_y=hand[:, 1])
-    return SimpleNamespace(misfit=table, model_error_m=MODEL_ERROR_M)
+    return SimpleNamespace(misfit=table)
 
 
 def test_the_same_motion_repeats_the_misfit_and_a_distant_one_does_not(
@@ -66,11 +66,12 @@ def test_the_same_motion_repeats_the_misfit_and_a_distant_one_does_not(
     far = replace(misfit.last, start=misfit.last.start + [1.0, 0, 0])
     task = CastTask(Model(String(LENGTH_M), arm, camera), None, (), misfit)
     errors = tip_errors(task, join_curves([misfit.last, far]), samples)
+    random = MODEL_ERROR_M * samples.tip_normal
     assert errors.shape == (2 * SAMPLES, 101, 2)
     for error in errors[:SAMPLES]:
         np.testing.assert_allclose(error, misfit.tip, atol=1e-12)
     at_end = errors[SAMPLES:, -1]
-    np.testing.assert_allclose(at_end, samples.tip_error, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(at_end, random, rtol=1e-3, atol=1e-5)
 
 
 def test_a_distant_motion_is_as_uncertain_as_the_misfit_was_large(
@@ -83,9 +84,10 @@ def test_a_distant_motion_is_as_uncertain_as_the_misfit_was_large(
     large = replace(misfit, tip=tip)
     task = CastTask(Model(String(LENGTH_M), arm, camera), None, (), large)
     errors = tip_errors(task, far, samples)
+    random = MODEL_ERROR_M * samples.tip_normal
     before, after = errors[:, 49], errors[:, -1]
-    np.testing.assert_allclose(before, samples.tip_error, rtol=1e-3, atol=1e-5)
-    np.testing.assert_allclose(after, 3 * samples.tip_error, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(before, random, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(after, 3 * random, rtol=1e-3, atol=1e-5)
 
 
 def test_only_what_the_hand_did_until_now_makes_motions_differ(arm, misfit):
@@ -115,7 +117,7 @@ def test_a_target_is_hit_where_the_misfit_brings_the_tip(arm, camera, misfit, sa
     model = Model(String(LENGTH_M), arm, camera)
     plain = CastTask(model, Target(0.0, 0.0, 0.02, 0.02), ())
     times, tips = predict_reported_tips(
-        plain, misfit.last, replace(samples, tip_error=0 * samples.tip_error)
+        plain, misfit.last, replace(samples, tip_sigma=0.0)
     )
     x, y = tips[0, 80] + misfit.tip[80]
     corrected = CastTask(model, Target(x, y, 0.004, 0.004), (), misfit)
