@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from hydra._internal.hydra import Hydra
 from omegaconf import OmegaConf
 from threadpoolctl import threadpool_limits
 
@@ -120,10 +121,12 @@ def pytest_sessionfinish(session, exitstatus):
         session.exitstatus = pytest.ExitCode.NO_TESTS_COLLECTED
 
 
-@pytest.fixture
-def no_wait_for_disk(monkeypatch):
+@pytest.fixture(autouse=True, scope="session")
+def no_wait_for_disk():
     """Skip waiting for the disk. Power cuts are tested in tests/store."""
-    monkeypatch.setattr(os, "fsync", lambda handle: None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda handle: None)
+        yield
 
 
 @pytest.fixture
@@ -173,6 +176,32 @@ def files_of_settings_are_parsed_once():
                 deepcopy(kept(file.read())) if hasattr(file, "read") else parse(file)
             ),
         )
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def settings_are_composed_once():
+    """Tell Hydra whether an experiment is a sweep.
+
+    It composes all settings to learn that, and then again. An experiment of a plugin
+    and a mode on the command line still decide by themselves.
+    """
+    learn_mode = Hydra.get_mode
+    one_run = {
+        file.stem
+        for file in (ROOT / "conf" / "experiment").glob("*.yaml")
+        if "MULTIRUN" not in file.read_text()
+    }
+
+    def get_mode(hydra, config_name, overrides):
+        words = dict(word.partition("=")[::2] for word in overrides)
+        experiment = words.get("+experiment")
+        if "hydra.mode" not in words and experiment in {None, *one_run}:
+            return None
+        return learn_mode(hydra, config_name, overrides)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Hydra, "get_mode", get_mode)
         yield
 
 

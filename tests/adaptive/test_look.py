@@ -18,7 +18,6 @@ from tests.faults.toy import (
     toy_run,
 )
 
-pytestmark = pytest.mark.usefixtures("no_wait_for_disk")
 TRIAL = ["execute", "extract", "estimate"]
 PLANNED_WITH = []  # earlier motion and estimate of each plan
 

@@ -26,7 +26,6 @@ from tests.faults.toy import (
     toy_run,
 )
 
-pytestmark = pytest.mark.usefixtures("no_wait_for_disk")
 LOOP = Cast(("generate", "execute", "extract", "surprise", "estimate", "explain"))
 EARLIER = []  # explanation of the casts before, of each call
 

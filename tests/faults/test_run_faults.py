@@ -22,7 +22,6 @@ from tests.faults.kills import Forked, rounds
 from tests.faults.strike import KINDS, STEPS, Faults, Killed, strike
 from tests.faults.toy import ROOT, contents, toy_experiment, toy_run
 
-pytestmark = pytest.mark.usefixtures("no_wait_for_disk")
 CLOCKS = {
     "time",
     "time_ns",

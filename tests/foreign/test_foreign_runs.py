@@ -25,11 +25,18 @@ from tests.faults.toy import toy_experiment, toy_run
 from tests.pipeline.test_frames_not_kept import silent
 
 
-@pytest.fixture
-def run(tmp_path):
-    folder = tmp_path / "outputs" / "run"
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Perform a whole run of one cast."""
+    folder = tmp_path_factory.mktemp("finished") / "run"
     toy_run(folder, toy_experiment(1))
     return folder
+
+
+@pytest.fixture
+def run(finished, tmp_path):
+    """Copy the whole run, to be damaged."""
+    return shutil.copytree(finished, tmp_path / "outputs" / "run")
 
 
 def rewrite_origin(path, change):

@@ -4,7 +4,6 @@ They describe whole, changed, damaged and unfinished runs.
 """
 
 import json
-import os
 import re
 import shutil
 from contextlib import contextmanager
@@ -37,11 +36,8 @@ PAGE = Path(commands.__file__).with_name("README.md")
 def finished(tmp_path_factory):
     """Perform a whole run of two casts, and another with another seed."""
     outputs = tmp_path_factory.mktemp("outputs")
-    patch = pytest.MonkeyPatch()
-    patch.setattr(os, "fsync", lambda handle: None)
     toy_run(outputs / "day" / "a", toy_experiment())
     toy_run(outputs / "day" / "b", toy_experiment(seed=3))
-    patch.undo()
     return outputs
 
 
