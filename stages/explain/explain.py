@@ -40,6 +40,7 @@ from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood, time_blocks
 from stringcast.stages.inference.mesh import (
     mesh_ladder,
+    resolved_frames,
     with_corrected_points,
 )
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -54,14 +55,15 @@ from stringcast.stages.model.model import Model
 NAMED_PROBABILITY = 0.9  # of causes that are named alone
 MIXED_PROBABILITY = 0.05  # of causes whose draws the next plan uses
 MIN_EXPLAINED_FRACTION = 0.5  # of the mean square misfit, by a cause that is named
-# times the noise, beside causes that are named: right ones leave 1.0 to 1.2, others 1.4
-MAX_NOISE_RATIO = 1.25
+MAX_NOISE_RATIO = 1.25  # of the residual to the noise, where causes are named
+# Of the error of the mesh to the noise. A quarter of it may be left after correction.
+MAX_MESH_ERROR_RATIO = 2.0
 MAX_CAUSES = 3  # together
 PROBE_FRACTIONS = (0.01, 0.03, 0.1, 0.3)  # of the way from absent to an amplitude
 PROBES = 16
 SCREENED_PROBES = 3  # the best of them, which are refined
 SCREENING_ITERATIONS = 8
-CORRECTION_PASSES = 3  # one leaves a right cause 1.6, three 1.2 times the noise
+CORRECTION_PASSES = 3
 COARSE_LEVEL = 2  # of the mesh, halvings
 NO_CAUSE: tuple[str, ...] = ()
 TIME_IS_UP = "the processor time was used up before all likely causes were fitted"
@@ -81,6 +83,35 @@ class Comparison:
     causes: tuple[str, ...]
     log_evidence: float
     estimate: Estimate | None = None
+
+
+@dataclass(frozen=True)
+class NoiseRatios:
+    """Residuals over the noise where the mesh resolves the string; 1 for noise alone.
+
+    Parameters
+    ----------
+    without : of the model as it was
+    left : of the model with causes
+    """
+
+    without: float
+    left: float
+
+    @property
+    def are_noise(self) -> bool:
+        """Whether nothing but noise is left."""
+        return self.left < MAX_NOISE_RATIO
+
+    @property
+    def explain_half(self) -> bool:
+        """Whether the causes explain half of the mean square misfit."""
+        return (self.left / self.without) ** 2 <= 1 - MIN_EXPLAINED_FRACTION
+
+    @property
+    def explain_all(self) -> bool:
+        """Whether the causes explain the misfit and leave nothing but noise."""
+        return self.are_noise and self.explain_half
 
 
 @dataclass(frozen=True)
@@ -209,9 +240,9 @@ def explain(
     probabilities = posterior_probabilities(compared, len(effects))
     best = compared[next(iter(probabilities))]
     explaining = best if explains_half(best, base) else base
-    only_noise = compare.leaves_only_noise(explaining, tolerance_m)
+    noise_ratios = compare.with_noise(explaining)
     verdict, sentence = decide(
-        compared, probabilities, tolerance_m, is_complete, only_noise
+        compared, probabilities, tolerance_m, is_complete, noise_ratios
     )
     finding = {
         "verdict": verdict,
@@ -300,7 +331,8 @@ class Comparer:
             best = most_evident_fit(compared)
             if not best.causes or budget.is_used_up():
                 return
-            if self.leaves_only_noise(best, tolerance_m):
+            is_near = tip_rms_m(best.estimate) <= tolerance_m
+            if is_near and self.with_noise(best).explain_all:
                 return
             others = [effect for effect in effects if effect.name not in best.causes]
             extended = self.model.with_effects(*find_effects(best.causes))
@@ -315,13 +347,12 @@ class Comparer:
                 return
             compared.update(explaining)
 
-    def leaves_only_noise(self, comparison: Comparison, tolerance_m: float) -> bool:
-        """Tell whether causes that were fitted leave the tip near, and only noise."""
-        estimate = comparison.estimate
-        if estimate is None or tip_rms_m(estimate) > tolerance_m:
-            return False
-        ratio = noise_ratio(self.model, self.observations, estimate)
-        return ratio < MAX_NOISE_RATIO
+    def with_noise(self, comparison: Comparison) -> NoiseRatios:
+        """Compare what causes that were fitted leave with the noise."""
+        assert self.base.estimate is not None
+        assert comparison.estimate is not None
+        estimates = self.base.estimate, comparison.estimate
+        return compare_with_noise(self.model, self.observations, estimates)
 
     def comparison(
         self,
@@ -400,27 +431,45 @@ class Comparer:
         return self.comparison(effects, (rms_m(made) / rms_m(base)) ** 2, made)
 
 
-def noise_ratio(
-    model: Model, observations: Sequence[Observation], estimate: Estimate
-) -> float:
-    """Compute the residual of an estimate over the uncertainty of the points.
+def compare_with_noise(
+    model: Model, observations: Sequence[Observation], estimates: Sequence[Estimate]
+) -> NoiseRatios:
+    """Compare what estimates without and with causes leave with the noise.
 
-    It is 1 where only noise is left. The discretisation error is subtracted, and the
-    parameters, which compensated for it, are fitted again, in turn. The least residual
-    counts: with friction the error of a string that is fitted well is hardly known.
+    The end of a trial does not count if the mesh of one of them errs by more than the
+    noise there.
     """
-    extended = extend_model(model, estimate.values())
-    trials = [prepare_trial(extended, observation) for observation in observations]
-    likelihood = Likelihood(TrialData(tuple(trials)), extended)
-    fitted = estimate.parameters.set_index("name")["chi"]
-    chi = fitted.loc[list(extended.names)].to_numpy()
-    ratio = rms(likelihood.residuals(chi[None])[0])
+    fits = []
+    for estimate in estimates:
+        extended = extend_model(model, estimate.values())
+        trials = [prepare_trial(extended, observation) for observation in observations]
+        likelihood = Likelihood(TrialData(tuple(trials)), extended)
+        fitted = estimate.parameters.set_index("name")["chi"]
+        fits.append((likelihood, fitted.loc[list(extended.names)].to_numpy()))
+    counts = [resolved_frames(*fit, MAX_MESH_ERROR_RATIO) for fit in fits]
+    frames = np.min(counts, axis=0)  # of each trial
+    ratios = []
+    for likelihood, chi in fits:
+        pairs = zip(likelihood.data.trials, frames, strict=True)
+        resolved = [trial.first_frames(int(count)) for trial, count in pairs]
+        ratios.append(corrected_residual(likelihood.with_trials(resolved), chi))
+    return NoiseRatios(*ratios)
+
+
+def corrected_residual(likelihood: Likelihood, chi: np.ndarray) -> float:
+    """Compute the residual over sigma without the error of the mesh.
+
+    That error is subtracted, and the parameters (P,), which compensated for it, are
+    fitted again, in turn. The least residual counts: with friction the error of a
+    string that is fitted well is hardly known.
+    """
+    least = rms(likelihood.residuals(chi[None])[0])
     for _ in range(CORRECTION_PASSES):
         corrected = with_corrected_points(likelihood, chi)
         runs = fit_least_squares(corrected, chi[None], SCREENING_ITERATIONS)
         chi = runs.chi[0]
-        ratio = min(ratio, rms(runs.residual[0]))
-    return ratio
+        least = min(least, rms(runs.residual[0]))
+    return least
 
 
 def rms_m(estimate: Estimate) -> float:
@@ -470,19 +519,19 @@ def decide(
     probabilities: Mapping[tuple[str, ...], float],
     tolerance_m: float,
     is_complete: bool,
-    leaves_noise: bool,
+    noise_ratios: NoiseRatios,
 ) -> tuple[str, str]:
     """Decide the verdict, and state it in words.
 
-    leaves_noise: the causes that explain the trials, or the model as it was without
-    any, leave nothing but noise.
+    noise_ratios: of the most probable causes if they explain half of the misfit, else
+    of no cause.
     """
     base = compared[NO_CAUSE]
     assert base.estimate is not None
     best = compared[next(iter(probabilities))]
     if best.causes and explains_half(best, base):
         return _decide_about(
-            best, base, probabilities, tolerance_m, is_complete, leaves_noise
+            best, base, probabilities, tolerance_m, is_complete, noise_ratios
         )
     if not is_complete:
         return "undecided", f"No cause was found; {TIME_IS_UP}."
@@ -492,7 +541,7 @@ def decide(
             "unknown",
             f"No single effect explains why the tip is {base_mm:.1f} mm off.",
         )
-    if not leaves_noise:
+    if not noise_ratios.are_noise:
         return "unknown", "No single effect explains why more than noise is left."
     return "none", "No cause is needed: the trials agree with the model."
 
@@ -503,7 +552,7 @@ def _decide_about(
     probabilities: Mapping[tuple[str, ...], float],
     tolerance_m: float,
     is_complete: bool,
-    leaves_noise: bool,
+    noise_ratios: NoiseRatios,
 ) -> tuple[str, str]:
     """Decide whether the most probable causes, which explain much, are named."""
     left_mm = MM_PER_M * tip_rms_m(best.estimate)
@@ -523,8 +572,10 @@ def _decide_about(
     effect += f" (probability {probability:.2f})"
     if not is_explained:
         return "partial", f"{effect}; something else is left."
-    if not leaves_noise:
+    if not noise_ratios.are_noise:
         return "candidates", f"{effect}, but more than noise is left: others may act."
+    if not noise_ratios.explain_half:
+        return "candidates", f"{effect}, but not where the mesh resolves the string."
     return "cause", f"{effect}."
 
 

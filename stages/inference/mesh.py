@@ -55,6 +55,34 @@ def with_corrected_points(likelihood: Likelihood, chi: np.ndarray) -> Likelihood
     return likelihood.with_trials(tuple(trials))
 
 
+def resolved_frames(
+    likelihood: Likelihood, chi: np.ndarray, max_error: float
+) -> np.ndarray:
+    """Count the frames of each trial until its discretisation error is large, (K,).
+
+    Where a string whips, the error grows until no mesh shows what the string does. Two
+    frames count in any case.
+
+    Parameters
+    ----------
+    likelihood
+        The trials and their mesh.
+    chi
+        Exponents of the parameters, (P,).
+    max_error
+        Of the points of a frame, root mean square of a coordinate over its sigma.
+    """
+    counts = []
+    errors = _errors_by_trial(likelihood, chi)
+    for trial, error in zip(likelihood.data.trials, errors, strict=True):
+        squares = np.mean((error / trial.sigma[:, None]) ** 2, axis=1)  # (n,)
+        sums = np.bincount(trial.frame, squares)
+        is_resolved = sums <= max_error**2 * np.bincount(trial.frame)
+        is_large = np.append(~is_resolved, True)  # also where it diverges
+        counts.append(max(int(np.argmax(is_large)), 2))
+    return np.array(counts)
+
+
 def _errors_by_trial(likelihood: Likelihood, chi: np.ndarray) -> list[np.ndarray]:
     """Compute simulated less far finer simulated points of each trial, (n, 2) [m]."""
     values = parameter_values(likelihood.parameters, chi[None])

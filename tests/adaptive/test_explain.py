@@ -20,18 +20,22 @@ from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.stages.common import rms
+from stringcast.stages.execute.execute import pad_commands
 from stringcast.stages.explain.explain import (
     NO_CAUSE,
     Budget,
     Comparer,
     Comparison,
+    NoiseRatios,
+    compare_with_noise,
+    corrected_residual,
     decide,
-    noise_ratio,
     posterior_probabilities,
 )
 from stringcast.stages.explain.run import run
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.inference.solver import fit_least_squares
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
@@ -43,6 +47,7 @@ TOLERANCE_M = 0.02
 CANDIDATES = 26
 NOISE_M = 0.7e-3
 BLOCKS = 6  # of 50 ms
+SWING = swing(duration=0.3)
 
 
 def fitted(names, log_evidence, rms_m):
@@ -50,11 +55,15 @@ def fitted(names, log_evidence, rms_m):
     return Comparison(tuple(names.split()), log_evidence, SimpleNamespace(fit=fit))
 
 
-def decided(*found, is_complete=True, leaves_noise=True):
-    """Return verdict and sentence where the model as it was leaves 40 mm."""
+def decided(*found, is_complete=True, ratio=1.0, ratio_without=10.0):
+    """Return verdict and sentence where the model as it was leaves 40 mm.
+
+    The ratios are those of the residual to the noise with the found causes and without.
+    """
     compared = {each.causes: each for each in (fitted("", 0.0, 0.04), *found)}
     probabilities = posterior_probabilities(compared, CANDIDATES)
-    return decide(compared, probabilities, TOLERANCE_M, is_complete, leaves_noise)
+    ratios = NoiseRatios(ratio_without, ratio)
+    return decide(compared, probabilities, TOLERANCE_M, is_complete, ratios)
 
 
 def test_a_cause_that_explains_is_named_even_if_the_search_was_cut_short():
@@ -80,10 +89,19 @@ def test_a_cause_that_explains_little_is_not_named():
     assert decided(little, is_complete=False)[0] == "undecided"
 
 
-def test_a_cause_beside_which_more_than_noise_is_left_is_not_named():
+def test_a_cause_that_explains_only_what_the_mesh_does_not_resolve_is_not_named():
+    """Where the mesh resolves the string, the model as it was leaves little more."""
+    found = fitted("density_taper", 80.0, 0.001)
+    verdict, sentence = decided(found, ratio_without=1.4)
+    assert verdict == "candidates"
+    assert "not where the mesh resolves the string" in sentence
+    assert decided(found, ratio_without=1.5)[0] == "cause"
+
+
+def test_a_cause_that_leaves_more_than_noise_is_not_named():
     """It explains the tip to 1 mm, but what is left has another cause."""
     found = fitted("density_taper", 80.0, 0.001)
-    verdict, sentence = decided(found, leaves_noise=False)
+    verdict, sentence = decided(found, ratio=1.3)
     assert verdict == "candidates"
     assert "density taper" in sentence
     assert "more than noise is left" in sentence
@@ -94,8 +112,9 @@ def test_more_than_noise_without_an_explanation_is_unknown():
     base, little = fitted("", 0.0, 0.01), fitted("density_taper", 9.0, 0.009)
     compared = {each.causes: each for each in (base, little)}
     probabilities = posterior_probabilities(compared, CANDIDATES)
-    for leaves_noise, expected in ((True, "none"), (False, "unknown")):
-        verdict, _ = decide(compared, probabilities, TOLERANCE_M, True, leaves_noise)
+    for ratio, expected in ((1.0, "none"), (1.3, "unknown")):
+        ratios = NoiseRatios(ratio, ratio)
+        verdict, _ = decide(compared, probabilities, TOLERANCE_M, True, ratios)
         assert verdict == expected
 
 
@@ -204,14 +223,17 @@ def test_two_causes_need_more_evidence_than_one():
 
 @pytest.fixture(scope="module")
 def observe(arm, camera):
-    """Return a function that observes a swing of string A with a hidden cause."""
+    """Return a function that observes a swing of string A with a hidden cause.
 
-    def perform(hidden):
+    The arm rests for so many seconds after it.
+    """
+
+    def perform(hidden, motion=SWING, rest=0.0):
         lab = VirtualBench(arm, camera, replace(specimen("A"), hidden=hidden), seed=3)
-        device, motion = VirtualArm(lab), swing(duration=0.3)
+        device = VirtualArm(lab)
         device.move_to(motion.commands[list(JOINTS)].iloc[0].tolist())
-        joints = device.perform(motion.commands).arm
-        t = np.arange(0, 0.3, 0.01)
+        joints = device.perform(pad_commands(motion.commands, 0.0, rest)).arm
+        t = np.arange(0, joints["t"].iloc[-1], 0.01)
         points = measure_points(lab, t, NOISE_M, np.random.default_rng(0))
         return Observation(
             "t01", points.points, points.readings, points.masks, arm=joints
@@ -237,11 +259,50 @@ def test_only_noise_is_left_where_nothing_is_hidden(arm, camera, observe):
         model = Model(coarse, arm, camera)
         estimate = true_estimate(model)
         observation = observe(hidden)
-        assert low < noise_ratio(model, [observation], estimate) < high
+        ratios = compare_with_noise(model, [observation], [estimate, estimate])
+        assert low < ratios.left < high
     trial = prepare_trial(model, observe({}))
     chi = estimate.parameters["chi"].to_numpy()
     likelihood = Likelihood(TrialData((trial,)), model)
     assert rms(likelihood.residuals(chi[None])) > 1.5
+
+
+@pytest.mark.parametrize(
+    ("hidden", "low", "high"), [({}, 0.9, 1.1), ({"tip_mass": {"ratio": 0.3}}, 2, 99)]
+)
+def test_what_the_mesh_does_not_resolve_is_no_sign_of_a_cause(
+    arm, camera, observe, hidden, low, high
+):
+    """The string whips after a fast swing, and a fit of its whole trial is wrong."""
+    fast = swing(duration=0.4, speeds=(10.0, 10.0, -14.0))
+    observation = observe(hidden, fast, rest=0.4)
+    model = Model(implicit_string(12, 1e-3), arm, camera)
+    estimate = true_estimate(model)
+    likelihood = Likelihood(TrialData((prepare_trial(model, observation),)), model)
+    true_chi = estimate.parameters["chi"].to_numpy()
+    (chi,) = fit_least_squares(likelihood, true_chi[None]).chi
+    estimate.parameters["chi"] = chi
+    ratios = compare_with_noise(model, [observation], [estimate, estimate])
+    assert low < ratios.left < high
+    assert corrected_residual(likelihood, chi) > 2
+
+
+def test_estimates_are_compared_where_the_mesh_resolves_both(
+    arm, camera, observe, monkeypatch
+):
+    """One that is resolved hardly anywhere would leave only noise there."""
+    module = "stringcast.stages.explain.explain"
+    counts = iter([[20], [7]])
+    monkeypatch.setattr(f"{module}.resolved_frames", lambda *given: next(counts))
+
+    def count_frames(likelihood, chi):
+        return float(len(likelihood.data.trials[0].times))
+
+    monkeypatch.setattr(f"{module}.corrected_residual", count_frames)
+    model = Model(implicit_string(12, 1e-3), arm, camera)
+    estimate = true_estimate(model)
+    ratios = compare_with_noise(model, [observe({})], [estimate, estimate])
+    assert (ratios.without, ratios.left) == (7, 7)
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,14 @@ Its estimated error is the true error, and the optimum found on it is the minimu
 
 import numpy as np
 import pytest
-from conftest import rms_distance
+from conftest import rms_distance, simulated_points
 
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.mesh import discretisation_error, mesh_ladder
+from stringcast.stages.inference.mesh import (
+    discretisation_error,
+    mesh_ladder,
+    resolved_frames,
+)
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import horizons
 from stringcast.stages.inference.trial_data import TrialData
@@ -61,6 +65,22 @@ def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(given)
     far = rms_distance(prepare_trial(model(77, 2.5e-4), trial), given.truth)
     own = Likelihood(TrialData((prepare_trial(model(), trial),)), model())
     assert discretisation_error(own, chi) == pytest.approx(far, rel=0.05)
+
+
+def test_a_trial_is_resolved_until_the_error_of_the_mesh_is_large(given):
+    """A mesh with four times as many segments stands for the limit."""
+    coarse, fine = likelihood(given, 20, 1e-3), likelihood(given, 77, 2.5e-4)
+    chi = parameter_exponents(coarse.parameters, given.truth)
+    counts = resolved_frames(coarse, chi, 1.0)
+    trials = zip(coarse.data.trials, fine.data.trials, counts, strict=True)
+    for trial, finer, count in trials:
+        error = simulated_points(trial, given.truth)
+        error -= simulated_points(finer, given.truth)
+        in_sigmas = error / trial.sigma[:, None]
+        for frame in range(count + 1):
+            error_rms = np.sqrt(np.mean(in_sigmas[trial.frame == frame] ** 2))
+            assert (error_rms > 1.0) == (frame == count)
+        assert 2 < count < len(trial.times)
 
 
 def test_horizons_begin_before_a_limp_string_swings_to_the_other_side(given):
