@@ -45,7 +45,9 @@ def said(lab, *words):
     return done.returncode, done.stdout + done.stderr
 
 
-def test_a_new_stage_is_a_folder_and_a_group_of_settings(lab, tmp_path):
+def test_a_new_stage_is_a_folder_and_a_group_of_settings(
+    lab, called, tmp_path, monkeypatch
+):
     run = tmp_path / "run"
     status, words = said(lab, *ASKED, f"hydra.run.dir={run}")
     assert status == 0, words
@@ -57,12 +59,13 @@ def test_a_new_stage_is_a_folder_and_a_group_of_settings(lab, tmp_path):
     assert sentence in words
     assert json.loads((run / "run.json").read_text())["sentence"] == sentence
     assert made["trial"].iloc[0] in (run / "report.html").read_text()
-    assert said(lab, "verify", run)[0] == 0
+    monkeypatch.setenv(PLUGINS_VARIABLE, str(lab))
+    assert called("verify", run).returncode == 0
     config = json.loads((run / "config.json").read_text())
     (run / "config.json").write_text(
         json.dumps(config | {"sway": config["sway"] | {"least": 0.001}})
     )
-    assert "sway.least 0.0 -> 0.001" in said(lab, "why", run)[1]
+    assert "sway.least 0.0 -> 0.001" in called("why", run).stdout
 
 
 def test_every_stage_says_what_is_so():
@@ -83,9 +86,9 @@ def test_every_stage_says_what_is_so():
         )
 
 
-def test_its_settings_are_checked_like_any_other(lab, tmp_path):
-    status, words = said(
-        lab, *ASKED, "sway.least=-1", f"hydra.run.dir={tmp_path / 'run'}"
-    )
-    assert status == 1
-    assert f"sway.least = -1 ({lab}/conf/sway/plain.yaml or the command line)" in words
+def test_its_settings_are_checked_like_any_other(lab, called, tmp_path, monkeypatch):
+    monkeypatch.setenv(PLUGINS_VARIABLE, str(lab))
+    refused = called(*ASKED, "sway.least=-1", f"hydra.run.dir={tmp_path / 'run'}")
+    assert refused.returncode == 1
+    place = f"sway.least = -1 ({lab}/conf/sway/plain.yaml or the command line)"
+    assert place in refused.stderr

@@ -7,9 +7,11 @@ person has not named.
 import json
 import os
 import re
+import shutil
 
 import pandas as pd
 import pytest
+from conftest import ROOT
 
 from stringcast.known import experiment_for_call
 from stringcast.pipeline.commands import load_command, new
@@ -29,6 +31,7 @@ from stringcast.stages.plugins import (
 from tests.benchmarks.diagnosis.study import diagnosis_document
 from tests.diagnosis.slow_casts import write_slow_casts
 
+SAMPLE = ROOT / "data" / "sample"
 TETHER = '''
 """A spring to a fixed point."""
 
@@ -109,7 +112,7 @@ def sway_page(facts):
     return stage_page(facts, "stage", [Section("Mine", parts)], lead="By my lab.")
 '''
 WITH_PAGE = '    page="plugins.my_lab.pages.sway_page",\n    is_end=True,'
-SWAY = ("+sway=plain", "mode=batch", "mode.stage=sway", "trials=data/sample")
+SWAY = ("+sway=plain", "mode=batch", "mode.stage=sway")
 ESTIMATE = (
     "+experiment=estimate",
     "+smooth=plain",
@@ -117,7 +120,7 @@ ESTIMATE = (
     "estimate=uniform_search",
     "estimate.candidates=4",
     "effects=[tether]",
-    "trials=data/sample",
+    "saved_outputs=[]",
 )
 
 
@@ -148,6 +151,17 @@ def lab(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory):
+    """Return the setting that names one trial of the sample."""
+    folder = tmp_path_factory.mktemp("trials")
+    shutil.copy(SAMPLE / "dataset.yaml", folder)
+    for file in ("arm.parquet", "points.parquet"):
+        table = pd.read_parquet(SAMPLE / file)
+        table[table["trial"] == "t00"].to_parquet(folder / file)
+    return f"trials={folder}"
+
+
 @pytest.fixture
 def nobody(monkeypatch):
     """Name no plugin; what a command names is forgotten after the test."""
@@ -167,16 +181,16 @@ def read_table(run, name):
 
 
 def test_an_effect_a_stage_and_an_estimator_act_as_they_are_wired(
-    lab, called, nobody, tmp_path
+    lab, trials, called, nobody, tmp_path
 ):
     rough, smooth = tmp_path / "rough", tmp_path / "smooth"
-    run_with(called, lab, rough, *ESTIMATE)
+    run_with(called, lab, rough, *ESTIMATE, trials)
     assert "tether.strength" in [*read_table(rough, "parameters")["name"]]
     fit = read_table(rough, "fit")
     assert fit["method"].iloc[0] == "uniform_search"
     assert json.loads((rough / "config.json").read_text())["plugins"] == [str(lab)]
 
-    run_with(called, lab, smooth, *ESTIMATE, "smooth.window=41")
+    run_with(called, lab, smooth, *ESTIMATE, trials, "smooth.window=41")
     assert fit["before"].iloc[0] != read_table(smooth, "fit")["before"].iloc[0]
 
     config = json.loads((smooth / "config.json").read_text())
@@ -187,9 +201,11 @@ def test_an_effect_a_stage_and_an_estimator_act_as_they_are_wired(
     assert "estimate: stale\n" in said
 
 
-def test_a_page_of_the_plugin_is_the_report_of_its_stage(lab, called, nobody, tmp_path):
+def test_a_page_of_the_plugin_is_the_report_of_its_stage(
+    lab, trials, called, nobody, tmp_path
+):
     run = tmp_path / "run"
-    run_with(called, lab, run, *SWAY)
+    run_with(called, lab, run, *SWAY, trials)
     assert "The farthest tip of my lab is" in (run / "report.html").read_text()
     assert called("verify", run).returncode == 0
 
@@ -200,18 +216,19 @@ def test_the_graph_shows_the_stage_of_the_plugin(lab, called, nobody):
     assert "estimate: takes trial of execute, points of smooth" in said
 
 
-def test_jobs_of_a_sweep_have_the_plugin(lab, called, nobody, tmp_path):
+def test_a_job_of_a_sweep_has_the_plugin(lab, trials, called, nobody, tmp_path):
     folder = tmp_path / "sweep"
     swept = called(
         "--multirun",
         f"plugins=[{lab}]",
         *SWAY,
-        "sway.least=0.0,0.001",
+        trials,
+        "sway.least=0.001",
         "saved_outputs=[]",
         f"hydra.sweep.dir={folder}",
     )
     assert swept.returncode == 0, swept.stderr
-    assert len(pd.read_parquet(folder / "sweep.parquet")) == 2
+    assert len(pd.read_parquet(folder / "sweep.parquet")) == 1
 
 
 def test_calls_in_python_name_a_plugin_as_the_command_line_does(lab, nobody):

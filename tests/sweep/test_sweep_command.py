@@ -60,12 +60,12 @@ def trials(tmp_path_factory, arm):
 
 @pytest.fixture(scope="module")
 def swept(trials, tmp_path_factory):
-    """Run a sweep of three jobs on one thread, one of which is refused.
+    """Run a sweep of two jobs on one thread, the first of which is refused.
 
     Returns its folder, and how the command ended.
     """
     folder = tmp_path_factory.mktemp("sweep")
-    return folder, sweep(folder, trials, 1, betas="0.9,1.5,0.99")
+    return folder, sweep(folder, trials, 1, betas="1.5,0.9")
 
 
 def numbers(folder):
@@ -91,27 +91,24 @@ def test_a_failed_job_is_kept_and_takes_none_with_it(swept):
     assert said.returncode == 1
     assert "1 job(s) of the sweep failed" in said.stderr
     assert "Traceback" not in said.stderr
-    assert attempts(folder) == {0.9: ("done", 1), 0.99: ("done", 1), 1.5: ("failed", 1)}
+    assert attempts(folder) == {0.9: ("done", 1), 1.5: ("failed", 1)}
     table = pd.read_parquet(folder / "sweep.parquet").set_index("estimate.beta")
     assert "estimate.beta = 1.5" in table.loc[1.5, "error"]
-    assert table["E_after"].notna().to_dict() == {0.9: True, 1.5: False, 0.99: True}
+    assert table["E_after"].notna().to_dict() == {0.9: True, 1.5: False}
     assert table["hit"].isna().all()  # no job has cast
     page = (folder / "report.html").read_text()
-    assert "2 of 3 jobs are done" in page
+    assert "1 of 2 jobs are done" in page
     assert "estimate.beta = 1.5" in page
 
 
 def test_the_table_is_that_of_the_runs_and_each_column_has_its_unit(swept):
     folder, _ = swept
     table = pd.read_parquet(folder / "sweep.parquet").set_index("estimate.beta")
-    for beta in (0.9, 0.99):
-        made = pd.read_parquet(
-            folder
-            / table.loc[beta, "folder"]
-            / "iterations/01/estimate/parameters.parquet"
-        )
-        for row in made.itertuples():
-            assert table.loc[beta, row.name] == row.value
+    made = pd.read_parquet(
+        folder / table.loc[0.9, "folder"] / "iterations/01/estimate/parameters.parquet"
+    )
+    for row in made.itertuples():
+        assert table.loc[0.9, row.name] == row.value
     for column in pq.read_schema(folder / "sweep.parquet"):
         assert {b"unit", b"meaning"} <= (column.metadata or {}).keys(), column.name
     assert store.read_origin(folder / "sweep.parquet")["code"]
@@ -131,13 +128,13 @@ def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(
         trials,
         1,
         "hydra.launcher.retry=true",
-        betas="0.90,0.99,1.5",
+        betas="0.90,1.5",
         call=called,
     )
     assert grown.returncode == 1
-    assert attempts(folder) == {0.9: ("done", 1), 0.99: ("done", 1), 1.5: ("failed", 2)}
+    assert attempts(folder) == {0.9: ("done", 1), 1.5: ("failed", 2)}
     assert numbers(folder) == before
-    assert len(pd.read_parquet(table)) == 3  # the table is written again
+    assert len(pd.read_parquet(table)) == 2  # the table is written again
 
 
 @pytest.mark.long
@@ -147,7 +144,7 @@ def test_the_numbers_are_the_same_to_the_bit_whoever_runs_the_jobs(
 ):
     """The numbers are the same to the bit with any launcher.
 
-    These jobs have two threads each, the compared ones had one.
+    These jobs have two threads each, the compared one had one.
     """
     if importlib.util.find_spec(PACKAGES[launcher]) is None:
         pytest.skip(f"needs {PACKAGES[launcher]}")
@@ -161,4 +158,4 @@ def test_the_numbers_are_the_same_to_the_bit_whoever_runs_the_jobs(
     )
     assert said.returncode == 0, said.stderr
     assert len(numbers(tmp_path)) == 2
-    assert numbers(tmp_path) == numbers(alone)
+    assert numbers(alone).items() <= numbers(tmp_path).items()
