@@ -55,7 +55,9 @@ from stringcast.stages.model.model import Model
 NAMED_PROBABILITY = 0.9  # of causes that are named alone
 MIXED_PROBABILITY = 0.05  # of causes whose draws the next plan uses
 MIN_EXPLAINED_FRACTION = 0.5  # of the mean square misfit, by a cause that is named
-MAX_NOISE_RATIO = 1.25  # of the residual to the noise, where causes are named
+# Of the residual to the noise, where causes are named: right ones leave 1.00 to 1.08,
+# others, which stand in for two of three causes, 1.14 to 1.21
+MAX_NOISE_RATIO = 1.1
 # Of the error of the mesh to the noise. A quarter of it may be left after correction.
 MAX_MESH_ERROR_RATIO = 2.0
 MAX_CAUSES = 3  # together

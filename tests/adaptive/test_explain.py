@@ -101,7 +101,8 @@ def test_a_cause_that_explains_only_what_the_mesh_does_not_resolve_is_not_named(
 def test_a_cause_that_leaves_more_than_noise_is_not_named():
     """It explains the tip to 1 mm, but what is left has another cause."""
     found = fitted("density_taper", 80.0, 0.001)
-    verdict, sentence = decided(found, ratio=1.3)
+    assert decided(found, ratio=1.08)[0] == "cause"
+    verdict, sentence = decided(found, ratio=1.14)
     assert verdict == "candidates"
     assert "density taper" in sentence
     assert "more than noise is left" in sentence
@@ -112,7 +113,7 @@ def test_more_than_noise_without_an_explanation_is_unknown():
     base, little = fitted("", 0.0, 0.01), fitted("density_taper", 9.0, 0.009)
     compared = {each.causes: each for each in (base, little)}
     probabilities = posterior_probabilities(compared, CANDIDATES)
-    for ratio, expected in ((1.0, "none"), (1.3, "unknown")):
+    for ratio, expected in ((1.08, "none"), (1.14, "unknown")):
         ratios = NoiseRatios(ratio, ratio)
         verdict, _ = decide(compared, probabilities, TOLERANCE_M, True, ratios)
         assert verdict == expected
