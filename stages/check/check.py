@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 
 from stringcast.data.schema import DataError
 from stringcast.stages.check import clocks, contents, frames, motion, samples
@@ -52,7 +53,7 @@ CHECKS: tuple[Check, ...] = (
 
 
 def collect_findings(dataset: CheckedDataset) -> list[Finding]:
-    """Run all checks of a dataset.
+    """Return the findings of all checks of a dataset.
 
     Findings of the same place with the same remedy become one, with the statement of
     the first and all their trials.
@@ -67,6 +68,11 @@ def collect_findings(dataset: CheckedDataset) -> list[Finding]:
     list of Finding
         The worst first.
     """
+    return [*_find_all(dataset)]
+
+
+@lru_cache(maxsize=4)
+def _find_all(dataset: CheckedDataset) -> tuple[Finding, ...]:
     merged: dict[tuple[str, ...], Finding] = {}
     for check in CHECKS:
         for finding in check(dataset):
@@ -75,7 +81,8 @@ def collect_findings(dataset: CheckedDataset) -> list[Finding]:
             trials = dict.fromkeys((*first.trials, *finding.trials))
             merged[key] = replace(first, trials=tuple(trials))
     order = list(Severity)
-    return sorted(merged.values(), key=lambda finding: order.index(finding.severity))
+    worst_first = sorted(merged.values(), key=lambda f: order.index(f.severity))
+    return tuple(worst_first)
 
 
 def refuse_errors(dataset: CheckedDataset) -> None:

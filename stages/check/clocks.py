@@ -6,11 +6,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.check.finding import Finding, error, note, warning
 from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
-
-stats = LazyModule("scipy.stats")
 
 MAX_INTERVAL_S = 0.5  # samples further apart do not show the motion of any string
 MIN_SAMPLES_FOR_UNIT = 10
@@ -131,8 +128,11 @@ def frame_interval(t: np.ndarray) -> tuple[float, float]:
     turns = rates[best] * elapsed - np.angle(waves[best]) / (2 * np.pi)
 
     # the line of times over the numbers of their frames
-    line = stats.linregress(np.rint(turns), t)
-    return float(line.slope), float(line.stderr)
+    numbers = np.rint(turns) - np.rint(turns).mean()
+    spread = numbers @ numbers
+    interval = float(numbers @ t / spread)
+    residual = t - t.mean() - interval * numbers
+    return interval, float(np.sqrt(residual @ residual / (len(t) - 2) / spread))
 
 
 def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm, sem, t
+from scipy.special import ndtri, stdtrit
 
 from stringcast.stages.common import readable_name
 
@@ -22,8 +22,8 @@ def arithmetic_mean(values: np.ndarray) -> tuple[float, float, float]:
     mean = float(values.mean())
     if len(values) < 2:
         return mean, np.nan, np.nan
-    quantile = t.ppf((1 + CONFIDENCE) / 2, len(values) - 1)
-    half = float(quantile * sem(values))
+    quantile = stdtrit(len(values) - 1, (1 + CONFIDENCE) / 2)
+    half = float(quantile * values.std(ddof=1) / np.sqrt(len(values)))
     return mean, mean - half, mean + half
 
 
@@ -44,7 +44,7 @@ def mean_share(values: np.ndarray) -> tuple[float, float, float]:
     """
     mean = float(values.mean())
     count = len(values)
-    z = float(norm.ppf((1 + CONFIDENCE) / 2))
+    z = float(ndtri((1 + CONFIDENCE) / 2))
     added = z**2 / count  # weight of the prior mean of one half
     middle = (mean + added / 2) / (1 + added)
     variance = mean * (1 - mean) / count + (added / (2 * z)) ** 2
