@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from conftest import ROOT, pipeline
+from conftest import ROOT
 
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
@@ -721,7 +721,7 @@ def test_a_picture_is_of_the_plane_and_of_the_strings_size(kind):
 def test_the_command_says_what_is_there_and_its_status_whether_it_is_usable(
     dirty, called, tmp_path
 ):
-    good = pipeline("check", SAMPLE)
+    good = called("check", SAMPLE)
     assert good.returncode == 0, good.stderr
     assert "Usable: 5 trials; nothing looks wrong" in good.stdout
     scaled("points", ["x", "y"], 1e3)(dirty)

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import TRUTH, ordinary, pipeline
+from conftest import TRUTH, ordinary
 from scipy.stats import norm
 
 from stringcast.data.artifacts import JOINTS, SPEEDS
@@ -226,12 +226,12 @@ def test_log_likelihoods_are_those_of_normal_errors(arm, monkeypatch):
     assert stiffness.attrs["units"] == "N m/(rad kg)"
 
 
-def test_a_card_of_casts_has_the_intervals_that_they_found(tmp_path):
+def test_a_card_of_casts_has_the_intervals_that_they_found(called, tmp_path):
     """A card of casts has the estimated intervals.
 
     A search on E gives none, and none are made up.
     """
-    done = pipeline(
+    done = called(
         "+experiment=quick",
         "estimate=least_squares",
         "saved_outputs=[]",

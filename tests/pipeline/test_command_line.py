@@ -31,7 +31,8 @@ def quick(tmp_path_factory):
     """Perform a smoke run."""
     folder = tmp_path_factory.mktemp("runs") / "quick"
     done = pipeline(
-        "-v", "+experiment=quick", "max_casts=2", *MISSED, f"hydra.run.dir={folder}"
+        *("-v", "+experiment=quick", "max_casts=2", *MISSED, "camera.fps=50"),
+        f"hydra.run.dir={folder}",
     )
     assert done.returncode == 0, done.stderr
     assert "pipeline.run.run_folder: iterations/02/motion made in" in done.stderr
@@ -139,7 +140,14 @@ def test_every_number_has_its_unit_and_every_file_its_origin(quick):
     assert store.read_origin(quick / "points.parquet")["inputs"]
 
 
-def test_an_interrupted_run_goes_on_to_the_same_result(quick, called, tmp_path):
+def without_pictures(page):
+    """Return the text of a page, with what each picture shows in words."""
+    return re.sub(r'src="[^"]+"', "", page.read_text())
+
+
+def test_an_interrupted_run_goes_on_to_the_same_result(
+    quick, called, undrawn, tmp_path
+):
     """An interrupted run continues to the same result.
 
     As if killed in the middle, later artifacts are missing, and one is half written
@@ -154,12 +162,15 @@ def test_an_interrupted_run_goes_on_to_the_same_result(quick, called, tmp_path):
     with other_threads():
         assert called("resume", part).returncode == 0
     same(tables(part), tables(quick))
-    for name in ("run.json", "report.html", "dataset.yaml"):
+    for name in ("run.json", "dataset.yaml"):
         assert (part / name).read_bytes() == (quick / name).read_bytes(), name
+    pages = [without_pictures(run / "report.html") for run in (part, quick)]
+    assert pages[0] == pages[1]
     other = called(
         "+experiment=quick",
         "max_casts=2",
         *MISSED,
+        "camera.fps=50",
         "seed=9",
         f"hydra.run.dir={part}",
     )
@@ -340,11 +351,9 @@ def test_bad_input_is_one_clear_error(overrides, words, called, tmp_path):
         assert not (tmp_path / "run").exists() or not any((tmp_path / "run").iterdir())
 
 
-@pytest.mark.parametrize(
-    "overrides", [["method=paper", "estimate.beta=1.5"], ["hardwear=virtual"]]
-)
-def test_a_refused_command_ends_with_its_error_and_a_status(overrides, tmp_path):
-    refused = pipeline(*overrides, f"hydra.run.dir={tmp_path / 'run'}")
+def test_a_refused_command_ends_with_its_error_and_a_status(tmp_path):
+    place = f"hydra.run.dir={tmp_path / 'run'}"
+    refused = pipeline("method=paper", "estimate.beta=1.5", place)
     assert refused.returncode == 1
     assert "Traceback" not in refused.stderr
     assert refused.stderr.startswith("Error: ")
@@ -514,5 +523,5 @@ def test_help_helps(called):
     assert "trials=" in shown.stdout
     assert re.search(
         r"\nname: stringB +# name of the run's folder",
-        pipeline("+experiment=stringB", "--help").stdout,
+        called("+experiment=stringB", "--help").stdout,
     )
