@@ -7,9 +7,11 @@ it moves them in the fit to all trials: its parameters may trade off with each o
 Each group of trials is left out in turn, which gives the estimate a standard error
 without a model of the misfit (jackknife over clusters [1]_). Its ratio to the estimate
 is a t statistic with as many observations as groups, and its Bayes factor against an
-absent cause that of a unit information prior [2]_. Of a cause that acts in one trial
-alone the others say nothing: its estimate hardly changes without them, and with one
-treated cluster such an error is far too small [3]_. Its Bayes factor is 1.
+absent cause that of a unit information prior [2]_. A cause that may vary between trials
+is estimated with one amplitude for all of them: how far they differ is in the scatter.
+Of a cause that acts in one trial alone the others say nothing: its estimate hardly
+changes without them, and with one treated cluster such an error is far too small [3]_.
+Its Bayes factor is 1.
 
 References
 ----------
@@ -24,7 +26,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stringcast.stages.diagnose.measures import trials_touched_by
+from stringcast.stages.diagnose.left_out_fits import (
+    exponents_without_groups,
+    groups_to_leave_out,
+)
+from stringcast.stages.diagnose.measures import refit, trials_touched_by
 from stringcast.stages.diagnose.probabilities import effect_probabilities
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
@@ -106,6 +112,11 @@ def probability_by_agreement(
     """
     log_bayes_factor = 0.0
     if len(trials_touched_by(data, fit, cause, min_tip_shift_m)) != 1:
+        if cause.name in data.random_effects:
+            data = data.without_random_effect(cause.name)
+            fit = refit(data, fit, fit.hypothesis)
+            groups = groups_to_leave_out(len(data.trials))
+            left_out = exponents_without_groups(data, fit, groups)
         log_bayes_factor = log_bayes_factor_of_trials(data, fit, left_out, cause)
     log_evidence = {"": np.zeros(1), "cause": np.array([log_bayes_factor])}
     return effect_probabilities(log_evidence, candidates)["cause"]

@@ -78,6 +78,11 @@ class TrialData:
         displacements = [shapes.T for shapes in self.random_effects[name]]
         return float(self.overall_tip_rms(displacements)[0])
 
+    def without_random_effect(self, name: str) -> TrialData:
+        """Let all trials share one amplitude of a cause."""
+        others = {n: s for n, s in self.random_effects.items() if n != name}
+        return replace(self, random_effects=others)
+
     def subset(self, chosen: Sequence[int]) -> TrialData:
         """Select some of the trials by number."""
         trials = tuple(self.trials[k] for k in chosen)

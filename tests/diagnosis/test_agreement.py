@@ -103,5 +103,35 @@ def test_the_odds_are_the_bayes_factor_over_the_number_of_candidates(
         agreement, "log_bayes_factor_of_trials", lambda *given: np.log(bayes_factor)
     )
     monkeypatch.setattr(agreement, "trials_touched_by", lambda *given: touched)
-    found = agreement.probability_by_agreement(None, None, (), None, 20, 1e-3)
+    cause = SimpleNamespace(name="wind")
+    data = SimpleNamespace(random_effects={})
+    found = agreement.probability_by_agreement(data, None, (), cause, 20, 1e-3)
     assert found == pytest.approx(probability)
+
+
+def test_a_cause_that_varies_is_estimated_with_one_amplitude_for_all(monkeypatch):
+    """With one of each trial besides, that of all would hardly be determined.
+
+    The set of a measured strip would have been set aside.
+    """
+    shared = SimpleNamespace(random_effects={}, trials=range(4))
+    varying = SimpleNamespace(
+        random_effects={"set": ()},
+        without_random_effect={"set": shared}.get,
+    )
+    compared = []
+    stand_ins = {
+        "trials_touched_by": lambda *given: [],
+        "refit": lambda data, *given: f"fitted to {len(data.trials)}",
+        "exponents_without_groups": lambda *given: given,
+        "log_bayes_factor_of_trials": lambda *given: compared.append(given) or 0.0,
+    }
+    for name, stand_in in stand_ins.items():
+        monkeypatch.setattr(agreement, name, stand_in)
+    cause = SimpleNamespace(name="set")
+    fit = SimpleNamespace(hypothesis=None)
+    agreement.probability_by_agreement(varying, fit, "with both", cause, 20, 1e-3)
+    ((data, fit, left_out, _),) = compared
+    assert data is shared
+    assert fit == "fitted to 4"
+    assert left_out == (shared, fit, [[0], [1], [2], [3]])

@@ -365,8 +365,9 @@ def limited(monkeypatch, probabilities, log_bayes_factor, misfit_probability):
     )
     monkeypatch.setattr(agreement, "trials_touched_by", lambda *given: np.zeros(0))
     cause = SimpleNamespace(name="a")
+    data = SimpleNamespace(trials=[1, 2], random_effects={})
     state = SimpleNamespace(
-        prepared=SimpleNamespace(data=SimpleNamespace(trials=[1, 2])),
+        prepared=SimpleNamespace(data=data),
         fit=SimpleNamespace(hypothesis=SimpleNamespace(causes=(cause,))),
         left_out_exponents=None,
     )

@@ -152,7 +152,8 @@ def test_a_contact_in_one_trial_is_set_aside_if_misfit_remains(
     """A stand-in for an attraction, at 0.99, touched one trial of three."""
     contact = SimpleNamespace(name="contact")
     trials = [SimpleNamespace(name=f"t{k}") for k in range(3)]
-    prepared = SimpleNamespace(data=SimpleNamespace(trials=trials))
+    data = SimpleNamespace(trials=trials, random_effects={})
+    prepared = SimpleNamespace(data=data)
 
     def predict(data, fit):
         return [SimpleNamespace(chi=np.zeros(1)) for _ in trials]
