@@ -19,7 +19,11 @@ from stringcast.stages.diagnose.discretisation import (
     correct_discretisation_once,
     discretisation_uncertainty_of,
 )
-from stringcast.stages.diagnose.measures import sample_by_misfit, unexplained_tip_rms
+from stringcast.stages.diagnose.measures import (
+    mean_explained_fraction,
+    sample_by_misfit,
+    unexplained_tip_rms,
+)
 from stringcast.stages.diagnose.prepared_data import PreparedData, RefinedFit
 from stringcast.stages.diagnose.proposals import (
     Proposal,
@@ -44,7 +48,7 @@ from stringcast.stages.workers import map_in_workers
 
 log = logging.getLogger(__name__)
 
-INITIAL_PROPOSALS = 6  # the others are fitted if none of these explains what is left
+INITIAL_PROPOSALS = 6  # the others are fitted if these explain little of what is left
 MAX_RIVALS = 3  # that are compared at first
 MAX_SAMPLED_TRIALS = 8  # candidates are tried in these before all
 UNRESOLVED_FRACTION = 0.1  # of a trial's mean square misfit that may stay unresolved
@@ -113,29 +117,48 @@ def compare_candidates(
         causes = contested.hypothesis.causes
         remaining = [p for p in proposals if p.effect not in causes]
 
-    # The most promising ones, and the look-alikes of the best of these
-    first = [p for p in remaining[:INITIAL_PROPOSALS] if p.gain > STRONG_LOG_EVIDENCE]
-    step = _fit_more_proposals(prepared, step, first, criteria, sample)
-    remaining = [p for p in remaining if p not in first]
-    lookalikes = _lookalikes_of_best(step, remaining, criteria)
-    step = _fit_more_proposals(prepared, step, lookalikes, criteria, sample)
-    better = _find_better_parent(prepared, step, criteria)
-    if better is not None:
-        return compare_candidates(prepared, better, effects, criteria, seed, contested)
-    decided = _compare_rivals(prepared, step, criteria, contested is not None)
-
-    # All others, if something is left to explain
-    misfit_m = unexplained_tip_rms(prepared.data, parent).max()
-    if not decided.accepted and misfit_m > criteria.tip_tolerance_m:
-        others = [p for p in remaining if p not in lookalikes]
-        step = _fit_more_proposals(prepared, step, others, criteria, sample)
+    # The most promising ones; then all others, if these explain too little
+    chosen = [p for p in remaining[:INITIAL_PROPOSALS] if p.gain > STRONG_LOG_EVIDENCE]
+    decided = step
+    while True:
+        step = _fit_more_proposals(prepared, step, chosen, criteria, sample)
+        remaining = [p for p in remaining if p not in chosen]
+        lookalikes = _lookalikes_of_best(step, remaining, criteria)
+        step = _fit_more_proposals(prepared, step, lookalikes, criteria, sample)
+        remaining = [p for p in remaining if p not in lookalikes]
         better = _find_better_parent(prepared, step, criteria)
         if better is not None:
             return compare_candidates(
                 prepared, better, effects, criteria, seed, contested
             )
-        decided = _compare_rivals(prepared, step, criteria, contested is not None)
-    return decided
+        is_contested = contested is not None
+        decided = _compare_rivals(prepared, step, decided, criteria, is_contested)
+        if not remaining or _explains_enough(
+            prepared.data, decided, criteria, is_contested
+        ):
+            return decided
+        chosen = remaining
+
+
+def _explains_enough(
+    data: TrialData, decided: SelectionStep, criteria: Criteria, is_contested: bool
+) -> bool:
+    """Whether no other candidates need to be fitted than those compared in a step.
+
+    A stand-in explains little of what is left, and the cause may have promised less. In
+    the place of a cause that was accepted, others were fitted before.
+    """
+    tolerance_m = criteria.tip_tolerance_m
+    before_m = unexplained_tip_rms(data, decided.parent)
+    if before_m.max() < tolerance_m:
+        return True
+    if decided.best is None or not decided.accepted:
+        return False
+    if is_contested:
+        return True
+    after_m = unexplained_tip_rms(data, decided.best)
+    explained = mean_explained_fraction(before_m, after_m, tolerance_m)
+    return after_m.max() < tolerance_m or explained > criteria.min_explained_fraction
 
 
 def _sample_trials(data: TrialData, parent: Fit) -> tuple[TrialData, Fit]:
@@ -252,6 +275,7 @@ def _fit_roughly(
 def _compare_rivals(
     prepared: PreparedData,
     step: SelectionStep,
+    before: SelectionStep,
     criteria: Criteria,
     is_contested: bool,
 ) -> SelectionStep:
@@ -260,6 +284,7 @@ def _compare_rivals(
     Rivals by which simulation resolves too few trials cannot lead: what is uncertain in
     the others may explain anything.
 
+    before: the decision among fewer candidates; what was compared there stays.
     is_contested: whether the place of a cause that was accepted is contested.
     """
     if step.best is None or not has_evidence(step.parent, step.best, criteria):
@@ -267,23 +292,24 @@ def _compare_rivals(
 
     # Common data mostly lower the evidence: none may lead because it was not compared
     least_evidence = _least_evidence(step.fits, step.parent, criteria)
-    count = sum(fit.log_evidence > least_evidence for fit in step.fits[:MAX_RIVALS])
-    parent, *compared = fit_to_common_data(prepared, [step.parent, *step.fits[:count]])
+    rivals = [f for f in step.fits[:MAX_RIVALS] if f.log_evidence > least_evidence]
+    parent, *compared = _fit_new_rivals(prepared, step, rivals, before)
+    causes = [fit.hypothesis.causes[-1] for fit in compared]
+    waiting = [fit for fit in step.fits if fit.hypothesis.causes[-1] not in causes]
     resolved: list[Fit] = []
     unresolved: list[Fit] = []
-    is_overtaken = True
-    while is_overtaken:
+    while True:
         for fit in _catch_up_with_parent(prepared, parent, compared):
             is_enough = _resolves_enough(prepared, step, fit, criteria, is_contested)
             (resolved if is_enough else unresolved).append(fit)
         resolved = rank_rivals(parent, resolved, criteria)
         shift = parent.log_evidence - step.parent.log_evidence
-        others = _shift_evidence(step.fits[count:], shift)
-        is_overtaken = _is_overtaken(parent, resolved, others, criteria)
-        if is_overtaken:
-            before = [parent, *resolved, *unresolved]
-            compared = fit_to_common_data(prepared, [step.fits[count]], before)
-            count += 1
+        others = _shift_evidence(waiting, shift)
+        if not _is_overtaken(parent, resolved, others, criteria):
+            break
+        known = [parent, *resolved, *unresolved]
+        compared = fit_to_common_data(prepared, waiting[:1], known)
+        waiting = waiting[1:]
 
     for fit in [*resolved, *unresolved]:
         name = fit.hypothesis.cause_names[-1]
@@ -301,6 +327,21 @@ def _compare_rivals(
         accepted=is_accepted,
         unresolved=_unresolved_ahead(resolved, unresolved),
     )
+
+
+def _fit_new_rivals(
+    prepared: PreparedData,
+    step: SelectionStep,
+    rivals: Sequence[Fit],
+    before: SelectionStep,
+) -> list[Fit]:
+    """Fit the parent and rivals to common data, but for what was compared before."""
+    if not before.compared:
+        return fit_to_common_data(prepared, [step.parent, *rivals])
+    known = [before.parent, *before.compared]
+    causes = [fit.hypothesis.causes[-1] for fit in before.compared]
+    new = [fit for fit in rivals if fit.hypothesis.causes[-1] not in causes]
+    return [*known, *fit_to_common_data(prepared, new, known)]
 
 
 def _resolves_enough(

@@ -84,18 +84,18 @@ def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
     monkeypatch.setattr(candidate_comparison, "fit_to_common_data", compare_as_found)
     compare_rivals = candidate_comparison._compare_rivals
     given = SelectionStep(None, NamedFit("", 0.0), (), fits)
-    step = compare_rivals(prepared, given, CRITERIA, False)
+    step = compare_rivals(prepared, given, given, CRITERIA, False)
     assert (step.best.name, step.accepted) == (best, True)
 
     # In the place of an accepted cause all trials must be resolved
-    step = compare_rivals(prepared, given, CRITERIA, True)
+    step = compare_rivals(prepared, given, given, CRITERIA, True)
     all_as_before = before == (0.0, 5e-3)
     assert step.best.name == ("uncertain" if all_as_before else "resolved")
     # It has more evidence, some of which may be what is uncertain
     ahead = [fit.name for fit in step.unresolved]
     assert ahead == ([] if all_as_before else ["uncertain"])
     behind = replace(given, fits=[fits[0], named_fit("resolved", 70.0)])
-    step = compare_rivals(prepared, behind, CRITERIA, True)
+    step = compare_rivals(prepared, behind, behind, CRITERIA, True)
     assert not step.unresolved
 
 
@@ -128,7 +128,7 @@ def compare_rivals(monkeypatch, found, common):
     fits = [named_fit(name, value) for name, value in found.items()]
     fits = candidate_comparison.rank_rivals(parent, fits, CRITERIA)
     given = SelectionStep(None, parent, (), fits)
-    step = candidate_comparison._compare_rivals(prepared, given, CRITERIA, False)
+    step = candidate_comparison._compare_rivals(prepared, given, given, CRITERIA, False)
     return step, compared
 
 
@@ -175,6 +175,23 @@ def test_rivals_are_not_overtaken_because_common_data_shift_all(limited, monkeyp
     step, compared = compare_rivals(monkeypatch, found, common)
     assert compared == ["slip", "offset", "drift"]
     assert [fit.log_evidence for fit in step.fits] == [8.0, 6.0, 5.0, 5.0]
+
+
+def test_what_was_compared_among_fewer_candidates_is_not_compared_again(monkeypatch):
+    fitted = []
+
+    def fit(prepared, rivals, fitted_before=()):
+        fitted.append([rival.name for rival in rivals])
+        return rivals
+
+    monkeypatch.setattr(candidate_comparison, "fit_to_common_data", fit)
+    parent = named_fit("", 0.0)
+    rivals = [named_fit("set", 60.0), named_fit("wind", 50.0)]
+    step = SelectionStep(None, parent, (), rivals)
+    before = replace(step, compared=rivals[1:])
+    candidate_comparison._fit_new_rivals(None, step, rivals, before)
+    candidate_comparison._fit_new_rivals(None, step, rivals, step)
+    assert fitted == [["set"], ["", "set", "wind"]]
 
 
 def test_a_rival_that_explains_less_than_its_parent_is_fitted_from_there(monkeypatch):
@@ -266,27 +283,66 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
     assert fitted == expected
 
 
-def test_all_others_are_compared_with_the_parent_on_the_data_of_the_search(monkeypatch):
-    """Refined rivals and their parent are fitted to other data: those they share."""
-    parents = []
+@pytest.mark.parametrize(
+    ("accepted", "left_mm", "is_contested", "others"),
+    [
+        (False, 9.0, False, True),
+        (True, 9.0, False, True),  # a stand-in: it explains a fifth
+        (True, 5.0, False, False),  # it explains three quarters
+        (True, 9.0, True, False),  # others were fitted before
+    ],
+)
+def test_all_others_are_fitted_if_the_best_explains_little(
+    accepted, left_mm, is_contested, others, monkeypatch
+):
+    """A solid that relaxes gained 400, promised 4, and was not tried beside slip.
 
-    def fit_proposals(prepared, step, proposals, criteria, sampled):
-        parents.append(step.parent.log_evidence)
+    They are compared with the parent on the data of the search: refined rivals and
+    their parent are fitted to other data.
+    """
+    tried = []
+    parents = []
+    contested = named_fit("slip", 20.0) if is_contested else None
+    parent = named_fit("", 0.0)
+    misfit_mm = {"": 10.0, "slip": left_mm}
+
+    def propose(data, parent, effects, seed):
+        proposals = []
+        for number, effect in enumerate(effects):
+            hypothesis = SimpleNamespace(causes=(effect,))
+            gain = 100.0 - 10.0 * number
+            proposals.append(Proposal(hypothesis, None, gain, np.zeros(1)))
+        return proposals
+
+    def fit_proposals(prepared, step, proposals, *given):
+        tried.extend(proposal.effect for proposal in proposals)
+        parents.append(step.parent)
         return step
 
-    def refine(prepared, step, *given):
-        return replace(step, parent=named_fit("", 50.0))
+    def compare(prepared, step, *given):
+        moved = named_fit("", 50.0)
+        fits = [named_fit("slip", 70.0)]
+        return replace(step, parent=moved, fits=fits, accepted=accepted)
 
-    monkeypatch.setattr(candidate_comparison, "propose_causes", lambda *given: [])
+    monkeypatch.setattr(candidate_comparison, "propose_causes", propose)
     monkeypatch.setattr(candidate_comparison, "_fit_more_proposals", fit_proposals)
-    monkeypatch.setattr(candidate_comparison, "_compare_rivals", refine)
+    monkeypatch.setattr(candidate_comparison, "_lookalikes_of_best", lambda *given: [])
     monkeypatch.setattr(
-        candidate_comparison, "unexplained_tip_rms", lambda data, fit: np.ones(1)
+        candidate_comparison, "_find_better_parent", lambda *given: None
+    )
+    monkeypatch.setattr(candidate_comparison, "_compare_rivals", compare)
+    monkeypatch.setattr(
+        candidate_comparison,
+        "unexplained_tip_rms",
+        lambda data, fit: np.array([1e-3 * misfit_mm[fit.name]]),
     )
     prepared = SimpleNamespace(data=SimpleNamespace(trials=()))
-    parent = named_fit("", 0.0)
-    step = candidate_comparison.compare_candidates(prepared, parent, [], CRITERIA, 0)
-    assert parents == [0.0, 0.0, 0.0]
+    effects = [f"e{k}" for k in range(10)]
+    step = candidate_comparison.compare_candidates(
+        prepared, parent, effects, CRITERIA, 0, contested
+    )
+    assert tried == (effects if others else SIX)
+    assert all(each is parent for each in parents)
     assert step.parent.log_evidence == 50.0
 
 
