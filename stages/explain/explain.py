@@ -3,7 +3,7 @@
 A few iterations on a coarse mesh rank all effects of the library. The most evident are
 then fitted as from nothing: a cause that moves much, such as a heavy tip, moves the
 other parameters along, so that a fit that begins nearby may end nearby. Where the best
-leaves too much, another effect is sought beside it.
+leaves too much, another effect is sought in addition to it.
 
 The evidence is that of the Bayesian information criterion (Schwarz 1978) for
 independent blocks of time. A diagnosis compares more carefully and takes minutes.
@@ -582,7 +582,7 @@ def _decide_about(
 
 
 def not_asked(estimate: Estimate) -> Explanation:
-    """Return the estimate as it is: nothing needs an explanation."""
+    """Return the estimate without causes: nothing needs an explanation."""
     finding = {
         "verdict": "not asked",
         "candidates": 0,

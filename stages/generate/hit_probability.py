@@ -202,8 +202,8 @@ def tip_errors(
     """Return errors of the simulated tip on M motions under K samples, (M K, T, 2) [m].
 
     On a motion like the last one its misfit is repeated, and the less alike it is, the
-    more of the error is random: of a motion unlike it as much as the misfit is large. T
-    is the number of ticks, or 1 for constant errors.
+    more of the error is random. Of a motion unlike it, the sigma is that of the largest
+    misfit until then. T is the number of ticks, or 1 for constant errors.
     """
     normal = samples.tip_normal[:, None]  # (K, 1, 2)
     if task.misfit is None:

@@ -1,7 +1,7 @@
 """What limits a cast that is likely to miss, what it could reach, and what would help.
 
-It is said before the cast. The nearest box that is likely to be hit is one of those in
-the way of a motion that was tried; a plan for that box may do better.
+Log and page state it before the cast. The nearest box that is likely to be hit lies on
+the path of a motion that was tried; a plan for that box may do better.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from stringcast.stages.generate.learning import predictive_sd
 from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 from stringcast.stages.model.target import Target
 
-UNLIKELY_HIT = 0.5  # probability below which the reason is said
+UNLIKELY_HIT = 0.5  # probability below which the reason is stated
 LIKELY_HIT = 0.8
 MAX_BOXES = 200  # that are tried
 MIN_LEARNING_RATIO = 0.7  # of uncertainties: a gain that is worth a cast
@@ -55,7 +55,7 @@ def find_prospects(
     chosen : int
         Number of the motion that is cast.
     samples, validation : UncertaintySamples
-        Samples of the uncertain quantities, and others by which nothing is chosen.
+        Samples of the uncertain quantities, and independent ones that check a box.
 
     Returns
     -------

@@ -1,9 +1,10 @@
 """The misfit of the last cast, which a similar motion repeats.
 
-What a model lacks moves the tip in nearly the same way on motions that are nearly the
-same. The misfit is therefore a Gaussian process over the path of the hand (Kennedy and
-O'Hagan, J. R. Stat. Soc. B 63, 425, 2001), known on the last cast. A motion close to
-that is corrected by its misfit; one far from it is as uncertain as the misfit is large.
+What a model leaves out moves the tip in nearly the same way on motions that are nearly
+the same. The misfit is therefore a Gaussian process over the path of the hand (Kennedy
+and O'Hagan, J. R. Stat. Soc. B 63, 425, 2001), known on the last cast. A motion close
+to that is corrected by its misfit; one far from it is as uncertain as the misfit is
+large.
 Iterative learning control repeats a motion for the same reason.
 """
 

@@ -216,7 +216,8 @@ def _choose_motion(
 ) -> int:
     """Choose the motion that teaches most among those almost as close as the best.
 
-    samples: by which none was found. exploration: closeness that may be given up.
+    samples: new ones, with which none was found. exploration: closeness that may be
+    given up.
     """
     closeness = predict_outcome(task, candidates, samples).closeness
     best = int(np.argmax(closeness))
