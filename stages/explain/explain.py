@@ -55,11 +55,11 @@ from stringcast.stages.model.model import Model
 NAMED_PROBABILITY = 0.9  # of causes that are named alone
 MIXED_PROBABILITY = 0.05  # of causes whose draws the next plan uses
 MIN_EXPLAINED_FRACTION = 0.5  # of the mean square misfit, by a cause that is named
-# Of the residual to the noise, where causes are named: right ones leave 1.00 to 1.08,
-# others, which stand in for two of three causes, 1.14 to 1.21
+# Of the residual to the noise, where causes are named: right ones leave 1.00 to 1.05,
+# others, which stand in for two of three causes, 1.18 to 1.21
 MAX_NOISE_RATIO = 1.1
 # Of the error of the mesh to the noise. A quarter of it may be left after correction.
-MAX_MESH_ERROR_RATIO = 2.0
+MAX_MESH_ERROR_RATIO = 1.0
 MAX_CAUSES = 3  # together
 PROBE_FRACTIONS = (0.01, 0.03, 0.1, 0.3)  # of the way from absent to an amplitude
 PROBES = 16
