@@ -256,23 +256,21 @@ def true_estimate(model):
 def test_only_noise_is_left_where_nothing_is_hidden(arm, camera, observe):
     """The error of a coarse mesh is subtracted; a heavy tip leaves more than noise."""
     coarse = implicit_string(12, 1e-3)
-    for hidden, low, high in (({}, 0.9, 1.1), ({"tip_mass": {"ratio": 0.3}}, 2, 99)):
+    for hidden in ({}, {"tip_mass": {"ratio": 0.3}}):
         model = Model(coarse, arm, camera)
         estimate = true_estimate(model)
         observation = observe(hidden)
         ratios = compare_with_noise(model, [observation], [estimate, estimate])
-        assert low < ratios.left < high
+        assert ratios.are_noise == (not hidden)
     trial = prepare_trial(model, observe({}))
     chi = estimate.parameters["chi"].to_numpy()
     likelihood = Likelihood(TrialData((trial,)), model)
     assert rms(likelihood.residuals(chi[None])) > 1.5
 
 
-@pytest.mark.parametrize(
-    ("hidden", "low", "high"), [({}, 0.9, 1.1), ({"tip_mass": {"ratio": 0.3}}, 2, 99)]
-)
+@pytest.mark.parametrize("hidden", [{}, {"tip_mass": {"ratio": 0.3}}])
 def test_what_the_mesh_does_not_resolve_is_no_sign_of_a_cause(
-    arm, camera, observe, hidden, low, high
+    arm, camera, observe, hidden
 ):
     """The string whips after a fast swing, and a fit of its whole trial is wrong."""
     fast = swing(duration=0.4, speeds=(10.0, 10.0, -14.0))
@@ -284,7 +282,7 @@ def test_what_the_mesh_does_not_resolve_is_no_sign_of_a_cause(
     (chi,) = fit_least_squares(likelihood, true_chi[None]).chi
     estimate.parameters["chi"] = chi
     ratios = compare_with_noise(model, [observation], [estimate, estimate])
-    assert low < ratios.left < high
+    assert ratios.are_noise == (not hidden)
     assert corrected_residual(likelihood, chi) > 2
 
 
