@@ -89,7 +89,16 @@ class Stiffening(StringEffect):
         return cube * stretch**3
 
 
-def test_what_is_not_linear_in_a_law_bounds_the_step_and_nothing_else_does():
+@pytest.fixture
+def stiffening():
+    """Return a string with a cubic spring, and its values."""
+    plain = replace(implicit_string(60, 0.005), ranges={})
+    bent = replace(plain, effects=(*PAPER_EFFECTS, Stiffening))
+    values = DAMPED | {"quadratic_drag": 1e-4, "stiffening.cube": 1e5}
+    return bent, bent.values(values)[None]
+
+
+def test_what_is_not_linear_in_a_law_bounds_the_step_and_nothing_else_does(stiffening):
     plain = replace(implicit_string(60, 0.005), ranges={})
     steps, _ = steps_per_tick(
         plain,
@@ -97,15 +106,17 @@ def test_what_is_not_linear_in_a_law_bounds_the_step_and_nothing_else_does():
         0.005,
     )
     assert steps[0] == 1
-    bent = replace(plain, effects=(*PAPER_EFFECTS, Stiffening))
-    values = bent.values(DAMPED | {"quadratic_drag": 1e-4, "stiffening.cube": 1e5})[
-        None
-    ]
+    bent, values = stiffening
     steps, _ = steps_per_tick(bent, bent.material(values), 0.005)
     # slope 3 cube stretch^2 at the largest sampled stretch 0.3; dt = 2 / omega, omega^2
     # = 4 slope (1 + 0.2) / l^2
     omega = 2 * np.sqrt(1.2 * 3 * 1e5 * 0.3**2) / bent.segment_length
     assert steps[0] == pytest.approx(0.005 * omega / 2 / 0.9, rel=0.2)
+
+
+@pytest.mark.long  # its loop is compiled for 5 s
+def test_with_the_step_so_bounded_a_law_that_is_not_linear_stays_finite(stiffening):
+    bent, values = stiffening
     assert simulate(bent, HAND, values, T).finite.all()
 
 

@@ -17,6 +17,7 @@ from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.generate import MotionRanges, SearchBudget, generate
 from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion, resample_joint_motion
 from stringcast.stages.model.library import (
@@ -49,8 +50,8 @@ TRUTH = {
     "grasp_stiffness": 1.0,
     "grasp_damping": 5e-3,
 }
-MAGNET = '''
-"""A magnet in the floor pulls the string down, the more the lower it is."""
+TETHER = '''
+"""A spring to a fixed point, with the law of other tests, so that it is compiled."""
 
 import numpy as np
 
@@ -59,27 +60,27 @@ from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.effect_plots import draw_line
 
 
-class Magnet(StringEffect):
-    """An acceleration that decays with height."""
+class Tether(StringEffect):
+    """Pull each mass point to a point, with strength times distance."""
 
-    name = "magnet"
-    parameters = (Parameter("pull", "m/s2", "acceleration at the height of the base", 0.0, 20.0, 0.0),)
+    name = "tether"
+    parameters = (Parameter("strength", "1/s2", "pull over mass and distance", 0.0, 60.0, 0.0),)
     reference = "a test"
 
     @staticmethod
     def describe(values):
         """What is so."""
-        return f"a magnet pulls with {values['pull']:.1f} m/s2"
+        return f"a spring pulls with {values['strength']:.1f} /s2"
 
     @classmethod
     def plot(cls, axes, values):
         """Over the height."""
         y = np.linspace(0, 1, 11)
-        draw_line(axes, y, cls.acceleration(y, values["pull"])[1], "height / m", "acceleration / (m/s2)")
+        draw_line(axes, y, cls.acceleration(0.0, y, values["strength"])[1], "height / m", "acceleration / (m/s2)")
 
     @staticmethod
-    def acceleration(y, pull):
-        return 0.0, -pull / (1.0 + 25.0 * y * y)
+    def acceleration(x, y, strength):
+        return -strength * (x - 0.4), -strength * (y - 0.5)
 '''
 
 
@@ -189,36 +190,37 @@ def test_what_is_known_of_an_effect_is_refined_and_not_sought_all_over(arm, came
 def test_an_effect_in_a_folder_of_its_own_needs_no_other_file(
     effects_folder, arm, camera
 ):
-    (effects_folder / "magnet.py").write_text(MAGNET)
-    magnet = effects_by_name()["magnet"]
-    assert magnet.describe({"pull": 3.0}) == "a magnet pulls with 3.0 m/s2"
-    model = Model(STRING, arm, camera).with_effects(magnet)
+    (effects_folder / "tether.py").write_text(TETHER)
+    tether = effects_by_name()["tether"]
+    assert tether.describe({"strength": 3.0}) == "a spring pulls with 3.0 /s2"
+    string = replace(STRING, integrator=ImplicitLeapfrog())
+    model = Model(string, arm, camera).with_effects(tether)
     t = np.linspace(0, 1, 21)
     values = np.stack(
-        [model.values(TRUTH | {"magnet.pull": pull}) for pull in (0.0, 5.0)]
+        [model.values(TRUTH | {"tether.strength": size}) for size in (0.0, 5.0)]
     )
     weak, strong = model.simulate_string(
         resample_hand_motion(T, POSE), values, t
     ).points
-    assert (strong[:, -1, 1] - weak[:, -1, 1]).min() < -0.01
-    table, _ = recovered(model, observed(model, {"magnet.pull": 5.0}))
-    assert table.loc["magnet.pull", "value"] == pytest.approx(5.0, rel=0.03)
+    assert (strong[:, -1, 1] - weak[:, -1, 1]).max() > 0.01
+    table, _ = recovered(model, observed(model, {"tether.strength": 5.0}))
+    assert table.loc["tether.strength", "value"] == pytest.approx(5.0, rel=0.03)
 
 
 def test_files_that_are_no_effect_are_refused(effects_folder, monkeypatch):
-    (effects_folder / "compass.py").write_text(MAGNET)
+    (effects_folder / "compass.py").write_text(TETHER)
     with pytest.raises(
         ValueError, match=r"compass.py: it must hold one effect, with name = 'compass'"
     ):
         effects_by_name()
     (effects_folder / "compass.py").unlink()
     (effects_folder / "mute.py").write_text(
-        MAGNET.replace('"magnet"', '"mute"').replace("def describe", "def said")
+        TETHER.replace('"tether"', '"mute"').replace("def describe", "def said")
     )
     with pytest.raises(ValueError, match="the effect lacks describe"):
         effects_by_name()
     (effects_folder / "mute.py").unlink()
-    (effects_folder / "wind.py").write_text(MAGNET.replace('"magnet"', '"wind"'))
+    (effects_folder / "wind.py").write_text(TETHER.replace('"tether"', '"wind"'))
     with pytest.raises(ValueError, match="there is an effect 'wind' already"):
         effects_by_name()
     monkeypatch.setenv(PLUGINS_VARIABLE, str(effects_folder / "nowhere"))

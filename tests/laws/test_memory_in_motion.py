@@ -268,7 +268,9 @@ def independent(shape, t, theta, named):
     )
 
 
-@pytest.mark.parametrize("law", [*MEMORY, "all"])
+@pytest.mark.parametrize(
+    "law", [*(pytest.param(name, marks=pytest.mark.long) for name in MEMORY), "all"]
+)
 def test_a_rod_that_somebody_else_integrates_moves_the_same(law):
     """An independently integrated rod moves the same within 0.05 mm.
 
