@@ -380,8 +380,8 @@ def filmed(arm, camera):
     The true string is given at the frames.
     """
 
-    def film(name, **how):
-        bench = VirtualBench(arm, replace(camera), specimen(name), seed=3)
+    def film(name, fps=camera.fps, **how):
+        bench = VirtualBench(arm, replace(camera, fps=fps), specimen(name), seed=3)
         trial = execute(
             swing(**how), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1
         )

@@ -22,8 +22,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from hydra._internal.hydra import Hydra
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 
 from stringcast.pipeline import __main__ as shell
 from stringcast.pipeline.run import single_run
@@ -138,6 +140,11 @@ def start(arguments, to):
         os.write(2, traceback.format_exc().encode())
     finally:
         os._exit(code)
+
+
+def get_mode(hydra, config_name, overrides):
+    """Tell Hydra not to compose all settings only to learn that no file sets a mode."""
+    return RunMode.RUN if "hydra.mode=RUN" in overrides else None
 
 
 def status(arguments):
@@ -260,6 +267,7 @@ if __name__ == "__main__":
     # as Hydra expects when the module is run
     shell.main.__wrapped__.__module__ = "__main__"
     Attempt._run_process = process
+    Hydra.get_mode = get_mode
     # imported here once for all children
     import_module("stringcast.pipeline.run.report")
     import_module("stringcast.pipeline.sweep.finish")

@@ -2,10 +2,9 @@
 
 import importlib.util
 import re
+import shlex
 import shutil
 import socket
-import subprocess
-import sys
 from fnmatch import filter as filter_names
 from fnmatch import fnmatch
 from html import unescape as html_text
@@ -14,6 +13,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 from docs.build import PAGES, ROOT, main, tracked_pages
+from stringcast.pipeline.__main__ import run_command
 
 FRONT = (PAGES / "index.md").read_text(encoding="utf-8")
 NEEDED = ("sphinx", "furo", "myst_parser")
@@ -99,7 +99,9 @@ def test_links_to_other_sites_lead_somewhere():
     assert main(["linkcheck"]) == 0
 
 
-def test_five_commands_lead_from_an_installation_to_a_diagnosis(tmp_path):
+def test_five_commands_lead_from_an_installation_to_a_diagnosis(
+    tmp_path, monkeypatch, capsys
+):
     """The first screen shows five commands; import and check are run as printed.
 
     The last one is run by `tests/diagnosis/test_from_the_command_line.py`.
@@ -110,12 +112,9 @@ def test_five_commands_lead_from_an_installation_to_a_diagnosis(tmp_path):
     assert shown[4] == "cast/bin/stringcast +experiment=diagnose trials=mine"
     for file in (ROOT / "data" / "tutorial").glob("*.csv"):
         shutil.copy(file, tmp_path)
+    monkeypatch.chdir(tmp_path)
     for command in shown[2:4]:
-        words = command.replace("304mm", "282mm").replace(
-            "cast/bin/stringcast", f"{sys.executable} -m stringcast"
-        )
-        done = subprocess.run(
-            words, shell=True, cwd=tmp_path, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stderr
-        assert "Usable: 5 trials; nothing looks wrong." in done.stdout
+        program, name, *words = shlex.split(command.replace("304mm", "282mm"))
+        assert program == "cast/bin/stringcast"
+        assert run_command(name, words) == 0
+        assert "Usable: 5 trials; nothing looks wrong." in capsys.readouterr().out
