@@ -12,9 +12,10 @@ independent blocks of time. A diagnosis compares more carefully and takes minute
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -116,18 +117,6 @@ class NoiseRatios:
         return self.are_noise and self.explain_half
 
 
-@dataclass(frozen=True)
-class FitSettings:
-    """Settings of a fit from nothing, as of `least_squares.estimate`."""
-
-    seed: int
-    manipulation: int
-    starts: int
-    screening: int
-    iterations: int
-    matching: Matching
-
-
 @dataclass
 class Budget:
     """Processor time that may be used.
@@ -211,7 +200,6 @@ def explain(
     Explanation
         The estimate that the next plan uses, with causes and their probabilities.
     """
-    settings = FitSettings(seed, manipulation, starts, screening, iterations, matching)
     budget = Budget(seconds, progress)
     before = {} if previous is None else previous.cause_sets
     earlier = [
@@ -225,7 +213,16 @@ def explain(
     effects = candidate_effects(model, effects_by_name(), trials)
     blocks = int(time_blocks(trials).max()) + 1
     base = Comparison(NO_CAUSE, 0.0, estimate)
-    compare = Comparer(model, observations, base, blocks, settings)
+    fit_model = partial(
+        fit_from_nothing,
+        seed=seed,
+        manipulation=manipulation,
+        starts=starts,
+        screening=screening,
+        iterations=iterations,
+        matching=matching,
+    )
+    compare = Comparer(model, observations, base, blocks, fit_model, seed)
     compared = {NO_CAUSE: base}
     for causes in earlier:
         is_best = causes == next(iter(before))
@@ -273,15 +270,18 @@ class Comparer:
         Of this model with the trials, fitted.
     blocks : int
         Number of independent blocks of time in the trials.
-    settings : FitSettings
-        Of the fits.
+    fit_model : callable
+        Fits a model to observations, also from an earlier estimate, if there is one.
+    seed : int
+        Of the sizes at which effects are tried.
     """
 
     model: Model
     observations: Sequence[Observation]
     base: Comparison
     blocks: int
-    settings: FitSettings
+    fit_model: Callable[[Model, Sequence[Observation], Estimate | None], Estimate]
+    seed: int
 
     def add_cause(
         self,
@@ -399,7 +399,7 @@ class Comparer:
         self, hypothesis: Hypothesis, effect: type[Effect], start: np.ndarray
     ) -> np.ndarray:
         """Choose exponents (C, P) at which an effect acts, near the estimate."""
-        rng = np.random.default_rng([self.settings.seed, PROBES])
+        rng = np.random.default_rng([self.seed, PROBES])
         own = hypothesis.parameter_indices(effect, effect.parameters)
         amplitudes = hypothesis.amplitude_indices(effect)
         probes = np.tile(start, (PROBES, 1))
@@ -416,20 +416,10 @@ class Comparer:
         self, effects: Sequence[type[Effect]], start: Estimate | None
     ) -> Comparison:
         """Fit the model with effects as if nothing were known, and from a start."""
-        settings = self.settings
         base = self.base.estimate
         assert base is not None
-        made = fit_from_nothing(
-            self.model.with_effects(*effects),
-            self.observations,
-            start,
-            seed=settings.seed,
-            manipulation=settings.manipulation,
-            starts=settings.starts,
-            screening=settings.screening,
-            iterations=settings.iterations,
-            matching=settings.matching,
-        )
+        extended = self.model.with_effects(*effects)
+        made = self.fit_model(extended, self.observations, start)
         return self.comparison(effects, (rms_m(made) / rms_m(base)) ** 2, made)
 
 

@@ -179,7 +179,7 @@ def test_no_further_cause_is_ranked_when_the_time_is_up(monkeypatch):
     effects = find_effects(["tip_mass", "clamp", "density_taper"])
     for causes, count in (((), 1 + len(effects)), (("wind",), 1)):
         ranked.clear()
-        comparer = Comparer(None, (), Comparison(causes, 0.0), BLOCKS, None)
+        comparer = Comparer(None, (), Comparison(causes, 0.0), BLOCKS, None, 0)
         used_up = Budget(0.0, lambda share: None)
         assert not comparer.add_cause(effects, {}, 2, used_up)
         assert len(ranked) == count
@@ -314,8 +314,7 @@ def screened(arm, camera, observe):
         model = Model(String(0.3, points=20), arm, camera)
         estimate = true_estimate(model)
         base = Comparison(NO_CAUSE, 0.0, estimate)
-        settings = SimpleNamespace(seed=0)
-        compare = Comparer(model, [observation], base, BLOCKS, settings)
+        compare = Comparer(model, [observation], base, BLOCKS, fit_model=None, seed=0)
         plain = compare.screened_square(())
         evidence = {}
         for effect in find_effects(effects):
