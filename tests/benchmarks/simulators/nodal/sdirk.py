@@ -86,7 +86,7 @@ def newton_matrix(
     return band
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def solve_stage(
     t: float,
     start: State,
@@ -137,7 +137,7 @@ def solve_stage(
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def take_step(
     t: np.ndarray,
     dt: float,
