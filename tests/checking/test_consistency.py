@@ -85,7 +85,7 @@ def test_a_doubtful_misfit_is_an_error_unless_the_geometry_was_measured(
 
 def test_a_misfit_that_grows_from_a_right_beginning_is_a_warning():
     """At 5 m/s the string whips."""
-    measured = scene_measurements("nodal", 2, speed=5.0)
+    measured = scene_measurements("own_kernel", 2, speed=5.0)
     verdict = judge(measured)
     assert not verdict.is_consistent
     assert not is_wrong_geometry(verdict)
@@ -93,7 +93,7 @@ def test_a_misfit_that_grows_from_a_right_beginning_is_a_warning():
 
 
 def test_a_right_pace_stays_though_slower_points_would_move_less():
-    measured = scene_measurements("nodal", 3)
+    measured = scene_measurements("own_kernel", 3)
     assert not find_answer(measured, judge(measured)).proposals
 
 
