@@ -13,6 +13,7 @@ from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose.candidate_comparison import SelectionStep
 from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from stringcast.stages.diagnose.selection_state import SelectionState
+from tests.diagnosis import test_forward_selection
 from tests.diagnosis.test_forward_selection import diagnose_casts
 
 
@@ -22,6 +23,7 @@ def interrupt(*given):
 
 def test_accepted_causes_are_reported_and_none_is_named(arm, camera, monkeypatch):
     monkeypatch.setattr(module, "swap_lookalikes_until_stable", interrupt)
+    monkeypatch.setattr(test_forward_selection, "EFFECTS", ("tip_mass", "wind"))
     diagnosis = diagnose_casts(arm, camera, {"tip_mass.ratio": 0.05}, monkeypatch)
     document = json.loads(diagnosis.finding["diagnosis"].iloc[0])
     assert document["verdict"] == "insufficient"
