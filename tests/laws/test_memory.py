@@ -180,17 +180,8 @@ MILD = {
 }
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "maxwell_slip",
-        *(
-            pytest.param(name, marks=pytest.mark.long)
-            for name in MILD
-            if name != "maxwell_slip"
-        ),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("name", MILD)
 def test_a_string_moves_the_same_whoever_integrates_it(name, arm, motion):
     """A string moves the same with any integrator, and at a twentieth of the step.
 

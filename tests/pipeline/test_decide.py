@@ -7,6 +7,7 @@ because only the orchestration is tested here.
 """
 
 import json
+import shutil
 from dataclasses import replace
 
 import pandas as pd
@@ -57,11 +58,13 @@ def proposing(model, observations, rejected, held_out, obstacles, *, seed, progr
     return Diagnosis(**tables)
 
 
-@pytest.fixture(autouse=True)
-def clocks_are_together(monkeypatch):
+@pytest.fixture(autouse=True, scope="module")
+def clocks_are_together():
     """Spare each run the estimate of the clocks, which takes 5 s; others test it."""
     place = "stringcast.pipeline.modes.diagnose.refuse_unlike_clocks"
-    monkeypatch.setattr(place, lambda *given: None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(place, lambda *given: None)
+        yield
 
 
 def decide(trials, folder, experiment="decide"):
@@ -77,13 +80,17 @@ def decide(trials, folder, experiment="decide"):
     return result
 
 
-def test_the_motion_proposed_is_performed_and_seen_with_the_others(
-    null_trials, tmp_path
-):
-    result = decide(null_trials, tmp_path)
-    first, second = SEEN
+@pytest.fixture(scope="module")
+def decided(null_trials, tmp_path_factory):
+    """Decide once; return the result and the trials that each diagnosis saw."""
+    result = decide(null_trials, tmp_path_factory.mktemp("decided"))
+    return result, list(SEEN)
+
+
+def test_the_motion_proposed_is_performed_and_seen_with_the_others(decided):
+    result, (first, second) = decided
     assert second == [*first, f"performed-{len(first) + 1:02d}"]
-    place = tmp_path / "iterations" / f"{len(first) + 1:02d}"
+    place = result.folder / "iterations" / f"{len(first) + 1:02d}"
     assert {p.name for p in place.iterdir()} == {
         "motion",
         "trial",
@@ -91,26 +98,25 @@ def test_the_motion_proposed_is_performed_and_seen_with_the_others(
         "diagnosis",
     }
     assert result.final_artifact.verdict == "effect"
-    assert (
-        json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"] is None
-    )
-    assert set(pd.read_parquet(tmp_path / "points.parquet")["trial"]) == {second[-1]}
+    document = json.loads((result.folder / "diagnosis.json").read_text())
+    assert document["next_experiment"] is None
+    points = pd.read_parquet(result.folder / "points.parquet")
+    assert set(points["trial"]) == {second[-1]}
     sources = read_origin(place / "diagnosis" / "finding.parquet")["inputs"]
-    trial = place.relative_to(tmp_path) / "points"
-    assert sources[trial.as_posix()] == content_hash(tmp_path / trial)
+    trial = place.relative_to(result.folder) / "points"
+    assert sources[trial.as_posix()] == content_hash(result.folder / trial)
 
 
-def test_an_interrupted_run_goes_on_where_it_was(null_trials, tmp_path):
-    decide(null_trials, tmp_path)
-    whole = content_hash(tmp_path / "iterations")
-    last = sorted((tmp_path / "iterations").iterdir())[-1]
+def test_an_interrupted_run_goes_on_where_it_was(decided, null_trials, tmp_path):
+    result, _ = decided
+    run = shutil.copytree(result.folder, tmp_path / "run")
+    last = sorted((run / "iterations").iterdir())[-1]
     for name in ("points", "diagnosis"):
-        for file in (last / name).iterdir():
-            file.unlink()
-        (last / name).rmdir()
-    decide(null_trials, tmp_path)
+        shutil.rmtree(last / name)
+    decide(null_trials, run)
     assert len(SEEN) == 1  # the first diagnosis was read, not repeated
-    assert content_hash(tmp_path / "iterations") == whole
+    whole = content_hash(result.folder / "iterations")
+    assert content_hash(run / "iterations") == whole
 
 
 def test_a_diagnosis_alone_leaves_the_motion_and_moves_nothing(null_trials, tmp_path):

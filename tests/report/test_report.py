@@ -760,6 +760,7 @@ def test_a_page_of_five_noisy_casts_stays_small(arm, camera):
     assert 5 * (len(film) + len(closest_approach_picture(record, cast).source)) < 0.85e6
 
 
+@pytest.mark.long
 def test_a_page_of_ten_casts_is_at_most_as_large_as_promised(arm, camera):
     text = cast_page(record_of(arm, camera, [manipulation(arm, camera)] * 10))
     assert 0.8e6 < len(text.encode()) < 1.5e6  # the page holds all pictures
