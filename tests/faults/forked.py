@@ -19,6 +19,7 @@ import traceback
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -32,6 +33,7 @@ from stringcast.pipeline.run import single_run
 from stringcast.pipeline.sweep.attempt import Attempt
 from stringcast.pipeline.sweep.lazy_launcher import LazyLauncher
 from stringcast.pipeline.sweep.ledger import DONE_STATE, Ledger
+from stringcast.stages.report import theme
 from tests.faults.strike import look_at_what_is_left
 from tests.faults.toy import ROOT, STAGES, TINY, contents
 
@@ -268,6 +270,9 @@ if __name__ == "__main__":
     shell.main.__wrapped__.__module__ = "__main__"
     Attempt._run_process = process
     Hydra.get_mode = get_mode
+    # Pictures of a page are left empty: to draw them takes most of a run.
+    empty = SimpleNamespace(print_svg=lambda data, metadata: data.write("<svg></svg>"))
+    theme.FigureCanvasSVG = lambda figure: empty
     # imported here once for all children
     import_module("stringcast.pipeline.run.report")
     import_module("stringcast.pipeline.sweep.finish")
