@@ -235,7 +235,7 @@ def explain(
     is_complete = True
     if is_surprising or not is_enough:
         is_complete = compare.add_cause(effects, compared, finalists, budget)
-        compare.add_further_causes(effects, compared, finalists, budget, tolerance_m)
+    compare.add_further_causes(effects, compared, finalists, budget, tolerance_m)
     probabilities = posterior_probabilities(compared, len(effects))
     best = compared[next(iter(probabilities))]
     explaining = best if explains_half(best, base) else base

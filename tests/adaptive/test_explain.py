@@ -30,6 +30,7 @@ from stringcast.stages.explain.explain import (
     compare_with_noise,
     corrected_residual,
     decide,
+    explain,
     posterior_probabilities,
 )
 from stringcast.stages.explain.run import run
@@ -183,6 +184,42 @@ def test_no_further_cause_is_ranked_when_the_time_is_up(monkeypatch):
         used_up = Budget(0.0, lambda share: None)
         assert not comparer.add_cause(effects, {}, 2, used_up)
         assert len(ranked) == count
+
+
+@pytest.mark.parametrize(("ratio", "sought"), [(3.0, [("tip_mass",)]), (1.0, [])])
+def test_further_causes_are_sought_while_earlier_ones_leave_more_than_noise(
+    arm, camera, observe, monkeypatch, ratio, sought
+):
+    """It needs no surprise, nor a tip that is far off."""
+    extended = []  # causes to which others are added
+
+    def add_cause(comparer, *given):
+        extended.append(comparer.base.causes)
+        return True
+
+    found = fitted("tip_mass", 20.0, 0.005)
+    monkeypatch.setattr(Comparer, "add_cause", add_cause)
+    monkeypatch.setattr(Comparer, "fit", lambda *given: found)
+    monkeypatch.setattr(Comparer, "with_noise", lambda *given: NoiseRatios(10.0, ratio))
+    module = "stringcast.stages.explain.explain"
+    monkeypatch.setattr(f"{module}.build_explanation", lambda *given: None)
+    explain(
+        Model(implicit_string(12, 1e-3), arm, camera),
+        [observe({})],
+        fitted("", 0.0, 0.04).estimate,
+        SimpleNamespace(cause_sets={("tip_mass",): 1.0}),
+        is_surprising=False,
+        tolerance_m=TOLERANCE_M,
+        seed=0,
+        manipulation=1,
+        seconds=30,
+        finalists=1,
+        starts=1,
+        screening=1,
+        iterations=1,
+        matching=None,
+    )
+    assert extended == sought
 
 
 def test_no_fit_begins_that_would_end_after_the_time_is_up(monkeypatch):
