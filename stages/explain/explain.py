@@ -535,7 +535,10 @@ def decide(
         )
     if not noise_ratios.are_noise:
         return "unknown", "No single effect explains why more than noise is left."
-    return "none", "No cause is needed: the trials agree with the model."
+    return (
+        "none",
+        "No cause is needed: the model leaves only noise where it is resolved.",
+    )
 
 
 def _decide_about(
