@@ -76,10 +76,10 @@ LONGEST = (
         "benchmarks/test_drawing",
     ),
     *(
+        "checking/test_check",
+        "diagnosis/test_forward_selection",
         "faults/test_full_disk",
         "faults/test_run_faults",
-        "pipeline/test_new_stage",
-        "estimation/test_estimate",
     ),
 )
 

@@ -705,7 +705,7 @@ def test_estimation_alone_has_a_page(arm, small):
     assert "Cast 1" not in page.text
 
 
-def test_a_look_before_the_first_cast_has_its_own_section(arm, small):
+def test_a_look_before_the_first_cast_has_its_own_section(arm, small, undrawn):
     """It shows what it taught and its film, and no distance from the target."""
     cast = manipulation(arm, small)
     seen = replace(cast, verdict=HitResult.unknown())

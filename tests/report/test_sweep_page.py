@@ -274,7 +274,7 @@ def reached():
     )
 
 
-def test_the_map_of_the_workspace_says_what_became_of_each_target():
+def test_the_map_of_the_workspace_says_what_became_of_each_target(undrawn):
     table = pd.concat(
         [reached().assign(**{"target.y": y}) for y in (0.2, 0.5)], ignore_index=True
     )
