@@ -197,6 +197,8 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "tasks.py study casting ~casting.methods.paper casting.first=310 casting.seeds=10 casting.casts=1": "takes minutes; one run of it: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study gain casting.seeds=2": "takes hours; as casting",
     "tasks.py study adaptive casting.first=800 casting.seeds=1 ~casting.methods.robust": "takes an hour; its jobs: tests/benchmarks/casting/test_casting_study.py",
+    "tasks.py study adaptive casting.first=820 casting.seeds=1 ~casting.methods.robust ~casting.methods.informed ~casting.cases.B": "as with seed 800",
+    "tasks.py study worlds casting.first=820 casting.seeds=1 ~casting.methods.robust ~casting.cases.B ~casting.cases.D casting.casts=2": "as with seed 800",
     "tasks.py study worlds casting.first=800 casting.seeds=1 ~casting.methods.robust ~casting.cases.C ~casting.cases.D": "takes half an hour; its jobs: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study worlds casting.first=830 casting.seeds=1 ~casting.methods.adaptive ~casting.cases.C ~casting.cases.D look=null casting.casts=3": "as with seed 800",
     "tasks.py study forecast casting.first=900 casting.seeds=18": "takes half an hour; as adaptive",
