@@ -125,8 +125,9 @@ def add_cause(
         refined = refine_fit(prepared, other)
         uncertainty_m = refined.prepared.discretisation_uncertainty_m
         before_m = prepared.discretisation_uncertainty_m
-        is_better = refined.fit.log_evidence > fit.log_evidence
-        if is_better and is_resolved(
+        gain = refined.fit.log_evidence - fit.log_evidence
+        log.info("from other strings: log evidence %+.1f", gain)
+        if gain > 0 and is_resolved(
             uncertainty_m, before_m, criteria, needed=len(before_m)
         ):
             prepared = refined.prepared
