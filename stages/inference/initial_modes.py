@@ -30,8 +30,10 @@ from stringcast.stages.model.parameter import (
 )
 from stringcast.stages.model.string import String
 
-# of the log-likelihood: what a state is off, parameters make up for
+# Of the log-likelihood. What a state is off, parameters make up for ...
 STATE_MIN_GAIN = 0.005
+# ... or its modes, whose amplitudes are integrated out
+MODES_MIN_GAIN = 0.1
 INITIAL_SPAN_S = 0.5  # [s] of the trial's beginning that the state is fitted to
 SHAPE_MODE_SIGMA_RAD = 0.1  # [rad]: standard deviation of a mode of the shape
 RATE_MODE_SIGMA_RAD_S = 3.0  # [rad/s]: standard deviation of a mode of the rates
@@ -74,6 +76,7 @@ def refine_initial_state(
         early,
         values,
         lambda residual: residual / noise,
+        STATE_MIN_GAIN,
         HUBER_LIMIT,
     )
 
@@ -83,6 +86,7 @@ def fit_initial_state(
     fitted_part: PreparedTrial,
     values: np.ndarray,
     whiten: Callable[[np.ndarray], np.ndarray],
+    min_gain: float,
     limit: float = np.inf,
 ) -> PreparedTrial:
     """Fit the initial state of a trial by least squares.
@@ -95,13 +99,15 @@ def fit_initial_state(
         Of the model's parameters, (P,).
     whiten
         Whitens residuals over sigma (C, 2 N).
+    min_gain
+        A step that gains less of the log-likelihood is slow.
     limit
         Standard deviations from which a residual counts less.
     """
     parameters = initial_state_parameters(trial.model.string)
     problem = _InitialStateProblem(fitted_part, values, parameters, whiten, limit)
     start = parameter_exponents(parameters, initial_amplitudes(trial))
-    best = fit_least_squares(problem, start[None], min_gain=STATE_MIN_GAIN).chi[0]
+    best = fit_least_squares(problem, start[None], min_gain=min_gain).chi[0]
     return with_initial_amplitudes(trial, parameter_values(parameters, best))
 
 
@@ -294,4 +300,4 @@ def _most_likely_initial_state(
     def whiten(residual: np.ndarray) -> np.ndarray:
         return rest.whiten(residual + displaced, scale_index)
 
-    return fit_initial_state(extended, extended, values, whiten)
+    return fit_initial_state(extended, extended, values, whiten, MODES_MIN_GAIN)

@@ -266,7 +266,9 @@ def test_modes_are_fitted_with_a_unit_prior(linear_residuals):
     """Ridge regression: the prior counts as one residual for each amplitude."""
     trial = moving_trial(memory=0.0)
     truth = np.full(13, 0.5)
-    found = initial_modes.fit_initial_state(trial, trial, truth, lambda r: 30 * r)
+    found = initial_modes.fit_initial_state(
+        trial, trial, truth, lambda r: 30 * r, 0.005
+    )
     shapes = 30 * linear_residuals / np.repeat(trial.sigma, 2)
     expected = np.linalg.solve(
         shapes @ shapes.T + np.eye(13), shapes @ shapes.T @ truth
@@ -310,7 +312,8 @@ def test_a_state_is_refined_by_the_first_part_over_its_noise(monkeypatch):
     assert len(fit[1].times) == 3
     assert fit[2] == "values"
     assert fit[3](np.ones(1)) == pytest.approx(1 / (1.4826 * 4.0))
-    assert fit[4] == 2.0  # outliers count less
+    assert fit[4] == initial_modes.STATE_MIN_GAIN
+    assert fit[5] == 2.0  # outliers count less
     initial_modes.refine_initial_state(trial, "values")
     assert asked[2][0] == 3  # half a second
 

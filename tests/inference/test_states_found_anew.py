@@ -80,8 +80,9 @@ def test_a_state_far_off_is_found_from_how_the_string_moves(trial, hypothesis, t
     assert near.tip_rms_by_trial(mean_discrepancy(near, here))[0] < NOISE
     assert here.log_evidence > off.log_evidence + 100
     assert here.log_evidence == pytest.approx(there.log_evidence, abs=0.5)
+    # In standard deviations: modes make up for the rest
     assert near.trials[0].mode_amplitudes == pytest.approx(
-        found.trials[0].mode_amplitudes, abs=0.05
+        found.trials[0].mode_amplitudes, abs=0.1
     )
 
 
