@@ -12,7 +12,7 @@ independent blocks of time. A diagnosis compares more carefully and takes minute
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -62,10 +62,14 @@ MAX_NOISE_RATIO = 1.1
 # Of the error of the mesh to the noise. A quarter of it may be left after correction.
 MAX_MESH_ERROR_RATIO = 1.0
 MAX_CAUSES = 3  # together
+# Of the log evidence. A fit from nothing gains this much at most over the coarse mesh:
+# what is further behind is not fitted
+MAX_FIT_GAIN = 20.0
 PROBE_FRACTIONS = (0.01, 0.03, 0.1, 0.3)  # of the way from absent to an amplitude
 PROBES = 16
 SCREENED_PROBES = 3  # the best of them, which are refined
 SCREENING_ITERATIONS = 8
+SCREENING_MIN_GAIN = 0.05  # of the log evidence: runs that gain less end
 CORRECTION_PASSES = 3
 COARSE_LEVEL = 2  # of the mesh, halvings
 NO_CAUSE: tuple[str, ...] = ()
@@ -232,16 +236,16 @@ def explain(
     fitted = list(compared.values())
     is_enough = any(tip_rms_m(each.estimate) <= tolerance_m for each in fitted)
 
-    is_complete = True
+    search = CauseSearch(compare, effects, compared, finalists, budget)
     if is_surprising or not is_enough:
-        is_complete = compare.add_cause(effects, compared, finalists, budget)
-    compare.add_further_causes(effects, compared, finalists, budget, tolerance_m)
+        search.add_effect_to(base)
+    search.add_further_effects(tolerance_m)
     probabilities = posterior_probabilities(compared, len(effects))
     best = compared[next(iter(probabilities))]
     explaining = best if explains_half(best, base) else base
-    noise_ratios = compare.with_noise(explaining)
+    noise_ratios = search.with_noise(explaining)
     verdict, sentence = decide(
-        compared, probabilities, tolerance_m, is_complete, noise_ratios
+        compared, probabilities, tolerance_m, search.is_complete, noise_ratios
     )
     finding = {
         "verdict": verdict,
@@ -283,78 +287,10 @@ class Comparer:
     fit_model: Callable[[Model, Sequence[Observation], Estimate | None], Estimate]
     seed: int
 
-    def add_cause(
-        self,
-        effects: Sequence[type[Effect]],
-        compared: dict[tuple[str, ...], Comparison],
-        finalists: int,
-        budget: Budget,
-    ) -> bool:
-        """Screen all effects and fit the most evident ones; add them to `compared`.
-
-        Returns whether the budget was enough.
-        """
-        plain = self.screened_square(())
-        screened = []
-        for effect in effects:
-            if self.base.causes and budget.is_used_up():
-                return False  # no fit of a further cause would begin
-            square_ratio = self.screened_square((effect,)) / plain
-            screened.append((effect, self.comparison((effect,), square_ratio)))
-            budget.is_used_up()
-        screened.sort(key=lambda pair: -pair[1].log_evidence)
-        is_complete = True
-        for effect, each in screened[:finalists]:
-            if each.causes in compared:
-                continue
-            if budget.is_used_up():
-                is_complete = False
-                break
-            with budget.measure_fit():
-                compared[each.causes] = self.fit((effect,), self.base.estimate)
-        # a cause that was not fitted is as evident as it seems on the coarse mesh
-        for _, each in screened:
-            compared.setdefault(each.causes, each)
-        return is_complete
-
-    def add_further_causes(
-        self,
-        effects: Sequence[type[Effect]],
-        compared: dict[tuple[str, ...], Comparison],
-        finalists: int,
-        budget: Budget,
-        tolerance_m: float,
-    ) -> None:
-        """Add causes to the most evident ones while they explain half of what is left.
-
-        tolerance_m: tip misfit that needs no further cause [m].
-        """
-        for _ in range(MAX_CAUSES - 1):
-            best = most_evident_fit(compared)
-            if not best.causes or budget.is_used_up():
-                return
-            is_near = tip_rms_m(best.estimate) <= tolerance_m
-            if is_near and self.with_noise(best).explain_all:
-                return
-            others = [effect for effect in effects if effect.name not in best.causes]
-            extended = self.model.with_effects(*find_effects(best.causes))
-            found: dict[tuple[str, ...], Comparison] = {}
-            comparer = replace(self, model=extended, base=best)
-            comparer.add_cause(others, found, finalists, budget)
-            explaining = {}
-            for causes, comparison in found.items():
-                if explains_half(comparison, best):
-                    explaining[causes] = comparison
-            if not explaining:
-                return
-            compared.update(explaining)
-
-    def with_noise(self, comparison: Comparison) -> NoiseRatios:
-        """Compare what causes that were fitted leave with the noise."""
-        assert self.base.estimate is not None
-        assert comparison.estimate is not None
-        estimates = self.base.estimate, comparison.estimate
-        return compare_with_noise(self.model, self.observations, estimates)
+    def given(self, base: Comparison) -> Comparer:
+        """Return the comparison of effects that are added to causes."""
+        extended = self.model.with_effects(*find_effects(base.causes))
+        return replace(self, model=extended, base=base)
 
     def comparison(
         self,
@@ -392,7 +328,10 @@ class Comparer:
             probes = self._probes(hypothesis, effects[-1], start)
             squares = np.mean(coarse.residuals(probes) ** 2, axis=1)
             starts = probes[np.argsort(squares, kind="stable")[:SCREENED_PROBES]]
-        runs = fit_least_squares(coarse, starts, SCREENING_ITERATIONS)
+        # the solver takes each number as independent, and the evidence each block
+        numbers = sum(2 * len(trial.s) for trial in trials)
+        min_gain = SCREENING_MIN_GAIN * numbers / (2 * self.blocks)
+        runs = fit_least_squares(coarse, starts, SCREENING_ITERATIONS, min_gain)
         return float(np.mean(runs.residual[np.argmin(runs.loss)] ** 2))
 
     def _probes(
@@ -421,6 +360,168 @@ class Comparer:
         extended = self.model.with_effects(*effects)
         made = self.fit_model(extended, self.observations, start)
         return self.comparison(effects, (rms_m(made) / rms_m(base)) ** 2, made)
+
+
+@dataclass(frozen=True)
+class Finalist:
+    """An effect that may be fitted, and its comparison on the coarse mesh."""
+
+    effect: type[Effect]
+    comparison: Comparison
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether its loads are so stiff that a fit takes some ten times as long."""
+        return hasattr(self.effect, "bound")
+
+
+@dataclass
+class CauseSearch:
+    """Search of causes: each effect is added to the most evident ones.
+
+    Parameters
+    ----------
+    comparer : Comparer
+        Compares effects that are added to the model as it was.
+    effects : sequence of Effect types
+        That may act.
+    compared : dict
+        All comparisons by their causes. The search adds to them.
+    finalists : int
+        Number of the most evident causes that are fitted as if nothing were known.
+    budget : Budget
+        Processor time that may be used.
+    """
+
+    comparer: Comparer
+    effects: Sequence[type[Effect]]
+    compared: dict[tuple[str, ...], Comparison]
+    finalists: int
+    budget: Budget
+
+    def __post_init__(self) -> None:
+        """Begin with nothing searched."""
+        self.is_complete = True  # whether all likely causes were fitted
+        self.fitted = dict(self.compared)  # also causes that explain too little
+        self.extended: set[tuple[str, ...]] = set()  # to which all others were added
+        self.postponed: list[tuple[Comparer, Finalist]] = []
+        self.noise_ratios: dict[tuple[str, ...], NoiseRatios] = {}
+
+    def add_effect_to(self, base: Comparison) -> None:
+        """Screen all effects in addition to causes, and fit the most evident ones.
+
+        Where there are causes already, another must explain half of what they leave
+        beyond noise. A slow effect waits until the most evident one has been extended,
+        unless it is far more evident than the quick ones.
+        """
+        self.extended.add(base.causes)
+        comparer = self.comparer.given(base)
+        screened = self.screen_effects(comparer)
+        screened.sort(key=lambda each: -each.comparison.log_evidence)
+        finalists = screened[: self.finalists]
+        quick = [each.comparison.log_evidence for each in finalists if not each.is_slow]
+        for each in finalists:
+            lead = each.comparison.log_evidence - max(quick, default=-np.inf)
+            if each.is_slow and lead < MAX_FIT_GAIN:
+                self.postponed.append((comparer, each))
+            else:
+                self.fit(comparer, each)
+        if not base.causes:
+            # what was not fitted is as evident as it seems on the coarse mesh
+            for each in screened:
+                self.compared.setdefault(each.comparison.causes, each.comparison)
+
+    def fit(self, comparer: Comparer, finalist: Finalist) -> None:
+        """Fit an effect that is added to causes, unless that cannot make it likely."""
+        base, causes = comparer.base, finalist.comparison.causes
+        if not self.may_be_likely(finalist.comparison):
+            return
+        if causes not in self.fitted:
+            if self.budget.is_used_up():
+                self.is_complete = self.is_complete and bool(base.causes)
+                return
+            with self.budget.measure_fit():
+                self.fitted[causes] = comparer.fit((finalist.effect,), base.estimate)
+        noise = noise_m(comparer.observations)
+        if not base.causes or explains_half(self.fitted[causes], base, noise):
+            self.compared[causes] = self.fitted[causes]
+
+    def screen_effects(self, comparer: Comparer) -> list[Finalist]:
+        """Compare each effect that is added to causes on a coarse mesh.
+
+        Returns none if the time is up, so that no fit of a further cause would begin.
+        """
+        plain = comparer.screened_square(())
+        screened = []
+        for effect in self.effects:
+            if self.budget.is_used_up() and comparer.base.causes:
+                return []
+            if effect.name not in comparer.base.causes:
+                square_ratio = comparer.screened_square((effect,)) / plain
+                compared = comparer.comparison((effect,), square_ratio)
+                screened.append(Finalist(effect, compared))
+        return screened
+
+    def may_be_likely(self, each: Comparison) -> bool:
+        """Tell whether a fit may make causes as evident as the most evident ones."""
+        most = most_evident_fit(self.compared.values()).log_evidence
+        return each.log_evidence + MAX_FIT_GAIN > most
+
+    def add_further_effects(self, tolerance_m: float) -> None:
+        """Add effects to the most evident causes while more than noise is left.
+
+        Then effects are added to the next most evident ones. If the best leave only
+        noise, rivals of as many causes are sought in the same way.
+
+        tolerance_m: tip misfit that needs no further cause [m].
+        """
+        while not self.budget.is_used_up():
+            open_end = self.most_evident_open_end(tolerance_m)
+            if open_end is None and not self.postponed:
+                return
+            if open_end is not None:
+                self.add_effect_to(open_end)
+            self.fit_postponed()
+        self.fit_postponed()
+
+    def most_evident_open_end(self, tolerance_m: float) -> Comparison | None:
+        """Return the most evident causes to which no effect was added, if it may help.
+
+        tolerance_m: tip misfit that needs no further cause [m].
+        """
+        best = most_evident_fit(self.compared.values())
+        if not best.causes:
+            return None
+        most_causes = MAX_CAUSES
+        is_near = tip_rms_m(best.estimate) <= tolerance_m
+        if is_near and self.with_noise(best).explain_all:
+            most_causes = len(best.causes)  # more would be no likelier
+        open_ends = []
+        for causes, each in self.compared.items():
+            is_open = each.estimate is not None and causes not in self.extended
+            if is_open and 0 < len(causes) < most_causes:
+                open_ends.append(each)
+        return most_evident_fit(open_ends) if open_ends else None
+
+    def fit_postponed(self) -> None:
+        """Fit the slow effects that were postponed, where they may still be likely."""
+        for comparer, finalist in self.postponed:
+            self.fit(comparer, finalist)
+        self.postponed.clear()
+
+    def with_noise(self, comparison: Comparison) -> NoiseRatios:
+        """Compare what causes that were fitted leave with the noise."""
+        causes = comparison.causes
+        if causes not in self.noise_ratios:
+            estimate = self.comparer.base.estimate
+            assert estimate is not None
+            assert comparison.estimate is not None
+            self.noise_ratios[causes] = compare_with_noise(
+                self.comparer.model,
+                self.comparer.observations,
+                (estimate, comparison.estimate),
+            )
+        return self.noise_ratios[causes]
 
 
 def compare_with_noise(
@@ -474,18 +575,28 @@ def tip_rms_m(estimate: Estimate | None) -> float:
     return np.nan if estimate is None else float(estimate.fit["tip_after"].iloc[0])
 
 
-def most_evident_fit(compared: Mapping[tuple[str, ...], Comparison]) -> Comparison:
+def most_evident_fit(compared: Iterable[Comparison]) -> Comparison:
     """Return the most evident comparison among those that were fitted."""
-    fitted = [each for each in compared.values() if each.estimate is not None]
+    fitted = [each for each in compared if each.estimate is not None]
     return max(fitted, key=lambda each: each.log_evidence)
 
 
-def explains_half(each: Comparison, base: Comparison) -> bool:
-    """Tell whether causes that were fitted explain half of the mean square misfit."""
+def noise_m(observations: Sequence[Observation]) -> float:
+    """Return the distance by which noise alone moves a measured point [m]."""
+    sigma = pd.concat([observation.points["sigma"] for observation in observations])
+    return float(np.sqrt(2) * sigma.median())
+
+
+def explains_half(each: Comparison, base: Comparison, noise_m: float = 0.0) -> bool:
+    """Tell whether causes that were fitted explain half of the mean square misfit.
+
+    noise_m: residual that no cause explains, root mean square [m].
+    """
     if each.estimate is None or base.estimate is None:
         return False
-    left = (rms_m(each.estimate) / rms_m(base.estimate)) ** 2
-    return left <= 1 - MIN_EXPLAINED_FRACTION
+    misfit = rms_m(base.estimate) ** 2 - noise_m**2
+    left = rms_m(each.estimate) ** 2 - noise_m**2
+    return left <= (1 - MIN_EXPLAINED_FRACTION) * misfit
 
 
 def posterior_probabilities(

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-import pandas as pd
 
 from stringcast.data.artifacts import (
     Estimate,
     Explanation,
-    Observation,
     Surprise,
     TrialSet,
 )
 from stringcast.stages.estimate.least_squares import MISFIT_RATIO
 from stringcast.stages.estimate.trim import trim_at_contact
-from stringcast.stages.explain.explain import rms_m
+from stringcast.stages.explain.explain import noise_m, rms_m
 from stringcast.stages.spec import StageCall
 
 
@@ -50,9 +46,3 @@ def run(
         progress=call.progress,
     )
     return explanation
-
-
-def noise_m(observations: Sequence[Observation]) -> float:
-    """Return the distance by which noise alone moves a measured point [m]."""
-    sigma = pd.concat([observation.points["sigma"] for observation in observations])
-    return float(np.sqrt(2) * sigma.median())

@@ -24,6 +24,7 @@ from stringcast.stages.execute.execute import pad_commands
 from stringcast.stages.explain.explain import (
     NO_CAUSE,
     Budget,
+    CauseSearch,
     Comparer,
     Comparison,
     NoiseRatios,
@@ -168,22 +169,122 @@ def test_causes_that_leave_much_are_not_trusted_on_other_motions():
         assert explanation(verdict).model_error_m == 0.005
 
 
-def test_no_further_cause_is_ranked_when_the_time_is_up(monkeypatch):
-    """All effects are ranked once; beside causes that were found only in time."""
-    ranked = []
+RMS_MM = {  # of the centre-line that causes leave; others leave what theirs leave
+    "": 10.0,
+    "tip_mass": 4.4,
+    "wind": 5.3,
+    "clamp": 8.0,
+    "gravity_direction tip_mass": 1.18,
+    "tip_mass wind": 1.41,
+    "rest_curvature tip_mass wind": 1.0,
+}
 
-    def rank(comparer, effects):
-        ranked.append(effects)
-        return 1.0
 
-    monkeypatch.setattr(Comparer, "screened_square", rank)
-    effects = find_effects(["tip_mass", "clamp", "density_taper"])
-    for causes, count in (((), 1 + len(effects)), (("wind",), 1)):
-        ranked.clear()
-        comparer = Comparer(None, (), Comparison(causes, 0.0), BLOCKS, None, 0)
-        used_up = Budget(0.0, lambda share: None)
-        assert not comparer.add_cause(effects, {}, 2, used_up)
-        assert len(ranked) == count
+def left_mm(causes):
+    """Return the least that is left by causes of RMS_MM among the given ones."""
+    left = [mm for known, mm in RMS_MM.items() if set(known.split()) <= set(causes)]
+    return min(left)
+
+
+@pytest.fixture
+def search(monkeypatch):
+    """Return a function that begins a search by RMS_MM, and what was ranked and fitted.
+
+    Noise alone leaves 1 mm.
+    """
+    ranked, fits = [], []
+
+    def screen(comparer, effects):
+        causes = [*comparer.base.causes, *(effect.name for effect in effects)]
+        ranked.append(tuple(sorted(causes)))
+        return left_mm(causes) ** 2
+
+    def fit(comparer, effects, start):
+        (effect,) = effects
+        causes = tuple(sorted([*comparer.base.causes, effect.name]))
+        fits.append(causes)
+        before, left = left_mm(comparer.base.causes), left_mm(causes)
+        estimate = fitted("", 0.0, 1e-3 * left).estimate
+        return comparer.comparison(effects, (left / before) ** 2, estimate)
+
+    def compare(search, comparison):
+        return NoiseRatios(10.0, left_mm(comparison.causes))
+
+    monkeypatch.setattr(Comparer, "given", lambda self, base: replace(self, base=base))
+    monkeypatch.setattr(Comparer, "screened_square", screen)
+    monkeypatch.setattr(Comparer, "fit", fit)
+    monkeypatch.setattr(CauseSearch, "with_noise", compare)
+
+    def begin(names, seconds=1e6):
+        points = pd.DataFrame({"sigma": [1e-3 / np.sqrt(2)]})
+        base = fitted("", 0.0, 0.01)
+        comparer = Comparer(None, [SimpleNamespace(points=points)], base, 30, None, 0)
+        budget = Budget(seconds, lambda share: None)
+        effects = find_effects(names.split())
+        return CauseSearch(comparer, effects, {NO_CAUSE: base}, 4, budget)
+
+    return SimpleNamespace(begin=begin, ranked=ranked, fits=fits)
+
+
+ALL_FOUR = "gravity_direction rest_curvature tip_mass wind"
+
+
+def test_three_causes_are_found_though_two_others_explain_more_than_two_of_them(search):
+    """Gravity stands in for wind and set, and with it in the model neither helps."""
+    searched = search.begin(ALL_FOUR)
+    searched.add_effect_to(searched.comparer.base)
+    searched.add_further_effects(TOLERANCE_M)
+    probabilities = posterior_probabilities(searched.compared, CANDIDATES)
+    three = ("rest_curvature", "tip_mass", "wind")
+    assert next(iter(probabilities)) == three
+    # 1.0 of 1.41 mm are left, more than half of the mean square, but all is noise
+    assert (RMS_MM[" ".join(three)] / RMS_MM["tip_mass wind"]) ** 2 > 0.5
+    assert len(search.fits) == len(set(search.fits))
+
+
+def test_what_cannot_become_likely_is_not_fitted(search, monkeypatch):
+    """A clamp would explain so little that no fit makes up for it."""
+    searched = search.begin("tip_mass wind clamp")
+    searched.add_effect_to(searched.comparer.base)
+    assert search.fits == [("tip_mass",), ("wind",)]
+    assert searched.compared["clamp",].estimate is None
+    assert searched.is_complete
+
+
+def test_a_single_cause_that_leaves_only_noise_ends_the_search(search, monkeypatch):
+    monkeypatch.setitem(RMS_MM, "tip_mass", 1.0)
+    searched = search.begin(ALL_FOUR)
+    searched.add_effect_to(searched.comparer.base)
+    count = len(search.ranked)
+    searched.add_further_effects(TOLERANCE_M)
+    assert search.fits == [("tip_mass",)]
+    assert len(search.ranked) == count
+
+
+@pytest.mark.parametrize("contact_mm", [4.0, 0.3])
+def test_a_slow_effect_waits_for_quick_ones_unless_these_are_unlikely(
+    search, monkeypatch, contact_mm
+):
+    """A fit of contact takes ten times as long as one of wind."""
+    monkeypatch.setitem(RMS_MM, "contact", contact_mm)
+    searched = search.begin("tip_mass wind contact")
+    searched.add_effect_to(searched.comparer.base)
+    quick = [("tip_mass",), ("wind",)] if contact_mm > 1 else [("contact",)]
+    assert search.fits == quick
+    searched.add_further_effects(TOLERANCE_M)
+    assert (("contact",) in search.fits) == (contact_mm < 1)
+    assert searched.is_complete
+
+
+def test_no_further_cause_is_ranked_when_the_time_is_up(search):
+    """All effects are ranked once; in addition to causes only in time."""
+    for causes, count in (((), 4), (("wind",), 1)):
+        search.ranked.clear()
+        searched = search.begin("tip_mass clamp density_taper", seconds=0)
+        searched.add_effect_to(Comparison(causes, 0.0))
+        assert len(search.ranked) == count
+        assert not search.fits
+        assert searched.is_complete == bool(causes)
 
 
 @pytest.mark.parametrize(("ratio", "sought"), [(3.0, [("tip_mass",)]), (1.0, [])])
@@ -193,14 +294,15 @@ def test_further_causes_are_sought_while_earlier_ones_leave_more_than_noise(
     """It needs no surprise, nor a tip that is far off."""
     extended = []  # causes to which others are added
 
-    def add_cause(comparer, *given):
-        extended.append(comparer.base.causes)
-        return True
+    def add_effect(search, base):
+        extended.append(base.causes)
+        search.extended.add(base.causes)
 
     found = fitted("tip_mass", 20.0, 0.005)
-    monkeypatch.setattr(Comparer, "add_cause", add_cause)
+    monkeypatch.setattr(CauseSearch, "add_effect_to", add_effect)
     monkeypatch.setattr(Comparer, "fit", lambda *given: found)
-    monkeypatch.setattr(Comparer, "with_noise", lambda *given: NoiseRatios(10.0, ratio))
+    ratios = NoiseRatios(10.0, ratio)
+    monkeypatch.setattr(CauseSearch, "with_noise", lambda *given: ratios)
     module = "stringcast.stages.explain.explain"
     monkeypatch.setattr(f"{module}.build_explanation", lambda *given: None)
     explain(
