@@ -434,7 +434,7 @@ class CauseSearch:
     def fit(self, comparer: Comparer, finalist: Finalist) -> None:
         """Fit an effect that is added to causes, unless that cannot make it likely."""
         base, causes = comparer.base, finalist.comparison.causes
-        if not self.may_be_likely(finalist.comparison):
+        if not self.may_be_likely(finalist):
             return
         if causes not in self.fitted:
             if self.budget.is_used_up():
@@ -462,10 +462,16 @@ class CauseSearch:
                 screened.append(Finalist(effect, compared))
         return screened
 
-    def may_be_likely(self, each: Comparison) -> bool:
-        """Tell whether a fit may make causes as evident as the most evident ones."""
-        most = most_evident_fit(self.compared.values()).log_evidence
-        return each.log_evidence + MAX_FIT_GAIN > most
+    def may_be_likely(self, finalist: Finalist) -> bool:
+        """Tell whether a fit may make causes as evident as the most evident ones.
+
+        Quick ones are compared with as many causes or fewer: more may follow.
+        """
+        each = finalist.comparison
+        others = list(self.compared.values())
+        if not finalist.is_slow:
+            others = [one for one in others if len(one.causes) <= len(each.causes)]
+        return each.log_evidence + MAX_FIT_GAIN > most_evident_fit(others).log_evidence
 
     def add_further_effects(self, tolerance_m: float) -> None:
         """Add effects to the most evident causes while more than noise is left.
@@ -492,14 +498,16 @@ class CauseSearch:
         best = most_evident_fit(self.compared.values())
         if not best.causes:
             return None
-        most_causes = MAX_CAUSES
         is_near = tip_rms_m(best.estimate) <= tolerance_m
-        if is_near and self.with_noise(best).explain_all:
-            most_causes = len(best.causes)  # more would be no likelier
+        is_explained = is_near and self.with_noise(best).explain_all
+        # more causes would be no likelier then
+        most_causes = len(best.causes) if is_explained else MAX_CAUSES
         open_ends = []
         for causes, each in self.compared.items():
             is_open = each.estimate is not None and causes not in self.extended
-            if is_open and 0 < len(causes) < most_causes:
+            if causes == NO_CAUSE and is_explained:
+                continue  # causes of earlier trials explain these, too
+            if is_open and len(causes) < most_causes:
                 open_ends.append(each)
         return most_evident_fit(open_ends) if open_ends else None
 

@@ -242,6 +242,17 @@ def test_three_causes_are_found_though_two_others_explain_more_than_two_of_them(
     assert len(search.fits) == len(set(search.fits))
 
 
+def test_causes_are_sought_anew_where_earlier_ones_leave_more_than_noise(search):
+    searched = search.begin(ALL_FOUR)
+    earlier = find_effects(["gravity_direction"]), find_effects(["tip_mass"])
+    base = searched.comparer.base
+    for (effect,) in earlier:
+        base = replace(searched.comparer, base=base).fit((effect,), None)
+    searched.compared[base.causes] = base
+    searched.add_further_effects(TOLERANCE_M)
+    assert ("rest_curvature", "tip_mass", "wind") in searched.compared
+
+
 def test_what_cannot_become_likely_is_not_fitted(search, monkeypatch):
     """A clamp would explain so little that no fit makes up for it."""
     searched = search.begin("tip_mass wind clamp")
@@ -287,7 +298,9 @@ def test_no_further_cause_is_ranked_when_the_time_is_up(search):
         assert searched.is_complete == bool(causes)
 
 
-@pytest.mark.parametrize(("ratio", "sought"), [(3.0, [("tip_mass",)]), (1.0, [])])
+@pytest.mark.parametrize(
+    ("ratio", "sought"), [(3.0, [("tip_mass",), NO_CAUSE]), (1.0, [])]
+)
 def test_further_causes_are_sought_while_earlier_ones_leave_more_than_noise(
     arm, camera, observe, monkeypatch, ratio, sought
 ):
