@@ -40,6 +40,7 @@ from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood, time_blocks
 from stringcast.stages.inference.mesh import (
+    discretisation_error,
     mesh_ladder,
     resolved_frames,
     with_corrected_points,
@@ -209,9 +210,11 @@ def explain(
     earlier = [
         causes for causes, p in before.items() if causes and p >= MIXED_PROBABILITY
     ]
-    explains = tip_rms_m(estimate) <= tolerance_m
-    if explains and not is_surprising and not earlier:
-        return not_asked(estimate)
+    if not is_surprising and not earlier:
+        if tip_rms_m(estimate) <= tolerance_m:
+            return not_asked(estimate, "The model explains the trials")
+        if is_error_of_mesh(model, observations, estimate):
+            return not_asked(estimate, "The model leaves the error of its mesh")
 
     trials = [prepare_trial(model, observation) for observation in observations]
     effects = candidate_effects(model, effects_by_name(), trials)
@@ -540,21 +543,49 @@ def compare_with_noise(
     The end of a trial does not count if the mesh of one of them errs by more than the
     noise there.
     """
-    fits = []
-    for estimate in estimates:
-        extended = extend_model(model, estimate.values())
-        trials = [prepare_trial(extended, observation) for observation in observations]
-        likelihood = Likelihood(TrialData(tuple(trials)), extended)
-        fitted = estimate.parameters.set_index("name")["chi"]
-        fits.append((likelihood, fitted.loc[list(extended.names)].to_numpy()))
+    return NoiseRatios(*resolved_residuals(model, observations, estimates))
+
+
+def resolved_residuals(
+    model: Model, observations: Sequence[Observation], estimates: Sequence[Estimate]
+) -> list[float]:
+    """Compute the residual over the noise of each estimate, where all are resolved."""
+    fits = [likelihood_at(model, observations, estimate) for estimate in estimates]
     counts = [resolved_frames(*fit, MAX_MESH_ERROR_RATIO) for fit in fits]
     frames = np.min(counts, axis=0)  # of each trial
-    ratios = []
+    residuals = []
     for likelihood, chi in fits:
         pairs = zip(likelihood.data.trials, frames, strict=True)
         resolved = [trial.first_frames(int(count)) for trial, count in pairs]
-        ratios.append(corrected_residual(likelihood.with_trials(resolved), chi))
-    return NoiseRatios(*ratios)
+        residuals.append(corrected_residual(likelihood.with_trials(resolved), chi))
+    return residuals
+
+
+def likelihood_at(
+    model: Model, observations: Sequence[Observation], estimate: Estimate
+) -> tuple[Likelihood, np.ndarray]:
+    """Return the likelihood of the model of an estimate, and its exponents (P,)."""
+    extended = extend_model(model, estimate.values())
+    trials = [prepare_trial(extended, observation) for observation in observations]
+    fitted = estimate.parameters.set_index("name")["chi"]
+    chi = fitted.loc[list(extended.names)].to_numpy()
+    return Likelihood(TrialData(tuple(trials)), extended), chi
+
+
+def is_error_of_mesh(
+    model: Model, observations: Sequence[Observation], estimate: Estimate
+) -> bool:
+    """Tell whether an estimate leaves only noise and the error of the mesh.
+
+    Only noise is left where the mesh resolves the string, and the error of the mesh
+    explains half of the mean square misfit of the whole trials.
+    """
+    misfit = rms_m(estimate) ** 2 - noise_m(observations) ** 2
+    error_m = discretisation_error(*likelihood_at(model, observations, estimate))
+    if not error_m**2 >= MIN_EXPLAINED_FRACTION * misfit:
+        return False
+    (residual,) = resolved_residuals(model, observations, [estimate])
+    return residual < MAX_NOISE_RATIO
 
 
 def corrected_residual(likelihood: Likelihood, chi: np.ndarray) -> float:
@@ -693,13 +724,13 @@ def _decide_about(
     return "cause", f"{effect}."
 
 
-def not_asked(estimate: Estimate) -> Explanation:
+def not_asked(estimate: Estimate, reason: str) -> Explanation:
     """Return the estimate without causes: nothing needs an explanation."""
     finding = {
         "verdict": "not asked",
         "candidates": 0,
         "fitted": 0,
-        "sentence": "The model explains the trials; no cause was sought.",
+        "sentence": f"{reason}; no cause was sought.",
     }
     table = EXPLANATION_SUMMARY.check(pd.DataFrame([finding]))
     return Explanation(**estimate_tables(estimate), finding=table)

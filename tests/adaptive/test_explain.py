@@ -32,6 +32,7 @@ from stringcast.stages.explain.explain import (
     corrected_residual,
     decide,
     explain,
+    is_error_of_mesh,
     posterior_probabilities,
 )
 from stringcast.stages.explain.run import run
@@ -436,6 +437,9 @@ def test_what_the_mesh_does_not_resolve_is_no_sign_of_a_cause(
     ratios = compare_with_noise(model, [observation], [estimate, estimate])
     assert ratios.are_noise == (not hidden)
     assert corrected_residual(likelihood, chi) > 2
+    left = rms(likelihood.residuals(chi[None])[0]) * np.sqrt(2) * NOISE_M
+    estimate.fit = pd.DataFrame([{"rms_after": left}])
+    assert is_error_of_mesh(model, [observation], estimate) == (not hidden)
 
 
 def test_estimates_are_compared_where_the_mesh_resolves_both(
