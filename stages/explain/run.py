@@ -12,7 +12,7 @@ from stringcast.data.artifacts import (
 )
 from stringcast.stages.estimate.least_squares import MISFIT_RATIO
 from stringcast.stages.estimate.trim import trim_at_contact
-from stringcast.stages.explain.explain import noise_m, rms_m
+from stringcast.stages.explain.explain import is_error_of_mesh, noise_m, rms_m
 from stringcast.stages.spec import StageCall
 
 
@@ -26,13 +26,17 @@ def run(
     """Explain trials, cut where their string touches an obstacle.
 
     A trial that nothing predicted, such as a look, is slow and shows little of what a
-    cast will. It surprises if the estimate leaves more than noise.
+    cast will. It surprises if the estimate leaves more than noise and the error of the
+    mesh.
     """
     setup = call.setup
     observations = [trim_at_contact(t, setup.obstacles) for t in trials.observations]
     is_surprising = surprise.is_surprising
     if np.isnan(surprise.p_value):
-        is_surprising = rms_m(estimate) > MISFIT_RATIO * noise_m(observations)
+        is_more_than_noise = rms_m(estimate) > MISFIT_RATIO * noise_m(observations)
+        is_surprising = is_more_than_noise and not is_error_of_mesh(
+            setup.model, observations, estimate
+        )
     target = setup.target
     explanation: Explanation = call.by(
         setup.model,

@@ -123,13 +123,21 @@ def test_more_than_noise_without_an_explanation_is_unknown():
 
 
 @pytest.mark.parametrize(
-    ("p_value", "ratio", "is_searched"),
-    [(np.nan, 1.3, False), (np.nan, 1.7, True), (0.5, 1.7, False), (0.01, 1.0, True)],
+    ("p_value", "ratio", "is_error_of_mesh", "is_searched"),
+    [
+        (np.nan, 1.3, False, False),
+        (np.nan, 1.7, False, True),
+        (np.nan, 1.7, True, False),
+        (0.5, 1.7, False, False),
+        (0.01, 1.0, False, True),
+    ],
 )
 def test_a_trial_that_nothing_predicted_surprises_by_its_residual(
-    p_value, ratio, is_searched
+    monkeypatch, p_value, ratio, is_error_of_mesh, is_searched
 ):
     """A look is one: it moves the string slowly, and a small misfit there matters."""
+    module = "stringcast.stages.explain.run"
+    monkeypatch.setattr(f"{module}.is_error_of_mesh", lambda *given: is_error_of_mesh)
     points = pd.DataFrame({"sigma": [NOISE_M] * 3})
     empty = pd.DataFrame()
     observation = Observation("look", points, empty, empty, arm=empty)
