@@ -425,4 +425,4 @@ def minimise_in_box(
         if inwards[steepest] <= 0:
             break
         side[steepest] = 0
-    return np.clip(step, low, high)
+    return np.asarray(np.clip(step, low, high))
