@@ -7,7 +7,9 @@ belongs to where it has come to, until it stays there: it is then compared, with
 but its own simulation, on what was measured. Initial states, noise and discrepancy are
 those of one search. A rival may be in a worse minimum of the parameters that all share,
 so that it is also fitted from those of the most evident other one, and from other
-places and times where causes may act. It goes on from the more evident end.
+places and times where causes may act. It goes on from the more evident end. How the
+error changes is measured again where it changes otherwise than expected; what is then
+unexpected in the end is an error of the log evidence.
 """
 
 from __future__ import annotations
@@ -25,7 +27,12 @@ from stringcast.stages.diagnose.discretisation import (
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.proposals import alternative_parameter_starts
 from stringcast.stages.diagnose.rules import NEGLIGIBLE_LOG_EVIDENCE
-from stringcast.stages.inference.laplace import Fit, best_exponents, evaluate_fit
+from stringcast.stages.inference.laplace import (
+    Fit,
+    best_exponents,
+    evaluate_fit,
+    log_likelihoods,
+)
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.workers import map_in_workers
 
@@ -74,13 +81,22 @@ def fit_to_common_data(
 
         for _ in range(MAX_PASSES):
             moved_to = _refit(current.data, current.fit, current.fit.chi[None])
+            expected = log_likelihoods(current.data, rival.hypothesis, moved_to[None])
             moved = evaluate_with_own_error(searched, current.fit, moved_to)
             gain = moved.fit.log_evidence - current.fit.log_evidence
+            found = moved.fit.log_likelihood_by_trial
+            surprise = abs(found.sum() - expected.sum())
             if gain > 0:
                 current = moved
-            if gain < NEGLIGIBLE_LOG_EVIDENCE:
+            if surprise > NEGLIGIBLE_LOG_EVIDENCE:
+                # The error changes otherwise than it did where the rival began
+                searched = prepared_at(prepared, current.fit)
+                chi = current.fit.chi
+                current = evaluate_with_own_error(searched, current.fit, chi)
+            elif gain < NEGLIGIBLE_LOG_EVIDENCE:
                 break
-        return current.fit
+        error = max(current.fit.log_evidence_error, surprise)
+        return replace(current.fit, log_evidence_error=error)
 
     fits = []
     fitted = map_in_workers(fit_rival, range(len(rivals)))

@@ -170,6 +170,15 @@ def best_exponents(
     return run.chi[0], run.width[0]
 
 
+def log_likelihoods(
+    data: TrialData, hypothesis: Hypothesis, chi: np.ndarray
+) -> np.ndarray:
+    """Compute the log-likelihood of each trial at exponents (C, P), (K, C)."""
+    data = data.for_hypothesis(hypothesis)
+    residuals = data.residuals(hypothesis.model, chi)
+    return marginal_log_likelihood(data.log_likelihood_by_scale(residuals))
+
+
 def evaluate_fit(
     data: TrialData,
     hypothesis: Hypothesis,

@@ -84,42 +84,95 @@ def fit_of(name, exponents, log_evidence=0.0):
     return Fit(hypothesis, chi, [], [], None, np.array([3]), np.zeros(1), log_evidence)
 
 
+class Search:
+    """A rival that moves by 0.01, in a search that evaluates it where it is told.
+
+    evidence: at each place of the first parameter, also of the likelihood there.
+    expected: the likelihood before the error is computed anew; the same if not stated.
+    """
+
+    def __init__(self, monkeypatch, evidence, expected):
+        self.evidence = evidence
+        self.expected = evidence | expected
+        self.evaluated = []
+        self.slopes_at = []
+        for name, stand_in in {
+            "best_exponents": self.move,
+            "prepared_at": self.measure_slopes,
+            "evaluate_with_own_error": self.evaluate,
+            "log_likelihoods": self.expect,
+            "alternative_parameter_starts": lambda *given: np.zeros((0, 2)),
+            "map_in_workers": lambda call, items: [call(0), self.best],
+        }.items():
+            monkeypatch.setattr(common_data, name, stand_in)
+        self.rival = fit_of("set", {"stiffness": 0.1, "curvature": 0.6}, 1.0)
+        self.best = fit_of("wind", {"stiffness": 0.29, "speed": 0.5}, 2.0)
+
+    def fit(self):
+        """Fit the rival to common data."""
+        rivals = [self.rival, self.best]
+        return common_data.fit_to_common_data("of the search", rivals)[0]
+
+    def move(self, data, hypothesis, starts, *given):
+        """Return where the solver ends."""
+        return starts[0] + [0.01, 0.0], None
+
+    def measure_slopes(self, prepared, fit):
+        """Note where the change of the numerical error is measured."""
+        self.slopes_at.append(round(float(fit.chi[0]), 9))
+        return prepared
+
+    def expect(self, data, hypothesis, chi):
+        """Return the likelihood with the error as it was expected."""
+        return np.array([[self.expected[round(float(chi[0, 0]), 9)]]])
+
+    def evaluate(self, prepared, fit, chi):
+        """Evaluate the rival with its own error."""
+        place = round(float(chi[0]), 9)
+        self.evaluated.append(place)
+        evidence = self.evidence[place]
+        moved = replace(
+            fit,
+            chi=chi,
+            log_evidence=evidence,
+            log_likelihood_by_trial=np.array([evidence]),
+        )
+        return common_data.EvaluatedFit("own data", moved)
+
+
 @pytest.mark.parametrize(
-    ("steps", "asked", "ended"),
+    ("evidence", "asked", "ended"),
     [
-        # the evidence at each place where the rival is evaluated
         ({0.1: 5.0, 0.3: 2.0, 0.11: 5.5}, [0.1, 0.3, 0.11], 0.11),  # it hardly gains
         ({0.1: 5.0, 0.3: 7.0, 0.31: 9.0, 0.32: 8.0}, [0.1, 0.3, 0.31, 0.32], 0.31),
         ({0.1: 5.0, 0.3: 2.0, 0.11: 4.0}, [0.1, 0.3, 0.11], 0.1),  # it gets worse
     ],
 )
 def test_a_rival_moves_until_it_stays_where_its_error_is_its_own(
-    steps, asked, ended, monkeypatch
+    evidence, asked, ended, monkeypatch
 ):
     """It starts from its optimum or that of the best other, whichever is likelier."""
-    rival = fit_of("set", {"stiffness": 0.1, "curvature": 0.6}, 1.0)
-    best = fit_of("wind", {"stiffness": 0.29, "speed": 0.5}, 2.0)
-    evaluated = []
-
-    def move(data, hypothesis, starts, *given):
-        return starts[0] + [0.01, 0.0], None
-
-    def evaluate(prepared, fit, chi):
-        place = round(float(chi[0]), 9)
-        evaluated.append(place)
-        moved = replace(fit, chi=chi, log_evidence=steps[place])
-        return common_data.EvaluatedFit("own data", moved)
-
-    monkeypatch.setattr(common_data, "best_exponents", move)
-    monkeypatch.setattr(common_data, "evaluate_with_own_error", evaluate)
-    monkeypatch.setattr(
-        common_data, "alternative_parameter_starts", lambda *given: np.zeros((0, 2))
-    )
-    monkeypatch.setattr(
-        common_data, "map_in_workers", lambda call, items: [call(0), best]
-    )
-    prepared = SimpleNamespace(data="of the search", mesh_is_model=True)
-    (fitted,) = common_data.fit_to_common_data(prepared, [rival, best])[:1]
-    assert evaluated == asked
+    search = Search(monkeypatch, evidence, {})
+    fitted = search.fit()
+    assert search.evaluated == asked
     assert fitted.chi[0] == pytest.approx(ended)
-    assert fitted.hypothesis is rival.hypothesis
+    assert fitted.hypothesis is search.rival.hypothesis
+    assert search.slopes_at == [0.1]
+    assert fitted.log_evidence_error == 0
+
+
+def test_a_numerical_error_that_changes_otherwise_is_measured_again(monkeypatch):
+    """A strip ended 42 short, where its error had changed since its slopes were known.
+
+    What is unexpected in the end is an error of the evidence.
+    """
+    evidence = {0.1: 5.0, 0.3: 2.0, 0.11: 40.0, 0.12: 60.0, 0.13: 60.5}
+    search = Search(monkeypatch, evidence, {0.11: 70.0, 0.13: 60.1})
+    fitted = search.fit()
+    assert search.slopes_at == [0.1, 0.11]
+    assert fitted.log_evidence == 60.5
+    assert fitted.log_evidence_error == pytest.approx(0.4)
+
+    rough = {place: value + 9.0 for place, value in evidence.items()}
+    search = Search(monkeypatch, evidence | {0.14: 60.0}, rough | {0.14: 69.0})
+    assert search.fit().log_evidence_error == pytest.approx(9.0)
