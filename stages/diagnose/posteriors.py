@@ -240,13 +240,14 @@ def _compare_alternatives(
     seed: int,
 ) -> SelectionStep:
     """Compare what else may be in the place of a cause, the others staying."""
-    # The only cause was compared with all others when it was accepted
+    # The last cause was compared with all others when it was accepted
     hypothesis = state.fit.hypothesis
-    names = hypothesis.cause_names
-    if len(names) == 1 and state.steps:
-        best = state.steps[0].best
-        if best is not None and best.hypothesis.cause_names == names:
-            return state.steps[0]
+    if cause is hypothesis.causes[-1]:
+        for step in state.steps:
+            best = step.best
+            names = () if best is None else best.hypothesis.cause_names
+            if step.accepted and names == hypothesis.cause_names:
+                return step
     data = state.prepared.data
     others = hypothesis.without_cause(cause)
     reordered = others.with_cause(cause)

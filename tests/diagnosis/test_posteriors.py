@@ -430,26 +430,34 @@ def test_an_effect_is_included_if_it_is_in_one_place_or_another():
 
 
 @pytest.mark.parametrize(
-    ("first_best", "is_known"), [(None, False), (("b",), False), (("a",), True)]
+    ("best", "accepted", "cause", "is_known"),
+    [
+        (None, False, "b", False),
+        (("a", "c"), True, "b", False),
+        (("a", "b"), False, "b", False),
+        (("a", "b"), True, "b", True),
+        (("a", "b"), True, "a", False),  # it was compared without the other
+    ],
 )
-def test_the_first_comparison_counts_for_the_cause_that_it_accepted(
-    monkeypatch, first_best, is_known
+def test_the_comparison_that_accepted_the_last_cause_counts_for_its_place(
+    best, accepted, cause, is_known, monkeypatch
 ):
     others = SimpleNamespace(
         with_cause=lambda cause: SimpleNamespace(exponents_from=lambda known: None)
     )
-    hypothesis = SimpleNamespace(cause_names=("a",), without_cause=lambda cause: others)
-    best = first_best and SimpleNamespace(
-        hypothesis=SimpleNamespace(cause_names=first_best)
+    hypothesis = SimpleNamespace(
+        causes=("a", "b"), cause_names=("a", "b"), without_cause=lambda cause: others
     )
-    first = SimpleNamespace(best=best)
+    fit = best and SimpleNamespace(hypothesis=SimpleNamespace(cause_names=best))
+    first = SimpleNamespace(best=None, accepted=False)
+    last = SimpleNamespace(best=fit, accepted=accepted)
     state = SimpleNamespace(
-        steps=(first,),
+        steps=(first, last),
         fit=SimpleNamespace(hypothesis=hypothesis, exponents={}),
         prepared=SimpleNamespace(data=None),
     )
     for name in ("evaluate_fit", "refit"):
         monkeypatch.setattr(posteriors, name, lambda *given: None)
     monkeypatch.setattr(posteriors, "compare_candidates", lambda *given: "compared")
-    found = posteriors._compare_alternatives(state, "a", (), None, 0)
-    assert found is (first if is_known else "compared")
+    found = posteriors._compare_alternatives(state, cause, (), None, 0)
+    assert found is (last if is_known else "compared")
