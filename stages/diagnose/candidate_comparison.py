@@ -206,9 +206,9 @@ def _fit_more_proposals(
         name = proposal.effect.name
         log.info("%d of %d: %s", number + 1, len(proposals), name)
         hypothesis = proposal.hypothesis
-        fit = _fit_roughly(sample, hypothesis, proposal.starts, sampled_parent)
+        fit = fit_roughly(sample, hypothesis, proposal.starts, sampled_parent)
         if sample is not data:
-            fit = _fit_roughly(data, hypothesis, fit.chi[None], parent)
+            fit = fit_roughly(data, hypothesis, fit.chi[None], parent)
         gain = fit.log_evidence - parent.log_evidence
         log.info("%s: log evidence %+.1f, proposed %.1f", name, gain, proposal.gain)
         return fit
@@ -226,7 +226,7 @@ def _fit_more_proposals(
     def correct_roughly(number: int) -> Fit:
         fit = fits[number]
         data = correct_data_on_one_finer_mesh(prepared, fit)
-        corrected = _fit_roughly(data, fit.hypothesis, fit.chi[None], fit)
+        corrected = fit_roughly(data, fit.hypothesis, fit.chi[None], fit)
         gain = corrected.log_evidence - parent.log_evidence
         name = fit.hypothesis.cause_names[-1]
         log.info("%s: log evidence %+.1f on a finer mesh", name, gain)
@@ -256,14 +256,14 @@ def _find_better_parent(
     hypothesis = parent.hypothesis
     shared = hypothesis.exponents_from(best.exponents)
     starts = np.stack([parent.chi, shared])
-    other = _fit_roughly(prepared.data, hypothesis, starts, parent)
+    other = fit_roughly(prepared.data, hypothesis, starts, parent)
     gain = other.log_evidence - parent.log_evidence
     log.info("without a further cause: log evidence %+.1f", gain)
     possible = best.log_evidence - parent.log_evidence
     return other if gain > criteria.min_explained_fraction * possible else None
 
 
-def _fit_roughly(
+def fit_roughly(
     data: TrialData, hypothesis: Hypothesis, starts: np.ndarray, before: Fit
 ) -> Fit:
     """Fit a proposal, to a precision that is enough to rank it."""

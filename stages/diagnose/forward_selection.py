@@ -17,6 +17,7 @@ from stringcast.stages.diagnose.candidate_comparison import (
     SelectionStep,
     compare_candidates,
 )
+from stringcast.stages.diagnose.cause_exchange import exchange_two_causes
 from stringcast.stages.diagnose.confirmation import (
     drop_unconfirmed_causes,
     reason_if_small,
@@ -65,7 +66,8 @@ def select_causes(
             state = _set_aside_if_small(state, step, criteria)
             break
         state = add_cause(state, step.best, criteria, rng, starts)
-        state = drop_redundant_causes(state, step.best, criteria)
+        state = exchange_two_causes(state)
+        state = drop_redundant_causes(state, criteria)
         name = step.best.hypothesis.cause_names[-1]
         gain = step.best.log_evidence - step.parent.log_evidence
         log.info("accepted: %s, log evidence %+.1f", name, gain)

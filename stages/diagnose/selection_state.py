@@ -200,7 +200,7 @@ def without_chaotic_trials(
     remaining = SelectionState(
         refined.prepared, refined.fit, steps, unnamed=state.unnamed
     )
-    return drop_redundant_causes(remaining, refined.fit, criteria)
+    return drop_redundant_causes(remaining, criteria)
 
 
 def _without_fits(
@@ -215,16 +215,9 @@ def _without_fits(
     return kept
 
 
-def drop_redundant_causes(
-    state: SelectionState,
-    best: Fit,
-    criteria: Criteria,
-) -> SelectionState:
-    """Drop causes that the evidence does not need any more, the new one included.
-
-    best: the fit with all of them, in the order of acceptance.
-    """
-    for cause in best.hypothesis.causes:
+def drop_redundant_causes(state: SelectionState, criteria: Criteria) -> SelectionState:
+    """Drop causes that the evidence does not need any more, the new one included."""
+    for cause in state.fit.hypothesis.causes:
         data = state.prepared.data
         hypothesis = state.fit.hypothesis.without_cause(cause)
         without = refit(data, state.fit, hypothesis)

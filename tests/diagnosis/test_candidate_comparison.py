@@ -370,7 +370,7 @@ def test_a_better_minimum_without_a_cause_is_taken_before_one_is_refined(
     monkeypatch.setattr(candidate_comparison, "propose_causes", lambda *given: [])
     monkeypatch.setattr(candidate_comparison, "_fit_more_proposals", fit_proposals)
     monkeypatch.setattr(candidate_comparison, "_compare_rivals", refine)
-    monkeypatch.setattr(candidate_comparison, "_fit_roughly", fit_without)
+    monkeypatch.setattr(candidate_comparison, "fit_roughly", fit_without)
     monkeypatch.setattr(
         candidate_comparison, "unexplained_tip_rms", lambda *given: np.ones(1)
     )
