@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from stringcast.data.lazy_module import LazyModule
 from stringcast.data.schema import DataError
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.effect import HandEffect
-from stringcast.stages.model.splines import interpolate_cubic, natural_rates
+
+interpolate = LazyModule("scipy.interpolate")
 
 # Between samples of the hand's motion: the paper's control period.
 HAND_TICK_S = 0.005
@@ -96,14 +99,21 @@ class HandMotion:
         before = np.minimum(place.astype(int), last - 1)
         offset = (place - before)[..., None]
         row = np.arange(len(self.pose))[:, None]
-        poses = self.pose[row, before], self.pose[row, before + 1]
-        rates = self.rate[row, before], self.rate[row, before + 1]
-        per_tick = self.tick * rates[0], self.tick * rates[1]
-        pose, rate = interpolate_cubic(offset, poses, per_tick)
+        pose_cubics, rate_parabolas = self._polynomials
+        pose = np.polyval(pose_cubics[:, before, row], offset)
+        rate = np.polyval(rate_parabolas[:, before, row], offset)
         is_moving = (ticks == place)[..., None]
         rate = np.where(is_moving, rate / self.tick, 0.0)
         start = float(begin) if np.ndim(begin) == 0 else 0.0
         return HandMotion(start, self.tick, pose, rate)
+
+    @cached_property
+    def _polynomials(self) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients of poses and of rates between ticks, (4 or 3, K - 1, C, 3)."""
+        ticks = np.arange(self.tick_count)
+        rate_per_tick = self.rate * self.tick
+        spline = interpolate.CubicHermiteSpline(ticks, self.pose, rate_per_tick, axis=1)
+        return spline.c, spline.derivative().c
 
     def actual_hand_motion(
         self, arm: Arm, effects: Sequence[HandEffectValues]
@@ -230,17 +240,8 @@ def _resample(
     ticks = np.floor((t[-1] - t[0]) / tick + 1e-9)
     count = max(int(ticks) + 1, 2)
     times = t[0] + tick * np.arange(count)
-    rates = natural_rates(t, values)
-
-    before = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 2)
-    after = before + 1
-    columns = (-1,) + (1,) * (values.ndim - 2)
-    seconds = (t[after] - t[before]).reshape(columns)
-    share = (times - t[before]).reshape(columns) / seconds
-    ends = values[:, before], values[:, after]
-    rates_of_interval = rates[:, before] * seconds, rates[:, after] * seconds
-    value, rate = interpolate_cubic(share, ends, rates_of_interval)
-    return float(times[0]), tick, value, rate / seconds
+    spline = interpolate.CubicSpline(t, values, axis=1, bc_type="natural")
+    return float(times[0]), tick, spline(times), spline(times, 1)
 
 
 def _rest_ticks(seconds: float, tick: float) -> int:
@@ -282,5 +283,6 @@ def _apply_law(
     values = np.broadcast_to(value, shape).copy()
     rates = np.broadcast_to(rate, shape).copy()
     values[present] += change
-    rates[present] += natural_rates(t, change)
+    spline = interpolate.CubicSpline(t, change, axis=1, bc_type="natural")
+    rates[present] += spline(t, 1)
     return values, rates
