@@ -146,6 +146,7 @@ class FreeParameters:
     names: tuple[str, ...]
     fixed_values: Mapping[str, float]
     limit: float
+    candidates_at_once: int = 1
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -7,7 +7,7 @@ and the cores.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,6 +100,27 @@ def _join_rows(parts: Sequence[np.ndarray]) -> np.ndarray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
+def candidates_at_once(trials: Sequence[PreparedTrial]) -> int:
+    """Count the candidates that take as long in these trials as one.
+
+    Trials that can share a batch share its lanes.
+    """
+    groups = _groups_that_share_batches(trials).values()
+    largest = max(len(group) for group in groups)
+    return max(kernel_codegen.LANES // largest, 1)
+
+
+def _groups_that_share_batches(
+    trials: Sequence[PreparedTrial],
+) -> Mapping[object, list[int]]:
+    """Group trials by number: at rest, or moving at the same time of their clocks."""
+    groups: defaultdict[object, list[int]] = defaultdict(list)
+    for k, trial in enumerate(trials):
+        is_at_rest = trial.initial_state is None
+        groups[is_at_rest, trial.start, trial.motion.tick].append(k)
+    return groups
+
+
 def simulate_trials(
     model: Model,
     trials: Sequence[PreparedTrial],
@@ -108,20 +129,11 @@ def simulate_trials(
     """Simulate candidates (C, P) in each trial.
 
     Returns what the camera reports, (C, F, n, 2) [m] of each trial; NaN where a run was
-    rejected. Trials at rest can share a batch, and those that move at the same time of
-    their clocks.
+    rejected. Trials that can share a batch do, if that takes less time.
     """
-    groups: defaultdict[object, list[int]] = defaultdict(list)
-    durations = []
-    for k, trial in enumerate(trials):
-        state = trial.initial_state
-        start = trial.motion.start if state is None else state.t
-        durations.append(float(trial.times[-1] - start))
-        groups[state is None, start, trial.motion.tick].append(k)
-
     simulated: dict[int, np.ndarray] = {}
-    for group in groups.values():
-        seconds = [durations[k] for k in group]
+    for group in _groups_that_share_batches(trials).values():
+        seconds = [float(trials[k].times[-1] - trials[k].start) for k in group]
         for batch in _plan_batches(seconds, len(values)):
             members = [group[i] for i in batch]
             points = _simulate_batch(model, [trials[k] for k in members], values)

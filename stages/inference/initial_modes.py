@@ -22,6 +22,7 @@ from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.prepared_trial import INITIAL_MODES, PreparedTrial
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL, fit_least_squares
 from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.engine.kernel_codegen import LANES
 from stringcast.stages.model.engine.law_slots import MEMORY_SLOTS as SLOTS
 from stringcast.stages.model.parameter import (
     Parameter,
@@ -120,6 +121,11 @@ class _InitialStateProblem:
     parameters: Sequence[Parameter]
     whiten: Callable[[np.ndarray], np.ndarray]
     limit: float
+
+    @property
+    def candidates_at_once(self) -> int:
+        """Number of candidates that take as long together as one."""
+        return LANES
 
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Compute white residuals and the amplitudes themselves, (C, 2 N + M)."""

@@ -64,6 +64,11 @@ class Likelihood:
         """The standard deviation of each trial's noise, in its points' sigma, (K,)."""
         return tuple(trial.error_model.scale for trial in self.data.trials)
 
+    @property
+    def candidates_at_once(self) -> int:
+        """Number of candidates that take as long together as one."""
+        return self.data.candidates_at_once
+
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Compute white residuals of candidates (C, P), (C, N).
 

@@ -99,6 +99,12 @@ class PreparedTrial:
         return self.error_model
 
     @property
+    def start(self) -> float:
+        """When its simulation begins [s]."""
+        state = self.initial_state
+        return self.motion.start if state is None else state.t
+
+    @property
     def is_tip(self) -> np.ndarray:
         """A mask of the points that are the tip, (N,)."""
         return np.asarray(self.s > self.s.max() - TIP_TOLERANCE_M)

@@ -1,7 +1,8 @@
 """Damped least squares of many runs side by side, within bounds.
 
 An iteration is two or three batches: the forward differences of every run, its least
-damped steps, and the others where those gain less than the differences promise. A run
+damped steps, and the others where those gain less than the differences promise. Few
+steps are tried in one batch, if that takes no longer. A run
 to which they promise next to nothing ends, or one that twice gains little. One slow
 step may be a bend of the valley, or one damped too little for it.
 Parameters are exponents chi in [0, 1] (Eq. 3). Two parameters that can take each
@@ -79,6 +80,10 @@ class Problem(Protocol):
     @property
     def limit(self) -> float:
         """The size from which a residual counts less (Huber), or infinite."""
+
+    @property
+    def candidates_at_once(self) -> int:
+        """Number of candidates that take as long together as one."""
 
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Compute white residuals (C, N) of candidates (C, P).
@@ -285,10 +290,14 @@ def _step_runs(
     residuals = np.zeros((*points.shape[:2], runs.residual.shape[1]))
     losses = np.full(points.shape[:2], np.inf)
 
-    # The steps of least damping first, and the others where these gain too little
+    # The steps of least damping first, and the others where these gain too little;
+    # all of them where that takes no longer
     sufficient = runs.loss[active] * (1 - SUFFICIENT_SHARE * runs.promise[active])
     is_least_damped = np.arange(points.shape[1]) % len(DAMPING_FACTORS) == 0
-    for chosen in (is_least_damped, ~is_least_damped):
+    batches = [is_least_damped, ~is_least_damped]
+    if losses.size <= problem.candidates_at_once:
+        batches = [np.ones_like(is_least_damped)]
+    for chosen in batches:
         unsettled = np.flatnonzero(losses.min(axis=1) > sufficient)
         if not unsettled.size:
             break

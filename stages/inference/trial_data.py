@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stringcast.stages.inference.batch import normalised_residuals
+from stringcast.stages.inference.batch import candidates_at_once, normalised_residuals
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.mesh_correction import MeshCorrection
 from stringcast.stages.inference.prepared_trial import PreparedTrial
@@ -98,6 +98,11 @@ class TrialData:
             random_effects=random_effects,
             mesh_correction=correction,
         )
+
+    @property
+    def candidates_at_once(self) -> int:
+        """Number of candidates that take as long together as one."""
+        return candidates_at_once(self.trials)
 
     def residuals(self, model: Model, chi: np.ndarray) -> ByTrial:
         """Compute simulated less measured over sigma of each trial, (C, 2 n).

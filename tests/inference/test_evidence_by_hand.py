@@ -28,6 +28,7 @@ class LinearData:
     """
 
     likely = np.array([2, 5])
+    candidates_at_once = 1
 
     def __init__(self):
         rng = np.random.default_rng(0)
@@ -424,6 +425,7 @@ def fake_step(
     problem = SimpleNamespace(
         parameters=(UNIT,),
         limit=np.inf,
+        candidates_at_once=1,
         residuals=lambda chi: np.repeat(np.sqrt(losses[chi.astype(int)]), 10, axis=1),
     )
     monkeypatch.setattr(solver, "_trial_points", lambda *given: points)

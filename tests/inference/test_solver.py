@@ -41,6 +41,7 @@ class Decay:
     limit: float = np.inf
     noise: np.ndarray = field(default_factory=lambda: np.zeros(len(TIMES)))
     asked: list[int] = field(default_factory=list)
+    candidates_at_once: int = 1
 
     def seen(self, values):
         first, second, *level = values.T[..., None]
@@ -213,6 +214,7 @@ class NarrowBowl:
 
     parameters = (LEVEL[2],)
     limit = np.inf
+    candidates_at_once = 1
 
     def residuals(self, chi):
         return 1.0 + (1e5 * (chi - 0.50003)) ** 2
@@ -246,6 +248,9 @@ def test_a_run_ends_where_no_step_gains_and_slopes_promise_little():
     pit = Pit(noise=noise, place=optimum[0, 0])
     fit_least_squares(pit, optimum, 60, min_gain=30.0)
     assert pit.asked == [1, 2, 2, 6]  # start, differences, steps
+    wide = Pit(noise=noise, place=optimum[0, 0], candidates_at_once=8)
+    fit_least_squares(wide, optimum, 60, min_gain=30.0)
+    assert wide.asked == [1, 2, 8]
     eager = Pit(noise=noise, place=optimum[0, 0])
     fit_least_squares(eager, optimum, 60, min_gain=1.0)
     assert len(eager.asked) > 8

@@ -29,6 +29,7 @@ from stringcast.stages.inference.initial_modes import (
 )
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL, fit_least_squares
+from stringcast.stages.model.engine.kernel_codegen import LANES
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import (
     Parameter,
@@ -143,6 +144,11 @@ class _RestProblem:
     values: np.ndarray
     indices: list[int]
     limit: float = np.inf
+
+    @property
+    def candidates_at_once(self) -> int:
+        """Number of candidates that take as long together as one."""
+        return LANES
 
     @property
     def parameters(self) -> list[Parameter]:
