@@ -282,7 +282,8 @@ def _compare_rivals(
     """Fit the best and its rivals to common data, and decide whether it is accepted.
 
     Rivals by which simulation resolves too few trials cannot lead: what is uncertain in
-    the others may explain anything.
+    the others may explain anything. One that resolves fewer than half of them does not
+    lead one that resolves these and explains half as much: most would be left out.
 
     before: the decision among fewer candidates; what was compared there stays.
     is_contested: whether the place of a cause that was accepted is contested.
@@ -298,10 +299,25 @@ def _compare_rivals(
     waiting = [fit for fit in step.fits if fit.hypothesis.causes[-1] not in causes]
     resolved: list[Fit] = []
     unresolved: list[Fit] = []
+    before_m = prepared.discretisation_uncertainty_m
+    half = (len(before_m) + 1) // 2
     while True:
+        rough = []  # by which fewer than half of the trials are resolved
         for fit in _catch_up_with_parent(prepared, parent, compared):
-            is_enough = _resolves_enough(prepared, step, fit, criteria, is_contested)
-            (resolved if is_enough else unresolved).append(fit)
+            uncertainty_m = discretisation_uncertainty_of(prepared, fit)
+            if not _resolves_enough(
+                prepared, step, uncertainty_m, criteria, is_contested
+            ):
+                unresolved.append(fit)
+            elif not is_resolved(uncertainty_m, before_m, criteria, half):
+                rough.append(fit)
+            else:
+                resolved.append(fit)
+        least_evidence = _least_evidence([*resolved, *rough], parent, criteria)
+        if all(fit.log_evidence < least_evidence for fit in resolved):
+            resolved += rough
+        else:
+            unresolved += rough
         resolved = rank_rivals(parent, resolved, criteria)
         shift = parent.log_evidence - step.parent.log_evidence
         others = _shift_evidence(waiting, shift)
@@ -347,16 +363,17 @@ def _fit_new_rivals(
 def _resolves_enough(
     prepared: PreparedData,
     step: SelectionStep,
-    fit: Fit,
+    uncertainty_m: np.ndarray,
     criteria: Criteria,
     is_contested: bool,
 ) -> bool:
     """Whether simulation with a rival resolves enough trials. See `_compare_rivals`.
 
     In the place of a cause that was accepted it must resolve all.
+
+    uncertainty_m: of the numerical error at each tip [m], (K,).
     """
     before_m = prepared.discretisation_uncertainty_m
-    uncertainty_m = discretisation_uncertainty_of(prepared, fit)
     if is_contested:
         return is_resolved(uncertainty_m, before_m, criteria, needed=len(before_m))
     # A fraction of mean squares, and the roots of both

@@ -56,6 +56,8 @@ def compare_as_found(prepared, rivals, fitted_before=()):
         ((0.0, 5e-3), (0.0, 4e-3), (5e-3, 5e-3), "uncertain"),
         # two other trials are resolved
         ((0.0, 1e-3, 0.0), (0.0, 4e-3, 0.0), (5e-3, 5e-3, 5e-3), "uncertain"),
+        # there is much more to explain, but most trials would be left out
+        ((0.0,) * 5, (0.0, 0.0, 4e-3, 4e-3, 4e-3), (0.02,) * 5, "resolved"),
         # there is much more to explain
         ((0.0, 1e-3), (0.0, 4e-3), (5e-3, 0.02), "uncertain"),
     ],
