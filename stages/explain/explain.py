@@ -63,14 +63,15 @@ MAX_NOISE_RATIO = 1.1
 # Of the error of the mesh to the noise. A quarter of it may be left after correction.
 MAX_MESH_ERROR_RATIO = 1.0
 MAX_CAUSES = 3  # together
-# Of the log evidence. A fit from nothing gains this much at most over the coarse mesh:
-# what is further behind is not fitted
-MAX_FIT_GAIN = 20.0
+# Of the log evidence on the coarse mesh. What is further behind is not fitted: a fit
+# from nothing gains less, and others gain as well
+MAX_DEFICIT = 20.0
 PROBE_FRACTIONS = (0.01, 0.03, 0.1, 0.3)  # of the way from absent to an amplitude
 PROBES = 16
 SCREENED_PROBES = 3  # the best of them, which are refined
 SCREENING_ITERATIONS = 8  # at most
-SCREENING_MIN_GAIN = 0.05  # of the log evidence: runs that gain less end
+# Of the log evidence. Runs that promise less end; with 0.05 some ended on a plateau
+SCREENING_MIN_GAIN = 0.002
 CORRECTION_PASSES = 3
 COARSE_LEVEL = 2  # of the mesh, halvings
 NO_CAUSE: tuple[str, ...] = ()
@@ -424,10 +425,10 @@ class CauseSearch:
         finalists = screened[: self.finalists]
         quick = [each.comparison.log_evidence for each in finalists if not each.is_slow]
         for each in finalists:
-            lead = each.comparison.log_evidence - max(quick, default=-np.inf)
-            if each.is_slow and lead < MAX_FIT_GAIN:
+            evidence = each.comparison.log_evidence
+            if each.is_slow and evidence < max(quick, default=-np.inf) + MAX_DEFICIT:
                 self.postponed.append((comparer, each))
-            else:
+            elif evidence + MAX_DEFICIT > finalists[0].comparison.log_evidence:
                 self.fit(comparer, each)
         if not base.causes:
             # what was not fitted is as evident as it seems on the coarse mesh
@@ -435,10 +436,8 @@ class CauseSearch:
                 self.compared.setdefault(each.comparison.causes, each.comparison)
 
     def fit(self, comparer: Comparer, finalist: Finalist) -> None:
-        """Fit an effect that is added to causes, unless that cannot make it likely."""
+        """Fit an effect that is added to causes; keep it if it explains enough."""
         base, causes = comparer.base, finalist.comparison.causes
-        if not self.may_be_likely(finalist):
-            return
         if causes not in self.fitted:
             if self.budget.is_used_up():
                 self.is_complete = self.is_complete and bool(base.causes)
@@ -464,17 +463,6 @@ class CauseSearch:
                 compared = comparer.comparison((effect,), square_ratio)
                 screened.append(Finalist(effect, compared))
         return screened
-
-    def may_be_likely(self, finalist: Finalist) -> bool:
-        """Tell whether a fit may make causes as evident as the most evident ones.
-
-        Quick ones are compared with as many causes or fewer: more may follow.
-        """
-        each = finalist.comparison
-        others = list(self.compared.values())
-        if not finalist.is_slow:
-            others = [one for one in others if len(one.causes) <= len(each.causes)]
-        return each.log_evidence + MAX_FIT_GAIN > most_evident_fit(others).log_evidence
 
     def add_further_effects(self, tolerance_m: float) -> None:
         """Add effects to the most evident causes while more than noise is left.
@@ -517,7 +505,9 @@ class CauseSearch:
     def fit_postponed(self) -> None:
         """Fit the slow effects that were postponed, where they may still be likely."""
         for comparer, finalist in self.postponed:
-            self.fit(comparer, finalist)
+            best = most_evident_fit(self.compared.values())
+            if finalist.comparison.log_evidence + MAX_DEFICIT > best.log_evidence:
+                self.fit(comparer, finalist)
         self.postponed.clear()
 
     def with_noise(self, comparison: Comparison) -> NoiseRatios:

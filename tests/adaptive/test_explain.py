@@ -262,13 +262,22 @@ def test_causes_are_sought_anew_where_earlier_ones_leave_more_than_noise(search)
     assert ("rest_curvature", "tip_mass", "wind") in searched.compared
 
 
-def test_what_cannot_become_likely_is_not_fitted(search, monkeypatch):
-    """A clamp would explain so little that no fit makes up for it."""
+def test_what_is_far_behind_is_not_fitted(search):
+    """A clamp explains far less than a heavy tip on the coarse mesh already."""
     searched = search.begin("tip_mass wind clamp")
     searched.add_effect_to(searched.comparer.base)
     assert search.fits == [("tip_mass",), ("wind",)]
     assert searched.compared["clamp",].estimate is None
     assert searched.is_complete
+
+
+def test_a_cause_is_fitted_though_the_fit_of_another_gains_much(search, monkeypatch):
+    """The coarse mesh shows little of either: the fits gain 40 of the log evidence."""
+    monkeypatch.setattr(Comparer, "screened_square", lambda *given: 1.0)
+    searched = search.begin("tip_mass wind")
+    searched.add_effect_to(searched.comparer.base)
+    assert search.fits == [("tip_mass",), ("wind",)]
+    assert searched.compared["wind",].log_evidence > 30
 
 
 def test_a_single_cause_that_leaves_only_noise_ends_the_search(search, monkeypatch):
