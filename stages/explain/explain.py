@@ -63,6 +63,7 @@ MAX_NOISE_RATIO = 1.1
 # Of the error of the mesh to the noise. A quarter of it may be left after correction.
 MAX_MESH_ERROR_RATIO = 1.0
 MAX_CAUSES = 3  # together
+SLOW_FITS = 5.0  # others take as long as one with stiff loads
 # Of the log evidence on the coarse mesh. What is further behind is not fitted: a fit
 # from nothing gains less, and others gain as well
 MAX_DEFICIT = 20.0
@@ -142,11 +143,11 @@ class Budget:
         """Begin to count."""
         self.began = time.process_time()
 
-    def is_used_up(self) -> bool:
-        """Tell whether too little is left for a fit, and show how much is used."""
+    def is_used_up(self, fits: float = 1.0) -> bool:
+        """Tell whether too little is left for so many fits; show how much is used."""
         used = time.process_time() - self.began
         self.progress(min(used / max(self.seconds, 1e-9), 1.0))
-        return used + self.longest_fit > self.seconds
+        return used + fits * self.longest_fit > self.seconds
 
     @contextmanager
     def measure_fit(self) -> Iterator[None]:
@@ -207,10 +208,7 @@ def explain(
         The estimate that the next plan uses, with causes and their probabilities.
     """
     budget = Budget(seconds, progress)
-    before = {} if previous is None else previous.cause_sets
-    earlier = [
-        causes for causes, p in before.items() if causes and p >= MIXED_PROBABILITY
-    ]
+    earlier = [] if previous is None else earlier_causes(previous)
     if not is_surprising and not earlier:
         if tip_rms_m(estimate) <= tolerance_m:
             return not_asked(estimate, "The model explains the trials")
@@ -233,7 +231,7 @@ def explain(
     compare = Comparer(model, observations, base, blocks, fit_model, seed)
     compared = {NO_CAUSE: base}
     for causes in earlier:
-        is_best = causes == next(iter(before))
+        is_best = previous is not None and causes == next(iter(previous.cause_sets))
         start = previous if is_best else estimate
         with budget.measure_fit():
             compared[causes] = compare.fit(find_effects(causes), start)
@@ -262,6 +260,25 @@ def explain(
         compared = {NO_CAUSE: base}
         probabilities = {NO_CAUSE: 1.0}
     return build_explanation(model, compared, probabilities, finding, seed)
+
+
+def earlier_causes(previous: Explanation) -> list[tuple[str, ...]]:
+    """List the causes that are fitted first: those that were likely.
+
+    If none was named, the most evident others that were fitted are among them. An
+    effect that is added to these may explain more than the likely ones.
+    """
+    likely = []
+    for causes, probability in previous.cause_sets.items():
+        if causes and probability >= MIXED_PROBABILITY:
+            likely.append(causes)
+    if not likely or previous.named_causes:
+        return likely
+    is_fitted = previous.explanations["fitted"].to_numpy(dtype=bool)
+    for causes, was_fitted in zip(previous.cause_sets, is_fitted, strict=True):
+        if was_fitted and causes and causes not in likely:
+            return [*likely, causes]
+    return likely
 
 
 @dataclass(frozen=True)
@@ -375,7 +392,7 @@ class Finalist:
 
     @property
     def is_slow(self) -> bool:
-        """Whether its loads are so stiff that a fit takes some ten times as long."""
+        """Whether its loads are so stiff that a fit takes SLOW_FITS times as long."""
         return hasattr(self.effect, "bound")
 
 
@@ -439,7 +456,7 @@ class CauseSearch:
         """Fit an effect that is added to causes; keep it if it explains enough."""
         base, causes = comparer.base, finalist.comparison.causes
         if causes not in self.fitted:
-            if self.budget.is_used_up():
+            if self.budget.is_used_up(SLOW_FITS if finalist.is_slow else 1.0):
                 self.is_complete = self.is_complete and bool(base.causes)
                 return
             with self.budget.measure_fit():

@@ -31,6 +31,7 @@ from stringcast.stages.explain.explain import (
     compare_with_noise,
     corrected_residual,
     decide,
+    earlier_causes,
     explain,
     is_error_of_mesh,
     posterior_probabilities,
@@ -169,6 +170,27 @@ def explanation(verdict):
     fit = pd.DataFrame([{"rms_after": 0.005}])
     finding = pd.DataFrame([{"verdict": verdict, "rms_without": 0.04}])
     return Explanation(nothing, nothing, nothing, fit, finding=finding)
+
+
+def earlier(probabilities, verdict):
+    """Return an explanation in which the last causes were not fitted."""
+    table = {"effects": list(probabilities), "probability": probabilities.values()}
+    explanations = pd.DataFrame(table)
+    explanations["fitted"] = np.arange(len(explanations)) < len(explanations) - 1
+    return replace(explanation(verdict), explanations=explanations)
+
+
+def test_the_next_most_evident_causes_are_fitted_again_where_none_was_named():
+    probabilities = {
+        "gravity_direction tip_mass": 0.9,
+        "gravity_direction rest_curvature": 0.1,
+        "tip_mass wind": 1e-5,
+        "tip_mass": 1e-20,
+        "clamp": 1e-30,
+    }
+    expected = [tuple(names.split()) for names in probabilities][:3]
+    assert earlier_causes(earlier(probabilities, "candidates")) == expected
+    assert earlier_causes(earlier(probabilities, "cause")) == expected[:2]
 
 
 def test_causes_that_leave_much_are_not_trusted_on_other_motions():
@@ -340,7 +362,7 @@ def test_further_causes_are_sought_while_earlier_ones_leave_more_than_noise(
         Model(implicit_string(12, 1e-3), arm, camera),
         [observe({})],
         fitted("", 0.0, 0.04).estimate,
-        SimpleNamespace(cause_sets={("tip_mass",): 1.0}),
+        earlier({"tip_mass": 1.0}, "cause"),
         is_surprising=False,
         tolerance_m=TOLERANCE_M,
         seed=0,
