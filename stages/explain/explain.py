@@ -66,13 +66,13 @@ MAX_CAUSES = 3  # together
 SLOW_FITS = 5.0  # others take as long as one with stiff loads
 # Of the log evidence on the coarse mesh. What is further behind is not fitted: a fit
 # from nothing gains less, and others gain as well
-MAX_DEFICIT = 20.0
+MAX_DEFICIT = 15.0
 PROBE_FRACTIONS = (0.01, 0.03, 0.1, 0.3)  # of the way from absent to an amplitude
 PROBES = 16
 SCREENED_PROBES = 3  # the best of them, which are refined
 SCREENING_ITERATIONS = 8  # at most
 # Of the log evidence. Runs that promise less end; with 0.05 some ended on a plateau
-SCREENING_MIN_GAIN = 0.002
+SCREENING_MIN_GAIN = 0.005
 CORRECTION_PASSES = 3
 COARSE_LEVEL = 2  # of the mesh, halvings
 NO_CAUSE: tuple[str, ...] = ()
