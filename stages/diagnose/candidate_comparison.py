@@ -43,7 +43,7 @@ from stringcast.stages.diagnose.rules import (
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.effect import Effect, is_position_dependent
 from stringcast.stages.workers import map_in_workers
 
 log = logging.getLogger(__name__)
@@ -133,6 +133,9 @@ def compare_candidates(
             )
         is_contested = contested is not None
         decided = _compare_rivals(prepared, step, decided, criteria, is_contested)
+        if decided.accepted:
+            # A contact that is there promises much: it explains where the string departs
+            remaining = [p for p in remaining if not is_position_dependent(p.effect)]
         if not remaining or _explains_enough(
             prepared.data, decided, criteria, is_contested
         ):
