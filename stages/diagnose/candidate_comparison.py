@@ -134,7 +134,7 @@ def compare_candidates(
         is_contested = contested is not None
         decided = _compare_rivals(prepared, step, decided, criteria, is_contested)
         if decided.accepted:
-            # A contact that is there promises much: it explains where the string departs
+            # A contact that is there promises much: it explains the departure
             remaining = [p for p in remaining if not is_position_dependent(p.effect)]
         if not remaining or _explains_enough(
             prepared.data, decided, criteria, is_contested
