@@ -102,7 +102,7 @@ class PreparedTrial:
     def start(self) -> float:
         """When its simulation begins [s]."""
         state = self.initial_state
-        return self.motion.start if state is None else state.t
+        return float(self.motion.start if state is None else state.t)
 
     @property
     def is_tip(self) -> np.ndarray:
