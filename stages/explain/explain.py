@@ -548,9 +548,12 @@ def compare_with_noise(
     """Compare what estimates without and with causes leave with the noise.
 
     The end of a trial does not count if the mesh of one of them errs by more than the
-    noise there.
+    noise there. False parameters without causes may err so much that hardly anything
+    counts. So nothing more may be left where the model with causes is resolved.
     """
-    return NoiseRatios(*resolved_residuals(model, observations, estimates))
+    without, left = resolved_residuals(model, observations, estimates)
+    (left_alone,) = resolved_residuals(model, observations, estimates[1:])
+    return NoiseRatios(without, max(left, left_alone))
 
 
 def resolved_residuals(

@@ -481,12 +481,18 @@ def test_what_the_mesh_does_not_resolve_is_no_sign_of_a_cause(
     assert is_error_of_mesh(model, [observation], estimate) == (not hidden)
 
 
+@pytest.mark.parametrize(
+    ("without", "with_causes", "expected"), [(20, 7, (7, 7)), (7, 20, (7, 20))]
+)
 def test_estimates_are_compared_where_the_mesh_resolves_both(
-    arm, camera, observe, monkeypatch
+    arm, camera, observe, monkeypatch, without, with_causes, expected
 ):
-    """One that is resolved hardly anywhere would leave only noise there."""
+    """One that is resolved hardly anywhere would leave only noise there.
+
+    Causes have to leave only noise wherever they are resolved themselves.
+    """
     module = "stringcast.stages.explain.explain"
-    counts = iter([[20], [7]])
+    counts = iter([[without], [with_causes], [with_causes]])
     monkeypatch.setattr(f"{module}.resolved_frames", lambda *given: next(counts))
 
     def count_frames(likelihood, chi):
@@ -496,7 +502,7 @@ def test_estimates_are_compared_where_the_mesh_resolves_both(
     model = Model(implicit_string(12, 1e-3), arm, camera)
     estimate = true_estimate(model)
     ratios = compare_with_noise(model, [observe({})], [estimate, estimate])
-    assert (ratios.without, ratios.left) == (7, 7)
+    assert (ratios.without, ratios.left) == expected
 
 
 @pytest.fixture(scope="module")
