@@ -16,6 +16,7 @@ import numpy as np
 
 from stringcast.stages.diagnose.candidate_comparison import by_evidence, fit_roughly
 from stringcast.stages.diagnose.common_data import fit_to_common_data
+from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.diagnose.selection_state import SelectionState, with_fit
 from stringcast.stages.inference.hypothesis import Hypothesis
 
@@ -25,8 +26,12 @@ MAX_LOOKALIKES = 2  # of each earlier cause
 MAX_COMPARED = 2  # exchanges that are fitted to common data
 
 
-def exchange_two_causes(state: SelectionState) -> SelectionState:
-    """Exchange the cause accepted last and an earlier one if that explains more."""
+def exchange_two_causes(state: SelectionState, criteria: Criteria) -> SelectionState:
+    """Exchange the cause accepted last and an earlier one if that explains more.
+
+    Only exchanges that lose less than half of what the last cause has gained are
+    compared on common data.
+    """
     data = state.prepared.data
     fits = []
     for hypothesis, starts in _exchanges(state):
@@ -34,15 +39,25 @@ def exchange_two_causes(state: SelectionState) -> SelectionState:
         fits.append(fit)
         gain = fit.log_evidence - state.fit.log_evidence
         log.info("%s: log evidence %+.1f", " + ".join(hypothesis.cause_names), gain)
-    if not fits:
+    least_evidence = _least_evidence(state, criteria)
+    rivals = [fit for fit in fits if fit.log_evidence > least_evidence]
+    others = by_evidence(rivals)[:MAX_COMPARED]
+    if not others:
         return state
-    others = by_evidence(fits)[:MAX_COMPARED]
     current, *compared = fit_to_common_data(state.prepared, [state.fit, *others])
     best = by_evidence(compared)[0]
     gain = best.log_evidence - current.log_evidence
     names = " + ".join(best.hypothesis.cause_names)
     log.info("on common data: %s, log evidence %+.1f", names, gain)
     return with_fit(state, best) if gain > 0 else state
+
+
+def _least_evidence(state: SelectionState, criteria: Criteria) -> float:
+    """Compute the evidence of an exchange that may lead on common data."""
+    last = [step for step in state.steps if step.accepted][-1]
+    assert last.best is not None
+    gain = last.best.log_evidence - last.parent.log_evidence
+    return state.fit.log_evidence - criteria.min_explained_fraction * gain
 
 
 def _exchanges(state: SelectionState) -> Iterator[tuple[Hypothesis, np.ndarray]]:

@@ -66,7 +66,7 @@ def select_causes(
             state = _set_aside_if_small(state, step, criteria)
             break
         state = add_cause(state, step.best, criteria, rng, starts)
-        state = exchange_two_causes(state)
+        state = exchange_two_causes(state, criteria)
         state = drop_redundant_causes(state, criteria)
         name = step.best.hypothesis.cause_names[-1]
         gain = step.best.log_evidence - step.parent.log_evidence

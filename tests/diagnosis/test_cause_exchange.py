@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import ordinary
+from synthetic_trials import CRITERIA
 
 from stringcast.stages.diagnose import cause_exchange
 from stringcast.stages.diagnose.candidate_comparison import SelectionStep
@@ -29,7 +30,7 @@ def state(arm):
 
     def step(before, *rivals):
         parent = fit_of(base, before)
-        fits = [fit_of(base, (*before, rival)) for rival in rivals]
+        fits = [fit_of(base, (*before, rival), 40.0) for rival in rivals]
         return SelectionStep(None, parent, (), fits, fits, accepted=bool(fits))
 
     steps = [
@@ -49,6 +50,8 @@ def state(arm):
         ((130.0, 120.0), (110.0, 140.0), "grasp_angle"),
         ((130.0, 90.0), (110.0, 105.0), "rest_curvature"),
         ((130.0, 120.0), (99.0, 98.0), "camera_rotation"),
+        # it loses more than half of what the last cause has gained
+        ((79.0, 81.0), (200.0, 110.0), "grasp_angle"),
     ],
 )
 def test_two_causes_are_exchanged_if_others_explain_more(
@@ -79,7 +82,7 @@ def test_two_causes_are_exchanged_if_others_explain_more(
         "with_fit",
         lambda state, fit: SelectionState(state.prepared, fit, state.steps),
     )
-    exchanged = cause_exchange.exchange_two_causes(state)
+    exchanged = cause_exchange.exchange_two_causes(state, CRITERIA)
     assert tried == [
         ("clamp", "rest_curvature", "contact"),
         ("clamp", "grasp_angle", "contact"),
@@ -92,4 +95,4 @@ def test_two_causes_are_exchanged_if_others_explain_more(
 def test_a_cause_without_rivals_is_not_exchanged(state, monkeypatch):
     first = SelectionState(state.prepared, state.steps[0].best, state.steps[:1])
     monkeypatch.setattr(cause_exchange, "fit_to_common_data", None)
-    assert cause_exchange.exchange_two_causes(first) is first
+    assert cause_exchange.exchange_two_causes(first, CRITERIA) is first
