@@ -246,8 +246,15 @@ def explain(
     best = compared[next(iter(probabilities))]
     explaining = best if explains_half(best, base) else base
     noise_ratios = search.with_noise(explaining)
+    # with three effects, false ones may fit a few trials: others are compared first
+    is_checked = not search.is_cut_short or best.causes in earlier
     verdict, sentence = decide(
-        compared, probabilities, tolerance_m, search.is_complete, noise_ratios
+        compared,
+        probabilities,
+        tolerance_m,
+        search.is_complete,
+        noise_ratios,
+        is_checked or len(best.causes) == 1,
     )
     finding = {
         "verdict": verdict,
@@ -423,6 +430,7 @@ class CauseSearch:
     def __post_init__(self) -> None:
         """Begin with nothing searched."""
         self.is_complete = True  # whether all likely causes were fitted
+        self.is_cut_short = False  # whether the time ended a search of further causes
         self.fitted = dict(self.compared)  # also causes that explain too little
         self.extended: set[tuple[str, ...]] = set()  # to which all others were added
         self.postponed: list[tuple[Comparer, Finalist]] = []
@@ -458,6 +466,7 @@ class CauseSearch:
         if causes not in self.fitted:
             if self.budget.is_used_up(SLOW_FITS if finalist.is_slow else 1.0):
                 self.is_complete = self.is_complete and bool(base.causes)
+                self.is_cut_short = True
                 return
             with self.budget.measure_fit():
                 self.fitted[causes] = comparer.fit((finalist.effect,), base.estimate)
@@ -474,6 +483,7 @@ class CauseSearch:
         screened = []
         for effect in self.effects:
             if self.budget.is_used_up() and comparer.base.causes:
+                self.is_cut_short = True
                 return []
             if effect.name not in comparer.base.causes:
                 square_ratio = comparer.screened_square((effect,)) / plain
@@ -497,6 +507,8 @@ class CauseSearch:
                 self.add_effect_to(open_end)
             self.fit_postponed()
         self.fit_postponed()
+        if self.most_evident_open_end(tolerance_m) is not None:
+            self.is_cut_short = True
 
     def most_evident_open_end(self, tolerance_m: float) -> Comparison | None:
         """Return the most evident causes to which no effect was added, if it may help.
@@ -672,18 +684,26 @@ def decide(
     tolerance_m: float,
     is_complete: bool,
     noise_ratios: NoiseRatios,
+    is_checked: bool = True,
 ) -> tuple[str, str]:
     """Decide the verdict, and state it in words.
 
     noise_ratios: of the most probable causes if they explain half of the misfit, else
-    of no cause.
+    of no cause. is_checked: whether rivals of these causes were sought, or earlier
+    trials showed them.
     """
     base = compared[NO_CAUSE]
     assert base.estimate is not None
     best = compared[next(iter(probabilities))]
     if best.causes and explains_half(best, base):
         return _decide_about(
-            best, base, probabilities, tolerance_m, is_complete, noise_ratios
+            best,
+            base,
+            probabilities,
+            tolerance_m,
+            is_complete,
+            noise_ratios,
+            is_checked,
         )
     if not is_complete:
         return "undecided", f"No cause was found; {TIME_IS_UP}."
@@ -708,6 +728,7 @@ def _decide_about(
     tolerance_m: float,
     is_complete: bool,
     noise_ratios: NoiseRatios,
+    is_checked: bool,
 ) -> tuple[str, str]:
     """Decide whether the most probable causes, which explain much, are named."""
     left_mm = MM_PER_M * tip_rms_m(best.estimate)
@@ -727,10 +748,15 @@ def _decide_about(
     effect += f" (probability {probability:.2f})"
     if not is_explained:
         return "partial", f"{effect}; something else is left."
+    doubt = ""
     if not noise_ratios.are_noise:
-        return "candidates", f"{effect}, but more than noise is left: others may act."
-    if not noise_ratios.explain_half:
-        return "candidates", f"{effect}, but not where the mesh resolves the string."
+        doubt = "more than noise is left: others may act"
+    elif not noise_ratios.explain_half:
+        doubt = "not where the mesh resolves the string"
+    elif not is_checked:
+        doubt = TIME_IS_UP
+    if doubt:
+        return "candidates", f"{effect}, but {doubt}."
     return "cause", f"{effect}."
 
 

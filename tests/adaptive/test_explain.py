@@ -302,6 +302,31 @@ def test_a_cause_is_fitted_though_the_fit_of_another_gains_much(search, monkeypa
     assert searched.compared["wind",].log_evidence > 30
 
 
+def test_a_search_that_the_time_cut_short_is_known(search):
+    searched = search.begin(ALL_FOUR)
+    searched.add_effect_to(searched.comparer.base)
+    assert not searched.is_cut_short
+    searched.budget.seconds = 0.0
+    searched.add_further_effects(TOLERANCE_M)
+    assert searched.is_cut_short
+    searched = search.begin(ALL_FOUR)
+    searched.add_effect_to(searched.comparer.base)
+    searched.add_further_effects(TOLERANCE_M)
+    assert not searched.is_cut_short
+
+
+def test_several_causes_are_not_named_before_rivals_were_compared():
+    """Gravity, nonlinear bending and a heavy tip stood for a set, wind and this tip."""
+    found = fitted("gravity_direction tip_mass", 80.0, 0.001)
+    compared = {each.causes: each for each in (fitted("", 0.0, 0.04), found)}
+    probabilities = posterior_probabilities(compared, CANDIDATES)
+    given = compared, probabilities, TOLERANCE_M, True, NoiseRatios(10.0, 1.0)
+    assert decide(*given)[0] == "cause"
+    verdict, sentence = decide(*given, is_checked=False)
+    assert verdict == "candidates"
+    assert "time was used up" in sentence
+
+
 def test_a_single_cause_that_leaves_only_noise_ends_the_search(search, monkeypatch):
     monkeypatch.setitem(RMS_MM, "tip_mass", 1.0)
     searched = search.begin(ALL_FOUR)
