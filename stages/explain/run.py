@@ -12,7 +12,8 @@ from stringcast.data.artifacts import (
 )
 from stringcast.stages.estimate.least_squares import MISFIT_RATIO
 from stringcast.stages.estimate.trim import trim_at_contact
-from stringcast.stages.explain.explain import is_error_of_mesh, noise_m, rms_m
+from stringcast.stages.explain.comparison import noise_m, rms_m
+from stringcast.stages.explain.noise_ratios import is_error_of_mesh
 from stringcast.stages.spec import StageCall
 
 

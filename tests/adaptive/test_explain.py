@@ -21,20 +21,15 @@ from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.stages.common import rms
 from stringcast.stages.execute.execute import pad_commands
-from stringcast.stages.explain.explain import (
-    NO_CAUSE,
-    Budget,
-    CauseSearch,
-    Comparer,
-    Comparison,
+from stringcast.stages.explain.cause_search import Budget, CauseSearch
+from stringcast.stages.explain.comparison import Comparer, Comparison
+from stringcast.stages.explain.decision import NO_CAUSE, decide, posterior_probabilities
+from stringcast.stages.explain.explain import earlier_causes, explain
+from stringcast.stages.explain.noise_ratios import (
     NoiseRatios,
     compare_with_noise,
     corrected_residual,
-    decide,
-    earlier_causes,
-    explain,
     is_error_of_mesh,
-    posterior_probabilities,
 )
 from stringcast.stages.explain.run import run
 from stringcast.stages.inference.likelihood import Likelihood
@@ -406,7 +401,7 @@ def test_no_fit_begins_that_would_end_after_the_time_is_up(monkeypatch):
     """The first fit shows what another may take."""
     clock = iter([0.0, 4.0, 4.0, 10.0, 11.0, 14.0])
     monkeypatch.setattr(
-        "stringcast.stages.explain.explain.time.process_time", lambda: next(clock)
+        "stringcast.stages.explain.cause_search.time.process_time", lambda: next(clock)
     )
     budget = Budget(15.0, lambda share: None)
     assert not budget.is_used_up()  # after 4 s
@@ -516,7 +511,7 @@ def test_estimates_are_compared_where_the_mesh_resolves_both(
 
     Causes have to leave only noise wherever they are resolved themselves.
     """
-    module = "stringcast.stages.explain.explain"
+    module = "stringcast.stages.explain.noise_ratios"
     counts = iter([[without], [with_causes], [with_causes]])
     monkeypatch.setattr(f"{module}.resolved_frames", lambda *given: next(counts))
 

@@ -25,7 +25,7 @@ from stringcast.hardware.virtual.bench import VirtualBench
 from stringcast.pipeline.modes import Cast
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
 from stringcast.pipeline.run.iterations import LOOK_NUMBER, History, Iteration
-from stringcast.stages.explain.explain import MIXED_PROBABILITY
+from stringcast.stages.explain.decision import MIXED_PROBABILITY
 from stringcast.stages.generate.curves import first_curves
 from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
 from stringcast.stages.model.extension import extend_model

@@ -12,7 +12,7 @@ import pandas as pd
 
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.paper.scores import SHARE_COLUMNS, share_with_interval
-from stringcast.stages.explain.explain import NAMED_PROBABILITY
+from stringcast.stages.explain.decision import NAMED_PROBABILITY
 from stringcast.stages.surprise.surprise import ALARM_P_VALUE
 from tests.benchmarks.simulators.causes import LIBRARY_CAUSES, OUTSIDE_CAUSES
 

@@ -1,0 +1,187 @@
+"""Comparison of causes with trials: on a coarse mesh, and by fits as from nothing.
+
+A cause that moves much, such as a heavy tip, moves the other parameters along, so that
+a fit that begins nearby may end nearby. The evidence is that of the Bayesian
+information criterion (Schwarz 1978) for independent blocks of time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from stringcast.data.artifacts import Estimate, Observation
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.mesh import mesh_ladder
+from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.inference.search import with_estimated_noise
+from stringcast.stages.inference.solver import fit_least_squares
+from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.library import find_effects
+from stringcast.stages.model.model import Model
+
+MIN_EXPLAINED_FRACTION = 0.5  # of the mean square misfit, by a cause that is named
+PROBE_FRACTIONS = (0.01, 0.03, 0.1, 0.3)  # of the way from absent to an amplitude
+PROBES = 16
+SCREENED_PROBES = 3  # the best of them, which are refined
+SCREENING_ITERATIONS = 8  # at most
+# Of the log evidence. Runs that promise less end; with 0.05 some ended on a plateau
+SCREENING_MIN_GAIN = 0.005
+COARSE_LEVEL = 2  # of the mesh, halvings
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Comparison of some causes, or none, with the trials.
+
+    Parameters
+    ----------
+    causes : names of the effects; empty for the model as it was
+    log_evidence : gain over the model as it was
+    estimate : of the model with the causes, where it was fitted from nothing
+    """
+
+    causes: tuple[str, ...]
+    log_evidence: float
+    estimate: Estimate | None = None
+
+
+@dataclass(frozen=True)
+class Comparer:
+    """Compare effects that are added to a model, by the same trials.
+
+    Parameters
+    ----------
+    model : Model
+        With the causes that were found before, if any.
+    observations : sequence of Observation
+        The trials.
+    base : Comparison
+        Of this model with the trials, fitted.
+    blocks : int
+        Number of independent blocks of time in the trials.
+    fit_model : callable
+        Fits a model to observations, also from an earlier estimate, if there is one.
+    seed : int
+        Of the sizes at which effects are tried.
+    """
+
+    model: Model
+    observations: Sequence[Observation]
+    base: Comparison
+    blocks: int
+    fit_model: Callable[[Model, Sequence[Observation], Estimate | None], Estimate]
+    seed: int
+
+    def given(self, base: Comparison) -> Comparer:
+        """Return the comparison of effects that are added to causes."""
+        extended = self.model.with_effects(*find_effects(base.causes))
+        return replace(self, model=extended, base=base)
+
+    def comparison(
+        self,
+        effects: Sequence[type[Effect]],
+        square_ratio: float,
+        estimate: Estimate | None = None,
+    ) -> Comparison:
+        """Compare effects by a mean square that falls to a ratio of the base's."""
+        gain = self.blocks * -np.log(max(square_ratio, np.finfo(float).tiny))
+        added = sum(len(effect.parameters) for effect in effects)
+        evidence = gain - 0.5 * added * np.log(self.blocks)
+        causes = [*self.base.causes, *(effect.name for effect in effects)]
+        return Comparison(
+            tuple(sorted(causes)), self.base.log_evidence + float(evidence), estimate
+        )
+
+    def screened_square(self, effects: Sequence[type[Effect]]) -> float:
+        """Compute the mean square that a few iterations leave on a coarse mesh.
+
+        They begin at the best of some sizes of the last effect.
+        """
+        assert self.base.estimate is not None
+        hypothesis = Hypothesis(self.model, tuple(effects))
+        trials = [prepare_trial(hypothesis.model, o) for o in self.observations]
+        likelihood = Likelihood(TrialData(tuple(trials)), hypothesis.model)
+        ladder = mesh_ladder(likelihood)
+        coarse = ladder[min(COARSE_LEVEL, len(ladder) - 1)]
+        fitted = self.base.estimate.parameters
+        exponents = dict(zip(fitted["name"], fitted["chi"], strict=True))
+        start = hypothesis.exponents_from(exponents)
+        coarse = with_estimated_noise(coarse, start)
+
+        starts = start[None]
+        if effects:
+            probes = self._probes(hypothesis, effects[-1], start)
+            squares = np.mean(coarse.residuals(probes) ** 2, axis=1)
+            starts = probes[np.argsort(squares, kind="stable")[:SCREENED_PROBES]]
+        # the solver takes each number as independent, and the evidence each block
+        numbers = sum(2 * len(trial.s) for trial in trials)
+        min_gain = SCREENING_MIN_GAIN * numbers / (2 * self.blocks)
+        runs = fit_least_squares(coarse, starts, SCREENING_ITERATIONS, min_gain)
+        return float(np.mean(runs.residual[np.argmin(runs.loss)] ** 2))
+
+    def _probes(
+        self, hypothesis: Hypothesis, effect: type[Effect], start: np.ndarray
+    ) -> np.ndarray:
+        """Choose exponents (C, P) at which an effect acts, near the estimate."""
+        rng = np.random.default_rng([self.seed, PROBES])
+        own = hypothesis.parameter_indices(effect, effect.parameters)
+        amplitudes = hypothesis.amplitude_indices(effect)
+        probes = np.tile(start, (PROBES, 1))
+        probes[:, own] = rng.uniform(0, 1, (PROBES, len(own)))
+        # half of them to either end of the range of the first amplitude
+        probes[::2, amplitudes[0]] = 0.0
+        probes[1::2, amplitudes[0]] = 1.0
+        fractions = np.repeat(PROBE_FRACTIONS, PROBES // len(PROBE_FRACTIONS))[:, None]
+        distance = probes[:, amplitudes] - start[amplitudes]
+        probes[:, amplitudes] = start[amplitudes] + fractions * distance
+        return probes
+
+    def fit(
+        self, effects: Sequence[type[Effect]], start: Estimate | None
+    ) -> Comparison:
+        """Fit the model with effects as if nothing were known, and from a start."""
+        base = self.base.estimate
+        assert base is not None
+        extended = self.model.with_effects(*effects)
+        made = self.fit_model(extended, self.observations, start)
+        return self.comparison(effects, (rms_m(made) / rms_m(base)) ** 2, made)
+
+
+def rms_m(estimate: Estimate) -> float:
+    """Return the residual of the centre-line, root mean square [m]."""
+    return float(estimate.fit["rms_after"].iloc[0])
+
+
+def tip_rms_m(estimate: Estimate | None) -> float:
+    """Return the residual of the tip, root mean square [m]; NaN without a fit."""
+    return np.nan if estimate is None else float(estimate.fit["tip_after"].iloc[0])
+
+
+def most_evident_fit(compared: Iterable[Comparison]) -> Comparison:
+    """Return the most evident comparison among those that were fitted."""
+    fitted = [each for each in compared if each.estimate is not None]
+    return max(fitted, key=lambda each: each.log_evidence)
+
+
+def noise_m(observations: Sequence[Observation]) -> float:
+    """Return the distance by which noise alone moves a measured point [m]."""
+    sigma = pd.concat([observation.points["sigma"] for observation in observations])
+    return float(np.sqrt(2) * sigma.median())
+
+
+def explains_half(each: Comparison, base: Comparison, noise_m: float = 0.0) -> bool:
+    """Tell whether causes that were fitted explain half of the mean square misfit.
+
+    noise_m: residual that no cause explains, root mean square [m].
+    """
+    if each.estimate is None or base.estimate is None:
+        return False
+    misfit = rms_m(base.estimate) ** 2 - noise_m**2
+    left = rms_m(each.estimate) ** 2 - noise_m**2
+    return left <= (1 - MIN_EXPLAINED_FRACTION) * misfit
