@@ -120,7 +120,7 @@ class CauseSearch:
         unless it is far more evident than the quick ones.
         """
         self.extended.add(base.causes)
-        comparer = self.comparer.given(base)
+        comparer = self.comparer.with_base(base)
         screened = self.screen_effects(comparer)
         screened.sort(key=lambda each: -each.comparison.log_evidence)
         finalists = screened[: self.finalists]

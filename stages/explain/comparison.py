@@ -78,7 +78,7 @@ class Comparer:
     fit_model: Callable[[Model, Sequence[Observation], Estimate | None], Estimate]
     seed: int
 
-    def given(self, base: Comparison) -> Comparer:
+    def with_base(self, base: Comparison) -> Comparer:
         """Return the comparison of effects that are added to causes."""
         extended = self.model.with_effects(*find_effects(base.causes))
         return replace(self, model=extended, base=base)

@@ -236,7 +236,9 @@ def search(monkeypatch):
     def compare(search, comparison):
         return NoiseRatios(10.0, left_mm(comparison.causes))
 
-    monkeypatch.setattr(Comparer, "given", lambda self, base: replace(self, base=base))
+    monkeypatch.setattr(
+        Comparer, "with_base", lambda self, base: replace(self, base=base)
+    )
     monkeypatch.setattr(Comparer, "screened_square", screen)
     monkeypatch.setattr(Comparer, "fit", fit)
     monkeypatch.setattr(CauseSearch, "with_noise", compare)
