@@ -28,7 +28,6 @@ from typing import Protocol
 import numpy as np
 
 from stringcast.stages.inference.huber import huber_loss, huber_weights
-from stringcast.stages.model.engine.threads import compile_kernel
 from stringcast.stages.model.parameter import (
     Parameter,
     parameter_exponents,
@@ -376,7 +375,6 @@ def _trial_points(
     return np.asarray(np.clip([*in_exponents, *in_values], 0.0, 1.0))
 
 
-@compile_kernel
 def minimise_in_box(
     normal: np.ndarray,
     gradient: np.ndarray,
@@ -407,20 +405,17 @@ def minimise_in_box(
     step = np.zeros(size)
     side = np.zeros(size)  # -1 at the lower bound, 1 at the upper, 0 where free
     for _ in range(4 * size):  # mostly two; each bound may hold and be released twice
+        free = side == 0
         descent = -gradient - normal @ step
-        free_normal = normal.copy()
-        for held in np.flatnonzero(side):
-            descent[held] = 0.0
-            free_normal[held] = 0.0
-            free_normal[:, held] = 0.0
-            free_normal[held, held] = 1.0
-        move = np.linalg.solve(free_normal, descent)
+        move = np.zeros(size)
+        move[free] = np.linalg.solve(normal[np.ix_(free, free)], descent[free])
         room = np.where(move > 0, high - step, step - low)
         # Only a bound within the move counts; other shares may be too large for a float
         distance = np.abs(move)
         share = np.full(size, np.inf)
-        for i in np.flatnonzero((distance > room) & (distance > 0)):
-            share[i] = room[i] / distance[i]
+        is_near = (distance > room) & (distance > 0)
+        np.divide(room, distance, out=share, where=is_near)
+
         first = int(np.argmin(share))
         if share[first] < 1:
             step = step + share[first] * move
@@ -434,4 +429,4 @@ def minimise_in_box(
         if inwards[steepest] <= 0:
             break
         side[steepest] = 0
-    return np.asarray(np.clip(step, low, high))
+    return np.clip(step, low, high)
