@@ -15,6 +15,7 @@ import numpy as np
 
 from stringcast.stages.common import Progress
 from stringcast.stages.explain.comparison import (
+    NO_CAUSE,
     Comparer,
     Comparison,
     explains_half,
@@ -22,7 +23,6 @@ from stringcast.stages.explain.comparison import (
     noise_m,
     tip_rms_m,
 )
-from stringcast.stages.explain.decision import NO_CAUSE
 from stringcast.stages.explain.noise_ratios import NoiseRatios, compare_with_noise
 from stringcast.stages.model.effect import Effect
 

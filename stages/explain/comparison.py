@@ -25,6 +25,7 @@ from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 
+NO_CAUSE: tuple[str, ...] = ()
 MIN_EXPLAINED_FRACTION = 0.5  # of the mean square misfit, by a cause that is named
 PROBE_FRACTIONS = (0.01, 0.03, 0.1, 0.3)  # of the way from absent to an amplitude
 PROBES = 16

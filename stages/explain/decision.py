@@ -11,12 +11,16 @@ from stringcast.stages.diagnose.probabilities import (
     PRIOR_NO_EFFECT,
     effect_probabilities,
 )
-from stringcast.stages.explain.comparison import Comparison, explains_half, tip_rms_m
+from stringcast.stages.explain.comparison import (
+    NO_CAUSE,
+    Comparison,
+    explains_half,
+    tip_rms_m,
+)
 from stringcast.stages.explain.noise_ratios import NoiseRatios
 
 NAMED_PROBABILITY = 0.9  # of causes that are named alone
 MIXED_PROBABILITY = 0.05  # of causes whose draws the next plan uses
-NO_CAUSE: tuple[str, ...] = ()
 TIME_IS_UP = "the processor time was used up before all likely causes were fitted"
 
 

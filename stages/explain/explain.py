@@ -28,6 +28,7 @@ from stringcast.stages.estimate.least_squares import estimate as fit_from_nothin
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.explain.cause_search import Budget, CauseSearch
 from stringcast.stages.explain.comparison import (
+    NO_CAUSE,
     Comparer,
     Comparison,
     explains_half,
@@ -36,7 +37,6 @@ from stringcast.stages.explain.comparison import (
 )
 from stringcast.stages.explain.decision import (
     MIXED_PROBABILITY,
-    NO_CAUSE,
     decide,
     posterior_probabilities,
 )

@@ -73,24 +73,22 @@ def compare_with_noise(
     noise there. False parameters without causes may err so much that hardly anything
     counts. So nothing more may be left where the model with causes is resolved.
     """
-    without, left = resolved_residuals(model, observations, estimates)
-    (left_alone,) = resolved_residuals(model, observations, estimates[1:])
-    return NoiseRatios(without, max(left, left_alone))
-
-
-def resolved_residuals(
-    model: Model, observations: Sequence[Observation], estimates: Sequence[Estimate]
-) -> list[float]:
-    """Compute the residual over the noise of each estimate, where all are resolved."""
     fits = [likelihood_at(model, observations, estimate) for estimate in estimates]
     counts = [resolved_frames(*fit, MAX_MESH_ERROR_RATIO) for fit in fits]
-    frames = np.min(counts, axis=0)  # of each trial
-    residuals = []
-    for likelihood, chi in fits:
-        pairs = zip(likelihood.data.trials, frames, strict=True)
-        resolved = [trial.first_frames(int(count)) for trial, count in pairs]
-        residuals.append(corrected_residual(likelihood.with_trials(resolved), chi))
-    return residuals
+    where_both = np.min(counts, axis=0)  # frames of each trial
+    without, left = [first_frames_residual(*fit, where_both) for fit in fits]
+    if (counts[1] > where_both).any():
+        left = max(left, first_frames_residual(*fits[1], counts[1]))
+    return NoiseRatios(without, left)
+
+
+def first_frames_residual(
+    likelihood: Likelihood, chi: np.ndarray, frames: np.ndarray
+) -> float:
+    """Compute the residual over sigma in the first frames (K,) of each trial."""
+    pairs = zip(likelihood.data.trials, frames, strict=True)
+    trials = [trial.first_frames(int(count)) for trial, count in pairs]
+    return corrected_residual(likelihood.with_trials(trials), chi)
 
 
 def likelihood_at(
@@ -113,11 +111,11 @@ def is_error_of_mesh(
     explains half of the mean square misfit of the whole trials.
     """
     misfit = rms_m(estimate) ** 2 - noise_m(observations) ** 2
-    error_m = discretisation_error(*likelihood_at(model, observations, estimate))
-    if not error_m**2 >= MIN_EXPLAINED_FRACTION * misfit:
+    fit = likelihood_at(model, observations, estimate)
+    if not discretisation_error(*fit) ** 2 >= MIN_EXPLAINED_FRACTION * misfit:
         return False
-    (residual,) = resolved_residuals(model, observations, [estimate])
-    return residual < MAX_NOISE_RATIO
+    frames = resolved_frames(*fit, MAX_MESH_ERROR_RATIO)
+    return first_frames_residual(*fit, frames) < MAX_NOISE_RATIO
 
 
 def corrected_residual(likelihood: Likelihood, chi: np.ndarray) -> float:

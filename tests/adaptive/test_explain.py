@@ -22,8 +22,8 @@ from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.stages.common import rms
 from stringcast.stages.execute.execute import pad_commands
 from stringcast.stages.explain.cause_search import Budget, CauseSearch
-from stringcast.stages.explain.comparison import Comparer, Comparison
-from stringcast.stages.explain.decision import NO_CAUSE, decide, posterior_probabilities
+from stringcast.stages.explain.comparison import NO_CAUSE, Comparer, Comparison
+from stringcast.stages.explain.decision import decide, posterior_probabilities
 from stringcast.stages.explain.explain import earlier_causes, explain
 from stringcast.stages.explain.noise_ratios import (
     NoiseRatios,
