@@ -2,48 +2,67 @@
 
 While something is missing, a look-alike may explain more than the cause that is there,
 and the next cause that is found goes with it. Neither can be exchanged alone: each is
-the best beside the other. So the rivals of a cause that was accepted are also fitted
-beside look-alikes of the earlier ones, as in a floating search (Pudil, Novovičová,
-Kittler, Pattern Recognition Letters 15, 1119, 1994).
+the best with the other. So the rivals of a cause that was accepted are also fitted with
+rivals of the earlier ones, as in a floating search (Pudil, Novovičová, Kittler, Pattern
+Recognition Letters 15, 1119, 1994).
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
-from stringcast.stages.diagnose.candidate_comparison import by_evidence, fit_roughly
+from stringcast.stages.diagnose.candidate_comparison import (
+    SelectionStep,
+    by_evidence,
+    fit_roughly,
+)
 from stringcast.stages.diagnose.common_data import fit_to_common_data
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.diagnose.selection_state import SelectionState, with_fit
 from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.laplace import Fit
+from stringcast.stages.workers import map_in_workers
 
 log = logging.getLogger(__name__)
 
-MAX_LOOKALIKES = 2  # of each earlier cause
+MAX_RIVALS = 2  # of each earlier cause
 MAX_COMPARED = 2  # exchanges that are fitted to common data
 
 
 def exchange_two_causes(state: SelectionState, criteria: Criteria) -> SelectionState:
     """Exchange the cause accepted last and an earlier one if that explains more.
 
-    Only exchanges that lose less than half of what the last cause has gained are
-    compared on common data.
+    Only exchanges that explain at least half of what the last cause does are compared
+    on common data.
     """
-    data = state.prepared.data
-    fits = []
-    for hypothesis, starts in _exchanges(state):
-        fit = fit_roughly(data, hypothesis, starts, state.fit)
-        fits.append(fit)
+    *earlier, last = [step for step in state.steps if step.accepted]
+    exchanges = list(_exchanges(state, earlier, last))
+
+    def fit_exchange(number: int) -> Fit:
+        hypothesis, starts = exchanges[number]
+        fit = fit_roughly(state.prepared.data, hypothesis, starts, state.fit)
         gain = fit.log_evidence - state.fit.log_evidence
         log.info("%s: log evidence %+.1f", " + ".join(hypothesis.cause_names), gain)
-    least_evidence = _least_evidence(state, criteria)
-    rivals = [fit for fit in fits if fit.log_evidence > least_evidence]
-    others = by_evidence(rivals)[:MAX_COMPARED]
-    if not others:
+        return fit
+
+    assert last.best is not None
+    last_gain = last.best.log_evidence - last.parent.log_evidence
+    most_lost = (1 - criteria.min_explained_fraction) * last_gain
+    rivals = []
+    fitted = map_in_workers(fit_exchange, range(len(exchanges)))
+    for (hypothesis, _), fit in zip(exchanges, fitted, strict=True):
+        if fit.log_evidence > state.fit.log_evidence - most_lost:
+            # A worker returns a copy of the hypothesis
+            rivals.append(replace(fit, hypothesis=hypothesis))
+    if not rivals:
         return state
+
+    others = by_evidence(rivals)[:MAX_COMPARED]
     current, *compared = fit_to_common_data(state.prepared, [state.fit, *others])
     best = by_evidence(compared)[0]
     gain = best.log_evidence - current.log_evidence
@@ -52,21 +71,14 @@ def exchange_two_causes(state: SelectionState, criteria: Criteria) -> SelectionS
     return with_fit(state, best) if gain > 0 else state
 
 
-def _least_evidence(state: SelectionState, criteria: Criteria) -> float:
-    """Compute the evidence of an exchange that may lead on common data."""
-    last = [step for step in state.steps if step.accepted][-1]
-    assert last.best is not None
-    gain = last.best.log_evidence - last.parent.log_evidence
-    return state.fit.log_evidence - criteria.min_explained_fraction * gain
+def _exchanges(
+    state: SelectionState, earlier: Sequence[SelectionStep], last: SelectionStep
+) -> Iterator[tuple[Hypothesis, np.ndarray]]:
+    """Combine rivals of earlier causes with those of the last, and their starts.
 
-
-def _exchanges(state: SelectionState) -> Iterator[tuple[Hypothesis, np.ndarray]]:
-    """Combine look-alikes of earlier causes with rivals of the last, and their starts.
-
-    Yields a hypothesis and exponents (2, P): the shared ones are those beside either.
+    Yields a hypothesis and exponents (2, P). What both fits share is first as in that
+    of the last cause, then as in that of the earlier one.
     """
-    *earlier, last = [step for step in state.steps if step.accepted]
-    base = state.fit.hypothesis.base
     causes = state.fit.hypothesis.causes
     for step in earlier:
         assert step.best is not None
@@ -74,16 +86,11 @@ def _exchanges(state: SelectionState) -> Iterator[tuple[Hypothesis, np.ndarray]]
         if replaced not in causes[:-1]:
             continue  # it was dropped or exchanged since
         kept = [c for c in causes[:-1] if c is not replaced]
-        for lookalike in step.compared[1 : 1 + MAX_LOOKALIKES]:
-            for rival in last.compared:
-                pair = [fit.hypothesis.causes[-1] for fit in (lookalike, rival)]
-                if len({*kept, *pair}) < len(causes):
-                    continue  # one cause twice
-                hypothesis = Hypothesis(base, (*kept, *pair))
-                beside_rival = lookalike.exponents | rival.exponents
-                beside_lookalike = rival.exponents | lookalike.exponents
-                starts = [beside_rival, beside_lookalike]
-                yield (
-                    hypothesis,
-                    np.stack([hypothesis.exponents_from(start) for start in starts]),
-                )
+        for one, other in product(step.compared[1 : 1 + MAX_RIVALS], last.compared):
+            pair = one.hypothesis.causes[-1], other.hypothesis.causes[-1]
+            if len({*kept, *pair}) < len(causes):
+                continue  # one cause twice
+            hypothesis = Hypothesis(state.fit.hypothesis.base, (*kept, *pair))
+            from_last = hypothesis.exponents_from(one.exponents | other.exponents)
+            from_earlier = hypothesis.exponents_from(other.exponents | one.exponents)
+            yield hypothesis, np.stack([from_last, from_earlier])

@@ -1,4 +1,4 @@
-"""Exchange of two causes at once, each of which is the best beside the other."""
+"""Exchange of two causes at once, each of which is the best with the other."""
 
 from types import SimpleNamespace
 
@@ -76,6 +76,9 @@ def test_two_causes_are_exchanged_if_others_explain_more(
         return compared
 
     monkeypatch.setattr(cause_exchange, "fit_roughly", fit_roughly)
+    monkeypatch.setattr(
+        cause_exchange, "map_in_workers", lambda call, items: [*map(call, items)]
+    )
     monkeypatch.setattr(cause_exchange, "fit_to_common_data", compare)
     monkeypatch.setattr(
         cause_exchange,
