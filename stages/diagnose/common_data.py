@@ -79,7 +79,13 @@ def fit_to_common_data(
         if elsewhere.fit.log_evidence > current.fit.log_evidence:
             current = elsewhere
 
+        surprise = 0.0
         for _ in range(MAX_PASSES):
+            if surprise > NEGLIGIBLE_LOG_EVIDENCE:
+                # The error changes otherwise than it did where the rival began
+                searched = prepared_at(prepared, current.fit)
+                chi = current.fit.chi
+                current = evaluate_with_own_error(searched, current.fit, chi)
             moved_to = _refit(current.data, current.fit, current.fit.chi[None])
             expected = log_likelihoods(current.data, rival.hypothesis, moved_to[None])
             moved = evaluate_with_own_error(searched, current.fit, moved_to)
@@ -88,12 +94,7 @@ def fit_to_common_data(
             surprise = abs(found.sum() - expected.sum())
             if gain > 0:
                 current = moved
-            if surprise > NEGLIGIBLE_LOG_EVIDENCE:
-                # The error changes otherwise than it did where the rival began
-                searched = prepared_at(prepared, current.fit)
-                chi = current.fit.chi
-                current = evaluate_with_own_error(searched, current.fit, chi)
-            elif gain < NEGLIGIBLE_LOG_EVIDENCE:
+            if max(gain, surprise) < NEGLIGIBLE_LOG_EVIDENCE:
                 break
         error = max(current.fit.log_evidence_error, surprise)
         return replace(current.fit, log_evidence_error=error)

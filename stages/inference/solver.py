@@ -2,9 +2,9 @@
 
 An iteration is two or three batches: the forward differences of every run, its least
 damped steps, and the others where those gain less than the differences promise. Few
-steps are tried in one batch, if that takes no longer. A run
-to which they promise next to nothing ends, or one that twice gains little. One slow
-step may be a bend of the valley, or one damped too little for it.
+steps are tried in one batch, if that takes no longer. A run to which they promise next
+to nothing ends, or one that twice gains little. One slow step may be a bend of the
+valley, or one damped too little for it.
 Parameters are exponents chi in [0, 1] (Eq. 3). Two parameters that can take each
 other's place leave a valley: bent in exponents, along which steps are short, and
 straight in values. So each step is tried along both lines: of 48 random starts in the
