@@ -19,7 +19,6 @@ ALLOWED = {
     "pipeline": {"data", "stages", "hardware", "pipeline", "hydra", "omegaconf"},
 }
 GUARDED = set(ALLOWED) | {"hydra", "omegaconf", "serial", "dynamixel_sdk"}
-# largest number of lines of a function's body, and of a whole function
 
 
 def imported(file: Path) -> set[str]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from stringcast.pipeline.commands.import_geometry import option_words
+from stringcast.stages.check.consistency.arm_place import base_corrections
 from stringcast.stages.check.consistency.check import misfit_finding
 from stringcast.stages.check.consistency.corrections import (
     change_joints,
@@ -16,10 +17,7 @@ from stringcast.stages.check.consistency.corrections import (
 from stringcast.stages.check.consistency.judge import is_wrong_geometry, judge
 from stringcast.stages.check.consistency.limits import broken_limits
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
-from stringcast.stages.check.consistency.search import (
-    base_corrections,
-    find_answer,
-)
+from stringcast.stages.check.consistency.search import find_answer
 from stringcast.stages.check.finding import Severity
 from tests.checking.unusual_scenes import UNUSUAL, scene_measurements
 from tests.importing.mistakes import simulated_bench

@@ -6,7 +6,7 @@ says what to do with the files of a dataset; `import` knows the option that does
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations
@@ -38,7 +38,7 @@ class Correction:
     undo
         Returns the measurements without the mistake; None if it cannot be there.
     kind
-        Of KINDS: what `import` needs to find the option that undoes it.
+        Name of the mistake, by which `import` finds the option that undoes it.
     parts, factor
         Of a wrong unit of length: which lengths have it, and its size [m].
     zero
@@ -485,3 +485,15 @@ def single_corrections(
     for count in counts:
         corrections += joint_corrections(count)
     return corrections
+
+
+def apply_corrections(
+    measured: Measurements, corrections: Iterable[Correction]
+) -> Measurements | None:
+    """Undo mistakes one after another; None if one of them cannot be there."""
+    for correction in corrections:
+        corrected = correction.undo(measured)
+        if corrected is None:
+            return None
+        measured = corrected
+    return measured

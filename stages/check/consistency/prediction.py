@@ -193,6 +193,13 @@ def thin_track(track: Track, length: float, horizon: Horizon = WHOLE_MOTION) -> 
     return replace(track, t=t[chosen[::step]], xy=xy[chosen[::step]])
 
 
+def mean_motion(track: Track, length: float) -> float:
+    """Return the mean distance of a point from its middle, in string lengths."""
+    xy = thin_track(track, length).xy
+    distance = np.linalg.norm(xy - xy.mean(axis=0), axis=1)
+    return float(distance.mean()) / length
+
+
 def clock_offsets(prediction: Prediction, tracks: list[Track]) -> np.ndarray:
     """Return offsets (D,) [s] that leave enough of the tracks within the prediction."""
     begin = min(float(track.t[0]) for track in tracks)

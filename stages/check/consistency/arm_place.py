@@ -1,0 +1,191 @@
+"""The place of the arm that the string at rest and its motion show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from stringcast.data.metadata import DATASET_FILE
+from stringcast.stages.check.consistency.corrections import (
+    Correction,
+    apply_corrections,
+)
+from stringcast.stages.check.consistency.judge import (
+    CONSISTENT_MISFIT,
+    MAX_TRIALS,
+    RIVAL_RATIO,
+    fit_trial,
+)
+from stringcast.stages.check.consistency.prediction import (
+    TICK_S,
+    Prediction,
+    mean_motion,
+    predict,
+    thin_track,
+)
+from stringcast.stages.check.consistency.record import Measurements, Recording, Track
+
+# lengths that are tried where neither length nor base is known [m]
+UNKNOWN_LENGTHS_M = np.geomspace(0.12, 1.5, 12)
+BASE_STEPS = 3
+# In 20 right datasets of another simulator, also with the tip alone, the best place of
+# the arm is up to 11 mm off, and up to 25 mm from others that fit as well.
+PLACE_MARGIN = 0.01
+MAX_PLACE_UNCERTAINTY_M = 0.05  # of a base that is proposed
+MIN_AMPLITUDE_RATIO = 2.0  # of the points' motion over the misfit, for a fitted base
+
+
+class ArmPlaces(NamedTuple):
+    """Places of the arm that were fitted, one for each string that is tried.
+
+    Attributes
+    ----------
+    misfits
+        Of the places (N,), in lengths.
+    places
+        Where joint 1 sits (N, 2) [m].
+    motions
+        Mean motion of the tip (N,), in lengths.
+    """
+
+    misfits: np.ndarray
+    places: np.ndarray
+    motions: np.ndarray
+
+    @classmethod
+    def join(cls, fits: Sequence[ArmPlaces]) -> ArmPlaces:
+        """Join the places of several fits into one list."""
+        return cls(*map(np.concatenate, zip(*fits, strict=True)))
+
+
+def base_corrections(
+    measured: Measurements, first: tuple[Correction, ...]
+) -> Iterator[tuple[Correction, ...]]:
+    """Yield the arm's place that the string shows after some first corrections."""
+    corrected = apply_corrections(measured, first)
+    if corrected is None or not corrected.has_joints:
+        return
+    lengths = [corrected.length] if corrected.length else list(UNKNOWN_LENGTHS_M)
+    fits = []
+    for length in lengths:
+        fit = fit_base(replace(corrected, length=float(length)))
+        if fit is not None:
+            fits.append(fit)
+    if not fits:
+        return
+    fitted = ArmPlaces.join(fits)
+    best = int(fitted.misfits.argmin())
+    misfit = float(fitted.misfits[best])
+    # where the points hardly move, any string fits them at some place
+    shows_place = fitted.motions[best] >= MIN_AMPLITUDE_RATIO * misfit
+    if misfit > CONSISTENT_MISFIT or not shows_place:
+        return
+    is_rival = fitted.misfits <= max(RIVAL_RATIO * misfit, misfit + PLACE_MARGIN)
+    distances = np.linalg.norm(fitted.places[is_rival] - fitted.places[best], axis=1)
+    yield (*first, base_correction(fitted.places[best], float(distances.max())))
+
+
+def base_correction(place: np.ndarray, uncertainty: float) -> Correction:
+    """Return the correction that puts the arm to a place (2,) [m].
+
+    It states no place if others at a distance of `uncertainty` [m] fit as well.
+    """
+    x, y = (round(float(value), 3) for value in place)
+    values: tuple[float, ...] = (x, y)
+    fit = f"about ({x:.3f}, {y:.3f}) m"
+    advice = f"; a fit says base: [{x:.3f}, {y:.3f}]"
+    if uncertainty > MAX_PLACE_UNCERTAINTY_M:
+        values = ()
+        fit += f", but also others up to {uncertainty:.2g} m from it"
+        advice = ", as the motion does not show it well enough"
+    return Correction(
+        DATASET_FILE,
+        "arm.base",
+        f"the arm stands elsewhere: the string's motion fits a base of {fit}",
+        f"Measure where joint 1 sits in the coordinates of the points{advice}",
+        lambda measured: replace(measured, base=(x, y)),
+        "base",
+        values=values,
+    )
+
+
+def fit_base(measured: Measurements) -> ArmPlaces | None:
+    """Fit where joint 1 sits, for each stiffness of the ladder and each possible tip.
+
+    A string moves alike everywhere, so the arm's place is off by what points are off
+    from their prediction: first at rest, by stiffness, then over the motion.
+    """
+    trials: list[tuple[Recording, Prediction]] = []
+    for recording in measured.recordings[:MAX_TRIALS]:
+        prediction = predict(measured, recording)
+        if prediction is not None:
+            trials.append((recording, prediction))
+    if not trials:
+        return None
+    # which point rests farthest from the hand is unknown, too
+    tips = {track.point for recording, _ in trials for track in recording.tracks}
+    fits = [fit_base_of_tip(trials, tip) for tip in sorted(tips)]
+    fitted = ArmPlaces.join(fits)
+    return fitted._replace(places=np.asarray(measured.base) + fitted.places)
+
+
+def fit_base_of_tip(trials: list[tuple[Recording, Prediction]], tip: str) -> ArmPlaces:
+    """Fit shifts of the base for each stiffness (C,), if a point is the tip."""
+    gaps = []
+    motions = []
+    for recording, prediction in trials:
+        track = recording.track(tip)
+        if track is None:
+            continue
+        s = track.s or prediction.length
+        gaps.append(track.rest_place - prediction.points(s)[:, 0])
+        motions.append(mean_motion(track, prediction.length))
+    shift = np.median(gaps, axis=0)  # (C, 2)
+    misfits, places = np.full(len(shift), np.inf), shift
+    for _ in range(BASE_STEPS):
+        new_misfits, residuals = shifted_fits(trials, tip, shift)
+        is_better = new_misfits < misfits
+        if not is_better.any():
+            break
+        misfits = np.where(is_better, new_misfits, misfits)
+        places = np.where(is_better[:, None], shift, places)
+        shift = shift + residuals
+    motion = np.full(len(shift), float(np.median(motions)))
+    return ArmPlaces(misfits, places, motion)
+
+
+def shifted_fits(
+    trials: list[tuple[Recording, Prediction]], tip: str, shift: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return misfits (C,) of predictions that are shifted, and what is left (C, 2)."""
+    misfits = []
+    residuals = []
+    for recording, prediction in trials:
+        moved = replace(prediction, nodes=prediction.nodes + shift[:, None, None])
+        track = recording.track(tip)
+        fit = fit_trial(moved, recording, tip)
+        if track is None or fit is None:
+            continue
+        thinned = thin_track(track, moved.length)
+        misfits.append(fit.misfits)
+        residuals.append(median_residuals(moved, thinned, fit.offsets))
+    if not misfits:
+        return np.full(len(shift), np.inf), np.zeros_like(shift)
+    return np.median(misfits, axis=0), np.median(residuals, axis=0)
+
+
+def median_residuals(
+    prediction: Prediction, track: Track, offsets: np.ndarray
+) -> np.ndarray:
+    """Return the median distance (C, 2) of the tip from its prediction [m]."""
+    points = prediction.points(track.s or prediction.length)
+    residuals = []
+    for rung, offset in enumerate(offsets):
+        index = np.rint((track.t + offset - prediction.t[0]) / TICK_S).astype(int)
+        is_within = index < len(prediction.t)
+        places = points[rung, np.maximum(index[is_within], 0)]
+        residuals.append(np.median(track.xy[is_within] - places, axis=0))
+    return np.array(residuals)

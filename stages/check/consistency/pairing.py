@@ -1,0 +1,104 @@
+"""Which trial's points belong to which trial's hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from stringcast.stages.check.consistency.judge import (
+    CONSISTENT_MISFIT,
+    MAX_MISFIT_RATIO,
+    MAX_TRIALS,
+    Verdict,
+    farthest_point,
+    fit_trial,
+)
+from stringcast.stages.check.consistency.prediction import predict
+from stringcast.stages.check.consistency.record import Measurements, Recording
+
+SUSPICIOUS_MISFIT = 0.1  # a trial that misses by more may belong to another hand
+
+
+def tip_alone(recording: Recording, tip: str) -> Recording:
+    """Return a trial with the tip as its only point."""
+    tracks = tuple(track for track in recording.tracks if track.point == tip)
+    return replace(recording, tracks=tracks)
+
+
+def find_pairing(measured: Measurements, verdict: Verdict) -> dict[str, str]:
+    """Return whose points belong to which trial's hand, if not to their own.
+
+    Parameters
+    ----------
+    measured
+        The measurements.
+    verdict
+        Their verdict.
+
+    Returns
+    -------
+    dict
+        The trial whose points fit, by the trial of the hand; only where they differ.
+    """
+    # a hand of another trial breaks no limit but the distance of points from it
+    has_other_fault = any(limit.kind != "gap" for limit in verdict.broken.values())
+    if measured.length is None or has_other_fault:
+        return {}
+    is_suspicious = max(verdict.misfits.values(), default=0.0) > SUSPICIOUS_MISFIT
+    if not (verdict.broken or is_suspicious):
+        return {}
+    recordings = measured.recordings[: 2 * MAX_TRIALS]
+    costs = pairing_costs(measured, recordings)
+    if costs is None:
+        return {}
+    order, rung = cheapest_pairing(costs)
+    hands = np.arange(len(recordings))
+    changed = hands[order != hands]
+    if not len(changed):
+        return {}
+    misfit_after = costs[changed, order[changed], rung]
+    rung_before = int(costs[hands, hands].sum(axis=0).argmin())
+    misfit_before = costs[changed, changed, rung_before]
+    is_better = misfit_after.mean() <= MAX_MISFIT_RATIO * misfit_before.mean()
+    if misfit_after.max() > CONSISTENT_MISFIT or not is_better:
+        return {}
+    return {recordings[i].name: recordings[order[i]].name for i in changed}
+
+
+def pairing_costs(
+    measured: Measurements, recordings: Sequence[Recording]
+) -> np.ndarray | None:
+    """Return the misfit of each trial's tip in each trial's hand, (N, N, C).
+
+    The first index is that of the hand, the last the rung of the ladder. None if there
+    is one trial only, or if a hand predicts nothing.
+    """
+    if len(recordings) < 2:
+        return None
+    tip = farthest_point(measured)
+    tips = [tip_alone(recording, tip) for recording in recordings]
+    rows = []
+    for recording in recordings:
+        prediction = predict(measured, recording)
+        if prediction is None:
+            return None
+        row = []
+        for other in tips:
+            fit = fit_trial(prediction, other, tip) if other.tracks else None
+            row.append(np.ones(len(prediction.nodes)) if fit is None else fit.misfits)
+        rows.append(row)
+    return np.array(rows)
+
+
+def cheapest_pairing(costs: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return the track of each hand (N,), and the rung at which they fit best."""
+    hands = np.arange(len(costs))
+    pairings = []
+    for rung in range(costs.shape[2]):
+        _, order = linear_sum_assignment(costs[:, :, rung])
+        pairings.append((float(costs[hands, order, rung].sum()), rung, order))
+    _, rung, order = min(pairings, key=lambda pairing: pairing[:2])
+    return order, rung
