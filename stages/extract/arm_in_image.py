@@ -28,8 +28,8 @@ MIN_CONTRAST_SIGMAS = 10.0  # of the noise, by which the arm outshines the wall
 MAX_PIXELS = 300  # of the arm in a frame to which the links are fitted
 MIN_PIXELS = 2000  # of the arm in all frames: fewer show no arm
 # largest distance of a pixel from the links, in link widths: as the fit goes on
-CUTS_WIDTHS = (8.0, 8.0, 4.0, 4.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0)
-# what is expected of each number before the fit, one standard deviation
+CUTOFFS_WIDTHS = (8.0, 8.0, 4.0, 4.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0)
+# prior standard deviation of each parameter of the fit
 OFFSET_SIGMA_RAD = 0.1
 GAIN_SIGMA = 0.1
 LAG_SIGMA_S = 0.01
@@ -59,16 +59,19 @@ class ArmFit:
 
 @dataclass(frozen=True)
 class ReportedArm:
-    """The arm as its joints report it, and what may be wrong about it.
+    """The arm as its joints report it, and how it moves with the parameters of the fit.
+
+    The parameters (3 J + 2,) are offset [rad], gain [1] and lag [s] of each joint, then
+    the shift of the base in x and y [m]. At zero the arm is where its joints say.
 
     Parameters
     ----------
     body : (F, J + 1, 2) joints [m]
-    basis : (F, J, 3) change of each angle for an offset, a gain and a lag of 1
+    angle_slopes : (F, J, 3) slope of each joint's angle with its offset, gain and lag
     """
 
     body: np.ndarray
-    basis: np.ndarray
+    angle_slopes: np.ndarray
 
     @classmethod
     def build(cls, t: np.ndarray, body: np.ndarray) -> ReportedArm:
@@ -77,31 +80,29 @@ class ReportedArm:
         directions = np.unwrap(np.arctan2(links[..., 1], links[..., 0]), axis=0)
         angles = np.diff(directions, axis=1, prepend=0)
         speeds = np.gradient(angles, t, axis=0)
-        basis = np.stack([np.ones_like(angles), angles - angles[0], speeds], axis=-1)
-        return cls(body, basis)
+        slopes = np.stack([np.ones_like(angles), angles - angles[0], speeds], axis=-1)
+        return cls(body, slopes)
 
     @property
-    def sigmas(self) -> np.ndarray:
-        """Standard deviations of the numbers to fit, (3 J + 2,)."""
+    def prior_sigmas(self) -> np.ndarray:
+        """Prior standard deviations of the parameters, (3 J + 2,)."""
         of_joint = [OFFSET_SIGMA_RAD, GAIN_SIGMA, LAG_SIGMA_S]
-        joints = self.basis.shape[1]
+        joints = self.angle_slopes.shape[1]
         return np.array([*np.tile(of_joint, joints), BASE_SIGMA_M, BASE_SIGMA_M])
 
-    def turns(self, numbers: np.ndarray) -> np.ndarray:
+    def angle_errors(self, parameters: np.ndarray) -> np.ndarray:
         """Compute by how much the joints turn more than reported, (F, J) [rad]."""
-        by_joint = numbers[:-2].reshape(-1, 3)
-        return np.asarray(np.einsum("fjk,jk->fj", self.basis, by_joint))
+        by_joint = parameters[:-2].reshape(-1, 3)
+        return np.asarray(np.einsum("fjk,jk->fj", self.angle_slopes, by_joint))
 
-    def move(self, numbers: np.ndarray) -> np.ndarray:
-        """Compute the joints (F, J + 1, 2) [m] for numbers to fit.
-
-        numbers: (3 J + 2,) offset, gain and lag of each joint, then the base's shift.
-        """
-        angle = np.cumsum(self.turns(numbers), axis=1)[..., None]
+    def joint_positions(self, parameters: np.ndarray) -> np.ndarray:
+        """Compute where the joints are with these parameters, (F, J + 1, 2) [m]."""
+        # a joint turns all links beyond it
+        angle = np.cumsum(self.angle_errors(parameters), axis=1)[..., None]
         links = np.diff(self.body, axis=1)
-        moved = np.cos(angle) * links + np.sin(angle) * turn_left(links)
-        base = self.body[:, :1] + numbers[-2:]
-        return np.concatenate([base, base + np.cumsum(moved, axis=1)], axis=1)
+        turned = np.cos(angle) * links + np.sin(angle) * turn_left(links)
+        base = self.body[:, :1] + parameters[-2:]
+        return np.concatenate([base, base + np.cumsum(turned, axis=1)], axis=1)
 
 
 def fit_arm(
@@ -135,42 +136,42 @@ def fit_arm(
         return None
 
     width_m = width_px / camera.px_per_m
-    numbers = _fit_numbers(arm, frame, place, width_m)
-    body = arm.move(numbers)
+    parameters = _fit_parameters(arm, frame, place, width_m)
+    body = arm.joint_positions(parameters)
     hand_shift = np.linalg.norm(body[:, -1] - footage.body[:, -1], axis=-1)
 
     reach = width_m / 2 + OUTLINE_MARGIN_PX / camera.px_per_m
-    as_reported = np.zeros_like(numbers)
+    as_reported = np.zeros_like(parameters)
     missed_before = _share_beyond(reach, arm, as_reported, frame, place)
-    missed = _share_beyond(reach, arm, numbers, frame, place)
+    missed = _share_beyond(reach, arm, parameters, frame, place)
     is_seen = missed <= min(MAX_MISSED_SHARE, MAX_MISSED_RATIO * missed_before)
     shift_px = hand_shift.max() * camera.px_per_m
     is_elsewhere = missed_before >= MIN_MISSED_SHARE and shift_px >= MIN_HAND_SHIFT_PX
     if not (is_seen and is_elsewhere):
         return None
-    joint_error = np.abs(arm.turns(numbers)).max(axis=1)
+    joint_error = np.abs(arm.angle_errors(parameters)).max(axis=1)
     return ArmFit(body, hand_shift, joint_error)
 
 
-def _fit_numbers(
+def _fit_parameters(
     arm: ReportedArm, frame: np.ndarray, place: np.ndarray, width_m: float
 ) -> np.ndarray:
-    """Fit the numbers of an arm (3 J + 2,) to places (N, 2) of its pixels [m].
+    """Fit the parameters of an arm (3 J + 2,) to places (N, 2) of its pixels [m].
 
-    Gauss-Newton steps with the prior of the numbers. Distances count in link widths,
-    and places far from the links less and less, as something else than the arm.
+    It takes Gauss-Newton steps with the prior of the parameters. Distances are in link
+    widths. Places beyond a cutoff, which shrinks, are something else than the arm.
     """
-    precision = np.diag(arm.sigmas**-2.0)
-    numbers = np.zeros(len(precision))
-    for cut in CUTS_WIDTHS:
-        distance, jacobian = _link_distances(arm, numbers, frame, place)
-        is_near = np.abs(distance) < cut * width_m
+    precision = np.diag(arm.prior_sigmas**-2.0)
+    parameters = np.zeros(len(precision))
+    for cutoff in CUTOFFS_WIDTHS:
+        distance, jacobian = _link_distances(arm, parameters, frame, place)
+        is_near = np.abs(distance) < cutoff * width_m
         slopes = jacobian[is_near] / width_m
         residual = distance[is_near] / width_m
         curvature = slopes.T @ slopes + precision
-        gradient = slopes.T @ residual + precision @ numbers
-        numbers = numbers - np.linalg.solve(curvature, gradient)
-    return numbers
+        gradient = slopes.T @ residual + precision @ parameters
+        parameters = parameters - np.linalg.solve(curvature, gradient)
+    return parameters
 
 
 def bright_wide_pixels(
@@ -194,48 +195,49 @@ def bright_wide_pixels(
 def _share_beyond(
     reach: float,
     arm: ReportedArm,
-    numbers: np.ndarray,
+    parameters: np.ndarray,
     frame: np.ndarray,
     place: np.ndarray,
 ) -> float:
-    """Share of places (N, 2) that are farther from the links than `reach` [m]."""
-    distance, _ = _link_distances(arm, numbers, frame, place)
+    """Compute the share of places (N, 2) farther from the links than `reach` [m]."""
+    distance, _ = _link_distances(arm, parameters, frame, place)
     return float(np.mean(np.abs(distance) > reach))
 
 
 def _link_distances(
-    arm: ReportedArm, numbers: np.ndarray, frame: np.ndarray, place: np.ndarray
+    arm: ReportedArm, parameters: np.ndarray, frame: np.ndarray, place: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute signed distances of places from the nearest link, and their slopes.
 
     Parameters
     ----------
     arm : ReportedArm
-    numbers : numpy.ndarray, shape (P,)
+    parameters : numpy.ndarray, shape (P,)
+        Of the arm.
     frame : numpy.ndarray, shape (N,)
         Number of the frame of each place.
     place : numpy.ndarray, shape (N, 2)
-        [m]
+        Places [m].
 
     Returns
     -------
     distance : numpy.ndarray, shape (N,)
         Across the link, and positive beyond its ends [m].
     jacobian : numpy.ndarray, shape (N, P)
-        Slopes by the numbers.
+        Slopes of the distances with the parameters.
     """
-    body = arm.move(numbers)[frame]  # (N, J + 1, 2)
+    body = arm.joint_positions(parameters)[frame]  # (N, J + 1, 2)
     nearest, foot, normal = _nearest_feet(body, place)
     distance = np.sum(normal * (place - foot), axis=-1)
 
     # A joint turns what lies beyond it; the base moves everything
-    joints = arm.basis.shape[1]
+    joints = arm.angle_slopes.shape[1]
     turning = np.zeros((len(place), joints))  # slope of a distance by an angle
     for joint in range(joints):
         lever = turn_left(foot - body[:, joint])
         slope = np.where(nearest >= joint, np.sum(normal * lever, axis=-1), 0.0)
         turning[:, joint] = -slope
-    by_joint = turning[..., None] * arm.basis[frame]
+    by_joint = turning[..., None] * arm.angle_slopes[frame]
     jacobian = np.concatenate([by_joint.reshape(len(place), -1), -normal], axis=1)
     return distance, jacobian
 

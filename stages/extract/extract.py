@@ -153,13 +153,13 @@ def extract(
         footage,
         camera,
         Backdrop(scene, string_brightness(images, scene), half, sway),
-        np.linspace(0, string_length, points),
-        sigmas,
-        arm_width_px,
-        hidden * camera.px_per_m,
-        shorter,
-        longer,
-        0.0 if arm_fit is None else HAND_SIGMA_PX,
+        arc_lengths=np.linspace(0, string_length, points),
+        sigmas=sigmas,
+        arm_width=arm_width_px,
+        hidden=hidden * camera.px_per_m,
+        shorter=shorter,
+        longer=longer,
+        hand_sigma=0.0 if arm_fit is None else HAND_SIGMA_PX,
     )
     readings: list[FrameReading | str] = []
     for number in range(len(footage.t)):

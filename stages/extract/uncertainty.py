@@ -16,9 +16,7 @@ from stringcast.stages.common import rms
 CENTRE_ERROR_SHARE = 0.005
 MIN_SIGMA_PX = 0.03  # what sampling by pixels leaves
 SMOOTHED_NOISE_SHARE = 0.8  # of the centroid's noise, after averaging along the line
-NOISE_CORRELATION_PX = (
-    2.0  # across, over which noise of the blurred picture is the same
-)
+NOISE_CORRELATION_PX = 2.0  # across, over which noise of a blurred picture is the same
 HIDDEN_SLOPE_SIGMA = 0.2  # [px/px] change of direction where nothing is seen
 END_SLOPE_SIGMA = 0.01  # [px/px] error of the direction in which a line is extended
 HIDDEN_LENGTH_SIGMA = 0.05  # [px/px] error of the length drawn where nothing is seen

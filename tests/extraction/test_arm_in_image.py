@@ -124,8 +124,8 @@ def test_an_offset_a_gain_and_a_lag_move_the_arm_as_they_say(arm):
     angles = np.stack([np.sin(3 * t), 1 - np.cos(2 * t), 0.5 * t**2], axis=-1)
     reported = ReportedArm.build(t, arm.joint_positions(angles))
     offset, gain, lag = 0.02, 0.05, 0.004
-    numbers = np.array([*np.tile([offset, gain, lag], 3), 0.01, -0.02])
+    parameters = np.array([*np.tile([offset, gain, lag], 3), 0.01, -0.02])
     rates = np.stack([3 * np.cos(3 * t), 2 * np.sin(2 * t), t], axis=-1)
     turned = offset + gain * (angles - angles[0]) + lag * rates
     expected = arm.joint_positions(angles + turned) + [0.01, -0.02]
-    assert reported.move(numbers) == pytest.approx(expected, abs=2e-4)
+    assert reported.joint_positions(parameters) == pytest.approx(expected, abs=2e-4)
