@@ -39,8 +39,6 @@ from stringcast.stages.model.string import String
 # law's memory goes further.
 FULL_REVERSAL_BEND = 1e3
 
-Shape = tuple[np.ndarray, np.ndarray]
-
 
 @dataclass(frozen=True)
 class StringMotion:
@@ -61,6 +59,36 @@ class StringMotion:
     def tip(self) -> np.ndarray:
         """Positions of the tip, (C, F, 2) [m]."""
         return self.points[:, :, -1]
+
+
+@dataclass(frozen=True)
+class InitialConfiguration:
+    """How strings lie and move at first.
+
+    Parameters
+    ----------
+    angles, lengths : ndarray of shape (C, n - 1)
+        Of the segments [rad], [m].
+    velocity : ndarray of shape (C, n, 2)
+        Of the points [m/s].
+    rest_angles : ndarray of shape (C, n - 1)
+        Angles at which the memory of hinges is empty: where the string would hang at
+        rest [rad].
+    """
+
+    angles: np.ndarray
+    lengths: np.ndarray
+    velocity: np.ndarray
+    rest_angles: np.ndarray
+
+    def for_candidates(self, chosen: np.ndarray) -> InitialConfiguration:
+        """Return the configurations of some candidates, by number."""
+        return InitialConfiguration(
+            self.angles[chosen],
+            self.lengths[chosen],
+            self.velocity[chosen],
+            self.rest_angles[chosen],
+        )
 
 
 def simulate(
@@ -114,16 +142,15 @@ def simulate(
     finite = np.zeros(len(material), dtype=bool)
     for group_steps in np.unique(steps[possible]):  # who shares a step shares the loop
         chosen = np.flatnonzero(possible & (steps == group_steps))
-        some = material[chosen]
-        free_hand = _free_string_hand(string, some, hand.for_candidates(chosen))
-        state = None if initial is None else initial.for_candidates(chosen)
+        group_material = material[chosen]
+        grasp = hand.for_candidates(chosen)
         ticks = _run_candidates(
             string,
-            some,
+            group_material,
             gentlest[..., chosen],
-            free_hand,
+            _free_string_hand(string, group_material, grasp),
             int(group_steps),
-            state,
+            None if initial is None else initial.for_candidates(chosen),
             turn[chosen],
         )
         end = last
@@ -132,7 +159,7 @@ def simulate(
             end = last[chosen]
             moments = position[chosen]
         at_moments = interpolate_ticks(ticks, moments, end)
-        at_arc_lengths = _at_stated_arc_lengths(string, some, at_moments)
+        at_arc_lengths = _at_stated_arc_lengths(string, group_material, at_moments)
         if len(chosen) == len(points):
             points = at_arc_lengths  # mostly: a copy would take as long as to fill it
         else:
@@ -196,11 +223,10 @@ def _run_candidates(
     blocks = -(-count // lanes)
     dt = hand.tick / steps
 
-    # How the strings lie and move at first. The last block is filled up with the last
-    # candidate.
     start = _initial_configuration(string, material, hand, initial, turn)
+    # the last block is filled up with the last candidate
     index = np.minimum(np.arange(blocks * lanes), count - 1)
-    angles, lengths, velocity, rest_angles = (part[index] for part in start)
+    start = start.for_candidates(index)
     material = material[index]
     compiled_material = compiled_material[index]
     hand = hand.for_candidates(index)
@@ -221,27 +247,19 @@ def _run_candidates(
         compiled,
         compiled_material,
         first_pose[:, 2],
-        angles,
-        rest_angles,
+        start,
         reversal[index][:, None],
     )
+    rows = {
+        **_configuration_rows(first_pose, start),
+        **constants,
+        **memory,
+        "INVERSE_MASS": 1.0 / masses,
+        "LENGTH_PER_MASS": cells / masses,
+        "GRASP_REST_ANGLE": grasp_rest_angle(string, material),
+    }
     numbers = row_numbers(string.integrator, compiled.effects)
-    buffers = _fill_buffers(
-        numbers,
-        string,
-        material,
-        first_pose,
-        angles,
-        lengths,
-        velocity,
-        {
-            **constants,
-            **memory,
-            "INVERSE_MASS": 1.0 / masses,
-            "LENGTH_PER_MASS": cells / masses,
-        },
-        lanes,
-    )
+    buffers = _fill_buffers(numbers, rows, string.points, lanes)
 
     # The loop loads a number of all candidates of a block at once: lanes stand last,
     # side by side.
@@ -280,25 +298,19 @@ def _initial_configuration(
     hand: HandMotion,
     initial: StringState | None,
     turn: np.ndarray,
-) -> tuple[np.ndarray, ...]:
+) -> InitialConfiguration:
     """Find how strings lie and move at first: at rest, or as `initial` says.
 
     Each candidate is stretched as it would be if it hung there at rest: released
     without strain, a string would ring.
-
-    Returns angles [rad] and lengths [m] of the segments, (C, n - 1) each, velocities of
-    the points (C, n, 2) [m/s], and the angles at which the memory of hinges is empty:
-    where the string would hang at rest.
     """
     count, segments = len(material), string.points - 1
     pose, rate = hand.pose[:, 0], hand.rate[:, 0]
-
-    def hang() -> Shape:
-        return hanging_shape(*string.without_absent_effects(material), pose, turn)
-
+    active, active_material = string.without_absent_effects(material)
     if initial is None:
-        angles, lengths = hang()
-        return angles, lengths, np.zeros((count, string.points, 2)), angles
+        angles, lengths = hanging_shape(active, active_material, pose, turn)
+        at_rest = np.zeros((count, string.points, 2))
+        return InitialConfiguration(angles, lengths, at_rest, rest_angles=angles)
 
     middles = string.segment_middles()
     hidden = (string.free_length_ratio(material) - 1) * string.length
@@ -319,8 +331,8 @@ def _initial_configuration(
 
     rest_angles = angles
     if any(string.memory_count(slot) for slot in MEMORY_SLOTS):
-        rest_angles, _ = hang()
-    return angles, lengths, velocity, rest_angles
+        rest_angles, _ = hanging_shape(active, active_material, pose, turn)
+    return InitialConfiguration(angles, lengths, velocity, rest_angles)
 
 
 def _stagger_velocities(
@@ -357,41 +369,39 @@ def _stagger_velocities(
     now[:, :, rows] -= lag * (later[:, :, rows] - now[:, :, rows])
 
 
-def _fill_buffers(
-    numbers: Mapping[str, int],
-    string: String,
-    material: np.ndarray,
-    pose: np.ndarray,
-    angles: np.ndarray,
-    lengths: np.ndarray,
-    velocity: np.ndarray,
-    further: Mapping[str, np.ndarray],
-    lanes: int,
-) -> np.ndarray:
-    """Fill the kernel's rows with the initial state.
+def _configuration_rows(
+    pose: np.ndarray, start: InitialConfiguration
+) -> dict[str, np.ndarray]:
+    """Compute the kernel's rows of place and velocity, (C, n - 1 or n) each.
 
-    numbers: of the rows, by name. velocity: of the points, (C, n, 2) [m/s]. further:
-    rows of masses, of the integrator and of hinges with a memory, (C, 1 to n) each.
+    pose: (1 or C, 3) of the grasp [m], [m], [rad].
     """
-    count = len(material)
-    blocks = count // lanes
-    tangent, free_positions = tangents_and_positions(pose, angles, lengths)
-    vectors = lengths[..., None] * tangent
+    count = len(start.angles)
+    tangent, free_positions = tangents_and_positions(pose, start.angles, start.lengths)
+    vectors = start.lengths[..., None] * tangent
     grasp = np.broadcast_to(pose[:, None, :2], (count, 1, 2))
     positions = np.concatenate([grasp, free_positions], axis=1)
-    rows = {
+    return {
         "X": positions[..., 0],
         "Y": positions[..., 1],
-        "ANGLE": angles,
+        "ANGLE": start.angles,
         "SEGMENT_X": vectors[..., 0],
         "SEGMENT_Y": vectors[..., 1],
-        "VX": velocity[..., 0],
-        "VY": velocity[..., 1],
-        "GRASP_REST_ANGLE": grasp_rest_angle(string, material),
-        **further,
+        "VX": start.velocity[..., 0],
+        "VY": start.velocity[..., 1],
     }
-    points = string.points + batching.PADDING_POINTS
-    buffers = batching.aligned_zeros((blocks, points, len(numbers), lanes))
+
+
+def _fill_buffers(
+    numbers: Mapping[str, int], rows: Mapping[str, np.ndarray], points: int, lanes: int
+) -> np.ndarray:
+    """Fill the kernel's buffers with rows (C, 1 to n), by name, (blocks, size).
+
+    numbers: of the rows, by name. A row that is not given is zero.
+    """
+    blocks = len(rows["X"]) // lanes
+    padded = points + batching.PADDING_POINTS
+    buffers = batching.aligned_zeros((blocks, padded, len(numbers), lanes))
     for name, row in rows.items():
         buffers[:, : row.shape[1], numbers[name]] = _by_lane(row, lanes)
     return buffers.reshape(blocks, -1)
@@ -401,14 +411,13 @@ def _memory_rows(
     string: String,
     material: np.ndarray,
     theta: np.ndarray,
-    angles: np.ndarray,
-    rest_angles: np.ndarray,
+    start: InitialConfiguration,
     reversal: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """Find what hinges with a memory are bent to and remember, (C, n - 1) each.
 
-    The grasp's hinge comes first. The string was pulled slowly from `rest_angles`, at
-    which it remembers nothing, to `angles` of its segments, (C, n - 1) each [rad].
+    The grasp's hinge comes first. The string was pulled slowly from its rest angles, at
+    which it remembers nothing, to its first angles.
 
     theta: (1 or C,) of the hand [rad]. reversal: (C, 1), as
     `StringState.memory_reversal`.
@@ -422,10 +431,10 @@ def _memory_rows(
         "moment": (slice(1, None), partial(hinge_curvatures, chain)),
     }
     names = ["LAST_CURVATURE", *(f"MEMORY{i}" for i in range(count))]
-    rows = {name: np.zeros(angles.shape) for name in names}
+    rows = {name: np.zeros(start.angles.shape) for name in names}
     for slot, (hinges, bend) in bends.items():
-        bent = bend(angles)
-        pulled = bent - bend(rest_angles)
+        bent = bend(start.angles)
+        pulled = bent - bend(start.rest_angles)
         rows["LAST_CURVATURE"][:, hinges] = bent
         pulled_memory = string.updated_memory(slot, material, pulled)
         # the most that would be remembered if it were then released all the way
