@@ -52,7 +52,7 @@ def draw_law(
 ) -> None:
     """Draw the first of an effect's laws over the first argument of its slot it takes.
 
-    Of a vector both components.
+    Both components of a vector are drawn.
 
     Parameters
     ----------
@@ -101,8 +101,8 @@ def draw_hysteresis(
 ) -> None:
     """Draw the moment of a hinge or a grasp with a memory, bent there and back.
 
-    As far as three times the parameter that is in the unit of its bending, else to 1;
-    in four times the one in seconds.
+    It is bent by three times the parameter in the unit of its bending, or by 1 if there
+    is none. The five parts of the way take five times the parameter in seconds.
     """
     slots = [slots for slots in MEMORY_SLOTS.values() if slots[0] in laws]
     memory_slot, moment_slot, bend = slots[0]

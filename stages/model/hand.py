@@ -268,8 +268,8 @@ def _apply_law(
 ) -> ValueAndRate:
     """Apply a law to value and rate, (B, K, ...) each.
 
-    Only to candidates in which it is not absent. Only the change is differentiated, so
-    that none costs nothing.
+    It is applied only to candidates in which the effect is present. The rate of its
+    change is that of a cubic spline through the change.
     """
     differs = [parameters[p.name].ravel() != p.start for p in effect.parameters]
     present = np.any(differs, axis=0)

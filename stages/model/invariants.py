@@ -143,9 +143,9 @@ def rotates_with(law: str, *vectors: str) -> Invariant:
     )
 
 
-def resists(law: str, rate: str = "rate") -> Dissipative:
+def resists(law: str) -> Dissipative:
     """Declare that an inner force takes energy from what stretches or bends."""
-    return Dissipative(law, (rate,), 1)
+    return Dissipative(law, ("rate",), 1)
 
 
 def brakes(law: str, *velocity: str) -> Dissipative:

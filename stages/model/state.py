@@ -44,7 +44,8 @@ class StringState:
     def times_since_start(self, times: np.ndarray) -> np.ndarray:
         """Count times (F,) or (C, F) [s] as a simulation from this state does.
 
-        As before, or from each candidate's own start.
+        They stay the same if all candidates start at one time, else they count from
+        each candidate's own start.
         """
         if np.ndim(self.t) == 0:
             return times

@@ -173,9 +173,10 @@ class String(Parametrised):
 
     @cached_property
     def row_names(self) -> tuple[str, ...]:
-        """Names of what `material` gives.
+        """Names of the rows of `material`.
 
-        The parameters, what effects derive from them, and where the string begins.
+        They are the parameters, what effects derive from them, and, if the free string
+        may begin elsewhere than stated, its length.
         """
         names = list(self.names)
         for effect in self.effects:
@@ -201,7 +202,7 @@ class String(Parametrised):
         Returns
         -------
         ndarray of shape (..., rows)
-            In the order of `row_names`: with what effects derive.
+            In the order of `row_names`.
         """
         reference = self.length / (self.reference_points - 1)
         powers = np.array([p.length_power for p in self.parameters], dtype=float)
@@ -220,30 +221,30 @@ class String(Parametrised):
     def _soften_grasp(self, material: np.ndarray) -> None:
         """Soften the hinge at the grasp, in place, by its share of the first segment.
 
-        Of its angle the string's share is that of the compliances, and so it is of its
-        rate: that is how springs in series divide it, as long as dampers beside them
-        are slow. Moments follow by virtual work.
+        The clamp and the string's share of the segment are springs in series: they
+        divide the hinge's angle, and its rate, by their compliances, as long as the
+        dampers in parallel are slow. Moments follow by virtual work.
         """
         places = [self.names.index(name) for name in GRASP_AND_BENDING]
         stiffness, damping, bending_stiffness, bending_damping = (
             material[..., place] for place in places
         )
         cell = self.grasp_cell * self.free_segment_lengths(material)
-        share = stiffness / (stiffness + bending_stiffness / cell)
-        softened_stiffness = share * bending_stiffness / cell
-        grasp_part = (1 - share) ** 2 * damping
-        softened_damping = grasp_part + share**2 * bending_damping / cell
+        string_share = stiffness / (stiffness + bending_stiffness / cell)
+        clamp_damping = (1 - string_share) ** 2 * damping
+        string_damping = string_share**2 * bending_damping / cell
+        softened_stiffness = string_share * bending_stiffness / cell
         material[..., places[0]] = softened_stiffness
-        material[..., places[1]] = softened_damping
+        material[..., places[1]] = clamp_damping + string_damping
 
     # --- the same string with fewer or more effects -------------------------
 
     def without_absent_effects(self, material: np.ndarray) -> tuple[String, np.ndarray]:
         """Return the string without effects that all candidates lack, and its material.
 
-        Their laws add nothing. For what is found before the first step, whose price
-        goes with the number of laws. Forces that depend on place stay: the rest
-        position is sought in another way where there is one.
+        Their laws add nothing, and statics and step sizes take time in proportion to
+        the number of laws. Forces that depend on place stay, because they decide by
+        which method the rest position is found.
 
         material: (C, rows).
         """
@@ -271,8 +272,8 @@ class String(Parametrised):
     def with_compiled_effects(self, material: np.ndarray) -> tuple[String, np.ndarray]:
         """Return the string with all jointly compiled effects, and its material.
 
-        Effects that are compiled jointly and that this string does not have are absent
-        by their values. The paper's forces alone stay alone.
+        Effects that this string does not have are absent by their values. A string
+        with the paper's forces alone is returned as it is.
 
         material: (C, rows).
         """
@@ -285,7 +286,10 @@ class String(Parametrised):
 
     @cached_property
     def _compiled_string(self) -> tuple[String, list[int], np.ndarray]:
-        """The string as compiled, places of own rows in it, and a row of absence."""
+        """The compiled string, indices of own rows in it, and its material if absent.
+
+        The last is the material (rows,) at which no effect is present.
+        """
         joint = (*PAPER_EFFECTS, *JOINTLY_COMPILED_EFFECTS)
         if set(COSTLY_EFFECTS) & set(self.effects):
             joint = (*joint, *COSTLY_EFFECTS)
@@ -302,9 +306,9 @@ class String(Parametrised):
 
     @cached_property
     def _removable_effects(self) -> dict[type[StringEffect], list[int]]:
-        """Places of the parameters of each effect that adds nothing where it is absent.
+        """Indices of the parameters of each effect that can be left out where absent.
 
-        None for all others.
+        Effects that are never left out have an empty list.
         """
         removable: dict[type[StringEffect], list[int]] = {}
         for effect in self.effects:
@@ -335,7 +339,7 @@ class String(Parametrised):
         return self.arc_lengths()[1:] - self.segment_length / 2
 
     def free_length_ratio(self, material: np.ndarray) -> np.ndarray:
-        """Return the length of the free string over that stated, (...).
+        """Return the length of the free string over the stated length, (...).
 
         material: (..., P).
         """
@@ -369,7 +373,7 @@ class String(Parametrised):
         return free_lengths
 
     def point_masses(self, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Find masses of the points and the lengths they stand for.
+        """Find the masses of the points and the lengths of string that they represent.
 
         Parameters
         ----------
@@ -381,7 +385,7 @@ class String(Parametrised):
         masses : ndarray of shape (C, n)
             Over nominal mass per length [m].
         cells : ndarray of shape (C, n)
-            Length of string that each point stands for [m].
+            Length of string that each point represents [m].
         """
         ratio = self.free_length_ratio(material)[:, None]
         cells = np.repeat(self.segment_length * ratio, self.points, axis=1)
@@ -424,7 +428,7 @@ class String(Parametrised):
         arguments: Mapping[str, np.ndarray],
         start: np.ndarray,
     ) -> np.ndarray:
-        """Add all laws in a slot to a start, as `law_values`. Any shape (C, M)."""
+        """Add the values of all laws in a slot to a start (C, M)."""
         return sum(self.law_values(slot, material, arguments), start)
 
     def memory_count(self, slot: str) -> int:

@@ -30,7 +30,7 @@ COARSEST_STEP_LEVEL = 5  # level of the largest step tried: 3 steps in a tick
 ORDER_IN_POINTS = 2  # of the error in the length of a segment
 POINT_ERROR_SHARE = 0.75  # of the tolerance
 
-# A string, and how far the tip moved by the last refinement and will by the next, (C,).
+# A string, and how far its last and its next refinement move the tip, (C,) [m].
 Refinement = tuple[String, np.ndarray, np.ndarray]
 
 

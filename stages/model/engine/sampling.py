@@ -17,7 +17,7 @@ CANDIDATES_PER_PIECE = 128
 def last_needed_tick(position: np.ndarray) -> np.ndarray:
     """Find the last tick that each candidate needs, (C,), or one for all, (1,).
 
-    What is simulated longer for others must not matter.
+    A candidate's result must not depend on how long others are simulated.
 
     position: (F,) or (C, F) in ticks.
     """
@@ -29,9 +29,9 @@ def last_needed_tick(position: np.ndarray) -> np.ndarray:
 
 
 def is_bounded(ticks: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Return whether candidates keep their tip within a kilometre, (C,).
+    """Return whether candidates keep their tip within a kilometre to the end, (C,).
 
-    Until their last tick. ticks: (C, K, n, 2). last: (C,) or (1,).
+    ticks: (C, K, n, 2). last: (C,) or (1,), number of the last tick that counts.
     """
     bounded = np.ones(len(ticks), dtype=np.bool_)
     _find_bounded(ticks, np.broadcast_to(last, len(ticks)), bounded)
@@ -92,7 +92,8 @@ def interpolate_ticks(
 def interpolate_along_string(points: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Find places between the points of a curve, (C, F, M, 2).
 
-    By the cubic through the four nearest, and straight on before the first.
+    Each is on the cubic through the four nearest points, or on the straight line
+    through the first two if it lies before the first.
 
     points: (C, F, n, 2). place: (C, M) in numbers of points.
     """

@@ -88,8 +88,8 @@ def steps_per_tick(
 def _drag_rate(string: String, material: np.ndarray) -> np.ndarray:
     """Find the damping rate of loads at the fastest speed covered, (C,) [1/s].
 
-    Without loads that declare a bound: these depend on place, and what they are in one
-    place says nothing.
+    Loads that declare a bound are left out: they depend on place, so that a sample at
+    one place says nothing about them.
     """
     undeclared = [e for e in string.effects if not hasattr(e, "bound")]
     plain, undeclared_material = string.with_only_effects(tuple(undeclared), material)
@@ -107,10 +107,10 @@ def _drag_rate(string: String, material: np.ndarray) -> np.ndarray:
 def frequency_and_damping_bounds(
     string: String, material: np.ndarray, slopes: Slopes
 ) -> Slopes:
-    """Bound squared frequency [1/s^2] and damping rate [1/s] of what stays explicit.
+    """Bound squared frequency [1/s^2] and damping rate [1/s] of explicit forces.
 
-    (3 or more, C) each: axial, bending, grasp, and those that loads declare. slopes: of
-    the laws, as `sampled_slopes`.
+    Both are (3 or more, C), with the rows axial, bending, grasp, and one for each load
+    that declares a bound. slopes: of the laws, as `sampled_slopes`.
     """
     masses, cells = string.point_masses(material)
     ratio = string.free_length_ratio(material)
@@ -145,11 +145,12 @@ def frequency_and_damping_bounds(
 
 
 def sampled_slopes(string: String, material: np.ndarray) -> Slopes:
-    """Find the steepest and gentlest rise of tension, moment and grasp moment.
+    """Find the steepest and gentlest slope of tension, moment and grasp moment.
 
-    (2, 3, C) each, without what the string's integrator averages as it is. [0]: with
-    stretch, curvature, angle (stiffness); [1]: with their rates (damping). The steepest
-    is the largest magnitude; the gentlest is what rises everywhere, at least 0.
+    Both are (2, 3, C): the slopes with stretch, curvature and angle (stiffness), then
+    those with their rates (damping). The steepest is the largest magnitude over the
+    samples, the gentlest the smallest slope, at least 0. Laws that the string's
+    integrator averages as they are do not count.
     """
     steepest, gentlest = [], []
     averaged = string.integrator.averaged_slots
@@ -158,12 +159,12 @@ def sampled_slopes(string: String, material: np.ndarray) -> Slopes:
         total = slot_sum(
             string, material, slot, arguments, "hinge_stiffness" not in averaged
         )
-        four = np.moveaxis(total.reshape(len(total), 4, -1), 1, 0)
-        stiffness = (four[0] - four[1]) / (2 * step)
-        damping = (four[2] - four[3]) / (2 * rate_step)
-        rises = np.stack([stiffness, damping])
-        steepest.append(np.abs(rises).max(axis=2))
-        gentlest.append(np.maximum(rises.min(axis=2), 0.0))
+        groups = np.moveaxis(total.reshape(len(total), 4, -1), 1, 0)  # (4, C, M)
+        stiffness = (groups[0] - groups[1]) / (2 * step)
+        damping = (groups[2] - groups[3]) / (2 * rate_step)
+        slopes = np.stack([stiffness, damping])
+        steepest.append(np.abs(slopes).max(axis=2))
+        gentlest.append(np.maximum(slopes.min(axis=2), 0.0))
     return np.swapaxes(steepest, 0, 1), np.swapaxes(gentlest, 0, 1)
 
 
@@ -172,18 +173,18 @@ def averageable_slopes(
 ) -> Slopes:
     """Find the stiffness and damping that an implicit step may average, (3, C) each.
 
-    What rises everywhere, and the memory of hinges and grasp where they turn back.
-    gentlest: rise of the laws, as `sampled_slopes`, (2, 3, C).
+    They are the slopes that laws have everywhere, and those of hinges with a memory
+    where they turn back. gentlest: of the laws, as `sampled_slopes`, (2, 3, C).
     """
     stiffness, damping = gentlest
     return stiffness + memory_stiffness_bounds(string, material), damping
 
 
 def memory_stiffness_bounds(string: String, material: np.ndarray) -> np.ndarray:
-    """Bound the rise with curvature and angle of moments with memory, (3, C).
+    """Bound the slope of moments with memory with curvature and angle, (3, C).
 
-    Rows as `sampled_slopes`. Such a moment is steepest where the hinge turns back,
-    which is tried from states all over the range.
+    Rows are those of `sampled_slopes`. Such a moment is steepest where the hinge turns
+    back, which is tried from states all over the range.
     """
     steepest = np.zeros((len(SAMPLED_ARGUMENTS), len(material)))
     for row, slot in enumerate(SAMPLED_ARGUMENTS):
@@ -208,19 +209,24 @@ def memory_stiffness_bounds(string: String, material: np.ndarray) -> np.ndarray:
 
 @cache
 def _difference_arguments(slot: str) -> tuple[dict[str, np.ndarray], float, float]:
-    """Return a slot's two arguments a little above and below each sample, and how much.
+    """Return arguments of a slot for central differences at its M samples.
 
-    One after the other, (1, 4 M): the first argument above, below, the second above,
-    below.
+    Returns
+    -------
+    arguments : dict of ndarray, shape (1, 4 M)
+        Both arguments, in four groups: the first argument a step above its samples,
+        then below, the second a step above, then below.
+    step, rate_step : float
+        The steps of the first and second argument.
     """
     (first, values), (second, rates) = SAMPLED_ARGUMENTS[slot]
     grids = np.meshgrid(values, rates, indexing="ij")
-    a, b = np.reshape(grids, (2, 1, -1))
+    value, rate = np.reshape(grids, (2, 1, -1))
     step = 1e-4 * float(np.ptp(values))
     rate_step = 1e-4 * float(np.ptp(rates))
     arguments = {
-        first: np.hstack([a + step, a - step, a, a]),
-        second: np.hstack([b, b, b + rate_step, b - rate_step]),
+        first: np.hstack([value + step, value - step, value, value]),
+        second: np.hstack([rate, rate, rate + rate_step, rate - rate_step]),
     }
     return arguments, step, rate_step
 
@@ -279,14 +285,16 @@ def vector_slot_sum(
 def _operator_eigenvalues(masses: bytes) -> tuple[float, float, float]:
     """Find the largest eigenvalues of a chain's operators for unit segments.
 
-    Of first differences (axial), of second differences (bending) and of the first
-    segment's turn (grasp). masses: of its free points, (n - 1,) float64 [m].
+    The operators are first differences (axial), second differences (bending) and the
+    turn of the first segment (grasp), weighted by the masses.
+
+    masses: of the free points, (n - 1,) float64 [m], as bytes for the cache.
     """
-    root = 1.0 / np.sqrt(np.frombuffer(masses))
-    shift = np.eye(len(root), k=-1)
-    first = np.eye(len(root)) - shift
-    second = (first - shift @ first)[1:]
-    axial = np.linalg.norm(first * root, ord=2) ** 2
-    bending = np.linalg.norm(second * root, ord=2) ** 2
-    grasp = np.linalg.norm(first[:1] * root, ord=2) ** 2
+    inverse_root = 1.0 / np.sqrt(np.frombuffer(masses))
+    shift = np.eye(len(inverse_root), k=-1)
+    difference = np.eye(len(inverse_root)) - shift
+    second_difference = (difference - shift @ difference)[1:]
+    axial = np.linalg.norm(difference * inverse_root, ord=2) ** 2
+    bending = np.linalg.norm(second_difference * inverse_root, ord=2) ** 2
+    grasp = np.linalg.norm(difference[:1] * inverse_root, ord=2) ** 2
     return float(axial), float(bending), float(grasp)

@@ -31,9 +31,9 @@ ZERO = np.zeros((1, 1))
 
 @dataclass(frozen=True)
 class Chain:
-    """Strings, and what of them stays as it is while they turn and stretch.
+    """Strings, and what of them stays the same while they turn and stretch.
 
-    It is kept, for to find it takes longer than a turn.
+    It is computed once, because that takes longer than an iteration.
 
     Parameters
     ----------
@@ -96,21 +96,27 @@ class Chain:
 
 
 def guess_angles(chain: Chain, theta: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Guess the angles of the segments.
+    """Guess the angles of the segments, (C, n - 1) [rad].
 
-    From the grasp's direction to straight down, over the length on which weight bends
-    the rod, the shorter way or the other, whichever is nearer to a turn [rad]. theta,
-    turn: (C,).
+    The string turns from the grasp's direction to straight down, within the length on
+    which weight bends the rod.
+
+    theta: (C,) direction of the grasp [rad]. turn: (C,) about how far the string turns
+    [rad], which decides between the two ways round.
     """
     string, material = chain.string, chain.material
     _, stiffness = slot_sum_and_slope(string, material, "moment", ZERO)
-    scale = (np.maximum(stiffness, 1e-12) / GRAVITY_M_S2) ** (1 / 3)
-    shorter = (-np.pi / 2 - theta + np.pi) % (2 * np.pi) - np.pi
-    other = shorter - 2 * np.pi * np.sign(shorter)
-    other_is_nearer = np.abs(turn - other) < np.abs(turn - shorter)
-    fall = np.where(other_is_nearer, other, shorter)
+    bending_length = (np.maximum(stiffness, 1e-12) / GRAVITY_M_S2) ** (1 / 3)
+
+    down = -np.pi / 2
+    shorter = (down - theta + np.pi) % (2 * np.pi) - np.pi
+    longer = shorter - 2 * np.pi * np.sign(shorter)
+    longer_is_nearer = np.abs(turn - longer) < np.abs(turn - shorter)
+    fall = np.where(longer_is_nearer, longer, shorter)
+
     middles = string.segment_middles() * string.free_length_ratio(material)[:, None]
-    angles: np.ndarray = theta[:, None] + fall[:, None] * (1 - np.exp(-middles / scale))
+    share = 1 - np.exp(-middles / bending_length)
+    angles: np.ndarray = theta[:, None] + fall[:, None] * share
     return angles
 
 
@@ -232,13 +238,13 @@ def slot_sum_and_slope(
     values: np.ndarray,
     **others: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sum a slot's laws at rest, and its rise with stretch, curvature or angle.
+    """Sum a slot's laws at rest, and find the slope with its first argument.
 
-    (C, M) each. The laws are evaluated in one call: with so few numbers it is the calls
-    that take the time.
+    Both are (C, M). The laws are evaluated in one call: with so few numbers it is the
+    calls that take the time.
 
-    values: (1 or C, M) of the slot's first argument. others: further arguments, (1 or
-    C, M) each.
+    values: (1 or C, M) of the slot's first argument, which is the stretch, curvature or
+    angle. others: further arguments, (1 or C, M) each.
     """
     (argument, _), _ = SAMPLED_ARGUMENTS[slot]
     step = 1e-3 if argument == "curvature" else 1e-5

@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
+from stringcast.stages.common import turn_left
 from stringcast.stages.model.statics.chain import (
     ANGLE_TOLERANCE_RAD,
     MAX_ITERATIONS,
@@ -83,9 +84,10 @@ def contact_shape(
 def _step_fraction(strings: _RelaxingStrings, step: np.ndarray) -> np.ndarray:
     """Choose how much of a step (C, 2 n - 2) to take, (C,).
 
-    All of it, or about as far as the energy falls. Not less either: only a string that
-    touches knows of what it touches. By false position, of which each end counts for
-    half as much with every step that it stays.
+    It is the whole step, or about as much as the energy falls along it. It is not much
+    less either, since only a string that touches something feels it. The fraction is
+    found by the Illinois variant of false position: each end counts for half as much
+    with every iteration in which it stays.
     """
     largest_turn = np.abs(step[:, : strings.angles.shape[1]]).max(axis=1)
     fraction: np.ndarray = np.minimum(
@@ -117,7 +119,7 @@ def _step_fraction(strings: _RelaxingStrings, step: np.ndarray) -> np.ndarray:
 def _energy_fall_rate(
     strings: _RelaxingStrings, step: np.ndarray, fraction: np.ndarray
 ) -> np.ndarray:
-    """Find how steeply the energy falls where a fraction of a step is taken, (C,)."""
+    """Find how steeply the energy falls along a step after a fraction of it, (C,)."""
     moved = strings.with_step(np.arange(len(step)), fraction[:, None] * step)
     fall_rate: np.ndarray = np.sum(moved.residual * step, axis=1)
     return fall_rate
@@ -166,7 +168,7 @@ class _RelaxingStrings:
     @cached_property
     def normal(self) -> np.ndarray:
         """Directions across the segments, (C, n - 1, 2)."""
-        return np.stack([-self.tangent[..., 1], self.tangent[..., 0]], axis=-1)
+        return turn_left(self.tangent)
 
     @cached_property
     def force(self) -> np.ndarray:
@@ -212,8 +214,8 @@ class _RelaxingStrings:
     def newton_step(self) -> np.ndarray:
         """Step towards rest, (C, 2 n - 2): turns [rad], then changes of length [m].
 
-        What destabilises counts only where it leaves the rest stable, so that a step
-        never ends on a ridge.
+        Where the matrix is not positive definite, forces that destabilise are left out
+        of it, so that a step never ends on a ridge of the energy.
         """
         yielding = self._position_stiffness()
         along = self.lengths * self.force_along
@@ -227,9 +229,10 @@ class _RelaxingStrings:
         return np.linalg.solve(matrix, self.residual[..., None])[..., 0]
 
     def _local_matrix(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
-        """Assemble the matrix of the balances if no force depended on the place.
+        """Assemble the matrix of the balances without forces that depend on the place.
 
-        (C, 2 n - 2, 2 n - 2). along, across: what of the forces counts, (C, n - 1).
+        It is (C, 2 n - 2, 2 n - 2). along, across: parts of the forces that count,
+        (C, n - 1).
         """
         count = self.angles.shape[1]
         _, stiffness = self.moments
@@ -248,9 +251,10 @@ class _RelaxingStrings:
     def _position_stiffness(self) -> np.ndarray:
         """Find how the balances change because points change place.
 
-        (C, 2 n - 2, 2 n - 2). Turning or stretching segment m moves all points beyond
-        it by l_m n_m or t_m: with K the change of a point's force with its place, l_j
-        n_j . (sum of K beyond both) l_m n_m, and so on.
+        It is (C, 2 n - 2, 2 n - 2). Turning or stretching segment m moves all points
+        beyond it by l_m n_m or t_m. With K the change of a point's force with its
+        place, the balance of segment j changes by l_j n_j . (sum of K beyond both)
+        l_m n_m, and likewise for stretches.
         """
         tangent, positions = self.tangents_and_positions
         count = len(tangent)

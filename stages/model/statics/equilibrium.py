@@ -1,18 +1,20 @@
 """The string at rest: the static equilibrium it hangs in before the first motion.
 
-Unknown are the angles of the segments. The part of the string beyond a segment pulls
-with a known force, so each segment gives one equation, the balance of moments about its
-start,
+The unknowns are the angles phi_j of the segments. The part of the string beyond a
+segment pulls with a known force F, so each segment gives one equation, the balance of
+moments about its start,
 
     M_{j+1} - M_j + l_j (F_y cos phi_j - F_x sin phi_j) = 0,
 
-and its length follows from its tension. Newton steps from the shape of a heavy rod,
-with the destabilising part of gravity left out of the matrix until close to the
-solution: a string that leaves an upright hand then falls to a stable side rather than
-stand on its end. The laws give their tangents, by which the shape is sought in compiled
-code, and again where that leads, until nothing turns: twice or three times where they
-are straight. Where forces depend on the place, for the string leans on something, see
-`contact_equilibrium`.
+and its length l_j follows from its tension. Newton steps start from the shape of a
+heavy rod. The destabilising part of gravity is left out of the matrix until close to
+the solution: a string that leaves an upright hand then falls to a stable side rather
+than stand on its end.
+
+There are two loops. The outer one evaluates the laws and their tangents, in Python. The
+inner one solves the balance with these tangents, in compiled code. Laws that are linear
+need two or three rounds. Where forces depend on the place, because the string leans on
+something, see `contact_equilibrium`.
 """
 
 from __future__ import annotations
@@ -49,8 +51,8 @@ def hanging_shape(
 ) -> Shape:
     """Find how strings hang at rest.
 
-    First as if nothing depended on place. Where the string then touches something, or
-    is pulled, its shape is sought again (`contact_shape`).
+    The shape is found first as if no force depended on place. Where the string then
+    touches something, or is pulled, it is found again by `contact_shape`.
 
     Parameters
     ----------
@@ -72,16 +74,20 @@ def hanging_shape(
     pose = np.broadcast_to(pose, (len(material), 3))
     turn = np.broadcast_to(turn, len(material))
     free_effects = [e for e in string.effects if not is_position_dependent(e)]
-    free, own = string.with_only_effects(tuple(free_effects), material)
-    angles, lengths = _free_hanging_shape(free, own, pose, turn)
-    if free.effects != string.effects:
-        chains = Chain.from_material(string, material), Chain.from_material(free, own)
-        forces = [forces_beyond_segments(c, pose, angles, lengths) for c in chains]
-        held = np.any(forces[0] != forces[1], axis=(1, 2))
-        if held.any():
-            angles[held], lengths[held] = contact_shape(
-                string, material[held], pose[held], turn[held]
-            )
+    free, free_material = string.with_only_effects(tuple(free_effects), material)
+    angles, lengths = _free_hanging_shape(free, free_material, pose, turn)
+    if free.effects == string.effects:
+        return angles, lengths
+
+    chain = Chain.from_material(string, material)
+    free_chain = Chain.from_material(free, free_material)
+    force = forces_beyond_segments(chain, pose, angles, lengths)
+    free_force = forces_beyond_segments(free_chain, pose, angles, lengths)
+    touches = np.any(force != free_force, axis=(1, 2))
+    if touches.any():
+        angles[touches], lengths[touches] = contact_shape(
+            string, material[touches], pose[touches], turn[touches]
+        )
     return angles, lengths
 
 
@@ -110,8 +116,8 @@ def _free_hanging_shape(
                 some, pose[moving], angles[moving], lengths[moving]
             )
 
-        # To where all is balanced, by the tangents of the laws here: to evaluate the
-        # laws takes longer than all else.
+        # Solve the balance with the tangents of the laws at these angles: evaluating
+        # the laws takes longer than all else.
         stretch = lengths[moving] / some.segment_length - 1
         tension = slot_sum_and_slope(string, some.material, "tension", stretch)
         step, balanced_lengths = np.zeros_like(stretch), np.empty_like(stretch)
@@ -126,8 +132,9 @@ def _free_hanging_shape(
         )
         lengths[moving] = balanced_lengths
 
-        # Half a step where it goes back by most of the last, as from one side of a kink
-        # in a law to the other: whole steps would do so for ever.
+        # Halve the share of the step that is taken where it reverses most of the last,
+        # as from one side of a kink in a law to the other: whole steps would do so for
+        # ever.
         largest = np.abs(step).max(axis=1, keepdims=True)
         against = np.sum(step * last_step[moving], axis=1, keepdims=True) < 0
         last_largest = np.abs(last_step[moving]).max(axis=1, keepdims=True)
