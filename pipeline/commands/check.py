@@ -152,8 +152,8 @@ def read_measurements(folder: Path, overrides: Sequence[str]) -> CheckedDataset:
 def overview_with_clocks(checked: CheckedDataset) -> dict[str, Any]:
     """Return the overview of a dataset, with an error if its clocks are not together.
 
-    The string model is asked only if the dataset does not state the clocks' offset, and
-    if geometry leaves a large one.
+    The string model is fitted only if the dataset does not state the clocks' offset,
+    and if geometry leaves a large one.
     """
     overview = dataset_overview(checked)
     notes = [asdict(found) for found in long_trial_notes(checked)]

@@ -17,10 +17,12 @@ from stringcast.data.artifacts import (
 from stringcast.data.store import write_text
 from stringcast.pipeline.cli.terminal import program_name
 from stringcast.pipeline.run.experiment import Experiment
+from stringcast.pipeline.run.iterations import Iteration
 from stringcast.pipeline.run.provenance import software_versions
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.settings.composition import Settings
 from stringcast.stages.hit_test import HitResult
+from stringcast.stages.model.model import Model
 from stringcast.stages.plugins import load_object
 from stringcast.stages.report.page import FOLDER_PLACEHOLDER as HERE
 from stringcast.stages.report.pages.cast import cast_page
@@ -65,47 +67,68 @@ def write_stage_page(
 
 def collect_casts(experiment: Experiment, result: RunResult) -> RunRecord:
     """Collect the data of the page of casts."""
-    looks: list[CastRecord] = []
-    casts: list[CastRecord] = []
+    look: CastRecord | None = None
+    casts = []
     estimates = []
     previous: Estimate | None = None
     for iteration in result.iterations:
         estimate = iteration.find(Estimate)
         if estimate is not None:
             estimates.append(estimate)
-        verdict = HitResult.unknown() if iteration.is_look else iteration.verdict
-        if verdict is None:  # only estimated
-            continue
-        motion, trial = iteration.find(Motion), iteration.find(Trial)
-        points = iteration.find(Points)
-        assert motion is not None
-        assert trial is not None
-        assert points is not None
-        observation = iteration.observe(trial, points)
-        made = motion, trial, points, estimate
-        cast = simulate_cast(
-            experiment.model,
-            observation,
-            made,
-            verdict,
-            previous,
-            iteration.find(Surprise),
-        )
-        (looks if iteration.is_look else casts).append(cast)
-        previous = previous if estimate is None else estimate
+        if iteration.is_look:
+            look = collect_cast(experiment.model, iteration, previous)
+        elif iteration.verdict is not None:
+            casts.append(collect_cast(experiment.model, iteration, previous))
+        else:
+            continue  # only estimated
+        if estimate is not None:
+            previous = estimate
     return RunRecord(
-        experiment.config["name"],
-        result.sentence,
-        result.has_hit,
-        experiment.model,
-        experiment.target,
-        experiment.obstacles,
-        tuple(casts),
-        tuple(estimates),
-        experiment.config,
-        page_provenance(experiment),
-        next_commands(commands_after_casts(result)),
-        looks[0] if looks else None,
+        name=experiment.config["name"],
+        sentence=result.sentence,
+        hit=result.has_hit,
+        model=experiment.model,
+        target=experiment.target,
+        obstacles=experiment.obstacles,
+        casts=tuple(casts),
+        estimates=tuple(estimates),
+        settings=experiment.config,
+        provenance=page_provenance(experiment),
+        next_commands=next_commands(commands_after_casts(result)),
+        look=look,
+    )
+
+
+def collect_cast(
+    model: Model, iteration: Iteration, previous: Estimate | None
+) -> CastRecord:
+    """Collect the data of a cast, or of the look before the first.
+
+    Parameters
+    ----------
+    model : Model
+        As configured.
+    iteration : Iteration
+        The cast, with its motion, trial and points.
+    previous : Estimate, optional
+        Estimate with which the motion was generated.
+    """
+    motion, trial = iteration.find(Motion), iteration.find(Trial)
+    points, estimate = iteration.find(Points), iteration.find(Estimate)
+    assert motion is not None
+    assert trial is not None
+    assert points is not None
+    observation = iteration.observe(trial, points)
+    before, after = simulate_cast(model, observation, trial, previous, estimate)
+    return CastRecord(
+        motion,
+        trial,
+        points,
+        estimate,
+        verdict=iteration.verdict or HitResult.unknown(),
+        before=before,
+        after=after,
+        surprise=iteration.find(Surprise),
     )
 
 

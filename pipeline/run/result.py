@@ -76,13 +76,15 @@ class RunResult:
 
 def run_summary(result: RunResult) -> dict[str, Any]:
     """Return the run in a few numbers, the content of run.json."""
-    looks: list[dict[str, Any]] = []
     rows: list[dict[str, Any]] = []
+    summary = {"hit": result.has_hit, "sentence": result.sentence, "iterations": rows}
     for iteration in result.iterations:
         row = iteration_summary(iteration)
-        (looks if iteration.is_look else rows).append(row)
-    summary = {"hit": result.has_hit, "sentence": result.sentence, "iterations": rows}
-    return summary | {"look": looks[0]} if looks else summary
+        if iteration.is_look:
+            summary["look"] = row
+        else:
+            rows.append(row)
+    return summary
 
 
 def iteration_summary(iteration: Iteration) -> dict[str, Any]:

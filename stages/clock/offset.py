@@ -178,7 +178,10 @@ def fit_clock_offset(
     rng: np.random.Generator,
     progress: Progress,
 ) -> FittedOffset:
-    """Estimate the offset, and keep its fits. Parameters as of the estimate."""
+    """Estimate the offset, and keep its fits.
+
+    Parameters are those of `estimate_clock_offset`.
+    """
     trials = [CheckedTrial(o, model.arm, model.string.length) for o in observations]
     windows = possible_windows(trials)
     used = [trial for trial in trials if trial.name in windows]
@@ -276,11 +279,10 @@ def find_wrong_clock(
 ) -> ClockOffset | None:
     """Return the offset of clocks that are certainly not together, or None.
 
-    The string model is asked only if geometry leaves larger offsets than a diagnosis
-    searches. Its answer is certain only if the offset explains the motion: a model that
-    lacks something else may fit a little better at any offset. Trials that cannot be
-    used, or do not begin at rest, are left out. Parameters as of
-    `estimate_clock_offset`.
+    The string model is fitted only if geometry leaves larger offsets than a diagnosis
+    searches. Its offset is certain only if it explains the motion: a model that lacks
+    something else may fit a little better at any offset. Trials that cannot be used, or
+    do not begin at rest, are left out. Parameters are those of `estimate_clock_offset`.
     """
     usable, _ = usable_trials(model, observations)
     resting = []
@@ -304,18 +306,17 @@ def refuse_wrong_clock(
     model: Model,
     observations: Sequence[Observation],
     rng: np.random.Generator,
-    progress: Progress = lambda share: None,
 ) -> None:
     """Refuse trials whose clocks are certainly not together.
 
-    Parameters as of `estimate_clock_offset`.
+    Parameters are those of `estimate_clock_offset`.
 
     Raises
     ------
     DataError
         With the offset that the motion shows.
     """
-    clock = find_wrong_clock(model, observations, rng, progress)
+    clock = find_wrong_clock(model, observations, rng)
     if clock is not None:
         raise DataError(f"points t: {describe_wrong_clock(clock)}. {CLOCK_REMEDY}")
 

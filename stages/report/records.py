@@ -188,41 +188,41 @@ class RunRecord:
 def simulate_cast(
     model: Model,
     observation: Observation,
-    artifacts: tuple[Motion, Trial, Points, Estimate | None],
-    verdict: HitResult,
+    trial: Trial,
     previous: Estimate | None,
-    surprise: Surprise | None = None,
-) -> CastRecord:
+    estimate: Estimate | None,
+) -> tuple[np.ndarray, np.ndarray]:
     """Simulate the executed motion with the parameters before and after estimation.
 
     Parameters
     ----------
     model : Model
+        As configured.
     observation : Observation
         Of the cast.
-    artifacts : tuple
-        Of the cast's stages.
-    verdict : HitResult
-    previous : Estimate, optional
-        Estimate with which the motion was generated.
-    surprise : Surprise, optional
-        Whether the trial was within what was predicted, where it was tested.
+    trial : Trial
+        The cast's trial, at whose frames the string is wanted.
+    previous, estimate : Estimate, optional
+        Estimates before and after the cast; by default, start values and the estimate
+        before.
+
+    Returns
+    -------
+    before, after : ndarray, shape (F, n, 2)
+        Points of the strings [m].
     """
-    motion, trial, points, estimate = artifacts
     values_before = {} if previous is None else previous.values()
     values_after = values_before if estimate is None else estimate.values()
-    frame_times = trial.frames["t"].to_numpy()
-    performed = observed_motion(observation).extended_until(
-        frame_times.max(initial=0.0)
-    )
+    times = trial.frames["t"].to_numpy()
+    motion = observed_motion(observation).extended_until(times.max(initial=0.0))
     simulated = []
     for values in (values_before, values_after):
         extended = extend_model(model, values)
         row = extended.values(values)[None]
-        string = extended.simulate_observation(performed, row, frame_times)
+        string = extended.simulate_observation(motion, row, times)
         simulated.append(string.points[0])
     before, after = simulated
-    return CastRecord(motion, trial, points, estimate, verdict, before, after, surprise)
+    return before, after
 
 
 # --- a diagnosis
