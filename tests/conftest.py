@@ -293,6 +293,7 @@ def other_threads():
 
 
 def configured(kind, path):
+    """Return an object of the default settings in a file of `conf`."""
     block = yaml.safe_load((ROOT / "conf" / path).read_text())
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in block.items()})
 

@@ -5,9 +5,8 @@ from types import SimpleNamespace
 
 import cv2
 import numpy as np
-import pandas as pd
 import pytest
-from rig import ARM, DRIVING, emulator, events, standstill
+from rig import ARM, DRIVING, emulator, events, movement, standstill
 
 from stringcast.data.artifacts import JOINTS, SPEEDS
 from stringcast.hardware.camera import FilmingCamera, VideoFile
@@ -52,17 +51,7 @@ def number_in(image):
 
 
 def motion(duration=0.3):
-    t = np.arange(0, duration + 1e-9, 0.005)
-    q = np.stack(
-        [a * (1 - np.cos(np.pi * t / duration)) / 2 for a in (0.5, -0.4, 0.6)], axis=-1
-    )
-    w = np.concatenate([np.diff(q, axis=0) / 0.005, np.zeros((1, 3))])
-    columns = (
-        {"t": t}
-        | dict(zip(JOINTS, q.T, strict=True))
-        | dict(zip(SPEEDS, w.T, strict=True))
-    )
-    return SimpleNamespace(commands=pd.DataFrame(columns), duration=duration)
+    return SimpleNamespace(commands=movement(duration), duration=duration)
 
 
 def test_a_trial_comes_back_whole_and_on_one_clock(port, film):

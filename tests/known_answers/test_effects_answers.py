@@ -28,6 +28,7 @@ from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.statics.equilibrium import hanging_shape
 from stringcast.stages.model.string import PAPER_EFFECTS, String
+from tests.known_answers.swinging import frequency
 
 LENGTH = 0.3
 MANY = tuple(
@@ -78,13 +79,6 @@ def swinging(named, offset, t, points=41, theta=-np.pi / 2):
         .simulate_string(hand, string.values(named)[None], t)
         .points[0]
     )
-
-
-def frequency(t, x):
-    """Return the mean frequency [rad/s] from rising zero crossings, interpolated."""
-    up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
-    crossing = t[up] - x[up] * (t[up + 1] - t[up]) / (x[up + 1] - x[up])
-    return 2 * np.pi * (len(crossing) - 1) / (crossing[-1] - crossing[0])
 
 
 # --- string

@@ -9,6 +9,7 @@ from stringcast.stages.model.engine.integrators import Integrator, RungeKutta4
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import HandMotion, resample_hand_motion
 from stringcast.stages.model.string import String
+from tests.known_answers.swinging import frequency
 
 QUIET = {
     "axial_stiffness": 9e5,
@@ -27,13 +28,6 @@ def nudged(t: np.ndarray, offset: np.ndarray) -> HandMotion:
     return resample_hand_motion(
         t, np.stack([offset, 0 * t, 0 * t - np.pi / 2], axis=-1)
     )
-
-
-def frequency(t: np.ndarray, x: np.ndarray) -> float:
-    """Return the mean frequency [rad/s] from rising zero crossings, interpolated."""
-    up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
-    crossing = t[up] - x[up] * (t[up + 1] - t[up]) / (x[up + 1] - x[up])
-    return 2 * np.pi * (len(crossing) - 1) / (crossing[-1] - crossing[0])
 
 
 @pytest.mark.parametrize("mode", [1, 2])

@@ -40,6 +40,7 @@ from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from tests.alignment.stand import Stand
+from tests.conftest import configured
 
 ROOT = Path(__file__).resolve().parents[3]
 FOLDER = Path(__file__).with_name("results")
@@ -101,12 +102,6 @@ def main(arguments: Sequence[str]) -> None:
         # finished rows are kept if the command is interrupted
         write_table(OFFSETS, pd.DataFrame(rows), FOLDER / "offsets.parquet", made)
     print(summary(pd.DataFrame(rows)).to_string(index=False))
-
-
-def configured(kind, path):
-    """Return an object of the default settings."""
-    block = yaml.safe_load((ROOT / "conf" / path).read_text())
-    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in block.items()})
 
 
 def laid(fps: float) -> Model:

@@ -22,7 +22,7 @@ from tests.benchmarks.simulators.drawing import (
     hide_cause,
     plain_trials,
 )
-from tests.benchmarks.simulators.motions import MOTIONS, Cast, perform
+from tests.benchmarks.simulators.motions import MOTIONS, Cast, fastest_hand, perform
 from tests.benchmarks.simulators.scene import Fidelity, Scene, Simulator
 
 SIMULATORS = ("nodal", "pyelastica")
@@ -153,10 +153,10 @@ def _draw_cast(
         swing = MOTIONS[rng.integers(len(MOTIONS))](rng, progress, len(arm.links))
         start = rng.uniform(arm.lowest, arm.highest)
         for _ in range(3):
-            swing = swing * speed / _fastest_hand(arm, start + swing)
+            swing = swing * speed / fastest_hand(arm, start + swing)
         angles = start + swing
         within = (angles > arm.lowest).all() and (angles < arm.highest).all()
-        if not within or _fastest_hand(arm, angles) > SPEED_TOLERANCE * speed:
+        if not within or fastest_hand(arm, angles) > SPEED_TOLERANCE * speed:
             continue
         cast = perform(arm, t, angles, rng, scene.camera.fps)
         first = t[0] + rng.uniform() * 0.8 * before
@@ -167,11 +167,6 @@ def _draw_cast(
         if np.isfinite(gap).all() and gap.max() < scene.simulator.screening_tolerance:
             return cast
     raise Redraw
-
-
-def _fastest_hand(arm: Arm, angles: np.ndarray) -> float:
-    steps = np.diff(arm.grasp_pose(angles)[:, :2], axis=0)
-    return float(np.linalg.norm(steps, axis=1).max() / arm.tick)
 
 
 def _draw_cause(

@@ -62,9 +62,9 @@ def random_cast(arm: Arm, rng: np.random.Generator, fps: float, speed: float) ->
         start = rng.uniform(arm.lowest, arm.highest)
         # The lever of each joint changes with the angles, so the scale is iterated.
         for _ in range(3):
-            swing = swing * speed / _fastest_hand(arm, start + swing)
+            swing = swing * speed / fastest_hand(arm, start + swing)
         angles = start + swing
-        slow_enough = _fastest_hand(arm, angles) < SPEED_TOLERANCE * speed
+        slow_enough = fastest_hand(arm, angles) < SPEED_TOLERANCE * speed
         if _is_possible(arm, angles) and slow_enough:
             return perform(arm, ticks, angles, rng, fps)
 
@@ -137,7 +137,7 @@ def _least_jerk(progress: np.ndarray) -> np.ndarray:
 MOTIONS = (_bezier, _out_and_back, _swing)
 
 
-def _fastest_hand(arm: Arm, angles: np.ndarray) -> float:
+def fastest_hand(arm: Arm, angles: np.ndarray) -> float:
     """Return the largest speed of the hand [m/s]."""
     steps = np.diff(arm.grasp_pose(angles)[:, :2], axis=0)
     return float(np.linalg.norm(steps, axis=1).max() / arm.tick)
