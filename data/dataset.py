@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import shlex
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -143,8 +143,8 @@ def describe_rejected(rejected: Mapping[str, str]) -> str:
 def write_dataset(
     folder: Path,
     trials: Mapping[str, tuple[Trial, Points]],
-    places: Mapping[str, Path],
-    known: Mapping[str, Any],
+    trial_folders: Mapping[str, Path],
+    metadata: Mapping[str, Any],
     origin: Mapping[str, Any],
 ) -> None:
     """Write trials of ours as a dataset.
@@ -157,16 +157,17 @@ def write_dataset(
         The folder of the dataset.
     trials
         Trials and their points by name.
-    places
+    trial_folders
         The folder of each trial's frames, relative to `folder`.
-    known
+    metadata
         The content of dataset.yaml, without the format.
     origin
         What made the trials; it goes into every footer.
     """
     parts: dict[Table, list[pd.DataFrame]] = {table: [] for table in RUN_TABLES}
     for name, (trial, points) in trials.items():
-        files = [(places[name] / file).as_posix() for file in trial.frames["file"]]
+        trial_folder = trial_folders[name]
+        files = [(trial_folder / file).as_posix() for file in trial.frames["file"]]
         frames = trial.frames.assign(file=files)
         tables = trial.arm, frames, points.points, points.readings, points.masks
         for table, rows in zip(RUN_TABLES, tables, strict=True):
@@ -174,7 +175,7 @@ def write_dataset(
     for table, part in parts.items():
         rows = pd.concat(part, ignore_index=True)
         write_table(with_trial(table), rows, folder / f"{table.name}.parquet", origin)
-    content = yaml.safe_dump({"format": FORMAT_VERSION, **known}, sort_keys=False)
+    content = yaml.safe_dump({"format": FORMAT_VERSION, **metadata}, sort_keys=False)
     write_text(folder / DATASET_FILE, mark_yaml_end(content))
 
 
@@ -207,24 +208,27 @@ def read_dataset(folder: Path) -> Dataset:
             "Name a run's folder or one in the data format."
         )
     # the tables of all trials together
-    known = read_metadata(folder)
-    rows: dict[str, RowCounts] = {}
-    shots = _read_footage(folder, known, rows)
-    hand, frames = _read_tables(folder, known, rows, filmed=bool(shots))
+    metadata = read_metadata(folder)
+    row_counts: dict[str, RowCounts] = {}
+    footage = _read_footage(folder, metadata, row_counts)
+    hand, tables = _read_tables(folder, metadata, row_counts, filmed=bool(footage))
     # each trial by itself, by a clock of its own, and whether it can be used
-    parts = [_split_by_trial(frame) for frame in frames]
+    by_trial = [_split_by_trial(table) for table in tables]
     trials = {}
     films = {}
     unusable = {}
-    clocks: dict[str, float] = {}
-    for name in sorted({*frames[0]["trial"], *frames[1]["trial"], *shots}):
-        block = known.get("trials", {}).get(name, {})
-        initial = block.get("initial", known.get("initial", "rest"))
-        tables = [part[name] for part in parts]
+    clock_starts: dict[str, float] = {}
+    for name in sorted({*tables.motion["trial"], *tables.points["trial"], *footage}):
+        block = metadata.get("trials", {}).get(name, {})
+        initial = block.get("initial", metadata.get("initial", "rest"))
         trial, film, start = _build_trial(
-            name, hand, tables, shots.get(name), moving=initial == "moving"
+            name,
+            hand,
+            MeasuredTables(*(rows[name] for rows in by_trial)),
+            footage.get(name),
+            moving=initial == "moving",
         )
-        fault = _find_timeless_fault(name, rows)
+        fault = _find_timeless_fault(name, row_counts)
         fault = fault or _find_fault(trial, film, hand, block, start)
         if fault is not None:
             unusable[name] = fault
@@ -233,82 +237,103 @@ def read_dataset(folder: Path) -> Dataset:
             if film is not None:
                 films[name] = film
         if start:
-            clocks[name] = start
+            clock_starts[name] = start
     # by these a run knows whether the data have changed since
     hashes = {
         path.relative_to(folder).as_posix(): content_hash(path)
-        for path in _source_files(folder, shots)
+        for path in _source_files(folder, footage)
     }
-    return Dataset(folder, trials, films, unusable, known, hashes, rows, clocks)
+    return Dataset(
+        folder, trials, films, unusable, metadata, hashes, row_counts, clock_starts
+    )
 
 
-def _source_files(folder: Path, shots: Mapping[str, TimedImages]) -> list[Path]:
+def _source_files(folder: Path, footage: Mapping[str, TimedImages]) -> list[Path]:
     """List what a dataset consists of: tables, folders of frames, videos."""
     paths = set(video_files(folder))
     for table in (GRASP, *RUN_TABLES):
         path = _find_table(folder, table.name)
         if path is not None:
             paths.add(path)
-    for _, images in shots.values():
+    for _, images in footage.values():
         if isinstance(images, ImageFiles):
             paths |= {(folder / file).parent for file in images.files}
     return sorted(paths)
 
 
-def _read_tables(
-    folder: Path, known: Mapping[str, Any], rows: dict[str, RowCounts], filmed: bool
-) -> tuple[Table, list[pd.DataFrame]]:
-    """Read the tables of all trials: motion, points, readings and masks.
+class MeasuredTables(NamedTuple):
+    """Rows of all trials, or of one, of each measured table."""
 
-    Returns the table that holds the hand's motion, and the four frames. Points may be
-    missing if frames were filmed.
+    motion: pd.DataFrame
+    points: pd.DataFrame
+    readings: pd.DataFrame
+    masks: pd.DataFrame
+
+
+def _read_tables(
+    folder: Path,
+    metadata: Mapping[str, Any],
+    row_counts: dict[str, RowCounts],
+    filmed: bool,
+) -> tuple[Table, MeasuredTables]:
+    """Read the schema of the hand's motion, ARM or GRASP, and the tables of all trials.
+
+    Points may be missing if frames were filmed.
     """
     hand = ARM if _find_table(folder, ARM.name) else GRASP
-    frames = [_read_table(hand, folder, rows)]
+    motion = _read_table(hand, folder, row_counts)
+    frames = []
     for table in (POINTS, READINGS, MASKS):
         is_needed = table is POINTS and not filmed
         if is_needed or _find_table(folder, table.name) is not None:
-            frames.append(_read_table(table, folder, rows))
+            frames.append(_read_table(table, folder, row_counts))
         else:
             frames.append(with_trial(table).empty())
-    sigma = (known.get("noise") or {}).get("point_sigma")
-    if sigma is not None and "sigma" not in frames[1]:
-        frames[1] = frames[1].assign(sigma=float(sigma))
-    return hand, frames
+    points, readings, masks = frames
+    sigma = (metadata.get("noise") or {}).get("point_sigma")
+    if sigma is not None and "sigma" not in points:
+        points = points.assign(sigma=float(sigma))
+    return hand, MeasuredTables(motion, points, readings, masks)
 
 
 def _build_trial(
     name: str,
     hand: Table,
-    tables: Sequence[pd.DataFrame],
-    shots: TimedImages | None,
+    tables: MeasuredTables,
+    footage: TimedImages | None,
     moving: bool,
 ) -> tuple[Observation, Film | None, float]:
     """Build a trial, its film if any, and what was subtracted from all its times [s].
 
-    tables: its motion, which is of the table `hand`, its points, readings and masks.
+    hand: schema of the motion.
     """
-    first = tables[0]["t"].min()
+    first = tables.motion["t"].min()
     start = float(np.floor(first)) if abs(first) > MAX_FIRST_TIME_S else 0.0
     if start:
-        tables = [frame.assign(t=frame["t"] - start) for frame in tables]
-    first_table, points, readings, masks = tables
-    motion: Any = {hand.name: first_table}
-    trial = Observation(name, points, readings, masks, **motion, starts_moving=moving)
-    if shots is None:
+        tables = MeasuredTables(*(rows.assign(t=rows["t"] - start) for rows in tables))
+    motion: Any = {hand.name: tables.motion}
+    trial = Observation(
+        name,
+        tables.points,
+        tables.readings,
+        tables.masks,
+        **motion,
+        starts_moving=moving,
+    )
+    if footage is None:
         return trial, None, start
-    times, images = shots
+    times, images = footage
     return trial, Film(times - start, images, **motion), start
 
 
 def _read_footage(
-    folder: Path, known: Mapping[str, Any], rows: dict[str, RowCounts]
+    folder: Path, metadata: Mapping[str, Any], row_counts: dict[str, RowCounts]
 ) -> dict[str, TimedImages]:
     """Read times and images of each trial that has any.
 
     Raises DataError if points must be made of them and the camera is not described.
     """
-    camera = known.get("camera") or {}
+    camera = metadata.get("camera") or {}
     films = video_files(folder)
     has_frames = _find_table(folder, FRAMES.name) is not None
     needed = ["px_per_m", "origin_px"]
@@ -321,17 +346,17 @@ def _read_footage(
             "points of frames. Add what the camera had: fps as filmed (a video may be "
             "played slower), px_per_m, and the pixel of the origin."
         )
-    shots: dict[str, TimedImages] = {}
+    footage: dict[str, TimedImages] = {}
     if has_frames:
-        for name, trial in _read_table(FRAMES, folder, rows).groupby("trial"):
-            images = ImageFiles(folder, tuple(trial["file"]))
-            shots[str(name)] = trial["t"].to_numpy(), images
+        for name, rows in _read_table(FRAMES, folder, row_counts).groupby("trial"):
+            images = ImageFiles(folder, tuple(rows["file"]))
+            footage[str(name)] = rows["t"].to_numpy(), images
     elif "fps" in camera:
         for path in films:
             video = Video(path)
             # the rate as filmed, not as played
-            shots[path.stem] = video.frame_times(float(camera["fps"])), video
-    return shots
+            footage[path.stem] = video.frame_times(float(camera["fps"])), video
+    return footage
 
 
 def _find_table(folder: Path, name: str) -> Path | None:
@@ -346,10 +371,12 @@ def _find_table(folder: Path, name: str) -> Path | None:
     return None
 
 
-def _read_table(table: Table, folder: Path, rows: dict[str, RowCounts]) -> pd.DataFrame:
+def _read_table(
+    table: Table, folder: Path, row_counts: dict[str, RowCounts]
+) -> pd.DataFrame:
     """Read one table in the order of time, without unusable rows.
 
-    The counts of dropped rows go into `rows`.
+    The counts of dropped rows go into `row_counts`.
     """
     path = _find_table(folder, table.name)
     if path is None:
@@ -390,7 +417,7 @@ def _read_table(table: Table, folder: Path, rows: dict[str, RowCounts]) -> pd.Da
             frame = frame[is_kept]
             if len(is_kept) and frame.empty:
                 return frame
-    frame, rows[path.name] = clean_rows(schema, frame)
+    frame, row_counts[path.name] = clean_rows(schema, frame)
     return frame.reset_index(drop=True)
 
 
@@ -477,12 +504,14 @@ def exclude_stray_points(data: Dataset, length: float) -> Dataset:
     return replace(data, trials=trials, unusable=faults)
 
 
-def _find_timeless_fault(name: str, rows: Mapping[str, RowCounts]) -> TrialFault | None:
+def _find_timeless_fault(
+    name: str, row_counts: Mapping[str, RowCounts]
+) -> TrialFault | None:
     """Find times of a trial that say nothing of the single row; None if there are none.
 
-    rows: counts of the tables' rows by file.
+    row_counts: of the tables by file.
     """
-    for file, counts in rows.items():
+    for file, counts in row_counts.items():
         if name in counts.timeless:
             return TrialFault(
                 counts.timeless[name],
@@ -503,7 +532,7 @@ def _find_fault(
 ) -> TrialFault | None:
     """Find out why a trial cannot be used; None if it can.
 
-    hand: the table of its motion. block: its entry in dataset.yaml. start: what was
+    hand: schema of its motion. block: its entry in dataset.yaml. start: what was
     subtracted from all its times [s].
     """
     if block.get("invalid"):

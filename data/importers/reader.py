@@ -303,19 +303,21 @@ class RecordingReader:
 
     def _read_clock(self, column: SourceColumn) -> np.ndarray:
         """Read a column of times [s]: numbers of any unit, or dates."""
-        raw = self.table[column.name]
         numbers = self._numbers(column.name)
-        if numbers.notna().any():
-            unit, how = column.meaning.unit, column.how
-            if not unit:
-                steps = np.diff(np.unique(numbers.dropna()))
-                typical = float(np.median(steps)) if len(steps) else 0.0
-                unit = _time_unit(typical)
-                how = column.how if unit == "s" else "values"
-            else:
-                self._refuse_slow_clock(column, numbers)
-            return self.read_numbers(column, "t", unit, TIME_UNITS[unit], how)
-        # no number: dates, as seconds since 1970
+        if numbers.isna().all():
+            return self._read_dates(column)
+        step = _typical_step(numbers)
+        unit, how = column.meaning.unit, column.how
+        if unit:
+            self._refuse_slow_clock(column, step)
+        else:
+            unit = _time_unit(step)
+            how = column.how if unit == "s" else "values"
+        return self.read_numbers(column, "t", unit, TIME_UNITS[unit], how)
+
+    def _read_dates(self, column: SourceColumn) -> np.ndarray:
+        """Read a column of dates as seconds since 1970."""
+        raw = self.table[column.name]
         dates = pd.Series(pd.NaT, index=raw.index)
         if not pd.api.types.is_float_dtype(raw):  # as of infinite numbers
             with suppress(ValueError, TypeError, OverflowError):
@@ -331,18 +333,19 @@ class RecordingReader:
         self._note(column, "t", "dates", "values", seconds)
         return seconds
 
-    def _refuse_slow_clock(self, column: SourceColumn, numbers: pd.Series) -> None:
-        """Refuse a unit in which samples are too far apart to show a motion."""
-        steps = np.diff(np.unique(numbers.dropna()))
-        typical = float(np.median(steps)) if len(steps) else 0.0
+    def _refuse_slow_clock(self, column: SourceColumn, step: float) -> None:
+        """Refuse a unit in which samples are too far apart to show a motion.
+
+        step: typical difference of the numbers from row to row.
+        """
         unit = column.meaning.unit
-        if typical * TIME_UNITS[unit] <= MAX_STEP_S:
+        if step * TIME_UNITS[unit] <= MAX_STEP_S:
             return
-        likely = _time_unit(typical)
+        likely = _time_unit(step)
         renamed = f"t_{likely}" if likely != unit else "t_<unit>"
         raise DataError(
             f"{self.recording.file}: column '{column.name}' holds times in {unit} by "
-            f"its name, but its rows are {typical:.4g} {unit} apart, which shows no "
+            f"its name, but its rows are {step:.4g} {unit} apart, which shows no "
             f"motion. If they are in {likely}, call the column {renamed}."
         )
 
@@ -616,6 +619,12 @@ class RecordingReader:
         elif "valid" in axes:
             frame["valid"] = self.read_numbers(axes["valid"], role, "", 1.0, "name") > 0
         return frame
+
+
+def _typical_step(numbers: pd.Series) -> float:
+    """Return the median difference of distinct numbers; 0 if there is one only."""
+    steps = np.diff(np.unique(numbers.dropna()))
+    return float(np.median(steps)) if len(steps) else 0.0
 
 
 def _time_unit(step: float) -> str:

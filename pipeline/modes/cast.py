@@ -110,18 +110,9 @@ class Cast(Stepwise):
         target = config["execute"]["_target_"]
         is_dry_run = require_allowed(target, "execute", "config.json") in DRY_RUNS
         max_casts = 1 if is_dry_run else config["max_casts"]
-        looks = config["look"] is not None and not before and not is_dry_run
         history = History(executor, [*before], graph=graph)
-        if looks:
-            history.first_number = LOOK_NUMBER
-            names = self.look_stages(config)
-            history.graph = build_graph(names, config, {})
-            look = history.begin_iteration(trial=LOOK_TRIAL)
-            self.perform_stages(names, experiment, history)
-            log_fit(look)
-            log_reading(look)
-            executor.publish(history.iterations)
-            history.graph = graph
+        if config["look"] is not None and not before and not is_dry_run:
+            self.look_at_string(experiment, history)
 
         has_hit = bool(before) and before[-1].has_hit
         while history.next_number <= max_casts and not has_hit:
@@ -142,6 +133,19 @@ class Cast(Stepwise):
         else:
             sentence = cast_outcome(iterations)
         return RunResult(folder, iterations, sentence)
+
+    def look_at_string(self, experiment: Experiment, history: History) -> None:
+        """Perform the slow trial before the first cast, and learn from it."""
+        names = self.look_stages(experiment.config)
+        graph_of_casts = history.graph
+        history.graph = build_graph(names, experiment.config, {})
+        history.first_number = LOOK_NUMBER
+        look = history.begin_iteration(trial=LOOK_TRIAL)
+        self.perform_stages(names, experiment, history)
+        log_fit(look)
+        log_reading(look)
+        history.executor.publish(history.iterations)
+        history.graph = graph_of_casts
 
     def perform_stages(
         self, names: Sequence[str], experiment: Experiment, history: History
