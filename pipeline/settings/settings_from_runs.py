@@ -116,10 +116,7 @@ def restore_given_settings(merged: Any, config: DictConfig, given: set[str]) -> 
 
 
 def add_weighed_tip_mass(merged: Any, metadata: dict[str, Any]) -> None:
-    """Add the tip mass that dataset.yaml states as an effect of known value.
-
-    A value that the settings already hold takes precedence.
-    """
+    """Add the tip mass that dataset.yaml states as an effect of known value."""
     string = metadata.get("string", {})
     if not string.get("tip_mass"):
         return
@@ -129,16 +126,13 @@ def add_weighed_tip_mass(merged: Any, metadata: dict[str, Any]) -> None:
         "low": (1 - WEIGHING_UNCERTAINTY) * ratio,
         "high": (1 + WEIGHING_UNCERTAINTY) * ratio,
     }
-    if "tip_mass" not in merged.effects:
-        merged.effects = [*merged.effects, "tip_mass"]
-    merged.parameter_values = {"tip_mass.ratio": weighed, **merged.parameter_values}
+    add_measured_parameter(merged, "tip_mass.ratio", weighed)
 
 
 def add_clock_interval(merged: Any, metadata: dict[str, Any]) -> None:
     """Add the clock offset that dataset.yaml states an interval of as an effect.
 
-    It is unknown within that interval in every model. A value that the settings already
-    hold takes precedence.
+    It is unknown within that interval in every model.
     """
     clock = metadata.get("clock")
     if not clock:
@@ -150,9 +144,18 @@ def add_clock_interval(merged: Any, metadata: dict[str, Any]) -> None:
         "low": middle - half_width,
         "high": middle + half_width,
     }
-    if "time_offset" not in merged.effects:
-        merged.effects = [*merged.effects, "time_offset"]
-    merged.parameter_values = {"time_offset.offset": offset, **merged.parameter_values}
+    add_measured_parameter(merged, "time_offset.offset", offset)
+
+
+def add_measured_parameter(merged: Any, name: str, measured: dict[str, float]) -> None:
+    """Add a parameter's value, low and high to the settings, and its effect.
+
+    A value that the settings already hold takes precedence.
+    """
+    effect = name.partition(".")[0]
+    if effect not in merged.effects:
+        merged.effects = [*merged.effects, effect]
+    merged.parameter_values = {name: measured, **merged.parameter_values}
 
 
 def is_run_folder(folder: Path) -> bool:

@@ -49,11 +49,9 @@ def bind_stage(block: Settings, place: str, where: str) -> Callable[..., Any]:
     UserError
         For a name or value that the function does not take.
     """
-    if not isinstance(block, Mapping) or "_target_" not in block:
-        remedy = f"it must hold `_target_` and its settings. Choose +{place}=..."
-        raise UserError(f"{place} = {block!r} ({where}): {remedy}")
-    function = load_callable(block["_target_"], place, where)
-    refuse_other_inputs(function, block["_target_"], place, where)
+    target = require_target(block, place, where, f"+{place}=...")
+    function = load_callable(target, place, where)
+    refuse_other_inputs(function, target, place, where)
     types = setting_types(function)
     given = {name: value for name, value in block.items() if name not in RUN_SETTINGS}
     check_names(given, types, place, where)
@@ -171,6 +169,19 @@ def require_block(block: Any, place: str, where: str) -> Settings:
     return block
 
 
+def require_target(block: Any, place: str, where: str, option: str) -> Any:
+    """Return the `_target_` of a block; raise UserError if it has none.
+
+    option: what a person may choose instead, for the message.
+    """
+    if not isinstance(block, Mapping) or "_target_" not in block:
+        raise UserError(
+            f"{place} = {block!r} ({where}): it must hold `_target_` and its settings. "
+            f"Choose {option}"
+        )
+    return block["_target_"]
+
+
 def expected_fields(kind: Any, block: Settings) -> list[str]:
     """Return the fields of a dataclass that a block gives or must give."""
     names = []
@@ -265,10 +276,8 @@ def remedy_for_target(target: Any, allowed_names: list[str]) -> str:
 
 def build_chosen(block: Settings, place: str, where: str) -> Any:
     """Build the object of the class that a block names by `_target_`."""
-    if not isinstance(block, Mapping) or "_target_" not in block:
-        remedy = f"it must hold `_target_` and its settings. Choose {place}=..."
-        raise UserError(f"{place} = {block!r} ({where}): {remedy}")
-    kind = load_callable(block["_target_"], place, where)
+    target = require_target(block, place, where, f"{place}=...")
+    kind = load_callable(target, place, where)
     settings = {name: value for name, value in block.items() if name != "_target_"}
     return build_dataclass(kind, settings, place, where)
 

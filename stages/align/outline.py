@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, Film
 from stringcast.data.lazy_module import LazyModule
@@ -223,7 +224,7 @@ def find_pieces(
     frames: np.ndarray,
     width: float,
     reach: float,
-) -> np.ndarray:
+) -> pd.DataFrame:
     """Find pieces of links in some frames of a trial.
 
     Parameters
@@ -241,31 +242,31 @@ def find_pieces(
 
     Returns
     -------
-    array
-        Rows of `link_pieces`, with the position in `frames` as first column (K, 8).
+    DataFrame
+        Pieces as of `link_pieces`, and `position`, the place of their frame in
+        `frames`.
     """
     times = trial.times[frames]
     joints_by_frame = model.observed_arm(trial.motion, values[None], times)[0]
     tables = []
-    for position, (frame, joints) in enumerate(
-        zip(frames, joints_by_frame, strict=True)
-    ):
-        pieces = link_pieces(model, trial.pixels[int(frame)], joints, width, reach)
-        tables.append(np.column_stack([np.full(len(pieces), position), pieces]))
-    return np.concatenate(tables)
+    for position, joints in enumerate(joints_by_frame):
+        pixels = trial.pixels[int(frames[position])]
+        pieces = link_pieces(model, pixels, joints, width, reach)
+        tables.append(pieces.assign(position=position))
+    return pd.concat(tables, ignore_index=True)
 
 
 def build_sighted_trial(
-    trial: Silhouettes, frames: np.ndarray, pieces: np.ndarray, sigma: float
+    trial: Silhouettes, frames: np.ndarray, pieces: pd.DataFrame, sigma: float
 ) -> SightedTrial:
-    """Return the sightings of pieces (K, 8) in some frames, with sigma [m]."""
+    """Return the sightings of pieces in some frames, with sigma [m]."""
     sightings = Sightings(
         trial.times[frames],
-        frame=pieces[:, 0].astype(int),
-        link=pieces[:, 1].astype(int),
-        share=pieces[:, 2],
-        position=pieces[:, 3:5],
-        direction=pieces[:, 5:7],
+        frame=pieces["position"].to_numpy(),
+        link=pieces["link"].to_numpy(),
+        share=pieces["share"].to_numpy(),
+        position=pieces[["x", "y"]].to_numpy(),
+        direction=pieces[["normal_x", "normal_y"]].to_numpy(),
         sigma=np.full(len(pieces), sigma),
     )
     return SightedTrial(trial.name, trial.motion, sightings)
@@ -273,7 +274,7 @@ def build_sighted_trial(
 
 def link_pieces(
     model: Model, pixels: np.ndarray, joints: np.ndarray, width: float, reach: float
-) -> np.ndarray:
+) -> pd.DataFrame:
     """Locate the middle of each piece of each link.
 
     Parameters
@@ -291,8 +292,10 @@ def link_pieces(
 
     Returns
     -------
-    array
-        Link, share, x, y, normal and number of pixels of each piece (K, 7).
+    DataFrame
+        A row for each piece: number of its link from 1, share of its middle along the
+        link, the middle x, y [m], the unit vector normal_x, normal_y across the link,
+        and the number of its pixels.
     """
     points = model.camera.world(pixels)
     shares, offsets, distances = link_coordinates(points, joints)  # (n, J) each
@@ -324,8 +327,16 @@ def link_pieces(
         _, _, to_links = link_coordinates(axis + side * normal, joints)
         to_links[np.arange(len(axis)), link] = np.inf
         is_clear &= to_links.min(axis=1) > MIN_CLEARANCE_WIDTHS * width
-    columns = [link + 1, mean_share, middle, normal, pixel_count]
-    return np.column_stack(columns)[is_clear]
+    columns = {
+        "link": link + 1,
+        "share": mean_share,
+        "x": middle[:, 0],
+        "y": middle[:, 1],
+        "normal_x": normal[:, 0],
+        "normal_y": normal[:, 1],
+        "pixels": pixel_count,
+    }
+    return pd.DataFrame(columns)[is_clear]
 
 
 def link_coordinates(
@@ -359,13 +370,9 @@ def link_coordinates(
     return share, offset, np.hypot(offset, beyond_ends)
 
 
-def drop_hidden_pieces(pieces: np.ndarray) -> np.ndarray:
-    """Drop pieces (K, 8) that are partly hidden, or in which something else is seen."""
-    is_kept = np.zeros(len(pieces), bool)
+def drop_hidden_pieces(pieces: pd.DataFrame) -> pd.DataFrame:
+    """Drop pieces that are partly hidden, or in which something else is seen."""
+    usual = pieces.groupby("link")["pixels"].transform("median")
     low, high = PIXEL_RATIO_RANGE
-    pixels = pieces[:, -1]
-    for link in np.unique(pieces[:, 1]):
-        is_link = pieces[:, 1] == link
-        usual = np.median(pixels[is_link])
-        is_kept |= is_link & (pixels > low * usual) & (pixels < high * usual)
-    return pieces[is_kept]
+    is_whole = pieces["pixels"].between(low * usual, high * usual, inclusive="neither")
+    return pieces[is_whole]
