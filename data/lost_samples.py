@@ -149,21 +149,18 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
     is_zero = (positions == 0).all(axis=1)
     candidates = np.flatnonzero(is_zero | (counts >= MIN_RECURRENCES))
     limit = MIN_AWAY_EXTENT * track_extent(xy)
+    if limit == 0:
+        return nothing, ""
     # the most frequent one first; a tracker writes one position for what it lost
     for candidate in candidates[np.argsort(-counts[candidates])][:3]:
         mask = number == candidate
-        if mask.all() or limit == 0:
+        if mask.all():
             continue
         visits = find_runs(mask)
+        must_return = not is_zero[candidate]
         away = 0
         for first, last in visits:
-            jumps = _neighbours(xy, first, last) - xy[first]
-            shortest = np.linalg.norm(jumps, axis=1).min()
-            is_away = shortest > limit
-            if not is_zero[candidate]:  # it must go there and come back
-                returned = np.linalg.norm(jumps[0] - jumps[-1])
-                is_away = is_away and returned < 0.5 * shortest
-            away += is_away
+            away += _is_away(xy, first, last, limit, must_return)
         recurs = len(visits) >= MIN_RECURRENCES or is_zero[candidate]
         if recurs and away >= MIN_AWAY_SHARE * len(visits):
             x, y = positions[candidate]
@@ -205,9 +202,22 @@ def _distance_to_median(xy: np.ndarray, place: np.ndarray) -> float:
     return float(np.linalg.norm(np.median(xy, axis=0) - place)) if len(xy) else 0.0
 
 
-def _neighbours(xy: np.ndarray, first: int, last: int) -> np.ndarray:
-    """Return the samples before and after a run, (2, 2), or (1, 2) at an end."""
-    return np.concatenate([xy[max(first - 1, 0) : first], xy[last + 1 : last + 2]])
+def _is_away(
+    xy: np.ndarray, first: int, last: int, limit: float, must_return: bool
+) -> bool:
+    """Return whether a run of samples lies away from those before and after it.
+
+    must_return: whether the point must also come back to where it was before.
+    """
+    neighbours = np.concatenate(
+        [xy[max(first - 1, 0) : first], xy[last + 1 : last + 2]]
+    )
+    jumps = neighbours - xy[first]  # (2, 2), or (1, 2) at an end of the track
+    shortest = np.linalg.norm(jumps, axis=1).min()
+    if not must_return:
+        return bool(shortest > limit)
+    change = np.linalg.norm(jumps[0] - jumps[-1])
+    return bool(shortest > limit and change < 0.5 * shortest)
 
 
 def track_extent(xy: np.ndarray) -> float:

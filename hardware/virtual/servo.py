@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 
@@ -55,17 +54,18 @@ class VirtualServo:
         command = np.searchsorted(t, fine + 1e-9, side="right") - 1
         held = speeds[np.clip(command, 0, len(t) - 1)]
         error = self.repeatability * rng.standard_normal(speeds.shape[1])
-        real = held * (1 + error)
+        velocity = held * (1 + error)
 
         # two equal poles p: -3 dB of 1 / (s / p + 1)^2 is at p sqrt(sqrt(2) - 1)
         pole_rate = -2 * np.pi * self.bandwidth / np.sqrt(np.sqrt(2) - 1)
         pole = np.exp(pole_rate * self.step)
         for _ in range(2):
             # y_k = (1 - p) x_k + p y_{k-1}; SciPy's filter takes half a second to load
-            steps = accumulate((1 - pole) * real, lambda last, new: new + pole * last)
-            real = np.array(list(steps))
-        turned = np.zeros(real.shape)
-        turned[1:] = np.cumsum(real[:-1], axis=0) * self.step
+            velocity = (1 - pole) * velocity
+            for k in range(1, len(velocity)):
+                velocity[k] += pole * velocity[k - 1]
+        turned = np.zeros(velocity.shape)
+        turned[1:] = np.cumsum(velocity[:-1], axis=0) * self.step
         return fine, turned
 
     def encoder_reading(self, angles: np.ndarray) -> np.ndarray:

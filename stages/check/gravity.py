@@ -11,6 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from stringcast.stages.check.measured import GRAVITY, CheckedTrial, drop_spikes
+from stringcast.stages.common import turn_left
 
 # a parabola is fitted over so long: a fast tip turns little in it
 WINDOW_S = 0.04
@@ -52,7 +53,8 @@ def estimate_gravity(trial: CheckedTrial) -> float:
     if len(t) < MIN_WINDOWS + size:
         return float("nan")
 
-    # a parabola over lost frames says nothing of a moment
+    # accelerations in windows of `size` frames; none with lost frames, over which a
+    # parabola says nothing of a moment
     times = sliding_window_view(t, size)
     is_whole = np.ptp(times, axis=1) <= MAX_WINDOW_RATIO * (size - 1) * interval
     if is_whole.sum() < MIN_WINDOWS:
@@ -61,18 +63,21 @@ def estimate_gravity(trial: CheckedTrial) -> float:
     times = times[is_whole] - t[middle, None]
     places = sliding_window_view(tip, size, axis=0)[is_whole]  # (N, 2, size)
     acceleration = _parabola_accelerations(times, places)
-    across = direction[middle, ::-1] * (-1.0, 1.0)
-    tip_across = (acceleration * across).sum(axis=1)
-    gravity_across = -across[:, 1]
 
-    mean_square = float(np.mean(gravity_across**2))
+    # their components across the string, and those of a gravity of 1, (N,)
+    across = turn_left(direction[middle])
+    measured = (acceleration * across).sum(axis=1)
+    expected = -across[:, 1]
+
+    # regression through the origin
+    mean_square = float(np.mean(expected**2))
     if mean_square <= MIN_SINE**2:
         return float("nan")
-    gravity = float(np.mean(tip_across * gravity_across) / mean_square)
-    residual_mean_square = float(np.mean((tip_across - gravity * gravity_across) ** 2))
+    gravity = float(np.mean(measured * expected) / mean_square)
+    variance = float(np.mean((measured - gravity * expected) ** 2))
     # windows overlap: only every size-th is independent
     independent = max(len(middle) / size, 1.0)
-    error = float(np.sqrt(residual_mean_square / mean_square / independent))
+    error = float(np.sqrt(variance / mean_square / independent))
     if NORMAL_95 * error > max(abs(gravity), GRAVITY):
         return float("nan")
     return gravity

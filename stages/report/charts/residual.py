@@ -113,21 +113,27 @@ def _scale_end(tables: Iterable[pd.DataFrame]) -> float:
 def residual_components(table: pd.DataFrame, model: str) -> dict[str, np.ndarray]:
     """Split a model's residual over the noise floor along the base model's string.
 
-    As a complex number a residual is its tangential and normal component times the
-    direction of the string.
+    The table has the components of the base model's residual. As complex numbers,
+    x + iy = direction * (tangential + i normal), which gives the string's direction.
 
     Returns
     -------
     dict
         normal and tangential, shape (n,) each.
     """
-    x, y = table["x"] - table["base_x"], table["y"] - table["base_y"]
-    split = table["base_tangential"] + 1j * table["base_normal"]
-    unknown = np.ones(len(table), complex)
-    direction = np.divide(x + 1j * y, split, out=unknown, where=np.abs(split) > 0)
-    x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
-    components = ((x + 1j * y) / direction / table["sigma"]).to_numpy()
+    split = (table["base_tangential"] + 1j * table["base_normal"]).to_numpy()
+    direction = np.ones(len(table), complex)  # where there is no residual
+    is_known = np.abs(split) > 0
+    np.divide(_complex_residual(table, "base"), split, out=direction, where=is_known)
+    rotated = _complex_residual(table, model) / direction
+    components = rotated / table["sigma"].to_numpy()
     return {"normal": components.imag, "tangential": components.real}
+
+
+def _complex_residual(table: pd.DataFrame, model: str) -> np.ndarray:
+    """Return measured minus simulated positions as x + iy [m], shape (n,)."""
+    x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
+    return np.asarray(x + 1j * y)
 
 
 # --- over time
