@@ -35,7 +35,7 @@ from stringcast.pipeline.settings.settings_from_runs import (
     is_run_folder,
 )
 from stringcast.pipeline.settings.typed_settings import build_dataclass
-from stringcast.stages.check.finding import Finding, full_stop, note
+from stringcast.stages.check.finding import Finding, note
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.check.overview import (
     DETECTION_NOTE,
@@ -278,7 +278,7 @@ def print_overview(overview: Mapping[str, Any], console: Terminal) -> None:
     for finding in findings:
         severity = finding["severity"]
         label = f"[{SEVERITY_COLOURS[severity]}]{severity}[/]"
-        sentence = escape(with_program_name(finding_sentence(finding)))
+        sentence = escape(with_program_name(Finding(**finding).sentence))
         console.print(f"{label} {sentence}", highlight=False, soft_wrap=True)
     if overview.get("effects"):
         table = effect_table(overview["effects"])
@@ -298,20 +298,6 @@ def print_overview(overview: Mapping[str, Any], console: Terminal) -> None:
             f"[bold green]Usable[/]: {format_count(len(trials), 'trial')}; {counted}."
         )
     console.print(conclusion, soft_wrap=True)
-
-
-def finding_sentence(finding: Mapping[str, Any]) -> str:
-    """Return a finding in one line that names at most four trials."""
-    place = " ".join(filter(None, (finding["file"], finding["field"])))
-    trials, remedy = finding["trials"], finding["remedy"]
-    if trials:
-        place += f" (trial {', '.join(trials[:4])}"
-        place += f" and {len(trials) - 4} more)" if len(trials) > 4 else ")"
-    sentence = f"{place}: " if place else ""
-    sentence += f"{finding['statement']}."
-    if remedy:
-        sentence += f" {remedy}{full_stop(remedy)}"
-    return sentence
 
 
 def trial_table(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -20,6 +20,7 @@ from stringcast.pipeline.run.provenance import (
 )
 from stringcast.pipeline.run.result import read_summary
 from stringcast.pipeline.settings.composition import flatten_settings
+from stringcast.stages.report.formatting import join_names
 
 # compared under another heading, or drawn
 UNCOMPARED_FILES = frozenset(
@@ -63,8 +64,10 @@ def conclusion(
         if names and heading != "results":
             shown = ", ".join(names[:MAX_NAMES_SHOWN])
             more = len(names) - MAX_NAMES_SHOWN
-            reasons.append(f"{heading} ({shown}{f' and {more} more' * (more > 0)})")
-    made_of = join_words(reasons)
+            if more > 0:
+                shown += f" and {more} more"
+            reasons.append(f"{heading} ({shown})")
+    made_of = join_names(reasons)
     if not names_by_heading["results"]:
         if not reasons:
             return "The two runs are the same in everything that was compared."
@@ -93,12 +96,6 @@ def describe_outcome(results: Mapping[str, Any]) -> str:
         hit = "hit" if results["run.json: hit"] else "missed"
         words = f"{hit} after {len(misses)} casts ({1e3 * misses[-1]:.1f} mm at last)"
     return f"{words}, E {rates[-1]:.3f}" if rates else words
-
-
-def join_words(words: Sequence[str]) -> str:
-    """Return words with commas between, and `and` before the last."""
-    *first, last = words or [""]
-    return f"{', '.join(first)} and {last}" if first else last
 
 
 def run_facts(run: Path) -> dict[str, dict[str, Any]]:

@@ -41,6 +41,14 @@ MAX_PLACES = 6  # of stated arc length that are looked at
 CERTAIN_KINDS = {"unit", "y_down", "x_left", "exchange_axes", "degrees"}
 
 
+TABLE_WORDS = {
+    "points": "points of the string",
+    "arm": "the arm's log",
+    "grasp": "hand",
+    "arm, points": "the arm's log and points of the string",
+}
+
+
 class Change(NamedTuple):
     """Options that would explain why the data contradict themselves.
 
@@ -157,17 +165,16 @@ def change_of(
     words: list[str] = []
     must_ask = False
     for correction in proposal.corrections:
-        own = option_words(correction, tables, options)
-        if not own:
+        further = option_words(correction, tables, options)
+        if not further:
             words = []
             break
-        words += own
+        words += further
         must_ask |= correction.kind not in CERTAIN_KINDS
         must_ask |= contradicts_statement(correction, tables)
-    subjects = " and ".join(statement_for_files(c) for c in proposal.corrections)
     reason = (
-        f"{subjects}. As the files are read now, {describe_contradiction(before)}; "
-        f"then {describe_fit(proposal.verdict)}"
+        f"{statements_for_files(proposal)}. As the files are read now, "
+        f"{describe_contradiction(before)}; then {describe_fit(proposal.verdict)}"
     )
     if not words:
         remedies = ". ".join(correction.remedy for correction in proposal.corrections)
@@ -192,17 +199,14 @@ def table_files(table: str, tables: ImportedTables) -> str:
     return ", ".join(dict.fromkeys(names))
 
 
-def statement_for_files(correction: Correction) -> str:
-    """Return what is wrong, with the place where it is."""
-    place = {
-        "points": "points of the string",
-        "arm": "the arm's log",
-        "grasp": "hand",
-        "arm, points": "the arm's log and points of the string",
-    }
-    table = place.get(correction.table, "the stated geometry")
-    field = correction.field.removeprefix("string.").removeprefix("arm.")
-    return f"{table}, {field}: {correction.statement}"
+def statements_for_files(proposal: Proposal) -> str:
+    """Return all that is wrong, with the places where it is."""
+    statements = []
+    for correction in proposal.corrections:
+        table = TABLE_WORDS.get(correction.table, "the stated geometry")
+        field = correction.field.removeprefix("string.").removeprefix("arm.")
+        statements.append(f"{table}, {field}: {correction.statement}")
+    return " and ".join(statements)
 
 
 def must_state_otherwise(proposal: Proposal, options: argparse.Namespace) -> bool:
@@ -443,8 +447,8 @@ def refuse_ambiguity(
     """Refuse files that several corrections make consistent, and name the commands."""
     choices = []
     for proposal, change in zip(proposals, changes, strict=True):
-        what = " and ".join(statement_for_files(c) for c in proposal.corrections)
-        choices.append(f"{what}: {command_with(options, change.words)}")
+        command = command_with(options, change.words)
+        choices.append(f"{statements_for_files(proposal)}: {command}")
     listed = "\n  ".join(choices)
     raise DataError(
         f"{describe_contradiction(verdict)}. Several corrections fit as well. Give the "

@@ -11,6 +11,7 @@ import pandas as pd
 from stringcast.data.artifacts import Estimate
 from stringcast.data.schema import Column, Table, parse_columns
 from stringcast.data.store import read_table
+from stringcast.pipeline.run.provenance import setting_of
 from stringcast.pipeline.sweep.ledger import DONE_STATE, Job, Ledger
 
 SWEEP_TABLE = Table(
@@ -102,9 +103,7 @@ def setting_columns(jobs: Sequence[Job]) -> dict[str, list[Any]]:
 
 def setting_value(job: Job, name: str, given: Mapping[str, str]) -> Any:
     """Return a job's value of a setting, or the given text for a group or list."""
-    value: Any = job.settings
-    for part in name.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
+    value = setting_of(job.settings, name)
     return value if isinstance(value, bool | int | float | str) else given.get(name, "")
 
 

@@ -6,6 +6,8 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
+MAX_NAMED_TRIALS = 4  # in a sentence
+
 
 class Severity(StrEnum):
     """How bad a finding is.
@@ -48,11 +50,18 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """The finding in one line."""
+        """The finding in one line that names a few trials at most."""
         place = " ".join(filter(None, (self.file, self.field)))
-        trials = f" (trial {', '.join(self.trials)})" if self.trials else ""
-        end = full_stop(self.remedy)
-        return f"{place}{trials}: {self.statement}. {self.remedy}{end}"
+        if self.trials:
+            names = ", ".join(self.trials[:MAX_NAMED_TRIALS])
+            more = len(self.trials) - MAX_NAMED_TRIALS
+            others = f" and {more} more" if more > 0 else ""
+            place += f" (trial {names}{others})"
+        sentence = f"{place}: " if place else ""
+        sentence += f"{self.statement}."
+        if self.remedy:
+            sentence += f" {self.remedy}{full_stop(self.remedy)}"
+        return sentence
 
 
 def error(file: str, field: str, statement: str, remedy: str, *trials: str) -> Finding:
