@@ -26,10 +26,7 @@ from stringcast.stages.clock.fit import (
     refit_from,
     shift_observations,
 )
-from stringcast.stages.clock.posterior import (
-    clock_posterior,
-    time_slopes,
-)
+from stringcast.stages.clock.posterior import clock_posterior, time_slopes
 from stringcast.stages.clock.windows import (
     HARMLESS_OFFSET_S,
     Window,
@@ -130,9 +127,10 @@ class FittedOffset:
         It does where geometry leaves no other, or if it removes enough of the mean
         square misfit at the tip. The fit that compares them takes seconds.
         """
-        intervals = list(self.clock.by_trial.values())[: len(self.fits)]
+        # all trials have the interval of the first if one fit is for all
+        intervals = self.clock.by_trial.values()
         for interval, fit, window in zip(
-            intervals, self.fits, self.windows, strict=True
+            intervals, self.fits, self.windows, strict=False
         ):
             if not _is_harmful(interval):
                 continue
@@ -352,19 +350,17 @@ def _posterior(
 ) -> BackgroundPosterior:
     """Compute the posterior of offsets that may be anything."""
     precision = np.full(len(columns[0]), NO_PRIOR)
-    return clock_posterior(
-        clock.data, clock.fit, clock.index, background, columns, precision
-    )
+    return clock_posterior(clock, background, columns, precision)
 
 
 def _common_columns(clock: ClockFit) -> ByTrial:
     """Return slopes with the offset of all trials, (1, 2 n)."""
-    return [slope[None] for slope in time_slopes(clock.fit, clock.index)]
+    return [slope[None] for slope in time_slopes(clock)]
 
 
 def _own_columns(clock: ClockFit) -> ByTrial:
     """Return slopes with the offset of each trial, (K, 2 n)."""
-    slopes = time_slopes(clock.fit, clock.index)
+    slopes = time_slopes(clock)
     columns = []
     for number, slope in enumerate(slopes):
         rows = np.zeros((len(slopes), len(slope)))
@@ -381,14 +377,12 @@ def _estimate_drift(
     The offset is that in the middle of each trial, about the fit's.
     """
     columns = []
-    slopes = time_slopes(clock.fit, clock.index)
+    slopes = time_slopes(clock)
     for trial, slope in zip(clock.data.trials, slopes, strict=True):
         since_middle = trial.point_times - trial.times.mean()
         columns.append(np.stack([slope, slope * np.repeat(since_middle, 2)]))
     precision = np.array([NO_PRIOR, DRIFT_PRIOR**-2])
-    posterior = clock_posterior(
-        clock.data, clock.fit, clock.index, background, columns, precision
-    )
+    posterior = clock_posterior(clock, background, columns, precision)
     deviations = posterior.standard_deviation
     offset = Interval.from_deviation(posterior.mean[0], deviations[0], 0.0)
     drift = Interval.from_deviation(posterior.mean[1], deviations[1], 0.0)

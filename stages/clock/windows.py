@@ -23,10 +23,7 @@ STEP_S = 2e-3
 STRETCH_SIGMAS, STRETCH_TOLERANCE = 3.0, 0.02
 TRIMMED_SHARE = 0.03  # of the points: the farthest may be outliers
 MAX_POINTS = 400  # of a trial that are looked at
-
-
-# A diagnosis finds a smaller offset as `time_offset`.
-HARMLESS_OFFSET_S = 0.03
+HARMLESS_OFFSET_S = 0.03  # a diagnosis finds a smaller offset as `time_offset`
 
 
 class Window(NamedTuple):

@@ -132,7 +132,7 @@ def frame_matching_rates(
     windows: np.ndarray,
     tips: np.ndarray,
     tip_step: float,
-    most: float,
+    max_score: float,
     weights: np.ndarray,
 ) -> np.ndarray:
     """Compute E_f = sum p_i w_i / (p_max sum w_i) of candidates, (C, F) (Eq. 5).
@@ -148,14 +148,23 @@ def frame_matching_rates(
         As of `MatchingTarget`.
     tip_step
         [px].
-    most
+    max_score
         The highest score, p_max.
     """
     result = np.empty(pixels.shape[:2])
 
     def match(first: int, last: int) -> None:
         _match_candidates(
-            pixels, scores, windows, tips, tip_step, most, weights, first, last, result
+            pixels,
+            scores,
+            windows,
+            tips,
+            tip_step,
+            max_score,
+            weights,
+            first,
+            last,
+            result,
         )
 
     parallel_for(match, len(pixels), CANDIDATES_PER_THREAD)
@@ -169,7 +178,7 @@ def _match_candidates(
     windows: np.ndarray,
     tips: np.ndarray,
     tip_step: float,
-    most: float,
+    max_score: float,
     weights: np.ndarray,
     first: int,
     last: int,
@@ -189,23 +198,22 @@ def _match_candidates(
             off_u = pixels[c, f, n - 1, 0] - tips[f, 0]
             off_v = pixels[c, f, n - 1, 1] - tips[f, 1]
             lost = np.floor(np.hypot(off_u, off_v) / tip_step)
-            total += max(most - lost, 0.0) * weights[f, n - 1]
-            result[c, f] = total / (most * weights[f].sum())
+            total += max(max_score - lost, 0.0) * weights[f, n - 1]
+            result[c, f] = total / (max_score * weights[f].sum())
 
 
 def _matching_target(
     trial: PreparedTrial, observation: Observation, matching: Matching
 ) -> MatchingTarget:
     """Score the images, or the measured points of frames without; weigh the points."""
-    masks, images = observation.masks, {}
-    if len(masks):
-        images = dict(zip(masks["t"], masks["png"], strict=True))
+    masks = observation.masks
+    images = dict(zip(masks["t"], masks["png"], strict=True))
     camera = trial.model.camera
     begin = 0
     scores, windows, tips = [], [], []
     for number, t in enumerate(trial.times):
-        points = trial.frame == number
-        line = camera.pixels(trial.points[points])
+        in_frame = trial.frame == number
+        line = camera.pixels(trial.points[in_frame])
         if t in images:
             png = np.frombuffer(images[t], np.uint8)
             mask = cv2.imdecode(png, cv2.IMREAD_GRAYSCALE)
@@ -215,7 +223,7 @@ def _matching_target(
         top, left, part = pixel_scores(mask, matching.dilations, matching.step_px)
         windows.append([begin, top, left, *part.shape])
         scores.append(part.ravel())
-        tips.append(line[np.argmax(trial.s[points])])
+        tips.append(line[np.argmax(trial.s[in_frame])])
         begin += part.size
     return MatchingTarget(
         trial,

@@ -137,25 +137,16 @@ def build_estimate(
     model = targets[0].trial.model
     parameters = model.parameters
     pair = parameter_values(parameters, np.stack([before, after]))
-    frames, squares = [], []
-    for target in targets:
-        trial = target.trial
-        _, motion = next(trial.simulate(pair))
-        old, new = target.rates_of_motion(motion)
-        at_points = trial.sample_at_points(motion.points)  # (2, N, 2)
-        columns = {"trial": trial.name, "t": trial.times, "before": old, "after": new}
-        frames.append(pd.DataFrame(columns))
-        squares.append([trial.mean_square_distances(points) for points in at_points])
-    matching = pd.concat(frames, ignore_index=True)
-    rms, tip = np.sqrt(np.mean(squares, axis=0)).T
-
+    comparison = _compare_with_trials(targets, pair)
     rate = search.matching_rate
     finite = ~np.isnan(rate)
-    rate_after = matching["after"].mean()
+    rate_before = comparison.matching["before"].mean()
+    rate_after = comparison.matching["after"].mean()
+    rms, tip = comparison.rms, comparison.tip_rms
     bad_fit = describe_bad_fit(rate_after, rms[1], model.string.length)
     fit = {
         "method": search.method,
-        "before": matching["before"].mean(),
+        "before": rate_before,
         "after": rate_after,
         "rms_before": rms[0],
         "rms_after": rms[1],
@@ -165,8 +156,8 @@ def build_estimate(
         "sentence": bad_fit or interval.sentence,
     }
 
-    record = np.fmax.accumulate(np.where(finite, rate, -np.inf))
-    is_record = np.concatenate([[True], record[1:] > record[:-1]])
+    best_so_far = np.fmax.accumulate(np.where(finite, rate, -np.inf))
+    is_record = np.concatenate([[True], best_so_far[1:] > best_so_far[:-1]])
     tried = {
         "candidate": np.arange(len(rate)),
         "matching_rate": rate,
@@ -177,11 +168,52 @@ def build_estimate(
     return Estimate(
         PARAMETERS.check(_parameter_table(parameters, pair[1], after, interval)),
         CANDIDATES.check(pd.DataFrame(tried | _value_columns(parameters, search.chi))),
-        MATCHING.check(matching),
+        MATCHING.check(comparison.matching),
         ESTIMATION_SUMMARY.check(pd.DataFrame([fit])),
         DRAWS.check(pd.DataFrame(numbered | _value_columns(parameters, draws))),
-        tabulate_misfit(trial, at_points[1]),
+        comparison.last_misfit,
     )
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """Strings before and after an estimation, compared with the trials.
+
+    Parameters
+    ----------
+    matching
+        E of each frame: trial, t [s], before, after.
+    rms, tip_rms
+        Root mean square distance of the points, and of the tip, before and after,
+        (2,) [m].
+    last_misfit
+        Where the last trial's tip is off after the estimation.
+    """
+
+    matching: pd.DataFrame
+    rms: np.ndarray
+    tip_rms: np.ndarray
+    last_misfit: pd.DataFrame
+
+
+def _compare_with_trials(
+    targets: Sequence[MatchingTarget], pair: np.ndarray
+) -> _Comparison:
+    """Simulate the values before and after, (2, P), in each trial, and compare."""
+    frames = []
+    squares = []
+    for target in targets:
+        trial = target.trial
+        _, motion = next(trial.simulate(pair))
+        old, new = target.rates_of_motion(motion)
+        simulated = trial.sample_at_points(motion.points)  # (2, N, 2)
+        columns = {"trial": trial.name, "t": trial.times, "before": old, "after": new}
+        frames.append(pd.DataFrame(columns))
+        squares.append([trial.mean_square_distances(points) for points in simulated])
+    last_misfit = tabulate_misfit(trial, simulated[1])
+    rms, tip_rms = np.sqrt(np.mean(squares, axis=0)).T
+    matching = pd.concat(frames, ignore_index=True)
+    return _Comparison(matching, rms, tip_rms, last_misfit)
 
 
 def tabulate_misfit(trial: PreparedTrial, simulated: np.ndarray) -> pd.DataFrame:

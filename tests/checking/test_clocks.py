@@ -197,7 +197,8 @@ def linear_problem(background):
     fit = SimpleNamespace(
         chi=np.array([0.5]), slopes=[slope], residuals=[residual], scale_indices=[0]
     )
-    return clock_posterior(data, fit, 0, [background], [slope], np.array([1e-6]))
+    clock = SimpleNamespace(data=data, fit=fit, index=0)
+    return clock_posterior(clock, [background], [slope], np.array([1e-6]))
 
 
 def test_an_effect_like_the_offset_widens_its_interval():
