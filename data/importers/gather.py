@@ -14,6 +14,7 @@ import pandas as pd
 
 from stringcast.data.importers import SourceRecording
 from stringcast.data.importers.columns import ColumnMeaning, column_meaning, stated_unit
+from stringcast.data.importers.hand_motion import find_zero_rows, read_motion
 from stringcast.data.importers.reader import (
     ColumnHints,
     RecordingReader,
@@ -22,6 +23,8 @@ from stringcast.data.importers.reader import (
     list_columns,
     trial_name,
 )
+from stringcast.data.importers.string_points import read_points
+from stringcast.data.importers.times import read_times
 from stringcast.data.schema import DataError
 
 MAP_EXPRESSION = re.compile(
@@ -290,14 +293,14 @@ def _read_parts(
     if kinds.isdisjoint(("joint", "hand", "point")):
         return None, None
     reader = RecordingReader(recording, hints, columns, used_columns)
-    common = pd.DataFrame({"t": reader.read_times()})
+    common = pd.DataFrame({"t": read_times(reader)})
     trials = reader.columns_of("trial")
     common["trial"] = reader.read_names(trials[0]) if trials else recording.name
-    motion = reader.read_motion()
-    points = reader.read_points()
+    motion = read_motion(reader)
+    points = read_points(reader)
     if motion is not None:
         motion = pd.concat([common, motion], axis=1)
-        is_zero = reader.zero_rows()
+        is_zero = find_zero_rows(reader)
         if hints.skip_zeros:
             motion = motion[~is_zero]
         elif is_zero.any():

@@ -1,0 +1,200 @@
+"""Times of a recording's rows: from a clock, dates, or numbers of frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+
+import numpy as np
+import pandas as pd
+
+from stringcast.data.importers.columns import TIME_UNITS
+from stringcast.data.importers.reader import RecordingReader, SourceColumn, list_columns
+from stringcast.data.rows import describe_shared_times
+from stringcast.data.schema import DataError
+
+# [s] between samples: longer steps show no motion, so the unit must be a smaller one
+MAX_STEP_S = 0.5
+# a clock that turns back farther, in usual steps, did not just swap a few rows
+MIN_RETURN_STEPS = 10.0
+MAX_RETURN_SHARE = 0.02  # of the rows: more are rows in another order
+
+
+def read_times(reader: RecordingReader) -> np.ndarray:
+    """Read times, (K,) [s], of the best column of times or of the frame numbers."""
+    if clocks := reader.columns_of("time"):
+        # one that the user named first, then the shortest name
+        clocks.sort(key=lambda c: (c.how != "--map", len(c.meaning.name.split())))
+        _refuse_restarted_clock(reader, clocks[0])
+        fault = _stamp_fault(reader, clocks[0])
+        if not fault:
+            return _read_clock(reader, clocks[0])
+        if reader.hints.fps is None:
+            raise DataError(
+                f"{reader.recording.file}: {fault}. Give the rate of its rows, as in "
+                "--fps 200, or export times as 64-bit numbers."
+            )
+    fps = reader.hints.fps or reader.recording.fps
+    if fps is None:
+        raise DataError(
+            f"{reader.recording.file}: no column holds times; there are "
+            f"{list_columns(reader.recording)}. Name it with --map t=<column>, or "
+            "give the camera's rate with --fps 200."
+        )
+    if numbers := reader.columns_of("frame"):
+        how = "--fps" if reader.hints.fps else "file"
+        unit = f"frames, {fps:g} a second"
+        return reader.read_numbers(numbers[0], "t", unit, 1 / fps, how)
+    _refuse_unknown_counter(reader)
+    return np.arange(len(reader.table)) / fps
+
+
+def _series_names(reader: RecordingReader) -> pd.Series:
+    """Name the series of each row, (K,): its trial, and its place on the string."""
+    columns = [*reader.columns_of("trial"), *reader.columns_of("arc")]
+    series = pd.Series("", index=reader.table.index)
+    for column in columns:
+        series = series + " " + reader.table[column.name].astype(str)
+    return series
+
+
+def _stamps_by_series(
+    reader: RecordingReader, column: SourceColumn
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the time stamps (n,) of each series, with the words that name it."""
+    stamps = reader.numbers(column.name).dropna().astype(float)
+    for name, values in stamps.groupby(_series_names(reader)):
+        words = f" of trial{name}" if str(name).strip() else ""
+        yield words, values.to_numpy()
+
+
+def _stamp_fault(reader: RecordingReader, column: SourceColumn) -> str:
+    """Say why the time stamps of a column carry no time; empty if they do."""
+    for words, stamps in _stamps_by_series(reader, column):
+        found = describe_shared_times(stamps)
+        if not found:
+            continue
+        is_rounded = (stamps == stamps.astype(np.float32)).all()
+        is_large = np.spacing(np.float32(np.abs(stamps).max())) > 1e-3
+        guess = " (stored as float32?)" if is_rounded and is_large else ""
+        return f"the time stamps{words} carry no time: {found}{guess}"
+    return ""
+
+
+def _refuse_restarted_clock(reader: RecordingReader, column: SourceColumn) -> None:
+    """Refuse a clock that begins again within a trial: two recordings in one."""
+    for words, stamps in _stamps_by_series(reader, column):
+        row = _restart_row(stamps)
+        if row is not None:
+            raise DataError(
+                f"{reader.recording.file}: column '{column.name}'{words} goes back "
+                f"from {stamps[row - 1]:.10g} to {stamps[row]:.10g} in row {row + 1}, "
+                "to times that were already recorded: two recordings seem to be in "
+                "one. Give each a file of its own, or a column 'trial'."
+            )
+
+
+def _restart_row(stamps: np.ndarray) -> int | None:
+    """Find the row from which time stamps (n,) begin again, or None.
+
+    Rows in another order are no restart: their times do not overlap.
+    """
+    steps = np.diff(stamps)
+    usual_step = float(np.median(np.abs(steps))) if len(steps) else 0.0
+    returns = np.flatnonzero(steps < -MIN_RETURN_STEPS * usual_step)
+    if not len(returns) or len(returns) > MAX_RETURN_SHARE * len(stamps) + 1:
+        return None
+    row = int(returns[0]) + 1
+    before, after = stamps[:row], stamps[row:]
+    is_repeated = (after > before.min()) & (after < before.max())
+    return row if is_repeated.any() else None
+
+
+def _refuse_unknown_counter(reader: RecordingReader) -> None:
+    """Refuse rows without times if a column may hold the numbers of frames.
+
+    A column that counts every row says the same as the rows themselves.
+    """
+    series = _series_names(reader)
+    used = {column.name for column in reader.columns}
+    for name in map(str, reader.table):
+        if name in used:
+            continue
+        numbers = reader.numbers(name)
+        if not np.isfinite(numbers).all() or (numbers % 1 != 0).any():
+            continue
+        steps = numbers.groupby(series).diff().dropna()
+        if len(steps) and (steps > 0).all() and (steps != 1).any():
+            raise DataError(
+                f"{reader.recording.file}: no column holds times, and '{name}' "
+                "increases by whole numbers that are not all 1. If it is the "
+                f"number of the frame: --map 'frame={name}'; if not, take the "
+                "column out."
+            )
+
+
+def _read_clock(reader: RecordingReader, column: SourceColumn) -> np.ndarray:
+    """Read a column of times [s]: numbers of any unit, or dates."""
+    numbers = reader.numbers(column.name)
+    if numbers.isna().all():
+        return _read_dates(reader, column)
+    step = _typical_step(numbers)
+    unit, how = column.meaning.unit, column.how
+    if unit:
+        _refuse_slow_clock(reader, column, step)
+    else:
+        unit = _time_unit(step)
+        how = column.how if unit == "s" else "values"
+    return reader.read_numbers(column, "t", unit, TIME_UNITS[unit], how)
+
+
+def _read_dates(reader: RecordingReader, column: SourceColumn) -> np.ndarray:
+    """Read a column of dates as seconds since 1970."""
+    raw = reader.table[column.name]
+    dates = pd.Series(pd.NaT, index=raw.index)
+    if not pd.api.types.is_float_dtype(raw):  # as of infinite numbers
+        with suppress(ValueError, TypeError, OverflowError):
+            dates = pd.to_datetime(raw, errors="coerce", utc=True, format="ISO8601")
+    if dates.isna().all():
+        raise DataError(
+            f"{reader.recording.file}: column '{column.name}' holds neither numbers "
+            "nor dates such as 2026-01-31 12:00:00.005; it holds "
+            f"{str(raw.iloc[0])[:40]!r}. Name another with --map t=<column>."
+        )
+    elapsed = dates - pd.Timestamp(0, tz="UTC")
+    seconds: np.ndarray = elapsed.dt.total_seconds().to_numpy(dtype=float)
+    reader.note_use(column, "t", "dates", "values", seconds)
+    return seconds
+
+
+def _refuse_slow_clock(
+    reader: RecordingReader, column: SourceColumn, step: float
+) -> None:
+    """Refuse a unit in which samples are too far apart to show a motion.
+
+    step: typical difference of the numbers from row to row.
+    """
+    unit = column.meaning.unit
+    if step * TIME_UNITS[unit] <= MAX_STEP_S:
+        return
+    likely = _time_unit(step)
+    renamed = f"t_{likely}" if likely != unit else "t_<unit>"
+    raise DataError(
+        f"{reader.recording.file}: column '{column.name}' holds times in {unit} by "
+        f"its name, but its rows are {step:.4g} {unit} apart, which shows no "
+        f"motion. If they are in {likely}, call the column {renamed}."
+    )
+
+
+def _typical_step(numbers: pd.Series) -> float:
+    """Return the median difference of distinct numbers; 0 if there is one only."""
+    steps = np.diff(np.unique(numbers.dropna()))
+    return float(np.median(steps)) if len(steps) else 0.0
+
+
+def _time_unit(step: float) -> str:
+    """Choose the largest unit in which a step between samples is short."""
+    for unit in ("s", "ms", "us", "ns"):
+        if step * TIME_UNITS[unit] < MAX_STEP_S:
+            return unit
+    return "s"
