@@ -87,6 +87,28 @@ class ImportedTables:
         return sorted(names, key=lambda name: int(name[1:]))
 
 
+@dataclass(frozen=True)
+class RecordingParts:
+    """What one recording holds, in our units.
+
+    Attributes
+    ----------
+    motion
+        The hand's motion; None if the recording has none.
+    points
+        The string's points; None if the recording has none.
+    used_columns
+        The columns that were read.
+    zero_count
+        How many kept rows of the motion are exactly zero among others.
+    """
+
+    motion: pd.DataFrame | None = None
+    points: pd.DataFrame | None = None
+    used_columns: Sequence[UsedColumn] = ()
+    zero_count: int = 0
+
+
 def gather_tables(
     recordings: Sequence[SourceRecording], hints: ColumnHints
 ) -> ImportedTables:
@@ -120,12 +142,15 @@ def gather_tables(
         if recording.film is not None:
             films.append(recording)
             continue
-        columns = _interpret_columns(recording, hints)
-        motion, points = _read_parts(recording, columns, hints, used_columns, zero_rows)
-        if motion is not None:
-            motion_parts.append((recording, motion))
-        if points is not None:
-            point_parts.append((recording, points))
+        parts = _read_parts(recording, hints)
+        if parts.motion is not None:
+            motion_parts.append((recording, parts.motion))
+        if parts.points is not None:
+            point_parts.append((recording, parts.points))
+        if parts.zero_count:
+            count = zero_rows.get(recording.file, 0)
+            zero_rows[recording.file] = count + parts.zero_count
+        used_columns += parts.used_columns
         used = {c.column for c in used_columns if c.file == recording.file}
         unused = [name for name in recording.table if name not in used]
         unused_columns[recording.file] = unused
@@ -150,14 +175,14 @@ def gather_tables(
     _require_common_trial(motion, [*film_of, *point_trials])
     notes = list(chain.from_iterable(recording.notes for recording in recordings))
     return ImportedTables(
-        motion,
-        points,
-        film_of,
-        list(unique.values()),
-        unused_columns,
-        fps,
-        notes,
-        zero_rows,
+        motion=motion,
+        points=points,
+        films=film_of,
+        used_columns=list(unique.values()),
+        unused_columns=unused_columns,
+        fps=fps,
+        notes=notes,
+        zero_rows=zero_rows,
     )
 
 
@@ -278,40 +303,31 @@ def _mapped_columns(
     return columns
 
 
-def _read_parts(
-    recording: SourceRecording,
-    columns: Sequence[SourceColumn],
-    hints: ColumnHints,
-    used_columns: list[UsedColumn],
-    zero_rows: dict[Path, int],
-) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
-    """Read the hand's motion and the string's points, in our units.
-
-    None stands for a part that the recording does not have.
-    """
+def _read_parts(recording: SourceRecording, hints: ColumnHints) -> RecordingParts:
+    """Read the hand's motion and the string's points of a recording."""
+    columns = _interpret_columns(recording, hints)
     kinds = {column.meaning.kind for column in columns}
     if kinds.isdisjoint(("joint", "hand", "point")):
-        return None, None
-    reader = RecordingReader(recording, hints, columns, used_columns)
+        return RecordingParts()
+    reader = RecordingReader(recording, hints, columns)
     common = pd.DataFrame({"t": read_times(reader)})
     trials = reader.columns_of("trial")
     common["trial"] = reader.read_names(trials[0]) if trials else recording.name
     motion = read_motion(reader)
     points = read_points(reader)
+    zero_count = 0
     if motion is not None:
         motion = pd.concat([common, motion], axis=1)
         is_zero = find_zero_rows(reader)
         if hints.skip_zeros:
             motion = motion[~is_zero]
-        elif is_zero.any():
-            count = zero_rows.get(recording.file, 0)
-            zero_rows[recording.file] = count + int(is_zero.sum())
+        else:
+            zero_count = int(is_zero.sum())
     if points is not None:
         rows = common.iloc[points.index]
-        points = points.assign(
-            t=rows["t"].to_numpy() + hints.clock, trial=rows["trial"].to_numpy()
-        )
-    return motion, points
+        times = rows["t"].to_numpy() + hints.clock
+        points = points.assign(t=times, trial=rows["trial"].to_numpy())
+    return RecordingParts(motion, points, reader.used_columns, zero_count)
 
 
 def _trial_names(recordings: Sequence[SourceRecording]) -> dict[int, str]:

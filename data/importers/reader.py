@@ -131,7 +131,7 @@ class RecordingReader:
     recording: SourceRecording
     hints: ColumnHints
     columns: Sequence[SourceColumn]
-    used_columns: list[UsedColumn]
+    used_columns: list[UsedColumn] = field(default_factory=list)
 
     @cached_property
     def table(self) -> pd.DataFrame:
