@@ -29,7 +29,7 @@ from stringcast.stages.diagnose.rules import (
 )
 from stringcast.stages.diagnose.selection_state import SelectionState, with_fit
 from stringcast.stages.inference.hypothesis import Hypothesis
-from stringcast.stages.inference.laplace import Fit
+from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
 
@@ -45,29 +45,79 @@ def drop_unconfirmed_causes(
 ) -> SelectionState:
     """Set aside causes that trials left out do not confirm, the last one first.
 
-    They leave the fit, but for those that two trials are too few to confirm: without
-    these, the others would stand for what they do.
+    A rival that they confirm takes the place of such a cause, if there is one. Causes
+    that two trials are too few to confirm stay in the fit: without these, the others
+    would stand for what they do.
 
     candidates: number of effects that share the prior probability of one being active.
     """
     state = _set_aside_small_causes(state, criteria)
     for cause in reversed(state.nameable_causes):
-        hypothesis = state.fit.hypothesis.without_cause(cause)
-        without = replace(state, fit=refit(state.prepared.data, state.fit, hypothesis))
+        without = _without_cause(state, cause)
         reason = _reason_to_set_aside(state, without, cause, criteria, candidates)
         if not reason:
             continue
         log.info("%s is set aside: %s", cause.name, reason)
-        reasons = {**state.set_aside, cause.name: reason}
         if reason == TOO_FEW_TRIALS:
-            state = replace(state, unnamed=(*state.unnamed, cause), set_aside=reasons)
+            state = replace(state, unnamed=(*state.unnamed, cause))
         else:
-            state = replace(with_fit(state, without.fit), set_aside=reasons)
+            rival = _find_confirmed_rival(state, without, cause, criteria, candidates)
+            state = rival or with_fit(state, without.fit)
+        state = replace(state, set_aside={**state.set_aside, cause.name: reason})
     if state.unnamed and not state.nameable_causes:
         base = Hypothesis(state.fit.hypothesis.base)
         fit = refit(state.prepared.data, state.fit, base)
         state = replace(with_fit(state, fit), unnamed=())
     return state
+
+
+def _without_cause(state: SelectionState, cause: type[Effect]) -> SelectionState:
+    """Fit a state without one of its causes; its data stay."""
+    hypothesis = state.fit.hypothesis.without_cause(cause)
+    return replace(state, fit=refit(state.prepared.data, state.fit, hypothesis))
+
+
+def _find_confirmed_rival(
+    state: SelectionState,
+    without: SelectionState,
+    cause: type[Effect],
+    criteria: Criteria,
+    candidates: int,
+) -> SelectionState | None:
+    """Find the most evident rival of a cause that trials left out confirm instead.
+
+    Parameters
+    ----------
+    without : SelectionState
+        The state without the cause.
+    candidates : int
+        Number of effects that share the prior probability of one being active.
+    """
+    for rival in _rivals_when_accepted(state, cause):
+        other = rival.hypothesis.causes[-1]
+        hypothesis = without.fit.hypothesis.with_cause(other)
+        start = hypothesis.exponents_from(rival.exponents | without.fit.exponents)
+        fit = fit_hypothesis(
+            state.prepared.data, hypothesis, start[None], state.fit.scale_indices
+        )
+        exchanged = with_fit(state, fit)
+        again_without = _without_cause(exchanged, other)
+        if not _reason_to_set_aside(
+            exchanged, again_without, other, criteria, candidates
+        ):
+            log.info("%s takes its place", other.name)
+            return replace(exchanged, replaced=(*state.replaced, cause))
+    return None
+
+
+def _rivals_when_accepted(state: SelectionState, cause: type[Effect]) -> list[Fit]:
+    """Return what explained about as much when a cause was accepted."""
+    for step in state.steps:
+        compared = [fit.hypothesis.causes[-1] for fit in step.compared]
+        if step.accepted and cause in compared:
+            taken = state.fit.hypothesis.causes
+            return [f for f in step.compared if f.hypothesis.causes[-1] not in taken]
+    return []
 
 
 def _set_aside_small_causes(
@@ -80,9 +130,8 @@ def _set_aside_small_causes(
     for cause in state.unnamed:
         if cause not in state.fit.hypothesis.causes:
             continue
-        hypothesis = state.fit.hypothesis.without_cause(cause)
-        without = refit(data, state.fit, hypothesis)
-        reason = reason_if_small(data, without, state.fit, criteria)
+        without = _without_cause(state, cause)
+        reason = reason_if_small(data, without.fit, state.fit, criteria)
         if reason:
             reasons[cause.name] = reason
             small.append(cause)

@@ -198,7 +198,8 @@ def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagno
         used, prepared, effects, state = reached
 
         # Look-alikes of the accepted causes, and all probabilities
-        posteriors = swap_lookalikes_until_stable(state, effects, criteria, seed)
+        competing = [effect for effect in effects if effect not in state.replaced]
+        posteriors = swap_lookalikes_until_stable(state, competing, criteria, seed)
         state = posteriors.state
         misfit = misfit_probability(state.prepared.data, state.fit, criteria, seed)
         posteriors = limit_by_agreement(

@@ -60,6 +60,8 @@ class SelectionState:
     unnamed : tuple of type of Effect
         Causes in the fit that move the tip too little to be named, or that two trials
         are too few to confirm. They stay, as the values of others depend on them.
+    replaced : tuple of type of Effect
+        Causes that trials do not confirm, and in whose place they confirm a rival.
     """
 
     prepared: PreparedData
@@ -67,6 +69,7 @@ class SelectionState:
     steps: Sequence[SelectionStep] = ()
     set_aside: Mapping[str, str] = field(default_factory=dict)
     unnamed: tuple[type[Effect], ...] = ()
+    replaced: tuple[type[Effect], ...] = ()
 
     @property
     def nameable_causes(self) -> list[type[Effect]]:

@@ -32,7 +32,14 @@ def fit_with(*causes):
     hypothesis.without_cause = lambda cause: (
         fit_with(*(other for other in causes if other is not cause)).hypothesis
     )
-    return SimpleNamespace(hypothesis=hypothesis, log_evidence=100.0 * len(causes))
+    hypothesis.with_cause = lambda cause: fit_with(*causes, cause).hypothesis
+    hypothesis.exponents_from = lambda known: np.zeros(0)
+    return SimpleNamespace(
+        hypothesis=hypothesis,
+        log_evidence=100.0 * len(causes),
+        exponents={},
+        scale_indices=None,
+    )
 
 
 def refit_stand_in(data, fit, hypothesis):
@@ -136,6 +143,39 @@ def test_a_cause_is_set_aside_with_the_reason(trials, touched, words, monkeypatc
         monkeypatch.setattr(confirmation, name, lambda *given, answer=answer: answer)
     reason = confirmation._reason_to_set_aside(state, state, wind, CRITERIA, 10)
     assert words in reason
+
+
+@pytest.mark.parametrize(
+    ("unconfirmed", "remaining"),
+    [(["wind"], ("set",)), (["wind", "set"], ("lag",)), (["wind", "set", "lag"], ())],
+)
+def test_a_confirmed_rival_takes_the_place_of_a_cause_that_is_set_aside(
+    unconfirmed, remaining, monkeypatch
+):
+    """Of causes that explain about as much, one that all trials show is left."""
+    wind, set_, lag = (SimpleNamespace(name=name) for name in ("wind", "set", "lag"))
+    prepared = SimpleNamespace(data=SimpleNamespace(trials=range(5)))
+    compared = [fit_with(wind), fit_with(set_), fit_with(lag)]
+    step = SelectionStep(
+        prepared.data, fit_with(), (), compared, compared, accepted=True
+    )
+
+    def reason(state, without, cause, *given):
+        return "the trials do not agree on it" if cause.name in unconfirmed else ""
+
+    monkeypatch.setattr(confirmation, "_reason_to_set_aside", reason)
+    monkeypatch.setattr(confirmation, "refit", refit_stand_in)
+    monkeypatch.setattr(
+        confirmation,
+        "fit_hypothesis",
+        lambda data, hypothesis, *_: fit_with(*hypothesis.causes),
+    )
+    monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
+    state = SelectionState(prepared, fit_with(wind), [step])
+    state = confirmation.drop_unconfirmed_causes(state, CRITERIA, 10)
+    assert state.fit.hypothesis.cause_names == remaining
+    assert list(state.set_aside) == ["wind"]
+    assert state.replaced == ((wind,) if remaining else ())
 
 
 @pytest.mark.parametrize(
