@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,6 +53,13 @@ INITIAL_PROPOSALS = 6  # the others are fitted if these explain little of what i
 MAX_RIVALS = 3  # that are compared at first
 MAX_SAMPLED_TRIALS = 8  # candidates are tried in these before all
 UNRESOLVED_FRACTION = 0.1  # of a trial's mean square misfit that may stay unresolved
+
+
+class UncertainFit(NamedTuple):
+    """A fit, and the uncertainty of its discretisation error at the tips [m], (K,)."""
+
+    fit: Fit
+    uncertainty_m: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -284,10 +292,6 @@ def _compare_rivals(
 ) -> SelectionStep:
     """Fit the best and its rivals to common data, and decide whether it is accepted.
 
-    Rivals by which simulation resolves too few trials cannot lead: what is uncertain in
-    the others may explain anything. One that resolves fewer than half of them does not
-    lead one that resolves these and explains half as much: most would be left out.
-
     before: the decision among fewer candidates; what was compared there stays.
     is_contested: whether the place of a cause that was accepted is contested.
     """
@@ -300,27 +304,14 @@ def _compare_rivals(
     parent, *compared = _fit_new_rivals(prepared, step, rivals, before)
     causes = [fit.hypothesis.causes[-1] for fit in compared]
     waiting = [fit for fit in step.fits if fit.hypothesis.causes[-1] not in causes]
-    resolved: list[Fit] = []
-    unresolved: list[Fit] = []
-    before_m = prepared.discretisation_uncertainty_m
-    half = (len(before_m) + 1) // 2
+    uncertain = list[UncertainFit]()
     while True:
-        rough = []  # by which fewer than half of the trials are resolved
         for fit in _catch_up_with_parent(prepared, parent, compared):
             uncertainty_m = discretisation_uncertainty_of(prepared, fit)
-            if not _resolves_enough(
-                prepared, step, uncertainty_m, criteria, is_contested
-            ):
-                unresolved.append(fit)
-            elif not is_resolved(uncertainty_m, before_m, criteria, half):
-                rough.append(fit)
-            else:
-                resolved.append(fit)
-        least_evidence = _least_evidence([*resolved, *rough], parent, criteria)
-        if all(fit.log_evidence < least_evidence for fit in resolved):
-            resolved += rough
-        else:
-            unresolved += rough
+            uncertain.append(UncertainFit(fit, uncertainty_m))
+        resolved, unresolved = _split_by_resolution(
+            prepared, step, parent, uncertain, criteria, is_contested
+        )
         resolved = rank_rivals(parent, resolved, criteria)
         shift = parent.log_evidence - step.parent.log_evidence
         others = _shift_evidence(waiting, shift)
@@ -363,27 +354,46 @@ def _fit_new_rivals(
     return [*known, *fit_to_common_data(prepared, new, known)]
 
 
-def _resolves_enough(
+def _split_by_resolution(
     prepared: PreparedData,
     step: SelectionStep,
-    uncertainty_m: np.ndarray,
+    parent: Fit,
+    rivals: Sequence[UncertainFit],
     criteria: Criteria,
     is_contested: bool,
-) -> bool:
-    """Whether simulation with a rival resolves enough trials. See `_compare_rivals`.
+) -> tuple[list[Fit], list[Fit]]:
+    """Split rivals by whether simulation with them resolves enough trials to lead.
 
-    In the place of a cause that was accepted it must resolve all.
-
-    uncertainty_m: of the numerical error at each tip [m], (K,).
+    What is uncertain in the others may explain anything. In the place of a cause that
+    was accepted a rival must resolve all trials. One that resolves fewer than half
+    does not lead another that resolves these and explains half as much: most trials
+    would be left out.
     """
     before_m = prepared.discretisation_uncertainty_m
-    if is_contested:
-        return is_resolved(uncertainty_m, before_m, criteria, needed=len(before_m))
-    # A fraction of mean squares, and the roots of both
-    misfit_m = unexplained_tip_rms(prepared.data, step.parent)
-    allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
-    needed = min(MIN_RESOLVED_TRIALS, len(before_m))
-    return is_resolved(uncertainty_m, before_m, criteria, needed, allowance_m)
+    trials = len(before_m)
+    needed = trials
+    allowance_m = np.zeros(trials)
+    if not is_contested:
+        needed = min(MIN_RESOLVED_TRIALS, trials)
+        # A fraction of mean squares, and the roots of both
+        misfit_m = unexplained_tip_rms(prepared.data, step.parent)
+        allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
+    half = (trials + 1) // 2
+
+    resolved = []
+    rough = []
+    unresolved = []
+    for fit, uncertainty_m in rivals:
+        if not is_resolved(uncertainty_m, before_m, criteria, needed, allowance_m):
+            unresolved.append(fit)
+        elif is_resolved(uncertainty_m, before_m, criteria, half):
+            resolved.append(fit)
+        else:
+            rough.append(fit)
+    least_evidence = _least_evidence([*resolved, *rough], parent, criteria)
+    if any(fit.log_evidence >= least_evidence for fit in resolved):
+        return resolved, [*unresolved, *rough]
+    return [*resolved, *rough], unresolved
 
 
 def _unresolved_ahead(resolved: Sequence[Fit], unresolved: Sequence[Fit]) -> list[Fit]:
