@@ -34,7 +34,7 @@ from stringcast.stages.model.string import String
 # Of the log-likelihood. What a state is off, parameters make up for ...
 STATE_MIN_GAIN = 0.005
 # ... or its modes, whose amplitudes are integrated out
-MODES_MIN_GAIN = 0.1
+MODES_MIN_GAIN = 1.0
 INITIAL_SPAN_S = 0.5  # [s] of the trial's beginning that the state is fitted to
 SHAPE_MODE_SIGMA_RAD = 0.1  # [rad]: standard deviation of a mode of the shape
 RATE_MODE_SIGMA_RAD_S = 3.0  # [rad/s]: standard deviation of a mode of the rates
