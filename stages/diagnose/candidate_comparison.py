@@ -41,7 +41,6 @@ from stringcast.stages.diagnose.rules import (
     is_resolved,
     is_supported,
 )
-from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect, is_position_dependent
@@ -52,6 +51,8 @@ log = logging.getLogger(__name__)
 INITIAL_PROPOSALS = 6  # the others are fitted if these explain little of what is left
 MAX_RIVALS = 3  # that are compared at first
 MAX_SAMPLED_TRIALS = 8  # candidates are tried in these before all
+RANKING_PRECISION = 0.01  # of what the best candidate gains, to which others are fitted
+CLOSE_PRECISIONS = 5  # by which a fit that ended so early may still change
 UNRESOLVED_FRACTION = 0.1  # of a trial's mean square misfit that may stay unresolved
 
 
@@ -211,15 +212,21 @@ def _fit_more_proposals(
     data = prepared.data
     parent = step.parent
     sample, sampled_parent = sampled
+    min_gain = precision_to_rank(_best_gain(step))
 
     def fit_proposal(number: int) -> Fit:
         proposal = proposals[number]
         name = proposal.effect.name
         log.info("%d of %d: %s", number + 1, len(proposals), name)
         hypothesis = proposal.hypothesis
-        fit = fit_roughly(sample, hypothesis, proposal.starts, sampled_parent)
+        scale_indices = sampled_parent.scale_indices
+        fit = fit_hypothesis(
+            sample, hypothesis, proposal.starts, scale_indices, min_gain
+        )
         if sample is not data:
-            fit = fit_roughly(data, hypothesis, fit.chi[None], parent)
+            scale_indices = parent.scale_indices
+            start = fit.chi[None]
+            fit = fit_hypothesis(data, hypothesis, start, scale_indices, min_gain)
         gain = fit.log_evidence - parent.log_evidence
         log.info("%s: log evidence %+.1f, proposed %.1f", name, gain, proposal.gain)
         return fit
@@ -237,7 +244,10 @@ def _fit_more_proposals(
     def correct_roughly(number: int) -> Fit:
         fit = fits[number]
         data = correct_data_on_one_finer_mesh(prepared, fit)
-        corrected = fit_roughly(data, fit.hypothesis, fit.chi[None], fit)
+        start = fit.chi[None]
+        corrected = fit_hypothesis(
+            data, fit.hypothesis, start, fit.scale_indices, min_gain
+        )
         gain = corrected.log_evidence - parent.log_evidence
         name = fit.hypothesis.cause_names[-1]
         log.info("%s: log evidence %+.1f on a finer mesh", name, gain)
@@ -250,6 +260,13 @@ def _fit_more_proposals(
         if corrected.log_evidence > fits[k].log_evidence:
             fits[k] = replace(corrected, hypothesis=fits[k].hypothesis)
     return replace(step, fits=rank_rivals(parent, [*step.fits, *fits], criteria))
+
+
+def _best_gain(step: SelectionStep) -> float:
+    """Return the log evidence that the best candidate gains, or promises to gain."""
+    gains = [fit.log_evidence - step.parent.log_evidence for fit in step.fits[:1]]
+    promised = [proposal.gain for proposal in step.proposals[:1]]
+    return max([*gains, *promised], default=0.0)
 
 
 def _find_better_parent(
@@ -267,20 +284,25 @@ def _find_better_parent(
     hypothesis = parent.hypothesis
     shared = hypothesis.exponents_from(best.exponents)
     starts = np.stack([parent.chi, shared])
-    other = fit_roughly(prepared.data, hypothesis, starts, parent)
+    other = fit_hypothesis(
+        prepared.data,
+        hypothesis,
+        starts,
+        parent.scale_indices,
+        NEGLIGIBLE_LOG_EVIDENCE,
+    )
     gain = other.log_evidence - parent.log_evidence
     log.info("without a further cause: log evidence %+.1f", gain)
     possible = best.log_evidence - parent.log_evidence
     return other if gain > criteria.min_explained_fraction * possible else None
 
 
-def fit_roughly(
-    data: TrialData, hypothesis: Hypothesis, starts: np.ndarray, before: Fit
-) -> Fit:
-    """Fit a proposal, to a precision that is enough to rank it."""
-    scale_indices = before.scale_indices
-    min_gain = NEGLIGIBLE_LOG_EVIDENCE
-    return fit_hypothesis(data, hypothesis, starts, scale_indices, min_gain)
+def precision_to_rank(best_gain: float) -> float:
+    """Compute the log evidence to which candidates are fitted, to be ranked.
+
+    best_gain: of the log evidence, by the best of them.
+    """
+    return max(RANKING_PRECISION * best_gain, NEGLIGIBLE_LOG_EVIDENCE)
 
 
 def _compare_rivals(
@@ -301,7 +323,8 @@ def _compare_rivals(
     # Common data mostly lower the evidence: none may lead because it was not compared
     least_evidence = _least_evidence(step.fits, step.parent, criteria)
     rivals = [f for f in step.fits[:MAX_RIVALS] if f.log_evidence > least_evidence]
-    parent, *compared = _fit_new_rivals(prepared, step, rivals, before)
+    min_gain = precision_to_rank(step.best.log_evidence - step.parent.log_evidence)
+    parent, *compared = _fit_new_rivals(prepared, step, rivals, before, min_gain)
     causes = [fit.hypothesis.causes[-1] for fit in compared]
     waiting = [fit for fit in step.fits if fit.hypothesis.causes[-1] not in causes]
     uncertain = list[UncertainFit]()
@@ -318,9 +341,12 @@ def _compare_rivals(
         if not _is_overtaken(parent, resolved, others, criteria):
             break
         known = [parent, *resolved, *unresolved]
-        compared = fit_to_common_data(prepared, waiting[:1], known)
+        compared = fit_to_common_data(prepared, waiting[:1], known, min_gain)
         waiting = waiting[1:]
 
+    known = [parent, *resolved, *unresolved]
+    resolved = _fit_close_rivals_precisely(prepared, resolved, known, min_gain)
+    resolved = rank_rivals(parent, resolved, criteria)
     for fit in [*resolved, *unresolved]:
         name = fit.hypothesis.cause_names[-1]
         gain = fit.log_evidence - parent.log_evidence
@@ -344,14 +370,48 @@ def _fit_new_rivals(
     step: SelectionStep,
     rivals: Sequence[Fit],
     before: SelectionStep,
+    min_gain: float,
 ) -> list[Fit]:
     """Fit the parent and rivals to common data, but for what was compared before."""
     if not before.compared:
-        return fit_to_common_data(prepared, [step.parent, *rivals])
+        new = [step.parent, *rivals]
+        return fit_to_common_data(prepared, new, min_gain=min_gain)
     known = [before.parent, *before.compared]
     causes = [fit.hypothesis.causes[-1] for fit in before.compared]
     new = [fit for fit in rivals if fit.hypothesis.causes[-1] not in causes]
-    return [*known, *fit_to_common_data(prepared, new, known)]
+    return [*known, *fit_to_common_data(prepared, new, known, min_gain)]
+
+
+def _fit_close_rivals_precisely(
+    prepared: PreparedData,
+    ranked: Sequence[Fit],
+    known: Sequence[Fit],
+    min_gain: float,
+) -> list[Fit]:
+    """Fit rivals again that are too close to the best to be told apart from it.
+
+    Parameters
+    ----------
+    ranked, known : sequence of Fit
+        Rivals, and all that was fitted to common data.
+    min_gain : float
+        Of the log evidence, to which the rivals were fitted.
+    """
+    fits = list(ranked)
+    best = max((fit.log_evidence for fit in fits), default=0.0)
+    close = []
+    for k, fit in enumerate(fits):
+        if fit.log_evidence > best - CLOSE_PRECISIONS * min_gain:
+            close.append(k)
+    if len(close) < 2:
+        return fits
+    unsettled = [
+        k for k in close if fits[k].log_evidence_error > NEGLIGIBLE_LOG_EVIDENCE
+    ]
+    refitted = fit_to_common_data(prepared, [fits[k] for k in unsettled], known)
+    for k, fit in zip(unsettled, refitted, strict=True):
+        fits[k] = fit
+    return fits
 
 
 def _split_by_resolution(

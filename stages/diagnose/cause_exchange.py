@@ -19,13 +19,13 @@ import numpy as np
 from stringcast.stages.diagnose.candidate_comparison import (
     SelectionStep,
     by_evidence,
-    fit_roughly,
+    precision_to_rank,
 )
 from stringcast.stages.diagnose.common_data import fit_to_common_data
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.diagnose.selection_state import SelectionState, with_fit
 from stringcast.stages.inference.hypothesis import Hypothesis
-from stringcast.stages.inference.laplace import Fit
+from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.workers import map_in_workers
 
 log = logging.getLogger(__name__)
@@ -42,16 +42,19 @@ def exchange_two_causes(state: SelectionState, criteria: Criteria) -> SelectionS
     """
     *earlier, last = [step for step in state.steps if step.accepted]
     exchanges = list(_exchanges(state, earlier, last))
+    assert last.best is not None
+    last_gain = last.best.log_evidence - last.parent.log_evidence
+    min_gain = precision_to_rank(last_gain)
 
     def fit_exchange(number: int) -> Fit:
         hypothesis, starts = exchanges[number]
-        fit = fit_roughly(state.prepared.data, hypothesis, starts, state.fit)
+        data = state.prepared.data
+        scale_indices = state.fit.scale_indices
+        fit = fit_hypothesis(data, hypothesis, starts, scale_indices, min_gain)
         gain = fit.log_evidence - state.fit.log_evidence
         log.info("%s: log evidence %+.1f", " + ".join(hypothesis.cause_names), gain)
         return fit
 
-    assert last.best is not None
-    last_gain = last.best.log_evidence - last.parent.log_evidence
     most_lost = (1 - criteria.min_explained_fraction) * last_gain
     rivals = []
     fitted = map_in_workers(fit_exchange, range(len(exchanges)))

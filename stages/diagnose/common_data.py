@@ -43,6 +43,7 @@ def fit_to_common_data(
     prepared: PreparedData,
     rivals: Sequence[Fit],
     fitted_before: Sequence[Fit] = (),
+    min_gain: float = NEGLIGIBLE_LOG_EVIDENCE,
 ) -> list[Fit]:
     """Fit each rival to what was measured.
 
@@ -55,6 +56,8 @@ def fit_to_common_data(
     fitted_before : sequence of Fit
         On common data; rivals begin also where the best of these is, and not where the
         best other rival is.
+    min_gain : float
+        Of the log evidence; a pass that gains less is the last.
 
     Returns
     -------
@@ -74,19 +77,20 @@ def fit_to_common_data(
         shared = rival.hypothesis.exponents_from(exponents)
         alternatives = alternative_parameter_starts(current.data, current.fit)
         starts = np.stack([shared, *alternatives])
-        moved_to = _refit(current.data, current.fit, starts)
+        moved_to = _refit(current.data, current.fit, starts, min_gain)
         elsewhere = evaluate_with_own_error(searched, rival, moved_to)
         if elsewhere.fit.log_evidence > current.fit.log_evidence:
             current = elsewhere
 
         surprise = 0.0
         for _ in range(MAX_PASSES):
-            if surprise > NEGLIGIBLE_LOG_EVIDENCE:
+            if surprise > min_gain:
                 # The error changes otherwise than it did where the rival began
                 searched = prepared_at(prepared, current.fit)
                 chi = current.fit.chi
                 current = evaluate_with_own_error(searched, current.fit, chi)
-            moved_to = _refit(current.data, current.fit, current.fit.chi[None])
+            start = current.fit.chi[None]
+            moved_to = _refit(current.data, current.fit, start, min_gain)
             expected = log_likelihoods(current.data, rival.hypothesis, moved_to[None])
             moved = evaluate_with_own_error(searched, current.fit, moved_to)
             gain = moved.fit.log_evidence - current.fit.log_evidence
@@ -94,7 +98,7 @@ def fit_to_common_data(
             surprise = abs(found.sum() - expected.sum())
             if gain > 0:
                 current = moved
-            if max(gain, surprise) < NEGLIGIBLE_LOG_EVIDENCE:
+            if max(gain, surprise) < min_gain:
                 break
         error = max(current.fit.log_evidence_error, surprise)
         return replace(current.fit, log_evidence_error=error)
@@ -134,13 +138,9 @@ def evaluate_with_own_error(
     return EvaluatedFit(data, evaluate_fit(data, fit.hypothesis, chi, fit.width))
 
 
-def _refit(data: TrialData, fit: Fit, starts: np.ndarray) -> np.ndarray:
+def _refit(
+    data: TrialData, fit: Fit, starts: np.ndarray, min_gain: float
+) -> np.ndarray:
     """Find where a fit moves from exponents (C, P) on some data."""
-    chi, _ = best_exponents(
-        data,
-        fit.hypothesis,
-        starts,
-        fit.scale_indices,
-        NEGLIGIBLE_LOG_EVIDENCE,
-    )
+    chi, _ = best_exponents(data, fit.hypothesis, starts, fit.scale_indices, min_gain)
     return chi

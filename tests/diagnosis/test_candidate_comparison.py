@@ -25,6 +25,7 @@ class NamedFit:
     scale_indices: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=int))
     exponents: dict = field(default_factory=dict)
     log_likelihood_by_trial: np.ndarray = field(default_factory=lambda: np.zeros(1))
+    log_evidence_error: float = 0.0
 
 
 def named_fit(name, log_evidence):
@@ -53,7 +54,7 @@ def named_contact(monkeypatch):
     )
 
 
-def compare_as_found(prepared, rivals, fitted_before=()):
+def compare_as_found(prepared, rivals, fitted_before=(), min_gain=1.0):
     """Say that rivals have the same evidence on common data."""
     return rivals
 
@@ -118,7 +119,7 @@ def compare_rivals(monkeypatch, found, common):
     """
     compared = []
 
-    def compare(given, rivals, fitted_before=()):
+    def compare(given, rivals, fitted_before=(), min_gain=1.0):
         assert given is prepared
         compared.extend(rival.name for rival in rivals if rival.name)
         return [
@@ -192,7 +193,7 @@ def test_rivals_are_not_overtaken_because_common_data_shift_all(limited, monkeyp
 def test_what_was_compared_among_fewer_candidates_is_not_compared_again(monkeypatch):
     fitted = []
 
-    def fit(prepared, rivals, fitted_before=()):
+    def fit(prepared, rivals, fitted_before=(), min_gain=1.0):
         fitted.append([rival.name for rival in rivals])
         return rivals
 
@@ -201,9 +202,38 @@ def test_what_was_compared_among_fewer_candidates_is_not_compared_again(monkeypa
     rivals = [named_fit("set", 60.0), named_fit("wind", 50.0)]
     step = SelectionStep(None, parent, (), rivals)
     before = replace(step, compared=rivals[1:])
-    candidate_comparison._fit_new_rivals(None, step, rivals, before)
-    candidate_comparison._fit_new_rivals(None, step, rivals, step)
+    candidate_comparison._fit_new_rivals(None, step, rivals, before, 1.0)
+    candidate_comparison._fit_new_rivals(None, step, rivals, step, 1.0)
     assert fitted == [["set"], ["", "set", "wind"]]
+
+
+@pytest.mark.parametrize(
+    ("evidence", "errors", "refitted"),
+    [
+        ((900.0, 895.0, 500.0), (8.0, 0.1, 8.0), ["set"]),
+        ((900.0, 895.0, 500.0), (8.0, 4.0, 8.0), ["set", "wind"]),
+        # far from the best, to which of them nobody asks
+        ((900.0, 600.0, 500.0), (8.0, 8.0, 8.0), []),
+    ],
+)
+def test_only_rivals_close_to_the_best_are_fitted_precisely(
+    evidence, errors, refitted, monkeypatch
+):
+    fitted = []
+
+    def fit(prepared, rivals, fitted_before):
+        fitted.extend(rival.name for rival in rivals)
+        return [replace(rival, log_evidence_error=0.0) for rival in rivals]
+
+    monkeypatch.setattr(candidate_comparison, "fit_to_common_data", fit)
+    rivals = []
+    for name, value, error in zip(
+        ("set", "wind", "tilt"), evidence, errors, strict=True
+    ):
+        rivals.append(replace(named_fit(name, value), log_evidence_error=error))
+    settled = candidate_comparison._fit_close_rivals_precisely(None, rivals, [], 9.0)
+    assert fitted == refitted
+    assert [fit.name for fit in settled] == ["set", "wind", "tilt"]
 
 
 def test_a_rival_that_explains_less_than_its_parent_is_fitted_from_there(monkeypatch):
@@ -371,7 +401,7 @@ def test_a_better_minimum_without_a_cause_is_taken_before_one_is_refined(
     candidate = named_fit("wind", 20.0)
     refined = []
 
-    def fit_without(data, hypothesis, starts, before):
+    def fit_without(data, hypothesis, starts, *given):
         assert starts.tolist() == [[0.0], [0.4]]  # the parent's, and the candidate's
         return replace(parent, log_evidence=without)
 
@@ -387,7 +417,7 @@ def test_a_better_minimum_without_a_cause_is_taken_before_one_is_refined(
     monkeypatch.setattr(candidate_comparison, "propose_causes", lambda *given: [])
     monkeypatch.setattr(candidate_comparison, "_fit_more_proposals", fit_proposals)
     monkeypatch.setattr(candidate_comparison, "_compare_rivals", refine)
-    monkeypatch.setattr(candidate_comparison, "fit_roughly", fit_without)
+    monkeypatch.setattr(candidate_comparison, "fit_hypothesis", fit_without)
     monkeypatch.setattr(
         candidate_comparison, "unexplained_tip_rms", lambda *given: np.ones(1)
     )

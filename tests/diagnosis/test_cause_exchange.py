@@ -61,7 +61,7 @@ def test_two_causes_are_exchanged_if_others_explain_more(
     evidence = dict(zip(names, zip(rough, common, strict=True), strict=True))
     tried = []
 
-    def fit_roughly(data, hypothesis, starts, before):
+    def fit_roughly(data, hypothesis, starts, *given):
         tried.append(hypothesis.cause_names)
         assert starts.shape == (2, len(hypothesis.parameters))
         gain = evidence[hypothesis.cause_names[1]][0]
@@ -75,7 +75,7 @@ def test_two_causes_are_exchanged_if_others_explain_more(
             compared.append(fit_of(fit.hypothesis.base, names, evidence[names[1]][1]))
         return compared
 
-    monkeypatch.setattr(cause_exchange, "fit_roughly", fit_roughly)
+    monkeypatch.setattr(cause_exchange, "fit_hypothesis", fit_roughly)
     monkeypatch.setattr(
         cause_exchange, "map_in_workers", lambda call, items: [*map(call, items)]
     )
