@@ -115,6 +115,7 @@ def compare_candidates(
     contested : Fit, optional
         The fit with a cause that was accepted, whose place is contested.
     """
+    parent = _fit_to_corrected_data(prepared, parent)
     causes = parent.hypothesis.causes
     candidates = [effect for effect in effects if effect not in causes]
     sample = _sample_trials(prepared.data, parent)
@@ -150,6 +151,17 @@ def compare_candidates(
         ):
             return decided
         chosen = remaining
+
+
+def _fit_to_corrected_data(prepared: PreparedData, fit: Fit) -> Fit:
+    """Fit a hypothesis again to data that were corrected where its fit had ended.
+
+    Otherwise each candidate would gain what that gains.
+    """
+    scale_indices = fit.scale_indices
+    min_gain = NEGLIGIBLE_LOG_EVIDENCE
+    start = fit.chi[None]
+    return fit_hypothesis(prepared.data, fit.hypothesis, start, scale_indices, min_gain)
 
 
 def _explains_enough(

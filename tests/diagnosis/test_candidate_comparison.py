@@ -44,6 +44,14 @@ def limited(monkeypatch):
     return names
 
 
+@pytest.fixture
+def fitted_parents(monkeypatch):
+    """Let parents be at their optimum."""
+    monkeypatch.setattr(
+        candidate_comparison, "_fit_to_corrected_data", lambda prepared, fit: fit
+    )
+
+
 @pytest.fixture(autouse=True)
 def named_contact(monkeypatch):
     """Let an effect that is a name be a contact if it is called so."""
@@ -282,7 +290,7 @@ def test_a_rival_inside_its_range_goes_before_one_at_its_end(
     ],
 )
 def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
-    evidence, angle, expected, monkeypatch
+    evidence, angle, expected, fitted_parents, monkeypatch
 ):
     directions = {"e0": (1.0, 0.0), "e8": (np.cos(angle), np.sin(angle))}
 
@@ -338,7 +346,7 @@ EIGHT = [*SIX, "e6", "contact"]
     ],
 )
 def test_all_others_are_fitted_if_the_best_explains_little(
-    accepted, left_mm, is_contested, expected, monkeypatch
+    accepted, left_mm, is_contested, expected, fitted_parents, monkeypatch
 ):
     """A solid that relaxes gained 400, promised 4, and was not tried beside slip.
 
@@ -395,7 +403,7 @@ def test_all_others_are_fitted_if_the_best_explains_little(
 
 @pytest.mark.parametrize(("without", "parents"), [(17.7, [0.0, 17.7]), (9.0, [0.0])])
 def test_a_better_minimum_without_a_cause_is_taken_before_one_is_refined(
-    without, parents, monkeypatch
+    without, parents, fitted_parents, monkeypatch
 ):
     """All 21 candidates gained 14 to 23 in a cable, as its parent was 18 too low."""
     candidate = named_fit("wind", 20.0)
