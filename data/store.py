@@ -321,7 +321,7 @@ def _image_digests(folder: Path) -> dict[str, str]:
         )
     with pq.ParquetFile(path, read_dictionary=columns) as file:
         frames = file.read(columns).to_pandas()
-    return dict(zip(*(frames[column] for column in columns), strict=True))
+    return dict(zip(frames["file"], frames[DIGEST_COLUMN], strict=True))
 
 
 def damaged_image(folder: Path) -> str:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -160,32 +161,32 @@ def change_of(
 ) -> Change:
     """Return the options that perform a proposal.
 
-    Its words are empty if no option does.
+    Raises DataError, with what to do instead, if no option does.
     """
-    words: list[str] = []
-    must_ask = False
-    for correction in proposal.corrections:
-        further = option_words(correction, tables, options)
-        if not further:
-            words = []
-            break
-        words += further
-        must_ask |= correction.kind not in CERTAIN_KINDS
-        must_ask |= contradicts_statement(correction, tables)
-    reason = (
-        f"{statements_for_files(proposal)}. As the files are read now, "
-        f"{describe_contradiction(before)}; then {describe_fit(proposal.verdict)}"
-    )
-    if not words:
-        remedies = ". ".join(correction.remedy for correction in proposal.corrections)
+    corrections = proposal.corrections
+    words_of_each = [option_words(c, tables, options) for c in corrections]
+    statements = statements_for_files(proposal)
+    contradiction, fit = describe_contradiction(before), describe_fit(proposal.verdict)
+    reason = f"{statements}. As the files are read now, {contradiction}; then {fit}"
+    if not all(words_of_each):
+        remedies = ". ".join(correction.remedy for correction in corrections)
         if must_state_otherwise(proposal, options):
             remedies = "Look at --y-down and --plane, which are given"
         raise DataError(f"{reason}. {remedies}.")
-    files = [table_files(c.table, tables) for c in proposal.corrections]
-    fields = [correction.field for correction in proposal.corrections]
-    unique_files, unique_fields = dict.fromkeys(files), dict.fromkeys(fields)
-    file, field = ", ".join(filter(None, unique_files)), ", ".join(unique_fields)
-    return Change(reason, words, must_ask, file, field)
+    must_ask = any(
+        correction.kind not in CERTAIN_KINDS
+        or contradicts_statement(correction, tables)
+        for correction in corrections
+    )
+    files = dict.fromkeys(table_files(c.table, tables) for c in corrections)
+    fields = dict.fromkeys(correction.field for correction in corrections)
+    return Change(
+        reason,
+        words=list(chain.from_iterable(words_of_each)),
+        must_ask=must_ask,
+        file=", ".join(filter(None, files)),
+        field=", ".join(fields),
+    )
 
 
 def table_files(table: str, tables: ImportedTables) -> str:
@@ -256,62 +257,40 @@ def option_words(
     correction: Correction, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
     """Return the options that perform a correction; empty if none does."""
-    builders: dict[str, Callable[..., list[str]]] = {
-        "unit": unit_words,
-        "y_down": direction_words,
-        "x_left": direction_words,
-        "exchange_axes": direction_words,
-        "exchange_s": exchange_words,
-        "degrees": degree_words,
-        "absolute": absolute_words,
-        "counts": joint_words,
-        "joint_order": joint_words,
-        "base": base_words,
-        "rate": rate_words,
-    }
-    if correction.kind not in builders:
-        return []
-    return builders[correction.kind](correction, tables, options)
+    words: list[str] = []
+    match correction.kind:
+        case "unit":
+            words = unit_words(correction, tables, options)
+        case "y_down" | "x_left" | "exchange_axes":
+            words = direction_words(correction.kind, tables, options)
+        case "exchange_s" if len(options.at) == 2:
+            words = exchange_words(*options.at)
+        case "degrees" if options.deg is not False:  # no radians are stated
+            words = ["--deg"]
+        case "absolute":
+            words = ["--absolute"]
+        case "counts" | "joint_order":
+            words = joint_words(correction, tables, options)
+        case "base" if correction.values:
+            x, y = correction.values
+            words = [f"--base={x:g},{y:g}"]
+        case "rate":
+            words = rate_words(correction.factor, tables, options)
+    return words
 
 
-def exchange_words(
-    correction: Correction, tables: ImportedTables, options: argparse.Namespace
-) -> list[str]:
-    """Return the options that exchange the arc lengths of two points."""
-    if len(options.at) != 2:
-        return []
-    (first, _, s_first), (second, _, s_second) = (
-        text.partition("=") for text in options.at
-    )
-    return ["--at", f"{first}={s_second}", "--at", f"{second}={s_first}"]
+def exchange_words(first: str, second: str) -> list[str]:
+    """Return the options that exchange the arc lengths of two points.
 
-
-def degree_words(
-    correction: Correction, tables: ImportedTables, options: argparse.Namespace
-) -> list[str]:
-    """Return the option that takes angles as degrees, unless radians are stated."""
-    return [] if options.deg is False else ["--deg"]
-
-
-def absolute_words(
-    correction: Correction, tables: ImportedTables, options: argparse.Namespace
-) -> list[str]:
-    """Return the option that takes angles as those to +x."""
-    return ["--absolute"]
-
-
-def base_words(
-    correction: Correction, tables: ImportedTables, options: argparse.Namespace
-) -> list[str]:
-    """Return the option that puts the arm to its fitted place, if one fits best."""
-    if not correction.values:
-        return []
-    x, y = correction.values
-    return [f"--base={x:g},{y:g}"]
+    first, second: the values of `--at` that place them, such as tip=0.30.
+    """
+    first_name, _, first_s = first.partition("=")
+    second_name, _, second_s = second.partition("=")
+    return ["--at", f"{first_name}={second_s}", "--at", f"{second_name}={first_s}"]
 
 
 def direction_words(
-    correction: Correction, tables: ImportedTables, options: argparse.Namespace
+    kind: str, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
     """Return the option that turns the points' directions, not those of a hand.
 
@@ -319,25 +298,28 @@ def direction_words(
     """
     if options.y_down or options.plane:
         return []
-    if correction.kind == "y_down":
+    if kind == "y_down":
         hand_files = {c.file for c in tables.used_columns if c.role == "y"}
         point_files = {c.file for c in tables.used_columns if c.role.endswith(".y")}
         return [] if hand_files & point_files else ["--y-down"]
     planes = {"x_left": "--plane=-x,y", "exchange_axes": "--plane=y,x"}
-    return [planes[correction.kind]] if tables.joints else []
+    return [planes[kind]] if tables.joints else []
 
 
 def rate_words(
-    correction: Correction, tables: ImportedTables, options: argparse.Namespace
+    factor: float, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
-    """Return the option that states another frame rate, if no times are in files."""
+    """Return the option that states another frame rate, if no times are in files.
+
+    factor: by which the times of points are multiplied.
+    """
     fps = options.fps or tables.fps
     clocks = [column for column in tables.used_columns if column.role == "t"]
     counts_frames = any(column.unit.startswith("frames") for column in clocks)
     timed_files = {column.file for column in clocks}
     point_files = {c.file for c in tables.used_columns if c.role.endswith(".x")}
     if fps and (counts_frames or not point_files <= timed_files):
-        return ["--fps", f"{fps / correction.factor:g}"]
+        return ["--fps", f"{fps / factor:g}"]
     return []
 
 
@@ -380,16 +362,17 @@ def joint_words(
     """Return the options that take joints in another order, or as counts."""
     if any(text.startswith("q") for text in options.map):
         return []
-    columns: Mapping[str, str] = {c.role: c.column for c in tables.used_columns}
-    words = ["--counts"] if correction.kind == "counts" else []
-    for number in range(len(tables.joints)):
-        if correction.kind == "counts":
-            name, zero = columns[f"q{number + 1}"], correction.zero
-            text = f"{name}-{zero}" if zero else ""
-        else:
-            text = columns[f"q{correction.order[number] + 1}"]
-        if text:
-            words += ["--map", f"q{number + 1}={text}"]
+    column_of = {c.role: c.column for c in tables.used_columns}
+    names = tables.joints
+    words: list[str] = []
+    if correction.kind == "joint_order":
+        for name, number in zip(names, correction.order, strict=True):
+            words += ["--map", f"{name}={column_of[names[number]]}"]
+        return words
+    words.append("--counts")
+    if correction.zero:
+        for name in names:
+            words += ["--map", f"{name}={column_of[name]}-{correction.zero}"]
     return words
 
 

@@ -102,12 +102,12 @@ def base_correction(place: np.ndarray, uncertainty: float) -> Correction:
         fit += f", but also others up to {uncertainty:.2g} m from it"
         advice = ", as the motion does not show it well enough"
     return Correction(
-        DATASET_FILE,
-        "arm.base",
-        f"the arm stands elsewhere: the string's motion fits a base of {fit}",
-        f"Measure where joint 1 sits in the coordinates of the points{advice}",
-        lambda measured: replace(measured, base=(x, y)),
-        "base",
+        table=DATASET_FILE,
+        field="arm.base",
+        statement=f"the arm stands elsewhere: the string's motion fits a base of {fit}",
+        remedy=f"Measure where joint 1 sits in the coordinates of the points{advice}",
+        undo=lambda measured: replace(measured, base=(x, y)),
+        kind="base",
         values=values,
     )
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +24,7 @@ MIN_LENGTH_RATIO = 1.3  # of a stated length that may be another, to the last po
 MIN_COUNT = 100.0  # joint angles that are counts go beyond
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Correction:
     """A common mistake and its undoing.
 
@@ -73,19 +74,38 @@ UNITS = {
 # a unit that is stated can be wrong, too: the right one over the stated one
 RATIOS = {"10": 10.0, "25.4": 25.4, "2.54": 2.54, "1000": 1e3, "100": 1e2, "0.1": 0.1}
 LENGTH_PARTS = ("xy", "s", "length", "hand", "links", "base")
-# table, field, subject of the statement, object of the remedy, parts with a wrong unit
+
+
+class LengthField(NamedTuple):
+    """A place where lengths may have a wrong unit.
+
+    table, field: the place. subject, target: how the statement begins there, and what
+    the remedy multiplies. parts: the lengths that have the unit.
+    """
+
+    table: str
+    field: str
+    subject: str
+    target: str
+    parts: tuple[str, ...]
+
+
 LENGTH_FIELDS = (
-    ("points", "x, y", "positions are", "x and y", ("xy",)),
-    ("points", "s", "arc lengths are", "s", ("s",)),
-    (DATASET_FILE, "string.length", "it is", "it", ("length",)),
-    ("grasp", "x, y", "positions are", "x and y", ("hand",)),
-    (DATASET_FILE, "arm.links", "they are", "them", ("links",)),
-    (DATASET_FILE, "arm.base", "it is", "it", ("base",)),
-    (DATASET_FILE, "arm.links, arm.base", "both are", "both", ("links", "base")),
-    ("points", "s, x, y", "all three are", "s, x and y", ("s", "xy")),
-    ("grasp", "x, y", "here and in points, positions are", "both", ("hand", "xy")),
-    ("points", "s", "s and string.length are", "both", ("s", "length")),
-    (
+    LengthField("points", "x, y", "positions are", "x and y", ("xy",)),
+    LengthField("points", "s", "arc lengths are", "s", ("s",)),
+    LengthField(DATASET_FILE, "string.length", "it is", "it", ("length",)),
+    LengthField("grasp", "x, y", "positions are", "x and y", ("hand",)),
+    LengthField(DATASET_FILE, "arm.links", "they are", "them", ("links",)),
+    LengthField(DATASET_FILE, "arm.base", "it is", "it", ("base",)),
+    LengthField(
+        DATASET_FILE, "arm.links, arm.base", "both are", "both", ("links", "base")
+    ),
+    LengthField("points", "s, x, y", "all three are", "s, x and y", ("s", "xy")),
+    LengthField(
+        "grasp", "x, y", "here and in points, positions are", "both", ("hand", "xy")
+    ),
+    LengthField("points", "s", "s and string.length are", "both", ("s", "length")),
+    LengthField(
         "points",
         "s, x, y",
         "these, string.length and the hand's positions are",
@@ -99,17 +119,19 @@ def scale_lengths(
     measured: Measurements, factor: float, parts: Collection[str]
 ) -> Measurements | None:
     """Multiply some lengths by a factor; None if there are none of a part."""
-    hands = [r.hand for r in measured.recordings if r.hand is not None]
-    absent = {
-        "hand": not hands,
-        "links": not measured.has_joints,
-        "base": not measured.has_joints or not any(measured.base),
-        "s": not measured.stated_arc_lengths,
-        "length": measured.length is None,
+    is_stated = {
+        "xy": True,
+        "s": bool(measured.stated_arc_lengths),
+        "length": measured.length is not None,
+        "hand": any(r.hand is not None for r in measured.recordings),
+        "links": measured.has_joints,
+        "base": measured.has_joints and any(measured.base),
     }
-    if len(parts) < len(LENGTH_PARTS) and any(absent.get(part) for part in parts):
+    is_of_all = len(parts) == len(LENGTH_PARTS)
+    if not is_of_all and not all(is_stated[part] for part in parts):
         return None
     scale = {part: factor if part in parts else 1.0 for part in LENGTH_PARTS}
+    pose_scale = np.array([scale["hand"], scale["hand"], 1.0])
 
     def scale_track(track: Track) -> Track:
         s = None if track.s is None else track.s * scale["s"]
@@ -118,8 +140,7 @@ def scale_lengths(
     def scale_pose(recording: Recording) -> Recording:
         if recording.hand is None:
             return recording
-        scales = np.array([scale["hand"], scale["hand"], 1.0])
-        return replace(recording, hand=recording.hand * scales)
+        return replace(recording, hand=recording.hand * pose_scale)
 
     x, y = measured.base
     scaled = measured.with_tracks(scale_track).with_recordings(scale_pose)
@@ -135,15 +156,15 @@ def scale_lengths(
 def unit_corrections() -> Iterator[Correction]:
     """Yield corrections of lengths in another unit."""
     for unit, factor in UNITS.items():
-        for table, field, subject, target, parts in LENGTH_FIELDS:
+        for place in LENGTH_FIELDS:
             yield Correction(
-                table,
-                field,
-                f"{subject} in {unit}, not in metres",
-                f"Multiply {target} by {factor:g}",
-                partial(scale_lengths, factor=factor, parts=parts),
-                "unit",
-                parts=parts,
+                table=place.table,
+                field=place.field,
+                statement=f"{place.subject} in {unit}, not in metres",
+                remedy=f"Multiply {place.target} by {factor:g}",
+                undo=partial(scale_lengths, factor=factor, parts=place.parts),
+                kind="unit",
+                parts=place.parts,
                 factor=factor,
             )
 
@@ -152,12 +173,12 @@ def ratio_corrections() -> Iterator[Correction]:
     """Yield corrections of positions that were read in a wrong unit."""
     for text, factor in RATIOS.items():
         yield Correction(
-            "points",
-            "x, y",
-            f"positions are in a unit {text} times that which is stated",
-            f"Multiply x and y by {text}",
-            partial(scale_lengths, factor=factor, parts=("xy",)),
-            "unit",
+            table="points",
+            field="x, y",
+            statement=f"positions are in a unit {text} times that which is stated",
+            remedy=f"Multiply x and y by {text}",
+            undo=partial(scale_lengths, factor=factor, parts=("xy",)),
+            kind="unit",
             parts=("xy",),
             factor=factor,
         )
@@ -171,13 +192,13 @@ def pixels_to_metres(measured: Measurements, camera: Camera) -> Measurements:
 def pixel_correction(camera: Camera) -> Correction:
     """Return the correction of positions in pixels of a camera."""
     return Correction(
-        "points",
-        "x, y",
-        "positions are in pixels, not in metres",
-        "Take x = (u - camera.origin_px[0]) / camera.px_per_m and "
+        table="points",
+        field="x, y",
+        statement="positions are in pixels, not in metres",
+        remedy="Take x = (u - camera.origin_px[0]) / camera.px_per_m and "
         "y = (camera.origin_px[1] - v) / camera.px_per_m",
-        partial(pixels_to_metres, camera=camera),
-        "pixels",
+        undo=partial(pixels_to_metres, camera=camera),
+        kind="pixels",
     )
 
 
@@ -238,62 +259,62 @@ def exchange_arc_lengths(measured: Measurements) -> Measurements | None:
 
 DIRECTIONS = (
     Correction(
-        "points",
-        "y",
-        "y points down, not up",
-        "Multiply y by -1",
-        partial(map_points, matrix=np.diag([1.0, -1.0])),
-        "y_down",
+        table="points",
+        field="y",
+        statement="y points down, not up",
+        remedy="Multiply y by -1",
+        undo=partial(map_points, matrix=np.diag([1.0, -1.0])),
+        kind="y_down",
     ),
     Correction(
-        "points",
-        "x",
-        "x points to the left, not to the right",
-        "Multiply x by -1",
-        partial(map_points, matrix=np.diag([-1.0, 1.0])),
-        "x_left",
+        table="points",
+        field="x",
+        statement="x points to the left, not to the right",
+        remedy="Multiply x by -1",
+        undo=partial(map_points, matrix=np.diag([-1.0, 1.0])),
+        kind="x_left",
     ),
     Correction(
-        "points",
-        "x, y",
-        "x and y have changed places",
-        "Exchange the two columns",
-        partial(map_points, matrix=np.array([[0.0, 1.0], [1.0, 0.0]])),
-        "exchange_axes",
+        table="points",
+        field="x, y",
+        statement="x and y have changed places",
+        remedy="Exchange the two columns",
+        undo=partial(map_points, matrix=np.array([[0.0, 1.0], [1.0, 0.0]])),
+        kind="exchange_axes",
     ),
     Correction(
-        "grasp",
-        "y, theta",
-        "y of the hand and of the points points down, not up",
-        "Multiply y of both by -1, and theta too",
-        mirror_world,
-        "mirror",
+        table="grasp",
+        field="y, theta",
+        statement="y of the hand and of the points points down, not up",
+        remedy="Multiply y of both by -1, and theta too",
+        undo=mirror_world,
+        kind="mirror",
     ),
 )
 ARC_LENGTHS = (
     Correction(
-        "points",
-        "s",
-        "arc lengths are counted from the tip, not from the grasp",
-        "Replace s by string.length - s",
-        reverse_arc_lengths,
-        "reverse_s",
+        table="points",
+        field="s",
+        statement="arc lengths are counted from the tip, not from the grasp",
+        remedy="Replace s by string.length - s",
+        undo=reverse_arc_lengths,
+        kind="reverse_s",
     ),
     Correction(
-        DATASET_FILE,
-        "string.length",
-        "the string ends at its last point, and is not as long as stated",
-        "Correct s or string.length",
-        end_at_last_point,
-        "end",
+        table=DATASET_FILE,
+        field="string.length",
+        statement="the string ends at its last point, and is not as long as stated",
+        remedy="Correct s or string.length",
+        undo=end_at_last_point,
+        kind="end",
     ),
     Correction(
-        "points",
-        "s",
-        "the two points have changed places along the string",
-        "Exchange their s",
-        exchange_arc_lengths,
-        "exchange_s",
+        table="points",
+        field="s",
+        statement="the two points have changed places along the string",
+        remedy="Exchange their s",
+        undo=exchange_arc_lengths,
+        kind="exchange_s",
     ),
 )
 
@@ -352,40 +373,44 @@ def joint_corrections(count: int) -> Iterator[Correction]:
     names = [f"q{number + 1}" for number in range(count)]
     field = ", ".join(names)
     yield Correction(
-        "arm",
-        field,
-        "angles are in degrees, not in radians",
-        "Multiply them by pi / 180",
-        partial(change_joints, change=np.radians),
-        "degrees",
+        table="arm",
+        field=field,
+        statement="angles are in degrees, not in radians",
+        remedy="Multiply them by pi / 180",
+        undo=partial(change_joints, change=np.radians),
+        kind="degrees",
     )
     for zero in (0, COUNTS_PER_TURN // 2):
         yield Correction(
-            "arm",
-            field,
-            f"angles are an encoder's counts, {COUNTS_PER_TURN} a turn, from {zero}",
-            f"Subtract {zero}, multiply them by 2 pi / {COUNTS_PER_TURN} and unwrap",
-            partial(undo_counts, zero=zero),
-            "counts",
+            table="arm",
+            field=field,
+            statement=(
+                f"angles are an encoder's counts, {COUNTS_PER_TURN} a turn, from {zero}"
+            ),
+            remedy=(
+                f"Subtract {zero}, multiply them by 2 pi / {COUNTS_PER_TURN} and unwrap"
+            ),
+            undo=partial(undo_counts, zero=zero),
+            kind="counts",
             zero=zero,
         )
     yield Correction(
-        "arm",
-        field,
-        "angles are those of the links to +x, not to the link before",
-        "Subtract from each the one before",
-        partial(change_joints, change=relative_angles),
-        "absolute",
+        table="arm",
+        field=field,
+        statement="angles are those of the links to +x, not to the link before",
+        remedy="Subtract from each the one before",
+        undo=partial(change_joints, change=relative_angles),
+        kind="absolute",
     )
     for order in joint_orders(count):
         new = ", ".join(names[number] for number in order)
         yield Correction(
-            "arm",
-            field,
-            f"joints are in another order: what is called {new} is {field}",
-            "Rename the columns",
-            partial(change_joints, change=partial(take_columns, order=order)),
-            "joint_order",
+            table="arm",
+            field=field,
+            statement=f"joints are in another order: what is called {new} is {field}",
+            remedy="Rename the columns",
+            undo=partial(change_joints, change=partial(take_columns, order=order)),
+            kind="joint_order",
             order=order,
         )
 
@@ -429,13 +454,13 @@ def scale_all_times(measured: Measurements, factor: float) -> Measurements:
 def rate_correction(factor: float, words: str) -> Correction:
     """Return the correction of another frame rate than that of the arm's clock."""
     return Correction(
-        "points",
-        "t",
-        f"times of the points run {words}",
-        f"Multiply t, since the beginning of each trial, by {factor:g}: "
+        table="points",
+        field="t",
+        statement=f"times of the points run {words}",
+        remedy=f"Multiply t, since the beginning of each trial, by {factor:g}: "
         "the frame rate was another",
-        partial(scale_point_times, factor=factor),
-        "rate",
+        undo=partial(scale_point_times, factor=factor),
+        kind="rate",
         factor=factor,
     )
 
@@ -443,12 +468,14 @@ def rate_correction(factor: float, words: str) -> Correction:
 def pace_correction(factor: float, words: str) -> Correction:
     """Return the correction of slow motion, or of other ticks, on both clocks."""
     return Correction(
-        "arm, points",
-        "t",
-        f"hand and string move at {words} the pace of a string that falls",
-        f"Multiply t of both by {factor:g}: it is slow motion, or in another unit",
-        partial(scale_all_times, factor=factor),
-        "pace",
+        table="arm, points",
+        field="t",
+        statement=f"hand and string move at {words} the pace of a string that falls",
+        remedy=(
+            f"Multiply t of both by {factor:g}: it is slow motion, or in another unit"
+        ),
+        undo=partial(scale_all_times, factor=factor),
+        kind="pace",
         factor=factor,
     )
 
