@@ -14,8 +14,8 @@ import numpy as np
 from stringcast.pipeline.cli.console import progress_bars
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands.dataset_import import ImportedDataset
-from stringcast.pipeline.run.experiment import build_string
 from stringcast.pipeline.settings.composition import compose_settings
+from stringcast.pipeline.settings.model_settings import build_string
 from stringcast.stages.check.finding import Finding, error
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.clock.offset import (

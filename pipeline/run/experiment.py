@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
-
-import numpy as np
 
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.iterations import Step
@@ -24,6 +21,7 @@ from stringcast.pipeline.settings.composition import (
     flatten_settings,
     group_files,
 )
+from stringcast.pipeline.settings.model_settings import BlockLocation, build_model
 from stringcast.pipeline.settings.named_plugins import (
     import_plugins,
     use_stored_plugins,
@@ -33,33 +31,22 @@ from stringcast.pipeline.settings.typed_settings import (
     bind_stage,
     build_chosen,
     build_dataclass,
-    load_callable,
     refuse_odd_paths,
     require_block,
-    validate_value,
 )
 from stringcast.stages.common import Progress
 from stringcast.stages.execute.interfaces import Lab
-from stringcast.stages.generate.curves import plain_cast
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.model.engine.accuracy import (
-    ToleranceError,
-    find_converged_string,
-)
-from stringcast.stages.model.hand import JointMotion
-from stringcast.stages.model.library import effect_files, find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.model.target import Target
 from stringcast.stages.plugins import load_object
 from stringcast.stages.spec import StageCall
 
-BlockLocation = Callable[[str], str]  # from the name of a block to its file
 SAVEABLE_OUTPUTS = ("frames", "report")
 ALL_TRIALS = "all"  # a value of `trials_used`
-MEASURED_PARTS = ("value", "low", "high")  # of a parameter with an interval
 
 
 class Mode(ABC):
@@ -201,39 +188,30 @@ def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
     use_stored_plugins(config, where(PLUGINS_SETTING))
     import_plugins()
     check_run_settings(config, where)
-    arm = build_dataclass(Arm, config["arm"], "arm", where("arm"))
     target = build_dataclass(Target, config["target"], "target", where("target"))
-    string = build_string(config["string"], where("string"))
-    string = refine_string_to_tolerance(string, arm, config, where("string"))
-    camera = build_dataclass(Camera, config["camera"], "camera", where("camera"))
-
-    bare_model = Model(string, arm, camera)
-    model = add_effects(bare_model, config["effects"], where("effects"))
-    setting = "effects_per_recording"
-    add_effects(bare_model, config[setting], where(setting), setting)  # only checked
-    values = config["parameter_values"]
-    start_values, measured_ranges = read_parameter_values(
-        values, model, where("parameter_values")
-    )
-    model = replace(model, start_values=start_values, measured_ranges=measured_ranges)
-
-    obstacles = []
-    boxes = require_block(config["obstacles"], "obstacles", where("obstacles"))["boxes"]
-    if not isinstance(boxes, list):
-        setting = f"obstacles.boxes = {boxes!r} ({where('obstacles')})"
-        raise UserError(f"{setting}: it must be a list. Change it.")
-    for number, box in enumerate(boxes):
-        place = f"obstacles.boxes.{number}"
-        obstacles.append(build_dataclass(Box, box, place, where("obstacles")))
+    model = build_model(config, where)
+    obstacles = build_obstacles(config["obstacles"], where("obstacles"))
     functions = {}
     for name in (*stages(), "hardware"):
         if name in config and not holds_only_inputs(config[name]):
             functions[name] = bind_stage(config[name], name, where(name))
     mode = build_chosen(config["mode"], "mode", where("mode"))
-    experiment = Experiment(config, model, target, tuple(obstacles), functions, mode)
+    experiment = Experiment(config, model, target, obstacles, functions, mode)
     mode.check(experiment)
     refuse_lacking_settings(mode.graph(config).stages, functions, where("mode"))
     return experiment
+
+
+def build_obstacles(block: Any, where: str) -> tuple[Box, ...]:
+    """Build what the string must not touch."""
+    boxes = require_block(block, "obstacles", where)["boxes"]
+    if not isinstance(boxes, list):
+        setting = f"obstacles.boxes = {boxes!r} ({where})"
+        raise UserError(f"{setting}: it must be a list. Change it.")
+    obstacles = []
+    for number, box in enumerate(boxes):
+        obstacles.append(build_dataclass(Box, box, f"obstacles.boxes.{number}", where))
+    return tuple(obstacles)
 
 
 def holds_only_inputs(block: Any) -> bool:
@@ -292,148 +270,3 @@ def check_run_settings(config: Settings, where: BlockLocation) -> None:
 def is_whole_number(value: Any, least: int) -> bool:
     """Tell whether a value is an integer, and no truth value, of at least this size."""
     return type(value) is int and value >= least
-
-
-def add_effects(
-    model: Model, names: Any, where: str, setting: str = "effects"
-) -> Model:
-    """Return the model with these effects.
-
-    Parameters
-    ----------
-    model : Model
-        The model without them.
-    names : object
-        Value of the setting, which must be a list of names.
-    where, setting : str
-        File and name of the setting, for messages.
-
-    Raises
-    ------
-    UserError
-        For a name that no effect has, or effects that exclude each other.
-    """
-    if not isinstance(names, list):
-        remedy = "it must be a list, such as [rest_curvature]. Change it."
-        raise UserError(f"{setting} = {names!r} ({where}): {remedy}")
-    try:
-        return model.with_effects(*find_effects([str(name) for name in names]))
-    except ValueError as error:
-        raise UserError(f"{setting} ({where}): {error}") from error
-
-
-def read_parameter_values(
-    block: Settings, model: Model, where: str
-) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
-    """Read the setting `parameter_values`.
-
-    Returns
-    -------
-    values : dict
-        Value of each given parameter.
-    ranges : dict
-        Lower and upper end of each measured parameter.
-    """
-    given: dict[str, Any] = {}
-    for name, value in require_block(block, "parameter_values", where).items():
-        # +parameter_values.tip_mass.ratio=0.05 on the command line is a nested block
-        if isinstance(value, Mapping) and "value" not in value:
-            given |= {f"{name}.{inner}": number for inner, number in value.items()}
-        else:
-            given[name] = value
-
-    values = {}
-    ranges = {}
-    for name, value in given.items():
-        setting = f"parameter_values.{name}"
-        if name not in model.names:
-            remedy = unknown_parameter_remedy(name, model)
-            fault = "the model has no such parameter"
-            raise UserError(f"{setting} ({where}): {fault}. {remedy}.")
-        is_measured = isinstance(value, Mapping) and set(value) == {*MEASURED_PARTS}
-        numbers = [value[part] for part in MEASURED_PARTS] if is_measured else [value]
-        if not all(is_finite_number(number) for number in numbers):
-            remedy = "it must be a number, or value, low and high. Change it."
-            raise UserError(f"{setting} = {value!r} ({where}): {remedy}")
-        values[name] = float(numbers[0])
-        if is_measured:
-            best, low, high = numbers
-            if not (low < high and low <= best <= high):
-                fault = f"low = {low} < high = {high} must enclose value = {best}"
-                raise UserError(f"{setting} ({where}): {fault}. Change it.")
-            ranges[name] = float(low), float(high)
-    return values, ranges
-
-
-def is_finite_number(value: Any) -> bool:
-    """Tell whether a value is a finite number that a float can hold."""
-    return isinstance(value, float | int) and abs(value) <= sys.float_info.max
-
-
-def unknown_parameter_remedy(name: str, model: Model) -> str:
-    """Say how to model the effect of an unknown parameter, or which ones are known."""
-    effect = name.partition(".")[0]
-    if effect in effect_files():
-        value = f"'+parameter_values.{effect}.<parameter>=<number>'"
-        return f"Model it: 'effects=[{effect}]' {value}"
-    return f"Known are: {', '.join(model.names)}"
-
-
-def build_string(block: Settings, where: str) -> String:
-    """Build the string model with the ranges of its parameters."""
-    fields = dict(require_block(block, "string", where))
-    limits_by_name, choice = (
-        require_block(fields.pop(name), f"string.{name}", where)
-        for name in ("ranges", "integrator")
-    )
-    del fields["tolerance"]
-    string = build_dataclass(String, fields, "string", where)
-    integrator = load_callable(choice.get("_target_"), "string.integrator", where)
-    if len(choice) > 1:
-        setting = f"string.integrator = {dict(choice)} ({where})"
-        raise UserError(f"{setting}: it must hold only `_target_`. Change it.")
-
-    parameters = {parameter.name: parameter for parameter in string.parameters}
-    ranges = {}
-    for name, limits in limits_by_name.items():
-        setting = f"string.ranges.{name}"
-        if name not in parameters:
-            known = ", ".join(parameters)
-            fault = "there is no such parameter"
-            raise UserError(f"{setting} ({where}): {fault}. Known are: {known}.")
-        low, high, start = (
-            validate_value(float, limits[key], f"{setting}.{key}", where)
-            for key in ("low", "high", "start")
-        )
-        if not low < high:
-            fault = f"low = {low} must be below high = {high}"
-            raise UserError(f"{setting} ({where}): {fault}. Change one.")
-        if not low <= start <= high:
-            fault = f"it must lie from {low} to {high}"
-            raise UserError(f"{setting}.start = {start} ({where}): {fault}. Change it.")
-        ranges[name] = replace(parameters[name], low=low, high=high, start=start)
-    return replace(string, ranges=ranges, integrator=integrator())
-
-
-def refine_string_to_tolerance(
-    string: String, arm: Arm, config: Settings, where: str
-) -> String:
-    """Return the string with points and step that keep `string.tolerance`, if given.
-
-    The error is measured on one plain cast, with all parameters in mid-range.
-    """
-    tolerance = config["string"]["tolerance"]
-    if tolerance is None:
-        return string
-    tolerance = validate_value(float, tolerance, "string.tolerance", where)
-    setting = f"string.tolerance = {tolerance!r} ({where})"
-
-    durations = config["generate"]["shortest"] * config["generate"]["longest"]
-    cast = plain_cast(arm, float(np.sqrt(durations)))
-    samples = cast.sample(arm.tick, float(cast.duration[0]))
-    hand = JointMotion(0.0, arm.tick, *samples).hand_motion(arm)
-    middle = np.array([p.value(np.array(0.5)) for p in string.parameters])
-    try:
-        return find_converged_string(string, hand, middle, tolerance).string
-    except ToleranceError as error:
-        raise UserError(f"{setting}: {error}") from error

@@ -11,7 +11,7 @@ from conftest import TRUTH, ordinary
 from synthetic_trials import SWING, sample_curve, true_exponents
 
 from stringcast.data.artifacts import HELD_OUT, JOINTS, MASKS, READINGS, Observation
-from stringcast.pipeline.run.experiment import read_parameter_values
+from stringcast.pipeline.settings.model_settings import read_parameter_values
 from stringcast.stages.diagnose.document import (
     extended_model_settings,
     gain_document,

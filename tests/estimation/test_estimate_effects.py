@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 from stringcast.data.artifacts import MASKS, READINGS, Observation
-from stringcast.pipeline.run.experiment import add_effects
 from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.model_settings import add_effects
 from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.generate import MotionRanges, SearchBudget, generate

@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from stringcast.pipeline.run.experiment import build_string
 from stringcast.pipeline.run.provenance import code_state
+from stringcast.pipeline.settings.model_settings import build_string
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.model.parameter import parameter_values
 from tests.benchmarks.casting.pictures import draw_hits

@@ -13,8 +13,9 @@ from omegaconf import OmegaConf
 
 from stringcast.data.artifacts import JOINTS, Diagnosis
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
-from stringcast.pipeline.run.experiment import build_string, prepare_experiment
+from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings
+from stringcast.pipeline.settings.model_settings import build_string
 from stringcast.stages.hit_test import hit_test
 from tests.benchmarks.casting.point_executor import PointExecutor, measure_points
 from tests.benchmarks.casting.runs import (

@@ -13,8 +13,8 @@ import pandas as pd
 from pydantic import Field
 
 from stringcast.data.schema import Table, parse_columns
-from stringcast.pipeline.run.experiment import build_string
 from stringcast.pipeline.run.provenance import code_state
+from stringcast.pipeline.settings.model_settings import build_string
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.clock.fit import shift_observations
 from stringcast.stages.clock.offset import estimate_clock_offset, find_wrong_clock
