@@ -95,6 +95,11 @@ class Iteration:
         """Name of the trial."""
         return self.custom_trial_name or f"t{self.number:02d}"
 
+    @property
+    def available(self) -> dict[str, Any]:
+        """The artifacts that its stages may use, by name."""
+        return self.given_artifacts | self.artifacts
+
     def find(self, kind: type[ArtifactT]) -> ArtifactT | None:
         """Return the artifact of a kind that a stage made last, else a given one."""
         for artifacts in (self.artifacts, self.given_artifacts):
@@ -230,30 +235,41 @@ class History:
         """
         current, stage = self.iterations[-1], stages()[name]
         current.given_artifacts.update(given)
-        available = []
-        for iteration in self.iterations:
-            available.append(iteration.given_artifacts | iteration.artifacts)
-
-        inputs: dict[str, Any] = {}
-        folders: list[Path] = []
-        for key, wanted in stage.inputs.items():
-            source = self.graph.artifact_name(name, key)
-            place, artifact = wanted.find(source, available) or (0, None)
-            inputs[key] = artifact
-            if place and not isinstance(artifact, wanted.kind):
-                kind = type(artifact).__name__
-                raise TypeError(f"stage {name}: {key} is a {kind}, not {wanted.kind}")
-            if isinstance(wanted, CollectedTrials):
-                parts = [self.graph.artifact_name(name, part) for part in wanted.parts]
-                for trial_number in inputs[key].iteration_numbers:
-                    folders += self.folders_of(trial_number, parts)
-            elif place:
-                number = self.iterations[place - 1].number
-                folders += self.folders_of(number, [source])
+        inputs, folders = self._find_inputs(stage)
         step = Step(stage, current.number, inputs, tuple(folders), self.file_hashes)
         artifact = self.executor.obtain(step)
         current.artifacts[stage.folder] = artifact
         return artifact
+
+    def _find_inputs(self, stage: StageSpec) -> tuple[dict[str, Any], list[Path]]:
+        """Find the inputs of a stage in the last iteration, or in earlier ones.
+
+        Returns the artifacts by name, and the folders of those that this run made.
+        """
+        available = [iteration.available for iteration in self.iterations]
+        inputs: dict[str, Any] = {}
+        folders: list[Path] = []
+        for name, wanted in stage.inputs.items():
+            source = self.graph.artifact_name(stage.name, name)
+            found = wanted.find(source, available)
+            if found is None:
+                inputs[name] = None
+                continue
+            place, artifact = found
+            if not isinstance(artifact, wanted.kind):
+                kind = type(artifact).__name__
+                raise TypeError(
+                    f"stage {stage.name}: {name} is a {kind}, not {wanted.kind}"
+                )
+            inputs[name] = artifact
+            if isinstance(wanted, CollectedTrials):
+                sources = self.graph.part_names(stage.name, wanted)
+                for number in inputs[name].iteration_numbers:
+                    folders += self.folders_of(number, sources)
+            else:
+                number = self.iterations[place - 1].number
+                folders += self.folders_of(number, [source])
+        return inputs, folders
 
     def folders_of(self, number: int, names: Sequence[str]) -> list[Path]:
         """Return the folders of those artifacts that this run made in an iteration."""
@@ -262,8 +278,7 @@ class History:
 
     def lacking_input(self, name: str) -> str:
         """Return an input of a stage that the last iteration lacks, or nothing."""
-        current = self.iterations[-1]
-        available = current.given_artifacts | current.artifacts
+        available = self.iterations[-1].available
         for key, wanted in stages()[name].inputs.items():
             is_needed = type(wanted) is SameIteration
             if is_needed and self.graph.artifact_name(name, key) not in available:
@@ -286,13 +301,12 @@ class History:
 
         A stage need not take all parts of the trials.
         """
-        available = iteration.given_artifacts | iteration.artifacts
         for wanted in stages()[stage].inputs.values():
-            parts = wanted.parts if isinstance(wanted, CollectedTrials) else {}
-            for part in parts:
-                artifact = available.get(self.graph.artifact_name(stage, part))
-                if isinstance(artifact, kind):
-                    return artifact
+            if isinstance(wanted, CollectedTrials):
+                for source in self.graph.part_names(stage, wanted):
+                    artifact = iteration.available.get(source)
+                    if isinstance(artifact, kind):
+                        return artifact
         last = iteration.find(kind)
         assert last is not None
         return last

@@ -76,6 +76,10 @@ class StageGraph:
                 return connection.artifact
         return port
 
+    def part_names(self, stage: str, trials: CollectedTrials) -> list[str]:
+        """Return the names of the artifacts that the parts of a stage's trials are."""
+        return [self.artifact_name(stage, part) for part in trials.parts]
+
     def describe_sources(self) -> dict[str, str]:
         """Return the sources of the inputs of each stage in words."""
         taken: dict[str, list[str]] = {stage: [] for stage in self.stages}
