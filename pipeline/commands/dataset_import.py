@@ -117,10 +117,8 @@ class ImportedDataset:
     @property
     def trials_without_common_time(self) -> list[str]:
         """Names of trials whose clocks of arm and camera hardly overlap."""
-        hand, points = (
-            table.groupby("trial")["t"].agg(["min", "max"])
-            for table in (self.hand_rows, self.points)
-        )
+        hand = self.hand_rows.groupby("trial")["t"].agg(["min", "max"])
+        points = self.points.groupby("trial")["t"].agg(["min", "max"])
         names = []
         for name in sorted(hand.index.intersection(points.index)):
             start = max(hand.at[name, "min"], points.at[name, "min"])
@@ -249,25 +247,41 @@ def locate_points(
     points = tables.points
     if points.empty:
         return POINTS.empty().assign(trial=""), require_length(bench)
-    names = list(points["point"].unique())
-    stated = dict(bench.point_arc_lengths)
-    unknown = [name for name in stated if name not in names]
-    if unknown:
-        known = ", ".join(map(repr, names))
-        raise DataError(
-            f"--at {unknown[0]}=...: there is no such point. The points are {known}."
-        )
+    refuse_unknown_points(points, bench)
     if "s" in points:
         largest_s = float(points["s"].max())
         length = bench.length or note_length(largest_s, "the largest s", notes)
         return select_columns(points), length
-    if stated:
-        length = bench.length or max(stated.values())
-        return select_columns(attach_arc_lengths(points, stated)), length
-    if len(names) == 1 and bench.length:
-        arc_lengths = {names[0]: bench.length}
-        return select_columns(attach_arc_lengths(points, arc_lengths)), bench.length
+    names = points["point"].unique()
+    if bench.point_arc_lengths:
+        arc_lengths = dict(bench.point_arc_lengths)
+        length = bench.length or max(arc_lengths.values())
+    elif len(names) == 1 and bench.length:
+        length = bench.length
+        arc_lengths = {names[0]: length}
+    else:
+        arc_lengths, length = measure_hanging_points(points, grasp, bench, notes)
+    return select_columns(attach_arc_lengths(points, arc_lengths)), length
 
+
+def refuse_unknown_points(points: pd.DataFrame, bench: BenchHints) -> None:
+    """Refuse a stated arc length of a point that the files do not have."""
+    names = list(points["point"].unique())
+    for name in bench.point_arc_lengths:
+        if name not in names:
+            known = ", ".join(map(repr, names))
+            raise DataError(
+                f"--at {name}=...: there is no such point. The points are {known}."
+            )
+
+
+def measure_hanging_points(
+    points: pd.DataFrame, grasp: pd.DataFrame, bench: BenchHints, notes: list[str]
+) -> tuple[dict[str, float], float]:
+    """Measure where points are along the string as it hangs at rest, and note it.
+
+    Returns the arc length of each point by its name, and the string's length [m].
+    """
     hanging = {} if bench.starts_moving else estimate_arc_lengths(points, grasp)
     if not hanging:
         require_length(bench)
@@ -277,19 +291,17 @@ def locate_points(
         )
     arc_lengths = {name: float(np.median(s)) for name, s in hanging.items()}
     largest_s = max(arc_lengths.values())
-    length = bench.length or note_length(
-        largest_s, describe_hanging_length(hanging), notes
-    )
+    length = bench.length
+    if not length:
+        length = note_length(largest_s, describe_hanging_length(hanging), notes)
     if len(arc_lengths) > 1:
-        places = []
-        for name, s in arc_lengths.items():
-            arc_lengths[name] = s * length / largest_s
-            places.append(f"{name or 'point'} {arc_lengths[name]:.3f} m")
+        arc_lengths = {name: s * length / largest_s for name, s in arc_lengths.items()}
+        places = [f"{name or 'point'} {s:.3f} m" for name, s in arc_lengths.items()]
         notes.append(
             "the points are placed along the string as it hangs at rest: "
             f"{', '.join(places)}. Give their places with --at"
         )
-    return select_columns(attach_arc_lengths(points, arc_lengths)), length
+    return arc_lengths, length
 
 
 def require_length(bench: BenchHints) -> float:

@@ -258,10 +258,9 @@ def propose_clock_fit(imported: ImportedDataset, options: argparse.Namespace) ->
             f"--clock {options.clock}: arm and camera still have no time in common in "
             f"trial {name}."
         )
-    hand_t, point_t = (
-        table.loc[table["trial"] == name, "t"]
-        for table in (imported.hand_rows, imported.points)
-    )
+    hand, points = imported.hand_rows, imported.points
+    hand_t = hand.loc[hand["trial"] == name, "t"]
+    point_t = points.loc[points["trial"] == name, "t"]
     reason = (
         f"arm and camera have no time in common: in trial {name} the arm's clock goes "
         f"from {hand_t.min():.2f} to {hand_t.max():.2f} s, the camera's from "
