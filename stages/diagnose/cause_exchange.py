@@ -16,14 +16,14 @@ from itertools import product
 
 import numpy as np
 
-from stringcast.stages.diagnose.candidate_comparison import (
+from stringcast.stages.diagnose.common_data import fit_to_common_data
+from stringcast.stages.diagnose.rules import Criteria
+from stringcast.stages.diagnose.selection_state import SelectionState, with_fit
+from stringcast.stages.diagnose.selection_step import (
     SelectionStep,
     by_evidence,
     precision_to_rank,
 )
-from stringcast.stages.diagnose.common_data import fit_to_common_data
-from stringcast.stages.diagnose.rules import Criteria
-from stringcast.stages.diagnose.selection_state import SelectionState, with_fit
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.workers import map_in_workers

@@ -13,10 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stringcast.stages.diagnose.candidate_comparison import (
-    SelectionStep,
-    compare_candidates,
-)
+from stringcast.stages.diagnose.candidate_comparison import compare_candidates
 from stringcast.stages.diagnose.cause_exchange import exchange_two_causes
 from stringcast.stages.diagnose.confirmation import (
     drop_unconfirmed_causes,
@@ -36,6 +33,7 @@ from stringcast.stages.diagnose.selection_state import (
     drop_redundant_causes,
     with_fit,
 )
+from stringcast.stages.diagnose.selection_step import SelectionStep
 from stringcast.stages.inference.laplace import evaluate_fit
 from stringcast.stages.model.effect import Effect
 

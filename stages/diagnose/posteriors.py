@@ -21,11 +21,7 @@ from stringcast.stages.diagnose.background_effects import (
     background_log_evidence_gains,
     background_responses,
 )
-from stringcast.stages.diagnose.candidate_comparison import (
-    SelectionStep,
-    by_evidence,
-    compare_candidates,
-)
+from stringcast.stages.diagnose.candidate_comparison import compare_candidates
 from stringcast.stages.diagnose.measures import (
     refit,
     tip_shift_rms,
@@ -38,6 +34,7 @@ from stringcast.stages.diagnose.rules import (
     remainder_hides,
 )
 from stringcast.stages.diagnose.selection_state import SelectionState, with_fit
+from stringcast.stages.diagnose.selection_step import SelectionStep, by_evidence
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import ByTrial, TrialData

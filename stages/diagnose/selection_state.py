@@ -10,11 +10,6 @@ from functools import cached_property
 import numpy as np
 
 from stringcast.stages.diagnose.base_model import refit_from_new_starts
-from stringcast.stages.diagnose.candidate_comparison import (
-    SelectionStep,
-    rank_rivals,
-    refine_fit,
-)
 from stringcast.stages.diagnose.discretisation import (
     correct_discretisation_once,
     without_trials,
@@ -29,12 +24,14 @@ from stringcast.stages.diagnose.predictions import (
     TrialPrediction,
     predict_left_out_trials,
 )
-from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.diagnose.prepared_data import PreparedData, RefinedFit
+from stringcast.stages.diagnose.proposals import alternative_parameter_starts
 from stringcast.stages.diagnose.rules import (
     Criteria,
     is_needed,
     is_resolved,
 )
+from stringcast.stages.diagnose.selection_step import SelectionStep, rank_rivals
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import TrialData
@@ -87,6 +84,21 @@ class SelectionState:
         """Exponents (P,) of the fit without each group of trials."""
         groups = groups_to_leave_out(len(self.prepared.data.trials))
         return [self.predictions[group[0]].chi for group in groups]
+
+
+def refine_fit(prepared: PreparedData, fit: Fit) -> RefinedFit:
+    """Correct the data at a fit, and try other values of its causes' parameters."""
+    log.info("refining: %s", " + ".join(fit.hypothesis.cause_names))
+    refined = correct_discretisation_once(prepared, fit)
+    data = refined.prepared.data
+    fit = refined.fit
+    starts = alternative_parameter_starts(data, fit)
+    if not len(starts):
+        return refined
+    other = fit_hypothesis(data, fit.hypothesis, starts, fit.scale_indices)
+    if other.log_evidence > fit.log_evidence:
+        return correct_discretisation_once(refined.prepared, other)
+    return refined
 
 
 def with_fit(state: SelectionState, fit: Fit) -> SelectionState:

@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose import candidate_comparison
-from stringcast.stages.diagnose.candidate_comparison import SelectionStep
+from stringcast.stages.diagnose import (
+    candidate_comparison,
+    rival_comparison,
+    selection_step,
+)
 from stringcast.stages.diagnose.proposals import Proposal
+from stringcast.stages.diagnose.selection_step import SelectionStep
 
 SIX = ["e0", "e1", "e2", "e3", "e4", "e5"]
 
@@ -39,7 +43,7 @@ def limited(monkeypatch):
     """Return a set of causes that are at the end of their range, none at first."""
     names = set()
     monkeypatch.setattr(
-        candidate_comparison, "is_inside_range", lambda fit, cause: cause not in names
+        selection_step, "is_inside_range", lambda fit, cause: cause not in names
     )
     return names
 
@@ -94,29 +98,30 @@ def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
         discretisation_uncertainty_m=np.array(before), data="prepared"
     )
     monkeypatch.setattr(
-        candidate_comparison,
+        rival_comparison,
         "discretisation_uncertainty_of",
         lambda prepared, fit: uncertainty_m[fit.name],
     )
-    monkeypatch.setattr(candidate_comparison, "is_supported", lambda *given: True)
+    monkeypatch.setattr(rival_comparison, "is_supported", lambda *given: True)
     monkeypatch.setattr(
-        candidate_comparison, "unexplained_tip_rms", lambda data, fit: np.array(misfit)
+        rival_comparison, "unexplained_tip_rms", lambda data, fit: np.array(misfit)
     )
-    monkeypatch.setattr(candidate_comparison, "fit_to_common_data", compare_as_found)
-    compare_rivals = candidate_comparison._compare_rivals
+    monkeypatch.setattr(rival_comparison, "fit_to_common_data", compare_as_found)
+    compare_rivals = rival_comparison.compare_rivals
     given = SelectionStep(None, NamedFit("", 0.0), (), fits)
-    step = compare_rivals(prepared, given, given, CRITERIA, False)
+    step = compare_rivals(prepared, given, given, CRITERIA)
     assert (step.best.name, step.accepted) == (best, True)
 
     # In the place of an accepted cause all trials must be resolved
-    step = compare_rivals(prepared, given, given, CRITERIA, True)
+    given = replace(given, contested=fits[1])
+    step = compare_rivals(prepared, given, given, CRITERIA)
     all_as_before = before == (0.0, 5e-3)
     assert step.best.name == ("uncertain" if all_as_before else "resolved")
     # It has more evidence, some of which may be what is uncertain
     ahead = [fit.name for fit in step.unresolved]
     assert ahead == ([] if all_as_before else ["uncertain"])
     behind = replace(given, fits=[fits[0], named_fit("resolved", 70.0)])
-    step = compare_rivals(prepared, behind, behind, CRITERIA, True)
+    step = compare_rivals(prepared, behind, behind, CRITERIA)
     assert not step.unresolved
 
 
@@ -136,20 +141,20 @@ def compare_rivals(monkeypatch, found, common):
 
     prepared = SimpleNamespace(discretisation_uncertainty_m=np.zeros(2), data=None)
     monkeypatch.setattr(
-        candidate_comparison,
+        rival_comparison,
         "discretisation_uncertainty_of",
         lambda prepared, fit: np.zeros(2),
     )
-    monkeypatch.setattr(candidate_comparison, "is_supported", lambda *given: True)
-    monkeypatch.setattr(candidate_comparison, "fit_to_common_data", compare)
+    monkeypatch.setattr(rival_comparison, "is_supported", lambda *given: True)
+    monkeypatch.setattr(rival_comparison, "fit_to_common_data", compare)
     monkeypatch.setattr(
-        candidate_comparison, "unexplained_tip_rms", lambda *given: np.ones(2)
+        rival_comparison, "unexplained_tip_rms", lambda *given: np.ones(2)
     )
     parent = NamedFit("", 0.0)
     fits = [named_fit(name, value) for name, value in found.items()]
-    fits = candidate_comparison.rank_rivals(parent, fits, CRITERIA)
+    fits = selection_step.rank_rivals(parent, fits, CRITERIA)
     given = SelectionStep(None, parent, (), fits)
-    step = candidate_comparison._compare_rivals(prepared, given, given, CRITERIA, False)
+    step = rival_comparison.compare_rivals(prepared, given, given, CRITERIA)
     return step, compared
 
 
@@ -205,13 +210,13 @@ def test_what_was_compared_among_fewer_candidates_is_not_compared_again(monkeypa
         fitted.append([rival.name for rival in rivals])
         return rivals
 
-    monkeypatch.setattr(candidate_comparison, "fit_to_common_data", fit)
+    monkeypatch.setattr(rival_comparison, "fit_to_common_data", fit)
     parent = named_fit("", 0.0)
     rivals = [named_fit("set", 60.0), named_fit("wind", 50.0)]
     step = SelectionStep(None, parent, (), rivals)
     before = replace(step, compared=rivals[1:])
-    candidate_comparison._fit_new_rivals(None, step, rivals, before, 1.0)
-    candidate_comparison._fit_new_rivals(None, step, rivals, step, 1.0)
+    rival_comparison._fit_new_rivals(None, step, rivals, before, 1.0)
+    rival_comparison._fit_new_rivals(None, step, rivals, step, 1.0)
     assert fitted == [["set"], ["", "set", "wind"]]
 
 
@@ -233,13 +238,13 @@ def test_only_rivals_close_to_the_best_are_fitted_precisely(
         fitted.extend(rival.name for rival in rivals)
         return [replace(rival, log_evidence_error=0.0) for rival in rivals]
 
-    monkeypatch.setattr(candidate_comparison, "fit_to_common_data", fit)
+    monkeypatch.setattr(rival_comparison, "fit_to_common_data", fit)
     rivals = []
     for name, value, error in zip(
         ("set", "wind", "tilt"), evidence, errors, strict=True
     ):
         rivals.append(replace(named_fit(name, value), log_evidence_error=error))
-    settled = candidate_comparison._fit_close_rivals_precisely(None, rivals, [], 9.0)
+    settled = rival_comparison._fit_close_rivals_precisely(None, rivals, [], 9.0)
     assert fitted == refitted
     assert [fit.name for fit in settled] == ["set", "wind", "tilt"]
 
@@ -253,15 +258,13 @@ def test_a_rival_that_explains_less_than_its_parent_is_fitted_from_there(monkeyp
         assert fitted_before == [parent]
         return [replace(rival, log_evidence=55.0) for rival in rivals]
 
-    monkeypatch.setattr(candidate_comparison, "fit_to_common_data", fit)
+    monkeypatch.setattr(rival_comparison, "fit_to_common_data", fit)
     parent = NamedFit("", 50.0, log_likelihood_by_trial=np.array([40.0, 20.0]))
     ahead = replace(named_fit("set", 60.0), log_likelihood_by_trial=np.array([75.0]))
     # An amplitude of no use costs evidence, and no likelihood
     alike = replace(named_fit("wind", 45.0), log_likelihood_by_trial=np.array([59.5]))
     behind = replace(named_fit("tilt", 52.0), log_likelihood_by_trial=np.array([20.0]))
-    fits = candidate_comparison._catch_up_with_parent(
-        None, parent, [ahead, behind, alike]
-    )
+    fits = rival_comparison._catch_up_with_parent(None, parent, [ahead, behind, alike])
     assert fitted == ["tilt"]
     assert [fit.log_evidence for fit in fits] == [60.0, 55.0, 45.0]
 
@@ -319,7 +322,7 @@ def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
     fitted = []
     monkeypatch.setattr(candidate_comparison, "propose_causes", propose)
     monkeypatch.setattr(candidate_comparison, "_fit_more_proposals", fit_proposals)
-    monkeypatch.setattr(candidate_comparison, "_compare_rivals", accept)
+    monkeypatch.setattr(candidate_comparison, "compare_rivals", accept)
     monkeypatch.setattr(
         candidate_comparison, "_find_better_parent", lambda *given: None
     )
@@ -386,7 +389,7 @@ def test_all_others_are_fitted_if_the_best_explains_little(
     monkeypatch.setattr(
         candidate_comparison, "_find_better_parent", lambda *given: None
     )
-    monkeypatch.setattr(candidate_comparison, "_compare_rivals", compare)
+    monkeypatch.setattr(candidate_comparison, "compare_rivals", compare)
     monkeypatch.setattr(
         candidate_comparison,
         "unexplained_tip_rms",
@@ -424,7 +427,7 @@ def test_a_better_minimum_without_a_cause_is_taken_before_one_is_refined(
     tried = []
     monkeypatch.setattr(candidate_comparison, "propose_causes", lambda *given: [])
     monkeypatch.setattr(candidate_comparison, "_fit_more_proposals", fit_proposals)
-    monkeypatch.setattr(candidate_comparison, "_compare_rivals", refine)
+    monkeypatch.setattr(candidate_comparison, "compare_rivals", refine)
     monkeypatch.setattr(candidate_comparison, "fit_hypothesis", fit_without)
     monkeypatch.setattr(
         candidate_comparison, "unexplained_tip_rms", lambda *given: np.ones(1)

@@ -8,8 +8,8 @@ from conftest import ordinary
 from synthetic_trials import CRITERIA
 
 from stringcast.stages.diagnose import cause_exchange
-from stringcast.stages.diagnose.candidate_comparison import SelectionStep
 from stringcast.stages.diagnose.selection_state import SelectionState
+from stringcast.stages.diagnose.selection_step import SelectionStep
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.model.library import effects_by_name

@@ -10,9 +10,9 @@ from synthetic_trials import CRITERIA
 from stringcast.stages.common import InterruptRequest
 from stringcast.stages.diagnose import cause_search, verdict
 from stringcast.stages.diagnose import diagnose as module
-from stringcast.stages.diagnose.candidate_comparison import SelectionStep
 from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from stringcast.stages.diagnose.selection_state import SelectionState
+from stringcast.stages.diagnose.selection_step import SelectionStep
 from tests.diagnosis import test_forward_selection
 from tests.diagnosis.test_forward_selection import diagnose_casts
 

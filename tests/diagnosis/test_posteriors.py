@@ -13,10 +13,10 @@ from stringcast.stages.diagnose.background_effects import (
     BACKGROUND_SCALES_M,
     background_log_evidence_gains,
 )
-from stringcast.stages.diagnose.candidate_comparison import SelectionStep
 from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from stringcast.stages.diagnose.prepared_data import RefinedFit
 from stringcast.stages.diagnose.selection_state import SelectionState
+from stringcast.stages.diagnose.selection_step import SelectionStep
 from stringcast.stages.inference.discrepancy import log_scale_prior
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 

@@ -16,9 +16,9 @@ from stringcast.stages.diagnose import (
     rules,
     selection_state,
 )
-from stringcast.stages.diagnose.candidate_comparison import SelectionStep
 from stringcast.stages.diagnose.prepared_data import RefinedFit
 from stringcast.stages.diagnose.selection_state import SelectionState
+from stringcast.stages.diagnose.selection_step import SelectionStep
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.model.library import effects_by_name

@@ -15,7 +15,6 @@ from synthetic_trials import (
 )
 
 from stringcast.stages.diagnose import cause_search, held_out_gain, selection_state
-from stringcast.stages.diagnose.candidate_comparison import SelectionStep
 from stringcast.stages.diagnose.discretisation import (
     subtract_discretisation_error,
     unresolvable_trials,
@@ -23,6 +22,7 @@ from stringcast.stages.diagnose.discretisation import (
 )
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.selection_state import SelectionState
+from stringcast.stages.diagnose.selection_step import SelectionStep
 from stringcast.stages.diagnose.settings import DiagnosisSettings
 from stringcast.stages.diagnose.tables import screening_table
 from stringcast.stages.diagnose.trials_by_use import TrialsByUse

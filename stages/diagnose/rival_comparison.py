@@ -1,0 +1,247 @@
+"""Comparison of rivals: candidates that explain about as much as the best of them.
+
+They are fitted to common data, each with its own numerical error. The best is then
+accepted or not.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from stringcast.stages.diagnose.common_data import fit_to_common_data
+from stringcast.stages.diagnose.discretisation import discretisation_uncertainty_of
+from stringcast.stages.diagnose.measures import unexplained_tip_rms
+from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.diagnose.rules import (
+    MIN_RESOLVED_TRIALS,
+    NEGLIGIBLE_LOG_EVIDENCE,
+    Criteria,
+    has_evidence,
+    is_resolved,
+    is_supported,
+)
+from stringcast.stages.diagnose.selection_step import (
+    SelectionStep,
+    least_evidence_of_rivals,
+    precision_to_rank,
+    rank_rivals,
+)
+from stringcast.stages.inference.laplace import Fit
+
+log = logging.getLogger(__name__)
+
+MAX_RIVALS = 3  # that are compared at first
+CLOSE_PRECISIONS = 5  # by which a fit that ended so early may still change
+UNRESOLVED_FRACTION = 0.1  # of a trial's mean square misfit that may stay unresolved
+
+
+class UncertainFit(NamedTuple):
+    """A fit, and the uncertainty of its discretisation error at the tips [m], (K,)."""
+
+    fit: Fit
+    uncertainty_m: np.ndarray
+
+
+def compare_rivals(
+    prepared: PreparedData,
+    step: SelectionStep,
+    before: SelectionStep,
+    criteria: Criteria,
+) -> SelectionStep:
+    """Fit the best and its rivals to common data, and decide whether it is accepted.
+
+    before: the decision among fewer candidates; what was compared there stays.
+    """
+    if step.best is None or not has_evidence(step.parent, step.best, criteria):
+        return step
+
+    # Common data mostly lower the evidence: none may lead because it was not compared
+    least_evidence = least_evidence_of_rivals(step.fits, step.parent, criteria)
+    rivals = [f for f in step.fits[:MAX_RIVALS] if f.log_evidence > least_evidence]
+    min_gain = precision_to_rank(step.best.log_evidence - step.parent.log_evidence)
+    parent, *compared = _fit_new_rivals(prepared, step, rivals, before, min_gain)
+    causes = [fit.hypothesis.causes[-1] for fit in compared]
+    waiting = [fit for fit in step.fits if fit.hypothesis.causes[-1] not in causes]
+    uncertain = list[UncertainFit]()
+    while True:
+        for fit in _catch_up_with_parent(prepared, parent, compared):
+            uncertainty_m = discretisation_uncertainty_of(prepared, fit)
+            uncertain.append(UncertainFit(fit, uncertainty_m))
+        resolved, unresolved = _split_by_resolution(
+            prepared, step, parent, uncertain, criteria
+        )
+        resolved = rank_rivals(parent, resolved, criteria)
+        shift = parent.log_evidence - step.parent.log_evidence
+        others = _shift_evidence(waiting, shift)
+        if not _is_overtaken(parent, resolved, others, criteria):
+            break
+        known = [parent, *resolved, *unresolved]
+        compared = fit_to_common_data(prepared, waiting[:1], known, min_gain)
+        waiting = waiting[1:]
+
+    known = [parent, *resolved, *unresolved]
+    resolved = _fit_close_rivals_precisely(prepared, resolved, known, min_gain)
+    resolved = rank_rivals(parent, resolved, criteria)
+    for fit in [*resolved, *unresolved]:
+        name = fit.hypothesis.cause_names[-1]
+        gain = fit.log_evidence - parent.log_evidence
+        log.info("on common data: %s, log evidence %+.1f", name, gain)
+    every_fit = [*resolved, *others]
+    is_accepted = bool(every_fit) and is_supported(
+        prepared.data, parent, every_fit[0], criteria
+    )
+    return replace(
+        step,
+        parent=parent,
+        fits=every_fit,
+        compared=resolved,
+        accepted=is_accepted,
+        unresolved=_unresolved_ahead(resolved, unresolved),
+    )
+
+
+def _fit_new_rivals(
+    prepared: PreparedData,
+    step: SelectionStep,
+    rivals: Sequence[Fit],
+    before: SelectionStep,
+    min_gain: float,
+) -> list[Fit]:
+    """Fit the parent and rivals to common data, but for what was compared before."""
+    if not before.compared:
+        new = [step.parent, *rivals]
+        return fit_to_common_data(prepared, new, min_gain=min_gain)
+    known = [before.parent, *before.compared]
+    causes = [fit.hypothesis.causes[-1] for fit in before.compared]
+    new = [fit for fit in rivals if fit.hypothesis.causes[-1] not in causes]
+    return [*known, *fit_to_common_data(prepared, new, known, min_gain)]
+
+
+def _fit_close_rivals_precisely(
+    prepared: PreparedData,
+    ranked: Sequence[Fit],
+    known: Sequence[Fit],
+    min_gain: float,
+) -> list[Fit]:
+    """Fit rivals again that are too close to the best to be told apart from it.
+
+    Parameters
+    ----------
+    ranked, known : sequence of Fit
+        Rivals, and all that was fitted to common data.
+    min_gain : float
+        Of the log evidence, to which the rivals were fitted.
+    """
+    fits = list(ranked)
+    best = max((fit.log_evidence for fit in fits), default=0.0)
+    close = []
+    for k, fit in enumerate(fits):
+        if fit.log_evidence > best - CLOSE_PRECISIONS * min_gain:
+            close.append(k)
+    if len(close) < 2:
+        return fits
+    unsettled = [
+        k for k in close if fits[k].log_evidence_error > NEGLIGIBLE_LOG_EVIDENCE
+    ]
+    refitted = fit_to_common_data(prepared, [fits[k] for k in unsettled], known)
+    for k, fit in zip(unsettled, refitted, strict=True):
+        fits[k] = fit
+    return fits
+
+
+def _split_by_resolution(
+    prepared: PreparedData,
+    step: SelectionStep,
+    parent: Fit,
+    rivals: Sequence[UncertainFit],
+    criteria: Criteria,
+) -> tuple[list[Fit], list[Fit]]:
+    """Split rivals by whether simulation with them resolves enough trials to lead.
+
+    What is uncertain in the others may explain anything. In the place of a cause that
+    was accepted a rival must resolve all trials. One that resolves fewer than half
+    does not lead another that resolves these and explains half as much: most trials
+    would be left out.
+    """
+    before_m = prepared.discretisation_uncertainty_m
+    trials = len(before_m)
+    needed = trials
+    allowance_m = np.zeros(trials)
+    if step.contested is None:
+        needed = min(MIN_RESOLVED_TRIALS, trials)
+        # A fraction of mean squares, and the roots of both
+        misfit_m = unexplained_tip_rms(prepared.data, step.parent)
+        allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
+    half = (trials + 1) // 2
+
+    resolved = []
+    rough = []
+    unresolved = []
+    for fit, uncertainty_m in rivals:
+        if not is_resolved(uncertainty_m, before_m, criteria, needed, allowance_m):
+            unresolved.append(fit)
+        elif is_resolved(uncertainty_m, before_m, criteria, half):
+            resolved.append(fit)
+        else:
+            rough.append(fit)
+    least_evidence = least_evidence_of_rivals([*resolved, *rough], parent, criteria)
+    if any(fit.log_evidence >= least_evidence for fit in resolved):
+        return resolved, [*unresolved, *rough]
+    return [*resolved, *rough], unresolved
+
+
+def _unresolved_ahead(resolved: Sequence[Fit], unresolved: Sequence[Fit]) -> list[Fit]:
+    """Select unresolved fits with as much evidence as the best resolved one."""
+    ahead = []
+    for fit in unresolved:
+        if resolved and fit.log_evidence >= resolved[0].log_evidence:
+            name = fit.hypothesis.cause_names[-1]
+            log.info("%s cannot be simulated well enough to be told apart", name)
+            ahead.append(fit)
+    return ahead
+
+
+def _catch_up_with_parent(
+    prepared: PreparedData, parent: Fit, compared: Sequence[Fit]
+) -> list[Fit]:
+    """Fit those again from their parent that explain less: they hold all it does."""
+
+    def log_likelihood(fit: Fit) -> float:
+        return float(fit.log_likelihood_by_trial.sum())
+
+    least = log_likelihood(parent) - NEGLIGIBLE_LOG_EVIDENCE
+    fits = list(compared)
+    behind = [k for k, fit in enumerate(fits) if log_likelihood(fit) < least]
+    refitted = fit_to_common_data(prepared, [fits[k] for k in behind], [parent])
+    for k, fit in zip(behind, refitted, strict=True):
+        fits[k] = fit
+    return fits
+
+
+def _shift_evidence(fits: Sequence[Fit], shift: float) -> list[Fit]:
+    """Shift the log evidence of fits, as that of their parent on common data is."""
+    return [replace(fit, log_evidence=fit.log_evidence + shift) for fit in fits]
+
+
+def _is_overtaken(
+    parent: Fit,
+    compared: Sequence[Fit],
+    others: Sequence[Fit],
+    criteria: Criteria,
+) -> bool:
+    """Whether the first of the other fits clearly leads those on common data."""
+    if not others:
+        return False
+    other = others[0]
+    if not compared:
+        return has_evidence(parent, other, criteria)
+    best = compared[0]
+    leads = rank_rivals(parent, [best, other], criteria)[0] is other
+    # With less evidence it leads because the best is at the end of its range
+    is_behind = other.log_evidence < best.log_evidence
+    return leads and (is_behind or has_evidence(best, other, criteria))
