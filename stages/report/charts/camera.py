@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 
 from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.model.box import Box
+from stringcast.stages.model.camera import Camera
 from stringcast.stages.report.formatting import format_mm, format_ms
 from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import (
@@ -199,33 +201,29 @@ def cast_film_data(
     """
     if not len(cast.trial.images):
         return None
-    camera = record.model.camera
     scale = FILM_SIZE_PX / float(region.size_px.max())
+    film_pixels = partial(_film_pixels, record.model.camera, region, scale)
     width, height = np.round(region.size_px * scale).astype(int).tolist()
-    films = len(record.casts) + (record.look is not None)
-    frames = choose_frames(cast, max(MAX_PAGE_FRAMES // films, MIN_CAST_FRAMES))
+    film_count = len(record.casts) + (record.look is not None)
+    frames = choose_frames(cast, max(MAX_PAGE_FRAMES // film_count, MIN_CAST_FRAMES))
 
-    def pixels(world: np.ndarray) -> list[list[float]]:
-        """Return pixels of the film; none of a string that diverged."""
-        if not np.isfinite(world).all():
-            return []
-        on_film = (camera.pixels(world) - (region.left, region.top) + 0.5) * scale
-        rounded: list[list[float]] = np.round(on_film, 1).tolist()
-        return rounded
-
-    boxes = [(FRAME_COLOURS["target"], pixels(box_corners(record.target)))]
+    boxes = [(FRAME_COLOURS["target"], film_pixels(box_corners(record.target)))]
     for obstacle in record.obstacles:
-        boxes.append((FRAME_COLOURS["wall"], pixels(box_corners(obstacle))))
-    times, images = [], []
+        boxes.append((FRAME_COLOURS["wall"], film_pixels(box_corners(obstacle))))
+    times = []
+    images = []
     strings: dict[str, list[Any]] = {"before": [], "after": [], "measured": []}
     for frame in frames:
         times.append(round(float(cast.frame_times[frame]) * MS_PER_S, 1))
         image = region.crop(cast.trial.images[frame])
         images.append(_encode_frame(image, cast.grey_range, scale))
-        strings["before"].append(pixels(cast.before[frame]))
-        strings["after"].append(pixels(cast.after[frame]))
-        strings["measured"].append(pixels(cast.centre_line(frame)))
-    stills = np.linspace(0, len(frames) - 1, STILL_COUNT).round().astype(int)
+        strings["before"].append(film_pixels(cast.before[frame]))
+        strings["after"].append(film_pixels(cast.after[frame]))
+        strings["measured"].append(film_pixels(cast.centre_line(frame)))
+    stills = []
+    for index in np.unique(np.linspace(0, len(frames) - 1, STILL_COUNT).round()):
+        number = int(index)
+        stills.append((number, format_ms(cast.frame_times[frames[number]])))
     closest = cast.closest_frame
     return {
         "width": width,
@@ -234,11 +232,23 @@ def cast_film_data(
         "start": frames.index(closest) if closest in frames else 0,
         "frames": images,
         "boxes": boxes,
-        "stills": [
-            (int(i), format_ms(cast.frame_times[frames[i]])) for i in np.unique(stills)
-        ],
+        "stills": stills,
         "strings": strings,
     }
+
+
+def _film_pixels(
+    camera: Camera, region: ImageRegion, scale: float, world: np.ndarray
+) -> list[list[float]]:
+    """Return places (n, 2) [m] as pixels of the film; none of a string that diverged.
+
+    scale: pixels of the film over those of the camera.
+    """
+    if not np.isfinite(world).all():
+        return []
+    on_film = (camera.pixels(world) - (region.left, region.top) + 0.5) * scale
+    rounded: list[list[float]] = np.round(on_film, 1).tolist()
+    return rounded
 
 
 def choose_frames(cast: CastRecord, count: int) -> list[int]:

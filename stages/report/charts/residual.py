@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 import pandas as pd
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import AsinhNorm, LinearSegmentedColormap
 from matplotlib.figure import Figure
 
@@ -58,22 +59,7 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
     trials = record.drawn_trials
     if not trials:
         return None
-    # Fixed margins: a layout that measures all labels takes as long as to draw
-    height = MAP_TOP_IN + MAP_ROW_IN * len(trials) + MAP_BOTTOM_IN
-    figure = Figure(figsize=(MAP_WIDTH_IN, height))
-    figure.set_layout_engine("none")
-    margins = {
-        "left": 0.1,
-        "right": 0.99,
-        "top": 1 - MAP_TOP_IN / height,
-        "bottom": MAP_BOTTOM_IN / height,
-        "wspace": 0.06,
-        "hspace": 0.4,
-    }
-    panels = figure.subplots(
-        len(trials), 2, sharex=True, sharey=True, squeeze=False, gridspec_kw=margins
-    )
-
+    figure, panels = _map_panels(len(trials))
     end = _scale_end(trials.values())
     scale = AsinhNorm(2.0, -end, end)
     for row, (trial, table) in zip(panels, trials.items(), strict=True):
@@ -85,10 +71,40 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
         row[0].set_ylabel("s [mm]")
         # above the row, for names may be longer than it is high
         row[0].text(0.0, 1.05, trial, fontsize=8, transform=row[0].transAxes)
+    _add_scale_bar(figure, drawn, end)
+    trial_count = format_count(len(trials), "trial")
+    words = f"Residuals of the {model} model over arc length and time in {trial_count}."
+    return svg_picture(figure, words)
+
+
+def _map_panels(row_count: int) -> tuple[Figure, np.ndarray]:
+    """Return a figure with a row of axes for each trial, (rows, 2), and its axes.
+
+    Its margins are fixed: a layout that measures all labels takes as long as to draw.
+    """
+    height = MAP_TOP_IN + MAP_ROW_IN * row_count + MAP_BOTTOM_IN
+    figure = Figure(figsize=(MAP_WIDTH_IN, height))
+    figure.set_layout_engine("none")
+    margins = {
+        "left": 0.1,
+        "right": 0.99,
+        "top": 1 - MAP_TOP_IN / height,
+        "bottom": MAP_BOTTOM_IN / height,
+        "wspace": 0.06,
+        "hspace": 0.4,
+    }
+    panels: np.ndarray = figure.subplots(
+        row_count, 2, sharex=True, sharey=True, squeeze=False, gridspec_kw=margins
+    )
     for column, words in enumerate(COMPONENTS.values()):
         panels[0, column].set_title(words, fontsize=9, pad=16)
         panels[-1, column].set_xlabel("time [ms]")
+    return figure, panels
 
+
+def _add_scale_bar(figure: Figure, drawn: ScalarMappable, end: float) -> None:
+    """Add the bar of colours below all maps, from -end to end [noise floor]."""
+    height = figure.get_figheight()
     place = figure.add_axes((0.1, 0.42 / height, 0.89, 0.08 / height))
     bar = figure.colorbar(drawn, cax=place, orientation="horizontal", extend="both")
     positive = [tick for tick in SCALE_TICKS if tick <= end]
@@ -96,9 +112,6 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
     bar.set_ticks(ticks, labels=[str(tick).replace("-", "−") for tick in ticks])
     bar.minorticks_off()
     bar.set_label("measured minus simulated [noise floor]")
-    trial_count = format_count(len(trials), "trial")
-    words = f"Residuals of the {model} model over arc length and time in {trial_count}."
-    return svg_picture(figure, words)
 
 
 def _scale_end(tables: Iterable[pd.DataFrame]) -> float:
