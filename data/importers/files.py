@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import pandas as pd
+
 from stringcast.data.images import VIDEO_SUFFIXES
 from stringcast.data.importers import (
     SourceRecording,
@@ -45,7 +47,7 @@ def read_recordings(paths: Sequence[Path]) -> list[SourceRecording]:
         if not path.exists():
             raise DataError(f"{path}: there is no such file. Look at its name.")
         if path.suffix.lower() in VIDEO_SUFFIXES:
-            results.append(SourceRecording(path, tables.EMPTY_TABLE, film=path))
+            results.append(SourceRecording(path, pd.DataFrame(), film=path))
             continue
         for reader in READERS:
             if reader.recognises(path):

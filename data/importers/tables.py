@@ -5,8 +5,7 @@ from __future__ import annotations
 import csv as lines
 import re
 from pathlib import Path
-
-import pandas as pd
+from typing import Any
 
 from stringcast.data.file_checks import (
     MAX_COLUMNS,
@@ -22,7 +21,6 @@ from stringcast.data.schema import DataError
 SNIFFED_BYTES = 2**14  # [bytes] in which the separator and the headings are detected
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".log", ".parquet")
 SEPARATORS = ",;\t|"
-EMPTY_TABLE = pd.DataFrame()
 
 
 def recognises(path: Path) -> bool:
@@ -39,18 +37,32 @@ def read(path: Path) -> list[SourceRecording]:
     if path.suffix.lower() == ".parquet":
         frame, _ = read_parquet(path, "Write it again.")
         return [SourceRecording(path, frame)]
+    options = _csv_options(path)
+    remedy = "Save it as plain text in UTF-8."
+    heading = read_frame(path, "CSV", remedy, nrows=0, **options).columns
+    trials = [n for n in heading if column_meaning(str(n).strip()).kind == "trial"]
+    options |= text_options(heading, trials)
+    frame = read_frame(path, "CSV", remedy, engine="c", low_memory=False, **options)
+    for name in trials:
+        frame[name] = frame[name].map(_trial_name)
+    names = [str(name).strip() for name in frame.columns]
+    _refuse_no_table(path, names, len(frame))
+    return [SourceRecording(path, frame.set_axis(names, axis=1))]
+
+
+def _csv_options(path: Path) -> dict[str, Any]:
+    """Detect how `pandas.read_csv` is to read a file, from its first lines."""
     with check_csv(path).open(encoding="utf-8-sig", errors="replace") as text:
         head = text.read(SNIFFED_BYTES).splitlines()
+    if not any(line.strip() for line in head):
+        raise DataError(f"{path}: it is empty. Export it again, or leave it out.")
     skipped = 0
     for number, line in enumerate(head):
         if line.strip() and not line.lstrip().startswith(("#", "%")):
             skipped = number
             break
-    if not any(line.strip() for line in head):
-        raise DataError(f"{path}: it is empty. Export it again, or leave it out.")
     separator, decimal = detect_separator(head[skipped:])
-    remedy = "Save it as plain text in UTF-8."
-    options = {
+    return {
         "skiprows": skipped,
         "encoding": "utf-8-sig",
         "sep": separator,
@@ -58,30 +70,26 @@ def read(path: Path) -> list[SourceRecording]:
         "skipinitialspace": separator != r"\s+",
         "index_col": False,
     }
-    heading = read_frame(path, "CSV", remedy, nrows=0, **options).columns
-    trials = [n for n in heading if column_meaning(str(n).strip()).kind == "trial"]
-    options |= text_options(heading, trials)
-    frame = read_frame(path, "CSV", remedy, engine="c", low_memory=False, **options)
-    for name in trials:
-        frame[name] = frame[name].map(_trial_name)
-    if len(frame.columns) > MAX_COLUMNS:
+
+
+def _refuse_no_table(path: Path, names: list[str], row_count: int) -> None:
+    """Refuse a file with too many columns, without rows, or without a heading."""
+    if len(names) > MAX_COLUMNS:
         raise DataError(
-            f"{path}: it has {len(frame.columns)} columns, at most {MAX_COLUMNS} are "
+            f"{path}: it has {len(names)} columns, at most {MAX_COLUMNS} are "
             "read. Take some out."
         )
-    if frame.empty:
+    if row_count == 0:
         raise DataError(
             f"{path}: it names columns and has no rows. Export it again, or leave it "
             "out."
         )
-    names = [str(name).strip() for name in frame.columns]
     if all(map(_is_number, names)):
         raise DataError(
             f"{path}: its first line names no columns, it holds numbers: "
             f"{', '.join(names[:4])}. Put a line above it such as "
             "time_s,joint1_deg,joint2_deg,joint3_deg or time_s,tip_x_mm,tip_y_mm."
         )
-    return [SourceRecording(path, frame.set_axis(names, axis=1))]
 
 
 def _trial_name(cell: object) -> object:
