@@ -9,6 +9,7 @@ linear drag, and its blunt drag rho C pi r^2 |v| v is the quadratic one.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from stringcast.stages.model.engine.stability import vector_slot_sum
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.statics.chain import grasp_rest_angle
 from stringcast.stages.model.statics.equilibrium import hanging_shape
-from stringcast.stages.model.string import PAPER_EFFECTS
+from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 EXPORTED_ARGUMENTS = {
     "acceleration",
@@ -183,20 +184,16 @@ def build_mjcf(
     wind = vector_slot_sum(string, material, "flow", origin)[0, 0]
     hanging_lengths = hanging_shape(string, material, HANGING_POSE)[1][0]
     stretch = (hanging_lengths - string.free_segment_lengths(material)).sum()
-    others = [e.name for e in model.effects if not issubclass(e, StringEffect)]
-    omitted = ""
-    if others:
-        omitted = f" Left out, for no part of the string: {', '.join(others)}."
-
-    stretches = largest_step(model, values) >= MIN_STEP_S
-    if stretches and step > largest_step(model, values):
+    largest = largest_step(model, values)
+    stretches = largest >= MIN_STEP_S
+    if stretches and step > largest:
         raise DataError(
             f"--step {step:g}: a string of this axial stiffness needs at most "
             f"{choose_step(model, values):g} s in MuJoCo. Give that, or no --step."
         )
-    angles, lengths = (rows[0] for rows in hanging_shape(string, material, pose, turn))
-    hinges = np.diff(angles, prepend=pose[2])
-    elongations = lengths - float(string.free_segment_lengths(material)[0])
+    angles, lengths = hanging_shape(string, material, pose, turn)
+    hinges = np.diff(angles[0], prepend=pose[2])
+    elongations = lengths[0] - float(string.free_segment_lengths(material)[0])
     joints = np.stack([hinges, elongations], axis=1) if stretches else hinges
     rest = " ".join(f"{q:.9g}" for q in (*pose, *np.ravel(joints)))
     return DOCUMENT_TEMPLATE.format(
@@ -214,9 +211,17 @@ def build_mjcf(
         stretch=1e3 * float(stretch),
         stretching="Links stretch." if stretches else "Links do not stretch.",
         rest=rest,
-        omitted=omitted,
+        omitted=_describe_omitted(model),
         chain=_chain_text(model, material, mass / string.length, stretches),
     )
+
+
+def _describe_omitted(model: Model) -> str:
+    """Name the effects that are no part of a string; empty if there are none."""
+    names = [e.name for e in model.effects if not issubclass(e, StringEffect)]
+    if not names:
+        return ""
+    return f" Left out, for no part of the string: {', '.join(names)}."
 
 
 def _refuse_unknown_laws(model: Model) -> None:
@@ -256,43 +261,37 @@ def _link_rows(
     string = model.string
     parameters = dict(zip(string.row_names, map(float, material[0]), strict=False))
     length = float(string.free_segment_lengths(material)[0])
-    masses, cells = (
-        rows[0, 1:] * mass_per_length for rows in string.point_masses(material)
-    )
-    hinges = string.free_arc_lengths(material)[:, 1:-1]
-    total_length = string.length * string.free_length_ratio(material)[:, None]
-    known = {"s": hinges, "length": total_length}
-    curvatures = string.law_values("rest_curvature", material, known)
-    curvature = sum(curvatures, np.zeros_like(hinges))[0]
+    point_masses, cell_lengths = string.point_masses(material)
+    masses = point_masses[0, 1:] * mass_per_length
+    cell_masses = cell_lengths[0, 1:] * mass_per_length
 
     # a sphere's drag: Stokes' law gives its radius from the linear part, and both parts
     # give the coefficient of blunt drag
-    radius = cells * parameters["linear_drag"] / (6 * np.pi * VISCOSITY_PA_S)
-    blunt = cells * parameters["quadratic_drag"] / (DENSITY_KG_M3 * np.pi * radius**2)
-    offset = np.zeros(2)
-    for law_offset in string.law_values("grasp_offset", material, {}):
-        offset = offset + np.ravel(law_offset)
+    radius = cell_masses * parameters["linear_drag"] / (6 * np.pi * VISCOSITY_PA_S)
+    disc = DENSITY_KG_M3 * np.pi * radius**2  # of air, [kg/m]
+    blunt = cell_masses * parameters["quadratic_drag"] / disc
+    clamp = _clamp_row(string, material, parameters)
+    bends = _rest_curvatures(string, material) * length
     links = []
     for number in range(len(masses)):
-        if number == 0:  # the clamp in the hand
-            start, across = map(float, offset)
-            stiffness = parameters["grasp_stiffness"]
-            damping = parameters["grasp_damping"]
-            rest = float(grasp_rest_angle(string, material)[0, 0])
-        else:
-            start, across = length, 0.0
-            stiffness = parameters["bending_stiffness"] / length
-            damping = parameters["bending_damping"] / length
-            rest = curvature[number - 1] * length
+        hinge = clamp
+        if number > 0:
+            hinge = {
+                "start": length,
+                "across": 0.0,
+                "stiffness": parameters["bending_stiffness"] / length,
+                "damping": parameters["bending_damping"] / length,
+                "rest": bends[number - 1],
+            }
         link = {
             "number": number + 1,
-            "start": start,
-            "across": across,
+            "start": hinge["start"],
+            "across": hinge["across"],
             "length": length,
             "mass": masses[number],
-            "stiffness": stiffness * mass_per_length,
-            "damping": damping * mass_per_length,
-            "rest": rest,
+            "stiffness": hinge["stiffness"] * mass_per_length,
+            "damping": hinge["damping"] * mass_per_length,
+            "rest": hinge["rest"],
             "axial_stiffness": parameters["axial_stiffness"] / length * mass_per_length,
             "axial_damping": parameters["axial_damping"] / length * mass_per_length,
             "radius": radius[number],
@@ -301,3 +300,32 @@ def _link_rows(
         }
         links.append(link)
     return links
+
+
+def _clamp_row(
+    string: String, material: np.ndarray, parameters: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the hinge of the first link: its clamp in the hand, per mass a length.
+
+    start, across: place along and across the hand [m]. rest: angle [rad].
+    """
+    offset = np.zeros(2)
+    for law_offset in string.law_values("grasp_offset", material, {}):
+        offset = offset + np.ravel(law_offset)
+    start, across = map(float, offset)
+    return {
+        "start": start,
+        "across": across,
+        "stiffness": parameters["grasp_stiffness"],
+        "damping": parameters["grasp_damping"],
+        "rest": float(grasp_rest_angle(string, material)[0, 0]),
+    }
+
+
+def _rest_curvatures(string: String, material: np.ndarray) -> np.ndarray:
+    """Return the curvature at rest of each hinge between two links, (n - 2,) [1/m]."""
+    hinges = string.free_arc_lengths(material)[:, 1:-1]
+    total_length = string.length * string.free_length_ratio(material)[:, None]
+    known = {"s": hinges, "length": total_length}
+    curvatures = string.law_values("rest_curvature", material, known)
+    return np.asarray(sum(curvatures, np.zeros_like(hinges))[0])
