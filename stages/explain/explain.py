@@ -24,6 +24,7 @@ from stringcast.data.artifacts import (
 )
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.proposals import candidate_effects
+from stringcast.stages.estimate.least_squares import MISFIT_RATIO
 from stringcast.stages.estimate.least_squares import estimate as fit_from_nothing
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.explain.cause_search import Budget, CauseSearch
@@ -32,6 +33,7 @@ from stringcast.stages.explain.comparison import (
     Comparer,
     Comparison,
     explains_half,
+    noise_m,
     rms_m,
     tip_rms_m,
 )
@@ -100,7 +102,7 @@ def explain(
     budget = Budget(seconds, progress)
     earlier = [] if previous is None else earlier_causes(previous)
     if not is_surprising and not earlier:
-        if tip_rms_m(estimate) <= tolerance_m:
+        if rms_m(estimate) <= MISFIT_RATIO * noise_m(observations):
             return not_asked(estimate, "The model explains the trials")
         if is_error_of_mesh(model, observations, estimate):
             return not_asked(estimate, "The model leaves the error of its mesh")
@@ -129,7 +131,7 @@ def explain(
     is_enough = any(tip_rms_m(each.estimate) <= tolerance_m for each in fitted)
 
     search = CauseSearch(compare, effects, compared, finalists, budget)
-    if is_surprising or not is_enough:
+    if is_surprising or not earlier or not is_enough:
         search.add_effect_to(base)
     search.add_further_effects(tolerance_m)
     probabilities = posterior_probabilities(compared, len(effects))

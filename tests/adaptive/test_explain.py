@@ -13,8 +13,6 @@ from stringcast.data.artifacts import (
     JOINTS,
     Explanation,
     Observation,
-    Surprise,
-    TrialSet,
 )
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
 from stringcast.pipeline.run.experiment import prepare_experiment
@@ -31,7 +29,6 @@ from stringcast.stages.explain.noise_ratios import (
     corrected_residual,
     is_error_of_mesh,
 )
-from stringcast.stages.explain.run import run
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.solver import fit_least_squares
@@ -47,6 +44,7 @@ CANDIDATES = 26
 NOISE_M = 0.7e-3
 BLOCKS = 6  # of 50 ms
 SWING = swing(duration=0.3)
+EXPLAIN = "stringcast.stages.explain.explain"
 
 
 def fitted(names, log_evidence, rms_m):
@@ -116,47 +114,6 @@ def test_more_than_noise_without_an_explanation_is_unknown():
         ratios = NoiseRatios(ratio, ratio)
         verdict, _ = decide(compared, probabilities, TOLERANCE_M, True, ratios)
         assert verdict == expected
-
-
-@pytest.mark.parametrize(
-    ("p_value", "ratio", "is_error_of_mesh", "is_searched"),
-    [
-        (np.nan, 1.3, False, False),
-        (np.nan, 1.7, False, True),
-        (np.nan, 1.7, True, False),
-        (0.5, 1.7, False, False),
-        (0.01, 1.0, False, True),
-    ],
-)
-def test_a_trial_that_nothing_predicted_surprises_by_its_residual(
-    monkeypatch, p_value, ratio, is_error_of_mesh, is_searched
-):
-    """A look is one: it moves the string slowly, and a small misfit there matters."""
-    module = "stringcast.stages.explain.run"
-    monkeypatch.setattr(f"{module}.is_error_of_mesh", lambda *given: is_error_of_mesh)
-    points = pd.DataFrame({"sigma": [NOISE_M] * 3})
-    empty = pd.DataFrame()
-    observation = Observation("look", points, empty, empty, arm=empty)
-    fit = pd.DataFrame([{"rms_after": ratio * np.sqrt(2) * NOISE_M}])
-    test = {"p_value": p_value, "surprising": p_value <= 0.02}
-    asked = []
-    call = SimpleNamespace(
-        setup=SimpleNamespace(
-            model=None, obstacles=(), target=SimpleNamespace(w=0.02, h=0.04)
-        ),
-        by=lambda *given, **settings: asked.append(given[4]),
-        seed=0,
-        number=0,
-        progress=None,
-    )
-    run(
-        call,
-        TrialSet((observation,)),
-        SimpleNamespace(fit=fit),
-        Surprise(pd.DataFrame([test])),
-        None,
-    )
-    assert asked == [is_searched]
 
 
 def explanation(verdict):
@@ -360,43 +317,76 @@ def test_no_further_cause_is_ranked_when_the_time_is_up(search):
         assert searched.is_complete == bool(causes)
 
 
+@pytest.fixture
+def sought(monkeypatch, arm, camera, observe):
+    """Return a function that explains a trial, and lists to what effects were added.
+
+    Nothing is fitted but the causes of earlier trials, which leave 5 mm.
+    """
+
+    def explain_trial(left_m, previous, ratio=3.0, is_surprising=False):
+        extended = []
+
+        def add_effect(search, base):
+            extended.append(base.causes)
+            search.extended.add(base.causes)
+
+        found = fitted("tip_mass", 20.0, 0.005)
+        monkeypatch.setattr(CauseSearch, "add_effect_to", add_effect)
+        monkeypatch.setattr(Comparer, "fit", lambda *given: found)
+        ratios = NoiseRatios(10.0, ratio)
+        monkeypatch.setattr(CauseSearch, "with_noise", lambda *given: ratios)
+        for name in ("build_explanation", "not_asked"):
+            monkeypatch.setattr(f"{EXPLAIN}.{name}", lambda *given: None)
+        explain(
+            Model(implicit_string(12, 1e-3), arm, camera),
+            [observe({})],
+            fitted("", 0.0, left_m).estimate,
+            previous,
+            is_surprising,
+            tolerance_m=TOLERANCE_M,
+            seed=0,
+            manipulation=1,
+            seconds=30,
+            finalists=1,
+            starts=1,
+            screening=1,
+            iterations=1,
+            matching=None,
+        )
+        return extended
+
+    return explain_trial
+
+
 @pytest.mark.parametrize(
-    ("ratio", "sought"), [(3.0, [("tip_mass",), NO_CAUSE]), (1.0, [])]
+    ("ratio", "expected"), [(3.0, [("tip_mass",), NO_CAUSE]), (1.0, [])]
 )
 def test_further_causes_are_sought_while_earlier_ones_leave_more_than_noise(
-    arm, camera, observe, monkeypatch, ratio, sought
+    sought, ratio, expected
 ):
     """It needs no surprise, nor a tip that is far off."""
-    extended = []  # causes to which others are added
+    previous = earlier({"tip_mass": 1.0}, "cause")
+    assert sought(0.04, previous, ratio) == expected
 
-    def add_effect(search, base):
-        extended.append(base.causes)
-        search.extended.add(base.causes)
 
-    found = fitted("tip_mass", 20.0, 0.005)
-    monkeypatch.setattr(CauseSearch, "add_effect_to", add_effect)
-    monkeypatch.setattr(Comparer, "fit", lambda *given: found)
-    ratios = NoiseRatios(10.0, ratio)
-    monkeypatch.setattr(CauseSearch, "with_noise", lambda *given: ratios)
-    module = "stringcast.stages.explain.explain"
-    monkeypatch.setattr(f"{module}.build_explanation", lambda *given: None)
-    explain(
-        Model(implicit_string(12, 1e-3), arm, camera),
-        [observe({})],
-        fitted("", 0.0, 0.04).estimate,
-        earlier({"tip_mass": 1.0}, "cause"),
-        is_surprising=False,
-        tolerance_m=TOLERANCE_M,
-        seed=0,
-        manipulation=1,
-        seconds=30,
-        finalists=1,
-        starts=1,
-        screening=1,
-        iterations=1,
-        matching=None,
-    )
-    assert extended == sought
+@pytest.mark.parametrize(
+    ("noises", "is_error_of_mesh", "is_surprising", "is_sought"),
+    [
+        (1.3, False, False, False),
+        (1.7, False, False, True),
+        (1.7, True, False, False),
+        (1.0, False, True, True),
+    ],
+)
+def test_causes_are_sought_of_what_noise_and_mesh_do_not_explain(
+    sought, monkeypatch, noises, is_error_of_mesh, is_surprising, is_sought
+):
+    """The tip may be near: of dry friction a cast leaves 2 mm, of 27 mm without it."""
+    monkeypatch.setattr(f"{EXPLAIN}.is_error_of_mesh", lambda *given: is_error_of_mesh)
+    left_m = noises * np.sqrt(2) * NOISE_M
+    found = sought(left_m, None, is_surprising=is_surprising)
+    assert found == ([NO_CAUSE] if is_sought else [])
 
 
 def test_no_fit_begins_that_would_end_after_the_time_is_up(monkeypatch):
