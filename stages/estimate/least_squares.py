@@ -31,7 +31,11 @@ from stringcast.stages.estimate.result import (
     start_chi,
     within_range,
 )
-from stringcast.stages.inference.covariance import Covariance, parameter_covariance
+from stringcast.stages.inference.covariance import (
+    Covariance,
+    linearise,
+    parameter_covariance,
+)
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import discretisation_error
 from stringcast.stages.inference.search import (
@@ -102,9 +106,9 @@ def estimate(
     targets = [replace(target, trial=trial) for target, trial in pairs]
     tried = np.concatenate([tried, best[None]])
     search = Candidates("least squares", tried, matching_rate(targets, tried))
-    covariance = parameter_covariance(likelihood, best)
-    interval = _parameter_intervals(likelihood, best, covariance)
-    draws = sample_posterior(best, covariance, seed)
+    linear = linearise(likelihood, best)
+    interval = _parameter_intervals(likelihood, best, parameter_covariance(linear))
+    draws = sample_posterior(likelihood.parameters, best, linear, seed)
     return build_estimate(targets, before, best, search, interval, draws)
 
 

@@ -67,19 +67,48 @@ class Covariance:
         return np.asarray(quantile * np.sqrt(np.diag(self.matrix)))
 
 
-def parameter_covariance(likelihood: Likelihood, chi: np.ndarray) -> Covariance:
-    """Estimate the covariance of exponents (P,) at the maximum of a likelihood."""
+@dataclass(frozen=True)
+class Linearisation:
+    """White residuals about exponents, to first order.
+
+    Parameters
+    ----------
+    residual
+        At the exponents, (N,).
+    slope
+        With the exponents, (P, N).
+    step
+        Of each exponent in the difference that gave its slope, (P,).
+    weight
+        Robust weights, (N,).
+    block
+        The number of each residual's block of time, (N,).
+    """
+
+    residual: np.ndarray
+    slope: np.ndarray
+    step: np.ndarray
+    weight: np.ndarray
+    block: np.ndarray
+
+
+def linearise(likelihood: Likelihood, chi: np.ndarray) -> Linearisation:
+    """Linearise the residuals of a likelihood about exponents (P,)."""
     residual = likelihood.residuals(chi[None])
     width = np.full((1, len(chi)), FIRST_DIFFERENCE)
     for _ in range(2):  # the first differences say how wide the second should be
+        step = np.where(chi > 0.5, -width[0], width[0])
         slope = forward_differences(likelihood, chi[None], residual, width)
         width = difference_widths(slope, huber_loss(residual, likelihood.limit))
     weight = huber_weights(residual[0], likelihood.limit)
+    block = time_blocks(likelihood.data.trials)
+    return Linearisation(residual[0], slope[0], step, weight, block)
+
+
+def parameter_covariance(linear: Linearisation) -> Covariance:
+    """Estimate the covariance of exponents at the maximum of a likelihood."""
     return jackknife_covariance(
-        slope[0],
-        residual[0],
-        weight,
-        time_blocks(likelihood.data.trials),
+        linear.slope, linear.residual, linear.weight, linear.block
     )
 
 

@@ -207,7 +207,7 @@ def test_slopes_are_differenced_into_the_range(start, offset):
 
 
 @pytest.mark.parametrize("limit", [np.inf, 1.0])
-def test_a_covariance_is_of_slopes_over_a_tenth_of_the_residual(monkeypatch, limit):
+def test_a_covariance_is_of_slopes_over_a_tenth_of_the_residual(limit):
     """Of residuals of 2 with a slope of 5,000, whose loss is 4, or 3 by Huber."""
     residuals = curved(0.1)
     asked = []
@@ -222,16 +222,14 @@ def test_a_covariance_is_of_slopes_over_a_tenth_of_the_residual(monkeypatch, lim
         limit=limit,
         data=SimpleNamespace(trials=[SimpleNamespace(point_times=times)]),
     )
-    monkeypatch.setattr(covariance, "jackknife_covariance", lambda *given: given)
-    slope, residual, weight, block = covariance.parameter_covariance(
-        likelihood, np.array([0.1])
-    )
+    linear = covariance.linearise(likelihood, np.array([0.1]))
     width = 0.1 * np.sqrt(4.0 if limit == np.inf else 3.0) / 5e3
     assert asked == pytest.approx([0.0, 1e-4, width], abs=1e-12)
-    assert slope == pytest.approx(np.full((1, 3), 4e3 + 1e7 * width))
-    assert residual == pytest.approx(np.full(3, 2.0))
-    assert weight == pytest.approx(np.full(3, 1.0 if limit == np.inf else 0.5))
-    assert list(block) == [0, 0, 1, 1, 1, 1]
+    assert linear.step == pytest.approx([width])
+    assert linear.slope == pytest.approx(np.full((1, 3), 4e3 + 1e7 * width))
+    assert linear.residual == pytest.approx(np.full(3, 2.0))
+    assert linear.weight == pytest.approx(np.full(3, 1.0 if limit == np.inf else 0.5))
+    assert list(linear.block) == [0, 0, 1, 1, 1, 1]
 
 
 def test_a_jackknife_leaves_out_each_block_in_turn():
