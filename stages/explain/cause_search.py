@@ -194,8 +194,9 @@ class CauseSearch:
         best = most_evident_fit(self.compared.values())
         if not best.causes:
             return None
-        is_near = tip_rms_m(best.estimate) <= tolerance_m
-        is_explained = is_near and self.with_noise(best).explain_all
+        left = self.with_noise(best)
+        is_near = tip_rms_m(best.estimate) <= tolerance_m or left.leave_mesh_error
+        is_explained = is_near and left.explain_all
         # more causes would be no likelier then
         most_causes = len(best.causes) if is_explained else MAX_CAUSES
         open_ends = []

@@ -72,7 +72,8 @@ def decide(
     if not is_complete:
         return "undecided", f"No cause was found; {TIME_IS_UP}."
     base_mm = MM_PER_M * tip_rms_m(base.estimate)
-    if tip_rms_m(base.estimate) > tolerance_m:
+    is_near = tip_rms_m(base.estimate) <= tolerance_m or noise_ratios.leave_mesh_error
+    if not is_near:
         return (
             "unknown",
             f"No single effect explains why the tip is {base_mm:.1f} mm off.",
@@ -99,7 +100,8 @@ def _decide_about(
     base_mm = MM_PER_M * tip_rms_m(base.estimate)
     name = describe_causes(best.causes)
     effect = f"With {name} the tip is {left_mm:.1f} mm off instead of {base_mm:.1f}"
-    is_explained = tip_rms_m(best.estimate) <= tolerance_m
+    is_near = tip_rms_m(best.estimate) <= tolerance_m
+    is_explained = is_near or noise_ratios.leave_mesh_error
     if not is_complete and not is_explained:
         return "undecided", f"{effect}; {TIME_IS_UP}."
     probability = probabilities[best.causes]
@@ -121,4 +123,6 @@ def _decide_about(
         doubt = TIME_IS_UP
     if doubt:
         return "candidates", f"{effect}, but {doubt}."
+    if not is_near:
+        effect += "; what is left is the error of the mesh"
     return "cause", f"{effect}."

@@ -43,10 +43,13 @@ class NoiseRatios:
     ----------
     without : of the model as it was
     left : of the model with causes
+    mesh_fraction : of the mean square that causes leave in whole trials beyond noise,
+        as much as the error of the mesh has
     """
 
     without: float
     left: float
+    mesh_fraction: float = 0.0
 
     @property
     def are_noise(self) -> bool:
@@ -57,6 +60,11 @@ class NoiseRatios:
     def explain_half(self) -> bool:
         """Whether the causes explain half of the mean square misfit."""
         return (self.left / self.without) ** 2 <= 1 - MIN_EXPLAINED_FRACTION
+
+    @property
+    def leave_mesh_error(self) -> bool:
+        """Whether nothing but noise and the error of the mesh is left."""
+        return self.are_noise and self.mesh_fraction >= MIN_EXPLAINED_FRACTION
 
     @property
     def explain_all(self) -> bool:
@@ -79,7 +87,23 @@ def compare_with_noise(
     without, left = [first_frames_residual(*fit, where_both) for fit in fits]
     if (counts[1] > where_both).any():
         left = max(left, first_frames_residual(*fits[1], counts[1]))
-    return NoiseRatios(without, left)
+    share = mesh_fraction(*fits[1], estimates[1], observations)
+    return NoiseRatios(without, left, share)
+
+
+def mesh_fraction(
+    likelihood: Likelihood,
+    chi: np.ndarray,
+    estimate: Estimate,
+    observations: Sequence[Observation],
+) -> float:
+    """Compare the error of the mesh with what an estimate leaves beyond noise.
+
+    Returns the ratio of mean squares; NaN where the finer string diverges.
+    """
+    misfit = rms_m(estimate) ** 2 - noise_m(observations) ** 2
+    error = discretisation_error(likelihood, chi)
+    return error**2 / max(misfit, float(np.finfo(float).tiny))
 
 
 def first_frames_residual(
@@ -110,9 +134,8 @@ def is_error_of_mesh(
     Only noise is left where the mesh resolves the string, and the error of the mesh
     explains half of the mean square misfit of the whole trials.
     """
-    misfit = rms_m(estimate) ** 2 - noise_m(observations) ** 2
     fit = likelihood_at(model, observations, estimate)
-    if not discretisation_error(*fit) ** 2 >= MIN_EXPLAINED_FRACTION * misfit:
+    if not mesh_fraction(*fit, estimate, observations) >= MIN_EXPLAINED_FRACTION:
         return False
     frames = resolved_frames(*fit, MAX_MESH_ERROR_RATIO)
     return first_frames_residual(*fit, frames) < MAX_NOISE_RATIO
