@@ -235,28 +235,16 @@ def _run_candidates(
     if initial is not None:
         reversal = np.broadcast_to(initial.memory_reversal, count)
 
-    active, active_material = string.without_absent_effects(material)
-    masses, cells = active.point_masses(active_material)
-    constants = string.integrator.row_values(
-        masses,
-        active.free_segment_lengths(active_material),
-        partial(averageable_slopes, active, active_material, gentlest[..., index]),
-        dt,
-    )
-    memory = _memory_rows(
-        compiled,
-        compiled_material,
-        first_pose[:, 2],
-        start,
-        reversal[index][:, None],
-    )
     rows = {
         **_configuration_rows(first_pose, start),
-        **constants,
-        **memory,
-        "INVERSE_MASS": 1.0 / masses,
-        "LENGTH_PER_MASS": cells / masses,
-        "GRASP_REST_ANGLE": grasp_rest_angle(string, material),
+        **_constant_rows(string, material, gentlest[..., index], dt),
+        **_memory_rows(
+            compiled,
+            compiled_material,
+            first_pose[:, 2],
+            start,
+            reversal[index][:, None],
+        ),
     }
     numbers = row_numbers(string.integrator, compiled.effects)
     buffers = _fill_buffers(numbers, rows, string.points, lanes)
@@ -389,6 +377,29 @@ def _configuration_rows(
         "SEGMENT_Y": vectors[..., 1],
         "VX": start.velocity[..., 0],
         "VY": start.velocity[..., 1],
+    }
+
+
+def _constant_rows(
+    string: String, material: np.ndarray, gentlest: np.ndarray, dt: float
+) -> dict[str, np.ndarray]:
+    """Compute what the loop reads of each point and never changes, (C, 1 to n) each.
+
+    gentlest: as of `_run_candidates`. dt: step [s].
+    """
+    active, active_material = string.without_absent_effects(material)
+    masses, cells = active.point_masses(active_material)
+    constants = string.integrator.row_values(
+        masses,
+        active.free_segment_lengths(active_material),
+        partial(averageable_slopes, active, active_material, gentlest),
+        dt,
+    )
+    return {
+        **constants,
+        "INVERSE_MASS": 1.0 / masses,
+        "LENGTH_PER_MASS": cells / masses,
+        "GRASP_REST_ANGLE": grasp_rest_angle(string, material),
     }
 
 

@@ -105,7 +105,8 @@ def _free_hanging_shape(
     turns_with_string = string.uses_argument(
         ("load", "flow", "acceleration"), ("x", "y", "tx", "ty")
     )
-    last_step, share = np.zeros_like(angles), np.ones((len(angles), 1))
+    last_step = np.zeros_like(angles)
+    share = np.ones((len(angles), 1))
     moving = np.arange(len(material))
     for _ in range(MAX_ITERATIONS):
         some = chain
@@ -116,39 +117,61 @@ def _free_hanging_shape(
                 some, pose[moving], angles[moving], lengths[moving]
             )
 
-        # Solve the balance with the tangents of the laws at these angles: evaluating
-        # the laws takes longer than all else.
-        stretch = lengths[moving] / some.segment_length - 1
-        tension = slot_sum_and_slope(string, some.material, "tension", stretch)
-        step, balanced_lengths = np.zeros_like(stretch), np.empty_like(stretch)
-        _solve_balance(
-            force[moving],
-            angles[moving],
-            (stretch, *tension),
-            hinge_moments(some, pose[moving, 2], angles[moving]),
-            some.segment_length[:, 0],
-            step,
-            balanced_lengths,
+        step, lengths[moving] = _balancing_step(
+            some, pose[moving], angles[moving], lengths[moving], force[moving]
         )
-        lengths[moving] = balanced_lengths
-
-        # Halve the share of the step that is taken where it reverses most of the last,
-        # as from one side of a kink in a law to the other: whole steps would do so for
-        # ever.
-        largest = np.abs(step).max(axis=1, keepdims=True)
-        against = np.sum(step * last_step[moving], axis=1, keepdims=True) < 0
-        last_largest = np.abs(last_step[moving]).max(axis=1, keepdims=True)
-        reverses = against & (largest > 0.5 * last_largest)
-        shorter, longer = 0.5 * share[moving], np.minimum(2 * share[moving], 1)
-        share[moving] = np.where(reverses, shorter, longer)
+        share[moving] = _damped_share(share[moving], step, last_step[moving])
         angles[moving] += share[moving] * step
         last_step[moving] = step
         # Each candidate ends on its own, so that its shape does not depend on its
         # company.
-        moving = moving[largest[:, 0] > ANGLE_TOLERANCE_RAD]
+        moving = moving[np.abs(step).max(axis=1) > ANGLE_TOLERANCE_RAD]
         if moving.size == 0:
             break
     return angles, lengths
+
+
+def _balancing_step(
+    chain: Chain,
+    pose: np.ndarray,
+    angles: np.ndarray,
+    lengths: np.ndarray,
+    force: np.ndarray,
+) -> Shape:
+    """Find by how much angles turn for balance, and the lengths then, (C, n - 1) each.
+
+    The laws are taken along their tangents at these angles and lengths: evaluating them
+    takes longer than all else.
+    """
+    stretch = lengths / chain.segment_length - 1
+    tension = slot_sum_and_slope(chain.string, chain.material, "tension", stretch)
+    step = np.zeros_like(stretch)
+    balanced_lengths = np.empty_like(stretch)
+    _solve_balance(
+        force,
+        angles,
+        (stretch, *tension),
+        hinge_moments(chain, pose[:, 2], angles),
+        chain.segment_length[:, 0],
+        step,
+        balanced_lengths,
+    )
+    return step, balanced_lengths
+
+
+def _damped_share(
+    share: np.ndarray, step: np.ndarray, last_step: np.ndarray
+) -> np.ndarray:
+    """Return the share of a step to take, (C, 1), from that of the last step.
+
+    It is halved where the step reverses most of the last, as from one side of a kink in
+    a law to the other: whole steps would do so for ever.
+    """
+    largest = np.abs(step).max(axis=1, keepdims=True)
+    last_largest = np.abs(last_step).max(axis=1, keepdims=True)
+    is_against = np.sum(step * last_step, axis=1, keepdims=True) < 0
+    reverses = is_against & (largest > 0.5 * last_largest)
+    return np.where(reverses, 0.5 * share, np.minimum(2 * share, 1))
 
 
 @compile_kernel
