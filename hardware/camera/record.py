@@ -65,8 +65,8 @@ def build_recording(
     Recording
         The frames in the movement's time.
     """
-    arrivals = np.array([frame.arrival_time for frame in film.frames])
-    arrivals = arrivals - moved_at - delay
+    arrival_times = np.array([frame.arrival_time for frame in film.frames])
+    arrivals = arrival_times - moved_at - delay
     stamps = np.array([frame.stamp for frame in film.frames])
     images = [frame.image for frame in film.frames]
     resting = int((arrivals < 0).sum())
@@ -92,14 +92,15 @@ def build_recording(
         "remarks": "; ".join(film.remarks),
     }
     summary |= lateness_columns("frame_jitter", schedule.lateness)
-    lost = dropped / due
     fault = ""
     if film.failure and t[-1] < film.until - 2 * period:
         fault = f"the camera saw nothing after {t[-1]:.3f} s: {film.failure}"
-    elif lost > most_lost:
+    elif dropped / due > most_lost:
         repeats = f" ({repeated_count} came twice instead)" if repeated_count else ""
-        fault = f"{lost:.1%} of the frames were dropped{repeats}, "
-        fault += f"allowed are {most_lost:.1%}"
+        fault = (
+            f"{dropped / due:.1%} of the frames were dropped{repeats}, "
+            f"allowed are {most_lost:.1%}"
+        )
     frames = [images[index] for index in new]
     return Recording(t, frames, pd.DataFrame(counts), summary, fault)
 
@@ -160,12 +161,21 @@ def exposure_times(
     if count < 3:
         numbers = np.arange(count)
         return arrivals, FrameSchedule(period, numbers, arrivals, np.zeros(count))
-    # stamps must be a clock's, not the frame number times a nominal period, or nothing
-    difference = arrivals - stamps
-    if np.isfinite(stamps).all() and (np.diff(stamps) > 0).all():
-        first, second = difference[: count // 2], difference[count // 2 :]
-        if abs(np.median(first) - np.median(second)) < period:
-            t = stamps + difference.min()
-            return t, replace(fit_schedule(t, period), lateness=arrivals - t)
+    if _are_clock_times(stamps, arrivals, period):
+        t = stamps + (arrivals - stamps).min()
+        return t, replace(fit_schedule(t, period), lateness=arrivals - t)
     schedule = fit_schedule(arrivals, period)
     return schedule.due, schedule
+
+
+def _are_clock_times(stamps: np.ndarray, arrivals: np.ndarray, period: float) -> bool:
+    """Tell whether a source's stamps (F,) are those of a clock, as arrivals are [s].
+
+    Others are the number of the frame times a nominal period, or nothing.
+    """
+    if not (np.isfinite(stamps).all() and (np.diff(stamps) > 0).all()):
+        return False
+    difference = arrivals - stamps
+    half = len(stamps) // 2
+    drift = np.median(difference[:half]) - np.median(difference[half:])
+    return bool(abs(drift) < period)

@@ -184,24 +184,40 @@ def draw_swings(
     phase = rng.uniform(0, 2 * np.pi, frequency.shape)
     amplitude = rng.uniform(0.3, 1, frequency.shape) / frequency
     waves = np.sin(2 * np.pi * frequency * t[:, None, None] + phase)
-    swing = np.sum(amplitude * waves, axis=1)
-    to_end = np.minimum(t / t[-1], 1 - t / t[-1])
-    x = np.clip(to_end / RAMP_FRACTION, 0, 1)
-    # from 0 to 1 and back, without a jump of the second derivative
-    swing *= (x**3 * (10 - 15 * x + 6 * x**2))[:, None]
+    swing = np.sum(amplitude * waves, axis=1) * rise_and_fade(t / t[-1])[:, None]
     rate = np.gradient(swing, arm.tick, axis=0)
+    scale = largest_scale(arm, middle, swing, rate, speed)
+    return middle + scale * swing, scale * rate
 
-    def max_speed(scale: float) -> float:
+
+def rise_and_fade(share: np.ndarray) -> np.ndarray:
+    """Rise from 0 to 1 and fade to 0 over shares of the time (K,).
+
+    The second derivative does not jump.
+    """
+    x = np.clip(np.minimum(share, 1 - share) / RAMP_FRACTION, 0, 1)
+    return np.asarray(x**3 * (10 - 15 * x + 6 * x**2))
+
+
+def largest_scale(
+    arm: Arm, middle: np.ndarray, swing: np.ndarray, rate: np.ndarray, speed: float
+) -> float:
+    """Find the largest scale of a swing with which the hand never exceeds `speed`.
+
+    middle: pose about which the joints swing (J,) [rad]. swing, rate: (K, J) [rad],
+    [rad/s].
+    """
+
+    def hand_speed(scale: float) -> float:
         velocity = arm.grasp_velocity(middle + scale * swing, scale * rate)[:, :2]
         return float(np.linalg.norm(velocity, axis=-1).max())
 
-    # the largest swing with which the hand never exceeds `speed`
     scale = 1.0
     for _ in range(3):  # the lever changes with the angles
-        scale *= 0.99 * speed / max_speed(scale)
-    while max_speed(scale) > speed:
+        scale *= 0.99 * speed / hand_speed(scale)
+    while hand_speed(scale) > speed:
         scale *= 0.99
-    return middle + scale * swing, scale * rate
+    return scale
 
 
 def violated_limit(

@@ -127,10 +127,10 @@ def predict(
         return None
     lever = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
     end = pose[:, :2] + length * lever
-    begin, until, path = motion_span(t, end, length, horizon)
-    if path < MIN_HAND_PATH * length:
+    span = motion_span(t, end, length, horizon)
+    if span.path < MIN_HAND_PATH * length:
         return None
-    in_span = (t >= begin) & (t <= until)
+    in_span = span.contains(t)
     if in_span.sum() < MIN_FRAMES:
         return None
     motion = resample_hand_motion(t[in_span], pose[in_span], TICK_S)
@@ -139,19 +139,32 @@ def predict(
     return Prediction(motion.times, result.points, length, horizon)
 
 
+class MotionSpan(NamedTuple):
+    """When a point moves.
+
+    begin, until: [s]. path: the largest distance from its first place [m].
+    """
+
+    begin: float
+    until: float
+    path: float
+
+    def contains(self, t: np.ndarray) -> np.ndarray:
+        """Tell which times (N,) [s] are in the span."""
+        return (t >= self.begin) & (t <= self.until)
+
+
 def motion_span(
     t: np.ndarray, xy: np.ndarray, length: float, horizon: Horizon
-) -> tuple[float, float, float]:
-    """Return when a point's motion begins and what follows of it, with a lead.
-
-    The third value is the largest distance from its first place [m].
-    """
-    distance = np.linalg.norm(xy - np.median(xy[:3], axis=0), axis=1)
+) -> MotionSpan:
+    """Find when a point (N, 2) [m] begins to move, with a lead, and what follows."""
+    first_place = np.median(xy[:3], axis=0)
+    distance = np.linalg.norm(xy - first_place, axis=1)
     onset = first_beyond(t, distance, MOVED_SHARE * length, float(t[0]))
     swung = first_beyond(t, distance, horizon.swung * length, float(t[-1]))
     duration = horizon.duration * float(np.sqrt(length / GRAVITY))
     until = min(max(onset + duration, swung), onset + MAX_DURATION_S)
-    return onset - LEAD_S, until, float(np.quantile(distance, 0.95))
+    return MotionSpan(onset - LEAD_S, until, float(np.quantile(distance, 0.95)))
 
 
 def first_beyond(
@@ -187,8 +200,7 @@ def thin_track(track: Track, length: float, horizon: Horizon = WHOLE_MOTION) -> 
     t, xy = track.t[is_known], track.xy[is_known]
     if not len(t):
         return replace(track, t=t, xy=xy)
-    begin, until, _ = motion_span(t, xy, length, horizon)
-    chosen = np.flatnonzero((t >= begin) & (t <= until))
+    chosen = np.flatnonzero(motion_span(t, xy, length, horizon).contains(t))
     step = int(np.ceil(len(chosen) / MAX_FRAMES)) or 1
     return replace(track, t=t[chosen[::step]], xy=xy[chosen[::step]])
 
